@@ -1,0 +1,1 @@
+//! Interpolation of PSF coefficients over the field of view

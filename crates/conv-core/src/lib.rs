@@ -1,0 +1,1 @@
+//! Convolution of a scene with a PSF that varies over the field

@@ -1,0 +1,1 @@
+//! Measurements of PSFs and images: Gaussian fits, adaptive moments, error norms

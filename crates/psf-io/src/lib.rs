@@ -1,0 +1,1 @@
+//! FITS and table files of psfield: scenes, samples, models, catalogues

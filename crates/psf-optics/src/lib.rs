@@ -1,0 +1,1 @@
+//! PSF sources: physical optics (pupil, Zernike wavefront over the field, seeing) and analytic profiles

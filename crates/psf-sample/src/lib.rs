@@ -1,0 +1,1 @@
+//! Uniform and non-uniform sampling of a PSF over the field of view

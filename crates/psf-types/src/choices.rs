@@ -1,0 +1,211 @@
+//! Choices that are made on the command line, stored in models and acted on in the stages.
+
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use crate::DataError;
+
+/// Which interpolator carries coefficients from the samples to the field.
+///
+/// Written as `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `polynomial=DEGREE` or `nearest`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum Interpolation {
+    /// Bilinear where the samples form a regular grid, else natural neighbour.
+    #[default]
+    Auto,
+    /// Linear inside the triangles of the Delaunay triangulation.
+    Delaunay,
+    /// Sibson's natural neighbours.
+    NaturalNeighbour,
+    /// Inverse distance weights `d^-power`, exact at the samples.
+    InverseDistance {
+        /// The exponent, above 0.
+        power: f64,
+    },
+    /// Bilinear inside the cells of a regular (rectilinear) grid.
+    Bilinear,
+    /// One polynomial in x and y over the whole field, by least squares.
+    Polynomial {
+        /// The total degree.
+        degree: usize,
+    },
+    /// The value of the nearest sample.
+    Nearest,
+}
+
+impl Interpolation {
+    /// The exponent of inverse distance weighting when none is given.
+    pub const DEFAULT_POWER: f64 = 2.0;
+    /// The highest polynomial degree accepted; far beyond it no sampling of a field supports the fit.
+    pub const MAX_DEGREE: usize = 20;
+}
+
+impl std::fmt::Display for Interpolation {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Auto => f.write_str("auto"),
+            Self::Delaunay => f.write_str("delaunay"),
+            Self::NaturalNeighbour => f.write_str("natural-neighbour"),
+            Self::InverseDistance { power } if *power == Self::DEFAULT_POWER => f.write_str("idw"),
+            Self::InverseDistance { power } => write!(f, "idw={power}"),
+            Self::Bilinear => f.write_str("bilinear"),
+            Self::Polynomial { degree } => write!(f, "polynomial={degree}"),
+            Self::Nearest => f.write_str("nearest"),
+        }
+    }
+}
+
+impl FromStr for Interpolation {
+    type Err = DataError;
+    fn from_str(text: &str) -> Result<Self, DataError> {
+        let refused = || DataError::Setting {
+            name: "interpolation",
+            allowed: "auto, delaunay, natural-neighbour, idw, idw=POWER (above 0), bilinear, polynomial=DEGREE (0 to 20) or nearest",
+            got: text.to_owned(),
+        };
+        match text.split_once('=') {
+            None => match text {
+                "auto" => Ok(Self::Auto),
+                "delaunay" => Ok(Self::Delaunay),
+                "natural-neighbour" => Ok(Self::NaturalNeighbour),
+                "idw" => Ok(Self::InverseDistance {
+                    power: Self::DEFAULT_POWER,
+                }),
+                "bilinear" => Ok(Self::Bilinear),
+                "nearest" => Ok(Self::Nearest),
+                _ => Err(refused()),
+            },
+            Some(("idw", power)) => match power.parse::<f64>() {
+                Ok(power) if power.is_finite() && power > 0.0 => Ok(Self::InverseDistance { power }),
+                _ => Err(refused()),
+            },
+            Some(("polynomial", degree)) => match degree.parse::<usize>() {
+                Ok(degree) if degree <= Self::MAX_DEGREE => Ok(Self::Polynomial { degree }),
+                _ => Err(refused()),
+            },
+            Some(_) => Err(refused()),
+        }
+    }
+}
+
+/// What an interpolator does outside the area that the samples cover (their convex hull; for bilinear, their grid).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum OutsidePolicy {
+    /// The value at the nearest point of the covered area.
+    #[default]
+    Nearest,
+    /// Continue the interpolant linearly.
+    Extend,
+    /// Refuse.
+    Error,
+}
+
+/// Whether every PSF is scaled to unit flux.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum Normalisation {
+    /// Every PSF holds unit flux at every position.
+    #[default]
+    Unit,
+    /// The values are taken as they are.
+    Keep,
+}
+
+/// Which position's PSF applies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum Anchor {
+    /// Each source spreads with the PSF of its own position ("scattering"): how light travels.
+    #[default]
+    Source,
+    /// Each output pixel gathers with the PSF of its own position; the form in the method's paper.
+    Output,
+}
+
+/// `Display` and `FromStr` of a choice without parameters, from one table.
+macro_rules! named {
+    ($type:ident, $what:literal, $allowed:literal, $($name:literal => $variant:ident),+) => {
+        impl std::fmt::Display for $type {
+            fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+                f.write_str(match self { $(Self::$variant => $name),+ })
+            }
+        }
+        impl FromStr for $type {
+            type Err = DataError;
+            fn from_str(text: &str) -> Result<Self, DataError> {
+                match text {
+                    $($name => Ok(Self::$variant),)+
+                    _ => Err(DataError::Setting { name: $what, allowed: $allowed, got: text.to_owned() }),
+                }
+            }
+        }
+    };
+}
+
+named!(OutsidePolicy, "outside", "nearest, extend or error", "nearest" => Nearest, "extend" => Extend, "error" => Error);
+named!(Normalisation, "normalise", "unit or keep", "unit" => Unit, "keep" => Keep);
+named!(Anchor, "anchor", "source or output", "source" => Source, "output" => Output);
+
+/// Serde through the text forms above, so that a file cannot hold what the command line would refuse.
+macro_rules! through_text {
+    ($($type:ident),+) => {$(
+        impl TryFrom<String> for $type {
+            type Error = DataError;
+            fn try_from(text: String) -> Result<Self, DataError> {
+                text.parse()
+            }
+        }
+        impl From<$type> for String {
+            fn from(value: $type) -> Self {
+                value.to_string()
+            }
+        }
+    )+};
+}
+
+through_text!(Interpolation, OutsidePolicy, Normalisation, Anchor);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn text_forms_round_trip() {
+        for text in [
+            "auto",
+            "delaunay",
+            "natural-neighbour",
+            "idw",
+            "idw=3.5",
+            "bilinear",
+            "polynomial=3",
+            "nearest",
+        ] {
+            assert_eq!(text.parse::<Interpolation>().unwrap().to_string(), text);
+        }
+        for text in [
+            "",
+            "Bilinear",
+            "idw=0",
+            "idw=-1",
+            "idw=NaN",
+            "polynomial",
+            "polynomial=21",
+            "nearest=1",
+        ] {
+            assert!(text.parse::<Interpolation>().is_err(), "{text}");
+        }
+        assert_eq!(
+            serde_json::to_string(&OutsidePolicy::Extend).unwrap(),
+            "\"extend\""
+        );
+        assert!(serde_json::from_str::<Anchor>("\"both\"").is_err());
+    }
+}

@@ -1,0 +1,49 @@
+//! The data that passes between the stages of psfield, and the traits that cross them.
+//!
+//! ```text
+//! PsfSource --sample--> PsfSamples --basis--> PsfBasis + SampleCoefficients --field--> CoefficientField
+//!                                                                                            |
+//!                                      Scene --conv--> Image  <---------- PsfModel <---------+
+//! ```
+//!
+//! # Conventions
+//! * Arrays are `[y, x]`, row-major; stacks `[sample, y, x]`.
+//! * Positions are `(x, y)` in pixels of the frame, 0-based, an integer is the centre of a pixel ([`Position`]).
+//! * A stamp carries its centre, by default index `n / 2` ([`StampGrid`]). Its values are fractions of the source's flux
+//!   in a *frame* pixel, so a stamp oversampled `s` times holds unit flux when its values sum to `s^2`.
+//! * Every type checks its invariants once, in its constructor; serde goes through the same check.
+
+mod check;
+mod choices;
+mod coefficient_field;
+mod error;
+mod frame;
+mod image;
+mod position;
+mod progress;
+mod psf_basis;
+mod psf_model;
+mod psf_samples;
+mod psf_source;
+mod real;
+mod sample_coefficients;
+mod sample_positions;
+mod scene;
+mod stamp;
+
+pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy};
+pub use coefficient_field::{CoefficientField, FieldError};
+pub use error::{DataError, Quantity};
+pub use frame::{FrameShape, PixelRegion};
+pub use image::Image;
+pub use position::Position;
+pub use progress::{NoProgress, Progress};
+pub use psf_basis::PsfBasis;
+pub use psf_model::{PsfModel, PsfModelRecord};
+pub use psf_samples::PsfSamples;
+pub use psf_source::{PsfSource, SourceError};
+pub use real::Real;
+pub use sample_coefficients::SampleCoefficients;
+pub use sample_positions::SamplePositions;
+pub use scene::{PointSource, Scene};
+pub use stamp::{Stamp, StampGrid};

@@ -1,0 +1,301 @@
+//! Stamps: PSF images on a small grid.
+
+use ndarray::{Array2, ArrayView2};
+use serde::{Deserialize, Serialize};
+
+use crate::DataError;
+use crate::check::{self, Quantity};
+
+/// The pixel grid of a stamp: shape, centre, oversampling and whether the pixel response is in the values.
+///
+/// * A stamp value at index `(row, column)` belongs to the offset
+///   `((column - centre_x) / oversampling, (row - centre_y) / oversampling)` in frame pixels from the source.
+/// * A value is the fraction of the source's flux that falls in a *frame* pixel centred there. So a stamp oversampled
+///   `s` times holds unit flux when its values sum to `s^2`.
+///
+/// ```
+/// use psf_types::StampGrid;
+/// let grid = StampGrid::new(64, 64)?.with_oversampling(4.0)?;
+/// assert_eq!((grid.centre_x(), grid.centre_y()), (32.0, 32.0));
+/// assert_eq!(grid.flux_of_sum(16.0), 1.0);
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawStampGrid", into = "RawStampGrid")]
+pub struct StampGrid {
+    nx: usize,
+    ny: usize,
+    centre_x: f64,
+    centre_y: f64,
+    oversampling: f64,
+    pixel_response_included: bool,
+}
+
+#[derive(Serialize, Deserialize)]
+struct RawStampGrid {
+    nx: usize,
+    ny: usize,
+    centre_x: f64,
+    centre_y: f64,
+    oversampling: f64,
+    pixel_response_included: bool,
+}
+
+impl StampGrid {
+    /// A grid of `nx` columns and `ny` rows at the frame's own pixel scale, centred at index `(nx / 2, ny / 2)` (integer
+    /// division), with the pixel response included.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyStamp`] when either is 0.
+    pub fn new(nx: usize, ny: usize) -> Result<Self, DataError> {
+        if nx == 0 || ny == 0 {
+            return Err(DataError::EmptyStamp { nx, ny });
+        }
+        Ok(Self {
+            nx,
+            ny,
+            centre_x: (nx / 2) as f64,
+            centre_y: (ny / 2) as f64,
+            oversampling: 1.0,
+            pixel_response_included: true,
+        })
+    }
+
+    /// The same grid with the PSF's reference point at the 0-based stamp index (`x`, `y`), fractional if need be.
+    ///
+    /// # Errors
+    /// [`DataError::StampCentre`] when the point does not lie on a pixel of the stamp.
+    pub fn with_centre(self, x: f64, y: f64) -> Result<Self, DataError> {
+        let on = |v: f64, n: usize| (-0.5..=n as f64 - 0.5).contains(&v);
+        if on(x, self.nx) && on(y, self.ny) {
+            Ok(Self {
+                centre_x: x,
+                centre_y: y,
+                ..self
+            })
+        } else {
+            Err(DataError::StampCentre {
+                x,
+                y,
+                nx: self.nx,
+                ny: self.ny,
+            })
+        }
+    }
+
+    /// The same grid with `oversampling` stamp pixels per frame pixel (a float; below 1 for coarser stamps).
+    ///
+    /// # Errors
+    /// [`DataError::Oversampling`] when it is not finite and positive.
+    pub fn with_oversampling(self, oversampling: f64) -> Result<Self, DataError> {
+        if oversampling.is_finite() && oversampling > 0.0 {
+            Ok(Self { oversampling, ..self })
+        } else {
+            Err(DataError::Oversampling { got: oversampling })
+        }
+    }
+
+    /// The same grid, told whether the stamps hold the response of a frame pixel already.
+    #[must_use]
+    pub fn with_pixel_response_included(self, included: bool) -> Self {
+        Self {
+            pixel_response_included: included,
+            ..self
+        }
+    }
+
+    /// Number of columns.
+    pub fn nx(self) -> usize {
+        self.nx
+    }
+
+    /// Number of rows.
+    pub fn ny(self) -> usize {
+        self.ny
+    }
+
+    /// `[rows, columns]`, the shape of the arrays.
+    pub fn dim(self) -> (usize, usize) {
+        (self.ny, self.nx)
+    }
+
+    /// Number of stamp pixels.
+    pub fn pixel_count(self) -> usize {
+        self.nx * self.ny
+    }
+
+    /// Column index of the PSF's reference point.
+    pub fn centre_x(self) -> f64 {
+        self.centre_x
+    }
+
+    /// Row index of the PSF's reference point.
+    pub fn centre_y(self) -> f64 {
+        self.centre_y
+    }
+
+    /// Stamp pixels per frame pixel.
+    pub fn oversampling(self) -> f64 {
+        self.oversampling
+    }
+
+    /// Whether the values hold the response of a frame pixel already.
+    pub fn pixel_response_included(self) -> bool {
+        self.pixel_response_included
+    }
+
+    /// The centre as whole `(column, row)` indices, if it lies on a pixel centre.
+    pub fn whole_centre(self) -> Option<(usize, usize)> {
+        (self.centre_x.fract() == 0.0 && self.centre_y.fract() == 0.0)
+            .then_some((self.centre_x as usize, self.centre_y as usize))
+    }
+
+    /// The flux (fraction of the source's light) of a stamp whose values add up to `sum`: `sum / oversampling^2`.
+    pub fn flux_of_sum(self, sum: f64) -> f64 {
+        sum / (self.oversampling * self.oversampling)
+    }
+}
+
+impl TryFrom<RawStampGrid> for StampGrid {
+    type Error = DataError;
+    fn try_from(raw: RawStampGrid) -> Result<Self, DataError> {
+        Ok(Self::new(raw.nx, raw.ny)?
+            .with_centre(raw.centre_x, raw.centre_y)?
+            .with_oversampling(raw.oversampling)?
+            .with_pixel_response_included(raw.pixel_response_included))
+    }
+}
+
+impl From<StampGrid> for RawStampGrid {
+    fn from(grid: StampGrid) -> Self {
+        Self {
+            nx: grid.nx,
+            ny: grid.ny,
+            centre_x: grid.centre_x,
+            centre_y: grid.centre_y,
+            oversampling: grid.oversampling,
+            pixel_response_included: grid.pixel_response_included,
+        }
+    }
+}
+
+/// One PSF image `[y, x]` on its [`StampGrid`]; every value is finite.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawStamp", into = "RawStamp")]
+pub struct Stamp {
+    values: Array2<f64>,
+    grid: StampGrid,
+}
+
+#[derive(Serialize, Deserialize)]
+struct RawStamp {
+    values: Array2<f64>,
+    grid: StampGrid,
+}
+
+impl Stamp {
+    /// A stamp from its values `[y, x]`.
+    ///
+    /// # Errors
+    /// [`DataError::StampShape`] when the array does not have the grid's shape, [`DataError::NonFinite`] for a NaN or an
+    /// infinity.
+    pub fn new(values: Array2<f64>, grid: StampGrid) -> Result<Self, DataError> {
+        check::stamp_shape(values.dim(), grid)?;
+        check::finite2(Quantity::StampValue, values.view())?;
+        Ok(Self {
+            values: check::row_major(values),
+            grid,
+        })
+    }
+
+    /// The values `[y, x]`.
+    pub fn values(&self) -> ArrayView2<'_, f64> {
+        self.values.view()
+    }
+
+    /// The values, without a copy.
+    pub fn into_values(self) -> Array2<f64> {
+        self.values
+    }
+
+    /// The pixel grid.
+    pub fn grid(&self) -> StampGrid {
+        self.grid
+    }
+
+    /// The fraction of the source's light in the stamp: the sum over `oversampling^2`.
+    pub fn flux(&self) -> f64 {
+        self.grid.flux_of_sum(self.values.sum())
+    }
+
+    /// The stamp mirrored in both axes; its centre moves along (index 32 of 64 becomes 31).
+    ///
+    /// Convolution with the mirrored stamp is correlation with the stamp itself.
+    #[must_use]
+    pub fn mirrored(&self) -> Self {
+        let grid = StampGrid {
+            centre_x: (self.grid.nx - 1) as f64 - self.grid.centre_x,
+            centre_y: (self.grid.ny - 1) as f64 - self.grid.centre_y,
+            ..self.grid
+        };
+        Self {
+            values: check::row_major(self.values.slice(ndarray::s![..;-1, ..;-1]).to_owned()),
+            grid,
+        }
+    }
+}
+
+impl TryFrom<RawStamp> for Stamp {
+    type Error = DataError;
+    fn try_from(raw: RawStamp) -> Result<Self, DataError> {
+        Self::new(raw.values, raw.grid)
+    }
+}
+
+impl From<Stamp> for RawStamp {
+    fn from(stamp: Stamp) -> Self {
+        Self {
+            values: stamp.values,
+            grid: stamp.grid,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn mirroring_moves_the_centre_and_is_its_own_inverse() {
+        let grid = StampGrid::new(4, 3).unwrap();
+        let stamp = Stamp::new(Array2::from_shape_fn((3, 4), |(y, x)| (4 * y + x) as f64), grid).unwrap();
+        let mirrored = stamp.mirrored();
+        assert_eq!(
+            (mirrored.grid().centre_x(), mirrored.grid().centre_y()),
+            (1.0, 1.0)
+        );
+        assert_eq!(mirrored.values()[[1, 1]], stamp.values()[[1, 2]]);
+        assert_eq!(mirrored.mirrored(), stamp);
+    }
+
+    #[test]
+    fn bad_stamps_are_refused_also_through_serde() {
+        let grid = StampGrid::new(2, 1).unwrap();
+        assert!(matches!(
+            Stamp::new(array![[1.0]], grid),
+            Err(DataError::StampShape { .. })
+        ));
+        assert!(matches!(
+            Stamp::new(array![[1.0, f64::NAN]], grid),
+            Err(DataError::NonFinite { .. })
+        ));
+        let good = serde_json::to_string(&Stamp::new(array![[1.0, 2.0]], grid).unwrap()).unwrap();
+        assert!(serde_json::from_str::<Stamp>(&good).is_ok());
+        assert!(
+            serde_json::from_str::<Stamp>(&good.replace("\"oversampling\":1.0", "\"oversampling\":0.0"))
+                .is_err()
+        );
+        assert!(serde_json::from_str::<Stamp>(&good.replace("\"nx\":2", "\"nx\":3")).is_err());
+    }
+}
