@@ -255,7 +255,9 @@ impl PsfModel {
         self.coefficients_into(position, coefficients)?;
         if self.needs_scaling {
             let flux = self.checked_flux(position, coefficients)?;
-            coefficients.iter_mut().for_each(|a| *a /= flux);
+            for a in coefficients {
+                *a /= flux;
+            }
         }
         Ok(())
     }
