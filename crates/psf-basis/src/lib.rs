@@ -1,1 +1,36 @@
-//! Orthonormal PSF bases: SVD with elbow, energy, error and noise-edge rank selection
+//! PSF bases: from samples of a PSF to a few orthonormal stamps and the samples' coefficients.
+//!
+//! A sample `h_j` (a stamp) becomes `h_j(u) = B_0(u) + sum_k a_jk B_k(u)`, with a mean stamp `B_0` (absent when the basis is
+//! not centred) and orthonormal stamps `B_k`. A [`BasisMethod`] finds them: [`Svd`] by the singular value decomposition,
+//! [`GivenStamps`] takes stamps from elsewhere; implement the trait for another.
+//!
+//! # Choosing the rank
+//! [`RankSelection`] says how many components are kept. Every fit by [`Svd`] reports its [`Spectrum`]:
+//!
+//! * **Elbow** of the cumulative-weight curve `c_k = sum_{i<=k} s_i / sum_i s_i`: the point furthest above the chord from
+//!   `(0, 0)` to `(m, 1)` ("Kneedle", Satopaa et al. 2011), or the foot of a cliff where the singular values fall by more
+//!   than a factor 1000 from one to the next within the first half of the curve.
+//! * **Noise**: `L x P` samples (pixels by samples) with white pixel noise sigma have noise modes with singular values up
+//!   to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated ([`PixelNoise`]); neither the elbow nor
+//!   `auto` keeps modes that noise alone would reach in 99 % of cases.
+//!
+//! # Normalisation
+//! Stamps are taken as they are. Of samples of unit flux, mean-centred, every component has zero flux, so that any
+//! truncation keeps the flux: scale samples first ([`psf_types::PsfSamples::into_unit_flux`]).
+
+mod basis_fit;
+mod elbow;
+mod error;
+mod given_stamps;
+mod noise;
+mod rank_selection;
+mod spectrum;
+mod svd;
+
+pub use basis_fit::{BasisFit, BasisMethod};
+pub use error::BasisError;
+pub use given_stamps::GivenStamps;
+pub use noise::PixelNoise;
+pub use rank_selection::RankSelection;
+pub use spectrum::Spectrum;
+pub use svd::{Centring, Svd};
