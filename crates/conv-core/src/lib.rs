@@ -1,1 +1,46 @@
-//! Convolution of a scene with a PSF that varies over the field
+//! Convolution of a scene with a PSF that varies over the field.
+//!
+//! A scene `f(x)` holds the flux that arrives at pixel `x`; the PSF at field position `x` is `h(u; x)`. There are two ways to
+//! apply it ([`psf_types::Anchor`]):
+//!
+//! * **source-anchored**, `F(y) = sum_x f(x) h(y - x; x)`: each source spreads with the PSF of its own position, as light
+//!   does;
+//! * **output-anchored**, `F(y) = sum_x f(x) h(y - x; y)`: each pixel gathers with the PSF of its own position, the form in
+//!   the paper of the method (Bai, Jia et al.).
+//!
+//! | method | what it is | cost | error |
+//! |---|---|---|---|
+//! | [`Direct`] | the double sum, in f64 | each lit pixel times each stamp pixel times `K` | none but rounding; the reference |
+//! | [`BasisConvolution`] | `K` whole-image FFT convolutions | `K` transforms of the image | rounding of the precision chosen |
+//! | [`PatchConvolution`] | one PSF a patch | one transform of each lit patch | the PSF jumps from patch to patch |
+//!
+//! All are [`ConvolutionMethod`]s over a [`psf_types::PsfModel`] and a [`psf_types::Scene`]. Outside the scene there is no
+//! light. Point sources are drawn one by one, with the PSF of their own position shifted to it by [`StampSpline`], by every
+//! method alike.
+//!
+//! # Normalisation
+//! The image holds the scene's flux times the flux of the PSFs, which the model decides ([`psf_types::Normalisation`]); nothing
+//! else is scaled. An image scene needs stamps at the frame's own scale, centred on a pixel ([`native_grid`],
+//! [`resample_samples`]); point sources take any stamps.
+//!
+//! # Threads
+//! Work is spread over rayon's current pool. Results are the same bytes on any number of threads.
+
+mod basis_convolution;
+mod direct;
+mod error;
+mod fft2;
+mod kernel;
+mod method;
+mod overlap;
+mod patch;
+mod planes;
+mod point_sources;
+mod stamp_spline;
+
+pub use basis_convolution::BasisConvolution;
+pub use direct::Direct;
+pub use error::ConvError;
+pub use method::{ConvReal, ConvolutionMethod};
+pub use patch::PatchConvolution;
+pub use stamp_spline::{StampSpline, native_grid, resample_samples};

@@ -7,14 +7,14 @@ pub trait Real: NdFloat + Default + sealed::Sealed {
     /// `f32` or `f64`.
     const NAME: &'static str;
     /// The nearest value of this type.
-    fn from_f64(value: f64) -> Self;
+    fn nearest(value: f64) -> Self;
     /// The same value in double precision.
     fn as_f64(self) -> f64;
 }
 
 impl Real for f32 {
     const NAME: &'static str = "f32";
-    fn from_f64(value: f64) -> Self {
+    fn nearest(value: f64) -> Self {
         value as Self
     }
     fn as_f64(self) -> f64 {
@@ -24,7 +24,7 @@ impl Real for f32 {
 
 impl Real for f64 {
     const NAME: &'static str = "f64";
-    fn from_f64(value: f64) -> Self {
+    fn nearest(value: f64) -> Self {
         value
     }
     fn as_f64(self) -> f64 {

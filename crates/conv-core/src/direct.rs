@@ -1,0 +1,246 @@
+//! The exact double sum.
+
+use ndarray::{Array2, ArrayView2, ArrayView3, s};
+use psf_types::{Anchor, Image, PixelRegion, PsfModel, Scene};
+use rayon::prelude::*;
+
+use crate::kernel::Reach;
+use crate::overlap::{Piece, add_in_order, overlap};
+use crate::point_sources::{add_point_sources, point_sources_at};
+use crate::{ConvError, ConvReal, ConvolutionMethod};
+
+/// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
+/// that every other method is measured against.
+///
+/// A whole image costs `K` multiplications for each lit pixel and each pixel of a stamp; [`Direct::at_pixels`] gives single
+/// pixels of a large image.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Direct {
+    anchor: Anchor,
+}
+
+/// PSFs are made by a matrix product, this many at a time.
+const PSFS_AT_ONCE: usize = 256;
+/// Rows of sources that one task spreads.
+const BAND: usize = 16;
+
+impl Direct {
+    /// The method with the given anchoring.
+    pub fn new(anchor: Anchor) -> Self {
+        Self { anchor }
+    }
+
+    /// The values of single pixels `(column, row)` of the image, in double precision whatever the scene's.
+    ///
+    /// # Errors
+    /// [`ConvError`] as for [`ConvolutionMethod::convolve`]; [`ConvError::PixelOutsideFrame`].
+    pub fn at_pixels<T: ConvReal>(
+        &self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        pixels: &[(usize, usize)],
+    ) -> Result<Vec<f64>, ConvError> {
+        let frame = scene.frame();
+        if let Some(&(column, row)) = pixels
+            .iter()
+            .find(|(column, row)| *column >= frame.shape().nx() || *row >= frame.shape().ny())
+        {
+            return Err(ConvError::PixelOutsideFrame {
+                column,
+                row,
+                frame: frame.shape(),
+            });
+        }
+        let mut values = vec![0.0; pixels.len()];
+        if let Some(light) = scene.pixels() {
+            let reach = Reach::of(model.grid())?;
+            let sums: Vec<Result<f64, ConvError>> = pixels
+                .par_iter()
+                .map(|&pixel| self.pixel(model, scene, light, reach, pixel))
+                .collect();
+            values = sums.into_iter().collect::<Result<_, _>>()?;
+        }
+        for (value, stars) in values
+            .iter_mut()
+            .zip(point_sources_at(model, scene, self.anchor, pixels)?)
+        {
+            *value += stars;
+        }
+        Ok(values)
+    }
+
+    fn pixel<T: ConvReal>(
+        self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        light: ArrayView2<'_, T>,
+        reach: Reach,
+        (column, row): (usize, usize),
+    ) -> Result<f64, ConvError> {
+        let field = scene.field_region();
+        let (column, row) = (
+            column + scene.frame().x0() as usize,
+            row + scene.frame().y0() as usize,
+        );
+        let stamps = model.stamps();
+        let mut coefficients = vec![0.0; model.stamp_count()];
+        if self.anchor == Anchor::Output {
+            model.scaled_coefficients_into(field.position(column, row), &mut coefficients)?;
+        }
+        let mut sum = 0.0;
+        // The source at x = y - u, for every offset u of the stamp.
+        for j in 0..stamps.dim().1 {
+            let Some(y) = (row + reach.below).checked_sub(j).filter(|&y| y < light.nrows()) else {
+                continue;
+            };
+            for i in 0..stamps.dim().2 {
+                let Some(x) = (column + reach.left)
+                    .checked_sub(i)
+                    .filter(|&x| x < light.ncols())
+                else {
+                    continue;
+                };
+                let flux = light[[y, x]].as_f64();
+                if flux == 0.0 {
+                    continue;
+                }
+                if self.anchor != Anchor::Output {
+                    model.scaled_coefficients_into(field.position(x, y), &mut coefficients)?;
+                }
+                let h: f64 = coefficients
+                    .iter()
+                    .zip(stamps.slice(s![.., j, i]))
+                    .map(|(a, b)| a * b)
+                    .sum();
+                sum += flux * h;
+            }
+        }
+        Ok(sum)
+    }
+
+    fn scatter<T: ConvReal>(
+        model: &PsfModel,
+        scene: &Scene<T>,
+        light: ArrayView2<'_, T>,
+        reach: Reach,
+        result: &mut Array2<f64>,
+    ) -> Result<(), ConvError> {
+        let (field, frame) = (scene.field_region(), scene.frame());
+        let (ny, nx) = light.dim();
+        let (height, width) = model.grid().dim();
+        add_in_order(result, ny.div_ceil(BAND), |band| {
+            let rows = band * BAND..((band + 1) * BAND).min(ny);
+            let lit: Vec<(usize, usize)> = rows
+                .clone()
+                .flat_map(|y| (0..nx).map(move |x| (x, y)))
+                .filter(|&(x, y)| !light[[y, x]].is_zero())
+                .collect();
+            let mut values = Array2::<f64>::zeros((rows.len() + height - 1, nx + width - 1));
+            for some in lit.chunks(PSFS_AT_ONCE) {
+                let psfs = psfs(model, field, some)?;
+                for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
+                    let y_in_band = y - rows.start;
+                    values
+                        .slice_mut(s![y_in_band..y_in_band + height, x..x + width])
+                        .scaled_add(light[[y, x]].as_f64(), &stamp_of(&psf, model));
+                }
+            }
+            let first_column = -(reach.left as i64) - frame.x0();
+            let first_row = rows.start as i64 - reach.below as i64 - frame.y0();
+            Ok(if lit.is_empty() {
+                Vec::new()
+            } else {
+                vec![Piece {
+                    first_column,
+                    first_row,
+                    values,
+                }]
+            })
+        })
+    }
+
+    fn gather<T: ConvReal>(
+        model: &PsfModel,
+        scene: &Scene<T>,
+        light: ArrayView2<'_, T>,
+        reach: Reach,
+        result: &mut Array2<f64>,
+    ) -> Result<(), ConvError> {
+        let (field, frame) = (scene.field_region(), scene.frame());
+        let nx = frame.shape().nx();
+        // Light under the mirrored stamp at a pixel of the scene: (x - right ..= x + left).
+        let under = |x: usize, y: usize| {
+            let columns = overlap(x as i64 - reach.right as i64, model.grid().nx(), light.ncols())?;
+            let rows = overlap(y as i64 - reach.above as i64, model.grid().ny(), light.nrows())?;
+            Some((columns, rows))
+        };
+        let rows: Vec<Result<(), ConvError>> = result
+            .as_slice_mut()
+            .expect("row-major")
+            .par_chunks_exact_mut(nx)
+            .enumerate()
+            .map(|(row, out)| {
+                let y = row + frame.y0() as usize;
+                let lit: Vec<(usize, usize)> = (0..nx)
+                    .map(|column| (column + frame.x0() as usize, y))
+                    .filter(|&(x, y)| {
+                        under(x, y).is_some_and(|((_, x0, w), (_, y0, h))| {
+                            light
+                                .slice(s![y0..y0 + h, x0..x0 + w])
+                                .iter()
+                                .any(|v| !v.is_zero())
+                        })
+                    })
+                    .collect();
+                for some in lit.chunks(PSFS_AT_ONCE) {
+                    let psfs = psfs(model, field, some)?;
+                    for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
+                        let ((from_x, x0, w), (from_y, y0, h)) = under(x, y).expect("lit");
+                        let mirrored = stamp_of(&psf, model);
+                        let mirrored = mirrored.slice(s![..;-1, ..;-1]);
+                        let psf = mirrored.slice(s![from_y..from_y + h, from_x..from_x + w]);
+                        let window = light.slice(s![y0..y0 + h, x0..x0 + w]);
+                        out[x - frame.x0() as usize] =
+                            psf.iter().zip(window).map(|(p, f)| p * f.as_f64()).sum();
+                    }
+                }
+                Ok(())
+            })
+            .collect();
+        rows.into_iter().collect()
+    }
+}
+
+/// The PSFs at pixels `(x, y)` of the scene, `[psf, stamp pixel]`.
+fn psfs(model: &PsfModel, field: PixelRegion, pixels: &[(usize, usize)]) -> Result<Array2<f64>, ConvError> {
+    let count = model.stamp_count();
+    let mut coefficients = Array2::zeros((pixels.len(), count));
+    for (&(x, y), mut row) in pixels.iter().zip(coefficients.outer_iter_mut()) {
+        model.scaled_coefficients_into(field.position(x, y), row.as_slice_mut().expect("row-major"))?;
+    }
+    let stamps: ArrayView3<'_, f64> = model.stamps();
+    let flat = stamps
+        .into_shape_with_order((count, model.grid().pixel_count()))
+        .expect("row-major");
+    Ok(coefficients.dot(&flat))
+}
+
+fn stamp_of<'a>(psf: &'a ndarray::ArrayView1<'_, f64>, model: &PsfModel) -> ArrayView2<'a, f64> {
+    ArrayView2::from_shape(model.grid().dim(), psf.to_slice().expect("row-major")).expect("the grid's size")
+}
+
+impl<T: ConvReal> ConvolutionMethod<T> for Direct {
+    fn convolve(&self, model: &PsfModel, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
+        let shape = scene.frame().shape();
+        let mut result = Array2::zeros((shape.ny(), shape.nx()));
+        if let Some(light) = scene.pixels() {
+            let reach = Reach::of(model.grid())?;
+            match self.anchor {
+                Anchor::Output => Self::gather(model, scene, light, reach, &mut result)?,
+                _ => Self::scatter(model, scene, light, reach, &mut result)?,
+            }
+        }
+        add_point_sources(model, scene, self.anchor, &mut result)?;
+        Image::new(result.mapv(T::nearest)).map_err(ConvError::Result)
+    }
+}

@@ -1,0 +1,62 @@
+//! What can go wrong in a convolution.
+
+use psf_types::{DataError, FieldError, FrameShape};
+use thiserror::Error;
+
+/// Errors of the convolution methods.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ConvError {
+    /// Stamps at another scale than the image's pixels.
+    #[error(
+        "the PSF stamps have {oversampling} pixels a frame pixel: an image can only be convolved with stamps at the frame's own \
+         scale; resample them first"
+    )]
+    StampScale {
+        /// Stamp pixels a frame pixel.
+        oversampling: f64,
+    },
+    /// Stamps whose centre lies between pixels.
+    #[error(
+        "the PSF stamps are centred at index ({x}, {y}): an image can only be convolved with stamps centred on a pixel; \
+         resample them first"
+    )]
+    StampCentre {
+        /// Column index.
+        x: f64,
+        /// Row index.
+        y: f64,
+    },
+    /// Stamps without the response of a pixel.
+    #[error(
+        "the PSF stamps do not include the pixel response: a scene cannot be imaged with them as they are"
+    )]
+    PixelResponse,
+    /// A patch of no size.
+    #[error("the patch size must be at least 1 pixel")]
+    PatchSize,
+    /// An image of another shape than the frame it stands for.
+    #[error("the image is {got} pixels, the frame is {expected}")]
+    FrameShape {
+        /// The frame.
+        expected: FrameShape,
+        /// The image.
+        got: FrameShape,
+    },
+    /// A pixel off the frame.
+    #[error("pixel ({column}, {row}) lies outside the frame of {frame} pixels")]
+    PixelOutsideFrame {
+        /// Column asked for.
+        column: usize,
+        /// Row asked for.
+        row: usize,
+        /// The frame.
+        frame: FrameShape,
+    },
+    /// The PSF has no value somewhere.
+    #[error(transparent)]
+    Field(#[from] FieldError),
+    /// The result is not a valid image.
+    #[error("the result is not a valid image")]
+    Result(#[source] DataError),
+}

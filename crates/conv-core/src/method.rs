@@ -1,0 +1,22 @@
+//! The trait of convolution methods.
+
+use psf_types::{Image, PsfModel, Real, Scene};
+use rustfft::FftNum;
+
+use crate::ConvError;
+
+/// The working precisions of this crate: `f32` and `f64`.
+pub trait ConvReal: Real + FftNum {}
+impl<T: Real + FftNum> ConvReal for T {}
+
+/// Makes the image of a scene through a PSF that varies over the field.
+///
+/// Object-safe. The result has the shape of the scene's frame. Implementations give the same bytes on any number of
+/// threads.
+pub trait ConvolutionMethod<T: ConvReal>: std::fmt::Debug {
+    /// The image of `scene` through `model`.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the model's stamps do not suit an image, or the PSF has no value somewhere in the scene.
+    fn convolve(&self, model: &PsfModel, scene: &Scene<T>) -> Result<Image<T>, ConvError>;
+}

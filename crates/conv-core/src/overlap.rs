@@ -1,0 +1,88 @@
+//! Adding up pieces that overlap, the same way on any number of threads.
+
+use ndarray::{Array2, s};
+use rayon::prelude::*;
+
+use crate::ConvReal;
+
+/// A rectangle of values to be added at a place that may reach beyond the output.
+pub(crate) struct Piece<T> {
+    pub(crate) first_column: i64,
+    pub(crate) first_row: i64,
+    pub(crate) values: Array2<T>,
+}
+
+impl<T: ConvReal> Piece<T> {
+    /// Adds what lies on the output.
+    pub(crate) fn add_to(&self, output: &mut Array2<T>) {
+        let (ny, nx) = output.dim();
+        let (rows, columns) = self.values.dim();
+        let (Some((from_row, to_row, height)), Some((from_column, to_column, width))) = (
+            overlap(self.first_row, rows, ny),
+            overlap(self.first_column, columns, nx),
+        ) else {
+            return;
+        };
+        let mut target = output.slice_mut(s![to_row..to_row + height, to_column..to_column + width]);
+        target += &self
+            .values
+            .slice(s![from_row..from_row + height, from_column..from_column + width]);
+    }
+}
+
+/// Where `length` values that start at index `first` overlap an axis of `limit`: their own first index, the axis' first
+/// index, and how many.
+pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize, usize, usize)> {
+    let start = first.max(0);
+    let end = (first + length as i64).min(limit as i64);
+    (start < end).then(|| ((start - first) as usize, start as usize, (end - start) as usize))
+}
+
+/// Pieces are made in parallel, this many at a time, so that only so many are in memory.
+const AT_ONCE: usize = 16;
+
+/// Makes `count` sets of pieces in parallel and adds them to the output in order.
+pub(crate) fn add_in_order<T: ConvReal, E: Send>(
+    output: &mut Array2<T>,
+    count: usize,
+    make: impl Fn(usize) -> Result<Vec<Piece<T>>, E> + Sync,
+) -> Result<(), E> {
+    for first in (0..count).step_by(AT_ONCE) {
+        let made: Vec<Result<Vec<Piece<T>>, E>> = (first..(first + AT_ONCE).min(count))
+            .into_par_iter()
+            .map(&make)
+            .collect();
+        for pieces in made {
+            for piece in pieces? {
+                piece.add_to(output);
+            }
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pieces_are_cut_at_every_edge() {
+        let add = |first_column, first_row| {
+            let mut output = Array2::<f64>::zeros((3, 4));
+            Piece {
+                first_column,
+                first_row,
+                values: Array2::ones((2, 2)),
+            }
+            .add_to(&mut output);
+            output.sum()
+        };
+        assert_eq!(add(0, 0), 4.0);
+        assert_eq!(add(-1, 0), 2.0);
+        assert_eq!(add(3, 2), 1.0);
+        assert_eq!(add(-1, -1), 1.0);
+        for (column, row) in [(-2, 0), (4, 0), (0, 3), (0, -2), (100, -100)] {
+            assert_eq!(add(column, row), 0.0);
+        }
+    }
+}

@@ -1,0 +1,191 @@
+//! Point sources at sub-pixel positions.
+
+use ndarray::{Array2, ArrayView2, Axis};
+use psf_types::{Anchor, PixelRegion, PointSource, Position, PsfModel, Scene, StampGrid};
+use rayon::prelude::*;
+
+use crate::overlap::{Piece, add_in_order, overlap};
+use crate::stamp_spline::StampSpline;
+use crate::{ConvError, ConvReal};
+
+/// Sources that one task draws.
+const AT_ONCE: usize = 32;
+
+/// Draws every point source into an image of the frame: the PSF of its own position (or, output-anchored, of each pixel's),
+/// shifted to it by the stamps' splines. Sources off the frame shine in as far as their stamps reach.
+pub(crate) fn add_point_sources<T: ConvReal, S: ConvReal>(
+    model: &PsfModel,
+    scene: &Scene<T>,
+    anchor: Anchor,
+    image: &mut Array2<S>,
+) -> Result<(), ConvError> {
+    let sources = scene.sources();
+    if sources.is_empty() {
+        return Ok(());
+    }
+    let painter = Painter::new(model, scene.frame(), anchor)?;
+    add_in_order(image, sources.len().div_ceil(AT_ONCE), |task| {
+        let sources = sources[task * AT_ONCE..]
+            .iter()
+            .take(AT_ONCE)
+            .filter(|source| painter.reaches(source));
+        sources
+            .map(|source| {
+                let (window, values) = painter.paint(source)?;
+                let values = values.mapv(S::nearest);
+                Ok(Piece {
+                    first_column: window.0,
+                    first_row: window.1,
+                    values,
+                })
+            })
+            .collect()
+    })
+}
+
+/// The point sources' light in single pixels `(column, row)` of the frame.
+pub(crate) fn point_sources_at<T: ConvReal>(
+    model: &PsfModel,
+    scene: &Scene<T>,
+    anchor: Anchor,
+    pixels: &[(usize, usize)],
+) -> Result<Vec<f64>, ConvError> {
+    if scene.sources().is_empty() {
+        return Ok(vec![0.0; pixels.len()]);
+    }
+    let painter = Painter::new(model, scene.frame(), anchor)?;
+    let hit = |source: &&PointSource| {
+        let (x, y, nx, ny) = painter.window(source);
+        painter.reaches(source)
+            && pixels.iter().any(|&(column, row)| {
+                (x..x + nx as i64).contains(&(column as i64)) && (y..y + ny as i64).contains(&(row as i64))
+            })
+    };
+    let painted: Vec<Result<_, ConvError>> = scene
+        .sources()
+        .par_iter()
+        .filter(hit)
+        .map(|source| painter.paint(source))
+        .collect();
+    let mut values = vec![0.0; pixels.len()];
+    for painted in painted {
+        let ((x, y), stamp) = painted?;
+        for (value, &(column, row)) in values.iter_mut().zip(pixels) {
+            let inside = |first: i64, index: usize| usize::try_from(index as i64 - first).ok();
+            if let (Some(i), Some(j)) = (inside(x, column), inside(y, row)) {
+                *value += stamp.get((j, i)).copied().unwrap_or(0.0);
+            }
+        }
+    }
+    Ok(values)
+}
+
+struct Painter<'a> {
+    model: &'a PsfModel,
+    frame: PixelRegion,
+    /// Output-anchored: the spline of every stamp.
+    splines: Option<Vec<StampSpline>>,
+    /// A grid at the frame's scale that holds the stamp wherever in its pixel the source lies.
+    target: StampGrid,
+}
+
+impl<'a> Painter<'a> {
+    fn new(model: &'a PsfModel, frame: PixelRegion, anchor: Anchor) -> Result<Self, ConvError> {
+        let grid = model.grid();
+        if !grid.pixel_response_included() {
+            return Err(ConvError::PixelResponse);
+        }
+        let splines = (anchor == Anchor::Output).then(|| {
+            model
+                .stamps()
+                .axis_iter(Axis(0))
+                .map(|stamp| StampSpline::new(stamp, grid))
+                .collect()
+        });
+        let reach = |room: f64| (room.max(0.0) / grid.oversampling() + 0.5).ceil() as usize;
+        let (left, right) = (
+            reach(grid.centre_x()),
+            reach((grid.nx() - 1) as f64 - grid.centre_x()),
+        );
+        let (below, above) = (
+            reach(grid.centre_y()),
+            reach((grid.ny() - 1) as f64 - grid.centre_y()),
+        );
+        let target = StampGrid::new(left + right + 1, below + above + 1)
+            .and_then(|target| target.with_centre(left as f64, below as f64))
+            .map_err(ConvError::Result)?;
+        Ok(Self {
+            model,
+            frame,
+            splines,
+            target,
+        })
+    }
+
+    /// The pixel of the frame that a source lies on, which may be off the frame.
+    fn pixel(&self, source: &PointSource) -> (i64, i64) {
+        let pixel = |v: f64, origin: i64| ((v + 0.5).floor() as i64).saturating_sub(origin);
+        (
+            pixel(source.position.x(), self.frame.x0()),
+            pixel(source.position.y(), self.frame.y0()),
+        )
+    }
+
+    /// First column, first row, columns and rows of the pixels that a source may light, in pixels of the frame.
+    fn window(&self, source: &PointSource) -> (i64, i64, usize, usize) {
+        let (column, row) = self.pixel(source);
+        let first_column = column.saturating_sub(self.target.centre_x() as i64);
+        let first_row = row.saturating_sub(self.target.centre_y() as i64);
+        (first_column, first_row, self.target.nx(), self.target.ny())
+    }
+
+    fn reaches(&self, source: &PointSource) -> bool {
+        let (x, y, nx, ny) = self.window(source);
+        let shape = self.frame.shape();
+        let on = |first: i64, length: usize, limit: usize| {
+            first < limit as i64 && first.saturating_add(length as i64) > 0
+        };
+        on(x, nx, shape.nx()) && on(y, ny, shape.ny()) && source.flux != 0.0
+    }
+
+    /// The first pixel of the source's window and the light in the window `[y, x]`.
+    fn paint(&self, source: &PointSource) -> Result<((i64, i64), Array2<f64>), ConvError> {
+        let (first_column, first_row, nx, ny) = self.window(source);
+        let (column, row) = self.pixel(source);
+        // Positions of the field count from the frame's first pixel.
+        let x = source.position.x() - self.frame.x0() as f64;
+        let y = source.position.y() - self.frame.y0() as f64;
+        let shift = (x - column as f64, y - row as f64);
+        let mut values = match &self.splines {
+            None => {
+                let position = Position::new(x, y).map_err(ConvError::Result)?;
+                let psf = self.model.psf_at(position)?;
+                StampSpline::new(psf.values(), self.model.grid()).resample(shift, self.target)
+            }
+            Some(splines) => {
+                let mut values = Array2::zeros((ny, nx));
+                let planes: Vec<Array2<f64>> =
+                    splines.iter().map(|s| s.resample(shift, self.target)).collect();
+                let planes: Vec<ArrayView2<'_, f64>> = planes.iter().map(|p| p.view()).collect();
+                let mut coefficients = vec![0.0; planes.len()];
+                let shape = self.frame.shape();
+                let (Some((i0, _, w)), Some((j0, _, h))) = (
+                    overlap(first_column, nx, shape.nx()),
+                    overlap(first_row, ny, shape.ny()),
+                ) else {
+                    return Ok(((first_column, first_row), values));
+                };
+                for j in j0..j0 + h {
+                    for i in i0..i0 + w {
+                        let pixel = Position::of_pixel(first_column + i as i64, first_row + j as i64);
+                        self.model.scaled_coefficients_into(pixel, &mut coefficients)?;
+                        values[[j, i]] = coefficients.iter().zip(&planes).map(|(a, p)| a * p[[j, i]]).sum();
+                    }
+                }
+                values
+            }
+        };
+        values.mapv_inplace(|v| v * source.flux);
+        Ok(((first_column, first_row), values))
+    }
+}

@@ -1,0 +1,134 @@
+//! A small model with a PSF that varies strongly, and the double sum written as plainly as can be.
+
+use std::sync::Arc;
+
+use ndarray::{Array2, Array3};
+use psf_types::{
+    Anchor, CoefficientField, FieldError, FrameShape, Image, Normalisation, PixelRegion, Position, PsfBasis,
+    PsfModel, Scene, StampGrid,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// Smooth fields of three coefficients, defined everywhere.
+#[derive(Debug)]
+pub(crate) struct Waves;
+
+impl CoefficientField for Waves {
+    fn component_count(&self) -> usize {
+        3
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        a[0] = 1.0 + 0.3 * (p.x() / 7.0).sin();
+        a[1] = 0.4 * (p.y() / 5.0).cos();
+        a[2] = 0.02 * (p.x() - p.y());
+        Ok(())
+    }
+}
+
+/// The same PSF everywhere.
+#[derive(Debug)]
+pub(crate) struct Constant;
+
+impl CoefficientField for Constant {
+    fn component_count(&self) -> usize {
+        3
+    }
+    fn evaluate_into(&self, _: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        a.copy_from_slice(&[0.9, 0.3, -0.2]);
+        Ok(())
+    }
+}
+
+pub(crate) fn noise(ny: usize, nx: usize, seed: u64) -> Array2<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    Array2::from_shape_simple_fn((ny, nx), || rng.random_range(-1.0..1.0))
+}
+
+/// Stamps of `nx x ny` pixels with a centre, three random orthonormal components and perhaps a mean.
+pub(crate) fn model_with(
+    field: Arc<dyn CoefficientField>,
+    (nx, ny): (usize, usize),
+    centre: (usize, usize),
+    mean: bool,
+    normalisation: Normalisation,
+) -> PsfModel {
+    let pixels = nx * ny;
+    let mut rows = noise(3, pixels, 11);
+    for k in 0..3 {
+        for j in 0..k {
+            let overlap = rows.row(k).dot(&rows.row(j));
+            let other = rows.row(j).to_owned();
+            rows.row_mut(k).scaled_add(-overlap, &other);
+        }
+        let norm = rows.row(k).dot(&rows.row(k)).sqrt();
+        rows.row_mut(k).mapv_inplace(|v| v / norm);
+    }
+    let components: Array3<f64> = rows.into_shape_with_order((3, ny, nx)).unwrap();
+    let grid = StampGrid::new(nx, ny)
+        .unwrap()
+        .with_centre(centre.0 as f64, centre.1 as f64)
+        .unwrap();
+    let mean = mean.then(|| noise(ny, nx, 12).mapv(|v| v + 1.5));
+    PsfModel::new(
+        &PsfBasis::new(mean, components, grid).unwrap(),
+        field,
+        normalisation,
+        None,
+    )
+    .unwrap()
+}
+
+pub(crate) fn scene(nx: usize, ny: usize, seed: u64) -> Scene<f64> {
+    let mut light = noise(ny, nx, seed);
+    // Some of it dark, so that what is skipped is tested too.
+    light.slice_mut(ndarray::s![ny / 3..ny / 2, ..]).fill(0.0);
+    Scene::from_image(Image::new(light).unwrap())
+}
+
+pub(crate) fn region(x0: i64, y0: i64, nx: usize, ny: usize) -> PixelRegion {
+    PixelRegion::new(x0, y0, FrameShape::new(nx, ny).unwrap())
+}
+
+/// The double sum over the frame, without any cleverness.
+pub(crate) fn double_sum(model: &PsfModel, scene: &Scene<f64>, anchor: Anchor) -> Array2<f64> {
+    let light = scene.pixels().unwrap();
+    let (ny, nx) = light.dim();
+    let frame = scene.frame();
+    let grid = model.grid();
+    let (cx, cy) = grid.whole_centre().unwrap();
+    let psf = |x: usize, y: usize| {
+        model
+            .psf_at(Position::of_pixel(x as i64 - frame.x0(), y as i64 - frame.y0()))
+            .unwrap()
+            .into_values()
+    };
+    let mut result = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
+    for x in 0..nx {
+        for y in 0..ny {
+            let of_source = psf(x, y);
+            for ((row, column), sum) in result.indexed_iter_mut() {
+                let (column, row) = (column + frame.x0() as usize, row + frame.y0() as usize);
+                let (i, j) = ((column + cx).wrapping_sub(x), (row + cy).wrapping_sub(y));
+                if i < grid.nx() && j < grid.ny() {
+                    let h = if anchor == Anchor::Source {
+                        of_source[[j, i]]
+                    } else {
+                        psf(column, row)[[j, i]]
+                    };
+                    *sum += light[[y, x]] * h;
+                }
+            }
+        }
+    }
+    result
+}
+
+pub(crate) fn largest_difference(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    assert_eq!(a.dim(), b.dim());
+    a.iter().zip(b).fold(0.0, |m, (a, b)| m.max((a - b).abs()))
+}
+
+pub(crate) fn peak(a: &Array2<f64>) -> f64 {
+    a.iter().fold(0.0, |m, v| m.max(v.abs()))
+}

@@ -1,0 +1,417 @@
+//! Every method against the double sum, over shapes, centres, frames, anchorings and precisions.
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{Constant, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene};
+use conv_core::{BasisConvolution, ConvError, ConvolutionMethod, Direct, PatchConvolution};
+use ndarray::{Array2, Array3};
+use psf_types::{Anchor, Image, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid};
+
+/// A few hundred additions of values near 1 in double precision.
+const DIRECT: f64 = 1e-13;
+/// Transforms of a few thousand values in double precision.
+const FFT_F64: f64 = 1e-13;
+/// The same in single precision.
+const FFT_F32: f64 = 3e-6;
+
+const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
+
+/// Stamps: even, odd, off-centre, one pixel, wider than the scene; scenes: square, not square, prime, one pixel.
+const STAMPS: [((usize, usize), (usize, usize)); 5] = [
+    ((6, 4), (3, 2)),
+    ((5, 7), (2, 3)),
+    ((4, 4), (0, 3)),
+    ((1, 3), (0, 0)),
+    ((16, 9), (8, 4)),
+];
+const SCENES: [(usize, usize); 4] = [(12, 12), (13, 7), (1, 1), (17, 3)];
+
+fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
+    STAMPS.into_iter().enumerate().flat_map(|(n, (shape, centre))| {
+        // Centred and not, scaled to unit flux and not.
+        let (mean, normalisation) = [
+            (true, Normalisation::Unit),
+            (true, Normalisation::Keep),
+            (false, Normalisation::Keep),
+        ][n % 3];
+        SCENES.into_iter().map(move |(nx, ny)| {
+            (
+                model_with(Arc::new(Waves), shape, centre, mean, normalisation),
+                scene(nx, ny, (nx * ny + n) as u64),
+            )
+        })
+    })
+}
+
+fn single(scene: &Scene<f64>) -> Scene<f32> {
+    let light = scene.pixels().unwrap().mapv(|v| v as f32);
+    Scene::from_image(Image::new(light).unwrap())
+        .with_frame(scene.frame())
+        .unwrap()
+}
+
+/// One coefficient, the same everywhere.
+#[derive(Debug)]
+struct Single(f64);
+impl psf_types::CoefficientField for Single {
+    fn component_count(&self) -> usize {
+        1
+    }
+    fn evaluate_into(&self, _: Position, a: &mut [f64]) -> Result<(), psf_types::FieldError> {
+        a[0] = self.0;
+        Ok(())
+    }
+}
+
+#[test]
+fn a_gaussian_of_a_gaussian_is_the_wider_gaussian() {
+    // The reference's own check: widths add in quadrature.
+    let gauss = |r2: f64, s2: f64| (-r2 / (2.0 * s2)).exp() / (std::f64::consts::TAU * s2);
+    let (n, s2_scene, s2_psf) = (41, 4.0, 6.0);
+    let image = |s2: f64| {
+        Array2::from_shape_fn((n, n), |(y, x)| {
+            gauss((y as f64 - 20.0).powi(2) + (x as f64 - 20.0).powi(2), s2)
+        })
+    };
+    let stamp = image(s2_psf);
+    let norm = stamp.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let mut components = Array3::zeros((1, n, n));
+    components
+        .index_axis_mut(ndarray::Axis(0), 0)
+        .assign(&(&stamp / norm));
+    let basis = PsfBasis::new(
+        Some(&stamp - &(&stamp * 0.5)),
+        components,
+        StampGrid::new(n, n).unwrap(),
+    )
+    .unwrap();
+    let model = PsfModel::new(&basis, Arc::new(Single(0.5 * norm)), Normalisation::Keep, None).unwrap();
+    let scene = Scene::from_image(Image::new(image(s2_scene)).unwrap());
+    let sum = double_sum(&model, &scene, Anchor::Source);
+    let expected = image(s2_scene + s2_psf);
+    let middle = ndarray::s![12..29, 12..29];
+    let difference = largest_difference(&sum.slice(middle).to_owned(), &expected.slice(middle).to_owned());
+    assert!(difference < 1e-8 && difference > 0.0, "{difference}");
+}
+
+#[test]
+fn direct_and_basis_are_the_double_sum() {
+    for (model, scene) in cases() {
+        for anchor in ANCHORS {
+            let truth = double_sum(&model, &scene, anchor);
+            let limit = |relative: f64| relative * peak(&truth).max(1.0);
+            let case = format!("{:?} {:?} {anchor}", model.grid(), scene.shape());
+
+            let direct = Direct::new(anchor)
+                .convolve(&model, &scene)
+                .unwrap()
+                .into_pixels();
+            assert!(
+                largest_difference(&direct, &truth) <= limit(DIRECT),
+                "direct, {case}"
+            );
+
+            let pixels: Vec<_> = truth.indexed_iter().map(|((y, x), _)| (x, y)).collect();
+            let values = Direct::new(anchor).at_pixels(&model, &scene, &pixels).unwrap();
+            let values = Array2::from_shape_vec(truth.dim(), values).unwrap();
+            assert!(
+                largest_difference(&values, &truth) <= limit(DIRECT),
+                "single pixels, {case}"
+            );
+
+            let basis = BasisConvolution::new(anchor)
+                .convolve(&model, &scene)
+                .unwrap()
+                .into_pixels();
+            assert!(
+                largest_difference(&basis, &truth) <= limit(FFT_F64),
+                "basis f64, {case}"
+            );
+
+            let basis = BasisConvolution::new(anchor)
+                .convolve(&model, &single(&scene))
+                .unwrap();
+            assert!(
+                largest_difference(&basis.pixels().mapv(f64::from), &truth) <= limit(FFT_F32),
+                "basis f32, {case}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_comparison_can_fail() {
+    let (model, scene) = cases().next().unwrap();
+    let source = double_sum(&model, &scene, Anchor::Source);
+    let output = BasisConvolution::new(Anchor::Output)
+        .convolve(&model, &scene)
+        .unwrap()
+        .into_pixels();
+    assert!(largest_difference(&source, &output) > 1e-3 * peak(&source));
+}
+
+#[test]
+fn patches_of_one_pixel_are_exact_and_so_are_any_of_a_constant_psf() {
+    let varying = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
+    let constant = model_with(Arc::new(Constant), (5, 7), (2, 3), true, Normalisation::Keep);
+    let scene = scene(13, 11, 5).with_frame(region(2, 1, 9, 8)).unwrap();
+    for anchor in ANCHORS {
+        let check = |model: &PsfModel, size| {
+            let truth = double_sum(model, &scene, anchor);
+            let patch = PatchConvolution::new(size, anchor)
+                .unwrap()
+                .convolve(model, &scene)
+                .unwrap()
+                .into_pixels();
+            largest_difference(&patch, &truth) / peak(&truth)
+        };
+        assert!(check(&varying, 1) <= FFT_F64, "{anchor}");
+        for size in [2, 3, 5, 8, 13, 100] {
+            assert!(check(&constant, size) <= FFT_F64, "{anchor}, patches of {size}");
+        }
+        assert!(check(&varying, 8) > 1e-3, "a varying PSF shows at patch borders");
+    }
+    assert!(matches!(
+        PatchConvolution::new(0, Anchor::Source),
+        Err(ConvError::PatchSize)
+    ));
+}
+
+#[test]
+fn light_from_beyond_the_frame_comes_in() {
+    let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
+    let scene = scene(14, 12, 3).with_frame(region(4, 3, 7, 6)).unwrap();
+    for anchor in ANCHORS {
+        let truth = double_sum(&model, &scene, anchor);
+        for method in [
+            &BasisConvolution::new(anchor) as &dyn ConvolutionMethod<f64>,
+            &Direct::new(anchor),
+        ] {
+            let image = method.convolve(&model, &scene).unwrap().into_pixels();
+            assert_eq!(image.dim(), (6, 7));
+            assert!(
+                largest_difference(&image, &truth) <= FFT_F64 * peak(&truth),
+                "{method:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_adjoint_is_exact() {
+    for (model, scene) in cases() {
+        let (nx, ny) = (scene.shape().nx(), scene.shape().ny());
+        let frames = [
+            scene.frame(),
+            region((nx / 3) as i64, (ny / 3) as i64, nx - nx / 3, ny.div_ceil(2)),
+        ];
+        for (scene, anchor) in frames
+            .into_iter()
+            .flat_map(|frame| ANCHORS.map(|anchor| (scene.clone().with_frame(frame).unwrap(), anchor)))
+        {
+            let shape = scene.frame().shape();
+            let g = Image::new(noise(shape.ny(), shape.nx(), 77)).unwrap();
+            let method = BasisConvolution::new(anchor);
+            let forward = method.convolve(&model, &scene).unwrap();
+            let back = method.adjoint(&model, &g, &scene).unwrap();
+            let left = (&forward.pixels() * &g.pixels()).sum();
+            let right = (&scene.pixels().unwrap() * &back.pixels()).sum();
+            let scale = (forward.pixels().mapv(|v| v * v).sum() * g.pixels().mapv(|v| v * v).sum()).sqrt();
+            assert!(
+                (left - right).abs() <= 1e-12 * scale,
+                "{left} {right} {anchor} {:?}",
+                model.grid()
+            );
+        }
+    }
+    let (model, scene) = cases().next().unwrap();
+    let wrong = Image::new(noise(3, 3, 1)).unwrap();
+    let refused = BasisConvolution::default().adjoint(&model, &wrong, &scene);
+    assert!(matches!(refused, Err(ConvError::FrameShape { .. })));
+}
+
+#[test]
+fn point_sources_on_pixels_are_pixels_of_light() {
+    let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
+    let stars = [(0, 0, 5.0), (7, 3, -2.0), (11, 9, 1.0), (1, 8, 40.0)];
+    let mut light = Array2::zeros((10, 12));
+    for (x, y, flux) in stars {
+        light[[y, x]] += flux;
+    }
+    let frame = region(1, 1, 10, 8);
+    let pixels = Scene::from_image(Image::new(light).unwrap())
+        .with_frame(frame)
+        .unwrap();
+    let points = stars
+        .map(|(x, y, flux)| PointSource {
+            position: Position::of_pixel(x as i64, y as i64),
+            flux,
+        })
+        .to_vec();
+    let points = Scene::dark(pixels.shape())
+        .with_sources(points)
+        .unwrap()
+        .with_frame(frame)
+        .unwrap();
+    for anchor in ANCHORS {
+        let truth = double_sum(&model, &pixels, anchor);
+        let methods: [&dyn ConvolutionMethod<f64>; 3] = [
+            &BasisConvolution::new(anchor),
+            &Direct::new(anchor),
+            &PatchConvolution::new(4, anchor).unwrap(),
+        ];
+        for method in methods {
+            let image = method.convolve(&model, &points).unwrap().into_pixels();
+            assert!(
+                largest_difference(&image, &truth) <= DIRECT * peak(&truth),
+                "{method:?}"
+            );
+        }
+        let all: Vec<_> = truth.indexed_iter().map(|((y, x), _)| (x, y)).collect();
+        let values = Direct::new(anchor).at_pixels(&model, &points, &all).unwrap();
+        let values = Array2::from_shape_vec(truth.dim(), values).unwrap();
+        assert!(largest_difference(&values, &truth) <= DIRECT * peak(&truth));
+    }
+}
+
+#[test]
+fn sources_off_the_frame_shine_in_and_far_ones_do_nothing() {
+    let model = model_with(Arc::new(Constant), (7, 7), (3, 3), true, Normalisation::Keep);
+    let at = |x: f64, y: f64| {
+        let star = PointSource {
+            position: Position::new(x, y).unwrap(),
+            flux: 1.0,
+        };
+        let scene = Scene::<f64>::dark(psf_types::FrameShape::new(10, 10).unwrap())
+            .with_sources(vec![star])
+            .unwrap();
+        BasisConvolution::default()
+            .convolve(&model, &scene)
+            .unwrap()
+            .into_pixels()
+    };
+    assert!(peak(&at(-2.0, 5.0)) > 0.0);
+    for (x, y) in [(-30.0, 5.0), (5.0, 1e6), (1e300, -1e300), (-1e300, 0.0)] {
+        assert_eq!(peak(&at(x, y)), 0.0, "{x}, {y}");
+    }
+}
+
+#[test]
+fn a_mean_centred_model_of_unit_flux_keeps_the_flux() {
+    // Components of zero flux on a mean of unit flux: whatever the coefficients, no light is lost.
+    let model = model_with(Arc::new(Waves), (6, 5), (3, 2), true, Normalisation::Keep);
+    let mut components = model.stamps().slice_move(ndarray::s![1.., .., ..]).to_owned();
+    for mut component in components.outer_iter_mut() {
+        let mean = component.sum() / 30.0;
+        component.mapv_inplace(|v| v - mean);
+    }
+    let mut flat = components.into_shape_with_order((3, 30)).unwrap();
+    for k in 0..3 {
+        for j in 0..k {
+            let overlap = flat.row(k).dot(&flat.row(j));
+            let other = flat.row(j).to_owned();
+            flat.row_mut(k).scaled_add(-overlap, &other);
+        }
+        let norm = flat.row(k).dot(&flat.row(k)).sqrt();
+        flat.row_mut(k).mapv_inplace(|v| v / norm);
+    }
+    let components = flat.into_shape_with_order((3, 5, 6)).unwrap();
+    let mean = model.stamp(0).mapv(|v| v / model.stamp(0).sum());
+    let basis = PsfBasis::new(Some(mean), components, StampGrid::new(6, 5).unwrap()).unwrap();
+    let model = PsfModel::new(&basis, Arc::new(Waves), Normalisation::Unit, None).unwrap();
+    let mut light = Array2::zeros((30, 40));
+    light
+        .slice_mut(ndarray::s![5..25, 6..34])
+        .assign(&noise(20, 28, 4).mapv(|v| v + 1.2));
+    let scene = Scene::from_image(Image::new(light.clone()).unwrap());
+    let image = BasisConvolution::default().convolve(&model, &scene).unwrap();
+    assert!((image.pixels().sum() / light.sum() - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn stamps_that_do_not_suit_an_image_are_refused() {
+    let (_, scene) = cases().next().unwrap();
+    let with_grid = |grid: StampGrid| {
+        let mut components = Array3::zeros((3, 4, 4));
+        for k in 0..3 {
+            components[[k, k, 1]] = 1.0;
+        }
+        PsfModel::new(
+            &PsfBasis::new(None, components, grid).unwrap(),
+            Arc::new(Waves),
+            Normalisation::Keep,
+            None,
+        )
+        .unwrap()
+    };
+    let grid = StampGrid::new(4, 4).unwrap();
+    let refused = |grid| Direct::default().convolve(&with_grid(grid), &scene).unwrap_err();
+    assert!(matches!(
+        refused(grid.with_oversampling(2.0).unwrap()),
+        ConvError::StampScale { .. }
+    ));
+    assert!(matches!(
+        refused(grid.with_centre(1.5, 1.5).unwrap()),
+        ConvError::StampCentre { .. }
+    ));
+    assert!(matches!(
+        refused(grid.with_pixel_response_included(false)),
+        ConvError::PixelResponse
+    ));
+    let outside = Direct::default().at_pixels(&with_grid(grid), &scene, &[(0, 0), (99, 0)]);
+    assert!(matches!(
+        outside,
+        Err(ConvError::PixelOutsideFrame {
+            column: 99,
+            row: 0,
+            ..
+        })
+    ));
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter() {
+    // Large enough for the transforms to run in parallel.
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let star = PointSource {
+        position: Position::new(100.3, 77.8).unwrap(),
+        flux: 3.0,
+    };
+    let scene = scene(520, 530, 9).with_sources(vec![star; 100]).unwrap();
+    let small = Scene::from_image(Image::new(noise(60, 50, 2)).unwrap())
+        .with_sources(vec![star; 100])
+        .unwrap();
+    for anchor in ANCHORS {
+        let with_threads = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| {
+                let basis = BasisConvolution::new(anchor);
+                let image = basis.convolve(&model, &scene).unwrap();
+                (
+                    basis.adjoint(&model, &image, &scene).unwrap(),
+                    image,
+                    PatchConvolution::new(50, anchor)
+                        .unwrap()
+                        .convolve(&model, &scene)
+                        .unwrap(),
+                    Direct::new(anchor).convolve(&model, &small).unwrap(),
+                )
+            })
+        };
+        let one = with_threads(1);
+        for threads in [2, 5] {
+            assert!(with_threads(threads) == one, "{threads} threads, {anchor}");
+        }
+        // And the parallel transforms are right.
+        let pixels: Vec<_> = (0..50).map(|n| ((n * 97) % 520, (n * 41) % 530)).collect();
+        let exact = Direct::new(anchor).at_pixels(&model, &scene, &pixels).unwrap();
+        for (&(x, y), value) in pixels.iter().zip(exact) {
+            assert!((one.1.pixels()[[y, x]] - value).abs() < 1e-12, "{anchor}");
+        }
+    }
+}
