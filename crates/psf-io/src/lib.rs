@@ -1,1 +1,65 @@
-//! FITS and table files of psfield: scenes, samples, models, catalogues
+//! FITS and table files of psfield: scenes, samples, models and catalogues in, results out.
+//!
+//! | file | layout | in | out |
+//! |---|---|---|---|
+//! | scene, image | [`image`] | [`read_image`] | [`write_image`] |
+//! | PSF samples, stamps | [`samples`] | [`read_samples`] | [`write_samples`] |
+//! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
+//! | catalogue, positions | [`points`] | [`read_catalog`], [`read_positions`] | |
+//! | any table of results | CSV with a line of names | [`read_columns`] | [`write_csv`] |
+//! | any cube | | [`read_cube`] | |
+//!
+//! [`detect`] tells the kinds apart by content.
+//!
+//! # Conventions
+//! Arrays are `[y, x]` and positions 0-based, an integer being the centre of a pixel, in the files as in the code. Where a
+//! format counts from 1, its reader converts.
+//!
+//! # Bad files
+//! A file is read completely and checked, or refused with an [`IoError`] that names the file, the HDU or row, and what to do. Headers
+//! are checked against the length of the file before memory is taken for the data; no content of a file makes this crate
+//! panic. Nothing is repaired silently: a NaN pixel is an error.
+//!
+//! # Outputs
+//! Every file appears whole or not at all, and replaces another only when told to ([`write_atomically`]). The same input gives
+//! the same bytes: no dates are written.
+//!
+//! # CFITSIO
+//! Pixels and columns pass through CFITSIO, which the build compiles (no system library needed). File names are taken
+//! literally: brackets, `+` or a leading `!` have no meaning. All functions may be called from several threads at once.
+//!
+//! # A new format
+//! One file for the format with its reader and an `is_...` test; one line in the list of `detect.rs`.
+
+mod atomic;
+mod card;
+mod card_text;
+mod card_value;
+mod cfitsio;
+mod columns;
+mod csv_in;
+mod csv_out;
+mod detect;
+mod error;
+mod hdu;
+mod header_cards;
+pub mod image;
+pub mod model;
+mod pixels;
+pub mod points;
+mod row;
+pub mod samples;
+mod structure;
+
+pub use atomic::{check_output, write_atomically};
+pub use card::Card;
+pub use card_value::{CardError, CardValue};
+pub use csv_out::write_csv;
+pub use detect::{FileKind, detect};
+pub use error::IoError;
+pub use header_cards::HeaderCards;
+pub use image::{FitsImage, read_cube, read_header, read_image, write_image};
+pub use model::{ModelFile, read_model, read_model_file, write_model};
+pub use points::{read_catalog, read_columns, read_positions};
+pub use row::Row;
+pub use samples::{Precision, read_samples, write_samples};

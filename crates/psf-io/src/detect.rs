@@ -1,0 +1,75 @@
+//! What a file holds.
+
+use std::path::Path;
+
+use crate::structure::{FitsStructure, Magic, magic};
+use crate::{IoError, model, points, samples};
+
+/// What a file holds, told from its content, never from its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FileKind {
+    /// A PSF model: [`read_model`](crate::read_model).
+    PsfModel,
+    /// PSF samples: [`read_samples`](crate::read_samples).
+    PsfSamples,
+    /// An image: [`read_image`](crate::read_image).
+    Image,
+    /// A stack of images without positions: [`read_cube`](crate::read_cube).
+    Cube,
+    /// A FITS table with the columns x and y: [`read_catalog`](crate::read_catalog),
+    /// [`read_positions`](crate::read_positions).
+    PointTable,
+    /// A FITS file of another kind.
+    OtherFits,
+    /// No FITS file: perhaps a text table.
+    NotFits,
+}
+
+impl std::fmt::Display for FileKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::PsfModel => "a PSF model",
+            Self::PsfSamples => "PSF samples",
+            Self::Image => "an image",
+            Self::Cube => "a cube",
+            Self::PointTable => "a table of positions",
+            Self::OtherFits => "a FITS file of another kind",
+            Self::NotFits => "not a FITS file",
+        })
+    }
+}
+
+/// A kind and what tells it.
+type Test = (FileKind, fn(&FitsStructure) -> bool);
+
+/// The most specific first. A new format adds its file and a line here.
+const TESTS: &[Test] = &[
+    (FileKind::PsfModel, model::is_model),
+    (FileKind::PsfSamples, samples::is_samples),
+    (FileKind::Image, |structure| image_axes(structure) == Some(2)),
+    (FileKind::Cube, |structure| image_axes(structure) == Some(3)),
+    (FileKind::PointTable, points::has_points),
+];
+
+/// Tells what a file holds. A file that is cut short or compressed is an error, not a kind.
+///
+/// # Errors
+/// [`IoError::Read`], [`IoError::NotAFile`], [`IoError::Truncated`], [`IoError::Compressed`] or [`IoError::Header`].
+pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
+    let path = path.as_ref();
+    if magic(path)? != Magic::Fits {
+        return Ok(FileKind::NotFits);
+    }
+    let structure = FitsStructure::scan(path)?;
+    let kind = TESTS.iter().find(|(_, test)| test(&structure));
+    Ok(kind.map_or(FileKind::OtherFits, |&(kind, _)| kind))
+}
+
+/// Axes of the first image, those of length 1 beyond two left out.
+fn image_axes(structure: &FitsStructure) -> Option<usize> {
+    structure
+        .first_image()
+        .ok()
+        .map(|hdu| crate::image::squeezed(hdu).len())
+}

@@ -1,0 +1,198 @@
+//! Images: scenes and results.
+//!
+//! # Layout
+//!
+//! | part | read | written |
+//! |---|---|---|
+//! | HDU | the first image HDU with pixels: the primary, or an extension behind an empty primary | the primary |
+//! | axes | `NAXIS = 2`, or more with further axes of length 1 | `NAXIS = 2` |
+//! | pixels | any `BITPIX`; `BSCALE` and `BZERO` are applied; NaN, infinities and `BLANK` pixels are refused | `BITPIX` -32 (f32) or -64 (f64) |
+//! | header | every card but those about the file's structure | the same, then the caller's |
+//!
+//! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`; world coordinates, which count in
+//! FITS pixels, go over as they are. Files compressed by gzip or fpack must be unpacked first.
+//!
+//! A scene from Python:
+//!
+//! ```python
+//! import numpy as np
+//! from astropy.io import fits
+//! scene = np.zeros((1024, 1024), np.float32)          # [y, x], flux per pixel
+//! scene[300, 500] = 1e5                               # a star at x = 500, y = 300
+//! fits.PrimaryHDU(scene).writeto("scene.fits")
+//! ```
+
+use std::path::Path;
+
+use ndarray::{Array2, Array3};
+use psf_types::{Image, Real};
+
+use crate::cfitsio::Fits;
+use crate::error::{bad_card, invalid};
+use crate::hdu::Hdu;
+use crate::pixels::read_pixels;
+use crate::structure::FitsStructure;
+use crate::{Card, HeaderCards, IoError, write_atomically};
+
+/// An image with the header cards that go with it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FitsImage<T = f64> {
+    image: Image<T>,
+    header: HeaderCards,
+}
+
+impl<T: Real> FitsImage<T> {
+    /// The image.
+    pub fn image(&self) -> &Image<T> {
+        &self.image
+    }
+
+    /// The header cards, without those about the structure of the file.
+    pub fn header(&self) -> &HeaderCards {
+        &self.header
+    }
+
+    /// Both, without a copy.
+    pub fn into_parts(self) -> (Image<T>, HeaderCards) {
+        (self.image, self.header)
+    }
+}
+
+/// Reads the first image of a FITS file, whatever its BITPIX, in the precision asked for.
+///
+/// # Errors
+/// [`IoError::Axes`] for a cube, [`IoError::NonFinitePixels`], [`IoError::Overflow`] when a value of a double-precision file is
+/// too large for f32, and the errors of any FITS file.
+pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoError> {
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    let hdu = structure.first_image()?;
+    let &[ny, nx] = squeezed(hdu).as_slice() else {
+        return Err(hdu.axes_error("a single image [y, x] (a cube of PSF stamps is not a scene)"));
+    };
+    let pixels =
+        Array2::from_shape_vec((ny, nx), read_pixels(path, hdu)?).expect("as many pixels as the axes say");
+    Ok(FitsImage {
+        image: Image::new(pixels).map_err(invalid(path))?,
+        header: hdu.header.carried(),
+    })
+}
+
+/// Reads the first image of a FITS file as a stack `[plane, y, x]`: a cube, or an image as a stack of one.
+///
+/// For stamps that need not be PSF samples, such as a reference to compare with.
+///
+/// # Errors
+/// As [`read_image`]; [`IoError::Axes`] for more than three axes.
+pub fn read_cube<T: Real>(path: impl AsRef<Path>) -> Result<Array3<T>, IoError> {
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    let hdu = structure.first_image()?;
+    let shape = match squeezed(hdu)[..] {
+        [ny, nx] => (1, ny, nx),
+        [planes, ny, nx] => (planes, ny, nx),
+        _ => return Err(hdu.axes_error("an image [y, x] or a cube [plane, y, x]")),
+    };
+    Ok(Array3::from_shape_vec(shape, read_pixels(path, hdu)?).expect("as many pixels as the axes say"))
+}
+
+/// Reads the header cards of the first image of a FITS file, without those about the structure of the file.
+///
+/// # Errors
+/// The errors of any FITS file; the pixels are not read.
+pub fn read_header(path: impl AsRef<Path>) -> Result<HeaderCards, IoError> {
+    let structure = FitsStructure::scan(path.as_ref())?;
+    Ok(structure.first_image()?.header.carried())
+}
+
+/// Writes an image: `BITPIX` -32 for f32, -64 for f64.
+///
+/// `header` are cards carried over from an input (cut frames: [`HeaderCards::shifted_origin`]); `added` follow, each in the place
+/// of the cards of its keyword, texts (HISTORY, COMMENT) at the end. The file appears whole or not at all
+/// ([`write_atomically`]).
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("image.fits");
+/// use psf_io::{Card, HeaderCards, read_image, write_image};
+/// use psf_types::{FrameShape, Image};
+/// let image = Image::<f32>::zeros(FrameShape::new(30, 20)?);
+/// let cards = [Card::new("TELESCOP", "demo", "")?];
+/// write_image(&path, &image, &HeaderCards::new(), &cards, false)?;
+/// let back = read_image::<f32>(&path)?;
+/// assert_eq!(back.image(), &image);
+/// assert_eq!(back.header().get("TELESCOP"), Some(&cards[0]));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+pub fn write_image<T: Real>(
+    path: impl AsRef<Path>,
+    image: &Image<T>,
+    header: &HeaderCards,
+    added: &[Card],
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let shape = [image.shape().ny(), image.shape().nx()];
+    let pixels = image.pixels();
+    write_fits(path.as_ref(), overwrite, |fits| {
+        write_image_hdu(
+            fits,
+            &shape,
+            pixels.as_slice().expect("images are row-major"),
+            &header.with(added),
+        )
+    })
+}
+
+/// Creates a FITS file under a temporary name, lets `write` fill it and renames it.
+pub(crate) fn write_fits(
+    path: &Path,
+    overwrite: bool,
+    write: impl FnOnce(&mut Fits) -> Result<(), IoError>,
+) -> Result<(), IoError> {
+    write_atomically(path, overwrite, |temporary| {
+        // CFITSIO creates the file itself.
+        std::fs::remove_file(temporary).map_err(|source| IoError::Write {
+            path: path.to_owned(),
+            source,
+        })?;
+        let mut fits = Fits::create(temporary, path)?;
+        write(&mut fits)?;
+        fits.close()
+    })
+}
+
+/// Adds an image HDU; the header first, so that CFITSIO need not move the data.
+pub(crate) fn write_image_hdu<T: Real>(
+    fits: &mut Fits,
+    shape: &[usize],
+    pixels: &[T],
+    cards: &HeaderCards,
+) -> Result<(), IoError> {
+    fits.create_image::<T>(shape)?;
+    cards
+        .iter()
+        .flat_map(Card::records)
+        .try_for_each(|record| fits.write_record(record))?;
+    fits.write_pixels(pixels)
+}
+
+/// The shape in array order without the leading axes of length 1 (FITS' last ones) beyond two.
+pub(crate) fn squeezed(hdu: &Hdu) -> Vec<usize> {
+    let shape = hdu.shape();
+    let extra = shape.len().saturating_sub(2);
+    let ones = shape[..extra].iter().take_while(|&&n| n == 1).count();
+    shape[ones..].to_vec()
+}
+
+/// Cards from keyword, value and comment.
+pub(crate) fn cards<const N: usize>(
+    path: &Path,
+    list: [(&str, crate::CardValue, &str); N],
+) -> Result<Vec<Card>, IoError> {
+    list.into_iter()
+        .map(|(keyword, value, comment)| Card::new(keyword, value, comment).map_err(bad_card(path)))
+        .collect()
+}

@@ -1,0 +1,242 @@
+//! The HDUs of a FITS file, found and checked against the file's length before anything is allocated for their data.
+
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use crate::card::{RECORD, Record};
+use crate::hdu::{Hdu, HduKind};
+use crate::{CardValue, HeaderCards, IoError};
+
+/// FITS files are made of blocks of this many bytes.
+const BLOCK: u64 = 2880;
+/// A header longer than this many blocks (20 MB) has lost its END.
+const HEADER_BLOCK_LIMIT: usize = 7000;
+const MAGIC: &[u8] = b"SIMPLE  =";
+/// First bytes of compressed files, and what they are.
+const COMPRESSED: &[(&[u8], &str, &str)] = &[
+    (b"\x1f\x8b", "compressed by gzip", "run gunzip first"),
+    (b"BZh", "compressed by bzip2", "run bunzip2 first"),
+    (b"\x1f\x9d", "compressed by compress", "run uncompress first"),
+    (b"\xfd7zXZ", "compressed by xz", "run unxz first"),
+    (b"PK\x03\x04", "a zip archive", "run unzip first"),
+];
+
+/// What the first bytes of a file tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Magic {
+    Fits,
+    Other,
+}
+
+/// The HDUs of a file, all of whose data are there.
+#[derive(Debug)]
+pub(crate) struct FitsStructure {
+    pub(crate) path: PathBuf,
+    pub(crate) hdus: Vec<Hdu>,
+}
+
+impl FitsStructure {
+    /// Reads every header and checks that the file is long enough for every HDU.
+    pub(crate) fn scan(path: &Path) -> Result<Self, IoError> {
+        if magic(path)? != Magic::Fits {
+            return Err(IoError::NotFits {
+                path: path.to_owned(),
+            });
+        }
+        let mut scanner = Scanner::open(path)?;
+        let mut hdus = Vec::new();
+        while scanner.next_hdu_starts(hdus.len())? {
+            hdus.push(scanner.read_hdu(hdus.len())?);
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            hdus,
+        })
+    }
+
+    /// The first image that has pixels.
+    pub(crate) fn first_image(&self) -> Result<&Hdu, IoError> {
+        let has_pixels = |hdu: &&Hdu| {
+            hdu.kind == HduKind::Image && !hdu.axes.is_empty() && hdu.axes.iter().all(|&n| n > 0)
+        };
+        if let Some(hdu) = self.hdus.iter().find(has_pixels) {
+            return Ok(hdu);
+        }
+        if self.hdus.iter().any(|hdu| hdu.logical("ZIMAGE") == Some(true)) {
+            return Err(IoError::Compressed {
+                path: self.path.clone(),
+                what: "a tile-compressed image (fpack)",
+                remedy: "run funpack first",
+            });
+        }
+        Err(self.missing("image with pixels"))
+    }
+
+    /// The first binary table of this name (upper or lower case).
+    pub(crate) fn table(&self, name: &str) -> Option<&Hdu> {
+        self.tables().find(|hdu| {
+            hdu.text("EXTNAME")
+                .is_some_and(|n| n.trim().eq_ignore_ascii_case(name))
+        })
+    }
+
+    /// The binary tables.
+    pub(crate) fn tables(&self) -> impl Iterator<Item = &Hdu> {
+        self.hdus.iter().filter(|hdu| hdu.kind == HduKind::BinaryTable)
+    }
+
+    pub(crate) fn missing(&self, what: &str) -> IoError {
+        IoError::MissingHdu {
+            path: self.path.clone(),
+            what: what.to_owned(),
+        }
+    }
+}
+
+/// Reads the first bytes of a file; a compressed file is an error.
+pub(crate) fn magic(path: &Path) -> Result<Magic, IoError> {
+    let failed = |source| IoError::Read {
+        path: path.to_owned(),
+        source,
+    };
+    if !std::fs::metadata(path).map_err(failed)?.is_file() {
+        return Err(IoError::NotAFile {
+            path: path.to_owned(),
+        });
+    }
+    let mut start = Vec::with_capacity(MAGIC.len());
+    let file = File::open(path).map_err(failed)?;
+    file.take(MAGIC.len() as u64)
+        .read_to_end(&mut start)
+        .map_err(failed)?;
+    if let Some(&(_, what, remedy)) = COMPRESSED.iter().find(|(bytes, ..)| start.starts_with(bytes)) {
+        return Err(IoError::Compressed {
+            path: path.to_owned(),
+            what,
+            remedy,
+        });
+    }
+    Ok(if start == MAGIC { Magic::Fits } else { Magic::Other })
+}
+
+/// Walks over a file, header by header.
+struct Scanner<'a> {
+    path: &'a Path,
+    file: File,
+    length: u64,
+    offset: u64,
+}
+
+impl<'a> Scanner<'a> {
+    fn open(path: &'a Path) -> Result<Self, IoError> {
+        let failed = |source| IoError::Read {
+            path: path.to_owned(),
+            source,
+        };
+        let file = File::open(path).map_err(failed)?;
+        let length = file.metadata().map_err(failed)?.len();
+        Ok(Self {
+            path,
+            file,
+            length,
+            offset: 0,
+        })
+    }
+
+    fn failed(&self, source: std::io::Error) -> IoError {
+        IoError::Read {
+            path: self.path.to_owned(),
+            source,
+        }
+    }
+
+    /// Whether another HDU starts here; what is not one (padding, records of old) is left alone.
+    fn next_hdu_starts(&mut self, hdu: usize) -> Result<bool, IoError> {
+        if hdu == 0 {
+            return Ok(true);
+        }
+        if self.offset >= self.length {
+            return Ok(false);
+        }
+        let mut start = Vec::new();
+        self.file
+            .seek(SeekFrom::Start(self.offset))
+            .map_err(|e| self.failed(e))?;
+        (&self.file)
+            .take(8)
+            .read_to_end(&mut start)
+            .map_err(|e| self.failed(e))?;
+        Ok(b"XTENSION".starts_with(&start))
+    }
+
+    /// Reads the header at the offset and moves the offset behind the data.
+    fn read_hdu(&mut self, index: usize) -> Result<Hdu, IoError> {
+        let header = self.read_header(index)?;
+        let hdu = Hdu::new(self.path, index, header)?;
+        let needed = self
+            .offset
+            .checked_add(hdu.data_length)
+            .and_then(|end| end.checked_next_multiple_of(BLOCK))
+            .ok_or_else(|| hdu.header_error("NAXIS", "the data would be larger than any file"))?;
+        if needed > self.length {
+            return Err(self.truncated(index, needed));
+        }
+        self.offset = needed;
+        Ok(hdu)
+    }
+
+    fn read_header(&mut self, index: usize) -> Result<HeaderCards, IoError> {
+        self.file
+            .seek(SeekFrom::Start(self.offset))
+            .map_err(|e| self.failed(e))?;
+        let mut records: Vec<Record> = Vec::new();
+        let mut block = [0; BLOCK as usize];
+        for _ in 0..HEADER_BLOCK_LIMIT {
+            if self.offset + BLOCK > self.length {
+                return Err(self.truncated(index, self.offset + BLOCK));
+            }
+            self.file.read_exact(&mut block).map_err(|e| self.failed(e))?;
+            self.offset += BLOCK;
+            for record in block.chunks_exact(RECORD) {
+                if record.starts_with(b"END     ") {
+                    return Ok(HeaderCards::from_records(records));
+                }
+                records.push(record.try_into().expect("80 bytes"));
+            }
+        }
+        Err(IoError::Header {
+            path: self.path.to_owned(),
+            hdu: index,
+            keyword: "END".to_owned(),
+            problem: "the header does not end",
+        })
+    }
+
+    fn truncated(&self, hdu: usize, needed: u64) -> IoError {
+        IoError::Truncated {
+            path: self.path.to_owned(),
+            hdu,
+            needed,
+            length: self.length,
+        }
+    }
+}
+
+impl Hdu {
+    /// A logical keyword, if it is there and is one.
+    pub(crate) fn logical(&self, keyword: &str) -> Option<bool> {
+        match self.header.get(keyword)?.value()? {
+            CardValue::Logical(value) => Some(value),
+            _ => None,
+        }
+    }
+
+    /// A text keyword, if it is there and is one.
+    pub(crate) fn text(&self, keyword: &str) -> Option<String> {
+        match self.header.get(keyword)?.value()? {
+            CardValue::Text(value) => Some(value),
+            _ => None,
+        }
+    }
+}

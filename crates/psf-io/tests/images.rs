@@ -1,0 +1,217 @@
+//! Images in.
+
+mod support;
+
+use ndarray::{Array2, array};
+use psf_io::{Card, IoError, read_cube, read_header, read_image};
+use support::{IMAGE, SIMPLE, Scratch, chain, f32s, f64s, hdu, i16s, i32s, i64s, image, names};
+
+fn pixels(path: &std::path::Path) -> Result<Array2<f64>, IoError> {
+    read_image::<f64>(path).map(|read| read.into_parts().0.into_pixels())
+}
+
+#[test]
+fn every_bitpix_is_read() {
+    let scratch = Scratch::new();
+    let expected = array![[1.0, 2.0, 3.0], [4.0, 5.0, 100.0]];
+    let values = [1, 2, 3, 4, 5, 100];
+    let files = [
+        (8, values.map(|v: i32| v as u8).to_vec()),
+        (16, i16s(&values.map(|v| v as i16))),
+        (32, i32s(&values)),
+        (64, i64s(&values.map(i64::from))),
+        (-32, f32s(&values.map(|v| v as f32))),
+        (-64, f64s(&values.map(f64::from))),
+    ];
+    for (bitpix, data) in files {
+        let path = scratch.put("a.fits", &image(SIMPLE, bitpix, &[3, 2], &[], &data));
+        assert_eq!(pixels(&path).unwrap(), expected, "BITPIX {bitpix}");
+        let single = read_image::<f32>(&path).unwrap().into_parts().0.into_pixels();
+        assert_eq!(single.mapv(f64::from), expected, "BITPIX {bitpix} as f32");
+    }
+}
+
+#[test]
+fn scaling_is_applied() {
+    let scratch = Scratch::new();
+    let unsigned = image(SIMPLE, 16, &[2, 1], &["BZERO   = 32768"], &i16s(&[-32768, 32767]));
+    assert_eq!(
+        pixels(&scratch.put("u.fits", &unsigned)).unwrap(),
+        array![[0.0, 65535.0]]
+    );
+    let scaled = image(
+        SIMPLE,
+        -32,
+        &[2, 1],
+        &["BSCALE  = 0.5", "BZERO   = 1.0"],
+        &f32s(&[2.0, -4.0]),
+    );
+    let path = scratch.put("s.fits", &scaled);
+    assert_eq!(pixels(&path).unwrap(), array![[2.0, -1.0]]);
+    assert!(
+        read_header(&path).unwrap().is_empty(),
+        "scaling belongs to the input's structure"
+    );
+}
+
+#[test]
+fn trailing_axes_of_length_one_do_not_count() {
+    let scratch = Scratch::new();
+    let bytes = image(SIMPLE, 16, &[2, 1, 1, 1], &[], &i16s(&[7, 8]));
+    assert_eq!(
+        pixels(&scratch.put("a.fits", &bytes)).unwrap(),
+        array![[7.0, 8.0]]
+    );
+}
+
+#[test]
+fn the_first_image_with_pixels_counts() {
+    let scratch = Scratch::new();
+    let mut bytes = image(SIMPLE, 8, &[], &["EXTEND  = T"], &[]);
+    bytes.extend(image(IMAGE, 8, &[0, 5], &[], &[]));
+    bytes.extend(image(IMAGE, 16, &[2, 1], &["EXTNAME = 'SCI'"], &i16s(&[1, 2])));
+    bytes.extend(image(IMAGE, 16, &[2, 1], &[], &i16s(&[3, 4])));
+    let path = scratch.put("a.fits", &bytes);
+    assert_eq!(pixels(&path).unwrap(), array![[1.0, 2.0]]);
+    assert_eq!(
+        read_header(&path).unwrap().get("EXTNAME").and_then(Card::value),
+        Some("SCI".into())
+    );
+}
+
+#[test]
+fn what_is_not_an_image_is_refused_with_a_reason() {
+    let scratch = Scratch::new();
+    let cube = scratch.put("cube.fits", &image(SIMPLE, 8, &[2, 1, 3], &[], &[0; 6]));
+    let error = pixels(&cube).unwrap_err();
+    assert!(
+        matches!(&error, IoError::Axes { got, .. } if *got == [3, 1, 2]),
+        "{error}"
+    );
+    assert!(names(&error, &cube) && error.to_string().contains("cube"));
+    assert_eq!(read_cube::<f32>(&cube).unwrap().dim(), (3, 1, 2));
+
+    let spectrum = scratch.put("line.fits", &image(SIMPLE, 8, &[5], &[], &[0; 5]));
+    assert!(matches!(pixels(&spectrum), Err(IoError::Axes { .. })));
+    let empty = scratch.put("empty.fits", &image(SIMPLE, 8, &[], &[], &[]));
+    assert!(matches!(pixels(&empty), Err(IoError::MissingHdu { .. })));
+    let text = scratch.put("text.fits", b"x,y\n1,2\n");
+    assert!(matches!(pixels(&text), Err(IoError::NotFits { .. })));
+    let zipped = scratch.put("zip.fits", b"\x1f\x8b\x08\x00 and so on");
+    assert!(chain(&pixels(&zipped).unwrap_err()).contains("gunzip"));
+    let missing = scratch.path("none.fits");
+    assert!(names(&pixels(&missing).unwrap_err(), &missing));
+    assert!(matches!(
+        pixels(missing.parent().unwrap()),
+        Err(IoError::NotAFile { .. })
+    ));
+}
+
+#[test]
+fn compressed_tiles_are_named_as_such() {
+    let scratch = Scratch::new();
+    let mut bytes = image(SIMPLE, 8, &[], &[], &[]);
+    bytes.extend(support::table(
+        "I",
+        &[("COMPRESSED_DATA", "1PB(0)")],
+        1,
+        &["ZIMAGE  = T"],
+        &[0; 8],
+    ));
+    let error = pixels(&scratch.put("a.fits.fz", &bytes)).unwrap_err();
+    assert!(error.to_string().contains("funpack"), "{error}");
+}
+
+#[test]
+fn undefined_pixels_are_counted_and_located() {
+    let scratch = Scratch::new();
+    let values = [0.0, 1.0, f64::INFINITY, 3.0, f64::NAN, 5.0];
+    for (bitpix, data) in [(-64, f64s(&values)), (-32, f32s(&values.map(|v| v as f32)))] {
+        let path = scratch.put("a.fits", &image(SIMPLE, bitpix, &[2, 3], &[], &data));
+        match pixels(&path) {
+            Err(IoError::NonFinitePixels {
+                index, count, value, ..
+            }) => {
+                assert_eq!((index, count, value), (vec![1, 0], 2, f64::INFINITY));
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    let blank = image(
+        SIMPLE,
+        16,
+        &[3, 1],
+        &["BLANK   = -1", "BSCALE  = 2.0"],
+        &i16s(&[5, -1, 7]),
+    );
+    let blank = scratch.put("b.fits", &blank);
+    assert!(
+        matches!(pixels(&blank), Err(IoError::NonFinitePixels { index, count: 1, .. }) if index == [0, 1])
+    );
+}
+
+#[test]
+fn values_beyond_single_precision_are_refused() {
+    let scratch = Scratch::new();
+    let path = scratch.put("a.fits", &image(SIMPLE, -64, &[2, 1], &[], &f64s(&[1.0, 1e300])));
+    assert!(matches!(read_image::<f32>(&path), Err(IoError::Overflow { .. })));
+    assert_eq!(pixels(&path).unwrap()[[0, 1]], 1e300);
+    let path = scratch.put(
+        "b.fits",
+        &image(SIMPLE, 16, &[2, 1], &["BSCALE  = 1E300"], &i16s(&[0, 2])),
+    );
+    assert!(matches!(read_image::<f32>(&path), Err(IoError::Overflow { .. })));
+    assert_eq!(pixels(&path).unwrap()[[0, 1]], 2e300);
+}
+
+#[test]
+fn headers_that_break_the_standard_are_refused() {
+    let scratch = Scratch::new();
+    let cases: &[(&[&str], &str)] = &[
+        (&[SIMPLE, "BITPIX  = 8"], "NAXIS"),
+        (&[SIMPLE, "BITPIX  = 7", "NAXIS   = 0"], "BITPIX"),
+        (&[SIMPLE, "BITPIX  = 'a'", "NAXIS   = 0"], "BITPIX"),
+        (&[SIMPLE, "BITPIX  = 8", "NAXIS   = 2", "NAXIS1  = 3"], "NAXIS2"),
+        (&[SIMPLE, "BITPIX  = 8", "NAXIS   = 1", "NAXIS1  = -3"], "NAXIS1"),
+        (&[SIMPLE, "BITPIX  = 8", "NAXIS   = 100000"], "NAXIS"),
+    ];
+    for (cards, keyword) in cases {
+        let path = scratch.put("a.fits", &hdu(cards, &[]));
+        let error = pixels(&path).unwrap_err();
+        assert!(
+            matches!(&error, IoError::Header { keyword: k, .. } if k == keyword),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn forged_sizes_are_refused_before_memory_is_taken() {
+    let scratch = Scratch::new();
+    let big = usize::try_from(i64::MAX).unwrap();
+    for axes in [
+        &[4_000_000, 4_000_000][..],
+        &[big, big],
+        &[big, 1],
+        &[65536, 65536, 65536, 65536],
+    ] {
+        let path = scratch.put("a.fits", &image(SIMPLE, -64, axes, &[], &[0; 100]));
+        let error = pixels(&path).unwrap_err();
+        assert!(
+            matches!(error, IoError::Truncated { .. } | IoError::Header { .. }),
+            "{error}"
+        );
+    }
+    let path = scratch.put("a.fits", &image(SIMPLE, -32, &[1000, 1000], &[], &[0; 100]));
+    match pixels(&path) {
+        Err(IoError::Truncated {
+            hdu: 0,
+            needed,
+            length,
+            ..
+        }) => {
+            assert_eq!((needed, length), (2880 * 1390, 2 * 2880));
+        }
+        other => panic!("{other:?}"),
+    }
+}

@@ -1,0 +1,308 @@
+//! PSF samples in and out.
+
+mod support;
+
+use ndarray::Array3;
+use psf_io::{Card, FileKind, IoError, Precision, detect, read_header, read_samples, write_samples};
+use psf_types::{DataError, FrameShape, Position, PsfSamples, SamplePositions, StampGrid};
+use support::{IMAGE, SIMPLE, Scratch, chain, f32s, f64s, i16s, image, names, table};
+
+/// Samples whose numbers need every bit.
+fn samples() -> PsfSamples {
+    let stamps = Array3::from_shape_fn((3, 4, 5), |(i, y, x)| 1.0 / (1 + i + 2 * y + 3 * x) as f64);
+    let at = |x, y| Position::new(x, y).unwrap();
+    let field = FrameShape::new(100, 80).unwrap();
+    let positions = vec![
+        at(-0.0, 0.1),
+        at(1.0 / 3.0, 79.4),
+        at(99.499_999_999_999_99, 0.1 + 0.2),
+    ];
+    let grid = StampGrid::new(5, 4)
+        .and_then(|g| g.with_centre(2.123_456_789_012_345_6, 1.0 / 3.0))
+        .and_then(|g| g.with_oversampling(std::f64::consts::PI))
+        .unwrap()
+        .with_pixel_response_included(false);
+    PsfSamples::new(
+        stamps,
+        SamplePositions::new(positions, Some(field)).unwrap(),
+        grid,
+    )
+    .unwrap()
+}
+
+#[test]
+fn double_precision_comes_back_bit_by_bit() {
+    let scratch = Scratch::new();
+    let path = scratch.path("a.fits");
+    let samples = samples();
+    let cards = [
+        Card::new("OVERSAMP", 99, "not this").unwrap(),
+        Card::new("OBJECT", "demo", "").unwrap(),
+    ];
+    write_samples(&path, &samples, &cards, Precision::Double, false).unwrap();
+    let back = read_samples(&path).unwrap();
+    assert_eq!(back, samples);
+    assert!(back.positions().as_slice()[0].x().is_sign_negative());
+    assert_eq!(read_header(&path).unwrap().get("OBJECT"), Some(&cards[1]));
+    assert_eq!(detect(&path).unwrap(), FileKind::PsfSamples);
+}
+
+#[test]
+fn single_precision_rounds_stamps_alone() {
+    let scratch = Scratch::new();
+    let path = scratch.path("a.fits");
+    let samples = samples();
+    write_samples(&path, &samples, &[], Precision::Single, false).unwrap();
+    let back = read_samples(&path).unwrap();
+    assert_eq!(
+        (back.positions(), back.grid()),
+        (samples.positions(), samples.grid())
+    );
+    assert_eq!(back.stamps(), samples.stamps().mapv(|v| f64::from(v as f32)));
+
+    let huge = PsfSamples::new(
+        Array3::from_elem((1, 1, 1), 1e300),
+        SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap(),
+        StampGrid::new(1, 1).unwrap(),
+    );
+    let path = scratch.path("huge.fits");
+    let error = write_samples(&path, &huge.unwrap(), &[], Precision::Single, false);
+    assert!(matches!(error, Err(IoError::Overflow { .. })) && !path.exists());
+}
+
+/// A file of two 2 x 2 stamps, with its parts replaced at will.
+struct File<'a> {
+    axes: &'a [usize],
+    cards: &'a [&'a str],
+    values: &'a [f32],
+    columns: &'a [(&'a str, &'a str)],
+    rows: usize,
+    bytes: Vec<u8>,
+}
+
+const STAMPS: [f32; 8] = [0.1, 0.2, 0.3, 0.4, 1.0, 0.0, 0.0, -0.5];
+
+impl Default for File<'_> {
+    fn default() -> Self {
+        Self {
+            axes: &[2, 2, 2],
+            cards: &[],
+            values: &STAMPS,
+            columns: &[("X", "D"), ("Y", "D")],
+            rows: 2,
+            bytes: f64s(&[1.0, 2.0, 3.0, 4.0]),
+        }
+    }
+}
+
+impl File<'_> {
+    fn read(self, scratch: &Scratch) -> Result<PsfSamples, IoError> {
+        let mut file = image(SIMPLE, -32, self.axes, self.cards, &f32s(self.values));
+        file.extend(image(IMAGE, 8, &[1, 1], &["EXTNAME = 'EXTRA'"], &[0]));
+        file.extend(table("positions ", self.columns, self.rows, &[], &self.bytes));
+        let path = scratch.put("a.fits", &file);
+        let read = read_samples(&path);
+        if let Err(error) = &read {
+            assert!(names(error, &path), "{error}");
+        }
+        read
+    }
+}
+
+#[test]
+fn defaults_hold_where_keywords_are_absent() {
+    let samples = File::default().read(&Scratch::new()).unwrap();
+    assert_eq!(samples.grid(), StampGrid::new(2, 2).unwrap());
+    assert_eq!(samples.positions().field(), None);
+    assert_eq!(
+        samples.positions().as_slice()[1],
+        Position::new(3.0, 4.0).unwrap()
+    );
+    assert_eq!(samples.stamps()[[1, 1, 1]], -0.5);
+}
+
+#[test]
+fn whole_numbers_serve_as_reals_and_other_columns_do_not_matter() {
+    let bytes: Vec<u8> = [(1_i16, 2.5_f32), (3, 4.5)]
+        .iter()
+        .flat_map(|&(x, y)| [b"ab".to_vec(), f32s(&[y]), i16s(&[x])].concat())
+        .collect();
+    let file = File {
+        cards: &[
+            "OVERSAMP= 4",
+            "CENX    = 0",
+            "CENY    = 5.0D-1",
+            "PIXCONV = F",
+            "FIELDNX = 4",
+            "FIELDNY = 6",
+        ],
+        columns: &[("NAME", "2A"), ("y", "1E"), ("x", "I")],
+        bytes,
+        ..File::default()
+    };
+    let samples = file.read(&Scratch::new()).unwrap();
+    let grid = samples.grid();
+    assert_eq!(
+        (grid.oversampling(), grid.centre_x(), grid.centre_y()),
+        (4.0, 0.0, 0.5)
+    );
+    assert!(!grid.pixel_response_included());
+    assert_eq!(
+        samples.positions().as_slice()[0],
+        Position::new(1.0, 2.5).unwrap()
+    );
+    assert_eq!(samples.positions().field(), Some(FrameShape::new(4, 6).unwrap()));
+}
+
+#[test]
+fn an_image_is_a_single_sample() {
+    let scratch = Scratch::new();
+    for axes in [&[2, 4][..], &[2, 4, 1]] {
+        let file = File {
+            axes,
+            rows: 1,
+            bytes: f64s(&[1.0, 2.0]),
+            ..File::default()
+        };
+        assert_eq!(file.read(&scratch).unwrap().stamps().dim(), (1, 4, 2));
+    }
+    let two_positions = File {
+        axes: &[2, 4],
+        ..File::default()
+    };
+    assert!(two_positions.read(&scratch).is_err());
+    // An image that happens to have such a table is an image.
+    assert_eq!(detect(scratch.path("a.fits")).unwrap(), FileKind::Image);
+}
+
+/// What makes the data invalid.
+fn cause(result: Result<PsfSamples, IoError>) -> DataError {
+    match result {
+        Err(IoError::Data { source, .. }) => source,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn samples_that_break_a_rule_are_refused() {
+    let scratch = Scratch::new();
+    let file = |bytes: &[f64]| File {
+        rows: bytes.len() / 2,
+        bytes: f64s(bytes),
+        ..File::default()
+    };
+    let fewer = cause(file(&[1.0, 2.0]).read(&scratch));
+    assert!(
+        matches!(
+            fewer,
+            DataError::CountMismatch {
+                expected: 1,
+                got: 2,
+                ..
+            }
+        ),
+        "{fewer}"
+    );
+    let twice = cause(file(&[1.0, 2.0, 1.0, 2.0]).read(&scratch));
+    assert!(
+        matches!(
+            twice,
+            DataError::DuplicatePosition {
+                first: 0,
+                second: 1,
+                ..
+            }
+        ),
+        "{twice}"
+    );
+    let outside = File {
+        cards: &["FIELDNX = 3", "FIELDNY = 5"],
+        ..File::default()
+    };
+    let outside = cause(outside.read(&scratch));
+    assert!(
+        matches!(outside, DataError::OutsideField { sample: 1, .. }),
+        "{outside}"
+    );
+    let dark = File {
+        values: &[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, -1.0],
+        ..File::default()
+    };
+    let dark = cause(dark.read(&scratch));
+    assert!(
+        matches!(dark, DataError::NonPositiveFlux { sample: 1, .. }),
+        "{dark}"
+    );
+    for (card, hint) in [("OVERSAMP= 0", "oversampling"), ("CENX    = 7.0", "centre")] {
+        let file = File {
+            cards: &[card],
+            ..File::default()
+        };
+        assert!(cause(file.read(&scratch)).to_string().contains(hint));
+    }
+}
+
+#[test]
+fn undefined_values_are_located() {
+    let scratch = Scratch::new();
+    let mut values = STAMPS;
+    values[6] = f32::NAN;
+    let file = File {
+        values: &values,
+        ..File::default()
+    };
+    assert!(matches!(file.read(&scratch), Err(IoError::NonFinitePixels { index, .. }) if index == [1, 1, 0]));
+    let file = File {
+        bytes: f64s(&[1.0, 2.0, 3.0, f64::NAN]),
+        ..File::default()
+    };
+    let error = chain(&file.read(&scratch).unwrap_err());
+    assert!(error.contains("row 1 (0-based): Y"), "{error}");
+}
+
+#[test]
+fn keywords_of_the_wrong_type_and_missing_parts_are_named() {
+    let scratch = Scratch::new();
+    for (cards, keyword) in [
+        (&["OVERSAMP= '4'"][..], "OVERSAMP"),
+        (&["PIXCONV = 1"], "PIXCONV"),
+        (&["CENX    ="], "CENX"),
+        (&["FIELDNX = 0", "FIELDNY = 10"], "FIELDNX"),
+        (&["FIELDNX = 10"], "FIELDNY"),
+    ] {
+        let file = File {
+            cards,
+            ..File::default()
+        };
+        let error = file.read(&scratch).unwrap_err();
+        let named = match &error {
+            IoError::Keyword { keyword, .. } | IoError::MissingKeyword { keyword, .. } => *keyword,
+            _ => panic!("{error}"),
+        };
+        assert_eq!(named, keyword, "{error}");
+    }
+    let no_table = scratch.put("cube.fits", &image(SIMPLE, -32, &[2, 2, 2], &[], &f32s(&STAMPS)));
+    assert!(
+        read_samples(&no_table)
+            .unwrap_err()
+            .to_string()
+            .contains("POSITIONS")
+    );
+    assert_eq!(detect(&no_table).unwrap(), FileKind::Cube);
+    let column = |columns| File {
+        columns,
+        ..File::default()
+    };
+    assert!(matches!(
+        column(&[("X", "D"), ("YY", "D")]).read(&scratch),
+        Err(IoError::MissingColumn { column, .. }) if column == "Y"
+    ));
+    assert!(matches!(
+        column(&[("X", "D"), ("Y", "8A")]).read(&scratch),
+        Err(IoError::ColumnFormat { .. })
+    ));
+    assert!(matches!(
+        column(&[("X", "D"), ("Y", "E")]).read(&scratch),
+        Err(IoError::Header { .. })
+    ));
+}

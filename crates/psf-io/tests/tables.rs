@@ -1,0 +1,138 @@
+//! Catalogues and positions.
+
+mod support;
+
+use psf_io::{FileKind, IoError, detect, read_catalog, read_columns, read_positions, write_csv};
+use support::{SIMPLE, Scratch, chain, f32s, f64s, i16s, i32s, image, names, table};
+
+fn fits(tables: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = image(SIMPLE, 8, &[], &[], &[]);
+    for table in tables {
+        bytes.extend(table);
+    }
+    bytes
+}
+
+#[test]
+fn the_first_table_with_the_columns_counts_whatever_their_types() {
+    let scratch = Scratch::new();
+    let other = table("OTHER", &[("X", "D"), ("MAG", "D")], 1, &[], &f64s(&[0.0, 0.0]));
+    let row = |flux: i16, x: f32, y: i32| [i16s(&[flux]), b"star".to_vec(), f32s(&[x]), i32s(&[y])].concat();
+    let columns = [("FLUX", "I"), ("NAME", "4A"), ("X", "E"), ("y", "1J")];
+    let scaled = table(
+        "STARS",
+        &columns,
+        2,
+        &["TZERO1  = 32768"],
+        &[row(-1, 2.5, 7), row(3, -0.5, 8)].concat(),
+    );
+    let path = scratch.put("stars.csv", &fits(&[other, scaled]));
+    let stars = read_catalog(&path).unwrap();
+    assert_eq!(stars.len(), 2);
+    assert_eq!(
+        (stars[0].position.x(), stars[0].position.y(), stars[0].flux),
+        (2.5, 7.0, 32767.0)
+    );
+    assert_eq!(read_positions(&path).unwrap()[1].x(), -0.5);
+    assert_eq!(detect(&path).unwrap(), FileKind::PointTable);
+}
+
+#[test]
+fn undefined_values_name_row_and_column() {
+    let scratch = Scratch::new();
+    let floats = table(
+        "T",
+        &[("x", "D"), ("y", "D")],
+        2,
+        &[],
+        &f64s(&[0.0, 1.0, f64::INFINITY, 1.0]),
+    );
+    let whole = table(
+        "T",
+        &[("x", "I"), ("y", "I")],
+        2,
+        &["TNULL1  = -1"],
+        &i16s(&[0, 1, -1, 1]),
+    );
+    for bytes in [floats, whole] {
+        let path = scratch.put("a.fits", &fits(&[bytes]));
+        let error = read_positions(&path).unwrap_err();
+        assert!(
+            names(&error, &path) && error.to_string().contains("row 1 (0-based): x"),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn missing_columns_and_tables_are_named() {
+    let scratch = Scratch::new();
+    let path = scratch.put(
+        "a.fits",
+        &fits(&[table("T", &[("x", "D"), ("mag", "D")], 1, &[], &f64s(&[0.0; 2]))]),
+    );
+    let error = read_catalog(&path).unwrap_err();
+    assert!(
+        matches!(&error, IoError::MissingColumn { column, .. } if column == "y"),
+        "{error}"
+    );
+    assert!(error.to_string().contains("\"mag\""));
+    let path = scratch.put("b.fits", &fits(&[]));
+    assert!(matches!(read_positions(&path), Err(IoError::MissingHdu { .. })));
+    let path = scratch.put("c.csv", b"x,y\n1,2\n");
+    let error = chain(&read_catalog(&path).unwrap_err());
+    assert!(error.contains("\"flux\"") && error.contains("c.csv"), "{error}");
+    assert_eq!(detect(&path).unwrap(), FileKind::NotFits);
+}
+
+#[test]
+fn text_tables_come_back() {
+    let scratch = Scratch::new();
+    let path = scratch.path("stars.fits");
+    let rows = [(1.0 / 3.0, -2.0, 1e-7), (4.0, 5e10, 6.0)];
+    write_csv(&path, &["X", "Y", "Flux"], rows, false).unwrap();
+    let stars = read_catalog(&path).unwrap();
+    let back: Vec<_> = stars
+        .iter()
+        .map(|s| (s.position.x(), s.position.y(), s.flux))
+        .collect();
+    assert_eq!(back, rows);
+    assert_eq!(read_columns(&path, ["flux"]).unwrap(), [vec![1e-7, 6.0]]);
+}
+
+#[test]
+fn empty_tables_are_no_error() {
+    let scratch = Scratch::new();
+    assert!(
+        read_catalog(scratch.put("a.csv", b"x,y,flux\n"))
+            .unwrap()
+            .is_empty()
+    );
+    // NAXIS1 is 16 though there are no rows.
+    let bytes = String::from_utf8(fits(&[table("T", &[("x", "D"), ("y", "D")], 0, &[], &[])])).unwrap();
+    let bytes = bytes.replace("NAXIS1  = 0 ", "NAXIS1  = 16");
+    assert!(
+        read_positions(scratch.put("a.fits", bytes.as_bytes()))
+            .unwrap()
+            .is_empty()
+    );
+}
+
+#[test]
+fn forged_row_counts_take_no_memory() {
+    let scratch = Scratch::new();
+    let forged = |from: &str, to: &str| {
+        let bytes = fits(&[table("T", &[("x", "D"), ("y", "D")], 1, &[], &[])]);
+        let text = String::from_utf8(bytes).unwrap().replace(from, to);
+        read_positions(scratch.put("a.fits", text.as_bytes()))
+    };
+    // Rows of no bytes: as many as one likes fit in the file.
+    assert!(matches!(
+        forged("NAXIS2  = 1       ", "NAXIS2  = 99999999"),
+        Err(IoError::Header { .. })
+    ));
+    assert!(matches!(
+        forged("'D' ", "'0D'"),
+        Err(IoError::Header { .. } | IoError::ColumnFormat { .. })
+    ));
+}
