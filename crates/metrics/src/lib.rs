@@ -1,1 +1,68 @@
-//! Measurements of PSFs and images: Gaussian fits, adaptive moments, error norms
+//! Measurements of PSFs and images: Gaussian fits, adaptive moments, quadrupole moments, error norms.
+//!
+//! | question | type |
+//! |---|---|
+//! | How wide and how elongated is this PSF? | [`GaussianFitter`]: least squares; FWHM, axes, angle, background |
+//! | What are its size and shear, as weak-lensing codes measure them? | [`AdaptiveMomentFinder`]: HSM's adaptive moments |
+//! | What are its plain second moments? | [`QuadrupoleMoments`] |
+//! | How far is this image from that one? | [`Comparison`]: MAE, MSE, relative L2, largest error, SNR |
+//! | What do many measurements say together? | [`Summary`]: median, quantiles, maximum, mean, rms |
+//!
+//! No measurement is a sentinel: what could not be measured is a [`MetricsError`] that says why, and no result is NaN or
+//! infinite.
+//!
+//! # Conventions
+//! * Stamps are `[y, x]`, `f32` or `f64`; all arithmetic is f64.
+//! * Centroids are 0-based stamp indices `(x, y)`, an integer is the centre of a pixel. They refer to the array given, also
+//!   when a [`Window`] restricts the measurement to a part of it.
+//! * Lengths are in pixels of the stamp: divide by the oversampling for frame pixels.
+//! * `FWHM = 2 sqrt(2 ln 2) sigma` ([`FWHM_PER_SIGMA`]).
+//! * Angles run from +x towards +y.
+//!
+//! # Four ellipticities
+//! For an ellipse with axes `a >= b` and position angle `phi`:
+//!
+//! ```text
+//! eccentricity   e   = sqrt(1 - b^2 / a^2)              Covariance::ellipticity, GaussianFit::ellipticity
+//! distortion     |e| = (a^2 - b^2) / (a^2 + b^2)        Distortion (e1, e2) = |e| (cos 2 phi, sin 2 phi)
+//! reduced shear  |g| = (a - b) / (a + b)                ReducedShear (g1, g2) = |g| (cos 2 phi, sin 2 phi)
+//! axis ratio     q   = b / a                            from the two widths
+//! ```
+//!
+//! ```text
+//! g = e / (1 + sqrt(1 - |e|^2))      e = 2 g / (1 + |g|^2)      (distortion <-> reduced shear)
+//! ```
+//!
+//! # Gaussian fit or adaptive moments?
+//! Both describe a PSF by one ellipse, and agree for a Gaussian. For a real PSF with wings they differ: the fit matches the
+//! core, where the squared light is; the moments match second moments under a weight of the PSF's own size.
+
+mod adaptive_moment_finder;
+mod adaptive_moments;
+mod comparison;
+mod compensated_sum;
+mod covariance;
+mod distortion;
+mod error;
+mod gaussian_fit;
+mod gaussian_fitter;
+mod gaussian_model;
+mod gaussian_start;
+mod levenberg_marquardt;
+mod quadrupole_moments;
+mod reduced_shear;
+mod summary;
+mod window;
+
+pub use adaptive_moment_finder::AdaptiveMomentFinder;
+pub use adaptive_moments::AdaptiveMoments;
+pub use comparison::Comparison;
+pub use covariance::{Covariance, FWHM_PER_SIGMA};
+pub use distortion::Distortion;
+pub use error::MetricsError;
+pub use gaussian_fit::GaussianFit;
+pub use gaussian_fitter::GaussianFitter;
+pub use quadrupole_moments::QuadrupoleMoments;
+pub use reduced_shear::ReducedShear;
+pub use summary::Summary;
+pub use window::Window;

@@ -1,0 +1,183 @@
+//! Why a measurement has no result.
+
+use thiserror::Error;
+
+/// Why a measurement has no result. Indices and pixel coordinates are 0-based.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum MetricsError {
+    /// A window that does not lie wholly on the stamp.
+    #[error(
+        "a window of {size} x {size} pixels about column {column}, row {row} does not fit on a stamp of {nx} x {ny} pixels"
+    )]
+    WindowOutsideStamp {
+        /// Side of the window in pixels.
+        size: usize,
+        /// Column about which the window was asked for.
+        column: usize,
+        /// Row about which the window was asked for.
+        row: usize,
+        /// Columns of the stamp.
+        nx: usize,
+        /// Rows of the stamp.
+        ny: usize,
+    },
+    /// Fewer pixels along an axis than the measurement needs.
+    #[error("{nx} x {ny} pixels are too few: at least {need} x {need} are needed")]
+    TooFewPixels {
+        /// Columns in the window.
+        nx: usize,
+        /// Rows in the window.
+        ny: usize,
+        /// Smallest side.
+        need: usize,
+    },
+    /// NaN or infinity among the values.
+    #[error("the value at index {index:?} is {value}, not a finite number")]
+    NonFinite {
+        /// Index in the array given, in the array's own order of axes.
+        index: Vec<usize>,
+        /// The value there.
+        value: f64,
+    },
+    /// Nothing rises above the background.
+    #[error("no peak: the largest value is {largest}, the best amplitude of a Gaussian is {amplitude}")]
+    NoPeak {
+        /// Largest value in the window.
+        largest: f64,
+        /// Amplitude of the best Gaussian, 0 or negative.
+        amplitude: f64,
+    },
+    /// The total or the weighted flux is not positive, so that moments do not exist.
+    #[error("the flux is {flux}: moments need a positive one")]
+    NonPositiveFlux {
+        /// The flux found.
+        flux: f64,
+    },
+    /// The iteration did not settle.
+    #[error(
+        "no convergence after {iterations} iterations: the last one still changed the model by {change:.1e} of itself"
+    )]
+    NotConverged {
+        /// Iterations made.
+        iterations: usize,
+        /// Relative change left.
+        change: f64,
+    },
+    /// The centre moved off the pixels that are measured.
+    #[error(
+        "the centre went to ({x}, {y}), off the window of columns {column_first} to {column_last} and rows {row_first} to {row_last}"
+    )]
+    CentreLeftWindow {
+        /// Column coordinate of the centre.
+        x: f64,
+        /// Row coordinate of the centre.
+        y: f64,
+        /// First column of the window.
+        column_first: usize,
+        /// Last column of the window.
+        column_last: usize,
+        /// First row of the window.
+        row_first: usize,
+        /// Last row of the window.
+        row_last: usize,
+    },
+    /// A second-moment matrix that is not positive definite.
+    #[error("the second moments xx = {xx}, xy = {xy}, yy = {yy} are not those of an ellipse")]
+    DegenerateCovariance {
+        /// Second moment along x.
+        xx: f64,
+        /// Mixed second moment.
+        xy: f64,
+        /// Second moment along y.
+        yy: f64,
+    },
+    /// A width that these pixels cannot tell.
+    #[error(
+        "the widths (sigma {major_px} x {minor_px} pixels) lie outside the {smallest_px} to {largest_px} pixels that this window can tell"
+    )]
+    WidthOutOfRange {
+        /// Sigma along the major axis.
+        major_px: f64,
+        /// Sigma along the minor axis.
+        minor_px: f64,
+        /// Smallest sigma accepted.
+        smallest_px: f64,
+        /// Largest sigma accepted.
+        largest_px: f64,
+    },
+    /// The weight of adaptive moments shrank to single pixels: the light is undersampled on this grid.
+    #[error(
+        "the adaptive weight shrank to sigma {sigma_px:.3} pixels, onto single pixels: the light is undersampled on this grid, \
+         measure an oversampled stamp"
+    )]
+    WeightCollapsed {
+        /// Sigma of the weight along its minor axis when the iteration gave up.
+        sigma_px: f64,
+    },
+    /// The pixels do not determine all parameters of the fit.
+    #[error("the pixels do not determine the {parameters} parameters of the fit")]
+    Undetermined {
+        /// Number of parameters.
+        parameters: usize,
+    },
+    /// A shear or distortion whose length is not below 1.
+    #[error("({first}, {second}) is no ellipticity: its length must be below 1")]
+    Ellipticity {
+        /// First component.
+        first: f64,
+        /// Second component.
+        second: f64,
+    },
+    /// Two arrays of unequal shape.
+    #[error("the result's shape {result:?} is not the reference's {reference:?}")]
+    ShapeMismatch {
+        /// Shape of the result.
+        result: Vec<usize>,
+        /// Shape of the reference.
+        reference: Vec<usize>,
+    },
+    /// No values at all.
+    #[error("there are no values to measure")]
+    Empty,
+    /// A reference that is zero everywhere.
+    #[error("the reference is zero everywhere: a relative error does not exist")]
+    ZeroReference,
+    /// A reference whose largest value is not positive.
+    #[error(
+        "the largest value of the reference is {peak}: an error relative to the peak needs a positive one"
+    )]
+    NonPositivePeak {
+        /// Largest value of the reference.
+        peak: f64,
+    },
+    /// A reference whose mean is not positive.
+    #[error("the mean of the reference is {mean}: an error relative to the mean needs a positive one")]
+    NonPositiveMean {
+        /// Mean of the reference.
+        mean: f64,
+    },
+    /// Result and reference are equal, so that the signal-to-noise ratio has no bound.
+    #[error("result and reference are identical: the signal-to-noise ratio is unbounded")]
+    Identical,
+    /// Values so large that a sum of their squares exceeds double precision.
+    #[error("the values reach {largest}: their squares exceed double precision")]
+    Overflow {
+        /// Largest absolute value.
+        largest: f64,
+    },
+    /// A quantile that is not between 0 and 1.
+    #[error("a quantile lies between 0 and 1, got {got}")]
+    Quantile {
+        /// The value given.
+        got: f64,
+    },
+    /// An error in one plane of a cube.
+    #[error("plane {plane}: {source}")]
+    Plane {
+        /// Index of the plane.
+        plane: usize,
+        /// What happened there.
+        source: Box<MetricsError>,
+    },
+}

@@ -1,0 +1,210 @@
+//! Non-linear least squares in a few parameters.
+
+use nalgebra::{SMatrix, SVector};
+
+/// The sum of squares about a point: `|r|^2 / 2`, its gradient `J^T r` and the normal matrix `J^T J`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Linearised<const N: usize> {
+    pub(crate) cost: f64,
+    pub(crate) gradient: SVector<f64, N>,
+    pub(crate) normal: SMatrix<f64, N, N>,
+}
+
+/// Where the iteration settled.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Minimum<const N: usize> {
+    pub(crate) parameters: SVector<f64, N>,
+    pub(crate) at: Linearised<N>,
+    pub(crate) iterations: usize,
+}
+
+/// The iteration did not settle: where it was, and the relative change of the model that a full step would still make.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Unsettled<const N: usize> {
+    pub(crate) parameters: SVector<f64, N>,
+    pub(crate) iterations: usize,
+    pub(crate) change: f64,
+}
+
+const MAX_ITERATIONS: usize = 300;
+/// A full Gauss-Newton step that changes the model by less than this part of the data's norm ends the iteration.
+const CONVERGED: f64 = 1e-11;
+/// The same where rounding of the cost forbids further descent.
+const STALLED: f64 = 1e-7;
+const FIRST_DAMPING: f64 = 1e-3;
+const MAX_DAMPING: f64 = 1e14;
+/// Predicted descents below this part of the cost drown in its rounding.
+const COST_ROUNDING: f64 = 1e-12;
+/// Smallest pivot of the scaled normal matrix; below it a direction of the parameters is not determined.
+const SMALLEST_PIVOT: f64 = 1e-12;
+
+impl<const N: usize> Linearised<N> {
+    /// Column norms of the Jacobian: the natural scale of each parameter.
+    fn scales(&self) -> SVector<f64, N> {
+        self.normal
+            .diagonal()
+            .map(|v| if v > 0.0 { v.sqrt() } else { 1.0 })
+    }
+
+    /// The step of `(S + damping I) y = -D^-1 J^T r`, `S = D^-1 J^T J D^-1`, as (step in the parameters, norm of the change
+    /// that it makes to the linearised model, descent of the cost that it predicts).
+    fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64, f64)> {
+        let scales = self.scales();
+        let matrix = self.scaled_normal() + SMatrix::identity() * damping;
+        let gradient = self.gradient.component_div(&scales);
+        let y = matrix.cholesky()?.solve(&-gradient);
+        let slope = -gradient.dot(&y);
+        let quadratic = y.dot(&(self.scaled_normal() * y));
+        let step = y.component_div(&scales);
+        let descent = slope - 0.5 * quadratic;
+        step.iter()
+            .all(|v| v.is_finite())
+            .then_some((step, quadratic.max(0.0).sqrt(), descent))
+    }
+
+    fn scaled_normal(&self) -> SMatrix<f64, N, N> {
+        let scales = self.scales();
+        SMatrix::from_fn(|i, j| self.normal[(i, j)] / (scales[i] * scales[j]))
+    }
+
+    /// Whether the data determine every parameter here.
+    pub(crate) fn is_determined(&self) -> bool {
+        self.scaled_normal().cholesky().is_some_and(|c| {
+            c.l()
+                .diagonal()
+                .iter()
+                .all(|pivot| pivot * pivot > SMALLEST_PIVOT)
+        })
+    }
+}
+
+/// Levenberg-Marquardt with the damping rule of Nielsen (1999, report IMM-REP-1999-05) and Marquardt's scaling.
+///
+/// It has converged when the residuals are orthogonal to the tangent space of the model: the change that an undamped step
+/// would still make, `|P_J r|`, is below 1e-11 of `data_norm`.
+pub(crate) fn minimise<const N: usize>(
+    start: SVector<f64, N>,
+    data_norm: f64,
+    linearise: impl Fn(&SVector<f64, N>) -> Linearised<N>,
+) -> Result<Minimum<N>, Unsettled<N>> {
+    let mut p = start;
+    let mut at = linearise(&p);
+    let mut damping = FIRST_DAMPING;
+    let mut growth = 2.0;
+    let mut change = f64::INFINITY;
+    let settled = |parameters, at, iterations| {
+        Ok(Minimum {
+            parameters,
+            at,
+            iterations,
+        })
+    };
+    for iteration in 0..MAX_ITERATIONS {
+        change = at
+            .step(0.0)
+            .map_or(f64::INFINITY, |(_, full_change, _)| full_change / data_norm);
+        if change <= CONVERGED {
+            return settled(p, at, iteration);
+        }
+        let trial = at.step(damping).map(|(step, _, predicted)| {
+            let q = p + step;
+            (q, linearise(&q), predicted)
+        });
+        let gain = trial.as_ref().map_or(f64::NEG_INFINITY, |(_, there, predicted)| {
+            if *predicted <= COST_ROUNDING * at.cost && there.cost <= at.cost * (1.0 + COST_ROUNDING) {
+                1.0
+            } else {
+                (at.cost - there.cost) / predicted
+            }
+        });
+        match trial {
+            // `gain` is NaN where the trial's cost is not a number: not accepted.
+            Some((q, there, _)) if gain > 0.0 => {
+                (p, at) = (q, there);
+                damping *= (1.0 - (2.0 * gain.min(1.0) - 1.0).powi(3)).max(1.0 / 3.0);
+                growth = 2.0;
+            }
+            _ => {
+                damping *= growth;
+                growth *= 2.0;
+                if damping > MAX_DAMPING {
+                    return if change <= STALLED {
+                        settled(p, at, iteration)
+                    } else {
+                        Err(Unsettled {
+                            parameters: p,
+                            iterations: iteration,
+                            change,
+                        })
+                    };
+                }
+            }
+        }
+    }
+    if change <= STALLED {
+        return settled(p, at, MAX_ITERATIONS);
+    }
+    Err(Unsettled {
+        parameters: p,
+        iterations: MAX_ITERATIONS,
+        change,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn linearise<const M: usize>(residuals: [(f64, [f64; 2]); M]) -> Linearised<2> {
+        let mut at = Linearised {
+            cost: 0.0,
+            gradient: SVector::zeros(),
+            normal: SMatrix::zeros(),
+        };
+        for (r, row) in residuals {
+            let row = SVector::from(row);
+            at.cost += 0.5 * r * r;
+            at.gradient += row * r;
+            at.normal += row * row.transpose();
+        }
+        at
+    }
+
+    /// The iteration stops at a relative change of 1e-11 of the data's norm.
+    const SOLVED: f64 = 1e-9;
+
+    #[test]
+    fn rosenbrock_valley() {
+        let minimum = minimise(SVector::from([-1.2, 1.0]), 1.0, |p| {
+            linearise([
+                (10.0 * (p[1] - p[0] * p[0]), [-20.0 * p[0], 10.0]),
+                (1.0 - p[0], [-1.0, 0.0]),
+            ])
+        })
+        .unwrap();
+        assert!(
+            (minimum.parameters - SVector::from([1.0, 1.0])).norm() < SOLVED,
+            "{minimum:?}"
+        );
+        assert!(minimum.at.is_determined());
+    }
+
+    #[test]
+    fn a_sum_of_squares_without_a_minimum_does_not_settle() {
+        // r = 1 + exp(-p0) decreases for ever.
+        let unsettled = minimise(SVector::from([0.0, 0.0]), 1.0, |p| {
+            linearise([(1.0 + (-p[0]).exp(), [-(-p[0]).exp(), 0.0]), (p[1], [0.0, 1.0])])
+        })
+        .unwrap_err();
+        assert!(
+            unsettled.parameters[0] > 10.0 && unsettled.change > 0.5,
+            "{unsettled:?}"
+        );
+    }
+
+    #[test]
+    fn a_parameter_that_nothing_depends_on_is_undetermined() {
+        let at = linearise([(1.0, [1.0, 2.0]), (0.5, [2.0, 4.0])]);
+        assert!(!at.is_determined());
+    }
+}

@@ -1,0 +1,200 @@
+//! Which pixels of a stamp are measured.
+
+use ndarray::{Array2, ArrayView2, s};
+use psf_types::Real;
+use serde::{Deserialize, Serialize};
+
+use crate::MetricsError;
+
+/// Which pixels of a stamp a measurement uses: all of them, or a square about a pixel.
+///
+/// A window of `size` pixels about index `c` runs from `c - size / 2` over `size` pixels (integer division), the same
+/// rule that centres a stamp. It must lie wholly on the stamp; pixels outside it are not looked at.
+///
+/// ```
+/// use metrics::Window;
+/// let window = Window::central(15);                  // of a 64 x 64 stamp:
+/// assert_eq!(window.ranges(64, 64)?, (25..40, 25..40)); // columns and rows 25 to 39
+/// assert!(Window::about(15, 3, 30).ranges(64, 64).is_err());
+/// # Ok::<(), metrics::MetricsError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+pub struct Window(Choice);
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+enum Choice {
+    #[default]
+    Whole,
+    Central {
+        size: usize,
+    },
+    About {
+        size: usize,
+        column: usize,
+        row: usize,
+    },
+}
+
+impl Window {
+    /// Every pixel.
+    pub fn whole() -> Self {
+        Self(Choice::Whole)
+    }
+
+    /// `size` x `size` pixels about index `n / 2` of each axis.
+    pub fn central(size: usize) -> Self {
+        Self(Choice::Central { size })
+    }
+
+    /// `size` x `size` pixels about the pixel in column `column` and row `row`.
+    pub fn about(size: usize, column: usize, row: usize) -> Self {
+        Self(Choice::About { size, column, row })
+    }
+
+    /// The columns and the rows of the window on a stamp of `nx` columns and `ny` rows.
+    ///
+    /// # Errors
+    /// [`MetricsError::WindowOutsideStamp`] when the window does not lie wholly on the stamp.
+    pub fn ranges(
+        self,
+        nx: usize,
+        ny: usize,
+    ) -> Result<(std::ops::Range<usize>, std::ops::Range<usize>), MetricsError> {
+        let (size, column, row) = match self.0 {
+            Choice::Whole => return Ok((0..nx, 0..ny)),
+            Choice::Central { size } => (size, nx / 2, ny / 2),
+            Choice::About { size, column, row } => (size, column, row),
+        };
+        let range = |centre: usize, n: usize| {
+            let first = centre.checked_sub(size / 2)?;
+            let end = first.checked_add(size)?;
+            (end <= n).then_some(first..end)
+        };
+        match (range(column, nx), range(row, ny)) {
+            (Some(columns), Some(rows)) => Ok((columns, rows)),
+            _ => Err(MetricsError::WindowOutsideStamp {
+                size,
+                column,
+                row,
+                nx,
+                ny,
+            }),
+        }
+    }
+
+    /// The pixels of the window in double precision, all finite, at least `need` along each axis.
+    pub(crate) fn cut<T: Real>(self, stamp: ArrayView2<'_, T>, need: usize) -> Result<Cutout, MetricsError> {
+        let (ny, nx) = stamp.dim();
+        let (columns, rows) = self.ranges(nx, ny)?;
+        if columns.len() < need || rows.len() < need {
+            return Err(MetricsError::TooFewPixels {
+                nx: columns.len(),
+                ny: rows.len(),
+                need,
+            });
+        }
+        let (column_first, row_first) = (columns.start, rows.start);
+        let values = stamp.slice(s![rows, columns]).mapv(T::as_f64);
+        match values.indexed_iter().find(|(_, v)| !v.is_finite()) {
+            Some(((row, column), &value)) => Err(MetricsError::NonFinite {
+                index: vec![row_first + row, column_first + column],
+                value,
+            }),
+            None => Ok(Cutout {
+                values: values.as_standard_layout().into_owned(),
+                column_first,
+                row_first,
+            }),
+        }
+    }
+}
+
+/// Pixels `[y, x]` cut from a stamp, row-major and finite, and where they came from.
+#[derive(Debug)]
+pub(crate) struct Cutout {
+    pub(crate) values: Array2<f64>,
+    column_first: usize,
+    row_first: usize,
+}
+
+impl Cutout {
+    /// A point of the cutout in indices of the stamp.
+    pub(crate) fn on_stamp(&self, x: f64, y: f64) -> (f64, f64) {
+        (x + self.column_first as f64, y + self.row_first as f64)
+    }
+
+    /// The same point, if it lies on a pixel of the cutout.
+    pub(crate) fn check_centre(&self, x: f64, y: f64) -> Result<(), MetricsError> {
+        let (rows, columns) = self.values.dim();
+        let on = |v: f64, n: usize| (-0.5..=n as f64 - 0.5).contains(&v);
+        if on(x, columns) && on(y, rows) {
+            return Ok(());
+        }
+        let (x, y) = self.on_stamp(x, y);
+        Err(MetricsError::CentreLeftWindow {
+            x,
+            y,
+            column_first: self.column_first,
+            column_last: self.column_first + columns - 1,
+            row_first: self.row_first,
+            row_last: self.row_first + rows - 1,
+        })
+    }
+
+    pub(crate) fn largest(&self) -> f64 {
+        self.values.iter().copied().fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// The pixel values row by row, each with its column and row in the cutout.
+    pub(crate) fn pixels(&self) -> impl Iterator<Item = (f64, f64, f64)> + '_ {
+        let columns = self.values.ncols();
+        self.values
+            .iter()
+            .enumerate()
+            .map(move |(i, &v)| ((i % columns) as f64, (i / columns) as f64, v))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn windows_follow_the_stamp_centre_rule() {
+        assert_eq!(Window::central(4).ranges(8, 9).unwrap(), (2..6, 2..6));
+        assert_eq!(Window::central(8).ranges(8, 8).unwrap(), (0..8, 0..8));
+        assert_eq!(Window::central(9).ranges(9, 9).unwrap(), (0..9, 0..9));
+        assert_eq!(Window::about(3, 1, 5).ranges(9, 9).unwrap(), (0..3, 4..7));
+        assert_eq!(Window::whole().ranges(5, 3).unwrap(), (0..5, 0..3));
+    }
+
+    #[test]
+    fn windows_off_the_stamp_are_refused() {
+        for window in [
+            Window::central(9),
+            Window::about(3, 0, 4),
+            Window::about(3, 4, 7),
+            Window::about(1, usize::MAX, 0),
+            Window::about(usize::MAX, usize::MAX, 0),
+        ] {
+            assert!(
+                matches!(
+                    window.ranges(8, 8),
+                    Err(MetricsError::WindowOutsideStamp { nx: 8, ny: 8, .. })
+                ),
+                "{window:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn only_the_window_must_be_finite() {
+        let mut stamp = Array2::<f32>::zeros((7, 7));
+        stamp[[0, 3]] = f32::NAN;
+        assert!(Window::central(3).cut(stamp.view(), 3).is_ok());
+        assert!(matches!(
+            Window::whole().cut(stamp.view(), 3),
+            Err(MetricsError::NonFinite { index, .. }) if index == [0, 3]
+        ));
+    }
+}
