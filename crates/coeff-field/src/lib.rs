@@ -1,1 +1,99 @@
-//! Interpolation of PSF coefficients over the field of view
+//! Interpolation of PSF coefficients over the field of view.
+//!
+//! A basis turns each PSF sample into `K` coefficients. This crate carries them from the samples' positions to every
+//! position of the field:
+//!
+//! ```text
+//! a_k(x) = sum_n w_n(x) v_nk
+//! ```
+//!
+//! All interpolators are linear in the sample values, so a position yields one short list of (node, weight) that serves all
+//! components; the dense cube of coefficients is never built. Nodes are the samples, or the terms of a polynomial.
+//!
+//! | method | weights a position | at the samples | reproduces | continuity |
+//! |---|---|---|---|---|
+//! | [`Bilinear`] | 4 | exact | 1, x, y, xy | continuous |
+//! | [`Delaunay`] | 3 | exact | 1, x, y | continuous |
+//! | [`NaturalNeighbour`] | about 6 | exact | 1, x, y | smooth but at the samples |
+//! | [`InverseDistance`] | about 12 | exact | 1 | continuous |
+//! | [`Polynomial`] | (d+1)(d+2)/2 | least squares | polynomials of degree d | smooth |
+//! | [`Nearest`] | 1 | exact | 1 | jumps |
+//!
+//! [`FieldInterpolation`] is a method with its parameters. It prepares [`FieldWeights`] for a set of positions, which with
+//! the samples' values make an [`InterpolatedField`], a [`psf_types::CoefficientField`]. Both traits can be implemented
+//! elsewhere. [`interpolation`] gives the method that a [`psf_types::Interpolation`] names.
+//!
+//! # Outside the samples
+//! An explicit [`psf_types::OutsidePolicy`] decides; each method documents what it does. Positions within 1e-9 of the samples'
+//! extent (at least 1e-9 pixels) of the covered area count as inside, so that rounding refuses nobody at an edge.
+//!
+//! # Accuracy
+//! Weights are finite and sum to 1 within 1e-12 of the sum of their magnitudes (a polynomial's do not sum to 1, but it
+//! reproduces constants). Coordinates are used relative to the position asked for, so neither large offsets nor tight
+//! clusters cost digits; magnitudes up to 1e50 pixels are accepted. The same position gives the same bits, whatever the
+//! thread, region or range of components.
+//!
+//! # How good is it?
+//! [`leave_one_out`] predicts every sample from all others.
+//!
+//! ```
+//! use coeff_field::{InterpolatedField, NaturalNeighbour, leave_one_out};
+//! use ndarray::Array2;
+//! use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+//!
+//! // A quadratic over scattered samples.
+//! let positions: Vec<Position> = (0..100)
+//!     .map(|i| Position::new(f64::from(i % 10) * 10.0 + f64::from(i * 7 % 5), f64::from(i / 10) * 10.0))
+//!     .collect::<Result<_, _>>()?;
+//! let values = Array2::from_shape_fn((100, 1), |(i, _)| positions[i].x() * positions[i].y() / 1e4);
+//! let samples = SampleCoefficients::new(values, SamplePositions::new(positions, None)?)?;
+//!
+//! let field = InterpolatedField::new(&samples, &NaturalNeighbour, OutsidePolicy::Nearest)?;
+//! let mut a = [0.0];
+//! field.evaluate_into(Position::new(45.0, 45.0)?, &mut a)?;
+//! assert!((a[0] - 0.2025).abs() < 0.002);
+//!
+//! let errors = leave_one_out(&samples, &NaturalNeighbour, OutsidePolicy::Nearest)?;
+//! assert!(errors.rms().unwrap() < 0.005);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod bilinear;
+mod boundary;
+mod choice;
+mod delaunay;
+mod error;
+mod field_interpolation;
+mod geometry;
+mod gradient;
+mod hints;
+mod hull;
+mod hull_leave_one_out;
+mod interpolated_field;
+mod inverse_distance;
+mod leave_one_out;
+mod line;
+mod mesh;
+mod mesh_leave_one_out;
+mod mesh_weights;
+mod natural_neighbour;
+mod nearest;
+mod polynomial;
+mod polynomial_terms;
+mod regular_grid;
+mod search_tree;
+mod weight_list;
+
+pub use bilinear::Bilinear;
+pub use choice::{Auto, interpolation, resolve};
+pub use delaunay::Delaunay;
+pub use error::CoeffFieldError;
+pub use field_interpolation::{FieldInterpolation, FieldWeights};
+pub use interpolated_field::InterpolatedField;
+pub use inverse_distance::InverseDistance;
+pub use leave_one_out::{LeaveOneOut, LeftOut, Unpredictable, leave_one_out};
+pub use natural_neighbour::NaturalNeighbour;
+pub use nearest::Nearest;
+pub use polynomial::Polynomial;
+pub use regular_grid::RegularGrid;
+pub use weight_list::WeightList;

@@ -1,1 +1,88 @@
-//! PSF sources: physical optics (pupil, Zernike wavefront over the field, seeing) and analytic profiles
+//! PSF sources: physical optics (pupil, Zernike wavefront over the field, seeing) and analytic profiles.
+//!
+//! Every source implements [`psf_types::PsfSource`]: it draws a stamp at any position of its field.
+//!
+//! * [`Telescope`]: a PSF from the pupil and the wavefront, described by a TOML file ([`TelescopeParams`]) or by code;
+//!   presets [`Telescope::survey_2m`] and [`Telescope::wide_field_lens`].
+//! * [`GaussianField`], [`MoffatField`]: analytic profiles whose size and shape are [`FieldPolynomial`]s.
+//!
+//! # The optical PSF
+//!
+//! With the pupil transmission `P` (0 or 1), the wavefront error `W(u; x)` at the field position `x`, and `f` the spatial
+//! frequency in cycles per radian, the optical transfer function is the pupil's autocorrelation times the transfer
+//! functions of what blurs behind and before it (Goodman, *Introduction to Fourier Optics*, ch. 6):
+//!
+//! ```text
+//! A(u) = P(u) exp(2 pi i W(u; x) / lambda),    W(u; x) = sum_j c_j(x) Z_j(2 u / D)
+//! OTF(f) = 1 / area * integral A(u + lambda f) A*(u) du  *  seeing(lambda f)  *  sinc(p f_x) sinc(p f_y)  *  exp(-2 pi^2 sigma^2 f^2)
+//! h(theta) = p^2 integral OTF(f) exp(2 pi i f (theta - shift)) df
+//! ```
+//!
+//! with the pixel scale `p`. A positive tilt `c_2` moves the PSF to +x, `c_3` to +y: the axes of pupil, image and field are
+//! the same. `Z_j` are Noll's polynomials ([`Zernike`]), `c_j(x)` polynomials of the field.
+//!
+//! # Sampling
+//!
+//! The pupil is cut into cells of `lambda / (M step)`, where `step` is the stamp's pixel size and `M` the width of the
+//! computed focal plane in stamp pixels. The lags of its discrete autocorrelation then are the frequencies of a transform of
+//! `M` points with exactly the stamp's step, whatever the ratio of pixel to lambda / D; under-sampled stamps are right
+//! because the whole OTF is folded, not cut. Shifts are phases, so a shift or an oversampling costs no interpolation: every
+//! `s`-th pixel of a stamp oversampled `s` times is the native stamp to rounding. Cells that an edge crosses are grey, and
+//! each cell holds the *mean* of the amplitude over it (phase linear within the cell), whose effect on the focal plane,
+//! `sinc^2`, is divided out.
+//!
+//! # Normalisation and accuracy
+//!
+//! A stamp value is the fraction of the source's light that falls in a frame pixel centred there (with
+//! `detector.pixel_integration = false`: the density at the centre times a pixel's area), also when oversampled. The flux
+//! over the infinite plane is 1, so **a stamp's flux is the fraction that falls on it and is below 1**: at `r` times lambda / D
+//! from the centre a perfect aperture has `2 / (pi^2 r)` of its light still outside.
+//!
+//! What is approximate: the focal plane is computed on a period of `padding` times the stamp and at least 64 lambda / D.
+//! Light beyond it comes back in. At the default padding of 2 this is up to 5e-5 in the flux and 2e-5 of the peak in the
+//! values (5e-5 for a ring of obscuration 0.6), measured on stamps of 30 lambda / D against the Airy formula; doubling the
+//! padding divides the flux error by more than 2 and takes four times as long. A wavefront so steep that it sends light
+//! beyond the period is refused ([`OpticsError::WavefrontTooSteep`]). The PSF is monochromatic, and the Fraunhofer (scalar,
+//! small angle) approximation holds.
+
+mod aperture;
+mod error;
+mod fft_size;
+mod field_polynomial;
+mod focal_plane;
+mod focal_scratch;
+mod gaussian_field;
+mod moffat_field;
+mod params;
+mod presets;
+mod profile_field;
+mod pupil_cells;
+mod pupil_polynomial;
+mod seeing;
+mod telescope;
+mod wavefront;
+mod zernike;
+
+pub use error::OpticsError;
+pub use field_polynomial::{FieldCoordinates, FieldPolynomial, FieldTerm};
+pub use gaussian_field::GaussianField;
+pub use moffat_field::MoffatField;
+pub use params::{
+    ApertureParams, DetectorParams, FrameParams, ModeParams, SeeingParams, SpiderParams, StampParams,
+    TelescopeParams, WavefrontParams, WavefrontUnit,
+};
+pub use presets::{SURVEY_2M_TOML, WIDE_FIELD_LENS_TOML};
+pub use profile_field::ProfileShape;
+pub use telescope::Telescope;
+pub use zernike::Zernike;
+
+/// Radians in an angle of so many arcseconds.
+pub(crate) fn arcsec_to_rad(arcsec: f64) -> f64 {
+    (arcsec / 3600.0).to_radians()
+}
+
+/// `sin(pi x) / (pi x)`.
+pub(crate) fn sinc(x: f64) -> f64 {
+    let z = std::f64::consts::PI * x;
+    if z.abs() < 1e-8 { 1.0 } else { z.sin() / z }
+}

@@ -1,1 +1,52 @@
-//! Images with a point spread function that varies over the field: the pipeline and the command line
+//! Images with a point spread function (PSF) that varies over the field: the stages joined.
+//!
+//! ```text
+//! PSF source --psf_sample--> samples --psf_basis--> basis + coefficients --coeff_field--> model
+//!                                                                                          |
+//!                                 scene --conv_core--> image --metrics--> measurements <---+
+//! ```
+//!
+//! Each stage is a crate of its own, re-exported here; this crate joins them ([`fit()`], [`Simulation`], [`evaluate()`],
+//! [`MeasureOptions`]) and holds the command line `psfield`.
+//!
+//! ```
+//! use ndarray::{Array2, Array3};
+//! use psfield::psf_types::{Image, Position, PsfSamples, SamplePositions, Scene, StampGrid};
+//! use psfield::{FitOptions, PsfInput, Simulation};
+//!
+//! // Four samples of a PSF that widens to the right.
+//! let gauss = |sigma: f64| move |y: usize, x: usize| {
+//!     (-((y as f64 - 8.0).powi(2) + (x as f64 - 8.0).powi(2)) / (2.0 * sigma * sigma)).exp()
+//! };
+//! let positions = [(0, 0), (31, 0), (0, 31), (31, 31)].map(|(x, y)| Position::of_pixel(x, y)).to_vec();
+//! let stamps = Array3::from_shape_fn((4, 17, 17), |(j, y, x)| gauss(if j % 2 == 0 { 1.2 } else { 1.8 })(y, x));
+//! let samples = PsfSamples::new(stamps, SamplePositions::new(positions, None)?, StampGrid::new(17, 17)?)?;
+//!
+//! let mut light = Array2::<f64>::zeros((32, 32));
+//! light[[16, 16]] = 100.0;
+//! let scene = Scene::from_image(Image::new(light)?);
+//! let psf = PsfInput::Samples(samples, FitOptions::default());
+//! let image = Simulation::new(psf, &scene, None)?.run(&scene, Default::default(), Default::default())?;
+//! assert!((image.pixels().sum() - 100.0).abs() < 1e-10); // the flux is kept
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod error;
+mod evaluate;
+mod fit;
+mod measure;
+mod method;
+mod psf_input;
+mod simulation;
+mod spot_check;
+
+pub use {coeff_field, conv_core, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
+
+pub use error::PsfieldError;
+pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
+pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_with, model_of};
+pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
+pub use method::Method;
+pub use psf_input::PsfInput;
+pub use simulation::Simulation;
+pub use spot_check::SpotCheck;

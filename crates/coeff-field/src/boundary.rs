@@ -1,0 +1,277 @@
+//! The boundary of the triangulation: what lies beyond it, and the slivers along it.
+//!
+//! Samples along an edge of the field are rarely collinear to the last bit. Where one dents the hull by a hair, a sliver
+//! closes the dent, whose long side joins two distant samples: the value at the hull would pass by the sample in between.
+//! So slivers along the hull are peeled off, and the samples behind them join the boundary. Each side of the hull then
+//! has a chain of samples that runs along it, at most [`DENT`] of a chain step deep.
+
+use std::num::NonZeroU32;
+
+use spade::Triangulation;
+use spade::handles::{FixedDirectedEdgeHandle, FixedVertexHandle};
+
+use crate::geometry::{Point, Scale, along, dot, foot_on_segment, length, sub};
+use crate::gradient::{GradientStencil, gradient_stencil};
+use crate::mesh::{Node, Triangles, point_of, sample_of};
+
+/// How deep a dent of the hull may be, relative to the step it interrupts, and count as unevenness.
+const DENT: f64 = 1e-3;
+/// From this many depths of a dent inside on, it does not matter to natural neighbours.
+const CLEAR: f64 = 4.0;
+/// A dent has slopes below 1 in this number.
+const SLOPE: f64 = 10.0;
+
+/// The sides of the hull, counter-clockwise.
+#[derive(Debug, Default)]
+pub(crate) struct Boundary {
+    sides: Vec<Side>,
+}
+
+/// A straight side of the hull and the samples along it.
+#[derive(Debug)]
+pub(crate) struct Side {
+    start: Point,
+    /// From the start to the end. All else is relative to the start too, so that large coordinates cost no digits.
+    span: Point,
+    direction: Point,
+    chain: Vec<Link>,
+    /// How deep the dents are, at least rounding; 0 where nothing was peeled off.
+    depth: f64,
+}
+
+/// A sample of a chain.
+#[derive(Debug)]
+pub(crate) struct Link {
+    /// Distance along the side.
+    t: f64,
+    offset: Point,
+    pub(crate) sample: usize,
+    vertex: FixedVertexHandle,
+    /// Empty until it is asked for.
+    pub(crate) gradient: GradientStencil,
+}
+
+/// A position seen from the boundary.
+#[derive(Debug)]
+pub(crate) struct Foot<'a> {
+    /// The two samples of the chain around it and the part of the second.
+    pub(crate) links: [&'a Link; 2],
+    pub(crate) s: f64,
+    /// From the point of the chain between them to the point of the hull that is nearest to the position.
+    pub(crate) to_hull: Point,
+    /// From there to the position itself.
+    pub(crate) to_position: Point,
+}
+
+impl Boundary {
+    /// Finds the sides and peels their slivers, which are marked in their triangles.
+    pub(crate) fn peel(triangles: &mut Triangles, scale: Scale) -> Self {
+        let edges = hull_edges(triangles);
+        let mut on_boundary = vec![false; triangles.num_vertices()];
+        for &edge in &edges {
+            on_boundary[triangles.directed_edge(edge).from().index()] = true;
+        }
+        let mut sides = Vec::new();
+        let mut first = 0;
+        while first < edges.len() {
+            let end = end_of_side(triangles, &edges, first, scale.rounding);
+            let mut side = Side::new(triangles, edges[first], edges[end - 1]);
+            let number = NonZeroU32::MIN.saturating_add(sides.len() as u32);
+            for &edge in &edges[first..end] {
+                side.follow(triangles, edge, number, scale.rounding, &mut on_boundary);
+            }
+            sides.push(side);
+            first = end;
+        }
+        Self { sides }
+    }
+
+    /// Prepares the gradients along uneven sides, or along all.
+    pub(crate) fn prepare_gradients(&mut self, triangles: &Triangles, all: bool) {
+        for side in self.sides.iter_mut().filter(|side| all || side.depth > 0.0) {
+            for link in &mut side.chain {
+                link.gradient = gradient_stencil(triangles, link.vertex);
+            }
+        }
+    }
+
+    /// The foot of `p` on the side that is nearest to it.
+    pub(crate) fn nearest(&self, p: Point) -> Foot<'_> {
+        let mut best = (f64::INFINITY, 0);
+        for (index, side) in self.sides.iter().enumerate() {
+            let offset = sub(p, side.start);
+            let distance = length(sub(side.nearest(offset), offset));
+            if distance < best.0 {
+                best = (distance, index);
+            }
+        }
+        self.foot(best.1, p)
+    }
+
+    /// The foot of `p` on a side.
+    pub(crate) fn foot(&self, side: usize, p: Point) -> Foot<'_> {
+        let side = &self.sides[side];
+        let offset = sub(p, side.start);
+        let on_hull = side.nearest(offset);
+        let t = dot(on_hull, side.direction);
+        let right = side
+            .chain
+            .partition_point(|link| link.t <= t)
+            .clamp(1, side.chain.len() - 1);
+        let links = [&side.chain[right - 1], &side.chain[right]];
+        let s = ((t - links[0].t) / (links[1].t - links[0].t)).clamp(0.0, 1.0);
+        let on_chain = along(links[0].offset, s, sub(links[1].offset, links[0].offset));
+        Foot {
+            links,
+            s,
+            to_hull: sub(on_hull, on_chain),
+            to_position: sub(offset, on_hull),
+        }
+    }
+
+    /// How far `p` lies clear of dents: 0 at the chain of an uneven side and down to the depth of its dents, 1 from
+    /// [`CLEAR`] times that depth on.
+    pub(crate) fn clearance(&self, p: Point) -> f64 {
+        let uneven = self.sides.iter().filter(|side| side.depth > 0.0);
+        uneven.fold(1.0, |least: f64, side| {
+            let depths = side.depth_of(sub(p, side.start)) / side.depth;
+            least.min(((depths - 1.0) / (CLEAR - 1.0)).clamp(0.0, 1.0))
+        })
+    }
+
+    /// Samples along the whole boundary.
+    pub(crate) fn samples(&self) -> impl Iterator<Item = usize> + '_ {
+        self.sides
+            .iter()
+            .flat_map(|side| side.chain.iter().map(|link| link.sample))
+    }
+}
+
+impl Side {
+    /// A side from the start of one hull edge to the end of another; its chain holds the start alone.
+    fn new(triangles: &Triangles, first: FixedDirectedEdgeHandle, last: FixedDirectedEdgeHandle) -> Self {
+        let from = triangles.directed_edge(first).from();
+        let (start, end) = (
+            point_of(from.data()),
+            point_of(triangles.directed_edge(last).to().data()),
+        );
+        let span = sub(end, start);
+        let span_length = length(span);
+        Self {
+            start,
+            span,
+            direction: span.map(|v| v / span_length),
+            chain: vec![Link {
+                t: 0.0,
+                offset: [0.0; 2],
+                sample: sample_of(from.data()),
+                vertex: from.fix(),
+                gradient: Vec::new(),
+            }],
+            depth: 0.0,
+        }
+    }
+
+    /// The point of the side that is nearest to an offset.
+    fn nearest(&self, offset: Point) -> Point {
+        match foot_on_segment([0.0; 2], self.span, offset) {
+            1.0 => self.span,
+            s => self.span.map(|v| s * v),
+        }
+    }
+
+    /// Extends the chain along one hull edge, around the slivers behind it.
+    fn follow(
+        &mut self,
+        triangles: &mut Triangles,
+        edge: FixedDirectedEdgeHandle,
+        number: NonZeroU32,
+        rounding: f64,
+        on_boundary: &mut [bool],
+    ) {
+        let mut ahead = vec![edge];
+        while let Some(edge) = ahead.pop() {
+            let handle = triangles.directed_edge(edge);
+            let offset = |node: &Node| sub(point_of(node), self.start);
+            if let Some(apex) = handle.opposite_vertex()
+                && !on_boundary[apex.index()]
+                && let Some(depth) = self.dent([handle.from(), handle.to(), apex].map(|v| offset(v.data())))
+            {
+                let face = handle.face().fix().as_inner().expect("it has an apex");
+                ahead.push(handle.next().rev().fix());
+                ahead.push(handle.prev().rev().fix());
+                on_boundary[apex.index()] = true;
+                self.depth = self.depth.max(depth).max(rounding.max(f64::MIN_POSITIVE));
+                *triangles.face_data_mut(face) = Some(number);
+            } else {
+                let to = handle.to();
+                let offset = offset(to.data());
+                self.chain.push(Link {
+                    t: dot(offset, self.direction),
+                    offset,
+                    sample: sample_of(to.data()),
+                    vertex: to.fix(),
+                    gradient: Vec::new(),
+                });
+            }
+        }
+    }
+
+    /// How far inside the side an offset lies.
+    fn depth_of(&self, offset: Point) -> f64 {
+        dot(offset, [-self.direction[1], self.direction[0]])
+    }
+
+    /// The depth of the apex of a triangle on this hull edge, if the triangle only closes a dent.
+    fn dent(&self, [from, to, apex]: [Point; 3]) -> Option<f64> {
+        let [t0, t1, t] = [from, to, apex].map(|offset| dot(offset, self.direction));
+        let depth = self.depth_of(apex).abs();
+        let step = (t - t0).min(t1 - t);
+        (depth <= DENT * (t1 - t0) && step > SLOPE * depth && step > 0.0).then_some(depth)
+    }
+}
+
+/// The edges of the hull, counter-clockwise and with a triangle on their left, from a vertex that is surely a corner.
+fn hull_edges(triangles: &Triangles) -> Vec<FixedDirectedEdgeHandle> {
+    let mut edges: Vec<_> = triangles.convex_hull().map(|edge| edge.rev().fix()).collect();
+    edges.reverse();
+    let from = |edge: FixedDirectedEdgeHandle| point_of(triangles.directed_edge(edge).from().data());
+    let corner = (0..edges.len())
+        .min_by(|&a, &b| {
+            let (a, b) = (from(edges[a]), from(edges[b]));
+            a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
+        })
+        .unwrap_or(0);
+    edges.rotate_left(corner);
+    edges
+}
+
+/// How many hull edges, counted from the start of the list, can be told from a straight side only by rounding.
+fn end_of_side(
+    triangles: &Triangles,
+    edges: &[FixedDirectedEdgeHandle],
+    first: usize,
+    rounding: f64,
+) -> usize {
+    let to = |edge: usize| point_of(triangles.directed_edge(edges[edge]).to().data());
+    let start = point_of(triangles.directed_edge(edges[first]).from().data());
+    let mut end = first + 1;
+    // The last edge ends where the first one starts.
+    while end < edges.len() && to(end) != start {
+        let span = sub(to(end), start);
+        let span = span.map(|v| v / length(span));
+        let mut previous = 0.0;
+        let straight = (first..=end).all(|edge| {
+            let d = sub(to(edge), start);
+            let t = dot(d, span);
+            let forward = t > previous;
+            previous = t;
+            forward && dot(d, [-span[1], span[0]]).abs() <= rounding
+        });
+        if !straight {
+            break;
+        }
+        end += 1;
+    }
+    end
+}

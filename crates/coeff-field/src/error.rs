@@ -1,0 +1,149 @@
+//! What can go wrong when an interpolator is prepared.
+
+use psf_types::{Interpolation, OutsidePolicy, Position};
+use thiserror::Error;
+
+/// Why coefficients cannot be interpolated. Indices and counts are 0-based.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum CoeffFieldError {
+    /// A sample whose coordinates are too large for double precision geometry.
+    #[error(
+        "sample {sample} (0-based) at {position} is too far away: coordinates may be at most {limit:e} pixels"
+    )]
+    SampleRange {
+        /// Index of the sample.
+        sample: usize,
+        /// Where it is.
+        position: Position,
+        /// The largest magnitude of a coordinate.
+        limit: f64,
+    },
+    /// A position asked for whose coordinates are too large for double precision geometry.
+    #[error("position {position} is too far away: coordinates may be at most {limit:e} pixels")]
+    QueryRange {
+        /// The position asked for.
+        position: Position,
+        /// The largest magnitude of a coordinate.
+        limit: f64,
+    },
+    /// Two samples closer to each other than double precision geometry resolves.
+    #[error("samples {first} and {second} (0-based) are too close to each other at {position}: remove one")]
+    CoincidentSamples {
+        /// The earlier of the two.
+        first: usize,
+        /// The later one.
+        second: usize,
+        /// Where they are.
+        position: Position,
+    },
+    /// Weights that overflow, far outside the samples.
+    #[error("the weights at {position} overflow: it is too far outside the samples for this interpolator")]
+    WeightOverflow {
+        /// The position asked for.
+        position: Position,
+    },
+    /// Samples that do not fill a regular grid.
+    #[error(
+        "the {samples} samples do not form a regular grid: their coordinates make {columns} columns and {rows} rows, but \
+         no sample lies at column {column}, row {row} (0-based), near {position}; choose another interpolation, such as \
+         natural-neighbour"
+    )]
+    NotRegular {
+        /// Number of samples.
+        samples: usize,
+        /// Number of distinct x.
+        columns: usize,
+        /// Number of distinct y.
+        rows: usize,
+        /// Column of the first cell without a sample.
+        column: usize,
+        /// Row of the first cell without a sample.
+        row: usize,
+        /// Where a sample was expected.
+        position: Position,
+    },
+    /// Two samples that share a node of a regular grid within its tolerance.
+    #[error(
+        "samples {first} and {second} (0-based) share column {column}, row {row} of the regular grid: they are too close \
+         to each other at {position}"
+    )]
+    SharedNode {
+        /// The earlier of the two.
+        first: usize,
+        /// The later one.
+        second: usize,
+        /// Column of the grid.
+        column: usize,
+        /// Row of the grid.
+        row: usize,
+        /// Where the second one is.
+        position: Position,
+    },
+    /// Fewer samples than the polynomial has terms.
+    #[error(
+        "a polynomial of degree {degree} has {terms} terms and needs as many samples, got {samples}: lower the degree"
+    )]
+    TooFewSamples {
+        /// Total degree.
+        degree: usize,
+        /// Number of terms.
+        terms: usize,
+        /// Number of samples.
+        samples: usize,
+    },
+    /// Samples placed so that they do not determine the polynomial.
+    #[error(
+        "the {samples} samples determine only {rank} of the {terms} terms of a polynomial of degree {degree} (they lie on \
+         too few lines or curves): lower the degree"
+    )]
+    Undetermined {
+        /// Total degree.
+        degree: usize,
+        /// Number of terms.
+        terms: usize,
+        /// Number of samples.
+        samples: usize,
+        /// Numerical rank of the design matrix.
+        rank: usize,
+    },
+    /// A parameter out of its range.
+    #[error("{name} must be {allowed}, got {got}")]
+    Parameter {
+        /// Name of the parameter.
+        name: &'static str,
+        /// What is allowed, in words.
+        allowed: &'static str,
+        /// What was given.
+        got: f64,
+    },
+    /// An interpolation that this version does not know.
+    #[error("interpolation {0} is not provided by this version")]
+    UnknownInterpolation(Interpolation),
+    /// An outside policy that this version does not know.
+    #[error("outside policy {0} is not provided by this version")]
+    UnknownOutsidePolicy(OutsidePolicy),
+    /// Sample values and interpolator that do not belong together.
+    #[error("{what}: expected {expected}, got {got}")]
+    CountMismatch {
+        /// What is counted.
+        what: &'static str,
+        /// The number needed.
+        expected: usize,
+        /// The number found.
+        got: usize,
+    },
+    /// Node values that overflow.
+    #[error("the value of component {component} at node {node} is {value}")]
+    NonFiniteNode {
+        /// Index of the node.
+        node: usize,
+        /// Index of the component.
+        component: usize,
+        /// NaN or an infinity.
+        value: f64,
+    },
+    /// An error of an interpolator implemented elsewhere, or of the search tree.
+    #[error("the interpolator could not be prepared")]
+    External(#[source] Box<dyn std::error::Error + Send + Sync>),
+}

@@ -1,0 +1,195 @@
+//! Samples on one line: linear interpolation along it.
+
+use std::sync::Arc;
+
+use psf_types::{FieldError, Position};
+
+use crate::WeightList;
+use crate::field_interpolation::FieldWeights;
+use crate::geometry::{Outside, Point, Points, Scale, along, dot, length, query, sub};
+use crate::weight_list::{pair, single};
+
+/// Points count as collinear when none lies further off the line than this, relative to its length: triangles between
+/// them would be slivers whose orientation is rounding.
+const OFF_LINE: f64 = 1e-9;
+
+/// One sample, two samples, or any number on one line.
+///
+/// A position takes the value at its foot on the line, interpolated linearly between the two samples around it. Past the
+/// ends the value of the end sample applies (nearest), or the line of the last two samples (extend). One sample gives its
+/// value everywhere.
+#[derive(Debug)]
+pub(crate) struct LineWeights {
+    points: Arc<Points>,
+    /// The coordinate that changes most along the line orders the samples without rounding.
+    axis: usize,
+    /// Samples in that order.
+    order: Vec<usize>,
+    /// Unit vector along the line; zero for one sample.
+    direction: Point,
+    outside: Outside,
+}
+
+impl LineWeights {
+    /// The line through the points, if they have one.
+    pub(crate) fn detect(points: &Points, outside: Outside) -> Option<Self> {
+        let p = &points.points;
+        let range = |axis: usize| {
+            p.iter()
+                .fold(f64::NEG_INFINITY, |m, q| m.max((q[axis] - p[0][axis]).abs()))
+        };
+        let axis = usize::from(range(1) > range(0));
+        let mut order: Vec<usize> = (0..p.len()).collect();
+        order.sort_by(|&a, &b| p[a][axis].total_cmp(&p[b][axis]));
+        let (first, last) = (p[order[0]], p[order[order.len() - 1]]);
+        let span = sub(last, first);
+        let span_length = length(span);
+        let direction = if span_length > 0.0 {
+            span.map(|v| v / span_length)
+        } else {
+            [0.0; 2]
+        };
+        let off_line = p
+            .iter()
+            .map(|&q| dot(sub(q, first), normal(direction)).abs())
+            .fold(0.0, f64::max);
+        let narrowest = order
+            .windows(2)
+            .map(|w| p[w[1]][axis] - p[w[0]][axis])
+            .fold(f64::INFINITY, f64::min);
+        // Samples beside each other across the line need triangles after all.
+        (off_line <= OFF_LINE * span_length && narrowest > 10.0 * off_line).then(|| Self {
+            points: Arc::new(points.clone()),
+            axis,
+            order,
+            direction,
+            outside,
+        })
+    }
+
+    /// The same line without one sample; none when that was the last.
+    pub(crate) fn without(&self, sample: usize) -> Option<Self> {
+        let order: Vec<usize> = self.order.iter().copied().filter(|&s| s != sample).collect();
+        (!order.is_empty()).then(|| Self {
+            points: Arc::clone(&self.points),
+            axis: self.axis,
+            order,
+            direction: self.direction,
+            outside: self.outside,
+        })
+    }
+
+    /// Weights at `p` and whether the samples cover it.
+    pub(crate) fn weights(&self, p: Point, weights: &mut WeightList) -> bool {
+        let at = |rank: usize| self.points.points[self.order[rank]];
+        let last = self.order.len() - 1;
+        let after = self
+            .order
+            .partition_point(|&sample| self.points.points[sample][self.axis] < p[self.axis]);
+        if after <= last && at(after) == p {
+            single(weights, self.order[after]);
+            return true;
+        }
+        let Scale { covered, .. } = self.points.scale;
+        let start = at(0);
+        if last == 0 {
+            single(weights, self.order[0]);
+            return length(sub(p, start)) <= covered;
+        }
+        let off = dot(sub(p, start), normal(self.direction));
+        let foot = along(p, -off, normal(self.direction))[self.axis];
+        let (low, high) = (at(0)[self.axis], at(last)[self.axis]);
+        // `foot` is measured along the axis; at most sqrt(2) less than along the line.
+        let is_covered = off.abs() <= covered && low - covered <= foot && foot <= high + covered;
+        let foot = if self.outside == Outside::Extend {
+            foot
+        } else {
+            foot.clamp(low, high)
+        };
+        let right = self
+            .order
+            .partition_point(|&sample| self.points.points[sample][self.axis] <= foot)
+            .clamp(1, last);
+        let (a, b) = (at(right - 1)[self.axis], at(right)[self.axis]);
+        pair(
+            weights,
+            self.order[right - 1],
+            self.order[right],
+            (foot - a) / (b - a),
+        );
+        is_covered
+    }
+}
+
+fn normal(direction: Point) -> Point {
+    [-direction[1], direction[0]]
+}
+
+impl FieldWeights for LineWeights {
+    fn sample_count(&self) -> usize {
+        self.points.len()
+    }
+
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let covered = self.weights(query(position)?, weights);
+        if covered || self.outside != Outside::Error {
+            Ok(())
+        } else {
+            Err(FieldError::OutsideSamples { position })
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use psf_types::SamplePositions;
+
+    fn line(points: &[Point], outside: Outside) -> Option<LineWeights> {
+        let positions = points
+            .iter()
+            .map(|p| Position::new(p[0], p[1]).unwrap())
+            .collect();
+        let points = Points::new(&SamplePositions::new(positions, None).unwrap()).unwrap();
+        LineWeights::detect(&points, outside)
+    }
+
+    #[test]
+    fn a_slanted_line_is_found_in_any_order_and_interpolated() {
+        let line = line(&[[6.0, 3.0], [0.0, 0.0], [2.0, 1.0]], Outside::Extend).unwrap();
+        let mut w = Vec::new();
+        // (4, 2) and its neighbour across the line share the foot.
+        assert!(line.weights([4.0, 2.0], &mut w));
+        assert_eq!(w, [(2, 0.5), (0, 0.5)]);
+        assert!(!line.weights([3.0, 4.0], &mut w));
+        assert!((w[0].1 - 0.5).abs() < 1e-15 && w[0].0 == 2);
+        assert!(!line.weights([-2.0, -1.0], &mut w));
+        assert_eq!(w, [(1, 2.0), (2, -1.0)]);
+        assert!(line.weights([2.0, 1.0], &mut w));
+        assert_eq!(w, [(2, 1.0)]);
+    }
+
+    #[test]
+    fn triangles_are_no_line_but_rounded_lines_are() {
+        assert!(line(&[[0.0, 0.0], [4.0, 0.0], [2.0, 1e-3]], Outside::Nearest).is_none());
+        assert!(line(&[[0.0, 0.0], [4.0, 0.0], [2.0, 1e-12]], Outside::Nearest).is_some());
+        // Two samples side by side across the line.
+        assert!(
+            line(
+                &[[0.0, 0.0], [4.0, 0.0], [2.0, 0.0], [2.0, 1e-12]],
+                Outside::Nearest
+            )
+            .is_none()
+        );
+        assert!(line(&[[3.0, 3.0]], Outside::Error).is_some());
+    }
+
+    #[test]
+    fn only_the_segment_is_covered() {
+        let line = line(&[[0.0, 0.0], [0.0, 10.0]], Outside::Error).unwrap();
+        let at = |x, y| line.weights_into(Position::new(x, y).unwrap(), &mut Vec::new());
+        assert!(at(1e-12, 10.0 + 1e-12).is_ok());
+        assert!(matches!(at(0.1, 5.0), Err(FieldError::OutsideSamples { .. })));
+        assert!(matches!(at(0.0, 10.1), Err(FieldError::OutsideSamples { .. })));
+    }
+}

@@ -1,0 +1,306 @@
+//! One polynomial over the whole field, by least squares.
+
+use nalgebra::DMatrix;
+use ndarray::{Array2, ArrayView2};
+use psf_types::{FieldError, Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+
+use crate::field_interpolation::check_rows;
+use crate::geometry::{Outside, Point, Points, external, query};
+use crate::hull::Hull;
+use crate::hull_leave_one_out::hull_leave_one_out;
+use crate::leave_one_out::{LeaveOneOut, Unpredictable};
+use crate::polynomial_terms::Scaling;
+use crate::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
+
+/// Singular values below this part of the largest count as 0: the samples leave a direction undetermined.
+const DEGENERATE: f64 = 1e-10;
+/// A sample that holds all but this part of its own fitted value alone determines a direction.
+const SELF_DETERMINED: f64 = 1e-10;
+
+/// A polynomial of a total degree in x and y, fitted to all samples by least squares, as PSFEx does (E. Bertin 2011, ADASS
+/// XX, 435).
+///
+/// `a_k(x, y) = sum_{i + j <= d} c_ijk L_i(x') L_j(y')` with normalised Legendre polynomials `L_n = sqrt(2n + 1) P_n`, `x'`
+/// and `y'` the coordinates scaled to [-1, 1] over the samples' bounding box: on an even sampling the terms are nearly
+/// orthogonal, so the fit is well conditioned. It is solved by Householder QR. The nodes are the `(d+1)(d+2)/2` terms:
+/// [`FieldWeights::node_values`] does the fit, and a position costs that many weights.
+///
+/// It smooths: the samples are *not* met exactly unless they lie on such a polynomial. Constants are reproduced, and every
+/// polynomial up to the degree; the weights of the terms do not sum to 1.
+///
+/// # Outside the samples
+/// Nearest: the value at the nearest point of the convex hull. Extend: the polynomial itself, which grows like the
+/// distance to the power of the degree. Error: refuses (positions within 1e-9 of the samples' extent, at least 1e-9
+/// pixels, still count as inside).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Polynomial {
+    degree: usize,
+}
+
+impl Polynomial {
+    /// A polynomial of total degree `degree`.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError::Parameter`] above [`Interpolation::MAX_DEGREE`].
+    pub fn new(degree: usize) -> Result<Self, CoeffFieldError> {
+        if degree > Interpolation::MAX_DEGREE {
+            return Err(CoeffFieldError::Parameter {
+                name: "the degree of the polynomial",
+                allowed: "at most 20",
+                got: degree as f64,
+            });
+        }
+        Ok(Self { degree })
+    }
+
+    /// The total degree.
+    pub fn degree(self) -> usize {
+        self.degree
+    }
+
+    /// The number of terms, `(d+1)(d+2)/2`: as many samples are needed.
+    pub fn term_count(self) -> usize {
+        (self.degree + 1) * (self.degree + 2) / 2
+    }
+}
+
+impl FieldInterpolation for Polynomial {
+    fn prepare(
+        &self,
+        positions: &SamplePositions,
+        outside: OutsidePolicy,
+    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
+        let points = Points::new(positions)?;
+        Ok(Box::new(PolynomialWeights {
+            fit: Fit::new(*self, &points)?,
+            hull: Hull::new(&points),
+            outside: Outside::try_from(outside)?,
+        }))
+    }
+
+    /// From one fit: without sample `i` the residual there is `r_i / (1 - h_ii)`, `h = Q Q^T` (D. M. Allen 1974,
+    /// Technometrics 16, 125).
+    fn leave_one_out(
+        &self,
+        samples: &SampleCoefficients,
+        outside: OutsidePolicy,
+    ) -> Result<LeaveOneOut, CoeffFieldError> {
+        let points = Points::new(samples.positions())?;
+        let fit = Fit::new(*self, &points)?;
+        let values = to_matrix(samples.values());
+        let projected = fit.q.tr_mul(&values);
+        let residuals = &values - &fit.q * &projected;
+        let predict = |sample: usize, at: Point| {
+            let own = fit.q.row(sample);
+            let free = 1.0 - own.norm_squared();
+            if free <= SELF_DETERMINED {
+                return Err(Unpredictable::Undetermined);
+            }
+            let correction = residuals.row(sample) / free;
+            if at == points.points[sample] {
+                return Ok(correction.norm());
+            }
+            let terms = nalgebra::DVector::from_vec(fit.scaling.terms(self.degree, at));
+            let at = fit
+                .r
+                .tr_solve_upper_triangular(&terms)
+                .ok_or(Unpredictable::Undetermined)?;
+            let predicted = at.tr_mul(&projected) - correction * (own * &at)[0];
+            Ok((predicted - values.row(sample)).norm())
+        };
+        Ok(hull_leave_one_out(
+            samples,
+            &points,
+            Outside::try_from(outside)?,
+            predict,
+        ))
+    }
+}
+
+/// The QR factors of the design matrix `[sample, term]`.
+#[derive(Debug)]
+struct Fit {
+    degree: usize,
+    scaling: Scaling,
+    q: DMatrix<f64>,
+    r: DMatrix<f64>,
+}
+
+impl Fit {
+    fn new(method: Polynomial, points: &Points) -> Result<Self, CoeffFieldError> {
+        let (samples, terms) = (points.len(), method.term_count());
+        let degree = method.degree;
+        if samples < terms {
+            return Err(CoeffFieldError::TooFewSamples {
+                degree,
+                terms,
+                samples,
+            });
+        }
+        let scaling = Scaling::new(&points.points);
+        let rows: Vec<f64> = points
+            .points
+            .iter()
+            .flat_map(|&p| scaling.terms(degree, p))
+            .collect();
+        let (q, r) = DMatrix::from_row_iterator(samples, terms, rows).qr().unpack();
+        let singular = r.singular_values();
+        let limit = DEGENERATE * singular.max();
+        let rank = singular.iter().filter(|&&s| s > limit).count();
+        if rank < terms {
+            return Err(CoeffFieldError::Undetermined {
+                degree,
+                terms,
+                samples,
+                rank,
+            });
+        }
+        Ok(Self {
+            degree,
+            scaling,
+            q,
+            r,
+        })
+    }
+}
+
+fn to_matrix(values: ArrayView2<'_, f64>) -> DMatrix<f64> {
+    DMatrix::from_fn(values.nrows(), values.ncols(), |row, column| {
+        values[[row, column]]
+    })
+}
+
+#[derive(Debug)]
+struct PolynomialWeights {
+    fit: Fit,
+    hull: Hull,
+    outside: Outside,
+}
+
+impl FieldWeights for PolynomialWeights {
+    fn sample_count(&self) -> usize {
+        self.fit.q.nrows()
+    }
+
+    fn node_count(&self) -> usize {
+        self.fit.q.ncols()
+    }
+
+    fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
+        check_rows(self.sample_count(), sample_values)?;
+        let projected = self.fit.q.tr_mul(&to_matrix(sample_values));
+        let coefficients = self
+            .fit
+            .r
+            .solve_upper_triangular(&projected)
+            .expect("the rank was checked");
+        Ok(Array2::from_shape_fn(coefficients.shape(), |index| {
+            coefficients[index]
+        }))
+    }
+
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let p = self.hull.admit(query(position)?, position, self.outside)?;
+        let terms = self.fit.scaling.terms(self.fit.degree, p);
+        if !terms.iter().all(|term| term.is_finite()) {
+            return Err(external(position, CoeffFieldError::WeightOverflow { position }));
+        }
+        weights.clear();
+        weights.extend(terms.into_iter().enumerate());
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::InterpolatedField;
+    use psf_types::CoefficientField;
+
+    /// Rounding of a well conditioned fit whose values are of order 1.
+    const ROUNDING: f64 = 1e-12;
+
+    fn grid(n: usize, scale: f64) -> Vec<Position> {
+        let at = |i: usize| scale * i as f64 / (n - 1) as f64;
+        (0..n * n)
+            .map(|i| Position::new(at(i % n), at(i / n)).unwrap())
+            .collect()
+    }
+
+    fn samples(positions: Vec<Position>, f: impl Fn(f64, f64) -> f64) -> SampleCoefficients {
+        let values = Array2::from_shape_fn((positions.len(), 1), |(i, _)| {
+            f(positions[i].x(), positions[i].y())
+        });
+        SampleCoefficients::new(values, SamplePositions::new(positions, None).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn a_cubic_is_met_everywhere_by_degree_three_and_not_by_two() {
+        let f = |x: f64, y: f64| {
+            let (x, y) = (x / 1e7, y / 1e7);
+            1.0 - x + 3.0 * x * y * y + 0.5 * x * x * x - y * y
+        };
+        let samples = samples(grid(9, 1e7), f);
+        let worst = |degree: usize| {
+            let method = Polynomial::new(degree).unwrap();
+            let field = InterpolatedField::new(&samples, &method, OutsidePolicy::Extend).unwrap();
+            let mut value = [0.0];
+            (0..50).fold(0.0, |worst: f64, i| {
+                let (x, y) = (f64::from(i) * 2e5, f64::from(i * i % 50) * 2e5);
+                field
+                    .evaluate_into(Position::new(x, y).unwrap(), &mut value)
+                    .unwrap();
+                worst.max((value[0] - f(x, y)).abs())
+            })
+        };
+        assert!(worst(3) < ROUNDING && worst(2) > 1e-3);
+        assert!(worst(8) < ROUNDING * 10.0);
+    }
+
+    #[test]
+    fn too_few_and_degenerate_samples_are_told_with_counts() {
+        let method = Polynomial::new(3).unwrap();
+        let prepare = |positions: Vec<Position>| {
+            method
+                .prepare(
+                    &SamplePositions::new(positions, None).unwrap(),
+                    OutsidePolicy::Nearest,
+                )
+                .map(drop)
+        };
+        assert!(matches!(
+            prepare(grid(3, 10.0)),
+            Err(CoeffFieldError::TooFewSamples {
+                degree: 3,
+                terms: 10,
+                samples: 9
+            })
+        ));
+        let rows = (0..20).map(|i| Position::of_pixel(i / 2, i % 2)).collect();
+        // Two rows: y^2 and y^3 follow from 1 and y, so do x y^2.
+        assert!(matches!(
+            prepare(rows),
+            Err(CoeffFieldError::Undetermined {
+                terms: 10,
+                samples: 20,
+                rank: 7,
+                ..
+            })
+        ));
+        assert!(Polynomial::new(21).is_err());
+    }
+
+    #[test]
+    fn weights_that_overflow_are_an_error() {
+        let positions = SamplePositions::new(grid(9, 10.0), None).unwrap();
+        let weights_of = Polynomial::new(7)
+            .unwrap()
+            .prepare(&positions, OutsidePolicy::Extend)
+            .unwrap();
+        let far = Position::new(1e49, 0.0).unwrap();
+        assert!(matches!(
+            weights_of.weights_into(far, &mut WeightList::new()),
+            Err(FieldError::External { .. })
+        ));
+    }
+}

@@ -1,0 +1,259 @@
+//! What every interpolator promises, over all of them and samples of every awkward kind.
+
+mod common;
+
+use coeff_field::WeightList;
+use common::{
+    Extent, at, each, field, is_polynomial, magnitude, probes, reproduces_slopes, rng, samples_of, smooth,
+    value,
+};
+use ndarray::{Array3, s};
+use psf_types::{CoefficientField, FrameShape, OutsidePolicy, PixelRegion, Position, SamplePositions};
+use rand::RngExt;
+
+/// Rounding of a sum of weights, relative to their magnitudes.
+const UNITY: f64 = 1e-12;
+/// Rounding of an interpolated value of order 1 in well shaped cells.
+const ROUNDING: f64 = 1e-11;
+/// Rounding of the slopes found from samples 1e-9 of the extent apart, or carried by coordinates of 1e7.
+const SLOPE: f64 = 1e-7;
+/// A jump that is left after bisection to 1e-12 of the extent: smooth values with slopes of order 1 change by far less,
+/// thin triangles steepen them.
+const JUMP: f64 = 1e-6;
+
+#[test]
+fn weights_are_finite_name_each_node_once_and_sum_to_one() {
+    each(|layout, name, positions, method| {
+        let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
+        for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
+            let weights_of = method.prepare(&checked, outside).unwrap();
+            assert_eq!(weights_of.sample_count(), positions.len());
+            // What a caller left in the list must not matter.
+            let mut weights: WeightList = vec![(usize::MAX, f64::NAN); 9];
+            for p in probes(positions) {
+                weights_of.weights_into(p, &mut weights).unwrap();
+                let mut nodes: Vec<usize> = weights.iter().map(|&(node, _)| node).collect();
+                nodes.sort_unstable();
+                nodes.dedup();
+                assert_eq!(nodes.len(), weights.len(), "{layout} {name} {p}: {weights:?}");
+                assert!(nodes.iter().all(|&node| node < weights_of.node_count()));
+                assert!(weights.iter().all(|(_, w)| w.is_finite()), "{layout} {name} {p}");
+                if !is_polynomial(name) {
+                    let sum: f64 = weights.iter().map(|(_, w)| w).sum();
+                    let error = (sum - 1.0).abs() / magnitude(&weights);
+                    assert!(error <= UNITY, "{layout} {name} {outside} {p}: {error:e}");
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn constants_are_reproduced() {
+    each(|layout, name, positions, method| {
+        let samples = samples_of(positions, 1, |_, _| 2.5);
+        let field = field(&samples, method, OutsidePolicy::Nearest);
+        for p in probes(positions) {
+            assert!((value(&field, p) - 2.5).abs() < ROUNDING, "{layout} {name} {p}");
+        }
+    });
+}
+
+#[test]
+fn samples_are_met_exactly() {
+    each(|layout, name, positions, method| {
+        if is_polynomial(name) {
+            return;
+        }
+        let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
+        for outside in [
+            OutsidePolicy::Nearest,
+            OutsidePolicy::Extend,
+            OutsidePolicy::Error,
+        ] {
+            let weights_of = method.prepare(&checked, outside).unwrap();
+            let mut weights = WeightList::new();
+            for (sample, &p) in positions.iter().enumerate() {
+                weights_of.weights_into(p, &mut weights).unwrap();
+                assert_eq!(weights, [(sample, 1.0)], "{layout} {name} {outside}");
+            }
+        }
+    });
+}
+
+#[test]
+fn slopes_are_reproduced_where_the_samples_surround_the_position() {
+    each(|layout, name, positions, method| {
+        // A line has no slope across, and what is thinner than 0.001 counts as one outside.
+        let thin = layout == "thin strip" || layout.ends_with("line");
+        if !reproduces_slopes(name) || positions.len() < 3 || thin {
+            return;
+        }
+        let extent = Extent::of(positions);
+        let slope = |p: Position, _: usize| {
+            let (x, y) = extent.relative(p);
+            1.0 + 2.0 * x - 3.0 * y
+        };
+        let field = field(&samples_of(positions, 1, slope), method, OutsidePolicy::Extend);
+        // Extended, they are reproduced everywhere.
+        for p in probes(positions) {
+            let error = (value(&field, p) - slope(p, 0)).abs();
+            assert!(error < SLOPE, "{layout} {name} {p}: {error:e}");
+        }
+    });
+}
+
+#[test]
+fn values_lie_between_the_samples() {
+    each(|layout, name, positions, method| {
+        if is_polynomial(name) {
+            return;
+        }
+        let mut rng = rng(5);
+        let noise: Vec<f64> = positions.iter().map(|_| rng.random()).collect();
+        let at_sample = |p: Position, _: usize| noise[positions.iter().position(|q| *q == p).unwrap()];
+        let field = field(
+            &samples_of(positions, 1, at_sample),
+            method,
+            OutsidePolicy::Nearest,
+        );
+        let (low, high) = noise
+            .iter()
+            .fold((1.0_f64, 0.0_f64), |(a, b), &v| (a.min(v), b.max(v)));
+        // In a dent of the hull, up to 0.001 of the spacing deep, the field is extrapolated that far.
+        let slack = if layout == "uneven grid" { 5e-3 } else { ROUNDING };
+        for p in probes(positions) {
+            let v = value(&field, p);
+            assert!(
+                (low - slack..=high + slack).contains(&v),
+                "{layout} {name} {p}: {v} not in {low} to {high}"
+            );
+        }
+    });
+}
+
+#[test]
+fn fields_are_continuous_across_cells_and_the_hull() {
+    each(|layout, name, positions, method| {
+        if name == "nearest" || (name == "auto" && positions.len() == 1) {
+            return;
+        }
+        let extent = Extent::of(positions);
+        for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
+            if layout == "thin strip" && is_polynomial(name) && outside == OutsidePolicy::Extend {
+                // Grows by 1e10 beside a strip 1e-5 wide.
+                continue;
+            }
+            let field = field(&samples_of(positions, 1, smooth(extent)), method, outside);
+            let ends = extent.probes(60, 23, 0.2);
+            for (a, b) in ends.iter().zip(&ends[1..]) {
+                let on_path = |t: f64| at(a.x() + t * (b.x() - a.x()), a.y() + t * (b.y() - a.y()));
+                let f = |t: f64| value(&field, on_path(t));
+                let jump = largest_jump(f);
+                assert!(
+                    jump < JUMP,
+                    "{layout} {name} {outside} {a} to {b}: jump of {jump:e}"
+                );
+            }
+        }
+    });
+}
+
+/// The change left over when the largest change along [0, 1] is bisected to 1e-12.
+fn largest_jump(f: impl Fn(f64) -> f64) -> f64 {
+    const STEPS: usize = 60;
+    let values: Vec<f64> = (0..=STEPS).map(|i| f(i as f64 / STEPS as f64)).collect();
+    let step = |i: &usize| (values[i + 1] - values[*i]).abs();
+    let worst = (0..STEPS)
+        .max_by(|a, b| step(a).total_cmp(&step(b)))
+        .expect("there are steps");
+    let (mut low, mut high) = (worst as f64 / STEPS as f64, (worst + 1) as f64 / STEPS as f64);
+    let (mut at_low, mut at_high) = (values[worst], values[worst + 1]);
+    while high - low > 1e-12 {
+        let middle = f64::midpoint(low, high);
+        let v = f(middle);
+        if (v - at_low).abs() > (at_high - v).abs() {
+            (high, at_high) = (middle, v);
+        } else {
+            (low, at_low) = (middle, v);
+        }
+    }
+    (at_high - at_low).abs()
+}
+
+#[test]
+fn the_search_for_jumps_finds_them() {
+    assert!(largest_jump(f64::sin) < 1e-11);
+    assert!(largest_jump(|t| if t < 0.123_45 { t } else { t + 0.05 }) > 0.049);
+}
+
+#[test]
+fn a_region_holds_the_same_bits_as_its_points_for_any_range_and_thread() {
+    each(|layout, name, positions, method| {
+        let extent = Extent::of(positions);
+        let samples = samples_of(positions, 5, smooth(extent));
+        let field = field(&samples, method, OutsidePolicy::Extend);
+        // Over an edge of the samples, wider than what is gathered at once.
+        let (x0, y0) = (extent.low.0 as i64 - 3, extent.low.1 as i64 - 2);
+        let region = PixelRegion::new(x0, y0, FrameShape::new(71, 6).unwrap());
+        let mut all = Array3::from_elem((5, 6, 71), f64::NAN);
+        field.evaluate_region_into(region, 0..5, all.view_mut()).unwrap();
+        let mut point = [f64::NAN; 5];
+        for row in 0..6 {
+            for column in 0..71 {
+                field
+                    .evaluate_into(region.position(column, row), &mut point)
+                    .unwrap();
+                for (k, v) in point.iter().enumerate() {
+                    assert_eq!(
+                        v.to_bits(),
+                        all[[k, row, column]].to_bits(),
+                        "{layout} {name} {k} {row} {column}"
+                    );
+                }
+            }
+        }
+        std::thread::scope(|scope| {
+            for range in [0..1, 1..4, 4..5, 2..2] {
+                let (field, all) = (&field, &all);
+                scope.spawn(move || {
+                    // A smaller region into a part of a larger array.
+                    let part = PixelRegion::new(x0 + 2, y0 + 1, FrameShape::new(40, 3).unwrap());
+                    let mut values = Array3::from_elem((range.len(), 5, 50), f64::NAN);
+                    field
+                        .evaluate_region_into(part, range.clone(), values.slice_mut(s![.., 1..4, 5..45]))
+                        .unwrap();
+                    assert_eq!(
+                        values.slice(s![.., 1..4, 5..45]),
+                        all.slice(s![range, 1..4, 2..42]),
+                        "{layout} {name}"
+                    );
+                });
+            }
+        });
+    });
+}
+
+#[test]
+fn nothing_depends_on_what_was_asked_before() {
+    each(|layout, name, positions, method| {
+        let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
+        let first = method.prepare(&checked, OutsidePolicy::Extend).unwrap();
+        let second = method.prepare(&checked, OutsidePolicy::Extend).unwrap();
+        let probes = probes(positions);
+        let forward: Vec<WeightList> = {
+            let mut lists = Vec::new();
+            first
+                .weights_each(&mut probes.iter().copied(), &mut |weights| {
+                    lists.push(weights.clone());
+                })
+                .unwrap();
+            lists
+        };
+        let mut weights = WeightList::new();
+        for (p, expected) in probes.iter().zip(&forward).rev() {
+            second.weights_into(*p, &mut weights).unwrap();
+            assert_eq!(&weights, expected, "{layout} {name} {p}");
+        }
+    });
+}

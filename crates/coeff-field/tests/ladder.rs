@@ -1,0 +1,222 @@
+//! From theory: parabolas, symmetry, areas of Voronoi cells, even boundaries.
+
+mod common;
+
+use coeff_field::{Delaunay, FieldInterpolation, NaturalNeighbour, WeightList};
+use common::{at, field, methods, probes, samples_of, scattered, value};
+use psf_types::{OutsidePolicy, Position, SamplePositions};
+
+/// Rounding of weights in well shaped cells.
+const ROUNDING: f64 = 1e-12;
+
+fn weights(method: &dyn FieldInterpolation, positions: &[Position], p: Position) -> WeightList {
+    let positions = SamplePositions::new(positions.to_vec(), None).unwrap();
+    let mut weights = WeightList::new();
+    method
+        .prepare(&positions, OutsidePolicy::Nearest)
+        .unwrap()
+        .weights_into(p, &mut weights)
+        .unwrap();
+    weights.sort_unstable_by_key(|&(node, _)| node);
+    weights
+}
+
+#[test]
+fn parabolas_stay_within_the_bounds_of_theory() {
+    let square = |p: Position, _: usize| p.x() * p.x() + p.y() * p.y();
+    let error = |method: &dyn FieldInterpolation, n: usize| {
+        let step = 100.0 / (n - 1) as f64;
+        let positions = common::grid(n, n, step, 0.0, 0.0);
+        let field = field(&samples_of(&positions, 1, square), method, OutsidePolicy::Nearest);
+        (0..1000)
+            .map(|i| at(f64::from(i * 37 % 1000) * 0.1, f64::from(i * 91 % 1000) * 0.1))
+            .map(|p| (value(&field, p) - square(p, 0)).abs())
+            .fold(0.0, f64::max)
+    };
+    let positions = SamplePositions::new(common::grid(5, 5, 1.0, 0.0, 0.0), None).unwrap();
+    for (name, method) in methods(&positions) {
+        let (coarse, fine) = (error(method.as_ref(), 11), error(method.as_ref(), 21));
+        // (h^2 2 + h^2 2) / 8, or r^2 2 / 2 with r = h / sqrt 2 the circumradius: both are h^2 / 2.
+        let bound = |step: f64| 0.5 * step * step;
+        match name {
+            "bilinear" | "auto" | "delaunay" | "natural-neighbour" => {
+                assert!(
+                    coarse <= bound(10.0) * (1.0 + ROUNDING) && fine <= bound(5.0) * (1.0 + ROUNDING),
+                    "{name}: {coarse} {fine}"
+                );
+                // The bound is sharp: a method that is exact here would be no linear one.
+                assert!(coarse > 0.5 * bound(10.0), "{name}: {coarse}");
+            }
+            "polynomial=2" => assert!(coarse < 1e-8, "{coarse}"),
+            // No more than the change over the reach of a weight: radius sqrt 2 d_(6), slope 283 at the far corner.
+            "idw" | "idw=3.5" | "nearest" => {
+                assert!(
+                    coarse < 283.0 * 20.0 && fine < 0.6 * coarse,
+                    "{name}: {coarse} {fine}"
+                );
+            }
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn mirrored_samples_have_mirrored_weights() {
+    let positions = scattered(50, 9, -1.0, 2.0);
+    let mirrored: Vec<Position> = positions.iter().map(|p| at(-p.y(), p.x())).collect();
+    for (name, method) in methods(&SamplePositions::new(positions.clone(), None).unwrap()) {
+        if common::is_polynomial(name) {
+            continue;
+        }
+        for p in probes(&positions).into_iter().take(300) {
+            let a = weights(method.as_ref(), &positions, p);
+            let b = weights(method.as_ref(), &mirrored, at(-p.y(), p.x()));
+            assert_eq!(a.len(), b.len(), "{name} {p}");
+            for (a, b) in a.iter().zip(&b) {
+                assert!(a.0 == b.0 && (a.1 - b.1).abs() < 1e-10, "{name} {p}: {a:?} {b:?}");
+            }
+        }
+    }
+}
+
+/// A convex polygon cut down to the half plane of points nearer to `keep` than to `other`.
+fn nearer(polygon: &[[f64; 2]], keep: Position, other: Position) -> Vec<[f64; 2]> {
+    let m = keep.midpoint(other);
+    let side =
+        |p: &[f64; 2]| (p[0] - m.x()) * (other.x() - keep.x()) + (p[1] - m.y()) * (other.y() - keep.y());
+    let mut cut = Vec::new();
+    for (i, a) in polygon.iter().enumerate() {
+        let b = &polygon[(i + 1) % polygon.len()];
+        let (u, v) = (side(a), side(b));
+        if u <= 0.0 {
+            cut.push(*a);
+        }
+        if (u < 0.0 && v > 0.0) || (u > 0.0 && v < 0.0) {
+            let t = u / (u - v);
+            cut.push([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]);
+        }
+    }
+    cut
+}
+
+fn area(polygon: &[[f64; 2]]) -> f64 {
+    (1..polygon.len().saturating_sub(1))
+        .map(|i| {
+            let [a, b, c] = [polygon[0], polygon[i], polygon[i + 1]];
+            0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+        })
+        .sum()
+}
+
+#[test]
+fn natural_neighbour_weights_are_shares_of_voronoi_cells() {
+    // The cells of positions this far inside end well before the box.
+    let frame = vec![
+        [-900.0, -900.0],
+        [1000.0, -900.0],
+        [1000.0, 1000.0],
+        [-900.0, 1000.0],
+    ];
+    for positions in [
+        scattered(60, 4, 0.0, 100.0),
+        common::grid(11, 11, 10.0, 0.0, 0.0),
+        common::grid(11, 11, 10.0, 0.0, 1e-9),
+    ] {
+        for p in (common::Extent {
+            low: (25.0, 25.0),
+            high: (75.0, 75.0),
+        })
+        .probes(60, 6, 0.0)
+        {
+            let cell = positions
+                .iter()
+                .fold(frame.clone(), |cell, &q| nearer(&cell, p, q));
+            let share = |i: usize| {
+                let part = (0..positions.len())
+                    .filter(|&j| j != i)
+                    .fold(cell.clone(), |part, j| nearer(&part, positions[i], positions[j]));
+                area(&part) / area(&cell)
+            };
+            let got = weights(&NaturalNeighbour, &positions, p);
+            for i in 0..positions.len() {
+                let w = got.iter().find(|(node, _)| *node == i).map_or(0.0, |(_, w)| *w);
+                assert!((w - share(i)).abs() < 1e-9, "{p} {i}: {w} {}", share(i));
+            }
+        }
+    }
+}
+
+#[test]
+fn delaunay_circles_are_empty() {
+    // Three weights name a triangle whose circumcircle holds no other sample.
+    let positions = scattered(80, 12, 0.0, 100.0);
+    for p in (common::Extent {
+        low: (20.0, 20.0),
+        high: (80.0, 80.0),
+    })
+    .probes(200, 13, 0.0)
+    {
+        let triangle = weights(&Delaunay, &positions, p);
+        assert_eq!(triangle.len(), 3);
+        let [a, b, c] = [0, 1, 2].map(|i| positions[triangle[i].0]);
+        let (bx, by, cx, cy) = (b.x() - a.x(), b.y() - a.y(), c.x() - a.x(), c.y() - a.y());
+        let d = 2.0 * (bx * cy - by * cx);
+        let (b2, c2) = (bx * bx + by * by, cx * cx + cy * cy);
+        let centre = at(a.x() + (cy * b2 - by * c2) / d, a.y() + (bx * c2 - cx * b2) / d);
+        let radius = centre.distance(a);
+        assert!(
+            positions
+                .iter()
+                .all(|q| centre.distance(*q) > radius * (1.0 - 1e-9)),
+            "{p}"
+        );
+        assert!(triangle.iter().all(|(_, w)| *w > 0.0));
+    }
+}
+
+#[test]
+fn the_edge_of_an_uneven_grid_follows_its_samples() {
+    // Rounding or a small unevenness of the outermost samples must not let distant ones decide at the edge.
+    let curve = |p: Position, _: usize| (p.x() * p.x() + p.y() * p.y()) * 1e-2;
+    for (angle, jitter) in [(0.0, 0.0), (0.4, 0.0), (0.0, 1e-9), (0.0, 0.004), (0.9, 0.002)] {
+        let positions = common::grid(21, 21, 10.0, angle, jitter);
+        let (s, c) = angle.sin_cos();
+        for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {
+            for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
+                let field = field(&samples_of(&positions, 1, curve), method, outside);
+                // Along the first row, just outside, on it, and just inside.
+                for i in 0..400 {
+                    let along = f64::from(i) * 0.5;
+                    for off in [-0.01, -1e-9, 0.0, 1e-9, 0.001, 0.01] {
+                        let p = at(along * c - off * s, along * s + off * c);
+                        let error = (value(&field, p) - curve(p, 0)).abs();
+                        // Linear between neighbours 10 apart, second derivative 0.02: 0.25; a slope of 4 over 0.01.
+                        assert!(error < 0.3, "{method:?} {outside} {angle} {jitter} {p}: {error}");
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn extended_fields_go_on_linearly() {
+    let positions = scattered(60, 21, 0.0, 100.0);
+    let bend = |p: Position, _: usize| (p.x() * 0.03).sin() + (p.y() * 0.02).cos();
+    for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {
+        let field = field(&samples_of(&positions, 1, bend), method, OutsidePolicy::Extend);
+        // Straight out from the hull the foot stays where it is.
+        let f = |t: f64| value(&field, at(120.0 + t, 120.0 + t));
+        let corner_fan = (f(10.0) - 2.0 * f(20.0) + f(30.0)).abs();
+        assert!(corner_fan < 1e-9, "{corner_fan}");
+    }
+    // Off a grid, the slope is about that of the samples: second derivatives of 1e-3 over 5 pixels.
+    let positions = common::grid(11, 11, 10.0, 0.0, 0.0);
+    for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {
+        let field = field(&samples_of(&positions, 1, bend), method, OutsidePolicy::Extend);
+        for p in [at(52.0, -5.0), at(-5.0, 33.0), at(104.0, -3.0)] {
+            let error = (value(&field, p) - bend(p, 0)).abs();
+            assert!(error < 0.1, "{method:?} {p}: {error}");
+        }
+    }
+}

@@ -1,0 +1,178 @@
+//! Leave-one-out: the shortcuts against rebuilding without each sample.
+
+mod common;
+
+use coeff_field::{
+    CoeffFieldError, FieldInterpolation, FieldWeights, LeaveOneOut, LeftOut, NaturalNeighbour, Polynomial,
+    Unpredictable, leave_one_out,
+};
+use common::{Extent, layouts, methods, samples_of, scattered};
+use psf_types::{OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+
+/// Rounding of predictions of order 1.
+const ROUNDING: f64 = 1e-8;
+/// A strip 1e-5 wide makes a quadratic fit ill conditioned; samples 1e-9 apart cost the Voronoi areas as much.
+const ILL_CONDITIONED: f64 = 1e-5;
+
+/// A method without its shortcut.
+#[derive(Debug)]
+struct Rebuilt<'a>(&'a dyn FieldInterpolation);
+
+impl FieldInterpolation for Rebuilt<'_> {
+    fn prepare(
+        &self,
+        positions: &SamplePositions,
+        outside: OutsidePolicy,
+    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
+        self.0.prepare(positions, outside)
+    }
+}
+
+fn bumps(positions: &[Position]) -> SampleCoefficients {
+    let extent = Extent::of(positions);
+    samples_of(positions, 3, |p, k| {
+        let (x, y) = extent.relative(p);
+        (5.0 * x + k as f64).sin() * (4.0 * y).cos()
+    })
+}
+
+fn assert_same(fast: &LeaveOneOut, slow: &LeaveOneOut, tolerance: f64, what: &str) {
+    assert_eq!(fast.outcomes().len(), slow.outcomes().len());
+    for (sample, (a, b)) in fast.outcomes().iter().zip(slow.outcomes()).enumerate() {
+        let same = match (a, b) {
+            (LeftOut::Predicted { error: a }, LeftOut::Predicted { error: b })
+            | (LeftOut::Extrapolated { error: a }, LeftOut::Extrapolated { error: b }) => {
+                (a - b).abs() <= tolerance * (1.0 + a.abs())
+            }
+            (LeftOut::Unpredictable { .. }, LeftOut::Unpredictable { .. }) => true,
+            _ => false,
+        };
+        assert!(same, "{what}, sample {sample}: {a:?} {b:?}");
+    }
+}
+
+#[test]
+fn shortcuts_agree_with_rebuilding() {
+    // Layouts with many samples on one circle are left out: there the triangulation is a matter of choice.
+    let mut all: Vec<_> = layouts()
+        .into_iter()
+        .filter(|(layout, _)| !matches!(*layout, "grid" | "turned grid" | "l-shape" | "circle" | "fan"))
+        .collect();
+    all.push(("many", scattered(400, 31, 0.0, 1000.0)));
+    all.push((
+        "wide",
+        scattered(150, 33, 0.0, 1.0)
+            .iter()
+            .map(|p| common::at(p.x() * 500.0, p.y() * 20.0))
+            .collect(),
+    ));
+    for (layout, positions) in all {
+        let samples = bumps(&positions);
+        for (name, method) in methods(samples.positions()) {
+            for outside in [
+                OutsidePolicy::Nearest,
+                OutsidePolicy::Extend,
+                OutsidePolicy::Error,
+            ] {
+                let fast = method.leave_one_out(&samples, outside).unwrap();
+                let slow = Rebuilt(method.as_ref()).leave_one_out(&samples, outside).unwrap();
+                let tolerance = match (layout, name) {
+                    ("thin strip", "polynomial=2") | ("cluster", "natural-neighbour" | "auto") => {
+                        ILL_CONDITIONED
+                    }
+                    _ => ROUNDING,
+                };
+                assert_same(&fast, &slow, tolerance, &format!("{layout} {name} {outside}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn natural_neighbours_on_a_grid_have_no_ties() {
+    let samples = bumps(&common::grid(9, 8, 10.0, 0.0, 0.0));
+    let fast = leave_one_out(&samples, &NaturalNeighbour, OutsidePolicy::Nearest).unwrap();
+    let slow = Rebuilt(&NaturalNeighbour)
+        .leave_one_out(&samples, OutsidePolicy::Nearest)
+        .unwrap();
+    assert_same(&fast, &slow, ROUNDING, "grid");
+    // Only the corners are extrapolated.
+    let extrapolated = fast
+        .outcomes()
+        .iter()
+        .filter(|o| matches!(o, LeftOut::Extrapolated { .. }))
+        .count();
+    assert_eq!((extrapolated, fast.predicted().count()), (4, 68));
+}
+
+#[test]
+fn linear_values_are_predicted_exactly_and_one_outlier_is_found() {
+    let positions = scattered(80, 41, 0.0, 100.0);
+    let outlier = positions[17];
+    let samples = samples_of(&positions, 2, |p, k| {
+        0.1 * p.x() - 0.2 * p.y() + f64::from(u8::from(p == outlier && k == 1))
+    });
+    for name in ["delaunay", "natural-neighbour", "polynomial=2"] {
+        let method = coeff_field::interpolation(name.parse().unwrap()).unwrap();
+        let errors = leave_one_out(&samples, method.as_ref(), OutsidePolicy::Error).unwrap();
+        let (sample, error) = errors.worst().unwrap();
+        assert_eq!(sample, 17, "{name}");
+        assert!((error - 1.0).abs() < 1e-9, "{name}: {error}");
+        assert!(errors.rms().unwrap() < 0.3);
+        let refused = errors
+            .outcomes()
+            .iter()
+            .filter(|o| {
+                matches!(
+                    o,
+                    LeftOut::Unpredictable {
+                        reason: Unpredictable::OutsideSamples
+                    }
+                )
+            })
+            .count();
+        assert!(refused > 3 && refused < 25, "{name}: {refused} corners");
+        assert_eq!(refused + errors.predicted().count(), 80);
+    }
+}
+
+#[test]
+fn samples_that_cannot_be_missed_are_named() {
+    // As many samples as terms: each is needed.
+    let positions = scattered(6, 43, 0.0, 10.0);
+    let errors = leave_one_out(
+        &bumps(&positions),
+        &Polynomial::new(2).unwrap(),
+        OutsidePolicy::Extend,
+    )
+    .unwrap();
+    assert!(errors.outcomes().iter().all(|o| matches!(
+        o,
+        LeftOut::Unpredictable {
+            reason: Unpredictable::Undetermined
+        }
+    )));
+    assert!(errors.worst().is_none() && errors.rms().is_none());
+    let alone = bumps(&positions[..1]);
+    for (name, method) in methods(alone.positions()) {
+        let errors = method.leave_one_out(&alone, OutsidePolicy::Nearest).unwrap();
+        assert!(
+            matches!(errors.outcomes(), [LeftOut::Unpredictable { .. }]),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn thousands_of_samples_take_no_rebuilding() {
+    let samples = bumps(&scattered(5000, 47, 0.0, 9000.0));
+    let start = std::time::Instant::now();
+    for name in ["delaunay", "natural-neighbour", "idw", "polynomial=6", "nearest"] {
+        let method = coeff_field::interpolation(name.parse().unwrap()).unwrap();
+        let errors = leave_one_out(&samples, method.as_ref(), OutsidePolicy::Extend).unwrap();
+        assert!(errors.predicted().count() > 4950, "{name}");
+    }
+    // Optimised, rebuilding 5000 triangulations would take about half a minute a method.
+    let limit = if cfg!(debug_assertions) { 300 } else { 20 };
+    assert!(start.elapsed().as_secs() < limit, "{:?}", start.elapsed());
+}

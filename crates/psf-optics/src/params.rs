@@ -1,0 +1,231 @@
+//! The description of a telescope as it stands in a TOML file: unchecked.
+
+use serde::{Deserialize, Serialize};
+
+use crate::FieldTerm;
+
+/// Everything that describes a telescope, with the keys of the TOML file. Nothing is checked here: [`Telescope::new`]
+/// does it, in one place, for files and for code alike.
+///
+/// Unknown keys are errors. Keys without a default are needed.
+///
+/// | key | unit, range | default |
+/// |---|---|---|
+/// | `name` | any text | empty |
+/// | `wavelength_nm` | nm, above 0 | |
+/// | `pixel_scale_arcsec` | arcsec per frame pixel, above 0 | |
+/// | `frame.nx`, `frame.ny` | pixels, 1 and above | |
+/// | `stamp.nx`, `stamp.ny` | stamp pixels, 1 and above | |
+/// | `stamp.oversampling` | stamp pixels per frame pixel, 1 to 64 | 1 |
+/// | `stamp.padding` | width of the computed focal plane / the stamp's larger side, 1 to 16 | 2 |
+/// | `aperture.diameter_m` | m, above 0 | |
+/// | `aperture.obscuration` | linear ratio of the central obscuration, `0 <= r < 1` | 0 |
+/// | `aperture.spider` | [`SpiderParams`] | none |
+/// | `wavefront.unit` | `"nm"` or `"waves"` (of `wavelength_nm`) | `"nm"` |
+/// | `wavefront.modes` | list of [`ModeParams`] | empty |
+/// | `seeing` | [`SeeingParams`] | none |
+/// | `detector` | [`DetectorParams`] | pixel integration alone |
+///
+/// [`Telescope::new`]: crate::Telescope::new
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TelescopeParams {
+    /// A name for people.
+    #[serde(default)]
+    pub name: String,
+    /// The wavelength in nm; the PSF is monochromatic.
+    pub wavelength_nm: f64,
+    /// Arcseconds per frame pixel.
+    pub pixel_scale_arcsec: f64,
+    /// The detector's frame.
+    pub frame: FrameParams,
+    /// The stamps that are drawn.
+    pub stamp: StampParams,
+    /// The pupil.
+    pub aperture: ApertureParams,
+    /// The aberrations.
+    #[serde(default)]
+    pub wavefront: WavefrontParams,
+    /// Long-exposure atmospheric seeing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seeing: Option<SeeingParams>,
+    /// What the detector adds.
+    #[serde(default)]
+    pub detector: DetectorParams,
+}
+
+/// Frame size in pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FrameParams {
+    /// Columns.
+    pub nx: usize,
+    /// Rows.
+    pub ny: usize,
+}
+
+/// Stamp size and sampling.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StampParams {
+    /// Columns, in stamp pixels.
+    pub nx: usize,
+    /// Rows, in stamp pixels.
+    pub ny: usize,
+    /// Stamp pixels per frame pixel.
+    #[serde(default = "one")]
+    pub oversampling: usize,
+    /// Width of the computed focal plane over the stamp's larger side. Light beyond it comes back in on the other side,
+    /// so this bounds the error of the far wings and of the flux (see the crate's page).
+    #[serde(default = "two")]
+    pub padding: f64,
+}
+
+/// The pupil: a disc, its central obscuration and its spider.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ApertureParams {
+    /// Diameter in m.
+    pub diameter_m: f64,
+    /// Diameter of the central obscuration over the aperture's.
+    #[serde(default)]
+    pub obscuration: f64,
+    /// The vanes that hold the secondary mirror.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub spider: Option<SpiderParams>,
+}
+
+/// Vanes from the centre to the edge, at equal angles.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SpiderParams {
+    /// How many, 1 to 64.
+    pub vanes: usize,
+    /// Width of each in m, above 0 and below the diameter.
+    pub width_m: f64,
+    /// Direction of the first in degrees from the x axis towards the y axis.
+    #[serde(default)]
+    pub angle_deg: f64,
+}
+
+/// The wavefront error over the field.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WavefrontParams {
+    /// The unit of the coefficients.
+    #[serde(default)]
+    pub unit: WavefrontUnit,
+    /// The Zernike terms.
+    #[serde(default)]
+    pub modes: Vec<ModeParams>,
+}
+
+/// The unit of Zernike coefficients, r.m.s. over the unobscured pupil.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum WavefrontUnit {
+    /// Nanometres.
+    #[default]
+    Nm,
+    /// Waves of the telescope's wavelength.
+    Waves,
+}
+
+/// A Zernike term whose coefficient is a polynomial of the field.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModeParams {
+    /// Noll's index, 1 to 231 (piston, 1, is accepted and has no effect); each at most once.
+    pub noll: usize,
+    /// The terms of the coefficient's [`FieldPolynomial`](crate::FieldPolynomial).
+    pub terms: Vec<FieldTerm>,
+}
+
+/// Long-exposure seeing: exactly one of `r0_m` and `fwhm_arcsec`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeeingParams {
+    /// Fried's parameter in m at `at_wavelength_nm`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub r0_m: Option<f64>,
+    /// The Kolmogorov seeing in arcsec at `at_wavelength_nm`: `0.97586 lambda / r0`. (A finite outer scale makes the
+    /// actual FWHM smaller.)
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fwhm_arcsec: Option<f64>,
+    /// The wavelength in nm to which `r0_m` or `fwhm_arcsec` belongs; r0 goes with its power 6/5.
+    #[serde(default = "reference_wavelength")]
+    pub at_wavelength_nm: f64,
+    /// The outer scale in m of von Karman turbulence; Kolmogorov turbulence when absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outer_scale_m: Option<f64>,
+}
+
+/// The detector's own blur.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DetectorParams {
+    /// Whether values are integrated over a frame pixel (a top hat); otherwise they are the intensity at its centre
+    /// times its area.
+    #[serde(default = "yes")]
+    pub pixel_integration: bool,
+    /// Standard deviation along each axis, in frame pixels, of a Gaussian blur (charge diffusion, jitter).
+    #[serde(default)]
+    pub blur_sigma_px: f64,
+}
+
+impl Default for DetectorParams {
+    fn default() -> Self {
+        Self {
+            pixel_integration: true,
+            blur_sigma_px: 0.0,
+        }
+    }
+}
+
+impl TelescopeParams {
+    /// A perfect, unobscured telescope with square stamps, to start from in code.
+    pub fn diffraction_limited(
+        diameter_m: f64,
+        wavelength_nm: f64,
+        pixel_scale_arcsec: f64,
+        frame: FrameParams,
+        stamp_size: usize,
+    ) -> Self {
+        Self {
+            name: String::new(),
+            wavelength_nm,
+            pixel_scale_arcsec,
+            frame,
+            stamp: StampParams {
+                nx: stamp_size,
+                ny: stamp_size,
+                oversampling: one(),
+                padding: two(),
+            },
+            aperture: ApertureParams {
+                diameter_m,
+                obscuration: 0.0,
+                spider: None,
+            },
+            wavefront: WavefrontParams::default(),
+            seeing: None,
+            detector: DetectorParams::default(),
+        }
+    }
+}
+
+fn one() -> usize {
+    1
+}
+
+fn two() -> f64 {
+    2.0
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn reference_wavelength() -> f64 {
+    500.0
+}

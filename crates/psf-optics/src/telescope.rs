@@ -1,0 +1,239 @@
+//! The PSF of a telescope at any field position.
+
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+
+use ndarray::ArrayViewMut2;
+use psf_types::{FrameShape, Position, PsfSource, SourceError, StampGrid};
+use rustfft::num_complex::Complex64;
+
+use crate::aperture::Aperture;
+use crate::error::require;
+use crate::fft_size::even_smooth_at_least;
+use crate::focal_plane::{AxisTransfer, FocalPlane};
+use crate::pupil_cells::PupilCells;
+use crate::seeing::Seeing;
+use crate::wavefront::Wavefront;
+use crate::{FieldCoordinates, OpticsError, TelescopeParams};
+
+/// A telescope that draws its PSF anywhere on its frame: pupil, wavefront over the field, seeing, pixel and blur.
+///
+/// See the [crate's page](crate) for the equations, the sampling and the accuracy. Drawing is deterministic and takes
+/// `&self`: any number of threads may draw at once, each with work arrays from a pool.
+///
+/// ```
+/// use psf_optics::Telescope;
+/// use psf_types::{Position, PsfSource};
+/// let telescope = Telescope::from_toml_str(r#"
+///     wavelength_nm = 600.0
+///     pixel_scale_arcsec = 0.1
+///     frame = { nx = 1000, ny = 800 }
+///     stamp = { nx = 32, ny = 32 }
+///     aperture = { diameter_m = 1.0, obscuration = 0.3 }
+///     [wavefront]
+///     unit = "nm"
+///     modes = [{ noll = 4, terms = [{ x = 2, value = 40.0 }, { y = 2, value = 40.0 }] }]
+/// "#)?;
+/// let stamp = telescope.draw(Position::new(0.0, 799.0)?)?;
+/// assert!(stamp.flux() > 0.9 && stamp.flux() < 1.0); // the rest falls outside the stamp
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Telescope {
+    params: TelescopeParams,
+    field: FrameShape,
+    grid: StampGrid,
+    wavefront: Wavefront,
+    focal_plane: FocalPlane,
+    /// Transfer along an axis of what is the same everywhere: pixel and Gaussian blur, at lags 0 to the highest.
+    detector: Vec<f64>,
+}
+
+impl Telescope {
+    /// The narrowest computed focal plane in units of lambda / D, so that the pupil is well resolved.
+    const MIN_PUPIL_CELLS: f64 = 64.0;
+    /// The longest transform: 1.1 GB of work arrays a thread.
+    const MAX_TRANSFORM: usize = 6144;
+    /// Lags at which seeing and blur leave less than this are dropped.
+    const NEGLIGIBLE_TRANSFER: f64 = 1e-15;
+
+    /// A telescope from its parameters. Checks all of them; computes the pupil, the plans and the transfer functions.
+    ///
+    /// # Errors
+    /// [`OpticsError`], naming the key and what is allowed.
+    pub fn new(params: TelescopeParams) -> Result<Self, OpticsError> {
+        let wavelength_m = 1e-9
+            * require(
+                "wavelength_nm",
+                "a number of nm above 0",
+                params.wavelength_nm,
+                params.wavelength_nm > 0.0,
+            )?;
+        let pixel_rad = crate::arcsec_to_rad(require(
+            "pixel_scale_arcsec",
+            "a number of arcsec above 0",
+            params.pixel_scale_arcsec,
+            params.pixel_scale_arcsec > 0.0,
+        )?);
+        let field = FrameShape::new(params.frame.nx, params.frame.ny)?;
+        let grid = Self::check_stamp(&params)?;
+        let aperture = Aperture::new(&params.aperture)?;
+        let wavefront = Wavefront::new(&params.wavefront, params.wavelength_nm)?;
+        let seeing = params.seeing.map(|s| Seeing::new(&s, wavelength_m)).transpose()?;
+        let sigma = params.detector.blur_sigma_px;
+        require(
+            "detector.blur_sigma_px",
+            "a number of pixels, 0 or above",
+            sigma,
+            sigma >= 0.0,
+        )?;
+
+        let oversampling = grid.oversampling();
+        let step_rad = pixel_rad / oversampling;
+        // Pupil cells across the aperture for each stamp pixel of the period.
+        let cells_per_pixel = params.aperture.diameter_m * step_rad / wavelength_m;
+        let wanted = params.stamp.padding * grid.nx().max(grid.ny()) as f64;
+        let period = wanted.max(Self::MIN_PUPIL_CELLS / cells_per_pixel).ceil();
+        let diameter = period * cells_per_pixel;
+        let too_large = |got: f64| OpticsError::TooLarge {
+            got: got as usize,
+            limit: Self::MAX_TRANSFORM,
+        };
+        if period.max(diameter) > Self::MAX_TRANSFORM as f64 {
+            return Err(too_large(period.max(diameter)));
+        }
+        let period = even_smooth_at_least(period as usize);
+        let diameter = period as f64 * cells_per_pixel;
+
+        let cell_m = params.aperture.diameter_m / diameter;
+        let cycles_per_pixel = oversampling / period as f64;
+        let blur = |lag: usize| (-2.0 * (PI * sigma * lag as f64 * cycles_per_pixel).powi(2)).exp();
+        let air = |baseline: f64| seeing.map_or(1.0, |s| s.transfer(baseline));
+        let all = diameter.ceil() as usize + 2;
+        let lags = (0..all)
+            .find(|&k| blur(k) * air(k as f64 * cell_m) < Self::NEGLIGIBLE_TRANSFER)
+            .unwrap_or(all);
+        let length = FocalPlane::transform_length(diameter.ceil() as usize + 2, lags);
+        if length > Self::MAX_TRANSFORM {
+            return Err(too_large(length as f64));
+        }
+        let table = seeing.map(|s| {
+            (0..=lags)
+                .flat_map(|ky| (0..=lags).map(move |kx| s.transfer((kx as f64).hypot(ky as f64) * cell_m)))
+                .collect()
+        });
+        let pixel = |lag: usize| {
+            if params.detector.pixel_integration {
+                crate::sinc(lag as f64 * cycles_per_pixel)
+            } else {
+                1.0
+            }
+        };
+        let detector = (0..=lags).map(|k| pixel(k) * blur(k)).collect();
+        Ok(Self {
+            field,
+            grid,
+            wavefront,
+            focal_plane: FocalPlane::new(PupilCells::new(&aperture, diameter), lags, period, table),
+            detector,
+            params,
+        })
+    }
+
+    /// A telescope from TOML text with the keys of [`TelescopeParams`].
+    ///
+    /// # Errors
+    /// [`OpticsError::Toml`] with line, column and key for text that is not such a file; else as [`new`](Self::new).
+    pub fn from_toml_str(text: &str) -> Result<Self, OpticsError> {
+        Self::new(toml::from_str(text).map_err(|e| OpticsError::Toml(Box::new(e)))?)
+    }
+
+    /// A telescope from a TOML file.
+    ///
+    /// # Errors
+    /// [`OpticsError::Read`] or [`OpticsError::InFile`], which name the file.
+    pub fn from_toml_file(path: impl AsRef<Path>) -> Result<Self, OpticsError> {
+        let path = path.as_ref();
+        let text = std::fs::read_to_string(path).map_err(|source| OpticsError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        Self::from_toml_str(&text).map_err(|source| OpticsError::InFile {
+            path: path.to_owned(),
+            source: Box::new(source),
+        })
+    }
+
+    /// The parameters it was made from; change a copy and call [`new`](Self::new) for another telescope.
+    pub fn params(&self) -> &TelescopeParams {
+        &self.params
+    }
+
+    fn check_stamp(params: &TelescopeParams) -> Result<StampGrid, OpticsError> {
+        let stamp = params.stamp;
+        if !(1..=64).contains(&stamp.oversampling) {
+            return Err(OpticsError::setting(
+                "stamp.oversampling",
+                "a whole number from 1 to 64",
+                stamp.oversampling,
+            ));
+        }
+        let padded = (1.0..=16.0).contains(&stamp.padding);
+        require("stamp.padding", "a number from 1 to 16", stamp.padding, padded)?;
+        Ok(StampGrid::new(stamp.nx, stamp.ny)?
+            .with_oversampling(stamp.oversampling as f64)?
+            .with_pixel_response_included(params.detector.pixel_integration))
+    }
+
+    /// The transfer along an axis with the source at index `centre` of the stamp.
+    fn axis_transfer(&self, centre: f64) -> AxisTransfer {
+        let turn = -TAU * centre / self.focal_plane.period() as f64;
+        let lags = self.detector.iter().enumerate();
+        AxisTransfer(
+            lags.map(|(k, &t)| Complex64::from_polar(t, turn * k as f64))
+                .collect(),
+        )
+    }
+}
+
+impl PsfSource for Telescope {
+    fn grid(&self) -> StampGrid {
+        self.grid
+    }
+
+    fn field(&self) -> FrameShape {
+        self.field
+    }
+
+    fn draw_into(&self, position: Position, stamp: ArrayViewMut2<'_, f64>) -> Result<(), SourceError> {
+        self.draw_shifted_into(position, (0.0, 0.0), stamp)
+    }
+
+    fn draw_shifted_into(
+        &self,
+        position: Position,
+        (dx, dy): (f64, f64),
+        stamp: ArrayViewMut2<'_, f64>,
+    ) -> Result<(), SourceError> {
+        assert_eq!(stamp.dim(), self.grid.dim(), "the stamp has the grid's shape");
+        let s = self.grid.oversampling();
+        let x = self.axis_transfer(self.grid.centre_x() + dx * s);
+        let y = self.axis_transfer(self.grid.centre_y() + dy * s);
+        let phase = self.wavefront.phase(FieldCoordinates::of(position, self.field));
+        let gain = (s / self.focal_plane.period() as f64).powi(2);
+        let steepest = self.focal_plane.draw(&phase, (&x, &y), gain, stamp);
+        if steepest <= PI {
+            return Ok(());
+        }
+        let period_px = self.focal_plane.period() as f64 / s;
+        let source = OpticsError::WavefrontTooSteep {
+            position,
+            got_px: steepest / TAU * period_px,
+            limit_px: period_px / 2.0,
+        };
+        Err(SourceError::External {
+            position,
+            source: Box::new(source),
+        })
+    }
+}

@@ -1,0 +1,119 @@
+//! `psfield compare`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use metrics::{Comparison, MetricsError, Summary};
+use ndarray::{Array3, Axis};
+use psf_io::FileKind;
+use serde::Serialize;
+
+use super::context::Context;
+
+/// Compare an image (or a cube) with a reference
+///
+/// MAE, MSE, relative L2 = |F - T| / |T|, largest difference, and that over the peak of the reference. Of cubes, each measure's
+/// median and largest value over the planes.
+#[derive(Debug, clap::Args)]
+pub(crate) struct CompareArgs {
+    /// The result F
+    result: PathBuf,
+    /// The reference T
+    reference: PathBuf,
+}
+
+/// The measures of one image. Those that do not exist (a reference of zeros) are null.
+#[derive(Debug, Serialize)]
+struct Measures {
+    mae: f64,
+    mse: f64,
+    relative_l2: Option<f64>,
+    max_abs: f64,
+    max_over_peak: Option<f64>,
+    mae_over_mean: Option<f64>,
+    snr_db: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct Planes {
+    planes: usize,
+    median: Measures,
+    max: Measures,
+}
+
+impl CompareArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let (result, result_is_cube) = read(&self.result)?;
+        let (reference, reference_is_cube) = read(&self.reference)?;
+        let planes = Comparison::by_plane(result.view(), reference.view())
+            .with_context(|| format!("comparing {} with {}", self.result.display(), self.reference.display()))?;
+        if result_is_cube || reference_is_cube {
+            let report = Planes {
+                planes: planes.len(),
+                median: Measures::over(&planes, Summary::median)?,
+                max: Measures::over(&planes, Summary::max)?,
+            };
+            context.report(&report, || {
+                let median = report.median.text();
+                let max = report.max.text();
+                format!("{} planes\nmedian over the planes\n{median}\nlargest over the planes\n{max}", report.planes)
+            })
+        } else {
+            let report = Measures::of(&planes[0]);
+            context.report(&report, || report.text())
+        }
+    }
+}
+
+/// An image as a cube of one plane, or a cube; and which of the two it is.
+fn read(path: &Path) -> anyhow::Result<(Array3<f64>, bool)> {
+    Ok(match psf_io::detect(path)? {
+        FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube::<f64>(path)?, true),
+        _ => (psf_io::read_image::<f64>(path)?.into_parts().0.into_pixels().insert_axis(Axis(0)), false),
+    })
+}
+
+impl Measures {
+    fn of(comparison: &Comparison) -> Self {
+        Self {
+            mae: comparison.mae(),
+            mse: comparison.mse(),
+            relative_l2: comparison.relative_l2().ok(),
+            max_abs: comparison.max_abs(),
+            max_over_peak: comparison.max_over_peak().ok(),
+            mae_over_mean: comparison.mae_over_mean().ok(),
+            snr_db: comparison.snr_db().ok(),
+        }
+    }
+
+    /// One statistic of each measure over the planes where it exists.
+    fn over(planes: &[Comparison], statistic: impl Fn(&Summary) -> f64) -> Result<Self, MetricsError> {
+        let all = |measure: &dyn Fn(&Comparison) -> Option<f64>| {
+            Summary::of(planes.iter().filter_map(measure)).map(|summary| statistic(&summary))
+        };
+        Ok(Self {
+            mae: all(&|c| Some(c.mae()))?,
+            mse: all(&|c| Some(c.mse()))?,
+            relative_l2: all(&|c| c.relative_l2().ok()).ok(),
+            max_abs: all(&|c| Some(c.max_abs()))?,
+            max_over_peak: all(&|c| c.max_over_peak().ok()).ok(),
+            mae_over_mean: all(&|c| c.mae_over_mean().ok()).ok(),
+            snr_db: all(&|c| c.snr_db().ok()).ok(),
+        })
+    }
+
+    fn text(&self) -> String {
+        let or_dash = |value: Option<f64>| value.map_or_else(|| "-".to_owned(), |v| format!("{v:.6e}"));
+        format!(
+            "MAE           {:.6e}\nMSE           {:.6e}\nrelative L2   {}\nlargest       {:.6e}\n\
+             largest/peak  {}\nMAE/mean      {}\nSNR (dB)      {}",
+            self.mae,
+            self.mse,
+            or_dash(self.relative_l2),
+            self.max_abs,
+            or_dash(self.max_over_peak),
+            or_dash(self.mae_over_mean),
+            self.snr_db.map_or_else(|| "-".to_owned(), |v| format!("{v:.3}")),
+        )
+    }
+}

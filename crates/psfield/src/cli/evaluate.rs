@@ -1,0 +1,101 @@
+//! `psfield evaluate`.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use psfield::{EvaluateOptions, OutputGrid, evaluate};
+use serde::Serialize;
+
+use super::context::{Context, signature};
+use super::fit_args::FitArgs;
+
+/// Write the PSF of a model at given positions
+#[derive(Debug, clap::Args)]
+pub(crate) struct EvaluateArgs {
+    /// A model, or samples to be fitted
+    #[arg(value_name = "MODEL.fits|SAMPLES.fits")]
+    psf: PathBuf,
+    /// Where: CSV or FITS table with columns x, y (0-based pixels)
+    #[arg(long, value_name = "POSITIONS.csv")]
+    at: PathBuf,
+    /// The stamps to write, in the layout of PSF samples
+    #[arg(short, long, value_name = "STAMPS.fits")]
+    output: PathBuf,
+    /// Replace the output if it exists
+    #[arg(long)]
+    overwrite: bool,
+    /// The model's own sampling, or the frame's pixels
+    #[arg(long, default_value = "model", value_enum)]
+    grid: Grid,
+    /// Cut or pad to N x N pixels about the centre
+    #[arg(long, value_name = "N")]
+    size: Option<usize>,
+    /// Draw each PSF at the sub-pixel phase of its position (with --grid native), else centred
+    #[arg(long)]
+    sub_pixel: bool,
+    /// Write f32 or f64
+    #[arg(long, default_value = "f32", value_enum)]
+    precision: Precision,
+    #[command(flatten)]
+    fit: FitArgs,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Grid {
+    Model,
+    Native,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Precision {
+    F32,
+    F64,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    output: PathBuf,
+    stamps: usize,
+    shape: [usize; 2],
+    oversampling: f64,
+}
+
+impl EvaluateArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        psf_io::check_output(&self.output, self.overwrite)?;
+        if self.sub_pixel && matches!(self.grid, Grid::Model) {
+            return Err(super::UsageError("--sub-pixel needs --grid native".to_owned()).into());
+        }
+        let positions = psf_io::read_positions(&self.at)?;
+        let psf = self.fit.open(&self.psf)?;
+        let spinner = context.spinner("evaluating");
+        let model = psf.into_model().with_context(|| format!("with the PSF of {}", self.psf.display()))?;
+        let options = EvaluateOptions {
+            grid: match self.grid {
+                Grid::Model => OutputGrid::Model,
+                Grid::Native => OutputGrid::Native,
+            },
+            size: self.size,
+            sub_pixel: self.sub_pixel,
+        };
+        let stamps =
+            evaluate(&model, positions, options).with_context(|| format!("at the positions of {}", self.at.display()))?;
+        let precision = match self.precision {
+            Precision::F32 => psf_io::Precision::Single,
+            Precision::F64 => psf_io::Precision::Double,
+        };
+        psf_io::write_samples(&self.output, &stamps, &signature(), precision, self.overwrite)?;
+        drop(spinner);
+        let grid = stamps.grid();
+        let report = Report {
+            output: self.output,
+            stamps: stamps.len(),
+            shape: [grid.nx(), grid.ny()],
+            oversampling: grid.oversampling(),
+        };
+        context.report(&report, || {
+            let [nx, ny] = report.shape;
+            format!("{}: {} stamps of {nx} x {ny} pixels", report.output.display(), report.stamps)
+        })
+    }
+}

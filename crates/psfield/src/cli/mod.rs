@@ -1,0 +1,75 @@
+//! The command line: arguments in, files and reports out. All that computes is in the library.
+
+mod compare;
+mod context;
+mod demo;
+mod evaluate;
+mod fit;
+mod fit_args;
+mod measure;
+mod preview;
+mod progress;
+mod sample;
+mod scene_maker;
+mod simulate;
+
+use clap::{Parser, Subcommand};
+
+use context::Context;
+pub(crate) use context::UsageError;
+
+/// Astronomical images with a point spread function that varies over the field.
+///
+/// Positions are 0-based pixels, an integer is the centre of a pixel. Existing files are kept unless --overwrite is given.
+/// Exit status: 0 done, 1 failed, 2 bad usage.
+#[derive(Debug, Parser)]
+#[command(name = "psfield", version, max_term_width = 110)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    #[command(flatten)]
+    global: GlobalArgs,
+}
+
+#[derive(Debug, clap::Args)]
+pub(crate) struct GlobalArgs {
+    /// Print one JSON object on standard output in place of text
+    #[arg(long, global = true)]
+    json: bool,
+    /// Print nothing but errors (and --json, if asked for)
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Threads to use; the result does not depend on it [default: one a core]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::DemoArgs),
+    Sample(sample::SampleArgs),
+    Fit(fit::FitCommandArgs),
+    Simulate(Box<simulate::SimulateArgs>),
+    Evaluate(evaluate::EvaluateArgs),
+    Measure(measure::MeasureArgs),
+    Compare(compare::CompareArgs),
+}
+
+impl Cli {
+    /// Runs the command.
+    pub(crate) fn run(self) -> anyhow::Result<()> {
+        if let Some(threads) = self.global.threads {
+            rayon::ThreadPoolBuilder::new().num_threads(usize::from(threads)).build_global()?;
+        }
+        let context = Context::new(self.global.json, self.global.quiet);
+        match self.command {
+            Command::Demo(args) => args.run(&context),
+            Command::Sample(args) => args.run(&context),
+            Command::Fit(args) => args.run(&context),
+            Command::Simulate(args) => args.run(&context),
+            Command::Evaluate(args) => args.run(&context),
+            Command::Measure(args) => args.run(&context),
+            Command::Compare(args) => args.run(&context),
+        }
+    }
+}

@@ -1,0 +1,288 @@
+//! `psfield simulate`.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use conv_core::ConvReal;
+use psf_io::{Card, HeaderCards};
+use psf_types::{Anchor, FrameShape, PixelRegion, Scene};
+use psfield::{Method, Simulation, SpotCheck};
+use serde::Serialize;
+
+use super::UsageError;
+use super::context::{Context, signature};
+use super::fit_args::FitArgs;
+
+/// Convolve a scene with a PSF that varies over the field
+///
+/// The scene is an image (flux in each pixel), a catalogue of point sources, or both. Field positions of the PSF count from the
+/// frame's first pixel.
+#[derive(Debug, clap::Args)]
+pub(crate) struct SimulateArgs {
+    /// The scene: a FITS image
+    #[arg(value_name = "SCENE.fits", required_unless_present = "catalog")]
+    scene: Option<PathBuf>,
+    /// The PSF: a model, or samples to be fitted
+    #[arg(long, value_name = "MODEL.fits|SAMPLES.fits")]
+    psf: PathBuf,
+    /// The image to write
+    #[arg(short, long, value_name = "IMAGE.fits")]
+    output: PathBuf,
+    /// Replace the output if it exists
+    #[arg(long)]
+    overwrite: bool,
+    /// Point sources: CSV or FITS table with columns x, y (0-based pixels of the scene) and flux
+    #[arg(long, value_name = "STARS.csv")]
+    catalog: Option<PathBuf>,
+    /// Columns and rows of a scene without an image
+    #[arg(long, value_name = "NX,NY", conflicts_with = "scene")]
+    shape: Option<Pair>,
+    /// The part of the scene that the result shows: first column and row, columns and rows
+    #[arg(long, value_name = "X0,Y0,NX,NY")]
+    frame: Option<Frame>,
+    /// Whose PSF applies: source (each source spreads with its own) or output (each pixel gathers with its own, as in the
+    /// method's paper)
+    #[arg(long, default_value_t, value_name = "source|output")]
+    anchor: Anchor,
+    /// auto, basis (a convolution a component; exact), patch=N (one PSF in N x N pixels; not exact) or direct (the double sum)
+    #[arg(long, default_value_t, value_name = "METHOD")]
+    method: Method,
+    /// Working precision and that of the result
+    #[arg(long, default_value = "f32", value_enum)]
+    precision: Precision,
+    /// Cut or pad the stamps that images are convolved with to N x N pixels, centred at N / 2
+    #[arg(long, value_name = "N")]
+    stamp_size: Option<usize>,
+    /// Check N random pixels against the direct sum in double precision
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    spot_check: usize,
+    /// Chooses the pixels of the spot check
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    #[command(flatten)]
+    fit: FitArgs,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Precision {
+    F32,
+    F64,
+}
+
+/// `NX,NY`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pair(pub(crate) usize, pub(crate) usize);
+
+impl FromStr for Pair {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Option<Vec<usize>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+        match numbers.as_deref() {
+            Some(&[nx, ny]) => Ok(Self(nx, ny)),
+            _ => Err("two whole numbers are needed, as in 1024,512".to_owned()),
+        }
+    }
+}
+
+/// `X0,Y0,NX,NY`.
+#[derive(Debug, Clone, Copy)]
+struct Frame(PixelRegion);
+
+impl FromStr for Frame {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        let numbers: Option<Vec<i64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+        match numbers.as_deref() {
+            Some(&[x0, y0, nx, ny]) if nx > 0 && ny > 0 => {
+                let shape = FrameShape::new(nx as usize, ny as usize).map_err(|e| e.to_string())?;
+                Ok(Self(PixelRegion::new(x0, y0, shape)))
+            }
+            _ => Err("four whole numbers are needed, the last two above 0, as in 64,64,1024,1024".to_owned()),
+        }
+    }
+}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Report {
+    output: PathBuf,
+    method: String,
+    anchor: Anchor,
+    precision: &'static str,
+    /// Components of the model, the mean not counted.
+    rank: usize,
+    /// Whole-image convolutions of the basis method.
+    modes: usize,
+    normalise: psf_types::Normalisation,
+    shape: [usize; 2],
+    sources: usize,
+    seconds: Seconds,
+    peak_memory_bytes: Option<u64>,
+    spot_check: Option<SpotCheck>,
+}
+
+/// `plan` is the time that the engine takes to prepare itself; the methods so far prepare nothing.
+#[derive(Debug, Default, Serialize)]
+struct Seconds {
+    read: f64,
+    fit: f64,
+    plan: f64,
+    execute: f64,
+    write: f64,
+}
+
+impl SimulateArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        if self.scene.is_none() && self.shape.is_none() {
+            let what = "a catalogue without a scene needs the frame's size: --shape NX,NY";
+            return Err(UsageError(what.to_owned()).into());
+        }
+        match self.precision {
+            Precision::F32 => self.run_in::<f32>(context),
+            Precision::F64 => self.run_in::<f64>(context),
+        }
+    }
+
+    fn run_in<T: ConvReal>(self, context: &Context) -> anyhow::Result<()> {
+        psf_io::check_output(&self.output, self.overwrite)?;
+        let mut seconds = Seconds::default();
+
+        let spinner = context.spinner("reading");
+        let clock = Instant::now();
+        let (scene, header) = self.read_scene::<T>()?;
+        let psf = self.fit.open(&self.psf)?;
+        seconds.read = clock.elapsed().as_secs_f64();
+        drop(spinner);
+
+        let spinner = context.spinner("fitting the PSF");
+        let clock = Instant::now();
+        let in_psf = || format!("with the PSF of {}", self.psf.display());
+        let simulation = Simulation::new(psf, &scene, self.stamp_size).with_context(in_psf)?;
+        seconds.fit = clock.elapsed().as_secs_f64();
+        drop(spinner);
+
+        let spinner = context.spinner("convolving");
+        let clock = Instant::now();
+        let image = simulation.run(&scene, self.method, self.anchor).with_context(in_psf)?;
+        seconds.execute = clock.elapsed().as_secs_f64();
+        drop(spinner);
+
+        let spot_check = (self.spot_check > 0)
+            .then(|| {
+                let _spinner = context.spinner("checking");
+                SpotCheck::run(&image, self.spot_check, self.seed, |pixels| {
+                    simulation.exact_at(&scene, self.anchor, pixels)
+                })
+            })
+            .transpose()?;
+
+        let clock = Instant::now();
+        let model = simulation.model();
+        let frame = scene.frame();
+        let header = header.shifted_origin(frame.x0(), frame.y0());
+        let cards = self.cards::<T>(model, spot_check.as_ref())?;
+        psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
+        seconds.write = clock.elapsed().as_secs_f64();
+
+        let report = Report {
+            output: self.output,
+            method: self.method.resolved().to_string(),
+            anchor: self.anchor,
+            precision: T::NAME,
+            rank: model.rank(),
+            modes: model.stamp_count(),
+            normalise: model.normalisation(),
+            shape: [image.shape().nx(), image.shape().ny()],
+            sources: scene.sources().len(),
+            seconds,
+            peak_memory_bytes: peak_memory_bytes(),
+            spot_check,
+        };
+        context.report(&report, || report.text())
+    }
+
+    fn read_scene<T: ConvReal>(&self) -> anyhow::Result<(Scene<T>, HeaderCards)> {
+        let (mut scene, header) = match (&self.scene, self.shape) {
+            (Some(path), _) => {
+                let (image, header) = psf_io::read_image::<T>(path)?.into_parts();
+                (Scene::from_image(image), header)
+            }
+            (None, Some(Pair(nx, ny))) => {
+                let shape = FrameShape::new(nx, ny).map_err(|e| UsageError(format!("--shape: {e}")))?;
+                (Scene::dark(shape), HeaderCards::new())
+            }
+            (None, None) => unreachable!("checked before"),
+        };
+        if let Some(path) = &self.catalog {
+            let sources = psf_io::read_catalog(path)?;
+            scene = scene.with_sources(sources).with_context(|| format!("in {}", path.display()))?;
+        }
+        if let Some(Frame(frame)) = self.frame {
+            scene = scene.with_frame(frame).map_err(|e| UsageError(format!("--frame: {e}")))?;
+        }
+        Ok((scene, header))
+    }
+
+    /// What is needed to repeat and to judge the result.
+    fn cards<T: ConvReal>(
+        &self,
+        model: &psf_types::PsfModel,
+        spot_check: Option<&SpotCheck>,
+    ) -> anyhow::Result<Vec<Card>> {
+        let mut cards = signature();
+        cards.extend([
+            Card::new("PSFMETH", self.method.resolved().to_string(), "convolution method")?,
+            Card::new("PSFANCH", self.anchor.to_string(), "whose PSF applies: source or output pixel")?,
+            Card::new("PSFPREC", T::NAME, "working precision")?,
+            Card::new("PSFRANK", model.rank(), "components of the PSF model (mean not counted)")?,
+            Card::new("PSFNORM", model.normalisation().to_string(), "unit: every PSF has unit flux")?,
+        ]);
+        if let Some(check) = spot_check {
+            cards.extend([
+                Card::new("PSFCHKN", check.pixels, "pixels checked against the direct sum")?,
+                Card::new("PSFCHKS", check.seed.to_string(), "seed that chose them")?,
+                Card::new("PSFCHKM", check.max_abs, "largest difference found")?,
+                Card::new("PSFCHKR", check.rms, "r.m.s. difference found")?,
+            ]);
+        }
+        Ok(cards)
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let [nx, ny] = self.shape;
+        let s = &self.seconds;
+        let mut text = format!(
+            "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}\n\
+             seconds: read {:.3}, fit {:.3}, convolve {:.3}, write {:.3}\n",
+            self.output.display(),
+            self.rank,
+            self.method,
+            self.anchor,
+            self.precision,
+            s.read,
+            s.fit,
+            s.execute,
+            s.write,
+        );
+        if let Some(check) = &self.spot_check {
+            let over_peak = check.max_over_peak.map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
+            text += &format!(
+                "against the direct sum at {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}\n",
+                check.pixels, check.max_abs, check.rms,
+            );
+        }
+        text
+    }
+}
+
+/// The most memory this process has held, where the system tells (Linux).
+fn peak_memory_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kibibytes * 1024)
+}

@@ -1,0 +1,87 @@
+//! The PSF of a model at given positions.
+
+use conv_core::{StampSpline, native_grid};
+use ndarray::{Array2, Array3};
+use psf_types::{Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
+use rayon::prelude::*;
+
+use crate::PsfieldError;
+
+/// The pixels on which PSFs are given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum OutputGrid {
+    /// The model's own sampling.
+    #[default]
+    Model,
+    /// The frame's pixels.
+    Native,
+}
+
+/// How PSFs are evaluated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct EvaluateOptions {
+    /// The pixels.
+    pub grid: OutputGrid,
+    /// Columns and rows, cut or padded about the centre; none: as many as there are.
+    pub size: Option<usize>,
+    /// Draw each PSF at the sub-pixel phase of its position (its distance from the nearest pixel's centre), on the frame's
+    /// pixels; else centred.
+    pub sub_pixel: bool,
+}
+
+/// The PSFs of a model at positions, as samples.
+///
+/// # Errors
+/// [`PsfieldError::OutsideField`] for a position off the model's field, [`PsfieldError::Data`] for duplicate positions,
+/// [`PsfieldError::Field`] where the model has no value, [`PsfieldError::SubPixelNeedsNative`].
+pub fn evaluate(
+    model: &PsfModel,
+    positions: Vec<Position>,
+    options: EvaluateOptions,
+) -> Result<PsfSamples, PsfieldError> {
+    if options.sub_pixel && options.grid != OutputGrid::Native {
+        return Err(PsfieldError::SubPixelNeedsNative);
+    }
+    if let Some(field) = model.field_shape()
+        && let Some(index) = positions.iter().position(|&p| !field.contains(p))
+    {
+        return Err(PsfieldError::OutsideField { index, position: positions[index], field });
+    }
+    let positions = SamplePositions::new(positions, model.field_shape())?;
+    let target = target_grid(model.grid(), options)?;
+    let stamps: Vec<Result<Array2<f64>, PsfieldError>> = positions
+        .as_slice()
+        .par_iter()
+        .map(|&position| {
+            let psf = model.psf_at(position)?;
+            let phase = |v: f64| v - (v + 0.5).floor();
+            let shift =
+                if options.sub_pixel { (phase(position.x()), phase(position.y())) } else { (0.0, 0.0) };
+            Ok(if target == model.grid() && shift == (0.0, 0.0) {
+                psf.into_values()
+            } else {
+                StampSpline::new(psf.values(), model.grid()).resample(shift, target)
+            })
+        })
+        .collect();
+    let mut cube = Array3::zeros((positions.len(), target.ny(), target.nx()));
+    for (mut plane, stamp) in cube.outer_iter_mut().zip(stamps) {
+        plane.assign(&stamp?);
+    }
+    Ok(PsfSamples::new(cube, positions, target)?)
+}
+
+fn target_grid(grid: StampGrid, options: EvaluateOptions) -> Result<StampGrid, PsfieldError> {
+    let base = match options.grid {
+        OutputGrid::Model => grid,
+        OutputGrid::Native => native_grid(grid)?,
+    };
+    let Some(size) = options.size else { return Ok(base) };
+    // A centre between pixels stays between pixels, so that no value has to be interpolated.
+    let centre = |c: f64| (size / 2) as f64 + c.fract();
+    Ok(StampGrid::new(size, size)?
+        .with_oversampling(base.oversampling())?
+        .with_pixel_response_included(base.pixel_response_included())
+        .with_centre(centre(base.centre_x()), centre(base.centre_y()))?)
+}

@@ -1,0 +1,228 @@
+//! From PSF samples to a model of the PSF at every position.
+
+use std::sync::Arc;
+
+use coeff_field::{FieldInterpolation, InterpolatedField, LeftOut};
+use metrics::Summary;
+use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd};
+use psf_types::{
+    Interpolation, Normalisation, OutsidePolicy, PsfModel, PsfModelRecord, PsfSamples, SampleCoefficients,
+};
+use serde::Serialize;
+
+use crate::PsfieldError;
+
+/// How samples become a model. The default is what the command line does: rank `auto`, mean-centred, interpolation
+/// `auto`, nearest outside, unit flux.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FitOptions {
+    /// How many components are kept.
+    pub rank: RankSelection,
+    /// With or without a mean stamp.
+    pub centring: Centring,
+    /// What is known of the noise in the samples' pixels, in units of the samples after normalisation.
+    pub noise: PixelNoise,
+    /// How coefficients are carried over the field.
+    pub interpolation: Interpolation,
+    /// What happens outside the samples.
+    pub outside: OutsidePolicy,
+    /// Whether samples and PSFs are scaled to unit flux.
+    pub normalisation: Normalisation,
+}
+
+/// A model with the figures of its fit.
+#[derive(Debug, Clone)]
+pub struct Fit {
+    record: PsfModelRecord,
+    spectrum: Option<Spectrum>,
+    errors: Vec<f64>,
+    norms: Vec<f64>,
+}
+
+/// The figures of a fit. Errors are relative L2 errors of stamps.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct FitReport {
+    /// Number of samples.
+    pub samples: usize,
+    /// Number of components kept, the mean not counted.
+    pub rank: usize,
+    /// Number of components at the elbow of the cumulative weights.
+    pub elbow: Option<usize>,
+    /// Standard deviation of the white noise found in the samples, if any.
+    pub noise_sigma: Option<f64>,
+    /// The interpolator in force.
+    pub interpolation: Interpolation,
+    /// What happens outside the samples.
+    pub outside: OutsidePolicy,
+    /// Whether PSFs are scaled to unit flux.
+    pub normalise: Normalisation,
+    /// The largest truncation error over the samples.
+    pub max_error: f64,
+    /// The root mean square of the truncation errors.
+    pub rms_error: f64,
+    /// Truncation error of every sample.
+    pub errors: Vec<f64>,
+    /// Errors of predicting each sample from all others.
+    pub leave_one_out: LeaveOneOutReport,
+    /// All singular values, in descending order.
+    pub singular_values: Vec<f64>,
+    /// Their cumulative weights.
+    pub cumulative_weights: Vec<f64>,
+}
+
+/// Leave-one-out interpolation errors, relative to each sample's own norm.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct LeaveOneOutReport {
+    /// Samples that their neighbours surround.
+    pub predicted: usize,
+    /// Median error of those; none if there are none.
+    pub median: Option<f64>,
+    /// Largest error of those.
+    pub max: Option<f64>,
+    /// Samples at the border, which the others can only extrapolate; they do not count above.
+    pub extrapolated: usize,
+    /// Samples about which the others say nothing.
+    pub unpredictable: usize,
+    /// Every sample's error, none where there is no prediction.
+    pub errors: Vec<Option<f64>>,
+}
+
+/// Fits a model to samples: the basis by SVD, one of the interpolators of `coeff-field`.
+///
+/// # Errors
+/// [`PsfieldError`] when the rank is not available or the interpolator does not suit the positions.
+pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
+    let interpolation = coeff_field::resolve(options.interpolation, samples.positions());
+    let method = Svd::new().with_rank(options.rank).with_centring(options.centring).with_noise(options.noise);
+    let samples = normalised(samples, options.normalisation);
+    let norms = samples.stamps().outer_iter().map(|s| s.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
+    let fit = method.fit(&samples)?;
+    let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
+    let (basis, coefficients) = fit.into_parts();
+    let record =
+        PsfModelRecord::new(basis, coefficients, interpolation, options.outside, options.normalisation)?;
+    Ok(Fit { record, spectrum, errors, norms })
+}
+
+/// Fits a model with any basis method and any interpolator, of this project or of the caller's own.
+///
+/// # Errors
+/// [`PsfieldError`] when either fails.
+pub fn fit_with(
+    samples: PsfSamples,
+    method: &dyn BasisMethod,
+    interpolation: &dyn FieldInterpolation,
+    outside: OutsidePolicy,
+    normalisation: Normalisation,
+) -> Result<(PsfModel, BasisFit), PsfieldError> {
+    let field_shape = samples.positions().field();
+    let fit = method.fit(&normalised(samples, normalisation))?;
+    let field = InterpolatedField::new(fit.coefficients(), interpolation, outside)?;
+    let model = PsfModel::new(fit.basis(), Arc::new(field), normalisation, field_shape)?;
+    Ok((model, fit))
+}
+
+/// The model that a record describes: its coefficients with the interpolator that it names.
+///
+/// # Errors
+/// [`PsfieldError`] when the interpolator does not suit the positions.
+pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
+    let field = field_of(record.coefficients(), record.interpolation(), record.outside())?;
+    Ok(record.into_model(Arc::new(field))?)
+}
+
+fn field_of(
+    coefficients: &SampleCoefficients,
+    interpolation: Interpolation,
+    outside: OutsidePolicy,
+) -> Result<InterpolatedField, PsfieldError> {
+    let resolved = coeff_field::resolve(interpolation, coefficients.positions());
+    Ok(InterpolatedField::new(coefficients, coeff_field::interpolation(resolved)?.as_ref(), outside)?)
+}
+
+fn normalised(samples: PsfSamples, normalisation: Normalisation) -> PsfSamples {
+    match normalisation {
+        Normalisation::Keep => samples,
+        _ => samples.into_unit_flux(),
+    }
+}
+
+impl Fit {
+    /// What a model file holds.
+    pub fn record(&self) -> &PsfModelRecord {
+        &self.record
+    }
+
+    /// The singular values, in descending order.
+    pub fn singular_values(&self) -> &[f64] {
+        self.spectrum.as_ref().map_or(&[], |s| &s.singular_values)
+    }
+
+    /// The model.
+    ///
+    /// # Errors
+    /// As [`model_of`].
+    pub fn into_model(self) -> Result<PsfModel, PsfieldError> {
+        model_of(self.record)
+    }
+
+    /// Measures the leave-one-out errors and puts all figures together.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Interpolation`] when the interpolator cannot serve these samples.
+    pub fn report(&self) -> Result<FitReport, PsfieldError> {
+        let record = &self.record;
+        let interpolation = coeff_field::interpolation(record.interpolation())?;
+        let left_out = interpolation.leave_one_out(record.coefficients(), record.outside())?;
+        let spectrum = self.spectrum.as_ref();
+        Ok(FitReport {
+            samples: record.coefficients().positions().len(),
+            rank: record.basis().rank(),
+            elbow: spectrum.map(|s| s.elbow),
+            noise_sigma: spectrum.and_then(|s| s.noise_sigma),
+            interpolation: record.interpolation(),
+            outside: record.outside(),
+            normalise: record.normalisation(),
+            max_error: self.errors.iter().copied().fold(0.0, f64::max),
+            rms_error: (self.errors.iter().map(|e| e * e).sum::<f64>() / self.errors.len() as f64).sqrt(),
+            errors: self.errors.clone(),
+            leave_one_out: LeaveOneOutReport::new(left_out.outcomes(), &self.norms),
+            singular_values: self.singular_values().to_vec(),
+            cumulative_weights: spectrum.map(|s| s.cumulative_weights.clone()).unwrap_or_default(),
+        })
+    }
+}
+
+impl LeaveOneOutReport {
+    fn new(outcomes: &[LeftOut], norms: &[f64]) -> Self {
+        let (mut predicted, mut errors) = (Vec::new(), Vec::with_capacity(outcomes.len()));
+        let (mut extrapolated, mut unpredictable) = (0, 0);
+        for (outcome, norm) in outcomes.iter().zip(norms) {
+            errors.push(match outcome {
+                LeftOut::Predicted { error } => {
+                    predicted.push(error / norm);
+                    Some(error / norm)
+                }
+                LeftOut::Extrapolated { error } => {
+                    extrapolated += 1;
+                    Some(error / norm)
+                }
+                _ => {
+                    unpredictable += 1;
+                    None
+                }
+            });
+        }
+        let summary = Summary::of(predicted.iter().copied()).ok();
+        Self {
+            predicted: predicted.len(),
+            median: summary.as_ref().map(Summary::median),
+            max: summary.as_ref().map(Summary::max),
+            extrapolated,
+            unpredictable,
+            errors,
+        }
+    }
+}

@@ -1,0 +1,160 @@
+//! Sizes and shapes of many stamps.
+
+use metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
+use ndarray::{ArrayView2, ArrayView3};
+use psf_types::{Position, Real};
+use rayon::prelude::*;
+use serde::Serialize;
+
+/// The columns of a table of [`Measurement`]s.
+pub const MEASUREMENT_COLUMNS: [&str; 16] = [
+    "x",
+    "y",
+    "flux",
+    "x_centroid",
+    "y_centroid",
+    "fwhm_px",
+    "fwhm_major_px",
+    "fwhm_minor_px",
+    "angle_rad",
+    "ellipticity",
+    "e1",
+    "e2",
+    "g1",
+    "g2",
+    "sigma_px",
+    "note",
+];
+
+/// What was measured of one PSF. An empty field is a measurement that failed; `note` says why.
+///
+/// Lengths are in pixels of the array. `flux ... ellipticity` come from an elliptical Gaussian fit (geometric-mean FWHM,
+/// `ellipticity = sqrt(1 - b^2 / a^2)`); `e1 ... sigma_px` from adaptive moments (`e`: distortion, `g`: reduced shear).
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+#[allow(missing_docs, reason = "the columns of the table, described above")]
+pub struct Measurement {
+    pub x: Option<f64>,
+    pub y: Option<f64>,
+    pub flux: Option<f64>,
+    pub x_centroid: Option<f64>,
+    pub y_centroid: Option<f64>,
+    pub fwhm_px: Option<f64>,
+    pub fwhm_major_px: Option<f64>,
+    pub fwhm_minor_px: Option<f64>,
+    pub angle_rad: Option<f64>,
+    pub ellipticity: Option<f64>,
+    pub e1: Option<f64>,
+    pub e2: Option<f64>,
+    pub g1: Option<f64>,
+    pub g2: Option<f64>,
+    pub sigma_px: Option<f64>,
+    pub note: String,
+}
+
+/// How PSFs are measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct MeasureOptions {
+    /// The Gaussian is fitted to so many central pixels each way; none: to all (on an image:
+    /// [`MeasureOptions::IMAGE_WINDOW`]).
+    pub window: Option<usize>,
+    /// The fit has a constant background.
+    pub background: bool,
+}
+
+impl MeasureOptions {
+    /// The window about each position of an image when none is given.
+    pub const IMAGE_WINDOW: usize = 15;
+
+    /// Measures every plane of a cube `[plane, y, x]`; centroids are 0-based stamp indices. Adaptive moments use the whole
+    /// plane.
+    pub fn cube<T: Real>(self, cube: ArrayView3<'_, T>, positions: Option<&[Position]>) -> Vec<Measurement> {
+        let fit_window = self.window.map_or_else(Window::whole, Window::central);
+        (0..cube.dim().0)
+            .into_par_iter()
+            .map(|plane| {
+                let at = positions.map(|p| p[plane]);
+                self.one(cube.index_axis(ndarray::Axis(0), plane), at, fit_window, Window::whole())
+            })
+            .collect()
+    }
+
+    /// Measures an image in a window about each position; centroids are in pixels of the image. Adaptive moments use the
+    /// same window, lest neighbours count.
+    pub fn image<T: Real>(self, image: ArrayView2<'_, T>, positions: &[Position]) -> Vec<Measurement> {
+        let size = self.window.unwrap_or(Self::IMAGE_WINDOW);
+        let (ny, nx) = image.dim();
+        positions
+            .par_iter()
+            .map(|&p| {
+                let index = |v: f64, n: usize| {
+                    let nearest = (v + 0.5).floor();
+                    (nearest >= 0.0 && nearest < n as f64).then_some(nearest as usize)
+                };
+                match (index(p.x(), nx), index(p.y(), ny)) {
+                    (Some(column), Some(row)) => {
+                        let window = Window::about(size, column, row);
+                        self.one(image, Some(p), window, window)
+                    }
+                    _ => Measurement::failed(p, format!("the position {p} lies outside the image of {nx} x {ny} pixels")),
+                }
+            })
+            .collect()
+    }
+
+    fn one<T: Real>(
+        self,
+        stamp: ArrayView2<'_, T>,
+        at: Option<Position>,
+        fit_window: Window,
+        moment_window: Window,
+    ) -> Measurement {
+        let fit = GaussianFitter::elliptical().with_background(self.background).with_window(fit_window).fit(stamp);
+        let moments = AdaptiveMomentFinder::new().with_window(moment_window).measure(stamp);
+        let mut notes = Vec::new();
+        let fit = fit.map_err(|e| notes.push(format!("Gaussian fit: {e}"))).ok();
+        let moments = moments.map_err(|e| notes.push(format!("adaptive moments: {e}"))).ok();
+        let (fit, moments) = (fit.as_ref(), moments.as_ref());
+        Measurement {
+            x: at.map(Position::x),
+            y: at.map(Position::y),
+            flux: fit.map(|f| f.flux()),
+            x_centroid: fit.map(|f| f.x_centroid()),
+            y_centroid: fit.map(|f| f.y_centroid()),
+            fwhm_px: fit.map(|f| f.fwhm_px()),
+            fwhm_major_px: fit.map(|f| f.fwhm_major_px()),
+            fwhm_minor_px: fit.map(|f| f.fwhm_minor_px()),
+            angle_rad: fit.map(|f| f.angle_rad()),
+            ellipticity: fit.map(|f| f.ellipticity()),
+            e1: moments.map(|m| m.e1()),
+            e2: moments.map(|m| m.e2()),
+            g1: moments.map(|m| m.g1()),
+            g2: moments.map(|m| m.g2()),
+            sigma_px: moments.map(|m| m.sigma_px()),
+            note: notes.join("; "),
+        }
+    }
+}
+
+impl Measurement {
+    fn failed(at: Position, note: String) -> Self {
+        Self {
+            x: Some(at.x()),
+            y: Some(at.y()),
+            flux: None,
+            x_centroid: None,
+            y_centroid: None,
+            fwhm_px: None,
+            fwhm_major_px: None,
+            fwhm_minor_px: None,
+            angle_rad: None,
+            ellipticity: None,
+            e1: None,
+            e2: None,
+            g1: None,
+            g2: None,
+            sigma_px: None,
+            note,
+        }
+    }
+}

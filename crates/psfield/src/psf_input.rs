@@ -1,0 +1,105 @@
+//! A PSF as a user brings it: samples to be fitted, or a model.
+
+use std::path::Path;
+
+use conv_core::{native_grid, resample_samples};
+use ndarray::{Array3, s};
+use psf_basis::{Centring, RankSelection};
+use psf_io::FileKind;
+use psf_types::{DataError, PsfModel, PsfModelRecord, PsfSamples, StampGrid};
+
+use crate::{FitOptions, PsfieldError, fit, model_of};
+
+/// A PSF as a user brings it.
+#[derive(Debug, Clone)]
+pub enum PsfInput {
+    /// Samples, and how to fit them.
+    Samples(PsfSamples, FitOptions),
+    /// A model.
+    Model(PsfModelRecord),
+}
+
+impl PsfInput {
+    /// Reads samples or a model, whichever the file holds; `options` apply to samples.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Io`] when the file holds neither or is damaged.
+    pub fn open(path: impl AsRef<Path>, options: FitOptions) -> Result<Self, PsfieldError> {
+        let path = path.as_ref();
+        Ok(match psf_io::detect(path)? {
+            FileKind::PsfModel => Self::Model(psf_io::read_model(path)?),
+            // Whatever else it is, the reader of samples says best what is missing.
+            _ => Self::Samples(psf_io::read_samples(path)?, options),
+        })
+    }
+
+    /// The pixel grid of the stamps.
+    pub fn grid(&self) -> StampGrid {
+        match self {
+            Self::Samples(samples, _) => samples.grid(),
+            Self::Model(record) => record.basis().grid(),
+        }
+    }
+
+    /// The model, on the stamps' own grid.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] when the fit or the interpolator fails.
+    pub fn into_model(self) -> Result<PsfModel, PsfieldError> {
+        match self {
+            Self::Samples(samples, options) => fit(samples, &options)?.into_model(),
+            Self::Model(record) => model_of(record),
+        }
+    }
+
+    /// The same PSF with stamps at the frame's own pixels, centred on one, as images need them; `size` pixels wide and high,
+    /// centred at `size / 2`, where given, else as large as the stamps. What is such already stays as it is.
+    ///
+    /// Resampling is linear in the stamps, so a model gives the same PSFs as if every one of them had been resampled.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] when `size` is 0 or the resampled stamps hold no flux.
+    pub fn native(self, size: Option<usize>) -> Result<Self, PsfieldError> {
+        let target = match size {
+            None => native_grid(self.grid())?,
+            Some(n) => {
+                StampGrid::new(n, n)?.with_pixel_response_included(self.grid().pixel_response_included())
+            }
+        };
+        if target == self.grid() {
+            return Ok(self);
+        }
+        Ok(match self {
+            Self::Samples(samples, options) => Self::Samples(resample_samples(&samples, target)?, options),
+            Self::Model(record) => {
+                let options = FitOptions {
+                    rank: RankSelection::Full,
+                    centring: if record.basis().mean().is_some() { Centring::Mean } else { Centring::None },
+                    interpolation: record.interpolation(),
+                    outside: record.outside(),
+                    normalisation: record.normalisation(),
+                    ..FitOptions::default()
+                };
+                Self::Samples(resample_samples(&samples_of(&record)?, target)?, options)
+            }
+        })
+    }
+}
+
+/// The samples as a model represents them, before any scaling to unit flux.
+///
+/// # Errors
+/// [`DataError`] when the truncated basis leaves a sample without flux.
+fn samples_of(record: &PsfModelRecord) -> Result<PsfSamples, DataError> {
+    let (basis, coefficients) = (record.basis(), record.coefficients());
+    let (ny, nx) = basis.grid().dim();
+    let components = basis.components().into_shape_with_order((basis.rank(), ny * nx)).expect("row-major");
+    let stamps = coefficients.values().dot(&components);
+    let count = coefficients.positions().len();
+    let mut stamps: Array3<f64> =
+        stamps.as_standard_layout().into_owned().into_shape_with_order((count, ny, nx)).expect("row-major");
+    if let Some(mean) = basis.mean() {
+        stamps += &mean.slice(s![.., ..]);
+    }
+    PsfSamples::new(stamps, coefficients.positions().clone(), basis.grid())
+}
