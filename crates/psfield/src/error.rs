@@ -46,7 +46,9 @@ pub enum PsfieldError {
         got: String,
     },
     /// A position outside the field over which the PSF is known.
-    #[error("position {index} (0-based) at {position} lies outside the field of {field} pixels over which the PSF is known")]
+    #[error(
+        "position {index} (0-based) at {position} lies outside the field of {field} pixels over which the PSF is known"
+    )]
     OutsideField {
         /// Index of the position.
         index: usize,

@@ -46,7 +46,11 @@ pub fn evaluate(
     if let Some(field) = model.field_shape()
         && let Some(index) = positions.iter().position(|&p| !field.contains(p))
     {
-        return Err(PsfieldError::OutsideField { index, position: positions[index], field });
+        return Err(PsfieldError::OutsideField {
+            index,
+            position: positions[index],
+            field,
+        });
     }
     let positions = SamplePositions::new(positions, model.field_shape())?;
     let target = target_grid(model.grid(), options)?;
@@ -56,8 +60,11 @@ pub fn evaluate(
         .map(|&position| {
             let psf = model.psf_at(position)?;
             let phase = |v: f64| v - (v + 0.5).floor();
-            let shift =
-                if options.sub_pixel { (phase(position.x()), phase(position.y())) } else { (0.0, 0.0) };
+            let shift = if options.sub_pixel {
+                (phase(position.x()), phase(position.y()))
+            } else {
+                (0.0, 0.0)
+            };
             Ok(if target == model.grid() && shift == (0.0, 0.0) {
                 psf.into_values()
             } else {

@@ -95,15 +95,32 @@ pub struct LeaveOneOutReport {
 /// [`PsfieldError`] when the rank is not available or the interpolator does not suit the positions.
 pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
     let interpolation = coeff_field::resolve(options.interpolation, samples.positions());
-    let method = Svd::new().with_rank(options.rank).with_centring(options.centring).with_noise(options.noise);
+    let method = Svd::new()
+        .with_rank(options.rank)
+        .with_centring(options.centring)
+        .with_noise(options.noise);
     let samples = normalised(samples, options.normalisation);
-    let norms = samples.stamps().outer_iter().map(|s| s.iter().map(|v| v * v).sum::<f64>().sqrt()).collect();
+    let norms = samples
+        .stamps()
+        .outer_iter()
+        .map(|s| s.iter().map(|v| v * v).sum::<f64>().sqrt())
+        .collect();
     let fit = method.fit(&samples)?;
     let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
     let (basis, coefficients) = fit.into_parts();
-    let record =
-        PsfModelRecord::new(basis, coefficients, interpolation, options.outside, options.normalisation)?;
-    Ok(Fit { record, spectrum, errors, norms })
+    let record = PsfModelRecord::new(
+        basis,
+        coefficients,
+        interpolation,
+        options.outside,
+        options.normalisation,
+    )?;
+    Ok(Fit {
+        record,
+        spectrum,
+        errors,
+        norms,
+    })
 }
 
 /// Fits a model with any basis method and any interpolator, of this project or of the caller's own.
@@ -139,7 +156,11 @@ fn field_of(
     outside: OutsidePolicy,
 ) -> Result<InterpolatedField, PsfieldError> {
     let resolved = coeff_field::resolve(interpolation, coefficients.positions());
-    Ok(InterpolatedField::new(coefficients, coeff_field::interpolation(resolved)?.as_ref(), outside)?)
+    Ok(InterpolatedField::new(
+        coefficients,
+        coeff_field::interpolation(resolved)?.as_ref(),
+        outside,
+    )?)
 }
 
 fn normalised(samples: PsfSamples, normalisation: Normalisation) -> PsfSamples {

@@ -10,7 +10,9 @@ fn main() -> ExitCode {
     match cli::Cli::parse().run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => match error.downcast_ref::<cli::UsageError>() {
-            Some(usage) => cli::Cli::command().error(clap::error::ErrorKind::ArgumentConflict, usage).exit(),
+            Some(usage) => cli::Cli::command()
+                .error(clap::error::ErrorKind::ArgumentConflict, usage)
+                .exit(),
             None => {
                 // Errors that show their cause themselves repeat it in the chain; say everything once.
                 let mut said = error.to_string();

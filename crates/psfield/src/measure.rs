@@ -74,7 +74,12 @@ impl MeasureOptions {
             .into_par_iter()
             .map(|plane| {
                 let at = positions.map(|p| p[plane]);
-                self.one(cube.index_axis(ndarray::Axis(0), plane), at, fit_window, Window::whole())
+                self.one(
+                    cube.index_axis(ndarray::Axis(0), plane),
+                    at,
+                    fit_window,
+                    Window::whole(),
+                )
             })
             .collect()
     }
@@ -96,7 +101,10 @@ impl MeasureOptions {
                         let window = Window::about(size, column, row);
                         self.one(image, Some(p), window, window)
                     }
-                    _ => Measurement::failed(p, format!("the position {p} lies outside the image of {nx} x {ny} pixels")),
+                    _ => Measurement::failed(
+                        p,
+                        format!("the position {p} lies outside the image of {nx} x {ny} pixels"),
+                    ),
                 }
             })
             .collect()
@@ -109,11 +117,18 @@ impl MeasureOptions {
         fit_window: Window,
         moment_window: Window,
     ) -> Measurement {
-        let fit = GaussianFitter::elliptical().with_background(self.background).with_window(fit_window).fit(stamp);
-        let moments = AdaptiveMomentFinder::new().with_window(moment_window).measure(stamp);
+        let fit = GaussianFitter::elliptical()
+            .with_background(self.background)
+            .with_window(fit_window)
+            .fit(stamp);
+        let moments = AdaptiveMomentFinder::new()
+            .with_window(moment_window)
+            .measure(stamp);
         let mut notes = Vec::new();
         let fit = fit.map_err(|e| notes.push(format!("Gaussian fit: {e}"))).ok();
-        let moments = moments.map_err(|e| notes.push(format!("adaptive moments: {e}"))).ok();
+        let moments = moments
+            .map_err(|e| notes.push(format!("adaptive moments: {e}")))
+            .ok();
         let (fit, moments) = (fit.as_ref(), moments.as_ref());
         Measurement {
             x: at.map(Position::x),

@@ -74,7 +74,11 @@ impl PsfInput {
             Self::Model(record) => {
                 let options = FitOptions {
                     rank: RankSelection::Full,
-                    centring: if record.basis().mean().is_some() { Centring::Mean } else { Centring::None },
+                    centring: if record.basis().mean().is_some() {
+                        Centring::Mean
+                    } else {
+                        Centring::None
+                    },
                     interpolation: record.interpolation(),
                     outside: record.outside(),
                     normalisation: record.normalisation(),
@@ -93,11 +97,17 @@ impl PsfInput {
 fn samples_of(record: &PsfModelRecord) -> Result<PsfSamples, DataError> {
     let (basis, coefficients) = (record.basis(), record.coefficients());
     let (ny, nx) = basis.grid().dim();
-    let components = basis.components().into_shape_with_order((basis.rank(), ny * nx)).expect("row-major");
+    let components = basis
+        .components()
+        .into_shape_with_order((basis.rank(), ny * nx))
+        .expect("row-major");
     let stamps = coefficients.values().dot(&components);
     let count = coefficients.positions().len();
-    let mut stamps: Array3<f64> =
-        stamps.as_standard_layout().into_owned().into_shape_with_order((count, ny, nx)).expect("row-major");
+    let mut stamps: Array3<f64> = stamps
+        .as_standard_layout()
+        .into_owned()
+        .into_shape_with_order((count, ny, nx))
+        .expect("row-major");
     if let Some(mean) = basis.mean() {
         stamps += &mean.slice(s![.., ..]);
     }

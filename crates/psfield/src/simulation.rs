@@ -55,7 +55,10 @@ impl Simulation {
 
     /// The model that convolves images; that of the stars where there is no other.
     pub fn model(&self) -> &PsfModel {
-        self.pixels.as_ref().or(self.stars.as_ref()).expect("one of them is always made")
+        self.pixels
+            .as_ref()
+            .or(self.stars.as_ref())
+            .expect("one of them is always made")
     }
 
     /// The image of a scene.
@@ -103,8 +106,16 @@ impl Simulation {
             (Some(stars), Some(image)) => {
                 let sources = scene.sources().to_vec();
                 vec![
-                    (self.model(), Scene::from_image(image.clone()).with_frame(scene.frame())?),
-                    (stars, Scene::dark(scene.shape()).with_sources(sources)?.with_frame(scene.frame())?),
+                    (
+                        self.model(),
+                        Scene::from_image(image.clone()).with_frame(scene.frame())?,
+                    ),
+                    (
+                        stars,
+                        Scene::dark(scene.shape())
+                            .with_sources(sources)?
+                            .with_frame(scene.frame())?,
+                    ),
                 ]
             }
             _ => vec![(self.model(), scene.clone())],

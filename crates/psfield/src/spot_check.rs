@@ -36,8 +36,9 @@ impl SpotCheck {
     ) -> Result<Self, PsfieldError> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let shape = image.shape();
-        let pixels: Vec<(usize, usize)> =
-            (0..count).map(|_| (rng.random_range(0..shape.nx()), rng.random_range(0..shape.ny()))).collect();
+        let pixels: Vec<(usize, usize)> = (0..count)
+            .map(|_| (rng.random_range(0..shape.nx()), rng.random_range(0..shape.ny())))
+            .collect();
         let values = image.pixels();
         let differences: Vec<f64> = pixels
             .iter()

@@ -45,8 +45,13 @@ impl CompareArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let (result, result_is_cube) = read(&self.result)?;
         let (reference, reference_is_cube) = read(&self.reference)?;
-        let planes = Comparison::by_plane(result.view(), reference.view())
-            .with_context(|| format!("comparing {} with {}", self.result.display(), self.reference.display()))?;
+        let planes = Comparison::by_plane(result.view(), reference.view()).with_context(|| {
+            format!(
+                "comparing {} with {}",
+                self.result.display(),
+                self.reference.display()
+            )
+        })?;
         if result_is_cube || reference_is_cube {
             let report = Planes {
                 planes: planes.len(),
@@ -56,7 +61,10 @@ impl CompareArgs {
             context.report(&report, || {
                 let median = report.median.text();
                 let max = report.max.text();
-                format!("{} planes\nmedian over the planes\n{median}\nlargest over the planes\n{max}", report.planes)
+                format!(
+                    "{} planes\nmedian over the planes\n{median}\nlargest over the planes\n{max}",
+                    report.planes
+                )
             })
         } else {
             let report = Measures::of(&planes[0]);
@@ -69,7 +77,14 @@ impl CompareArgs {
 fn read(path: &Path) -> anyhow::Result<(Array3<f64>, bool)> {
     Ok(match psf_io::detect(path)? {
         FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube::<f64>(path)?, true),
-        _ => (psf_io::read_image::<f64>(path)?.into_parts().0.into_pixels().insert_axis(Axis(0)), false),
+        _ => (
+            psf_io::read_image::<f64>(path)?
+                .into_parts()
+                .0
+                .into_pixels()
+                .insert_axis(Axis(0)),
+            false,
+        ),
     })
 }
 

@@ -25,7 +25,11 @@ impl Context {
     }
 
     /// Prints the object under `--json`, else the text unless `--quiet`.
-    pub(crate) fn report(&self, object: &impl Serialize, text: impl FnOnce() -> String) -> anyhow::Result<()> {
+    pub(crate) fn report(
+        &self,
+        object: &impl Serialize,
+        text: impl FnOnce() -> String,
+    ) -> anyhow::Result<()> {
         let mut out = std::io::stdout().lock();
         if self.json {
             serde_json::to_writer(&mut out, object)?;
@@ -59,7 +63,12 @@ impl Context {
 pub(crate) fn signature() -> Vec<Card> {
     let command: Vec<String> = std::env::args().skip(1).map(|arg| quoted(&arg)).collect();
     vec![
-        Card::new("PSFIELD", env!("CARGO_PKG_VERSION"), "version of psfield that wrote this").expect("a valid card"),
+        Card::new(
+            "PSFIELD",
+            env!("CARGO_PKG_VERSION"),
+            "version of psfield that wrote this",
+        )
+        .expect("a valid card"),
         Card::history(&format!("psfield {}", command.join(" "))),
     ]
 }
@@ -67,5 +76,9 @@ pub(crate) fn signature() -> Vec<Card> {
 /// An argument as one would type it.
 fn quoted(arg: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_=./,:+@%".contains(c);
-    if !arg.is_empty() && arg.chars().all(plain) { arg.to_owned() } else { format!("'{}'", arg.replace('\'', r"'\''")) }
+    if !arg.is_empty() && arg.chars().all(plain) {
+        arg.to_owned()
+    } else {
+        format!("'{}'", arg.replace('\'', r"'\''"))
+    }
 }

@@ -13,7 +13,8 @@ use psf_types::{
     Anchor, FrameShape, Image, PointSource, Position, Progress, PsfModel, PsfSamples, PsfSource, Scene,
 };
 use psfield::{
-    EvaluateOptions, FitOptions, MEASUREMENT_COLUMNS, MeasureOptions, Method, PsfInput, Simulation, SpotCheck, evaluate, fit,
+    EvaluateOptions, FitOptions, MEASUREMENT_COLUMNS, MeasureOptions, Method, PsfInput, Simulation,
+    SpotCheck, evaluate, fit,
 };
 use serde::Serialize;
 
@@ -109,7 +110,10 @@ impl DemoArgs {
         let sample_seconds = clock.elapsed().as_secs_f64();
         out.samples("samples.fits", &samples)?;
         let positions = samples.positions().as_slice().to_vec();
-        out.picture("sampling.png", &preview::positions_picture(&positions, frame, 768))?;
+        out.picture(
+            "sampling.png",
+            &preview::positions_picture(&positions, frame, 768),
+        )?;
 
         let spinner = context.spinner("fitting");
         let clock = Instant::now();
@@ -207,7 +211,10 @@ fn check_cards(check: &SpotCheck) -> anyhow::Result<Vec<Card>> {
 impl Sky {
     fn new(frame: FrameShape, seed: u64) -> anyhow::Result<Self> {
         let (galaxies, stars) = scene_maker::make_scene(frame, GALAXIES, STARS, seed)?;
-        Ok(Self { galaxies: Image::new(galaxies)?, stars })
+        Ok(Self {
+            galaxies: Image::new(galaxies)?,
+            stars,
+        })
     }
 
     /// The sky on pixels, each star in the pixel it falls on: what a perfect telescope would show.
@@ -229,9 +236,16 @@ impl Sky {
 impl Output {
     fn new(folder: PathBuf, overwrite: bool) -> anyhow::Result<Self> {
         std::fs::create_dir_all(&folder)
-            .map_err(|source| IoError::Write { path: folder.clone(), source })
+            .map_err(|source| IoError::Write {
+                path: folder.clone(),
+                source,
+            })
             .context("the output folder could not be made")?;
-        Ok(Self { folder, overwrite, files: Vec::new() })
+        Ok(Self {
+            folder,
+            overwrite,
+            files: Vec::new(),
+        })
     }
 
     /// The path of a file, which counts as written from here on.
@@ -243,7 +257,10 @@ impl Output {
     fn write(&self, name: &str, content: &str) -> anyhow::Result<()> {
         let path = self.folder.join(name);
         psf_io::write_atomically(&path, self.overwrite, |temporary: &Path| {
-            std::fs::write(temporary, content).map_err(|source| IoError::Write { path: path.clone(), source })
+            std::fs::write(temporary, content).map_err(|source| IoError::Write {
+                path: path.clone(),
+                source,
+            })
         })?;
         Ok(())
     }
@@ -255,19 +272,38 @@ impl Output {
 
     fn samples(&mut self, name: &str, samples: &PsfSamples) -> anyhow::Result<()> {
         let path = self.path(name);
-        Ok(psf_io::write_samples(path, samples, &signature(), psf_io::Precision::Single, self.overwrite)?)
+        Ok(psf_io::write_samples(
+            path,
+            samples,
+            &signature(),
+            psf_io::Precision::Single,
+            self.overwrite,
+        )?)
     }
 
     fn image(&mut self, name: &str, image: &Image<f32>, cards: &[Card]) -> anyhow::Result<()> {
         let path = self.path(name);
         let cards: Vec<Card> = signature().into_iter().chain(cards.iter().cloned()).collect();
-        Ok(psf_io::write_image(path, image, &HeaderCards::new(), &cards, self.overwrite)?)
+        Ok(psf_io::write_image(
+            path,
+            image,
+            &HeaderCards::new(),
+            &cards,
+            self.overwrite,
+        )?)
     }
 
     fn catalogue(&mut self, name: &str, stars: &[PointSource]) -> anyhow::Result<()> {
         let path = self.path(name);
-        let rows = stars.iter().map(|star| (star.position.x(), star.position.y(), star.flux));
-        Ok(psf_io::write_csv(path, &["x", "y", "flux"], rows, self.overwrite)?)
+        let rows = stars
+            .iter()
+            .map(|star| (star.position.x(), star.position.y(), star.flux));
+        Ok(psf_io::write_csv(
+            path,
+            &["x", "y", "flux"],
+            rows,
+            self.overwrite,
+        )?)
     }
 
     fn picture<P>(&mut self, name: &str, picture: &image::ImageBuffer<P, Vec<u8>>) -> anyhow::Result<()>
@@ -286,7 +322,10 @@ impl Output {
             .map(|k| Position::new(at(k % ACROSS, frame.nx()), at(k / ACROSS, frame.ny())))
             .collect();
         let stamps = evaluate(model, positions?, EvaluateOptions::default())?;
-        self.picture("psf_field.png", &preview::mosaic_picture(stamps.stamps(), ACROSS, 2))?;
+        self.picture(
+            "psf_field.png",
+            &preview::mosaic_picture(stamps.stamps(), ACROSS, 2),
+        )?;
         let rows = MeasureOptions::default().cube(stamps.stamps(), Some(stamps.positions().as_slice()));
         let path = self.path("psf_measurements.csv");
         psf_io::write_csv(path, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
@@ -303,7 +342,10 @@ impl Output {
         self.picture("image.png", &stretch(image.pixels()))?;
         let difference = &by_patches.pixels() - &image.pixels();
         let scale = preview::quantile(difference.mapv(f32::abs).view(), 0.995)?.max(f32::MIN_POSITIVE);
-        self.picture("patch_error.png", &preview::difference_picture(difference.view(), scale))
+        self.picture(
+            "patch_error.png",
+            &preview::difference_picture(difference.view(), scale),
+        )
     }
 }
 
@@ -337,7 +379,9 @@ impl Report {
             s.simulate,
             check.pixels,
             check.max_abs,
-            check.max_over_peak.map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)")),
+            check
+                .max_over_peak
+                .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)")),
             self.patch,
             self.patch_relative_l2,
             self.files.len(),

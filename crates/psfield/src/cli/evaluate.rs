@@ -69,7 +69,9 @@ impl EvaluateArgs {
         let positions = psf_io::read_positions(&self.at)?;
         let psf = self.fit.open(&self.psf)?;
         let spinner = context.spinner("evaluating");
-        let model = psf.into_model().with_context(|| format!("with the PSF of {}", self.psf.display()))?;
+        let model = psf
+            .into_model()
+            .with_context(|| format!("with the PSF of {}", self.psf.display()))?;
         let options = EvaluateOptions {
             grid: match self.grid {
                 Grid::Model => OutputGrid::Model,
@@ -78,8 +80,8 @@ impl EvaluateArgs {
             size: self.size,
             sub_pixel: self.sub_pixel,
         };
-        let stamps =
-            evaluate(&model, positions, options).with_context(|| format!("at the positions of {}", self.at.display()))?;
+        let stamps = evaluate(&model, positions, options)
+            .with_context(|| format!("at the positions of {}", self.at.display()))?;
         let precision = match self.precision {
             Precision::F32 => psf_io::Precision::Single,
             Precision::F64 => psf_io::Precision::Double,
@@ -95,7 +97,11 @@ impl EvaluateArgs {
         };
         context.report(&report, || {
             let [nx, ny] = report.shape;
-            format!("{}: {} stamps of {nx} x {ny} pixels", report.output.display(), report.stamps)
+            format!(
+                "{}: {} stamps of {nx} x {ny} pixels",
+                report.output.display(),
+                report.stamps
+            )
         })
     }
 }

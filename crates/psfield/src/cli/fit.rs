@@ -36,7 +36,13 @@ impl FitCommandArgs {
         let fitted = fit(samples, &self.fit.options()).with_context(in_file)?;
         let report = fitted.report().with_context(in_file)?;
         let cards = signature();
-        psf_io::write_model(&self.output, fitted.record(), fitted.singular_values(), &cards, self.overwrite)?;
+        psf_io::write_model(
+            &self.output,
+            fitted.record(),
+            fitted.singular_values(),
+            &cards,
+            self.overwrite,
+        )?;
         drop(spinner);
         context.report(&report, || text(&report, &self.output.display().to_string()))
     }
@@ -49,7 +55,10 @@ fn text(report: &FitReport, output: &str) -> String {
         None => "none found".to_owned(),
     };
     let interpolation_error = match (left_out.median, left_out.max) {
-        (Some(median), Some(max)) => format!("median {median:.2e}, largest {max:.2e}, of {} samples", left_out.predicted),
+        (Some(median), Some(max)) => format!(
+            "median {median:.2e}, largest {max:.2e}, of {} samples",
+            left_out.predicted
+        ),
         _ => "no sample lies between others".to_owned(),
     };
     format!(

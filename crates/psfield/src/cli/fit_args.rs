@@ -55,7 +55,10 @@ impl FitArgs {
             || self.normalise.is_some();
         if given && matches!(input, PsfInput::Model(_)) {
             let path = path.display();
-            return Err(UsageError(format!("{path} is a fitted model: fit options apply to samples only")).into());
+            return Err(UsageError(format!(
+                "{path} is a fitted model: fit options apply to samples only"
+            ))
+            .into());
         }
         Ok(input)
     }

@@ -54,16 +54,26 @@ impl MeasureArgs {
         psf_io::write_csv(&self.output, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
         drop(spinner);
         let with_notes = rows.iter().filter(|row| !row.note.is_empty()).count();
-        let report = Report { output: self.output, measured: rows.len(), with_notes };
+        let report = Report {
+            output: self.output,
+            measured: rows.len(),
+            with_notes,
+        };
         context.report(&report, || {
-            let failed = if with_notes > 0 { format!(", {with_notes} with a note") } else { String::new() };
+            let failed = if with_notes > 0 {
+                format!(", {with_notes} with a note")
+            } else {
+                String::new()
+            };
             format!("{}: {} rows{failed}", report.output.display(), report.measured)
         })
     }
 
     fn measure(&self, path: &Path) -> anyhow::Result<Vec<Measurement>> {
-        let options =
-            MeasureOptions { window: self.window.map(usize::from), background: self.background };
+        let options = MeasureOptions {
+            window: self.window.map(usize::from),
+            background: self.background,
+        };
         let kind = psf_io::detect(path)?;
         if self.at.is_some() && kind != FileKind::Image {
             let path = path.display();

@@ -25,7 +25,11 @@ pub(crate) fn difference_picture(image: ArrayView2<'_, f32>, scale: f32) -> RgbI
     RgbImage::from_fn(nx as u32, ny as u32, |x, y| {
         let v = (image[[ny - 1 - y as usize, x as usize]] / scale).clamp(-1.0, 1.0);
         let fade = (255.0 * (1.0 - v.abs())) as u8;
-        Rgb(if v < 0.0 { [fade, fade, 255] } else { [255, fade, fade] })
+        Rgb(if v < 0.0 {
+            [fade, fade, 255]
+        } else {
+            [255, fade, fade]
+        })
     })
 }
 
@@ -77,15 +81,21 @@ pub(crate) fn quantile(image: ArrayView2<'_, f32>, q: f64) -> anyhow::Result<f32
 }
 
 /// Writes a picture as PNG; whole or not at all.
-pub(crate) fn write_png<P>(path: &Path, picture: &image::ImageBuffer<P, Vec<u8>>, overwrite: bool) -> anyhow::Result<()>
+pub(crate) fn write_png<P>(
+    path: &Path,
+    picture: &image::ImageBuffer<P, Vec<u8>>,
+    overwrite: bool,
+) -> anyhow::Result<()>
 where
     P: image::Pixel<Subpixel = u8> + image::PixelWithColorType,
 {
     psf_io::write_atomically(path, overwrite, |temporary| {
-        picture.save_with_format(temporary, ImageFormat::Png).map_err(|error| IoError::Write {
-            path: path.to_owned(),
-            source: std::io::Error::other(error),
-        })
+        picture
+            .save_with_format(temporary, ImageFormat::Png)
+            .map_err(|error| IoError::Write {
+                path: path.to_owned(),
+                source: std::io::Error::other(error),
+            })
     })?;
     Ok(())
 }

@@ -9,7 +9,8 @@ pub(crate) struct Bar(ProgressBar);
 
 impl Bar {
     pub(crate) fn counting(what: &'static str, quiet: bool) -> Self {
-        let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}").expect("a valid template");
+        let style =
+            ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} {eta}").expect("a valid template");
         Self::new(what, style, quiet)
     }
 
@@ -24,8 +25,16 @@ impl Bar {
 
     fn new(what: &'static str, style: ProgressStyle, quiet: bool) -> Self {
         // The target hides itself where standard error is no terminal.
-        let target = if quiet { ProgressDrawTarget::hidden() } else { ProgressDrawTarget::stderr() };
-        Self(ProgressBar::with_draw_target(None, target).with_style(style).with_message(what))
+        let target = if quiet {
+            ProgressDrawTarget::hidden()
+        } else {
+            ProgressDrawTarget::stderr()
+        };
+        Self(
+            ProgressBar::with_draw_target(None, target)
+                .with_style(style)
+                .with_message(what),
+        )
     }
 }
 

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use psf_optics::Telescope;
 use psf_sample::{
-    AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion, SampleError, Sampling,
-    SamplingMethod, SamplingOutcome, UniformSampling,
+    AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion,
+    SampleError, Sampling, SamplingMethod, SamplingOutcome, UniformSampling,
 };
 use serde::Serialize;
 
@@ -97,7 +97,13 @@ impl SampleArgs {
         };
         let sampling = self.draw(&telescope, context)?;
         let cards = signature();
-        psf_io::write_samples(&self.output, &sampling.samples, &cards, psf_io::Precision::Single, self.overwrite)?;
+        psf_io::write_samples(
+            &self.output,
+            &sampling.samples,
+            &cards,
+            psf_io::Precision::Single,
+            self.overwrite,
+        )?;
         let found = &sampling.report;
         let report = Report {
             output: self.output,
@@ -121,7 +127,9 @@ impl SampleArgs {
             ));
         }
         context.report(&report, || {
-            let limit = report.threshold.map_or_else(String::new, |t| format!(" (threshold {t})"));
+            let limit = report
+                .threshold
+                .map_or_else(String::new, |t| format!(" (threshold {t})"));
             format!(
                 "{}: {} samples, {} PSFs drawn, worst {:.2e}{limit}",
                 report.output.display(),
@@ -139,15 +147,18 @@ impl SampleArgs {
         };
         let bar = context.bar("sampling");
         if let Some(Pair(nx, ny)) = self.uniform {
-            return Ok(UniformSampling::new(nx, ny)?.with_measure(measure).sample(telescope, &bar)?);
+            return Ok(UniformSampling::new(nx, ny)?
+                .with_measure(measure)
+                .sample(telescope, &bar)?);
         }
         let criterion: Arc<dyn RefinementCriterion> = match self.criterion {
             Criterion::Neighbours => Arc::new(NeighbourDifference::new(self.threshold, measure)?),
             Criterion::Interpolation => Arc::new(InterpolationError::new(self.threshold, measure)?),
         };
         let Pair(nx, ny) = self.start;
-        let sampling =
-            AdaptiveSampling::new(criterion).with_start(nx, ny)?.with_max_samples(self.max_samples);
+        let sampling = AdaptiveSampling::new(criterion)
+            .with_start(nx, ny)?
+            .with_max_samples(self.max_samples);
         match sampling.sample(telescope, &bar) {
             Err(SampleError::CapReached(cap)) if self.accept_cap => {
                 context.warn(&cap.to_string());

@@ -35,7 +35,11 @@ impl Galaxy {
         let profile = |dx: f64, dy: f64| {
             let (u, v) = (dx * cos + dy * sin, (dy * cos - dx * sin) / self.axis_ratio);
             let r = u.hypot(v) / self.re_px;
-            if r < CUT { (-b * (r.powf(1.0 / self.index) - 1.0)).exp() } else { 0.0 }
+            if r < CUT {
+                (-b * (r.powf(1.0 / self.index) - 1.0)).exp()
+            } else {
+                0.0
+            }
         };
         let offset = |k: usize| (k as f64 + 0.5) / SUBPIXELS as f64 - 0.5;
         let values = Array2::from_shape_fn((side, side), |(j, i)| {
@@ -96,9 +100,14 @@ pub(crate) fn make_scene(
     let margin = 16.0;
     let stars = (0..stars)
         .map(|_| {
-            let position =
-                Position::new(rng.random_range(-margin..nx + margin), rng.random_range(-margin..ny + margin))?;
-            Ok(PointSource { position, flux: power_law(&mut rng, 0.8, 5e2, 3e6) })
+            let position = Position::new(
+                rng.random_range(-margin..nx + margin),
+                rng.random_range(-margin..ny + margin),
+            )?;
+            Ok(PointSource {
+                position,
+                flux: power_law(&mut rng, 0.8, 5e2, 5e5),
+            })
         })
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok((image, stars))
@@ -109,7 +118,10 @@ pub(crate) fn random_positions(frame: FrameShape, count: usize, seed: u64) -> an
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count)
         .map(|_| {
-            let (x, y) = (rng.random_range(0.0..(frame.nx() - 1) as f64), rng.random_range(0.0..(frame.ny() - 1) as f64));
+            let (x, y) = (
+                rng.random_range(0.0..(frame.nx() - 1) as f64),
+                rng.random_range(0.0..(frame.ny() - 1) as f64),
+            );
             Ok(Position::new(x, y)?)
         })
         .collect()

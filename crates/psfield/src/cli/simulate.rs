@@ -165,7 +165,9 @@ impl SimulateArgs {
 
         let spinner = context.spinner("convolving");
         let clock = Instant::now();
-        let image = simulation.run(&scene, self.method, self.anchor).with_context(in_psf)?;
+        let image = simulation
+            .run(&scene, self.method, self.anchor)
+            .with_context(in_psf)?;
         seconds.execute = clock.elapsed().as_secs_f64();
         drop(spinner);
 
@@ -217,10 +219,14 @@ impl SimulateArgs {
         };
         if let Some(path) = &self.catalog {
             let sources = psf_io::read_catalog(path)?;
-            scene = scene.with_sources(sources).with_context(|| format!("in {}", path.display()))?;
+            scene = scene
+                .with_sources(sources)
+                .with_context(|| format!("in {}", path.display()))?;
         }
         if let Some(Frame(frame)) = self.frame {
-            scene = scene.with_frame(frame).map_err(|e| UsageError(format!("--frame: {e}")))?;
+            scene = scene
+                .with_frame(frame)
+                .map_err(|e| UsageError(format!("--frame: {e}")))?;
         }
         Ok((scene, header))
     }
@@ -233,11 +239,27 @@ impl SimulateArgs {
     ) -> anyhow::Result<Vec<Card>> {
         let mut cards = signature();
         cards.extend([
-            Card::new("PSFMETH", self.method.resolved().to_string(), "convolution method")?,
-            Card::new("PSFANCH", self.anchor.to_string(), "whose PSF applies: source or output pixel")?,
+            Card::new(
+                "PSFMETH",
+                self.method.resolved().to_string(),
+                "convolution method",
+            )?,
+            Card::new(
+                "PSFANCH",
+                self.anchor.to_string(),
+                "whose PSF applies: source or output pixel",
+            )?,
             Card::new("PSFPREC", T::NAME, "working precision")?,
-            Card::new("PSFRANK", model.rank(), "components of the PSF model (mean not counted)")?,
-            Card::new("PSFNORM", model.normalisation().to_string(), "unit: every PSF has unit flux")?,
+            Card::new(
+                "PSFRANK",
+                model.rank(),
+                "components of the PSF model (mean not counted)",
+            )?,
+            Card::new(
+                "PSFNORM",
+                model.normalisation().to_string(),
+                "unit: every PSF has unit flux",
+            )?,
         ]);
         if let Some(check) = spot_check {
             cards.extend([
@@ -269,7 +291,9 @@ impl Report {
             s.write,
         );
         if let Some(check) = &self.spot_check {
-            let over_peak = check.max_over_peak.map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
+            let over_peak = check
+                .max_over_peak
+                .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
             text += &format!(
                 "against the direct sum at {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}\n",
                 check.pixels, check.max_abs, check.rms,

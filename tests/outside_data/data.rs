@@ -1,0 +1,104 @@
+//! Where the data is and what is in it.
+
+use std::path::{Path, PathBuf};
+
+use libtest_mimic::{Failed, Trial};
+use psfield::psf_types::{Image, Interpolation, Normalisation, PsfSamples, Real, Scene};
+use psfield::{FitOptions, PsfInput, psf_io};
+
+/// Where the data should be.
+pub(crate) fn expected() -> PathBuf {
+    std::env::var_os("PSFIELD_DATA").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
+        PathBuf::from,
+    )
+}
+
+/// Where the data is, if it is.
+pub(crate) fn folder() -> Option<PathBuf> {
+    Some(expected()).filter(|folder| folder.join("roman/samples1024.fits").is_file())
+}
+
+pub(crate) fn file(name: &str) -> PathBuf {
+    expected().join(name)
+}
+
+/// A named test of a case.
+pub(crate) fn trial(name: String, test: impl FnOnce() -> Result<(), Failed> + Send + 'static) -> Trial {
+    Trial::test(name, test)
+}
+
+/// Fails with a text that holds the figures.
+pub(crate) fn ensure(holds: bool, says: impl FnOnce() -> String) -> Result<(), Failed> {
+    if holds { Ok(()) } else { Err(says().into()) }
+}
+
+/// One of the two simulated fields.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Field {
+    pub(crate) name: &'static str,
+    size: usize,
+}
+
+pub(crate) const ROMAN: Field = Field {
+    name: "roman",
+    size: 1024,
+};
+pub(crate) const STRONG: Field = Field {
+    name: "strong",
+    size: 512,
+};
+
+impl Field {
+    fn path(self, what: &str) -> PathBuf {
+        file(&format!("{}/{what}", self.name))
+    }
+
+    pub(crate) fn samples(self) -> Result<PsfSamples, Failed> {
+        Ok(psf_io::read_samples(
+            self.path(&format!("samples{}.fits", self.size)),
+        )?)
+    }
+
+    pub(crate) fn off_grid(self) -> Result<PsfSamples, Failed> {
+        Ok(psf_io::read_samples(self.path("off_grid.fits"))?)
+    }
+
+    pub(crate) fn scene<T: Real>(self) -> Result<Scene<T>, Failed> {
+        let image = psf_io::read_image::<T>(self.path(&format!("scene{}.fits", self.size)))?;
+        Ok(Scene::from_image(image.into_parts().0))
+    }
+
+    /// The truth of an anchoring, `source` or `output`.
+    pub(crate) fn truth(self, anchor: &str) -> Result<Image<f64>, Failed> {
+        let name = format!("scene{}_{anchor}.fits", self.size);
+        Ok(psf_io::read_image::<f64>(self.path(&name))?.into_parts().0)
+    }
+
+    /// Exact values of the truth at pixels `(x, y)`.
+    pub(crate) fn exact(self, anchor: &str) -> Result<Vec<((usize, usize), f64)>, Failed> {
+        let name = format!("scene{}_{anchor}_f64.csv", self.size);
+        let [y, x, value] = psf_io::read_columns(self.path(&name), ["y", "x", "value"])?;
+        Ok(x.iter()
+            .zip(&y)
+            .zip(value)
+            .map(|((&x, &y), v)| ((x as usize, y as usize), v))
+            .collect())
+    }
+
+    /// A column of the measurements of the off-grid stamps.
+    pub(crate) fn measured(self, column: &str) -> Result<Vec<f64>, Failed> {
+        let [values] = psf_io::read_columns(self.path("off_grid_measurements.csv"), [column])?;
+        Ok(values)
+    }
+
+    /// The samples as they are, bilinear between them: what the truths were made with.
+    pub(crate) fn psf(self, options: FitOptions) -> Result<PsfInput, Failed> {
+        let options = FitOptions {
+            interpolation: Interpolation::Bilinear,
+            normalisation: Normalisation::Keep,
+            ..options
+        };
+        Ok(PsfInput::Samples(self.samples()?, options))
+    }
+}

@@ -1,0 +1,29 @@
+//! The pipeline against truth that other software computed, on data that is not part of the project.
+//!
+//! The data is looked for in `../shared/data` beside the checkout, or in the folder that `PSFIELD_DATA` names. Where it is not
+//! there, these tests show as ignored.
+
+mod data;
+mod evaluation;
+mod measurements;
+mod simulation;
+
+use libtest_mimic::{Arguments, Trial};
+
+fn main() {
+    let arguments = Arguments::from_args();
+    let available = data::folder().is_some();
+    if !available {
+        eprintln!(
+            "outside data: not found ({}); its tests are skipped and show as ignored",
+            data::expected().display()
+        );
+    }
+    let trials = [simulation::trials(), evaluation::trials(), measurements::trials()];
+    let trials = trials
+        .into_iter()
+        .flatten()
+        .map(|trial: Trial| trial.with_ignored_flag(!available))
+        .collect();
+    libtest_mimic::run(&arguments, trials).exit();
+}
