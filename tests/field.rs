@@ -1,1 +1,76 @@
-//! x
+//! Interpolators on the coefficients of a telescope.
+
+use integration_tests::{model_errors, small_telescope, uniform_samples};
+use psfield::psf_basis::RankSelection;
+use psfield::psf_types::{Interpolation, Normalisation};
+use psfield::{FitOptions, fit};
+
+fn options(interpolation: Interpolation) -> FitOptions {
+    FitOptions {
+        rank: RankSelection::Error(1e-8),
+        interpolation,
+        normalisation: Normalisation::Keep,
+        ..FitOptions::default()
+    }
+}
+
+const ALL: [Interpolation; 6] = [
+    Interpolation::Bilinear,
+    Interpolation::Delaunay,
+    Interpolation::NaturalNeighbour,
+    Interpolation::InverseDistance { power: 2.0 },
+    Interpolation::Polynomial { degree: 6 },
+    Interpolation::Nearest,
+];
+
+/// Halving the distance of the samples must cut the error by the order of each method: linear ones by about 4, nearest by
+/// about 2; inverse distance has no order but improves.
+#[test]
+fn errors_fall_with_the_sampling_as_theory_says() {
+    let telescope = small_telescope(1);
+    for interpolation in ALL {
+        let error = |nx, ny| {
+            let fitted = fit(uniform_samples(&telescope, nx, ny), &options(interpolation)).unwrap();
+            model_errors(&fitted.into_model().unwrap(), &telescope, 23).rms()
+        };
+        let (coarse, fine) = (error(9, 7), error(17, 13));
+        println!("{interpolation}: {coarse:.2e} with 9 x 7 samples, {fine:.2e} with 17 x 13");
+        match interpolation {
+            Interpolation::Bilinear | Interpolation::Delaunay | Interpolation::NaturalNeighbour => {
+                assert!(
+                    (3.3..4.7).contains(&(coarse / fine)),
+                    "{interpolation}: {}",
+                    coarse / fine
+                );
+            }
+            Interpolation::Nearest => {
+                assert!(
+                    (1.7..2.3).contains(&(coarse / fine)),
+                    "{interpolation}: {}",
+                    coarse / fine
+                );
+            }
+            Interpolation::Polynomial { .. } => assert!(coarse < 2e-3, "{coarse}"),
+            _ => assert!(fine < 0.75 * coarse),
+        }
+    }
+}
+
+#[test]
+fn leave_one_out_foretells_the_error_between_samples() {
+    let telescope = small_telescope(1);
+    for interpolation in [Interpolation::Bilinear, Interpolation::NaturalNeighbour] {
+        let fitted = fit(uniform_samples(&telescope, 13, 11), &options(interpolation)).unwrap();
+        let foretold = fitted.report().unwrap().leave_one_out;
+        assert!(foretold.predicted >= 11 * 9);
+        let median = foretold.median.unwrap();
+        let errors = model_errors(&fitted.into_model().unwrap(), &telescope, 23);
+        // Over twice the distance, so about four times the error in the middle of a cell, never less than the error itself.
+        let ratio = median / errors.median();
+        println!(
+            "{interpolation}: foretold {median:.2e}, found {:.2e}",
+            errors.median()
+        );
+        assert!((1.0..8.0).contains(&ratio), "{interpolation}: {ratio}");
+    }
+}

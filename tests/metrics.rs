@@ -1,1 +1,84 @@
-//! x
+//! Measurements of simulated stars.
+
+use integration_tests::{small_telescope, uniform_samples};
+use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
+use psfield::psf_types::{FrameShape, PointSource, Position, Scene};
+use psfield::{FitOptions, MeasureOptions, Method, PsfInput, Simulation};
+
+/// A star on a pixel is its stamp times its flux; measurements differ by rounding in f64.
+const ROUNDING: f64 = 1e-9;
+
+#[test]
+fn stars_on_pixels_measure_as_their_psfs() {
+    let psf = PsfInput::Samples(uniform_samples(&small_telescope(1), 9, 7), FitOptions::default());
+    let places = [(20, 20), (80, 60), (140, 100), (30, 95)];
+    let stars = places
+        .map(|(x, y)| PointSource {
+            position: Position::of_pixel(x, y),
+            flux: 1e4,
+        })
+        .to_vec();
+    let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap())
+        .with_sources(stars)
+        .unwrap();
+    let simulation = Simulation::new(psf, &scene, None).unwrap();
+    let image = simulation.run(&scene, Method::Auto, Default::default()).unwrap();
+
+    let positions = places.map(|(x, y)| Position::of_pixel(x, y));
+    let options = MeasureOptions {
+        window: Some(15),
+        background: false,
+    };
+    let rows = options.image(image.pixels(), &positions);
+    for (row, position) in rows.iter().zip(positions) {
+        assert!(row.note.is_empty(), "{}", row.note);
+        let stamp = simulation.model().psf_at(position).unwrap();
+        let window = Window::central(15);
+        let fit = GaussianFitter::elliptical()
+            .with_window(window)
+            .fit(stamp.values())
+            .unwrap();
+        let moments = AdaptiveMomentFinder::new()
+            .with_window(window)
+            .measure(stamp.values())
+            .unwrap();
+        let close = |a: Option<f64>, b: f64| (a.unwrap() - b).abs() < ROUNDING * b.abs().max(1.0);
+        assert!(close(row.fwhm_px, fit.fwhm_px()) && close(row.ellipticity, fit.ellipticity()));
+        assert!(close(row.flux, 1e4 * fit.flux()));
+        assert!(
+            close(row.sigma_px, moments.sigma_px())
+                && close(row.g1, moments.g1())
+                && close(row.e2, moments.e2())
+        );
+        assert!(close(row.x_centroid, position.x() + fit.x_centroid() - 12.0));
+    }
+}
+
+#[test]
+fn sub_pixel_stars_lie_where_they_should() {
+    // Three times oversampled stamps: the spline between their pixels is good to a few 1e-4 pixels.
+    let psf = PsfInput::Samples(uniform_samples(&small_telescope(3), 5, 5), FitOptions::default());
+    let centred = PsfInput::Samples(uniform_samples(&small_telescope(3), 5, 5), FitOptions::default());
+    let centred = centred.native(None).unwrap().into_model().unwrap();
+    let fitter = |x, y| GaussianFitter::elliptical().with_window(Window::about(15, x, y));
+    for (dx, dy) in [(0.0, 0.0), (0.25, -0.4), (-0.5, 0.49), (0.1, 0.3)] {
+        let position = Position::new(80.0 + dx, 60.0 + dy).unwrap();
+        let star = PointSource { position, flux: 1.0 };
+        let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap())
+            .with_sources(vec![star])
+            .unwrap();
+        let image = Simulation::new(psf.clone(), &scene, None)
+            .unwrap()
+            .run(&scene, Method::Auto, Default::default())
+            .unwrap();
+        let fit = fitter(80, 60).fit(image.pixels()).unwrap();
+        let stamp = centred.psf_at(position).unwrap();
+        let (cx, cy) = stamp.grid().whole_centre().unwrap();
+        let reference = fitter(cx, cy).fit(stamp.values()).unwrap();
+        let off_x = fit.x_centroid() - position.x() - (reference.x_centroid() - cx as f64);
+        let off_y = fit.y_centroid() - position.y() - (reference.y_centroid() - cy as f64);
+        println!("star at ({dx}, {dy}): off by ({off_x:.1e}, {off_y:.1e}) pixels");
+        // The fit of a Gaussian to a PSF that is none moves a little with the phase.
+        assert!(off_x.abs() < 0.01 && off_y.abs() < 0.01, "{off_x} {off_y}");
+    }
+}

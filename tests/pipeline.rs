@@ -1,1 +1,144 @@
-//! x
+//! From a telescope to an image, through files and on any number of threads.
+
+use std::sync::Arc;
+
+use integration_tests::{relative_l2, small_telescope, small_telescope_params, test_scene, uniform_samples};
+use psfield::psf_io::{Precision, read_model, read_samples, write_model, write_samples};
+use psfield::psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
+use psfield::psf_types::{Anchor, Image, NoProgress, PointSource, Position};
+use psfield::{EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, evaluate, fit};
+
+fn image(psf: PsfInput) -> Image<f64> {
+    let scene = test_scene(160, 120, 0);
+    Simulation::new(psf, &scene, None)
+        .unwrap()
+        .run(&scene, Method::Auto, Anchor::Source)
+        .unwrap()
+}
+
+#[test]
+fn files_change_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let samples = uniform_samples(&small_telescope(1), 9, 7);
+    let here = image(PsfInput::Samples(samples.clone(), FitOptions::default()));
+
+    let path = folder.path().join("samples.fits");
+    write_samples(&path, &samples, &[], Precision::Double, false).unwrap();
+    assert_eq!(image(PsfInput::open(&path, FitOptions::default()).unwrap()), here);
+    write_samples(&path, &samples, &[], Precision::Single, true).unwrap();
+    let single = PsfInput::Samples(read_samples(&path).unwrap(), FitOptions::default());
+    assert!(relative_l2(&image(single), &here) < 1e-6);
+
+    let fitted = fit(samples, &FitOptions::default()).unwrap();
+    let path = folder.path().join("model.fits");
+    write_model(&path, fitted.record(), fitted.singular_values(), &[], false).unwrap();
+    assert_eq!(&read_model(&path).unwrap(), fitted.record());
+    assert_eq!(image(PsfInput::open(&path, FitOptions::default()).unwrap()), here);
+}
+
+#[test]
+fn the_number_of_threads_does_not_matter_from_end_to_end() {
+    let run = |threads| {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .unwrap();
+        pool.install(|| {
+            let telescope = psfield::psf_optics::Telescope::new(small_telescope_params()).unwrap();
+            let criterion = InterpolationError::new(0.02, DifferenceMeasure::L2).unwrap();
+            let sampling = AdaptiveSampling::new(Arc::new(criterion))
+                .with_start(3, 3)
+                .unwrap();
+            let samples = sampling.sample(&telescope, &NoProgress).unwrap().samples;
+            let scene = test_scene(160, 120, 0);
+            let star = PointSource {
+                position: Position::new(50.3, 70.9).unwrap(),
+                flux: 40.0,
+            };
+            let scene = scene.with_sources(vec![star]).unwrap();
+            let psf = PsfInput::Samples(samples, FitOptions::default());
+            Simulation::new(psf, &scene, None)
+                .unwrap()
+                .run(&scene, Method::Auto, Anchor::Source)
+                .unwrap()
+        })
+    };
+    let one = run(1);
+    for threads in [2, 4] {
+        assert!(run(threads) == one, "{threads} threads");
+    }
+}
+
+/// An oversampled telescope convolves an image as the telescope at the frame's own pixels does.
+#[test]
+fn oversampled_psfs_image_a_scene_on_the_frame_s_pixels() {
+    let native = image(PsfInput::Samples(
+        uniform_samples(&small_telescope(1), 9, 7),
+        FitOptions::default(),
+    ));
+    let fine = PsfInput::Samples(uniform_samples(&small_telescope(3), 9, 7), FitOptions::default());
+    let model = PsfInput::Model(
+        fit(uniform_samples(&small_telescope(3), 9, 7), &FitOptions::default())
+            .unwrap()
+            .record()
+            .clone(),
+    );
+    // A 72-pixel stamp three times oversampled covers 24 pixels, as the native one does.
+    for (name, fine, limit) in [("samples", fine, 2e-5), ("a model", model, 2e-4)] {
+        let error = relative_l2(&image(fine), &native);
+        println!("from {name}: {error:.1e}");
+        assert!(error < limit, "{name}: {error}");
+    }
+}
+
+#[test]
+fn evaluation_follows_its_options() {
+    let telescope = small_telescope(3);
+    let model = PsfInput::Samples(uniform_samples(&telescope, 5, 5), FitOptions::default())
+        .into_model()
+        .unwrap();
+    let at = vec![
+        Position::new(40.25, 30.75).unwrap(),
+        Position::new(100.0, 90.0).unwrap(),
+    ];
+    let stamps = |options| evaluate(&model, at.clone(), options).unwrap();
+    let own = stamps(EvaluateOptions::default());
+    assert_eq!(own.grid(), model.grid());
+    assert_eq!(own.stamp(0), model.psf_at(at[0]).unwrap().values());
+
+    let native = EvaluateOptions {
+        grid: OutputGrid::Native,
+        ..EvaluateOptions::default()
+    };
+    let centred = stamps(native);
+    assert_eq!((centred.grid().nx(), centred.grid().oversampling()), (24, 1.0));
+    assert!((centred.stamp(1)[[12, 12]] - own.stamp(1)[[36, 36]]).abs() < 1e-15);
+
+    let phased = stamps(EvaluateOptions {
+        sub_pixel: true,
+        ..native
+    });
+    // The position (40.25, 30.75) is a quarter pixel right of its pixel and a quarter below the next row's.
+    let centroid = |stamp: ndarray::ArrayView2<'_, f64>| {
+        let (mut x, mut y, mut sum) = (0.0, 0.0, 0.0);
+        for ((row, column), v) in stamp
+            .indexed_iter()
+            .filter(|((r, c), _)| (6..18).contains(r) && (6..18).contains(c))
+        {
+            (x, y, sum) = (x + v * column as f64, y + v * row as f64, sum + v);
+        }
+        (x / sum, y / sum)
+    };
+    let (before, after) = (centroid(centred.stamp(0)), centroid(phased.stamp(0)));
+    assert!(
+        (after.0 - before.0 - 0.25).abs() < 0.02 && (after.1 - before.1 + 0.25).abs() < 0.02,
+        "{before:?} {after:?}"
+    );
+    assert_eq!(phased.stamp(1), centred.stamp(1));
+
+    let cut = stamps(EvaluateOptions {
+        size: Some(9),
+        ..native
+    });
+    assert_eq!(cut.stamp(1), centred.stamp(1).slice(ndarray::s![8..17, 8..17]));
+}

@@ -1,1 +1,44 @@
-//! x
+//! Sampling, judged by the models that come out of it.
+
+use std::sync::Arc;
+
+use integration_tests::{CornerRise, model_errors, uniform_samples};
+use psfield::psf_basis::RankSelection;
+use psfield::psf_sample::{
+    AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod, SamplingOutcome,
+};
+use psfield::psf_types::{Interpolation, NoProgress, Normalisation, PsfSamples};
+use psfield::{FitOptions, PsfInput};
+
+/// The largest error of a model by Delaunay triangles between these samples, over a dense grid of positions.
+fn largest_error(samples: PsfSamples) -> f64 {
+    let options = FitOptions {
+        rank: RankSelection::Full,
+        interpolation: Interpolation::Delaunay,
+        normalisation: Normalisation::Keep,
+        ..FitOptions::default()
+    };
+    let model = PsfInput::Samples(samples, options).into_model().unwrap();
+    model_errors(&model, &CornerRise, 83).max()
+}
+
+#[test]
+fn a_field_that_varies_in_a_corner_needs_at_most_half_the_samples_of_a_uniform_grid() {
+    let criterion = InterpolationError::new(0.01, DifferenceMeasure::L2).unwrap();
+    let sampling = AdaptiveSampling::new(Arc::new(criterion))
+        .sample(&CornerRise, &NoProgress)
+        .unwrap();
+    assert_eq!(sampling.report.outcome, SamplingOutcome::Met);
+    let adaptive = sampling.samples.len();
+    let error = largest_error(sampling.samples);
+    // The smallest uniform grid whose error is no larger: the first that reaches it, counted up.
+    let uniform = (2..64)
+        .find(|&n| largest_error(uniform_samples(&CornerRise, n, n)) <= error)
+        .map(|n| n * n)
+        .expect("a fine enough grid");
+    println!(
+        "largest interpolation error {error:.2e}: {adaptive} samples against {uniform} on a uniform grid"
+    );
+    assert!(error < 0.015, "{error}");
+    assert!(2 * adaptive <= uniform, "{adaptive} against {uniform}");
+}

@@ -1,1 +1,172 @@
-//! x
+//! Every swappable part implemented from outside and run through a whole simulation.
+
+use std::collections::BTreeMap;
+
+use integration_tests::{relative_l2, test_scene};
+use ndarray::{Array2, Array3, ArrayViewMut2, Axis};
+use psfield::coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
+use psfield::conv_core::{BasisConvolution, ConvError, ConvolutionMethod, Direct};
+use psfield::fit_with;
+use psfield::psf_basis::{BasisError, BasisFit, BasisMethod};
+use psfield::psf_sample::{SampleError, Sampling, SamplingMethod, UniformSampling};
+use psfield::psf_types::{
+    DataError, FieldError, FrameShape, Image, NoProgress, Normalisation, OutsidePolicy, Position, Progress,
+    PsfBasis, PsfModel, PsfSource, SamplePositions, Scene, SourceError, StampGrid,
+};
+
+/// A PSF source: two points of light whose ratio changes along x.
+#[derive(Debug)]
+struct Doublet;
+
+impl Doublet {
+    fn share(x: f64) -> f64 {
+        0.2 + 0.6 * x / 63.0
+    }
+}
+
+impl PsfSource for Doublet {
+    fn grid(&self) -> StampGrid {
+        StampGrid::new(5, 3).unwrap()
+    }
+    fn field(&self) -> FrameShape {
+        FrameShape::new(64, 48).unwrap()
+    }
+    fn draw_into(&self, at: Position, mut stamp: ArrayViewMut2<'_, f64>) -> Result<(), SourceError> {
+        stamp.fill(0.0);
+        stamp[[1, 1]] = 1.0 - Self::share(at.x());
+        stamp[[1, 4]] = Self::share(at.x());
+        Ok(())
+    }
+}
+
+/// A sampling method: two columns of positions.
+#[derive(Debug)]
+struct TwoColumns;
+
+impl SamplingMethod for TwoColumns {
+    fn sample(&self, source: &dyn PsfSource, progress: &dyn Progress) -> Result<Sampling, SampleError> {
+        let rows = UniformSampling::new(2, 9)?;
+        rows.sample(source, progress)
+    }
+}
+
+/// A basis method: the pixels that hold light, one stamp each. Exact and orthonormal, whatever the samples.
+#[derive(Debug)]
+struct LitPixels;
+
+impl BasisMethod for LitPixels {
+    fn fit(&self, samples: &psfield::psf_types::PsfSamples) -> Result<BasisFit, BasisError> {
+        let (ny, nx) = samples.grid().dim();
+        let lit: Vec<(usize, usize)> = (0..ny)
+            .flat_map(|y| (0..nx).map(move |x| (y, x)))
+            .filter(|&(y, x)| samples.stamps().axis_iter(Axis(0)).any(|s| s[[y, x]] != 0.0))
+            .collect();
+        if lit.is_empty() {
+            return Err(BasisError::External(Box::new(DataError::EmptyBasis)));
+        }
+        let mut stamps = Array3::zeros((lit.len(), ny, nx));
+        for (k, &(y, x)) in lit.iter().enumerate() {
+            stamps[[k, y, x]] = 1.0;
+        }
+        let coefficients =
+            Array2::from_shape_fn((samples.len(), lit.len()), |(j, k)| samples.stamp(j)[lit[k]]);
+        BasisFit::new(
+            samples,
+            PsfBasis::new(None, stamps, samples.grid())?,
+            coefficients,
+            None,
+        )
+    }
+}
+
+/// An interpolator: linear along x between columns of samples, whatever y.
+#[derive(Debug)]
+struct AlongX;
+
+#[derive(Debug)]
+struct AlongXWeights {
+    /// The first sample of each column, in order of x.
+    columns: Vec<(f64, usize)>,
+    samples: usize,
+}
+
+impl FieldInterpolation for AlongX {
+    fn prepare(
+        &self,
+        at: &SamplePositions,
+        _: OutsidePolicy,
+    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
+        let mut first = BTreeMap::new();
+        for (sample, position) in at.as_slice().iter().enumerate() {
+            first.entry(position.x() as i64).or_insert((position.x(), sample));
+        }
+        Ok(Box::new(AlongXWeights {
+            columns: first.into_values().collect(),
+            samples: at.len(),
+        }))
+    }
+}
+
+impl FieldWeights for AlongXWeights {
+    fn sample_count(&self) -> usize {
+        self.samples
+    }
+    fn weights_into(&self, at: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        weights.clear();
+        let right = self
+            .columns
+            .partition_point(|&(x, _)| x <= at.x())
+            .clamp(1, self.columns.len() - 1);
+        let ((x0, left), (x1, right)) = (self.columns[right - 1], self.columns[right]);
+        let t = (at.x() - x0) / (x1 - x0);
+        weights.extend([(left, 1.0 - t), (right, t)]);
+        Ok(())
+    }
+}
+
+/// A convolution method: the direct sum, mirrored there and back, to show that any method serves.
+#[derive(Debug)]
+struct Checked;
+
+impl ConvolutionMethod<f64> for Checked {
+    fn convolve(&self, model: &PsfModel, scene: &Scene<f64>) -> Result<Image<f64>, ConvError> {
+        let image = Direct::default().convolve(model, scene)?;
+        Image::new(image.into_pixels().mapv(|v| -(-v))).map_err(ConvError::Result)
+    }
+}
+
+#[test]
+fn own_parts_make_a_whole_simulation() {
+    let sampling = TwoColumns.sample(&Doublet, &NoProgress).unwrap();
+    let (model, fit) = fit_with(
+        sampling.samples,
+        &LitPixels,
+        &AlongX,
+        OutsidePolicy::Nearest,
+        Normalisation::Unit,
+    )
+    .unwrap();
+    assert_eq!(fit.rank(), 2);
+    assert_eq!(fit.max_error(), 0.0);
+
+    // The source is linear in x and so is the interpolator: the image is known exactly.
+    let scene = test_scene(64, 48, 0);
+    let light = scene.pixels().unwrap();
+    let mut expected = Array2::zeros((48, 64));
+    for ((y, x), &f) in light.indexed_iter() {
+        let share = Doublet::share(x as f64);
+        // The stamp's centre is (2, 1): light goes one pixel to the left and two to the right.
+        if x >= 1 {
+            expected[[y, x - 1]] += f * (1.0 - share);
+        }
+        if x + 2 < 64 {
+            expected[[y, x + 2]] += f * share;
+        }
+    }
+    let expected = Image::new(expected).unwrap();
+    let methods: [&dyn ConvolutionMethod<f64>; 2] = [&Checked, &BasisConvolution::default()];
+    for method in methods {
+        let image = method.convolve(&model, &scene).unwrap();
+        assert!(relative_l2(&image, &expected) < 1e-13, "{method:?}");
+    }
+}
