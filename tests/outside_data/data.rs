@@ -33,6 +33,9 @@ pub(crate) fn ensure(holds: bool, says: impl FnOnce() -> String) -> Result<(), F
     if holds { Ok(()) } else { Err(says().into()) }
 }
 
+/// A pixel `(x, y)` and the truth there.
+pub(crate) type ExactPixel = ((usize, usize), f64);
+
 /// One of the two simulated fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Field {
@@ -75,8 +78,8 @@ impl Field {
         Ok(psf_io::read_image::<f64>(self.path(&name))?.into_parts().0)
     }
 
-    /// Exact values of the truth at pixels `(x, y)`.
-    pub(crate) fn exact(self, anchor: &str) -> Result<Vec<((usize, usize), f64)>, Failed> {
+    /// Exact values of the truth at pixels.
+    pub(crate) fn exact(self, anchor: &str) -> Result<Vec<ExactPixel>, Failed> {
         let name = format!("scene{}_{anchor}_f64.csv", self.size);
         let [y, x, value] = psf_io::read_columns(self.path(&name), ["y", "x", "value"])?;
         Ok(x.iter()

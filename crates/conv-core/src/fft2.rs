@@ -37,6 +37,14 @@ pub(crate) struct Row<T> {
     scratch: Vec<Complex<T>>,
 }
 
+/// A block of rows on its way in or out, and what the transforms of one row at a time need.
+struct Block<T> {
+    real: Vec<T>,
+    /// The half spectra of [`BLOCK`] rows, one after the other.
+    rows: Vec<Complex<T>>,
+    scratch: Vec<Complex<T>>,
+}
+
 /// One column of the spectrum and what its transforms need.
 pub(crate) struct Column<'a, T> {
     pub(crate) index: usize,
@@ -121,16 +129,9 @@ impl<T: ConvReal> RealFft2<T> {
         fill: impl Fn(usize, &mut [T]) -> bool + Send + Sync,
     ) {
         let half = self.columns / 2 + 1;
-        let scratch_len = self.row_forward.get_scratch_len();
         let zero = Complex::new(T::zero(), T::zero());
-        let buffers = || {
-            (
-                vec![T::zero(); self.columns],
-                vec![zero; half * BLOCK],
-                vec![zero; scratch_len],
-            )
-        };
-        let work = |(real, rows, scratch): &mut (Vec<T>, Vec<_>, Vec<_>),
+        let buffers = || self.block(self.row_forward.get_scratch_len());
+        let work = |Block { real, rows, scratch }: &mut Block<T>,
                     block: usize,
                     mut target: ArrayViewMut2<'_, Complex<T>>| {
             let mut lit = false;
@@ -155,17 +156,37 @@ impl<T: ConvReal> RealFft2<T> {
                 target.fill(zero);
             }
         };
+        self.for_blocks(spectrum.view_mut(), Axis(1), buffers, work);
+    }
+
+    /// Calls `work` with each block of [`BLOCK`] lanes along an axis, on many threads where the plane is large.
+    fn for_blocks<E: Send + Sync>(
+        &self,
+        mut array: ArrayViewMut2<'_, E>,
+        axis: Axis,
+        buffers: impl Fn() -> Block<T> + Send + Sync,
+        work: impl Fn(&mut Block<T>, usize, ArrayViewMut2<'_, E>) + Send + Sync,
+    ) {
         if self.rows * self.columns < PARALLEL_FROM {
             let mut buffers = buffers();
-            for (block, target) in spectrum.axis_chunks_iter_mut(Axis(1), BLOCK).enumerate() {
-                work(&mut buffers, block, target);
+            for (block, lanes) in array.axis_chunks_iter_mut(axis, BLOCK).enumerate() {
+                work(&mut buffers, block, lanes);
             }
         } else {
-            spectrum
-                .axis_chunks_iter_mut(Axis(1), BLOCK)
+            let blocks = array
+                .axis_chunks_iter_mut(axis, BLOCK)
                 .into_par_iter()
-                .enumerate()
-                .for_each_init(buffers, |buffers, (block, target)| work(buffers, block, target));
+                .enumerate();
+            blocks.for_each_init(buffers, |buffers, (block, lanes)| work(buffers, block, lanes));
+        }
+    }
+
+    fn block(&self, scratch_len: usize) -> Block<T> {
+        let zero = Complex::new(T::zero(), T::zero());
+        Block {
+            real: vec![T::zero(); self.columns],
+            rows: vec![zero; (self.columns / 2 + 1) * BLOCK],
+            scratch: vec![zero; scratch_len],
         }
     }
 
@@ -216,58 +237,38 @@ impl<T: ConvReal> RealFft2<T> {
         &self,
         spectrum: &Array2<Complex<T>>,
         first_row: usize,
-        mut output: ArrayViewMut2<'_, T>,
+        output: ArrayViewMut2<'_, T>,
         store: impl Fn(usize, &mut [T], &[T]) + Send + Sync,
     ) {
         let half = self.columns / 2 + 1;
-        let scratch_len = self.row_inverse.get_scratch_len();
-        let zero = Complex::new(T::zero(), T::zero());
-        let buffers = || {
-            (
-                vec![T::zero(); self.columns],
-                vec![zero; half * BLOCK],
-                vec![zero; scratch_len],
-            )
-        };
-        let work = |(real, rows, scratch): &mut (Vec<T>, Vec<_>, Vec<_>),
-                    block: usize,
-                    mut target: ArrayViewMut2<'_, T>| {
-            let first = block * BLOCK;
-            for (column, values) in spectrum.outer_iter().enumerate() {
-                let values = &values.to_slice().expect("spectra are row-major")[first_row + first..];
-                for (row, &value) in values.iter().take(target.nrows()).enumerate() {
-                    rows[row * half + column] = value;
+        let buffers = || self.block(self.row_inverse.get_scratch_len());
+        let work =
+            |Block { real, rows, scratch }: &mut Block<T>, block: usize, mut target: ArrayViewMut2<'_, T>| {
+                let first = block * BLOCK;
+                for (column, values) in spectrum.outer_iter().enumerate() {
+                    let values = &values.to_slice().expect("spectra are row-major")[first_row + first..];
+                    for (row, &value) in values.iter().take(target.nrows()).enumerate() {
+                        rows[row * half + column] = value;
+                    }
                 }
-            }
-            for (row, mut out) in target.outer_iter_mut().enumerate() {
-                let transformed = &mut rows[row * half..(row + 1) * half];
-                // The transform of a real plane is real here; rounding must not tell the planner otherwise.
-                transformed[0].im = T::zero();
-                if self.columns.is_multiple_of(2) {
-                    transformed[half - 1].im = T::zero();
+                for (row, mut out) in target.outer_iter_mut().enumerate() {
+                    let transformed = &mut rows[row * half..(row + 1) * half];
+                    // The transform of a real plane is real here; rounding must not tell the planner otherwise.
+                    transformed[0].im = T::zero();
+                    if self.columns.is_multiple_of(2) {
+                        transformed[half - 1].im = T::zero();
+                    }
+                    self.row_inverse
+                        .process_with_scratch(transformed, real, scratch)
+                        .expect("buffers of the plan's size");
+                    store(
+                        first + row,
+                        out.as_slice_mut().expect("rows of the output are contiguous"),
+                        real,
+                    );
                 }
-                self.row_inverse
-                    .process_with_scratch(transformed, real, scratch)
-                    .expect("buffers of the plan's size");
-                store(
-                    first + row,
-                    out.as_slice_mut().expect("rows of the output are contiguous"),
-                    real,
-                );
-            }
-        };
-        if self.rows * self.columns < PARALLEL_FROM {
-            let mut buffers = buffers();
-            for (block, target) in output.axis_chunks_iter_mut(Axis(0), BLOCK).enumerate() {
-                work(&mut buffers, block, target);
-            }
-        } else {
-            output
-                .axis_chunks_iter_mut(Axis(0), BLOCK)
-                .into_par_iter()
-                .enumerate()
-                .for_each_init(buffers, |buffers, (block, target)| work(buffers, block, target));
-        }
+            };
+        self.for_blocks(output, Axis(0), buffers, work);
     }
 }
 
