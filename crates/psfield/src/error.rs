@@ -57,6 +57,19 @@ pub enum PsfieldError {
         /// The field of the PSF.
         field: FrameShape,
     },
+    /// No positions at all.
+    #[error("there are no positions: at least one is needed")]
+    NoPositions,
+    /// A position that is there twice.
+    #[error("positions {first} and {second} (0-based) are both {position}: remove one")]
+    DuplicatePositions {
+        /// Index of the first.
+        first: usize,
+        /// Index of the other.
+        second: usize,
+        /// The position.
+        position: psf_types::Position,
+    },
     /// Sub-pixel phases on a grid that is not the frame's.
     #[error("sub-pixel phases need the frame's own pixels: choose the native grid")]
     SubPixelNeedsNative,

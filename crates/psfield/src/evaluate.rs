@@ -2,7 +2,7 @@
 
 use conv_core::{StampSpline, native_grid};
 use ndarray::{Array2, Array3};
-use psf_types::{Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
+use psf_types::{DataError, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
 use crate::PsfieldError;
@@ -33,8 +33,8 @@ pub struct EvaluateOptions {
 /// The PSFs of a model at positions, as samples.
 ///
 /// # Errors
-/// [`PsfieldError::OutsideField`] for a position off the model's field, [`PsfieldError::Data`] for duplicate positions,
-/// [`PsfieldError::Field`] where the model has no value, [`PsfieldError::SubPixelNeedsNative`].
+/// [`PsfieldError::OutsideField`] for a position off the model's field, [`PsfieldError::NoPositions`],
+/// [`PsfieldError::DuplicatePositions`], [`PsfieldError::Field`] where the model has no value, [`PsfieldError::SubPixelNeedsNative`].
 pub fn evaluate(
     model: &PsfModel,
     positions: Vec<Position>,
@@ -52,7 +52,20 @@ pub fn evaluate(
             field,
         });
     }
-    let positions = SamplePositions::new(positions, model.field_shape())?;
+    let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
+        // As stamps to be written, not as samples.
+        DataError::NoSamples => PsfieldError::NoPositions,
+        DataError::DuplicatePosition {
+            first,
+            second,
+            position,
+        } => PsfieldError::DuplicatePositions {
+            first,
+            second,
+            position,
+        },
+        other => other.into(),
+    })?;
     let target = target_grid(model.grid(), options)?;
     let stamps: Vec<Result<Array2<f64>, PsfieldError>> = positions
         .as_slice()

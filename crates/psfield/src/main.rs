@@ -7,25 +7,36 @@ use std::process::ExitCode;
 use clap::{CommandFactory, Parser};
 
 fn main() -> ExitCode {
-    match cli::Cli::parse().run() {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(error) => match error.downcast_ref::<cli::UsageError>() {
-            Some(usage) => cli::Cli::command()
-                .error(clap::error::ErrorKind::ArgumentConflict, usage)
-                .exit(),
-            None => {
-                // Errors that show their cause themselves repeat it in the chain; say everything once.
-                let mut said = error.to_string();
-                eprint!("psfield: error: {said}");
-                for cause in error.chain().skip(1).map(ToString::to_string) {
-                    if !said.contains(&cause) {
-                        eprint!(": {cause}");
-                        said = cause;
-                    }
-                }
-                eprintln!();
-                ExitCode::FAILURE
-            }
-        },
+    let cli = cli::Cli::parse();
+    let name = cli.command_name();
+    let Err(error) = cli.run() else {
+        return ExitCode::SUCCESS;
+    };
+    if let Some(usage) = error.downcast_ref::<cli::UsageError>() {
+        let mut command = cli::Cli::command();
+        command.build();
+        command
+            .find_subcommand_mut(name)
+            .expect("the command that ran")
+            .error(clap::error::ErrorKind::ArgumentConflict, usage)
+            .exit();
     }
+    // Who reads a part of the output and leaves (`| head`) has what was asked for.
+    if error
+        .downcast_ref::<std::io::Error>()
+        .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+    {
+        return ExitCode::SUCCESS;
+    }
+    // Errors that show their cause themselves repeat it in the chain; say everything once.
+    let mut said = error.to_string();
+    eprint!("psfield: error: {said}");
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !said.contains(&cause) {
+            eprint!(": {cause}");
+            said = cause;
+        }
+    }
+    eprintln!();
+    ExitCode::FAILURE
 }

@@ -17,8 +17,10 @@ use super::context::Context;
 #[derive(Debug, clap::Args)]
 pub(crate) struct CompareArgs {
     /// The result F
+    #[arg(value_name = "RESULT.fits")]
     result: PathBuf,
     /// The reference T
+    #[arg(value_name = "REFERENCE.fits")]
     reference: PathBuf,
 }
 
@@ -35,7 +37,7 @@ struct Measures {
 }
 
 #[derive(Debug, Serialize)]
-struct Planes {
+struct CubeReport {
     planes: usize,
     median: Measures,
     max: Measures,
@@ -53,7 +55,7 @@ impl CompareArgs {
             )
         })?;
         if result_is_cube || reference_is_cube {
-            let report = Planes {
+            let report = CubeReport {
                 planes: planes.len(),
                 median: Measures::over(&planes, Summary::median)?,
                 max: Measures::over(&planes, Summary::max)?,
@@ -76,6 +78,10 @@ impl CompareArgs {
 /// An image as a cube of one plane, or a cube; and which of the two it is.
 fn read(path: &Path) -> anyhow::Result<(Array3<f64>, bool)> {
     Ok(match psf_io::detect(path)? {
+        FileKind::PsfModel => anyhow::bail!(
+            "{} is a PSF model: compare its PSFs at chosen positions (psfield evaluate)",
+            path.display()
+        ),
         FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube::<f64>(path)?, true),
         _ => (
             psf_io::read_image::<f64>(path)?

@@ -3,6 +3,7 @@
 use std::io::Write;
 
 use psf_io::Card;
+use psfield::SpotCheck;
 use serde::Serialize;
 
 use super::progress::Bar;
@@ -59,9 +60,15 @@ impl Context {
     }
 }
 
-/// The program's version and the command line as it was given, for headers.
+/// The program's version and the command line as it was given, for headers. Options that change no result stay out
+/// ([`matters`]): the same input, options and seed give the same bytes.
 pub(crate) fn signature() -> Vec<Card> {
-    let command: Vec<String> = std::env::args().skip(1).map(|arg| quoted(&arg)).collect();
+    // Not `args`, which panics on a name that is not UTF-8.
+    let arguments: Vec<String> = std::env::args_os()
+        .skip(1)
+        .map(|arg| arg.to_string_lossy().into_owned())
+        .collect();
+    let command: Vec<String> = matters(&arguments).map(quoted).collect();
     vec![
         Card::new(
             "PSFIELD",
@@ -73,12 +80,37 @@ pub(crate) fn signature() -> Vec<Card> {
     ]
 }
 
+/// The arguments without the number of threads, `--json` and `--quiet`.
+fn matters(arguments: &[String]) -> impl Iterator<Item = &String> {
+    let mut is_count = false;
+    arguments.iter().filter(move |arg| {
+        let was_count = std::mem::replace(&mut is_count, *arg == "--threads");
+        let silent = matches!(arg.as_str(), "--threads" | "--json" | "-q" | "--quiet");
+        !(was_count || silent || arg.starts_with("--threads="))
+    })
+}
+
 /// An argument as one would type it.
-fn quoted(arg: &str) -> String {
+fn quoted(arg: impl AsRef<str>) -> String {
+    let arg = arg.as_ref();
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_=./,:+@%".contains(c);
     if !arg.is_empty() && arg.chars().all(plain) {
         arg.to_owned()
     } else {
         format!("'{}'", arg.replace('\'', r"'\''"))
     }
+}
+
+/// The keywords of [`check_cards`].
+pub(crate) const CHECK_KEYWORDS: [&str; 4] = ["PSFCHKN", "PSFCHKS", "PSFCHKM", "PSFCHKR"];
+
+/// What a spot check found, for headers.
+pub(crate) fn check_cards(check: &SpotCheck) -> anyhow::Result<[Card; 4]> {
+    let [count, seed, largest, rms] = CHECK_KEYWORDS;
+    Ok([
+        Card::new(count, check.pixels, "pixels checked against the direct sum")?,
+        Card::new(seed, check.seed.to_string(), "seed that chose them")?,
+        Card::new(largest, check.max_abs, "largest difference found")?,
+        Card::new(rms, check.rms, "r.m.s. difference found")?,
+    ])
 }

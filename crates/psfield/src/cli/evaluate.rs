@@ -28,7 +28,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, default_value = "model", value_enum)]
     grid: Grid,
     /// Cut or pad to N x N pixels about the centre
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", value_parser = super::values::stamp_size)]
     size: Option<usize>,
     /// Draw each PSF at the sub-pixel phase of its position (with --grid native), else centred
     #[arg(long)]

@@ -13,6 +13,7 @@ use super::fit_args::FitArgs;
 #[derive(Debug, clap::Args)]
 pub(crate) struct FitCommandArgs {
     /// PSF samples (FITS: a cube and a table POSITIONS)
+    #[arg(value_name = "SAMPLES.fits")]
     samples: PathBuf,
     /// The model to write
     #[arg(short, long, value_name = "MODEL.fits")]
@@ -29,7 +30,10 @@ impl FitCommandArgs {
         psf_io::check_output(&self.output, self.overwrite)?;
         let spinner = context.spinner("fitting");
         let samples = match psf_io::detect(&self.samples)? {
-            FileKind::PsfModel => anyhow::bail!("{} is a fitted model already", self.samples.display()),
+            FileKind::PsfModel => anyhow::bail!(
+                "{} is a fitted model already: give it to simulate or evaluate, or fit its samples anew",
+                self.samples.display()
+            ),
             _ => psf_io::read_samples(&self.samples)?,
         };
         let in_file = || format!("in {}", self.samples.display());

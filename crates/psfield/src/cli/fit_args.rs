@@ -5,6 +5,7 @@ use psf_types::{Interpolation, Normalisation, OutsidePolicy};
 use psfield::{FitOptions, PsfInput};
 
 use super::UsageError;
+use super::values::at_least_zero;
 
 /// How samples become a model.
 #[derive(Debug, clap::Args)]
@@ -18,7 +19,7 @@ pub(crate) struct FitArgs {
     #[arg(long, value_name = "mean|none")]
     centring: Option<Centring>,
     /// Standard deviation of the noise in the samples' pixels, after normalisation; 0 for none [default: estimated]
-    #[arg(long, value_name = "SIGMA")]
+    #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, allow_negative_numbers = true)]
     noise: Option<f64>,
     /// auto, delaunay, natural-neighbour, idw, idw=POWER, bilinear, polynomial=D or nearest. auto: bilinear on a regular grid,
     /// else natural neighbour [default: auto]
@@ -56,7 +57,7 @@ impl FitArgs {
         if given && matches!(input, PsfInput::Model(_)) {
             let path = path.display();
             return Err(UsageError(format!(
-                "{path} is a fitted model: fit options apply to samples only"
+                "{path} is a fitted model: fit options (--rank ... --normalise) apply to samples only; leave them out, or give the samples"
             ))
             .into());
         }

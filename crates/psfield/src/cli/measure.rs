@@ -61,7 +61,7 @@ impl MeasureArgs {
         };
         context.report(&report, || {
             let failed = if with_notes > 0 {
-                format!(", {with_notes} with a note")
+                format!(", {with_notes} of them with a failed measurement (see their note)")
             } else {
                 String::new()
             };
@@ -80,6 +80,10 @@ impl MeasureArgs {
             return Err(UsageError(format!("--at gives positions in an image, but {path} is {kind}")).into());
         }
         Ok(match kind {
+            FileKind::PsfModel => anyhow::bail!(
+                "{} is a PSF model: measure its PSFs at chosen positions (psfield evaluate)",
+                path.display()
+            ),
             FileKind::PsfSamples => {
                 let samples = psf_io::read_samples(path)?;
                 options.cube(samples.stamps(), Some(samples.positions().as_slice()))

@@ -10,8 +10,8 @@ mod measure;
 mod preview;
 mod progress;
 mod sample;
-mod scene_maker;
 mod simulate;
+mod values;
 
 use clap::{Parser, Subcommand};
 
@@ -32,6 +32,7 @@ pub(crate) struct Cli {
 }
 
 #[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Common options")]
 pub(crate) struct GlobalArgs {
     /// Print one JSON object on standard output in place of text
     #[arg(long, global = true)]
@@ -56,6 +57,19 @@ enum Command {
 }
 
 impl Cli {
+    /// The name of the command.
+    pub(crate) fn command_name(&self) -> &'static str {
+        match self.command {
+            Command::Demo(_) => "demo",
+            Command::Sample(_) => "sample",
+            Command::Fit(_) => "fit",
+            Command::Simulate(_) => "simulate",
+            Command::Evaluate(_) => "evaluate",
+            Command::Measure(_) => "measure",
+            Command::Compare(_) => "compare",
+        }
+    }
+
     /// Runs the command.
     pub(crate) fn run(self) -> anyhow::Result<()> {
         if let Some(threads) = self.global.threads {

@@ -10,8 +10,9 @@ use psf_sample::{
 };
 use serde::Serialize;
 
+use super::UsageError;
 use super::context::{Context, signature};
-use super::simulate::Pair;
+use super::values::{Pair, above_zero};
 
 /// Sample the PSF of a telescope over its field
 ///
@@ -34,13 +35,13 @@ pub(crate) struct SampleArgs {
     #[arg(long, default_value = "neighbours", value_enum)]
     criterion: Criterion,
     /// The threshold, relative
-    #[arg(long, default_value_t = NeighbourDifference::DEFAULT_THRESHOLD)]
+    #[arg(long, value_name = "X", default_value_t = NeighbourDifference::DEFAULT_THRESHOLD, value_parser = above_zero, allow_negative_numbers = true)]
     threshold: f64,
     /// The norm in which PSFs are compared
     #[arg(long, default_value = "l2", value_enum)]
     measure: Measure,
     /// Samples along each axis of the coarse grid that refinement starts from
-    #[arg(long, value_name = "NX,NY", default_value = "5,5")]
+    #[arg(long, value_name = "NX,NY", default_value = "5,5", allow_hyphen_values = true)]
     start: Pair,
     /// Stop with an error when the criterion needs more samples
     #[arg(long, value_name = "N", default_value_t = AdaptiveSampling::DEFAULT_MAX_SAMPLES)]
@@ -52,6 +53,9 @@ pub(crate) struct SampleArgs {
     #[arg(long, value_name = "NX,NY", conflicts_with_all = ["criterion", "threshold", "start", "max_samples", "accept_cap"])]
     uniform: Option<Pair>,
 }
+
+/// Samples along an axis of a uniform grid; more are a slip.
+const MAX_UNIFORM: usize = 4096;
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Preset {
@@ -121,8 +125,12 @@ impl SampleArgs {
             },
         };
         if report.unmet_cells > 0 {
+            let why = match report.outcome {
+                "cap-reached" => format!(": {} samples were drawn, the most allowed", report.samples),
+                _ => String::new(),
+            };
             context.warn(&format!(
-                "the criterion does not hold in {} of {} cells (worst {:.2e})",
+                "the criterion does not hold in {} of {} cells (worst {:.2e}){why}",
                 report.unmet_cells, report.cells, report.worst
             ));
         }
@@ -147,6 +155,10 @@ impl SampleArgs {
         };
         let bar = context.bar("sampling");
         if let Some(Pair(nx, ny)) = self.uniform {
+            if nx > MAX_UNIFORM || ny > MAX_UNIFORM {
+                let what = format!("--uniform: at most {MAX_UNIFORM} samples along an axis, got {nx},{ny}");
+                return Err(UsageError(what).into());
+            }
             return Ok(UniformSampling::new(nx, ny)?
                 .with_measure(measure)
                 .sample(telescope, &bar)?);
@@ -157,13 +169,21 @@ impl SampleArgs {
         };
         let Pair(nx, ny) = self.start;
         let sampling = AdaptiveSampling::new(criterion)
-            .with_start(nx, ny)?
+            .with_start(nx, ny)
+            .map_err(|e| UsageError(format!("--start: {e}")))?
             .with_max_samples(self.max_samples);
+        if self.max_samples < nx * ny {
+            let (max, start) = (self.max_samples, nx * ny);
+            let what = format!(
+                "--max-samples {max} is less than the {start} samples of the starting grid (--start {nx},{ny})"
+            );
+            return Err(UsageError(what).into());
+        }
         match sampling.sample(telescope, &bar) {
-            Err(SampleError::CapReached(cap)) if self.accept_cap => {
-                context.warn(&cap.to_string());
-                Ok(cap.into_sampling())
-            }
+            Err(SampleError::CapReached(cap)) if self.accept_cap => Ok(cap.into_sampling()),
+            Err(SampleError::CapReached(cap)) => Err(anyhow::anyhow!(
+                "{cap} (--max-samples, --threshold, --accept-cap)"
+            )),
             other => Ok(other?),
         }
     }

@@ -1,19 +1,19 @@
 //! `psfield simulate`.
 
 use std::path::PathBuf;
-use std::str::FromStr;
 use std::time::Instant;
 
 use anyhow::Context as _;
 use conv_core::ConvReal;
 use psf_io::{Card, HeaderCards};
-use psf_types::{Anchor, FrameShape, PixelRegion, Scene};
+use psf_types::{Anchor, FrameShape, Scene};
 use psfield::{Method, Simulation, SpotCheck};
 use serde::Serialize;
 
 use super::UsageError;
-use super::context::{Context, signature};
+use super::context::{CHECK_KEYWORDS, Context, check_cards, signature};
 use super::fit_args::FitArgs;
+use super::values::{Frame, Pair, stamp_size};
 
 /// Convolve a scene with a PSF that varies over the field
 ///
@@ -21,8 +21,8 @@ use super::fit_args::FitArgs;
 /// frame's first pixel.
 #[derive(Debug, clap::Args)]
 pub(crate) struct SimulateArgs {
-    /// The scene: a FITS image
-    #[arg(value_name = "SCENE.fits", required_unless_present = "catalog")]
+    /// The scene: a FITS image. Without one: --catalog and --shape
+    #[arg(value_name = "SCENE.fits")]
     scene: Option<PathBuf>,
     /// The PSF: a model, or samples to be fitted
     #[arg(long, value_name = "MODEL.fits|SAMPLES.fits")]
@@ -37,10 +37,15 @@ pub(crate) struct SimulateArgs {
     #[arg(long, value_name = "STARS.csv")]
     catalog: Option<PathBuf>,
     /// Columns and rows of a scene without an image
-    #[arg(long, value_name = "NX,NY", conflicts_with = "scene")]
+    #[arg(
+        long,
+        value_name = "NX,NY",
+        conflicts_with = "scene",
+        allow_hyphen_values = true
+    )]
     shape: Option<Pair>,
     /// The part of the scene that the result shows: first column and row, columns and rows
-    #[arg(long, value_name = "X0,Y0,NX,NY")]
+    #[arg(long, value_name = "X0,Y0,NX,NY", allow_hyphen_values = true)]
     frame: Option<Frame>,
     /// Whose PSF applies: source (each source spreads with its own) or output (each pixel gathers with its own, as in the
     /// method's paper)
@@ -52,12 +57,13 @@ pub(crate) struct SimulateArgs {
     /// Working precision and that of the result
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
-    /// Cut or pad the stamps that images are convolved with to N x N pixels, centred at N / 2
-    #[arg(long, value_name = "N")]
+    /// Cut or pad the stamps to N x N pixels of the frame, centred at N / 2. Stars are drawn from oversampled stamps as they
+    /// are
+    #[arg(long, value_name = "N", value_parser = stamp_size)]
     stamp_size: Option<usize>,
     /// Check N random pixels against the direct sum in double precision
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    spot_check: usize,
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=MAX_SPOT_CHECK))]
+    spot_check: u32,
     /// Chooses the pixels of the spot check
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -65,43 +71,16 @@ pub(crate) struct SimulateArgs {
     fit: FitArgs,
 }
 
+/// More pixels than that are a slip.
+const MAX_SPOT_CHECK: i64 = 10_000_000;
+
+/// The largest frame that can be asked for, 16 GB in f32; a larger number is a slip.
+const MAX_PIXELS: usize = 1 << 32;
+
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Precision {
     F32,
     F64,
-}
-
-/// `NX,NY`.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Pair(pub(crate) usize, pub(crate) usize);
-
-impl FromStr for Pair {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Option<Vec<usize>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
-        match numbers.as_deref() {
-            Some(&[nx, ny]) => Ok(Self(nx, ny)),
-            _ => Err("two whole numbers are needed, as in 1024,512".to_owned()),
-        }
-    }
-}
-
-/// `X0,Y0,NX,NY`.
-#[derive(Debug, Clone, Copy)]
-struct Frame(PixelRegion);
-
-impl FromStr for Frame {
-    type Err = String;
-    fn from_str(text: &str) -> Result<Self, String> {
-        let numbers: Option<Vec<i64>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
-        match numbers.as_deref() {
-            Some(&[x0, y0, nx, ny]) if nx > 0 && ny > 0 => {
-                let shape = FrameShape::new(nx as usize, ny as usize).map_err(|e| e.to_string())?;
-                Ok(Self(PixelRegion::new(x0, y0, shape)))
-            }
-            _ => Err("four whole numbers are needed, the last two above 0, as in 64,64,1024,1024".to_owned()),
-        }
-    }
 }
 
 /// What `--json` prints.
@@ -135,8 +114,17 @@ struct Seconds {
 
 impl SimulateArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        if self.scene.is_none() && self.shape.is_none() {
-            let what = "a catalogue without a scene needs the frame's size: --shape NX,NY";
+        let missing = match (&self.scene, &self.catalog, self.shape) {
+            (None, None, _) => Some(
+                "there is nothing to convolve: give a scene (SCENE.fits), point sources (--catalog STARS.csv --shape NX,NY), \
+                 or both (SCENE.fits --catalog STARS.csv)",
+            ),
+            (None, Some(_), None) => {
+                Some("a catalogue without a scene needs the frame's size: --shape NX,NY")
+            }
+            _ => None,
+        };
+        if let Some(what) = missing {
             return Err(UsageError(what.to_owned()).into());
         }
         match self.precision {
@@ -174,7 +162,7 @@ impl SimulateArgs {
         let spot_check = (self.spot_check > 0)
             .then(|| {
                 let _spinner = context.spinner("checking");
-                SpotCheck::run(&image, self.spot_check, self.seed, |pixels| {
+                SpotCheck::run(&image, self.spot_check as usize, self.seed, |pixels| {
                     simulation.exact_at(&scene, self.anchor, pixels)
                 })
             })
@@ -183,7 +171,11 @@ impl SimulateArgs {
         let clock = Instant::now();
         let model = simulation.model();
         let frame = scene.frame();
-        let header = header.shifted_origin(frame.x0(), frame.y0());
+        let mut header = header.shifted_origin(frame.x0(), frame.y0());
+        // A scene that is itself a result must not lend its own check to this one.
+        for keyword in CHECK_KEYWORDS {
+            header.remove(keyword);
+        }
         let cards = self.cards::<T>(model, spot_check.as_ref())?;
         psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
         seconds.write = clock.elapsed().as_secs_f64();
@@ -212,6 +204,9 @@ impl SimulateArgs {
                 (Scene::from_image(image), header)
             }
             (None, Some(Pair(nx, ny))) => {
+                if nx.checked_mul(ny).is_none_or(|pixels| pixels > MAX_PIXELS) {
+                    return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many")).into());
+                }
                 let shape = FrameShape::new(nx, ny).map_err(|e| UsageError(format!("--shape: {e}")))?;
                 (Scene::dark(shape), HeaderCards::new())
             }
@@ -262,12 +257,7 @@ impl SimulateArgs {
             )?,
         ]);
         if let Some(check) = spot_check {
-            cards.extend([
-                Card::new("PSFCHKN", check.pixels, "pixels checked against the direct sum")?,
-                Card::new("PSFCHKS", check.seed.to_string(), "seed that chose them")?,
-                Card::new("PSFCHKM", check.max_abs, "largest difference found")?,
-                Card::new("PSFCHKR", check.rms, "r.m.s. difference found")?,
-            ]);
+            cards.extend(check_cards(check)?);
         }
         Ok(cards)
     }
@@ -277,9 +267,18 @@ impl Report {
     fn text(&self) -> String {
         let [nx, ny] = self.shape;
         let s = &self.seconds;
-        let mut text = format!(
+        let check = self.spot_check.as_ref().map_or_else(String::new, |check| {
+            let over_peak = check
+                .max_over_peak
+                .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
+            format!(
+                "against the direct sum at {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}\n",
+                check.pixels, check.max_abs, check.rms,
+            )
+        });
+        format!(
             "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}\n\
-             seconds: read {:.3}, fit {:.3}, convolve {:.3}, write {:.3}\n",
+             seconds: read {:.3}, fit {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),
             self.rank,
             self.method,
@@ -289,17 +288,7 @@ impl Report {
             s.fit,
             s.execute,
             s.write,
-        );
-        if let Some(check) = &self.spot_check {
-            let over_peak = check
-                .max_over_peak
-                .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
-            text += &format!(
-                "against the direct sum at {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}\n",
-                check.pixels, check.max_abs, check.rms,
-            );
-        }
-        text
+        )
     }
 }
 

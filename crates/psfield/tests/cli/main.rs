@@ -1,0 +1,10 @@
+//! The command line, run as a user runs it: as a process in a folder of files.
+
+mod bad_input;
+mod desk;
+mod evaluation;
+mod measuring;
+mod sampling;
+mod simulation;
+mod simulation_input;
+mod usage;

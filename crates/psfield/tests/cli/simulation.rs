@@ -1,0 +1,264 @@
+//! `psfield fit` and `psfield simulate`: what they compute.
+
+use ndarray::{Array2, Axis, s};
+use psfield::psf_io::{Card, CardValue};
+
+use crate::desk::{Desk, NX, NY, STAMP, assert_keys, difference, points};
+
+/// Rounding of f32 transforms, relative to the peak.
+const SINGLE: f64 = 1e-6;
+/// Rounding of f64 transforms and of a model file in doubles.
+const DOUBLE: f64 = 1e-12;
+/// Two computations that differ by more than this are not the same.
+const VISIBLE: f64 = 1e-3;
+
+const TO: &str = "simulate scene.fits --psf samples.fits --precision f64";
+
+/// The sample in the middle of the field, at pixel (30, 25).
+fn middle_sample(desk: &Desk) -> Array2<f64> {
+    desk.samples("samples.fits")
+        .stamps()
+        .index_axis(Axis(0), 4)
+        .to_owned()
+}
+
+#[test]
+fn fit_reports_its_figures() {
+    let desk = Desk::new();
+    let report = desk.done("fit samples.fits -o model.fits --json").json();
+    assert_keys(
+        &report,
+        &[
+            "rank",
+            "elbow",
+            "singular_values",
+            "max_error",
+            "rms_error",
+            "leave_one_out",
+        ],
+    );
+    assert_eq!(report["interpolation"], "bilinear");
+    assert!(report["max_error"].as_f64().unwrap() < 1e-4);
+    assert_eq!(report["errors"].as_array().unwrap().len(), 9);
+    let text = desk.done("fit samples.fits -o again.fits --rank 2").stdout;
+    assert!(text.contains("9 samples, 2 components"), "{text}");
+}
+
+#[test]
+fn samples_and_their_model_give_the_same_image() {
+    let desk = Desk::new();
+    desk.done("fit samples.fits -o model.fits");
+    for (precision, tolerance) in [("f32", SINGLE), ("f64", DOUBLE)] {
+        for psf in ["samples", "model"] {
+            desk.done(&format!(
+                "simulate scene.fits --psf {psf}.fits -o {psf}_{precision}.fits --precision {precision}"
+            ));
+        }
+        let [a, b] = ["samples", "model"].map(|psf| desk.image(&format!("{psf}_{precision}.fits")));
+        assert!(difference(&a, &b) <= tolerance);
+    }
+    let [single, double] = ["f32", "f64"].map(|p| desk.image(&format!("model_{p}.fits")));
+    let between = difference(&single, &double);
+    assert!(between > 0.0 && between <= SINGLE, "{between:e}");
+    assert!(
+        desk.bytes("model_f32.fits")
+            .windows(30)
+            .any(|w| w == b"BITPIX  =                  -32")
+    );
+    assert!(
+        desk.bytes("model_f64.fits")
+            .windows(30)
+            .any(|w| w == b"BITPIX  =                  -64")
+    );
+}
+
+#[test]
+fn a_point_at_a_sample_shows_that_sample() {
+    let desk = Desk::new();
+    desk.write_image("scene.fits", points(&[(30, 25, 2.0)]));
+    let stamp = middle_sample(&desk);
+    for method in ["basis", "direct", "patch=1", "auto"] {
+        desk.done(&format!("{TO} --rank full --method {method} -o {method}.fits"));
+        let image = desk.image(&format!("{method}.fits"));
+        let half = STAMP / 2;
+        let cut = image
+            .slice(s![25 - half..=25 + half, 30 - half..=30 + half])
+            .to_owned();
+        assert!(difference(&cut, &(2.0 * &stamp)) <= DOUBLE, "{method}");
+        assert!((image.sum() - 2.0).abs() <= DOUBLE, "{method}");
+    }
+}
+
+#[test]
+fn methods_agree_under_both_anchors() {
+    let desk = Desk::new();
+    for anchor in ["source", "output"] {
+        for method in ["direct", "basis", "patch=1", "patch=40"] {
+            desk.done(&format!(
+                "{TO} --anchor {anchor} --method {method} -o {anchor}_{method}.fits"
+            ));
+        }
+        let image = |method: &str| desk.image(&format!("{anchor}_{method}.fits"));
+        let direct = image("direct");
+        assert!(difference(&image("basis"), &direct) <= DOUBLE);
+        assert!(difference(&image("patch=1"), &direct) <= DOUBLE);
+        // Large patches are not exact: the comparison can fail.
+        assert!(difference(&image("patch=40"), &direct) > VISIBLE);
+    }
+    let [source, output] = ["source", "output"].map(|a| desk.image(&format!("{a}_direct.fits")));
+    assert!(difference(&source, &output) > VISIBLE);
+    let light = desk.image("scene.fits").sum();
+    assert!((source.sum() - light).abs() <= DOUBLE * light, "the flux is kept");
+}
+
+#[test]
+fn frame_cuts_the_image_and_moves_its_origin() {
+    let desk = Desk::new();
+    desk.done(&format!("{TO} -o whole.fits"));
+    let report = desk
+        .done(&format!("{TO} -o part.fits --frame 0,0,40,30 --json"))
+        .json();
+    assert_eq!(report["shape"], serde_json::json!([40, 30]));
+    let whole = desk.image("whole.fits");
+    assert!(difference(&desk.image("part.fits"), &whole.slice(s![..30, ..40]).to_owned()) <= DOUBLE);
+    desk.done(&format!("{TO} -o shifted.fits --frame 5,7,40,30"));
+    let header = desk.header("shifted.fits");
+    let real = |key: &str| match header.get(key).and_then(Card::value) {
+        Some(CardValue::Real(value)) => value,
+        other => panic!("{key}: {other:?}"),
+    };
+    assert_eq!((real("CRPIX1"), real("CRPIX2")), (15.5, 23.0));
+    // The PSF's field begins at the frame's first pixel, so a point at its middle has the middle sample.
+    desk.write_image("point.fits", points(&[(35, 32, 1.0)]));
+    desk.done("simulate point.fits --psf samples.fits --precision f64 --rank full --frame 5,7,56,44 -o point_out.fits");
+    let stamp = middle_sample(&desk);
+    let image = desk.image("point_out.fits");
+    let cut = image.slice(s![25 - 7..=25 + 7, 30 - 7..=30 + 7]).to_owned();
+    assert!(difference(&cut, &stamp) <= DOUBLE);
+}
+
+#[test]
+fn light_from_beyond_the_frame_comes_in() {
+    let desk = Desk::new();
+    let mut wide = Array2::zeros((NY + 10, NX + 10));
+    wide[[30, 4]] = 100.0;
+    desk.write_image("wide.fits", wide);
+    desk.refused(
+        "simulate wide.fits --psf samples.fits -o out.fits",
+        1,
+        &["samples.fits", "71 x 61", "61 x 51", "--frame"],
+    );
+    desk.done(&format!(
+        "simulate wide.fits --psf samples.fits -o out.fits --frame 5,5,{NX},{NY}"
+    ));
+    let image = desk.image("out.fits");
+    assert!(image[[25, 0]] > 0.1, "{}", image[[25, 0]]);
+    assert!(image.sum() < 60.0);
+}
+
+#[test]
+fn headers_say_how_to_repeat_the_result() {
+    let desk = Desk::new();
+    desk.done("simulate scene.fits --psf samples.fits -o image.fits --rank 3 --anchor output --spot-check 20 --seed 5");
+    let header = desk.header("image.fits");
+    let value = |key: &str| {
+        header
+            .get(key)
+            .and_then(Card::value)
+            .unwrap_or_else(|| panic!("no {key}"))
+    };
+    let text = |t: &str| CardValue::Text(t.to_owned());
+    assert_eq!(value("PSFIELD"), text(env!("CARGO_PKG_VERSION")));
+    assert_eq!(value("PSFANCH"), text("output"));
+    assert_eq!(value("PSFMETH"), text("basis"));
+    assert_eq!(value("PSFRANK"), CardValue::Integer(3));
+    assert_eq!(value("PSFPREC"), text("f32"));
+    assert_eq!(value("PSFNORM"), text("unit"));
+    assert_eq!(value("PSFCHKN"), CardValue::Integer(20));
+    assert_eq!(value("TELESCOP"), text("Small One"));
+    let history: String = header
+        .iter()
+        .filter(|card| card.keyword() == "HISTORY")
+        .map(Card::comment_text)
+        .collect();
+    let command = "psfield simulate scene.fits --psf samples.fits -o image.fits --rank 3 --anchor output --spot-check 20 --seed 5";
+    assert!(history.contains(command), "{history:?}");
+}
+
+#[test]
+fn the_report_counts_what_was_done() {
+    let desk = Desk::new();
+    let report = desk
+        .done("simulate scene.fits --psf samples.fits -o image.fits --rank 3 --spot-check 50 --json")
+        .json();
+    assert_keys(
+        &report,
+        &[
+            "seconds",
+            "modes",
+            "peak_memory_bytes",
+            "spot_check",
+            "method",
+            "anchor",
+        ],
+    );
+    assert_keys(&report["seconds"], &["read", "fit", "plan", "execute", "write"]);
+    assert_eq!(
+        (report["rank"].as_u64(), report["modes"].as_u64()),
+        (Some(3), Some(4))
+    );
+    assert_eq!(report["spot_check"]["pixels"], 50);
+    let worst = report["spot_check"]["max_over_peak"].as_f64().unwrap();
+    assert!(worst > 0.0 && worst <= SINGLE, "{worst:e}");
+    // Patches are not exact, and the check says so.
+    let report = desk
+        .done("simulate scene.fits --psf samples.fits -o patches.fits --method patch=40 --spot-check 200 --json")
+        .json();
+    assert!(report["spot_check"]["max_over_peak"].as_f64().unwrap() > VISIBLE);
+}
+
+#[test]
+fn any_number_of_threads_gives_the_same_bytes() {
+    let desk = Desk::new();
+    for (folder, threads) in [("one", "--threads 1"), ("two", "--threads=2"), ("all", "--json")] {
+        std::fs::create_dir(desk.path(folder)).unwrap();
+        for name in ["samples.fits", "scene.fits"] {
+            desk.write(&format!("{folder}/{name}"), desk.bytes(name));
+        }
+        let run = |arguments: &str| {
+            let run = std::process::Command::new(env!("CARGO_BIN_EXE_psfield"))
+                .args(arguments.split_whitespace())
+                .current_dir(desk.path(folder))
+                .output()
+                .unwrap();
+            assert!(run.status.success(), "{run:?}");
+        };
+        run(&format!("fit samples.fits {threads} -o model.fits"));
+        run(&format!(
+            "simulate scene.fits --psf model.fits -o image.fits {threads}"
+        ));
+    }
+    for name in ["model.fits", "image.fits"] {
+        for folder in ["two", "all"] {
+            assert!(
+                desk.bytes(&format!("one/{name}")) == desk.bytes(&format!("{folder}/{name}")),
+                "{folder}/{name}"
+            );
+        }
+    }
+}
+
+#[test]
+fn quiet_says_nothing_and_overwrite_replaces() {
+    let desk = Desk::new();
+    for command in [
+        "fit samples.fits -o model.fits -q",
+        "simulate scene.fits --psf model.fits -o image.fits -q --spot-check 5",
+        "compare image.fits scene.fits --quiet",
+    ] {
+        assert_eq!(desk.done(command).stdout, "", "{command}");
+    }
+    let before = desk.image("image.fits");
+    desk.done("simulate scene.fits --psf model.fits -o image.fits --overwrite --anchor output");
+    assert!(difference(&desk.image("image.fits"), &before) > VISIBLE);
+}

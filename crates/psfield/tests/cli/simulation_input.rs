@@ -1,0 +1,141 @@
+//! `psfield simulate`: catalogues, oversampled samples, sizes of stamps.
+
+use ndarray::Array2;
+
+use crate::desk::{Desk, difference, points, samples};
+
+/// Rounding of f64 transforms.
+const DOUBLE: f64 = 1e-12;
+/// Interpolating a well-sampled Gaussian three times oversampled to pixels and back.
+const RESAMPLING: f64 = 1e-3;
+
+const OPTIONS: &str = "--precision f64 --rank full";
+
+fn centroid(image: &Array2<f64>) -> (f64, f64) {
+    let sum = image.sum();
+    let of = |axis: fn((usize, usize)) -> usize| {
+        image
+            .indexed_iter()
+            .map(|(at, v)| axis(at) as f64 * v)
+            .sum::<f64>()
+            / sum
+    };
+    (of(|(_, x)| x), of(|(y, _)| y))
+}
+
+#[test]
+fn stars_on_pixels_are_lit_pixels() {
+    let desk = Desk::new();
+    desk.write("stars.csv", "# two stars\nid,flux,x,y\na,10,20,15\nb,4.5,40,33\n");
+    desk.write_image("lit.fits", points(&[(20, 15, 10.0), (40, 33, 4.5)]));
+    desk.done(&format!(
+        "simulate lit.fits --psf samples.fits -o lit_out.fits {OPTIONS}"
+    ));
+    let report = desk
+        .done(&format!(
+            "simulate --catalog stars.csv --shape 61,51 --psf samples.fits -o stars_out.fits {OPTIONS} --json"
+        ))
+        .json();
+    assert_eq!(report["sources"], 2);
+    let (stars, lit) = (desk.image("stars_out.fits"), desk.image("lit_out.fits"));
+    assert!(difference(&stars, &lit) <= DOUBLE);
+
+    // A scene and a catalogue are the sum of both.
+    for method in ["basis", "direct", "patch=1"] {
+        let common = format!("--psf samples.fits {OPTIONS} --method {method}");
+        desk.done(&format!("simulate scene.fits {common} -o scene_{method}.fits"));
+        desk.done(&format!(
+            "simulate scene.fits --catalog stars.csv {common} -o both_{method}.fits"
+        ));
+        let sum = desk.image(&format!("scene_{method}.fits")) + &stars;
+        assert!(
+            difference(&desk.image(&format!("both_{method}.fits")), &sum) <= DOUBLE,
+            "{method}"
+        );
+    }
+}
+
+#[test]
+fn oversampled_samples_serve_scene_and_catalogue() {
+    let desk = Desk::new();
+    desk.write_samples("fine.fits", &samples(3, 3));
+    desk.write("star.csv", "x,y,flux\n30,25,10\n");
+    desk.write_image("lit.fits", points(&[(30, 25, 10.0)]));
+    let fine = format!("--psf fine.fits {OPTIONS}");
+    desk.done(&format!("simulate lit.fits {fine} -o lit_out.fits"));
+    desk.done(&format!(
+        "simulate --catalog star.csv --shape 61,51 {fine} -o star_out.fits"
+    ));
+    let (star, lit) = (desk.image("star_out.fits"), desk.image("lit_out.fits"));
+    assert!(difference(&star, &lit) <= RESAMPLING);
+    // The same PSF drawn at the frame's pixels.
+    desk.done(&format!(
+        "simulate lit.fits --psf samples.fits {OPTIONS} -o coarse_out.fits"
+    ));
+    assert!(difference(&lit, &desk.image("coarse_out.fits")) <= RESAMPLING);
+    // Both together, with the check against the direct sum over both.
+    desk.done(&format!("simulate scene.fits {fine} -o scene_out.fits"));
+    let report = desk
+        .done(&format!(
+            "simulate scene.fits --catalog star.csv {fine} -o both.fits --spot-check 300 --json"
+        ))
+        .json();
+    assert!(report["spot_check"]["max_over_peak"].as_f64().unwrap() <= DOUBLE);
+    assert!(difference(&desk.image("both.fits"), &(desk.image("scene_out.fits") + &star)) <= DOUBLE);
+}
+
+#[test]
+fn stars_between_pixels_stay_where_they_are() {
+    let desk = Desk::new();
+    desk.write_samples("fine.fits", &samples(3, 3));
+    desk.write("star.csv", "x,y,flux\n30.3,24.6,10\n");
+    for psf in ["fine", "samples"] {
+        desk.done(&format!(
+            "simulate --catalog star.csv --shape 61,51 --psf {psf}.fits -o {psf}_out.fits {OPTIONS}"
+        ));
+        let image = desk.image(&format!("{psf}_out.fits"));
+        let (x, y) = centroid(&image);
+        assert!(
+            (x - 30.3).abs() < 0.01 && (y - 24.6).abs() < 0.01,
+            "{psf}: {x} {y}"
+        );
+        assert!((image.sum() - 10.0).abs() < 0.01, "{psf}: {}", image.sum());
+    }
+    desk.done(&format!(
+        "simulate --catalog star.csv --shape 61,51 --frame 10,5,40,40 --psf fine.fits -o cut.fits {OPTIONS}"
+    ));
+    let (x, y) = centroid(&desk.image("cut.fits"));
+    assert!((x - 20.3).abs() < 0.01 && (y - 19.6).abs() < 0.01, "{x} {y}");
+}
+
+#[test]
+fn stamp_size_cuts_and_pads() {
+    let desk = Desk::new();
+    desk.write_image("lit.fits", points(&[(30, 25, 1.0)]));
+    let simulate = |size: &str, out: &str| {
+        desk.done(&format!(
+            "simulate lit.fits --psf samples.fits {OPTIONS} --method direct {size} -o {out}"
+        ));
+        desk.image(out)
+    };
+    let whole = simulate("", "whole.fits");
+    let cut = simulate("--stamp-size 7", "cut.fits");
+    let padded = simulate("--stamp-size 21", "padded.fits");
+    for ((y, x), &value) in cut.indexed_iter() {
+        let inside = x.abs_diff(30) <= 3 && y.abs_diff(25) <= 3;
+        // What the basis leaves outside is rounding.
+        assert!(
+            if inside {
+                value > 1e-4
+            } else {
+                value.abs() <= DOUBLE
+            },
+            "{x} {y} {value:e}"
+        );
+    }
+    assert!((cut.sum() - 1.0).abs() <= DOUBLE, "scaled to unit flux again");
+    assert!(difference(&padded, &whole) <= DOUBLE);
+    desk.done("fit samples.fits -o model.fits --rank full");
+    desk.done("simulate lit.fits --psf model.fits --precision f64 --stamp-size 7 -o cut_model.fits");
+    assert!(difference(&desk.image("cut_model.fits"), &cut) <= DOUBLE);
+}
