@@ -2,7 +2,7 @@
 
 use integration_tests::{small_telescope, uniform_samples};
 use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
-use psfield::psf_types::{FrameShape, PointSource, Position, Scene};
+use psfield::psf_types::{Anchor, FrameShape, PointSource, Position, Scene};
 use psfield::{FitOptions, MeasureOptions, Method, PsfInput, Simulation};
 
 /// A star on a pixel is its stamp times its flux; measurements differ by rounding in f64.
@@ -22,7 +22,7 @@ fn stars_on_pixels_measure_as_their_psfs() {
         .with_sources(stars)
         .unwrap();
     let simulation = Simulation::new(psf, &scene, None).unwrap();
-    let image = simulation.run(&scene, Method::Auto, Default::default()).unwrap();
+    let image = simulation.run(&scene, Method::Auto, Anchor::default()).unwrap();
 
     let positions = places.map(|(x, y)| Position::of_pixel(x, y));
     let options = MeasureOptions {
@@ -69,7 +69,7 @@ fn sub_pixel_stars_lie_where_they_should() {
             .unwrap();
         let image = Simulation::new(psf.clone(), &scene, None)
             .unwrap()
-            .run(&scene, Method::Auto, Default::default())
+            .run(&scene, Method::Auto, Anchor::default())
             .unwrap();
         let fit = fitter(80, 60).fit(image.pixels()).unwrap();
         let stamp = centred.psf_at(position).unwrap();

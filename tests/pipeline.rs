@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use integration_tests::{relative_l2, small_telescope, small_telescope_params, test_scene, uniform_samples};
+use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_io::{Precision, read_model, read_samples, write_model, write_samples};
 use psfield::psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
-use psfield::psf_types::{Anchor, Image, NoProgress, PointSource, Position};
+use psfield::psf_types::{Anchor, FrameShape, Image, NoProgress, PointSource, Position, Scene};
 use psfield::{EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, evaluate, fit};
 
 fn image(psf: PsfInput) -> Image<f64> {
@@ -141,4 +142,41 @@ fn evaluation_follows_its_options() {
         ..native
     });
     assert_eq!(cut.stamp(1), centred.stamp(1).slice(ndarray::s![8..17, 8..17]));
+}
+
+/// A pixel of light and a star on that pixel are the same, also where truncation changes the flux of a PSF: what is scaled to
+/// unit flux is the PSF at the position, not the samples that it is interpolated from.
+#[test]
+fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
+    let options = FitOptions {
+        rank: RankSelection::Fixed(2),
+        centring: Centring::None,
+        ..FitOptions::default()
+    };
+    let fitted = fit(uniform_samples(&small_telescope(3), 5, 4), &options).unwrap();
+    let psf = PsfInput::Model(fitted.record().clone());
+    let (x, y) = (37, 71);
+    let shape = FrameShape::new(160, 120).unwrap();
+    let mut light = ndarray::Array2::<f64>::zeros((120, 160));
+    light[[y, x]] = 1.0;
+    let run = |scene: Scene<f64>| {
+        let simulation = Simulation::new(psf.clone(), &scene, None).unwrap();
+        simulation.run(&scene, Method::Auto, Anchor::Source).unwrap()
+    };
+    let pixel = run(Scene::from_image(Image::new(light).unwrap()));
+    let star = PointSource {
+        position: Position::of_pixel(x as i64, y as i64),
+        flux: 1.0,
+    };
+    let star = run(Scene::dark(shape).with_sources(vec![star]).unwrap());
+    // Each is scaled by the flux on its own pixels, which for a truncated PSF is not quite the same.
+    let (flux, stars_flux) = (pixel.pixels().sum(), star.pixels().sum());
+    assert!(
+        (flux - 1.0).abs() < 1e-12 && (stars_flux - 1.0).abs() < 1e-3,
+        "{flux} {stars_flux}"
+    );
+    let star = Image::new(star.pixels().mapv(|v| v / stars_flux)).unwrap();
+    let error = relative_l2(&pixel, &star);
+    println!("pixel against star: {error:.1e}");
+    assert!(error < 1e-12, "{error}");
 }

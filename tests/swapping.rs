@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 use integration_tests::{relative_l2, test_scene};
 use ndarray::{Array2, Array3, ArrayViewMut2, Axis};
 use psfield::coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
-use psfield::conv_core::{BasisConvolution, ConvError, ConvolutionMethod, Direct};
-use psfield::fit_with;
+use psfield::conv_core::{BasisConvolution, ConvError, ConvolutionMethod};
 use psfield::psf_basis::{BasisError, BasisFit, BasisMethod};
-use psfield::psf_sample::{SampleError, Sampling, SamplingMethod, UniformSampling};
+use psfield::psf_sample::{SampleError, Sampling, SamplingMethod, SamplingReport};
 use psfield::psf_types::{
-    DataError, FieldError, FrameShape, Image, NoProgress, Normalisation, OutsidePolicy, Position, Progress,
-    PsfBasis, PsfModel, PsfSource, SamplePositions, Scene, SourceError, StampGrid,
+    Anchor, DataError, FieldError, FrameShape, Image, NoProgress, Normalisation, OutsidePolicy, Position,
+    Progress, PsfBasis, PsfModel, PsfSamples, PsfSource, SamplePositions, Scene, SourceError, StampGrid,
 };
+use psfield::{Simulation, SpotCheck, fit_with};
 
 /// A PSF source: two points of light whose ratio changes along x.
 #[derive(Debug)]
@@ -39,14 +39,33 @@ impl PsfSource for Doublet {
     }
 }
 
-/// A sampling method: two columns of positions.
+/// A sampling method: the same few rows along the left and the right edge.
 #[derive(Debug)]
-struct TwoColumns;
+struct TwoEdges;
 
-impl SamplingMethod for TwoColumns {
+impl SamplingMethod for TwoEdges {
     fn sample(&self, source: &dyn PsfSource, progress: &dyn Progress) -> Result<Sampling, SampleError> {
-        let rows = UniformSampling::new(2, 9)?;
-        rows.sample(source, progress)
+        let last = source.field().nx() as i64 - 1;
+        let positions: Vec<Position> = [0, 11, 30, 47]
+            .iter()
+            .flat_map(|&y| [0, last].map(|x| Position::of_pixel(x, y)))
+            .collect();
+        progress.start(positions.len() as u64);
+        let (ny, nx) = source.grid().dim();
+        let mut stamps = Array3::zeros((positions.len(), ny, nx));
+        for (stamp, &position) in stamps.outer_iter_mut().zip(&positions) {
+            source
+                .draw_into(position, stamp)
+                .map_err(|source| SampleError::Draw { position, source })?;
+            progress.advance(1);
+        }
+        let draws = positions.len();
+        let positions = SamplePositions::new(positions, Some(source.field()))?;
+        let samples = PsfSamples::new(stamps, positions, source.grid())?;
+        Ok(Sampling {
+            samples,
+            report: SamplingReport::of_fixed_positions(draws),
+        })
     }
 }
 
@@ -124,20 +143,32 @@ impl FieldWeights for AlongXWeights {
     }
 }
 
-/// A convolution method: the direct sum, mirrored there and back, to show that any method serves.
+/// A convolution method: every lit pixel spread by a plain loop.
 #[derive(Debug)]
-struct Checked;
+struct PlainLoop;
 
-impl ConvolutionMethod<f64> for Checked {
+impl ConvolutionMethod<f64> for PlainLoop {
     fn convolve(&self, model: &PsfModel, scene: &Scene<f64>) -> Result<Image<f64>, ConvError> {
-        let image = Direct::default().convolve(model, scene)?;
-        Image::new(image.into_pixels().mapv(|v| -(-v))).map_err(ConvError::Result)
+        let mut image = Array2::zeros((scene.shape().ny(), scene.shape().nx()));
+        let (cx, cy) = model.grid().whole_centre().expect("centred on a pixel");
+        let light = scene.pixels().expect("an image");
+        for ((y, x), &flux) in light.indexed_iter() {
+            let psf = model.psf_at(scene.field_region().position(x, y))?;
+            for ((j, i), &h) in psf.values().indexed_iter() {
+                if let (Some(row), Some(column)) = ((y + j).checked_sub(cy), (x + i).checked_sub(cx))
+                    && let Some(pixel) = image.get_mut((row, column))
+                {
+                    *pixel += flux * h;
+                }
+            }
+        }
+        Image::new(image).map_err(ConvError::Result)
     }
 }
 
 #[test]
 fn own_parts_make_a_whole_simulation() {
-    let sampling = TwoColumns.sample(&Doublet, &NoProgress).unwrap();
+    let sampling = TwoEdges.sample(&Doublet, &NoProgress).unwrap();
     let (model, fit) = fit_with(
         sampling.samples,
         &LitPixels,
@@ -164,9 +195,14 @@ fn own_parts_make_a_whole_simulation() {
         }
     }
     let expected = Image::new(expected).unwrap();
-    let methods: [&dyn ConvolutionMethod<f64>; 2] = [&Checked, &BasisConvolution::default()];
+    let simulation = Simulation::with_model(model);
+    let methods: [&dyn ConvolutionMethod<f64>; 2] = [&PlainLoop, &BasisConvolution::default()];
     for method in methods {
-        let image = method.convolve(&model, &scene).unwrap();
+        let image = simulation.run_with(&scene, method, &NoProgress).unwrap();
         assert!(relative_l2(&image, &expected) < 1e-13, "{method:?}");
+        let check = SpotCheck::run(&image, 50, 1, |pixels| {
+            simulation.exact_at(&scene, Anchor::Source, pixels)
+        });
+        assert!(check.unwrap().max_over_peak.unwrap() < 1e-13);
     }
 }

@@ -14,6 +14,11 @@ pub(crate) fn expected() -> PathBuf {
     )
 }
 
+/// Whether someone said where the data is.
+pub(crate) fn asked_for() -> bool {
+    std::env::var_os("PSFIELD_DATA").is_some()
+}
+
 /// Where the data is, if it is.
 pub(crate) fn folder() -> Option<PathBuf> {
     Some(expected()).filter(|folder| folder.join("roman/samples1024.fits").is_file())

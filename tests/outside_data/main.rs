@@ -14,6 +14,11 @@ fn main() {
     let arguments = Arguments::from_args();
     let available = data::folder().is_some();
     if !available {
+        assert!(
+            !data::asked_for(),
+            "PSFIELD_DATA is set, but {} does not hold the data",
+            data::expected().display()
+        );
         eprintln!(
             "outside data: not found ({}); its tests are skipped and show as ignored",
             data::expected().display()

@@ -1,9 +1,10 @@
 //! The method's own form: one whole-image convolution a basis stamp.
 
 use ndarray::{Array2, Array3, ArrayView2, Axis};
-use psf_types::{Anchor, FrameShape, Image, PixelRegion, PsfModel, Scene};
+use psf_types::{Anchor, FrameShape, Image, NoProgress, PixelRegion, Progress, PsfModel, Scene};
 use rustfft::num_complex::Complex;
 
+use crate::crop::within_reach;
 use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::planes::{coefficient_planes, flux_plane};
@@ -78,7 +79,7 @@ impl BasisConvolution {
             });
         }
         let whole = scene.shape().region();
-        let plane = Plane::new(model, scene, true)?;
+        let plane = Plane::new(model, scene, true, &NoProgress)?;
         let pixels = match self.anchor {
             Anchor::Output => plane.weight_then_convolve(frame, image.pixels(), whole)?,
             _ => plane.convolve_then_weight(frame, image.pixels(), whole)?,
@@ -89,17 +90,27 @@ impl BasisConvolution {
 
 impl<T: ConvReal> ConvolutionMethod<T> for BasisConvolution {
     fn convolve(&self, model: &PsfModel, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
+        self.convolve_with_progress(model, scene, &NoProgress)
+    }
+
+    fn convolve_with_progress(
+        &self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, ConvError> {
         let frame = scene.frame();
-        let mut pixels = match scene.pixels() {
-            None => Array2::zeros((frame.shape().ny(), frame.shape().nx())),
-            Some(light) => {
-                let whole = scene.shape().region();
-                let plane = Plane::new(model, scene, false)?;
-                match self.anchor {
-                    Anchor::Output => plane.convolve_then_weight(whole, light, frame)?,
-                    _ => plane.weight_then_convolve(whole, light, frame)?,
-                }
+        let mut pixels = if scene.image().is_some() {
+            let scene = within_reach(scene, Reach::of(model.grid())?);
+            let light = scene.pixels().expect("it had an image");
+            let (whole, frame) = (scene.shape().region(), scene.frame());
+            let plane = Plane::new(model, &scene, false, progress)?;
+            match self.anchor {
+                Anchor::Output => plane.convolve_then_weight(whole, light, frame)?,
+                _ => plane.weight_then_convolve(whole, light, frame)?,
             }
+        } else {
+            Array2::zeros((frame.shape().ny(), frame.shape().nx()))
         };
         add_point_sources(model, scene, self.anchor, &mut pixels)?;
         Image::new(pixels).map_err(ConvError::Result)
@@ -115,10 +126,18 @@ struct Plane<'a, T: ConvReal> {
     to_field: (i64, i64),
     /// Correlate instead of convolve.
     correlate: bool,
+    /// One step a stamp.
+    progress: &'a dyn Progress,
 }
 
 impl<'a, T: ConvReal> Plane<'a, T> {
-    fn new(model: &'a PsfModel, scene: &Scene<T>, correlate: bool) -> Result<Self, ConvError> {
+    fn new(
+        model: &'a PsfModel,
+        scene: &Scene<T>,
+        correlate: bool,
+        progress: &'a dyn Progress,
+    ) -> Result<Self, ConvError> {
+        progress.start(model.stamp_count() as u64);
         let reach = Reach::of(model.grid())?;
         let shape = scene.shape();
         // The difference of two positions in the scene never meets a wrapped stamp value.
@@ -133,6 +152,7 @@ impl<'a, T: ConvReal> Plane<'a, T> {
             fft,
             to_field: (field.x0(), field.y0()),
             correlate,
+            progress,
         })
     }
 
@@ -188,6 +208,7 @@ impl<'a, T: ConvReal> Plane<'a, T> {
                         *sum += f * self.conjugate(b);
                     }
                 });
+                self.progress.advance(1);
             }
         }
         self.fft
@@ -254,6 +275,7 @@ impl<'a, T: ConvReal> Plane<'a, T> {
                             *out += a * v;
                         }
                     });
+                self.progress.advance(1);
             }
         }
         if let Some(fluxes) = flux_plane(self.model, field, None)? {

@@ -1,9 +1,10 @@
 //! The exact double sum.
 
 use ndarray::{Array2, ArrayView2, ArrayView3, s};
-use psf_types::{Anchor, Image, PixelRegion, PsfModel, Scene};
+use psf_types::{Anchor, Image, NoProgress, PixelRegion, Progress, PsfModel, Scene};
 use rayon::prelude::*;
 
+use crate::crop::within_reach;
 use crate::kernel::Reach;
 use crate::overlap::{Piece, add_in_order, overlap};
 use crate::point_sources::{add_point_sources, point_sources_at};
@@ -11,6 +12,9 @@ use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
 /// that every other method is measured against.
+///
+/// Point sources between pixels are drawn from the same [`StampSpline`](crate::StampSpline) as by every other method: the sum is
+/// exact for the model, not for a PSF that its stamps sample too coarsely to be interpolated.
 ///
 /// A whole image costs `K` multiplications for each lit pixel and each pixel of a stamp; [`Direct::at_pixels`] gives single
 /// pixels of a large image.
@@ -123,12 +127,13 @@ impl Direct {
         scene: &Scene<T>,
         light: ArrayView2<'_, T>,
         reach: Reach,
+        progress: &dyn Progress,
         result: &mut Array2<f64>,
     ) -> Result<(), ConvError> {
         let (field, frame) = (scene.field_region(), scene.frame());
         let (ny, nx) = light.dim();
         let (height, width) = model.grid().dim();
-        add_in_order(result, ny.div_ceil(BAND), |band| {
+        add_in_order(result, ny.div_ceil(BAND), progress, |band| {
             let rows = band * BAND..((band + 1) * BAND).min(ny);
             let lit: Vec<(usize, usize)> = rows
                 .clone()
@@ -164,6 +169,7 @@ impl Direct {
         scene: &Scene<T>,
         light: ArrayView2<'_, T>,
         reach: Reach,
+        progress: &dyn Progress,
         result: &mut Array2<f64>,
     ) -> Result<(), ConvError> {
         let (field, frame) = (scene.field_region(), scene.frame());
@@ -174,6 +180,7 @@ impl Direct {
             let rows = overlap(y as i64 - reach.above as i64, model.grid().ny(), light.nrows())?;
             Some((columns, rows))
         };
+        progress.start(frame.shape().ny() as u64);
         let rows: Vec<Result<(), ConvError>> = result
             .as_slice_mut()
             .expect("row-major")
@@ -204,6 +211,7 @@ impl Direct {
                             psf.iter().zip(window).map(|(p, f)| p * f.as_f64()).sum();
                     }
                 }
+                progress.advance(1);
                 Ok(())
             })
             .collect();
@@ -231,13 +239,24 @@ fn stamp_of<'a>(psf: &'a ndarray::ArrayView1<'_, f64>, model: &PsfModel) -> Arra
 
 impl<T: ConvReal> ConvolutionMethod<T> for Direct {
     fn convolve(&self, model: &PsfModel, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
+        self.convolve_with_progress(model, scene, &NoProgress)
+    }
+
+    fn convolve_with_progress(
+        &self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, ConvError> {
         let shape = scene.frame().shape();
         let mut result = Array2::zeros((shape.ny(), shape.nx()));
-        if let Some(light) = scene.pixels() {
+        if scene.image().is_some() {
             let reach = Reach::of(model.grid())?;
+            let scene = within_reach(scene, reach);
+            let light = scene.pixels().expect("it had an image");
             match self.anchor {
-                Anchor::Output => Self::gather(model, scene, light, reach, &mut result)?,
-                _ => Self::scatter(model, scene, light, reach, &mut result)?,
+                Anchor::Output => Self::gather(model, &scene, light, reach, progress, &mut result)?,
+                _ => Self::scatter(model, &scene, light, reach, progress, &mut result)?,
             }
         }
         add_point_sources(model, scene, self.anchor, &mut result)?;

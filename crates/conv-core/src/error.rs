@@ -57,6 +57,6 @@ pub enum ConvError {
     #[error(transparent)]
     Field(#[from] FieldError),
     /// The result is not a valid image.
-    #[error("the result is not a valid image")]
+    #[error("the result is not a valid image: are fluxes beyond the range of the working precision?")]
     Result(#[source] DataError),
 }

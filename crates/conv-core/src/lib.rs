@@ -27,6 +27,7 @@
 //! Work is spread over rayon's current pool. Results are the same bytes on any number of threads.
 
 mod basis_convolution;
+mod crop;
 mod direct;
 mod error;
 mod fft2;

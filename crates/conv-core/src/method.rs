@@ -1,6 +1,6 @@
 //! The trait of convolution methods.
 
-use psf_types::{Image, PsfModel, Real, Scene};
+use psf_types::{Image, Progress, PsfModel, Real, Scene};
 use rustfft::FftNum;
 
 use crate::ConvError;
@@ -19,4 +19,20 @@ pub trait ConvolutionMethod<T: ConvReal>: std::fmt::Debug {
     /// # Errors
     /// [`ConvError`] when the model's stamps do not suit an image, or the PSF has no value somewhere in the scene.
     fn convolve(&self, model: &PsfModel, scene: &Scene<T>) -> Result<Image<T>, ConvError>;
+
+    /// Like [`convolve`](Self::convolve), telling how far it has come. The provided method tells when it is done.
+    ///
+    /// # Errors
+    /// As [`convolve`](Self::convolve).
+    fn convolve_with_progress(
+        &self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, ConvError> {
+        progress.start(1);
+        let image = self.convolve(model, scene)?;
+        progress.advance(1);
+        Ok(image)
+    }
 }

@@ -1,6 +1,7 @@
 //! Adding up pieces that overlap, the same way on any number of threads.
 
 use ndarray::{Array2, s};
+use psf_types::Progress;
 use rayon::prelude::*;
 
 use crate::ConvReal;
@@ -41,12 +42,14 @@ pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize,
 /// Pieces are made in parallel, this many at a time, so that only so many are in memory.
 const AT_ONCE: usize = 16;
 
-/// Makes `count` sets of pieces in parallel and adds them to the output in order.
+/// Makes `count` sets of pieces in parallel and adds them to the output in order; each is a step.
 pub(crate) fn add_in_order<T: ConvReal, E: Send>(
     output: &mut Array2<T>,
     count: usize,
+    progress: &dyn Progress,
     make: impl Fn(usize) -> Result<Vec<Piece<T>>, E> + Sync,
 ) -> Result<(), E> {
+    progress.start(count as u64);
     for first in (0..count).step_by(AT_ONCE) {
         let made: Vec<Result<Vec<Piece<T>>, E>> = (first..(first + AT_ONCE).min(count))
             .into_par_iter()
@@ -56,6 +59,7 @@ pub(crate) fn add_in_order<T: ConvReal, E: Send>(
             for piece in pieces? {
                 piece.add_to(output);
             }
+            progress.advance(1);
         }
     }
     Ok(())

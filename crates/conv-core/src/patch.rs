@@ -1,8 +1,9 @@
 //! The classical method: a constant PSF in each patch.
 
 use ndarray::{Array2, ArrayView2, Axis, s};
-use psf_types::{Anchor, Image, PixelRegion, Position, PsfModel, Scene};
+use psf_types::{Anchor, Image, NoProgress, PixelRegion, Position, Progress, PsfModel, Scene};
 
+use crate::crop::within_reach;
 use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::overlap::{Piece, add_in_order, overlap};
@@ -21,7 +22,8 @@ pub struct PatchConvolution {
 }
 
 impl PatchConvolution {
-    /// Patches of `size x size` pixels, counted from the frame's first pixel.
+    /// Patches of `size x size` pixels, counted from the frame's first pixel; light around the frame lies in patches that
+    /// continue outwards.
     ///
     /// # Errors
     /// [`ConvError::PatchSize`] when the size is 0.
@@ -33,21 +35,40 @@ impl PatchConvolution {
         }
     }
 
-    /// The patches of one row: `(first column, columns)` of each.
-    fn cut(self, length: usize) -> impl Iterator<Item = (usize, usize)> {
-        (0..length)
-            .step_by(self.size)
-            .map(move |first| (first, self.size.min(length - first)))
+    /// Cuts `length` pixels of an axis at the frame's first pixel, `origin`, and every `size` from it both ways:
+    /// `(first, pixels)` of each piece.
+    fn cut(self, origin: usize, length: usize) -> Vec<(usize, usize)> {
+        let first_cut = origin % self.size;
+        let cuts = (first_cut..length).step_by(self.size);
+        let starts: Vec<usize> = (first_cut > 0).then_some(0).into_iter().chain(cuts).collect();
+        let ends = starts.iter().skip(1).copied().chain([length]);
+        starts
+            .iter()
+            .zip(ends)
+            .map(|(&start, end)| (start, end - start))
+            .collect()
     }
 }
 
 impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
     fn convolve(&self, model: &PsfModel, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
+        self.convolve_with_progress(model, scene, &NoProgress)
+    }
+
+    fn convolve_with_progress(
+        &self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, ConvError> {
         let frame = scene.frame();
         let shape = frame.shape();
         let mut result = Array2::zeros((shape.ny(), shape.nx()));
-        if let Some(light) = scene.pixels() {
+        if scene.image().is_some() {
             let reach = Reach::of(model.grid())?;
+            let scene = within_reach(scene, reach);
+            let light = scene.pixels().expect("it had an image");
+            let frame = scene.frame();
             let patch = self.size.min(scene.shape().nx().max(scene.shape().ny()));
             let (height, width) = model.grid().dim();
             let fft = RealFft2::<T>::at_least(patch + height - 1, patch + width - 1);
@@ -60,16 +81,16 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
                 frame,
             };
             // The patches that hold the light (source) or make up the frame (output), in pixels of the scene.
-            let region = if self.anchor == Anchor::Output {
-                frame
-            } else {
-                scene.shape().region()
+            let (region, origin) = match self.anchor {
+                Anchor::Output => (frame, (0, 0)),
+                _ => (scene.shape().region(), (frame.x0() as usize, frame.y0() as usize)),
             };
-            let rows: Vec<_> = self.cut(region.shape().ny()).collect();
-            add_in_order(&mut result, rows.len(), |row| {
+            let columns = self.cut(origin.0, region.shape().nx());
+            let rows = self.cut(origin.1, region.shape().ny());
+            add_in_order(&mut result, rows.len(), progress, |row| {
                 let (y, height) = rows[row];
                 let mut pieces = Vec::new();
-                for (x, width) in self.cut(region.shape().nx()) {
+                for &(x, width) in &columns {
                     let corner = (x + region.x0() as usize, y + region.y0() as usize);
                     pieces.extend(match self.anchor {
                         Anchor::Output => work.gather(corner, (width, height))?,
@@ -192,5 +213,23 @@ impl<T: ConvReal> Work<'_, T> {
         self.field
             .position(x, y)
             .midpoint(self.field.position(x + nx - 1, y + ny - 1))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cuts_count_from_the_frame() {
+        let cut = |size, origin, length| {
+            PatchConvolution::new(size, Anchor::Source)
+                .unwrap()
+                .cut(origin, length)
+        };
+        assert_eq!(cut(4, 0, 10), [(0, 4), (4, 4), (8, 2)]);
+        assert_eq!(cut(4, 5, 10), [(0, 1), (1, 4), (5, 4), (9, 1)]);
+        assert_eq!(cut(4, 3, 2), [(0, 2)]);
+        assert_eq!(cut(100, 7, 30), [(0, 7), (7, 23)]);
     }
 }

@@ -14,7 +14,8 @@ const TILE_COLUMNS: usize = 256;
 
 /// Writes the coefficients of a range of stamps over a region, `[stamp, y, x]`, before the division by the flux.
 ///
-/// Where `light` is given, tiles without any light are left at 0.
+/// Where `light` is given, tiles without any light are left as they are, and where the field has no value only lit
+/// pixels need one.
 pub(crate) fn coefficient_planes<T: ConvReal>(
     model: &PsfModel,
     region: PixelRegion,
@@ -29,7 +30,7 @@ pub(crate) fn coefficient_planes<T: ConvReal>(
 
 /// The flux of the unscaled PSF over a region, or nothing where it is 1 everywhere.
 ///
-/// Where `light` is given, tiles without any light are left at 1.
+/// Where `light` is given, tiles without any light are left at 1, and only lit pixels need a flux.
 pub(crate) fn flux_plane<T: ConvReal>(
     model: &PsfModel,
     region: PixelRegion,
@@ -44,6 +45,11 @@ pub(crate) fn flux_plane<T: ConvReal>(
         model.flux_region_into(tile, values.index_axis_mut(Axis(0), 0))
     })?;
     Ok(Some(plane.index_axis_move(Axis(0), 0)))
+}
+
+fn region_of(whole: PixelRegion, x: usize, y: usize, nx: usize, ny: usize) -> PixelRegion {
+    let shape = FrameShape::new(nx, ny).expect("parts of a region are not empty");
+    PixelRegion::new(whole.x0() + x as i64, whole.y0() + y as i64, shape)
 }
 
 /// Evaluates tiles in parallel in double precision and stores them in `planes` `[plane, y, x]`.
@@ -65,12 +71,19 @@ fn for_tiles<T: ConvReal>(
             }) {
                 continue;
             }
-            let shape = FrameShape::new(columns, rows).expect("tiles are not empty");
+            let tile = region_of(region, x, y, columns, rows);
             let mut values = Array3::zeros((count, rows, columns));
-            evaluate(
-                PixelRegion::new(region.x0() + x as i64, region.y0() + y as i64, shape),
-                &mut values,
-            )?;
+            if let Err(error) = evaluate(tile, &mut values) {
+                // Perhaps only where it is dark: then nobody needs what cannot be evaluated.
+                let Some(light) = light else { return Err(error) };
+                values = planes.slice(s![.., .., x..x + columns]).mapv(T::as_f64);
+                let lit = light.slice(s![y..y + rows, x..x + columns]);
+                for ((j, i), _) in lit.indexed_iter().filter(|(_, v)| !v.is_zero()) {
+                    let mut pixel = Array3::zeros((count, 1, 1));
+                    evaluate(region_of(tile, i, j, 1, 1), &mut pixel)?;
+                    values.slice_mut(s![.., j..=j, i..=i]).assign(&pixel);
+                }
+            }
             planes
                 .slice_mut(s![.., .., x..x + columns])
                 .zip_mut_with(&values, |p, &v| *p = T::nearest(v));

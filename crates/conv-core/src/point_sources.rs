@@ -1,7 +1,7 @@
 //! Point sources at sub-pixel positions.
 
 use ndarray::{Array2, ArrayView2, Axis};
-use psf_types::{Anchor, PixelRegion, PointSource, Position, PsfModel, Scene, StampGrid};
+use psf_types::{Anchor, NoProgress, PixelRegion, PointSource, Position, PsfModel, Scene, StampGrid};
 use rayon::prelude::*;
 
 use crate::overlap::{Piece, add_in_order, overlap};
@@ -10,6 +10,8 @@ use crate::{ConvError, ConvReal};
 
 /// Sources that one task draws.
 const AT_ONCE: usize = 32;
+/// Painted sources in memory at once.
+const PAINTED_AT_ONCE: usize = 1024;
 
 /// Draws every point source into an image of the frame: the PSF of its own position (or, output-anchored, of each pixel's),
 /// shifted to it by the stamps' splines. Sources off the frame shine in as far as their stamps reach.
@@ -24,7 +26,7 @@ pub(crate) fn add_point_sources<T: ConvReal, S: ConvReal>(
         return Ok(());
     }
     let painter = Painter::new(model, scene.frame(), anchor)?;
-    add_in_order(image, sources.len().div_ceil(AT_ONCE), |task| {
+    add_in_order(image, sources.len().div_ceil(AT_ONCE), &NoProgress, |task| {
         let sources = sources[task * AT_ONCE..]
             .iter()
             .take(AT_ONCE)
@@ -61,19 +63,18 @@ pub(crate) fn point_sources_at<T: ConvReal>(
                 (x..x + nx as i64).contains(&(column as i64)) && (y..y + ny as i64).contains(&(row as i64))
             })
     };
-    let painted: Vec<Result<_, ConvError>> = scene
-        .sources()
-        .par_iter()
-        .filter(hit)
-        .map(|source| painter.paint(source))
-        .collect();
+    let hit: Vec<&PointSource> = scene.sources().iter().filter(hit).collect();
     let mut values = vec![0.0; pixels.len()];
-    for painted in painted {
-        let ((x, y), stamp) = painted?;
-        for (value, &(column, row)) in values.iter_mut().zip(pixels) {
-            let inside = |first: i64, index: usize| usize::try_from(index as i64 - first).ok();
-            if let (Some(i), Some(j)) = (inside(x, column), inside(y, row)) {
-                *value += stamp.get((j, i)).copied().unwrap_or(0.0);
+    for some in hit.chunks(PAINTED_AT_ONCE) {
+        let painted: Vec<Result<_, ConvError>> =
+            some.par_iter().map(|source| painter.paint(source)).collect();
+        for painted in painted {
+            let ((x, y), stamp) = painted?;
+            for (value, &(column, row)) in values.iter_mut().zip(pixels) {
+                let inside = |first: i64, index: usize| usize::try_from(index as i64 - first).ok();
+                if let (Some(i), Some(j)) = (inside(x, column), inside(y, row)) {
+                    *value += stamp.get((j, i)).copied().unwrap_or(0.0);
+                }
             }
         }
     }

@@ -415,3 +415,54 @@ fn the_number_of_threads_does_not_matter() {
         }
     }
 }
+
+/// A field that has values on a few pixels only.
+#[derive(Debug)]
+struct Island;
+
+impl psf_types::CoefficientField for Island {
+    fn component_count(&self) -> usize {
+        3
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), psf_types::FieldError> {
+        if (8.0..12.0).contains(&p.x()) && (5.0..9.0).contains(&p.y()) {
+            Waves.evaluate_into(p, a)
+        } else {
+            Err(psf_types::FieldError::OutsideSamples { position: p })
+        }
+    }
+}
+
+/// Nobody asks for the PSF of darkness, nor of light that falls on no pixel of the frame.
+#[test]
+fn only_light_that_reaches_the_frame_needs_a_psf() {
+    let model = |field: Arc<dyn psf_types::CoefficientField>| {
+        model_with(field, (6, 4), (3, 2), true, Normalisation::Unit)
+    };
+    let mut light = Array2::zeros((30, 300));
+    light[[8, 10]] = 3.0;
+    light[[9, 11]] = 2.0;
+    light[[9, 290]] = 7.0;
+    let scene = Scene::from_image(Image::new(light).unwrap())
+        .with_frame(region(1, 2, 40, 20))
+        .unwrap();
+    let truth = double_sum(&model(Arc::new(Waves)), &scene, Anchor::Source);
+    let island = model(Arc::new(Island));
+    let methods: [&dyn ConvolutionMethod<f64>; 3] = [
+        &BasisConvolution::default(),
+        &Direct::default(),
+        &PatchConvolution::new(1, Anchor::Source).unwrap(),
+    ];
+    for method in methods {
+        let image = method.convolve(&island, &scene).unwrap().into_pixels();
+        assert!(
+            largest_difference(&image, &truth) <= FFT_F64 * peak(&truth),
+            "{method:?}"
+        );
+    }
+    let lit_outside = scene.with_frame(region(200, 2, 100, 20)).unwrap();
+    assert!(matches!(
+        BasisConvolution::default().convolve(&island, &lit_outside),
+        Err(ConvError::Field(_))
+    ));
+}

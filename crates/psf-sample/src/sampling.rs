@@ -41,6 +41,20 @@ pub struct SamplingReport {
     pub threshold: Option<f64>,
 }
 
+impl SamplingReport {
+    /// The report of a method that takes positions as they are and asks nothing of what lies between them.
+    pub fn of_fixed_positions(draws: usize) -> Self {
+        Self {
+            outcome: SamplingOutcome::Met,
+            draws,
+            cells: 0,
+            unmet_cells: 0,
+            worst: 0.0,
+            threshold: None,
+        }
+    }
+}
+
 /// How a sampling ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]

@@ -55,6 +55,14 @@ pub enum DataError {
         /// Rows.
         ny: usize,
     },
+    /// A frame that no memory holds.
+    #[error("a frame of {nx} x {ny} pixels is larger than any memory")]
+    FrameTooLarge {
+        /// Columns.
+        nx: usize,
+        /// Rows.
+        ny: usize,
+    },
     /// A stamp without pixels.
     #[error("a stamp of {nx} x {ny} pixels is empty")]
     EmptyStamp {

@@ -22,12 +22,14 @@ impl FrameShape {
     /// A frame of `nx` columns and `ny` rows.
     ///
     /// # Errors
-    /// [`DataError::EmptyFrame`] when either is 0.
+    /// [`DataError::EmptyFrame`] when either is 0, [`DataError::FrameTooLarge`] when the pixels cannot be counted.
     pub fn new(nx: usize, ny: usize) -> Result<Self, DataError> {
         if nx == 0 || ny == 0 {
-            Err(DataError::EmptyFrame { nx, ny })
-        } else {
-            Ok(Self { nx, ny })
+            return Err(DataError::EmptyFrame { nx, ny });
+        }
+        match nx.checked_mul(ny) {
+            Some(pixels) if pixels <= isize::MAX as usize / 16 => Ok(Self { nx, ny }),
+            _ => Err(DataError::FrameTooLarge { nx, ny }),
         }
     }
 

@@ -26,8 +26,8 @@ struct RawPsfBasis {
 }
 
 impl PsfBasis {
-    /// How far an inner product may be from 0 or 1: loose enough for a basis that passed through a file in single
-    /// precision, far tighter than any that is not meant to be orthonormal.
+    /// How far an inner product may be from 0 or 1: loose enough for a basis of other software that was stored in single
+    /// precision, far tighter than any that is not meant to be orthonormal. The bases made here are orthonormal to 1e-12.
     pub const ORTHONORMALITY_TOLERANCE: f64 = 1e-5;
 
     /// A basis from its mean stamp (if centred) and orthonormal components `[component, y, x]`.

@@ -3,7 +3,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use ndarray::{Array2, Array3, ArrayView2, ArrayViewMut2, ArrayViewMut3, s};
+use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayViewMut2, ArrayViewMut3, s};
 use serde::{Deserialize, Serialize};
 
 use crate::{
@@ -87,7 +87,22 @@ impl PsfModelRecord {
     /// As [`PsfModel::new`].
     pub fn into_model(self, field: Arc<dyn CoefficientField>) -> Result<PsfModel, DataError> {
         let shape = self.coefficients.positions().field();
-        PsfModel::new(&self.basis, field, self.normalisation, shape)
+        let model = PsfModel::new(&self.basis, field, self.normalisation, shape)?;
+        // Where the components take no flux from a mean of unit flux at any sample, they take none between the samples.
+        let first = usize::from(model.mean_centred);
+        let unit_mean = first == 1 && (model.fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE;
+        let taken = |row: ArrayView1<'_, f64>| -> f64 {
+            row.iter().zip(&model.fluxes[first..]).map(|(a, f)| a * f).sum()
+        };
+        let none_taken = self
+            .coefficients
+            .values()
+            .outer_iter()
+            .all(|row| taken(row).abs() <= UNIT_FLUX_TOLERANCE);
+        Ok(PsfModel {
+            needs_scaling: model.needs_scaling && !(unit_mean && none_taken),
+            ..model
+        })
     }
 }
 
@@ -134,8 +149,7 @@ pub struct PsfModel {
     needs_scaling: bool,
 }
 
-/// Stamps whose fluxes are this close to 1 (mean) and 0 (components) make PSFs of unit flux without any scaling: their
-/// coefficients are at most about 1, so the flux is right to this times the number of components.
+/// PSFs whose flux is this close to 1 need no scaling: it is rounding of the sum over a stamp's pixels.
 const UNIT_FLUX_TOLERANCE: f64 = 1e-14;
 
 impl PsfModel {

@@ -8,7 +8,7 @@ use crate::{DataError, SamplePositions, StampGrid};
 
 /// PSF stamps `[sample, y, x]` on one grid, each with the position it belongs to.
 ///
-/// There is one stamp a position, every value is finite and every stamp holds positive flux. Negative pixels are kept.
+/// There is one stamp a position, every value is finite and every stamp holds positive, finite flux. Negative pixels are kept.
 ///
 /// ```
 /// use ndarray::Array3;
@@ -52,7 +52,7 @@ impl PsfSamples {
         check::finite3(Quantity::SampleValue, stamps.view())?;
         for (sample, stamp) in stamps.axis_iter(Axis(0)).enumerate() {
             let flux = grid.flux_of_sum(stamp.sum());
-            if flux <= 0.0 {
+            if !(flux > 0.0 && flux.is_finite()) {
                 return Err(DataError::NonPositiveFlux { sample, flux });
             }
         }

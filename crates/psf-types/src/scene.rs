@@ -142,7 +142,7 @@ mod tests {
             frame(-1, 0, 4, 4),
             frame(3, 0, 8, 4),
             frame(0, 2, 4, 7),
-            frame(0, 0, usize::MAX, 1),
+            frame(0, 0, 1 << 40, 1),
         ] {
             assert!(
                 matches!(

@@ -73,4 +73,16 @@ pub enum PsfieldError {
     /// Sub-pixel phases on a grid that is not the frame's.
     #[error("sub-pixel phases need the frame's own pixels: choose the native grid")]
     SubPixelNeedsNative,
+    /// A stack of stamps that is larger than any that is meant.
+    #[error("{stamps} stamps of {nx} x {ny} pixels would fill more than {} GiB: ask for fewer or smaller ones", limit >> 30)]
+    TooLarge {
+        /// Number of stamps.
+        stamps: usize,
+        /// Columns of each.
+        nx: usize,
+        /// Rows of each.
+        ny: usize,
+        /// The largest stack in bytes.
+        limit: usize,
+    },
 }

@@ -5,7 +5,7 @@ use ndarray::{Array2, Array3};
 use psf_types::{DataError, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
-use crate::PsfieldError;
+use crate::{PsfieldError, check_stack};
 
 /// The pixels on which PSFs are given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -67,6 +67,7 @@ pub fn evaluate(
         other => other.into(),
     })?;
     let target = target_grid(model.grid(), options)?;
+    check_stack(positions.len(), target)?;
     let stamps: Vec<Result<Array2<f64>, PsfieldError>> = positions
         .as_slice()
         .par_iter()

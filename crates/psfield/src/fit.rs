@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use coeff_field::{FieldInterpolation, InterpolatedField, LeftOut};
 use metrics::Summary;
+use ndarray::Array3;
 use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd};
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, PsfModel, PsfModelRecord, PsfSamples, SampleCoefficients,
@@ -71,7 +72,7 @@ pub struct FitReport {
     pub cumulative_weights: Vec<f64>,
 }
 
-/// Leave-one-out interpolation errors, relative to each sample's own norm.
+/// Leave-one-out errors of stamps, truncation included, relative to each sample's own norm.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct LeaveOneOutReport {
@@ -94,6 +95,22 @@ pub struct LeaveOneOutReport {
 /// # Errors
 /// [`PsfieldError`] when the rank is not available or the interpolator does not suit the positions.
 pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
+    let (ny, nx) = samples.grid().dim();
+    fit_trained(samples, Array3::zeros((0, ny, nx)), options)
+}
+
+/// Like [`fit()`], with more stamps `[stamp, y, x]` to train the basis on, such as the samples' PSFs at sub-pixel shifts
+/// ([`psf_sample::ShiftAugmentation`]): the basis comes from all of them, coefficients and errors from the samples.
+///
+/// Under [`Normalisation::Unit`] the training stamps are scaled to unit flux as the samples are.
+///
+/// # Errors
+/// As [`fit()`], and [`PsfieldError::Basis`] for training stamps of another shape than the samples'.
+pub fn fit_trained(
+    samples: PsfSamples,
+    mut training: Array3<f64>,
+    options: &FitOptions,
+) -> Result<Fit, PsfieldError> {
     let interpolation = coeff_field::resolve(options.interpolation, samples.positions());
     let method = Svd::new()
         .with_rank(options.rank)
@@ -105,7 +122,13 @@ pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldErro
         .outer_iter()
         .map(|s| s.iter().map(|v| v * v).sum::<f64>().sqrt())
         .collect();
-    let fit = method.fit(&samples)?;
+    if options.normalisation != Normalisation::Keep {
+        for mut stamp in training.outer_iter_mut() {
+            let flux = samples.grid().flux_of_sum(stamp.sum());
+            stamp.mapv_inplace(|v| v / flux);
+        }
+    }
+    let fit = method.fit_augmented(&samples, training.view())?;
     let (spectrum, errors) = (fit.spectrum().cloned(), fit.errors().to_vec());
     let (basis, coefficients) = fit.into_parts();
     let record = PsfModelRecord::new(
@@ -209,7 +232,7 @@ impl Fit {
             max_error: self.errors.iter().copied().fold(0.0, f64::max),
             rms_error: (self.errors.iter().map(|e| e * e).sum::<f64>() / self.errors.len() as f64).sqrt(),
             errors: self.errors.clone(),
-            leave_one_out: LeaveOneOutReport::new(left_out.outcomes(), &self.norms),
+            leave_one_out: LeaveOneOutReport::new(left_out.outcomes(), &self.norms, &self.errors),
             singular_values: self.singular_values().to_vec(),
             cumulative_weights: spectrum.map(|s| s.cumulative_weights.clone()).unwrap_or_default(),
         })
@@ -217,18 +240,21 @@ impl Fit {
 }
 
 impl LeaveOneOutReport {
-    fn new(outcomes: &[LeftOut], norms: &[f64]) -> Self {
+    /// What the basis leaves out of a sample is orthogonal to it, so the errors of truncation (relative) and of the
+    /// predicted coefficients add in quadrature.
+    fn new(outcomes: &[LeftOut], norms: &[f64], truncation: &[f64]) -> Self {
         let (mut predicted, mut errors) = (Vec::new(), Vec::with_capacity(outcomes.len()));
         let (mut extrapolated, mut unpredictable) = (0, 0);
-        for (outcome, norm) in outcomes.iter().zip(norms) {
+        for ((outcome, norm), truncation) in outcomes.iter().zip(norms).zip(truncation) {
+            let relative = |error: &f64| (error / norm).hypot(*truncation);
             errors.push(match outcome {
                 LeftOut::Predicted { error } => {
-                    predicted.push(error / norm);
-                    Some(error / norm)
+                    predicted.push(relative(error));
+                    Some(relative(error))
                 }
                 LeftOut::Extrapolated { error } => {
                     extrapolated += 1;
-                    Some(error / norm)
+                    Some(relative(error))
                 }
                 _ => {
                     unpredictable += 1;

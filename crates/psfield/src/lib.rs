@@ -44,9 +44,9 @@ pub use {coeff_field, conv_core, metrics, psf_basis, psf_io, psf_optics, psf_sam
 
 pub use error::PsfieldError;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
-pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_with, model_of};
+pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use method::Method;
-pub use psf_input::PsfInput;
+pub use psf_input::{PsfInput, check_stack};
 pub use simulation::Simulation;
 pub use spot_check::SpotCheck;

@@ -6,7 +6,7 @@ use conv_core::{native_grid, resample_samples};
 use ndarray::{Array3, s};
 use psf_basis::{Centring, RankSelection};
 use psf_io::FileKind;
-use psf_types::{DataError, PsfModel, PsfModelRecord, PsfSamples, StampGrid};
+use psf_types::{DataError, Normalisation, PsfModel, PsfModelRecord, PsfSamples, StampGrid};
 
 use crate::{FitOptions, PsfieldError, fit, model_of};
 
@@ -55,23 +55,24 @@ impl PsfInput {
     /// The same PSF with stamps at the frame's own pixels, centred on one, as images need them; `size` pixels wide and high,
     /// centred at `size / 2`, where given, else as large as the stamps. What is such already stays as it is.
     ///
-    /// Resampling is linear in the stamps, so a model gives the same PSFs as if every one of them had been resampled.
+    /// Resampling is linear in the stamps and interpolation in the samples, so a model gives the PSFs that come of resampling
+    /// its own, before the scaling to unit flux; that is done last, on the new stamps.
     ///
     /// # Errors
-    /// [`PsfieldError`] when `size` is 0 or the resampled stamps hold no flux.
+    /// [`PsfieldError`] when `size` is 0, the resampled stamps hold no flux or would fill more memory than
+    /// [`PsfieldError::TooLarge`] allows.
     pub fn native(self, size: Option<usize>) -> Result<Self, PsfieldError> {
-        let target = match size {
-            None => native_grid(self.grid())?,
-            Some(n) => {
-                StampGrid::new(n, n)?.with_pixel_response_included(self.grid().pixel_response_included())
-            }
-        };
+        let target = self.native_target(size)?;
         if target == self.grid() {
             return Ok(self);
         }
         Ok(match self {
-            Self::Samples(samples, options) => Self::Samples(resample_samples(&samples, target)?, options),
+            Self::Samples(samples, options) => {
+                check_stack(samples.len(), target)?;
+                Self::Samples(resample_samples(&samples, target)?, options)
+            }
             Self::Model(record) => {
+                check_stack(record.coefficients().positions().len(), target)?;
                 let options = FitOptions {
                     rank: RankSelection::Full,
                     centring: if record.basis().mean().is_some() {
@@ -81,13 +82,62 @@ impl PsfInput {
                     },
                     interpolation: record.interpolation(),
                     outside: record.outside(),
-                    normalisation: record.normalisation(),
+                    normalisation: Normalisation::Keep,
                     ..FitOptions::default()
                 };
-                Self::Samples(resample_samples(&samples_of(&record)?, target)?, options)
+                let fitted = fit(resample_samples(&samples_of(&record)?, target)?, &options)?;
+                let kept = fitted.record();
+                Self::Model(PsfModelRecord::new(
+                    kept.basis().clone(),
+                    kept.coefficients().clone(),
+                    record.interpolation(),
+                    record.outside(),
+                    record.normalisation(),
+                )?)
             }
         })
     }
+
+    /// Whether [`native`](Self::native) only picks pixels of the stamps, so that nothing is interpolated.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Data`] when `size` is 0.
+    pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
+        let grid = self.grid();
+        let picks = grid.whole_centre().is_some() && grid.oversampling().fract() == 0.0;
+        Ok(picks || self.native_target(size)? == grid)
+    }
+
+    fn native_target(&self, size: Option<usize>) -> Result<StampGrid, PsfieldError> {
+        Ok(match size {
+            None => native_grid(self.grid())?,
+            Some(n) => {
+                StampGrid::new(n, n)?.with_pixel_response_included(self.grid().pixel_response_included())
+            }
+        })
+    }
+}
+
+/// The largest stack of stamps that is made: 16 GiB.
+const MAX_STACK_BYTES: usize = 16 << 30;
+
+/// Refuses stacks of stamps that are larger than any that are meant.
+///
+/// # Errors
+/// [`PsfieldError::TooLarge`].
+pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
+    let bytes = stamps
+        .saturating_mul(grid.pixel_count())
+        .saturating_mul(size_of::<f64>());
+    if bytes > MAX_STACK_BYTES {
+        return Err(PsfieldError::TooLarge {
+            stamps,
+            nx: grid.nx(),
+            ny: grid.ny(),
+            limit: MAX_STACK_BYTES,
+        });
+    }
+    Ok(())
 }
 
 /// The samples as a model represents them, before any scaling to unit flux.

@@ -1,8 +1,10 @@
 //! A scene through a PSF.
 
-use conv_core::{ConvReal, native_grid};
+use std::borrow::Cow;
+
+use conv_core::{ConvReal, ConvolutionMethod, native_grid};
 use ndarray::Array2;
-use psf_types::{Anchor, Image, PsfModel, Scene};
+use psf_types::{Anchor, Image, NoProgress, Progress, PsfModel, Scene};
 
 use crate::{Method, PsfInput, PsfieldError};
 
@@ -19,15 +21,17 @@ use crate::{Method, PsfInput, PsfieldError};
 /// ```
 #[derive(Debug)]
 pub struct Simulation {
-    /// For the image part of a scene.
-    pixels: Option<PsfModel>,
-    /// For its point sources, where they need another.
+    model: PsfModel,
+    /// For the point sources of a scene that is also an image, where they need another.
     stars: Option<PsfModel>,
 }
 
+/// A part of a scene and the model that serves it.
+type Part<'a, T> = (&'a PsfModel, Cow<'a, Scene<T>>);
+
 impl Simulation {
     /// The models that scenes of the kind of `scene` need, fitted where `psf` is samples. `stamp_size` cuts or pads the
-    /// stamps with which images are convolved.
+    /// stamps with which images are convolved; stars are drawn from the stamps as they are.
     ///
     /// # Errors
     /// [`PsfieldError`] when a fit fails, or the frame is larger than the field of the PSF.
@@ -37,13 +41,16 @@ impl Simulation {
         stamp_size: Option<usize>,
     ) -> Result<Self, PsfieldError> {
         // One model serves both where the stamps have the frame's pixels already.
-        let both = native_grid(psf.grid())? == psf.grid();
-        let native = psf.clone().native(stamp_size)?;
-        let needs_pixels = scene.pixels().is_some();
-        let needs_stars = !scene.sources().is_empty() || !needs_pixels;
-        let pixels = (needs_pixels || both).then(|| native.into_model()).transpose()?;
-        let stars = (needs_stars && !both).then(|| psf.into_model()).transpose()?;
-        let simulation = Self { pixels, stars };
+        let one_serves = stamp_size.is_none() && native_grid(psf.grid())? == psf.grid();
+        let simulation = match (scene.image().is_some(), !scene.sources().is_empty()) {
+            _ if one_serves => Self::with_model(psf.into_model()?),
+            (true, false) => Self::with_model(psf.native(stamp_size)?.into_model()?),
+            (true, true) => Self {
+                stars: Some(psf.clone().into_model()?),
+                ..Self::with_model(psf.native(stamp_size)?.into_model()?)
+            },
+            (false, _) => Self::with_model(psf.into_model()?),
+        };
         let frame = scene.frame().shape();
         if let Some(field) = simulation.model().field_shape()
             && (frame.nx() > field.nx() || frame.ny() > field.ny())
@@ -53,12 +60,14 @@ impl Simulation {
         Ok(simulation)
     }
 
-    /// The model that convolves images; that of the stars where there is no other.
+    /// A simulation with a model of the caller's, for images and stars alike.
+    pub fn with_model(model: PsfModel) -> Self {
+        Self { model, stars: None }
+    }
+
+    /// The model that convolves images, and draws stars unless their stamps are finer.
     pub fn model(&self) -> &PsfModel {
-        self.pixels
-            .as_ref()
-            .or(self.stars.as_ref())
-            .expect("one of them is always made")
+        &self.model
     }
 
     /// The image of a scene.
@@ -71,10 +80,22 @@ impl Simulation {
         method: Method,
         anchor: Anchor,
     ) -> Result<Image<T>, PsfieldError> {
-        let method = method.build::<T>(anchor)?;
+        self.run_with(scene, method.build::<T>(anchor)?.as_ref(), &NoProgress)
+    }
+
+    /// The image of a scene by any method, of this project or of the caller's own, telling how far it has come.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`].
+    pub fn run_with<T: ConvReal>(
+        &self,
+        scene: &Scene<T>,
+        method: &dyn ConvolutionMethod<T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, PsfieldError> {
         let mut parts = self.parts(scene)?.into_iter();
         let (model, scene) = parts.next().expect("a scene has a part");
-        let mut image = method.convolve(model, &scene)?;
+        let mut image = method.convolve_with_progress(model, &scene, progress)?;
         for (model, scene) in parts {
             let sum: Array2<T> = image.into_pixels() + method.convolve(model, &scene)?.pixels();
             image = Image::new(sum)?;
@@ -101,24 +122,17 @@ impl Simulation {
     }
 
     /// The scene in parts that one model each serves.
-    fn parts<T: ConvReal>(&self, scene: &Scene<T>) -> Result<Vec<(&PsfModel, Scene<T>)>, PsfieldError> {
+    fn parts<'a, T: ConvReal>(&'a self, scene: &'a Scene<T>) -> Result<Vec<Part<'a, T>>, PsfieldError> {
         Ok(match (&self.stars, scene.image()) {
             (Some(stars), Some(image)) => {
                 let sources = scene.sources().to_vec();
-                vec![
-                    (
-                        self.model(),
-                        Scene::from_image(image.clone()).with_frame(scene.frame())?,
-                    ),
-                    (
-                        stars,
-                        Scene::dark(scene.shape())
-                            .with_sources(sources)?
-                            .with_frame(scene.frame())?,
-                    ),
-                ]
+                let image = Scene::from_image(image.clone()).with_frame(scene.frame())?;
+                let sources = Scene::dark(scene.shape())
+                    .with_sources(sources)?
+                    .with_frame(scene.frame())?;
+                vec![(&self.model, Cow::Owned(image)), (stars, Cow::Owned(sources))]
             }
-            _ => vec![(self.model(), scene.clone())],
+            _ => vec![(&self.model, Cow::Borrowed(scene))],
         })
     }
 }

@@ -7,7 +7,8 @@ use serde::Serialize;
 
 use crate::PsfieldError;
 
-/// The difference of an image from the direct sum in f64 at random pixels.
+/// The difference of an image from the direct sum in f64 at random pixels: what the engine adds to the model. It says nothing of
+/// the model itself, nor of stamps too coarse for the stars drawn between their pixels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct SpotCheck {

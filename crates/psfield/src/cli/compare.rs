@@ -13,7 +13,7 @@ use super::context::Context;
 /// Compare an image (or a cube) with a reference
 ///
 /// MAE, MSE, relative L2 = |F - T| / |T|, largest difference, and that over the peak of the reference. Of cubes, each measure's
-/// median and largest value over the planes.
+/// median over the planes and its value in the worst plane.
 #[derive(Debug, clap::Args)]
 pub(crate) struct CompareArgs {
     /// The result F
@@ -57,14 +57,14 @@ impl CompareArgs {
         if result_is_cube || reference_is_cube {
             let report = CubeReport {
                 planes: planes.len(),
-                median: Measures::over(&planes, Summary::median)?,
-                max: Measures::over(&planes, Summary::max)?,
+                median: Measures::median(&planes)?,
+                max: Measures::worst(&planes)?,
             };
             context.report(&report, || {
                 let median = report.median.text();
                 let max = report.max.text();
                 format!(
-                    "{} planes\nmedian over the planes\n{median}\nlargest over the planes\n{max}",
+                    "{} planes\nmedian over the planes\n{median}\nworst plane in each\n{max}",
                     report.planes
                 )
             })
@@ -107,19 +107,41 @@ impl Measures {
         }
     }
 
-    /// One statistic of each measure over the planes where it exists.
-    fn over(planes: &[Comparison], statistic: impl Fn(&Summary) -> f64) -> Result<Self, MetricsError> {
-        let all = |measure: &dyn Fn(&Comparison) -> Option<f64>| {
-            Summary::of(planes.iter().filter_map(measure)).map(|summary| statistic(&summary))
+    /// The medians over the planes.
+    fn median(planes: &[Comparison]) -> Result<Self, MetricsError> {
+        Self::over(planes, Summary::median, Summary::median)
+    }
+
+    /// Of each measure the value of the plane that is worst in it.
+    fn worst(planes: &[Comparison]) -> Result<Self, MetricsError> {
+        Self::over(planes, Summary::max, Summary::min)
+    }
+
+    /// One statistic of the errors, and one of the signal-to-noise ratio; none where a plane has no such measure.
+    fn over(
+        planes: &[Comparison],
+        of_errors: impl Fn(&Summary) -> f64,
+        of_snr: impl Fn(&Summary) -> f64,
+    ) -> Result<Self, MetricsError> {
+        let planes: Vec<Self> = planes.iter().map(Self::of).collect();
+        let every =
+            |measure: &dyn Fn(&Self) -> f64| Summary::of(planes.iter().map(measure)).map(|s| of_errors(&s));
+        let values = |measure: &dyn Fn(&Self) -> Option<f64>| {
+            planes
+                .iter()
+                .map(measure)
+                .collect::<Option<Vec<f64>>>()
+                .and_then(|v| Summary::of(v).ok())
         };
+        let all = |measure: &dyn Fn(&Self) -> Option<f64>| values(measure).map(|s| of_errors(&s));
         Ok(Self {
-            mae: all(&|c| Some(c.mae()))?,
-            mse: all(&|c| Some(c.mse()))?,
-            relative_l2: all(&|c| c.relative_l2().ok()).ok(),
-            max_abs: all(&|c| Some(c.max_abs()))?,
-            max_over_peak: all(&|c| c.max_over_peak().ok()).ok(),
-            mae_over_mean: all(&|c| c.mae_over_mean().ok()).ok(),
-            snr_db: all(&|c| c.snr_db().ok()).ok(),
+            mae: every(&|m| m.mae)?,
+            mse: every(&|m| m.mse)?,
+            relative_l2: all(&|m| m.relative_l2),
+            max_abs: every(&|m| m.max_abs)?,
+            max_over_peak: all(&|m| m.max_over_peak),
+            mae_over_mean: all(&|m| m.mae_over_mean),
+            snr_db: values(&|m| m.snr_db).map(|s| of_snr(&s)),
         })
     }
 

@@ -8,6 +8,7 @@ use psf_sample::{
     AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion,
     SampleError, Sampling, SamplingMethod, SamplingOutcome, UniformSampling,
 };
+use psf_types::PsfSource;
 use serde::Serialize;
 
 use super::UsageError;
@@ -53,9 +54,6 @@ pub(crate) struct SampleArgs {
     #[arg(long, value_name = "NX,NY", conflicts_with_all = ["criterion", "threshold", "start", "max_samples", "accept_cap"])]
     uniform: Option<Pair>,
 }
-
-/// Samples along an axis of a uniform grid; more are a slip.
-const MAX_UNIFORM: usize = 4096;
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Preset {
@@ -155,10 +153,8 @@ impl SampleArgs {
         };
         let bar = context.bar("sampling");
         if let Some(Pair(nx, ny)) = self.uniform {
-            if nx > MAX_UNIFORM || ny > MAX_UNIFORM {
-                let what = format!("--uniform: at most {MAX_UNIFORM} samples along an axis, got {nx},{ny}");
-                return Err(UsageError(what).into());
-            }
+            psfield::check_stack(nx.saturating_mul(ny), telescope.grid())
+                .map_err(|e| UsageError(format!("--uniform: {e}")))?;
             return Ok(UniformSampling::new(nx, ny)?
                 .with_measure(measure)
                 .sample(telescope, &bar)?);

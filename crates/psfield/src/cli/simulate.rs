@@ -6,8 +6,8 @@ use std::time::Instant;
 use anyhow::Context as _;
 use conv_core::ConvReal;
 use psf_io::{Card, HeaderCards};
-use psf_types::{Anchor, FrameShape, Scene};
-use psfield::{Method, Simulation, SpotCheck};
+use psf_types::{Anchor, FrameShape, PointSource, Scene};
+use psfield::{Method, PsfInput, Simulation, SpotCheck};
 use serde::Serialize;
 
 use super::UsageError;
@@ -57,8 +57,8 @@ pub(crate) struct SimulateArgs {
     /// Working precision and that of the result
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
-    /// Cut or pad the stamps to N x N pixels of the frame, centred at N / 2. Stars are drawn from oversampled stamps as they
-    /// are
+    /// Cut or pad the stamps that images are convolved with to N x N pixels, centred at N / 2; stars are drawn from the stamps
+    /// as they are
     #[arg(long, value_name = "N", value_parser = stamp_size)]
     stamp_size: Option<usize>,
     /// Check N random pixels against the direct sum in double precision
@@ -74,8 +74,11 @@ pub(crate) struct SimulateArgs {
 /// More pixels than that are a slip.
 const MAX_SPOT_CHECK: i64 = 10_000_000;
 
-/// The largest frame that can be asked for, 16 GB in f32; a larger number is a slip.
-const MAX_PIXELS: usize = 1 << 32;
+/// Stamps with fewer pixels a frame pixel than this may be too coarse to be interpolated.
+const FINE_ENOUGH: f64 = 2.0;
+
+/// The largest frame that can be asked for, 4 GiB in f32; a larger number is a slip.
+const MAX_PIXELS: usize = 1 << 30;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 enum Precision {
@@ -122,6 +125,9 @@ impl SimulateArgs {
             (None, Some(_), None) => {
                 Some("a catalogue without a scene needs the frame's size: --shape NX,NY")
             }
+            (None, Some(_), Some(_)) if self.stamp_size.is_some() => {
+                Some("--stamp-size is of the stamps that images are convolved with: there is no image here")
+            }
             _ => None,
         };
         if let Some(what) = missing {
@@ -146,18 +152,18 @@ impl SimulateArgs {
 
         let spinner = context.spinner("fitting the PSF");
         let clock = Instant::now();
+        self.warn_of_interpolated_stamps(&psf, &scene, context)?;
         let in_psf = || format!("with the PSF of {}", self.psf.display());
         let simulation = Simulation::new(psf, &scene, self.stamp_size).with_context(in_psf)?;
         seconds.fit = clock.elapsed().as_secs_f64();
         drop(spinner);
 
-        let spinner = context.spinner("convolving");
+        let bar = context.bar("convolving");
         let clock = Instant::now();
-        let image = simulation
-            .run(&scene, self.method, self.anchor)
-            .with_context(in_psf)?;
+        let method = self.method.build::<T>(self.anchor)?;
+        let image = simulation.run_with(&scene, method.as_ref(), &bar)?;
         seconds.execute = clock.elapsed().as_secs_f64();
-        drop(spinner);
+        drop(bar);
 
         let spot_check = (self.spot_check > 0)
             .then(|| {
@@ -195,6 +201,28 @@ impl SimulateArgs {
             spot_check,
         };
         context.report(&report, || report.text())
+    }
+
+    /// Says where stamps are interpolated between their pixels, which nothing here can check.
+    fn warn_of_interpolated_stamps<T: ConvReal>(
+        &self,
+        psf: &PsfInput,
+        scene: &Scene<T>,
+        context: &Context,
+    ) -> anyhow::Result<()> {
+        if scene.image().is_some() && !psf.native_is_exact(self.stamp_size)? {
+            context.warn(
+                "the PSF stamps are not sampled at the centres of the frame's pixels: they are interpolated (cubic spline)",
+            );
+        }
+        let between_pixels = |s: &PointSource| s.position.x().fract() != 0.0 || s.position.y().fract() != 0.0;
+        if psf.grid().oversampling() < FINE_ENOUGH && scene.sources().iter().any(between_pixels) {
+            context.warn(
+                "stars lie between pixels, and the PSF stamps are not oversampled: they are interpolated (cubic spline), which is wrong \
+                 by percents where the PSF is under-sampled; the spot check does not see that",
+            );
+        }
+        Ok(())
     }
 
     fn read_scene<T: ConvReal>(&self) -> anyhow::Result<(Scene<T>, HeaderCards)> {

@@ -118,12 +118,23 @@ impl Desk {
         }
     }
 
-    /// Runs `psfield`, which must do its work.
+    /// Runs `psfield`, which must do its work and have nothing to complain of.
     pub(crate) fn done(&self, arguments: &str) -> Run {
         let run = self.run(arguments);
         assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
         assert_eq!(run.stderr, "", "psfield {arguments}");
         run
+    }
+
+    /// Runs `psfield`, which must do its work with a warning that holds `needle`, and without it under `-q`.
+    pub(crate) fn warned(&self, arguments: &str, needle: &str) {
+        let run = self.run(arguments);
+        assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
+        assert!(
+            run.stderr.starts_with("psfield: warning: ") && run.stderr.contains(needle),
+            "psfield {arguments}: {run:?}"
+        );
+        self.done(&format!("{arguments} --overwrite -q"));
     }
 
     /// Runs `psfield`, which must end with this status, say each of `needles` on standard error, nothing on standard output, and leave

@@ -90,9 +90,13 @@ fn stars_between_pixels_stay_where_they_are() {
     desk.write_samples("fine.fits", &samples(3, 3));
     desk.write("star.csv", "x,y,flux\n30.3,24.6,10\n");
     for psf in ["fine", "samples"] {
-        desk.done(&format!(
-            "simulate --catalog star.csv --shape 61,51 --psf {psf}.fits -o {psf}_out.fits {OPTIONS}"
-        ));
+        let simulate =
+            format!("simulate --catalog star.csv --shape 61,51 --psf {psf}.fits -o {psf}_out.fits {OPTIONS}");
+        if psf == "fine" {
+            desk.done(&simulate);
+        } else {
+            desk.warned(&simulate, "not oversampled");
+        }
         let image = desk.image(&format!("{psf}_out.fits"));
         let (x, y) = centroid(&image);
         assert!(

@@ -6,7 +6,7 @@ use anyhow::Context as _;
 use metrics::Summary;
 use psf_io::{Card, HeaderCards, IoError};
 use psf_types::{FrameShape, Image, PointSource, Position, PsfModel, PsfSamples};
-use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, evaluate};
+use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, OutputGrid, evaluate};
 
 use super::sky::Sky;
 use crate::cli::context::signature;
@@ -131,7 +131,11 @@ impl Output {
         let positions: Result<Vec<Position>, _> = (0..ACROSS * ACROSS)
             .map(|k| Position::new(at(k % ACROSS, frame.nx()), at(k / ACROSS, frame.ny())))
             .collect();
-        let stamps = evaluate(model, positions?, EvaluateOptions::default())?;
+        let on_pixels = EvaluateOptions {
+            grid: OutputGrid::Native,
+            ..EvaluateOptions::default()
+        };
+        let stamps = evaluate(model, positions?, on_pixels)?;
         self.picture(
             "psf_field.png",
             &preview::mosaic_picture(stamps.stamps(), ACROSS, 2),
