@@ -335,14 +335,11 @@ impl PsfModel {
     pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
         let mut coefficients = vec![0.0; self.stamp_count()];
         self.scaled_coefficients_into(position, &mut coefficients)?;
-        let flat = self
-            .stamps
-            .to_shape((self.stamp_count(), self.grid.pixel_count()))
-            .expect("row-major");
-        let values = ndarray::ArrayView1::from(&coefficients).dot(&flat);
-        let values: Array2<f64> = values
-            .into_shape_with_order(self.grid.dim())
-            .expect("the grid's size");
+        // Stamp by stamp over contiguous memory: a product of a vector and a row-major matrix strides through it.
+        let mut values = Array2::zeros(self.grid.dim());
+        for (&a, stamp) in coefficients.iter().zip(self.stamps.outer_iter()) {
+            values.scaled_add(a, &stamp);
+        }
         Stamp::new(values, self.grid).map_err(|source| FieldError::External {
             position,
             source: Box::new(source),
