@@ -13,14 +13,9 @@ fn stars_on_pixels_measure_as_their_psfs() {
     let psf = PsfInput::Samples(uniform_samples(&small_telescope(1), 9, 7), FitOptions::default());
     let places = [(20, 20), (80, 60), (140, 100), (30, 95)];
     let stars = places
-        .map(|(x, y)| PointSource {
-            position: Position::of_pixel(x, y),
-            flux: 1e4,
-        })
+        .map(|(x, y)| PointSource::new(Position::of_pixel(x, y), 1e4).unwrap())
         .to_vec();
-    let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap())
-        .with_sources(stars)
-        .unwrap();
+    let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(stars);
     let simulation = Simulation::new(psf, &scene, None).unwrap();
     let image = simulation.run(&scene, Method::Auto, Anchor::default()).unwrap();
 
@@ -63,10 +58,8 @@ fn sub_pixel_stars_lie_where_they_should() {
     let fitter = |x, y| GaussianFitter::elliptical().with_window(Window::about(15, x, y));
     for (dx, dy) in [(0.0, 0.0), (0.25, -0.4), (-0.5, 0.49), (0.1, 0.3)] {
         let position = Position::new(80.0 + dx, 60.0 + dy).unwrap();
-        let star = PointSource { position, flux: 1.0 };
-        let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap())
-            .with_sources(vec![star])
-            .unwrap();
+        let star = PointSource::new(position, 1.0).unwrap();
+        let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(vec![star]);
         let image = Simulation::new(psf.clone(), &scene, None)
             .unwrap()
             .run(&scene, Method::Auto, Anchor::default())

@@ -52,11 +52,8 @@ fn the_number_of_threads_does_not_matter_from_end_to_end() {
                 .unwrap();
             let samples = sampling.sample(&telescope, &NoProgress).unwrap().samples;
             let scene = test_scene(160, 120, 0);
-            let star = PointSource {
-                position: Position::new(50.3, 70.9).unwrap(),
-                flux: 40.0,
-            };
-            let scene = scene.with_sources(vec![star]).unwrap();
+            let star = PointSource::new(Position::new(50.3, 70.9).unwrap(), 40.0).unwrap();
+            let scene = scene.with_sources(vec![star]);
             let psf = PsfInput::Samples(samples, FitOptions::default());
             Simulation::new(psf, &scene, None)
                 .unwrap()
@@ -164,11 +161,8 @@ fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
         simulation.run(&scene, Method::Auto, Anchor::Source).unwrap()
     };
     let pixel = run(Scene::from_image(Image::new(light).unwrap()));
-    let star = PointSource {
-        position: Position::of_pixel(x as i64, y as i64),
-        flux: 1.0,
-    };
-    let star = run(Scene::dark(shape).with_sources(vec![star]).unwrap());
+    let star = PointSource::new(Position::of_pixel(x as i64, y as i64), 1.0).unwrap();
+    let star = run(Scene::dark(shape).with_sources(vec![star]));
     // Each is scaled by the flux on its own pixels, which for a truncated PSF is not quite the same.
     let (flux, stars_flux) = (pixel.pixels().sum(), star.pixels().sum());
     assert!(

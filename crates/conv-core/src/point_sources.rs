@@ -127,8 +127,8 @@ impl<'a> Painter<'a> {
     fn pixel(&self, source: &PointSource) -> (i64, i64) {
         let pixel = |v: f64, origin: i64| ((v + 0.5).floor() as i64).saturating_sub(origin);
         (
-            pixel(source.position.x(), self.frame.x0()),
-            pixel(source.position.y(), self.frame.y0()),
+            pixel(source.position().x(), self.frame.x0()),
+            pixel(source.position().y(), self.frame.y0()),
         )
     }
 
@@ -146,7 +146,7 @@ impl<'a> Painter<'a> {
         let on = |first: i64, length: usize, limit: usize| {
             first < limit as i64 && first.saturating_add(length as i64) > 0
         };
-        on(x, nx, shape.nx()) && on(y, ny, shape.ny()) && source.flux != 0.0
+        on(x, nx, shape.nx()) && on(y, ny, shape.ny()) && source.flux() != 0.0
     }
 
     /// The first pixel of the source's window and the light in the window `[y, x]`.
@@ -154,8 +154,8 @@ impl<'a> Painter<'a> {
         let (first_column, first_row, nx, ny) = self.window(source);
         let (column, row) = self.pixel(source);
         // Positions of the field count from the frame's first pixel.
-        let x = source.position.x() - self.frame.x0() as f64;
-        let y = source.position.y() - self.frame.y0() as f64;
+        let x = source.position().x() - self.frame.x0() as f64;
+        let y = source.position().y() - self.frame.y0() as f64;
         let shift = (x - column as f64, y - row as f64);
         let mut values = match &self.splines {
             None => {
@@ -186,7 +186,7 @@ impl<'a> Painter<'a> {
                 values
             }
         };
-        values.mapv_inplace(|v| v * source.flux);
+        values.mapv_inplace(|v| v * source.flux());
         Ok(((first_column, first_row), values))
     }
 }

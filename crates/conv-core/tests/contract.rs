@@ -245,14 +245,10 @@ fn point_sources_on_pixels_are_pixels_of_light() {
         .with_frame(frame)
         .unwrap();
     let points = stars
-        .map(|(x, y, flux)| PointSource {
-            position: Position::of_pixel(x as i64, y as i64),
-            flux,
-        })
+        .map(|(x, y, flux)| PointSource::new(Position::of_pixel(x as i64, y as i64), flux).unwrap())
         .to_vec();
     let points = Scene::dark(pixels.shape())
         .with_sources(points)
-        .unwrap()
         .with_frame(frame)
         .unwrap();
     for anchor in ANCHORS {
@@ -280,13 +276,8 @@ fn point_sources_on_pixels_are_pixels_of_light() {
 fn sources_off_the_frame_shine_in_and_far_ones_do_nothing() {
     let model = model_with(Arc::new(Constant), (7, 7), (3, 3), true, Normalisation::Keep);
     let at = |x: f64, y: f64| {
-        let star = PointSource {
-            position: Position::new(x, y).unwrap(),
-            flux: 1.0,
-        };
-        let scene = Scene::<f64>::dark(psf_types::FrameShape::new(10, 10).unwrap())
-            .with_sources(vec![star])
-            .unwrap();
+        let star = PointSource::new(Position::new(x, y).unwrap(), 1.0).unwrap();
+        let scene = Scene::<f64>::dark(psf_types::FrameShape::new(10, 10).unwrap()).with_sources(vec![star]);
         BasisConvolution::default()
             .convolve(&model, &scene)
             .unwrap()
@@ -375,14 +366,9 @@ fn stamps_that_do_not_suit_an_image_are_refused() {
 fn the_number_of_threads_does_not_matter() {
     // Large enough for the transforms to run in parallel.
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
-    let star = PointSource {
-        position: Position::new(100.3, 77.8).unwrap(),
-        flux: 3.0,
-    };
-    let scene = scene(520, 530, 9).with_sources(vec![star; 100]).unwrap();
-    let small = Scene::from_image(Image::new(noise(60, 50, 2)).unwrap())
-        .with_sources(vec![star; 100])
-        .unwrap();
+    let star = PointSource::new(Position::new(100.3, 77.8).unwrap(), 3.0).unwrap();
+    let scene = scene(520, 530, 9).with_sources(vec![star; 100]);
+    let small = Scene::from_image(Image::new(noise(60, 50, 2)).unwrap()).with_sources(vec![star; 100]);
     for anchor in ANCHORS {
         let with_threads = |threads| {
             let pool = rayon::ThreadPoolBuilder::new()

@@ -40,7 +40,7 @@ use crate::structure::{FitsStructure, Magic, magic};
 /// # let path = directory.path().join("stars.csv");
 /// std::fs::write(&path, "# two stars\nid,Flux,x,y\n1,1e5,10.25,3\n2,20,-4,7.5\n")?;
 /// let stars = psf_io::read_catalog(&path)?;
-/// assert_eq!((stars[1].position.x(), stars[0].flux), (-4.0, 1e5));
+/// assert_eq!((stars[1].position().x(), stars[0].flux()), (-4.0, 1e5));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
@@ -51,11 +51,10 @@ pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError>
     let path = path.as_ref();
     let [x, y, flux] = read_columns(path, ["x", "y", "flux"])?;
     let positions = positions(path, x, y)?;
-    Ok(positions
-        .into_iter()
-        .zip(flux)
-        .map(|(position, flux)| PointSource { position, flux })
-        .collect())
+    let sources = positions.into_iter().zip(flux);
+    sources
+        .map(|(position, flux)| PointSource::new(position, flux).map_err(invalid(path)))
+        .collect()
 }
 
 /// Reads a list of positions: the columns x and y.

@@ -30,7 +30,7 @@ fn the_first_table_with_the_columns_counts_whatever_their_types() {
     let stars = read_catalog(&path).unwrap();
     assert_eq!(stars.len(), 2);
     assert_eq!(
-        (stars[0].position.x(), stars[0].position.y(), stars[0].flux),
+        (stars[0].position().x(), stars[0].position().y(), stars[0].flux()),
         (2.5, 7.0, 32767.0)
     );
     assert_eq!(read_positions(&path).unwrap()[1].x(), -0.5);
@@ -94,7 +94,7 @@ fn text_tables_come_back() {
     let stars = read_catalog(&path).unwrap();
     let back: Vec<_> = stars
         .iter()
-        .map(|s| (s.position.x(), s.position.y(), s.flux))
+        .map(|s| (s.position().x(), s.position().y(), s.flux()))
         .collect();
     assert_eq!(back, rows);
     assert_eq!(read_columns(&path, ["flux"]).unwrap(), [vec![1e-7, 6.0]]);

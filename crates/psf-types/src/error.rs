@@ -180,10 +180,10 @@ pub enum DataError {
         tolerance: f64,
     },
     /// A point source whose flux is NaN or infinite.
-    #[error("point source {index} (0-based) has flux {flux}")]
+    #[error("the point source at {position} has flux {flux}")]
     SourceFlux {
-        /// Index of the source.
-        index: usize,
+        /// Where it is.
+        position: Position,
         /// Its flux.
         flux: f64,
     },

@@ -128,7 +128,7 @@ impl Simulation {
                 let sources = scene.sources().to_vec();
                 let image = Scene::from_image(image.clone()).with_frame(scene.frame())?;
                 let sources = Scene::dark(scene.shape())
-                    .with_sources(sources)?
+                    .with_sources(sources)
                     .with_frame(scene.frame())?;
                 vec![(&self.model, Cow::Owned(image)), (stars, Cow::Owned(sources))]
             }

@@ -215,7 +215,8 @@ impl SimulateArgs {
                 "the PSF stamps are not sampled at the centres of the frame's pixels: they are interpolated (cubic spline)",
             );
         }
-        let between_pixels = |s: &PointSource| s.position.x().fract() != 0.0 || s.position.y().fract() != 0.0;
+        let between_pixels =
+            |s: &PointSource| s.position().x().fract() != 0.0 || s.position().y().fract() != 0.0;
         if psf.grid().oversampling() < FINE_ENOUGH && scene.sources().iter().any(between_pixels) {
             context.warn(
                 "stars lie between pixels, and the PSF stamps are not oversampled: they are interpolated (cubic spline), which is wrong \
@@ -242,9 +243,7 @@ impl SimulateArgs {
         };
         if let Some(path) = &self.catalog {
             let sources = psf_io::read_catalog(path)?;
-            scene = scene
-                .with_sources(sources)
-                .with_context(|| format!("in {}", path.display()))?;
+            scene = scene.with_sources(sources);
         }
         if let Some(Frame(frame)) = self.frame {
             scene = scene

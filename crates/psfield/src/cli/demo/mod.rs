@@ -93,7 +93,7 @@ impl DemoArgs {
         let sky = Sky::new(frame, self.seed)?;
         out.image("scene.fits", &sky.galaxies, &[])?;
         out.catalogue("stars.csv", &sky.stars)?;
-        let scene = Scene::from_image(sky.galaxies.clone()).with_sources(sky.stars.clone())?;
+        let scene = Scene::from_image(sky.galaxies.clone()).with_sources(sky.stars.clone());
         let clock = Instant::now();
         let simulation = Simulation::new(psf, &scene, None)?;
         let image = simulation.run(&scene, Method::Auto, Anchor::Source)?;

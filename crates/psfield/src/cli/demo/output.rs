@@ -99,7 +99,7 @@ impl Output {
         let path = self.path(name);
         let rows = stars
             .iter()
-            .map(|star| (star.position.x(), star.position.y(), star.flux));
+            .map(|star| (star.position().x(), star.position().y(), star.flux()));
         Ok(psf_io::write_csv(
             path,
             &["x", "y", "flux"],

@@ -104,10 +104,7 @@ pub(crate) fn make_scene(
                 rng.random_range(-margin..nx + margin),
                 rng.random_range(-margin..ny + margin),
             )?;
-            Ok(PointSource {
-                position,
-                flux: power_law(&mut rng, 0.8, 5e2, 5e5),
-            })
+            Ok(PointSource::new(position, power_law(&mut rng, 0.8, 5e2, 5e5))?)
         })
         .collect::<anyhow::Result<Vec<_>>>()?;
     Ok((image, stars))

@@ -26,12 +26,12 @@ impl Sky {
     pub(super) fn sharp(&self) -> ndarray::Array2<f32> {
         let mut pixels = self.galaxies.pixels().to_owned();
         for star in &self.stars {
-            let (x, y) = (star.position.x().round(), star.position.y().round());
+            let (x, y) = (star.position().x().round(), star.position().y().round());
             if x >= 0.0
                 && y >= 0.0
                 && let Some(pixel) = pixels.get_mut((y as usize, x as usize))
             {
-                *pixel += star.flux as f32;
+                *pixel += star.flux() as f32;
             }
         }
         pixels
