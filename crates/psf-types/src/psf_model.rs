@@ -4,132 +4,11 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayViewMut2, ArrayViewMut3, s};
-use serde::{Deserialize, Serialize};
 
 use crate::{
-    CoefficientField, DataError, FieldError, FrameShape, Interpolation, Normalisation, OutsidePolicy,
-    PixelRegion, Position, PsfBasis, SampleCoefficients, Stamp, StampGrid,
+    CoefficientField, DataError, FieldError, FrameShape, Normalisation, PixelRegion, Position, PsfBasis,
+    Stamp, StampGrid,
 };
-
-/// What a `psf-model` file holds: a basis, the samples' coefficients and how to interpolate them.
-///
-/// Plain data; `coeff-field` turns coefficients and interpolation into a [`CoefficientField`], which with the basis makes
-/// a [`PsfModel`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawPsfModelRecord", into = "RawPsfModelRecord")]
-pub struct PsfModelRecord {
-    basis: PsfBasis,
-    coefficients: SampleCoefficients,
-    interpolation: Interpolation,
-    outside: OutsidePolicy,
-    normalisation: Normalisation,
-}
-
-#[derive(Serialize, Deserialize)]
-struct RawPsfModelRecord {
-    basis: PsfBasis,
-    coefficients: SampleCoefficients,
-    interpolation: Interpolation,
-    outside: OutsidePolicy,
-    normalisation: Normalisation,
-}
-
-impl PsfModelRecord {
-    /// A model from its parts.
-    ///
-    /// # Errors
-    /// [`DataError::CountMismatch`] when there is not one coefficient a component.
-    pub fn new(
-        basis: PsfBasis,
-        coefficients: SampleCoefficients,
-        interpolation: Interpolation,
-        outside: OutsidePolicy,
-        normalisation: Normalisation,
-    ) -> Result<Self, DataError> {
-        check_components(basis.rank(), coefficients.component_count())?;
-        Ok(Self {
-            basis,
-            coefficients,
-            interpolation,
-            outside,
-            normalisation,
-        })
-    }
-
-    /// The basis.
-    pub fn basis(&self) -> &PsfBasis {
-        &self.basis
-    }
-
-    /// The samples' coefficients.
-    pub fn coefficients(&self) -> &SampleCoefficients {
-        &self.coefficients
-    }
-
-    /// How the coefficients are carried over the field.
-    pub fn interpolation(&self) -> Interpolation {
-        self.interpolation
-    }
-
-    /// What happens outside the samples.
-    pub fn outside(&self) -> OutsidePolicy {
-        self.outside
-    }
-
-    /// Whether PSFs are scaled to unit flux.
-    pub fn normalisation(&self) -> Normalisation {
-        self.normalisation
-    }
-
-    /// The model with its coefficient field; `field` is the caller's interpolation of [`Self::coefficients`].
-    ///
-    /// # Errors
-    /// As [`PsfModel::new`].
-    pub fn into_model(self, field: Arc<dyn CoefficientField>) -> Result<PsfModel, DataError> {
-        let shape = self.coefficients.positions().field();
-        let model = PsfModel::new(&self.basis, field, self.normalisation, shape)?;
-        // Where the components take no flux from a mean of unit flux at any sample, they take none between the samples.
-        let first = usize::from(model.mean_centred);
-        let unit_mean = first == 1 && (model.fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE;
-        let taken = |row: ArrayView1<'_, f64>| -> f64 {
-            row.iter().zip(&model.fluxes[first..]).map(|(a, f)| a * f).sum()
-        };
-        let none_taken = self
-            .coefficients
-            .values()
-            .outer_iter()
-            .all(|row| taken(row).abs() <= UNIT_FLUX_TOLERANCE);
-        Ok(PsfModel {
-            needs_scaling: model.needs_scaling && !(unit_mean && none_taken),
-            ..model
-        })
-    }
-}
-
-impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
-    type Error = DataError;
-    fn try_from(raw: RawPsfModelRecord) -> Result<Self, DataError> {
-        Self::new(
-            raw.basis,
-            raw.coefficients,
-            raw.interpolation,
-            raw.outside,
-            raw.normalisation,
-        )
-    }
-}
-
-impl From<PsfModelRecord> for RawPsfModelRecord {
-    fn from(m: PsfModelRecord) -> Self {
-        Self {
-            basis: m.basis,
-            coefficients: m.coefficients,
-            interpolation: m.interpolation,
-            outside: m.outside,
-            normalisation: m.normalisation,
-        }
-    }
-}
 
 /// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`.
 ///
@@ -190,6 +69,23 @@ impl PsfModel {
             normalisation,
             needs_scaling: normalisation == Normalisation::Unit && !exact,
         })
+    }
+
+    /// The same model without the scaling to unit flux where samples with these coefficients `[sample, component]` show it to be
+    /// needless: where the components take no flux from a mean of unit flux at any sample, they take none between them.
+    pub(crate) fn without_needless_scaling(self, coefficients: ArrayView2<'_, f64>) -> Self {
+        let first = usize::from(self.mean_centred);
+        let unit_mean = first == 1 && (self.fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE;
+        let taken = |row: ArrayView1<'_, f64>| -> f64 {
+            row.iter().zip(&self.fluxes[first..]).map(|(a, f)| a * f).sum()
+        };
+        let none_taken = coefficients
+            .outer_iter()
+            .all(|row| taken(row).abs() <= UNIT_FLUX_TOLERANCE);
+        Self {
+            needs_scaling: self.needs_scaling && !(unit_mean && none_taken),
+            ..self
+        }
     }
 
     /// The pixel grid of the stamps.
@@ -356,7 +252,7 @@ impl PsfModel {
     }
 }
 
-fn check_components(rank: usize, coefficients: usize) -> Result<(), DataError> {
+pub(crate) fn check_components(rank: usize, coefficients: usize) -> Result<(), DataError> {
     if rank == coefficients {
         Ok(())
     } else {

@@ -1,0 +1,117 @@
+//! PSF models as they are stored.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crate::psf_model::check_components;
+use crate::{
+    CoefficientField, DataError, Interpolation, Normalisation, OutsidePolicy, PsfBasis, PsfModel,
+    SampleCoefficients,
+};
+
+/// What a `psf-model` file holds: a basis, the samples' coefficients and how to interpolate them.
+///
+/// Plain data; `coeff-field` turns coefficients and interpolation into a [`CoefficientField`], which with the basis makes
+/// a [`PsfModel`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawPsfModelRecord", into = "RawPsfModelRecord")]
+pub struct PsfModelRecord {
+    basis: PsfBasis,
+    coefficients: SampleCoefficients,
+    interpolation: Interpolation,
+    outside: OutsidePolicy,
+    normalisation: Normalisation,
+}
+
+#[derive(Serialize, Deserialize)]
+struct RawPsfModelRecord {
+    basis: PsfBasis,
+    coefficients: SampleCoefficients,
+    interpolation: Interpolation,
+    outside: OutsidePolicy,
+    normalisation: Normalisation,
+}
+
+impl PsfModelRecord {
+    /// A model from its parts.
+    ///
+    /// # Errors
+    /// [`DataError::CountMismatch`] when there is not one coefficient a component.
+    pub fn new(
+        basis: PsfBasis,
+        coefficients: SampleCoefficients,
+        interpolation: Interpolation,
+        outside: OutsidePolicy,
+        normalisation: Normalisation,
+    ) -> Result<Self, DataError> {
+        check_components(basis.rank(), coefficients.component_count())?;
+        Ok(Self {
+            basis,
+            coefficients,
+            interpolation,
+            outside,
+            normalisation,
+        })
+    }
+
+    /// The basis.
+    pub fn basis(&self) -> &PsfBasis {
+        &self.basis
+    }
+
+    /// The samples' coefficients.
+    pub fn coefficients(&self) -> &SampleCoefficients {
+        &self.coefficients
+    }
+
+    /// How the coefficients are carried over the field.
+    pub fn interpolation(&self) -> Interpolation {
+        self.interpolation
+    }
+
+    /// What happens outside the samples.
+    pub fn outside(&self) -> OutsidePolicy {
+        self.outside
+    }
+
+    /// Whether PSFs are scaled to unit flux.
+    pub fn normalisation(&self) -> Normalisation {
+        self.normalisation
+    }
+
+    /// The model with its coefficient field; `field` is the caller's interpolation of [`Self::coefficients`].
+    ///
+    /// # Errors
+    /// As [`PsfModel::new`].
+    pub fn into_model(self, field: Arc<dyn CoefficientField>) -> Result<PsfModel, DataError> {
+        let shape = self.coefficients.positions().field();
+        let model = PsfModel::new(&self.basis, field, self.normalisation, shape)?;
+        Ok(model.without_needless_scaling(self.coefficients.values()))
+    }
+}
+
+impl TryFrom<RawPsfModelRecord> for PsfModelRecord {
+    type Error = DataError;
+    fn try_from(raw: RawPsfModelRecord) -> Result<Self, DataError> {
+        Self::new(
+            raw.basis,
+            raw.coefficients,
+            raw.interpolation,
+            raw.outside,
+            raw.normalisation,
+        )
+    }
+}
+
+impl From<PsfModelRecord> for RawPsfModelRecord {
+    fn from(m: PsfModelRecord) -> Self {
+        Self {
+            basis: m.basis,
+            coefficients: m.coefficients,
+            interpolation: m.interpolation,
+            outside: m.outside,
+            normalisation: m.normalisation,
+        }
+    }
+}
