@@ -30,7 +30,7 @@ pub const MEASUREMENT_COLUMNS: [&str; 16] = [
 ///
 /// Lengths are in pixels of the array. `flux ... ellipticity` come from an elliptical Gaussian fit (geometric-mean FWHM,
 /// `ellipticity = sqrt(1 - b^2 / a^2)`); `e1 ... sigma_px` from adaptive moments (`e`: distortion, `g`: reduced shear).
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 #[allow(missing_docs, reason = "the columns of the table, described above")]
 pub struct Measurement {
@@ -156,20 +156,8 @@ impl Measurement {
         Self {
             x: Some(at.x()),
             y: Some(at.y()),
-            flux: None,
-            x_centroid: None,
-            y_centroid: None,
-            fwhm_px: None,
-            fwhm_major_px: None,
-            fwhm_minor_px: None,
-            angle_rad: None,
-            ellipticity: None,
-            e1: None,
-            e2: None,
-            g1: None,
-            g2: None,
-            sigma_px: None,
             note,
+            ..Self::default()
         }
     }
 }

@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use super::context::{Context, signature};
 use super::fit_args::FitArgs;
+use super::values::{Precision, stamp_size};
 
 /// Write the PSF of a model at given positions
 #[derive(Debug, clap::Args)]
@@ -28,7 +29,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, default_value = "model", value_enum)]
     grid: Grid,
     /// Cut or pad to N x N pixels about the centre
-    #[arg(long, value_name = "N", value_parser = super::values::stamp_size)]
+    #[arg(long, value_name = "N", value_parser = stamp_size)]
     size: Option<usize>,
     /// Draw each PSF at the sub-pixel phase of its position (with --grid native), else centred
     #[arg(long)]
@@ -44,12 +45,6 @@ pub(crate) struct EvaluateArgs {
 enum Grid {
     Model,
     Native,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Precision {
-    F32,
-    F64,
 }
 
 #[derive(Debug, Serialize)]

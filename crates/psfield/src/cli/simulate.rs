@@ -13,7 +13,7 @@ use serde::Serialize;
 use super::UsageError;
 use super::context::{CHECK_KEYWORDS, Context, check_cards, signature};
 use super::fit_args::FitArgs;
-use super::values::{Frame, Pair, stamp_size};
+use super::values::{Frame, Pair, Precision, stamp_size};
 
 /// Convolve a scene with a PSF that varies over the field
 ///
@@ -79,12 +79,6 @@ const FINE_ENOUGH: f64 = 2.0;
 
 /// The largest frame that can be asked for, 4 GiB in f32; a larger number is a slip.
 const MAX_PIXELS: usize = 1 << 30;
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-enum Precision {
-    F32,
-    F64,
-}
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]

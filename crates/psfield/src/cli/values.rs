@@ -7,6 +7,13 @@ use psf_types::{FrameShape, PixelRegion};
 /// The widest stamps that can be asked for; a larger number is a slip, and would ask for more memory than there is.
 const MAX_STAMP: usize = 8192;
 
+/// The precision of what is written, and of the work where that has one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Precision {
+    F32,
+    F64,
+}
+
 /// `NX,NY`, both above 0.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Pair(pub(crate) usize, pub(crate) usize);
