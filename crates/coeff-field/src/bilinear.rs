@@ -1,10 +1,11 @@
 //! Bilinear interpolation on a regular grid.
 
-use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
 
-use crate::geometry::{Outside, query};
+use crate::geometry::{Outside, Point, query};
 use crate::leave_one_out::{LeaveOneOut, LeftOut, Unpredictable, prediction_error};
 use crate::regular_grid::Axis;
+use crate::row::{Row, last_where};
 use crate::weight_list::add_weight;
 use crate::{CoeffFieldError, FieldInterpolation, FieldWeights, RegularGrid, WeightList};
 
@@ -82,23 +83,19 @@ struct BilinearWeights {
     outside: Outside,
 }
 
-impl FieldWeights for BilinearWeights {
-    fn sample_count(&self) -> usize {
-        self.grid.xs().len() * self.grid.ys().len()
+impl BilinearWeights {
+    /// The nearest point of the grid where that is where to evaluate, if the policy admits the position.
+    fn admit(&self, p: Point) -> Option<Point> {
+        if self.outside == Outside::Extend {
+            return Some(p);
+        }
+        let clamped = [self.grid.x().clamp(p[0]), self.grid.y().clamp(p[1])];
+        let is_covered = || (clamped[0] - p[0]).hypot(clamped[1] - p[1]) <= self.grid.covered();
+        (self.outside == Outside::Nearest || is_covered()).then_some(clamped)
     }
 
-    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
-        let [mut x, mut y] = query(position)?;
-        if self.outside != Outside::Extend {
-            let clamped = [self.grid.x().clamp(x), self.grid.y().clamp(y)];
-            let distance = (clamped[0] - x).hypot(clamped[1] - y);
-            if self.outside == Outside::Error && distance > self.grid.covered() {
-                return Err(FieldError::OutsideSamples { position });
-            }
-            [x, y] = clamped;
-        }
-        let (column, t) = self.grid.x().locate(x);
-        let (row, s) = self.grid.y().locate(y);
+    /// Weights from the cell in x and y and the parts of its upper lines.
+    fn weights_in(&self, (column, t): (usize, f64), (row, s): (usize, f64), weights: &mut WeightList) {
         weights.clear();
         for (row, in_y) in [(row, 1.0 - s), (row + 1, s)] {
             for (column, in_x) in [(column, 1.0 - t), (column + 1, t)] {
@@ -106,6 +103,60 @@ impl FieldWeights for BilinearWeights {
                     weights.push((self.grid.sample(column, row), in_x * in_y));
                 }
             }
+        }
+    }
+}
+
+impl FieldWeights for BilinearWeights {
+    fn sample_count(&self) -> usize {
+        self.grid.xs().len() * self.grid.ys().len()
+    }
+
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let [x, y] = self
+            .admit(query(position)?)
+            .ok_or(FieldError::OutsideSamples { position })?;
+        self.weights_in(self.grid.x().locate(x), self.grid.y().locate(y), weights);
+        Ok(())
+    }
+
+    /// A run for each cell that the row crosses, and one beside the grid on either side.
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let row = Row::new(start, length);
+        let (mut first, mut last) = (WeightList::new(), WeightList::new());
+        let is_clamped = self.outside != Outside::Extend;
+        let mut column = 0;
+        while column < length {
+            let [x, y] = self
+                .admit(row.point(column))
+                .ok_or_else(|| FieldError::OutsideSamples {
+                    position: row.position(column),
+                })?;
+            let in_y = self.grid.y().locate(y);
+            self.weights_in(self.grid.x().locate(x), in_y, &mut first);
+            let mut end = row.first_from(self.grid.x().linear_until(row.x(column), is_clamped), column);
+            if self.admit(row.point(end - 1)).is_none() {
+                // What is covered is convex.
+                end = 1 + last_where(column, end, |column| self.admit(row.point(column)).is_some());
+            }
+            if end == column + 1 {
+                visit(RowRun::of_pixel(&first));
+            } else {
+                let x = row.x(end - 1);
+                let x = if is_clamped { self.grid.x().clamp(x) } else { x };
+                self.weights_in(self.grid.x().locate(x), in_y, &mut last);
+                visit(RowRun {
+                    length: end - column,
+                    first: &first,
+                    last: &last,
+                });
+            }
+            column = end;
         }
         Ok(())
     }

@@ -63,6 +63,15 @@ pub(crate) struct Foot<'a> {
     pub(crate) to_position: Point,
 }
 
+/// What the nearest point of the hull lies on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum HullPiece {
+    /// The start of this side.
+    Corner(usize),
+    /// This side, and in its chain the link before this sample.
+    Link(usize, usize),
+}
+
 impl Boundary {
     /// Finds the sides and peels their slivers, which are marked in their triangles.
     pub(crate) fn peel(triangles: &mut Triangles, scale: Scale) -> Self {
@@ -97,6 +106,28 @@ impl Boundary {
 
     /// The foot of `p` on the side that is nearest to it.
     pub(crate) fn nearest(&self, p: Point) -> Foot<'_> {
+        self.foot(self.nearest_side(p), p)
+    }
+
+    /// The piece of the hull that `p` has its foot on; none inside, and on uneven sides, where the weights are not linear.
+    ///
+    /// Between two positions with the same piece lie only such: each is a half strip or a wedge.
+    pub(crate) fn piece(&self, p: Point) -> Option<HullPiece> {
+        let index = self.nearest_side(p);
+        let side = &self.sides[index];
+        if side.depth > 0.0 {
+            return None;
+        }
+        let offset = sub(p, side.start);
+        match foot_on_segment([0.0; 2], side.span, offset) {
+            0.0 => Some(HullPiece::Corner(index)),
+            1.0 => Some(HullPiece::Corner((index + 1) % self.sides.len())),
+            _ => (side.depth_of(offset) < 0.0)
+                .then(|| HullPiece::Link(index, side.link(dot(side.nearest(offset), side.direction)))),
+        }
+    }
+
+    fn nearest_side(&self, p: Point) -> usize {
         let mut best = (f64::INFINITY, 0);
         for (index, side) in self.sides.iter().enumerate() {
             let offset = sub(p, side.start);
@@ -105,7 +136,7 @@ impl Boundary {
                 best = (distance, index);
             }
         }
-        self.foot(best.1, p)
+        best.1
     }
 
     /// The foot of `p` on a side.
@@ -114,10 +145,7 @@ impl Boundary {
         let offset = sub(p, side.start);
         let on_hull = side.nearest(offset);
         let t = dot(on_hull, side.direction);
-        let right = side
-            .chain
-            .partition_point(|link| link.t <= t)
-            .clamp(1, side.chain.len() - 1);
+        let right = side.link(t);
         let links = [&side.chain[right - 1], &side.chain[right]];
         let s = ((t - links[0].t) / (links[1].t - links[0].t)).clamp(0.0, 1.0);
         let on_chain = along(links[0].offset, s, sub(links[1].offset, links[0].offset));
@@ -170,6 +198,13 @@ impl Side {
             }],
             depth: 0.0,
         }
+    }
+
+    /// The second of the two links around a distance along the side.
+    fn link(&self, t: f64) -> usize {
+        self.chain
+            .partition_point(|link| link.t <= t)
+            .clamp(1, self.chain.len() - 1)
     }
 
     /// The point of the side that is nearest to an offset.

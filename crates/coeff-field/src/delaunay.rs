@@ -1,13 +1,15 @@
 //! Linear interpolation in Delaunay triangles.
 
-use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
 use spade::PositionInTriangulation;
 
 use crate::geometry::{Outside, Point, Points, query};
 use crate::leave_one_out::LeaveOneOut;
 use crate::mesh::Mesh;
 use crate::mesh_leave_one_out::{LocalMethod, mesh_leave_one_out};
+use crate::mesh_row::MeshRow;
 use crate::mesh_weights::{InsideWeights, Support, mesh_weights};
+use crate::row::Row;
 use crate::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
 
 /// Linear interpolation inside the triangles of the Delaunay triangulation.
@@ -102,5 +104,30 @@ impl FieldWeights for DelaunayWeights {
         } else {
             Err(FieldError::OutsideSamples { position })
         }
+    }
+
+    /// A run for each triangle that the row crosses, but for slivers; under [`Outside::Nearest`] one for each piece of the
+    /// hull that it passes. Pixel by pixel elsewhere.
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let row = Row::new(start, length);
+        let mut runs = MeshRow::new(&self.mesh, row, self.outside);
+        let mut alone = WeightList::new();
+        let mut column = 0;
+        while column < length {
+            column += if let Some(run) = runs.run_from(column) {
+                visit(run);
+                run.length
+            } else {
+                self.weights_into(row.position(column), &mut alone)?;
+                visit(RowRun::of_pixel(&alone));
+                1
+            };
+        }
+        Ok(())
     }
 }

@@ -3,9 +3,10 @@
 use std::fmt::Debug;
 
 use ndarray::{Array2, ArrayView2};
-use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
 
 use crate::leave_one_out::{self, LeaveOneOut};
+use crate::row::Row;
 use crate::{CoeffFieldError, WeightList};
 
 /// An interpolation method with its parameters: prepares weights for a set of sample positions.
@@ -129,6 +130,33 @@ pub trait FieldWeights: Debug + Send + Sync {
         }
         Ok(())
     }
+
+    /// Visits the weights along a row of pixels, `length` pixels from `(x, y)` on, in runs along which every node's weight is
+    /// linear in x: [`CoefficientField::weights_along_row`](psf_types::CoefficientField::weights_along_row).
+    ///
+    /// A pixel's weights are those of [`weights_into`](Self::weights_into) but for rounding. The provided method visits
+    /// pixel by pixel.
+    ///
+    /// # Errors
+    /// [`FieldError`] at the first pixel without a value, when all pixels before it have been visited.
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        pixel_by_pixel(self, Row::new(start, length), visit)
+    }
+}
+
+/// A row in runs of one pixel.
+pub(crate) fn pixel_by_pixel<W: FieldWeights + ?Sized>(
+    weights: &W,
+    row: Row,
+    visit: &mut dyn FnMut(RowRun<'_>),
+) -> Result<(), FieldError> {
+    let mut positions = (0..row.length()).map(|column| row.position(column));
+    weights.weights_each(&mut positions, &mut |weights| visit(RowRun::of_pixel(weights)))
 }
 
 pub(crate) fn check_rows(samples: usize, values: ArrayView2<'_, f64>) -> Result<(), CoeffFieldError> {

@@ -4,6 +4,9 @@ use psf_types::{FieldError, Position};
 
 use crate::geometry::{Outside, Point, Points, Scale, along, cross, foot_on_segment, length, sub};
 
+/// Rounding of coordinates below this part of the hull's width and height changes no weight by more than their own rounding.
+const PRECISE: f64 = 1e-13;
+
 /// Corners of the convex hull, counter-clockwise; one or two for samples on a point or a line.
 #[derive(Debug, Clone)]
 pub(crate) struct Hull {
@@ -11,6 +14,20 @@ pub(crate) struct Hull {
     /// The samples at the corners, ascending.
     corner_samples: Vec<usize>,
     scale: Scale,
+    /// The shorter side of the bounding box.
+    narrower: f64,
+}
+
+/// A part of the plane whose positions have their nearest point of the hull on the same feature of it. Each is convex, and
+/// the nearest point is linear in the position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum HullPiece {
+    /// The hull itself.
+    Inside,
+    /// Beside the edge that starts at this corner.
+    Edge(usize),
+    /// Around this corner.
+    Corner(usize),
 }
 
 impl Hull {
@@ -40,12 +57,20 @@ impl Hull {
         if chain.len() > 1 {
             chain.pop();
         }
-        let corners = chain.iter().map(|&sample| p[sample]).collect();
+        let corners: Vec<Point> = chain.iter().map(|&sample| p[sample]).collect();
+        let range = |axis: usize| {
+            let of = |fold: fn(f64, f64) -> f64| corners.iter().map(|c| c[axis]).reduce(fold);
+            of(f64::max)
+                .zip(of(f64::min))
+                .map_or(0.0, |(high, low)| high - low)
+        };
+        let narrower = range(0).min(range(1));
         chain.sort_unstable();
         Self {
             corners,
             corner_samples: chain,
             scale: points.scale,
+            narrower,
         }
     }
 
@@ -76,8 +101,23 @@ impl Hull {
         }
     }
 
+    /// Whether the nearest points of the hull are rounded by so little of its width and height that no linear function shows
+    /// it.
+    pub(crate) fn is_precise(&self) -> bool {
+        self.scale.rounding <= PRECISE * self.narrower
+    }
+
+    /// The piece that holds `p`, and the point of the hull that is nearest to `p`.
+    pub(crate) fn piece(&self, p: Point) -> (HullPiece, Point) {
+        if self.contains(p) {
+            (HullPiece::Inside, p)
+        } else {
+            self.nearest_with_piece(p)
+        }
+    }
+
     /// Whether `p` lies in the closed hull, found by bisection over the fan of the first corner.
-    fn contains(&self, p: Point) -> bool {
+    pub(crate) fn contains(&self, p: Point) -> bool {
         let c = &self.corners;
         if c.len() < 3 {
             return c.contains(&p);
@@ -100,21 +140,29 @@ impl Hull {
 
     /// The point of the boundary that is nearest to `p`.
     fn nearest(&self, p: Point) -> Point {
+        self.nearest_with_piece(p).1
+    }
+
+    fn nearest_with_piece(&self, p: Point) -> (HullPiece, Point) {
         let c = &self.corners;
-        let mut best = (f64::INFINITY, c[0]);
-        for (i, &a) in c.iter().enumerate() {
-            let b = c[(i + 1) % c.len()];
-            let foot = if c.len() == 1 {
-                a
+        let mut best = (f64::INFINITY, (HullPiece::Corner(0), c[0]));
+        // The way back along a line is the same edge.
+        let edges = if c.len() == 2 { 1 } else { c.len() };
+        for (i, &a) in c[..edges].iter().enumerate() {
+            let end = (i + 1) % c.len();
+            let b = c[end];
+            let found = if c.len() == 1 {
+                (HullPiece::Corner(0), a)
             } else {
                 match foot_on_segment(a, b, p) {
-                    1.0 => b,
-                    s => along(a, s, sub(b, a)),
+                    0.0 => (HullPiece::Corner(i), a),
+                    1.0 => (HullPiece::Corner(end), b),
+                    s => (HullPiece::Edge(i), along(a, s, sub(b, a))),
                 }
             };
-            let distance = length(sub(foot, p));
+            let distance = length(sub(found.1, p));
             if distance < best.0 {
-                best = (distance, foot);
+                best = (distance, found);
             }
         }
         best.1
@@ -154,6 +202,15 @@ mod tests {
             assert!(!hull.contains(p) && !hull.covers(p), "{p:?}");
         }
         assert!(hull.covers([2.0 + 1e-12, 1.0]));
+        for (p, piece) in [
+            ([1.0, 5.0], HullPiece::Edge(2)),
+            ([3.0, 4.0], HullPiece::Corner(2)),
+            ([-1.0, -1.0], HullPiece::Corner(0)),
+            ([-1.0, 1.0], HullPiece::Edge(3)),
+            ([0.0, 1.0], HullPiece::Inside),
+        ] {
+            assert_eq!(hull.piece(p).0, piece, "{p:?}");
+        }
         assert_eq!(hull.nearest([1.0, 5.0]), [1.0, 2.0]);
         assert_eq!(hull.nearest([3.0, 4.0]), [2.0, 2.0]);
     }

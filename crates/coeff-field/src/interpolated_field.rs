@@ -1,11 +1,13 @@
 //! A coefficient field from samples and an interpolator.
 
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut3};
 use psf_types::{
-    CoefficientField, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position, SampleCoefficients,
+    CoefficientField, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position, RowRun,
+    SampleCoefficients,
 };
 
 use crate::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList, interpolation};
@@ -193,5 +195,18 @@ impl CoefficientField for InterpolatedField {
                 }
             }
         })
+    }
+
+    fn node_values(&self) -> Cow<'_, Array2<f64>> {
+        Cow::Borrowed(&self.nodes)
+    }
+
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        self.weights.weights_along_row(start, length, visit)
     }
 }

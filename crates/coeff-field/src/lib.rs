@@ -75,12 +75,14 @@ mod leave_one_out;
 mod line;
 mod mesh;
 mod mesh_leave_one_out;
+mod mesh_row;
 mod mesh_weights;
 mod natural_neighbour;
 mod nearest;
 mod polynomial;
 mod polynomial_terms;
 mod regular_grid;
+mod row;
 mod search_tree;
 mod weight_list;
 

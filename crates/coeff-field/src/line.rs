@@ -2,11 +2,12 @@
 
 use std::sync::Arc;
 
-use psf_types::{FieldError, Position};
+use psf_types::{FieldError, Position, RowRun};
 
 use crate::WeightList;
-use crate::field_interpolation::FieldWeights;
+use crate::field_interpolation::{FieldWeights, pixel_by_pixel};
 use crate::geometry::{Outside, Point, Points, Scale, along, dot, length, query, sub};
+use crate::row::{Row, last_where};
 use crate::weight_list::{pair, single};
 
 /// Points count as collinear when none lies further off the line than this, relative to its length: triangles between
@@ -91,13 +92,11 @@ impl LineWeights {
             return true;
         }
         let Scale { covered, .. } = self.points.scale;
-        let start = at(0);
         if last == 0 {
             single(weights, self.order[0]);
-            return length(sub(p, start)) <= covered;
+            return length(sub(p, at(0))) <= covered;
         }
-        let off = dot(sub(p, start), normal(self.direction));
-        let foot = along(p, -off, normal(self.direction))[self.axis];
+        let (off, foot) = self.foot(p);
         let (low, high) = (at(0)[self.axis], at(last)[self.axis]);
         // `foot` is measured along the axis; at most sqrt(2) less than along the line.
         let is_covered = off.abs() <= covered && low - covered <= foot && foot <= high + covered;
@@ -106,10 +105,7 @@ impl LineWeights {
         } else {
             foot.clamp(low, high)
         };
-        let right = self
-            .order
-            .partition_point(|&sample| self.points.points[sample][self.axis] <= foot)
-            .clamp(1, last);
+        let right = self.link(foot);
         let (a, b) = (at(right - 1)[self.axis], at(right)[self.axis]);
         pair(
             weights,
@@ -119,6 +115,55 @@ impl LineWeights {
         );
         is_covered
     }
+
+    /// How far `p` lies off the line, and the coordinate of its foot along the axis.
+    fn foot(&self, p: Point) -> (f64, f64) {
+        let start = self.points.points[self.order[0]];
+        let off = dot(sub(p, start), normal(self.direction));
+        (off, along(p, -off, normal(self.direction))[self.axis])
+    }
+
+    /// The rank of the second of the two samples around a foot, or of the two next to it.
+    fn link(&self, foot: f64) -> usize {
+        self.order
+            .partition_point(|&sample| self.points.points[sample][self.axis] <= foot)
+            .clamp(1, self.order.len() - 1)
+    }
+
+    /// The piece of the line, or the end of it, that holds the foot of `p`.
+    fn piece(&self, p: Point) -> Piece {
+        let last = self.order.len() - 1;
+        if last == 0 {
+            return Piece::End(0);
+        }
+        let (_, foot) = self.foot(p);
+        let at = |rank: usize| self.points.points[self.order[rank]][self.axis];
+        if self.outside != Outside::Extend && foot <= at(0) {
+            Piece::End(0)
+        } else if self.outside != Outside::Extend && foot >= at(last) {
+            Piece::End(last)
+        } else {
+            Piece::Link(self.link(foot))
+        }
+    }
+
+    /// The columns of a row that meet a sample, which takes its own value however far it lies off the line.
+    fn hits(&self, row: Row) -> Vec<usize> {
+        let points = self.order.iter().map(|&sample| self.points.points[sample]);
+        let in_row = points.filter(|p| p[1] == row.y());
+        let mut hits: Vec<usize> = in_row.filter_map(|p| row.column_at(p[0])).collect();
+        hits.sort_unstable();
+        hits
+    }
+}
+
+/// Where weights are linear in the position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Piece {
+    /// Past the sample of this rank.
+    End(usize),
+    /// Between the sample of this rank and the one before it, or beyond them.
+    Link(usize),
 }
 
 fn normal(direction: Point) -> Point {
@@ -137,6 +182,42 @@ impl FieldWeights for LineWeights {
         } else {
             Err(FieldError::OutsideSamples { position })
         }
+    }
+
+    /// A run for each link of the line that the row passes and for each end, and one pixel where it meets a sample.
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let row = Row::new(start, length);
+        if self.outside == Outside::Error {
+            // Covers the line alone.
+            return pixel_by_pixel(self, row, visit);
+        }
+        let hits = self.hits(row);
+        let mut hits = hits.iter().copied().peekable();
+        let (mut first, mut last) = (WeightList::new(), WeightList::new());
+        let mut column = 0;
+        while column < length {
+            let end = if hits.next_if_eq(&column).is_some() {
+                column + 1
+            } else {
+                let here = self.piece(row.point(column));
+                let before = hits.peek().copied().unwrap_or(length);
+                1 + last_where(column, before, |column| self.piece(row.point(column)) == here)
+            };
+            self.weights(row.point(column), &mut first);
+            self.weights(row.point(end - 1), &mut last);
+            visit(RowRun {
+                length: end - column,
+                first: &first,
+                last: &last,
+            });
+            column = end;
+        }
+        Ok(())
     }
 }
 

@@ -167,10 +167,15 @@ fn in_triangle(corners: [Point; 3], samples: [usize; 3], p: Point, weights: &mut
         pair(weights, samples[from], samples[to], s);
         return;
     }
+    weights.extend(samples.into_iter().zip(area_shares(corners, p)));
+}
+
+/// The shares of the triangles that `p` makes with each side, by the corner opposite to it.
+pub(crate) fn area_shares(corners: [Point; 3], p: Point) -> [f64; 3] {
     let from_p = corners.map(|corner| sub(corner, p));
     let areas = [0, 1, 2].map(|i| cross(from_p[(i + 1) % 3], from_p[(i + 2) % 3]).max(0.0));
     let sum: f64 = areas.iter().sum();
-    weights.extend(samples.into_iter().zip(areas.map(|area| area / sum)));
+    areas.map(|area| area / sum)
 }
 
 #[cfg(test)]

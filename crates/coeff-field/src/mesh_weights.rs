@@ -80,6 +80,11 @@ pub(crate) fn mesh_weights(
     }
 }
 
+/// The weights of the point of the hull that is nearest to `p`, which lies outside.
+pub(crate) fn weights_at_hull(mesh: &Mesh, p: Point, weights: &mut WeightList) {
+    beyond_chain(&mesh.boundary.nearest(p), false, weights);
+}
+
 /// The weights at the chain, continued to the hull or on to the position.
 fn beyond_chain(foot: &Foot<'_>, to_position: bool, weights: &mut WeightList) {
     let [a, b] = foot.links;

@@ -1,11 +1,12 @@
 //! The value of the nearest sample.
 
-use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
 
-use crate::geometry::{Outside, Points, query};
-use crate::hull::Hull;
+use crate::geometry::{Outside, Point, Points, query};
+use crate::hull::{Hull, HullPiece};
 use crate::hull_leave_one_out::hull_leave_one_out;
 use crate::leave_one_out::{LeaveOneOut, Unpredictable, prediction_error};
+use crate::row::{Row, last_where};
 use crate::search_tree::SearchTree;
 use crate::weight_list::single;
 use crate::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
@@ -66,6 +67,21 @@ struct NearestWeights {
     outside: Outside,
 }
 
+impl NearestWeights {
+    /// The sample whose value `p` takes, and the piece of the plane in which that is the nearest sample of a linear function
+    /// of the position; none where rounding could decide for another one.
+    ///
+    /// Positions with the same result surround none with another: the pieces and the samples' Voronoi cells are convex.
+    fn clearly(&self, p: Point) -> Option<(HullPiece, usize)> {
+        let (piece, at) = match self.outside {
+            Outside::Extend => (HullPiece::Inside, p),
+            Outside::Nearest => self.hull.piece(p),
+            Outside::Error => self.hull.contains(p).then_some((HullPiece::Inside, p))?,
+        };
+        Some((piece, self.tree.clearly_nearest(at)?))
+    }
+}
+
 impl FieldWeights for NearestWeights {
     fn sample_count(&self) -> usize {
         self.tree.len()
@@ -77,6 +93,44 @@ impl FieldWeights for NearestWeights {
             weights,
             self.tree.nearest(p, None).expect("there is at least one sample"),
         );
+        Ok(())
+    }
+
+    /// A run for each Voronoi cell that the row crosses, and single pixels close to their edges.
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let row = Row::new(start, length);
+        if self.tree.len() == 1 && self.outside != Outside::Error && length > 0 {
+            let everywhere = [(0, 1.0)];
+            visit(RowRun {
+                length,
+                first: &everywhere,
+                last: &everywhere,
+            });
+            return Ok(());
+        }
+        let mut weights = WeightList::new();
+        let mut column = 0;
+        while column < length {
+            let last = if let Some((piece, sample)) = self.clearly(row.point(column)) {
+                single(&mut weights, sample);
+                let is_alike = |column| self.clearly(row.point(column)) == Some((piece, sample));
+                last_where(column, length, is_alike)
+            } else {
+                self.weights_into(row.position(column), &mut weights)?;
+                column
+            };
+            visit(RowRun {
+                length: last + 1 - column,
+                first: &weights,
+                last: &weights,
+            });
+            column = last + 1;
+        }
         Ok(())
     }
 }

@@ -2,14 +2,17 @@
 
 use nalgebra::DMatrix;
 use ndarray::{Array2, ArrayView2};
-use psf_types::{FieldError, Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+use psf_types::{
+    FieldError, Interpolation, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions,
+};
 
-use crate::field_interpolation::check_rows;
+use crate::field_interpolation::{check_rows, pixel_by_pixel};
 use crate::geometry::{Outside, Point, Points, external, query};
-use crate::hull::Hull;
+use crate::hull::{Hull, HullPiece};
 use crate::hull_leave_one_out::hull_leave_one_out;
 use crate::leave_one_out::{LeaveOneOut, Unpredictable};
 use crate::polynomial_terms::Scaling;
+use crate::row::{Row, last_where};
 use crate::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
 
 /// Singular values below this part of the largest count as 0: the samples leave a direction undetermined.
@@ -207,6 +210,50 @@ impl FieldWeights for PolynomialWeights {
         }
         weights.clear();
         weights.extend(terms.into_iter().enumerate());
+        Ok(())
+    }
+
+    /// The terms up to degree 1 are linear where the point that they are taken at is: everywhere (extend), or in the hull
+    /// and beside each of its edges and corners. Others go pixel by pixel.
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let row = Row::new(start, length);
+        if self.fit.degree > 1 {
+            return pixel_by_pixel(self, row, visit);
+        }
+        let piece = |column: usize| {
+            let p = row.point(column);
+            match self.outside {
+                Outside::Extend => Some(HullPiece::Inside),
+                Outside::Nearest if self.fit.degree == 0 => Some(HullPiece::Inside),
+                Outside::Nearest => {
+                    let (piece, _) = self.hull.piece(p);
+                    (piece == HullPiece::Inside || self.hull.is_precise()).then_some(piece)
+                }
+                Outside::Error => self.hull.contains(p).then_some(HullPiece::Inside),
+            }
+        };
+        let (mut first, mut last) = (WeightList::new(), WeightList::new());
+        let mut column = 0;
+        while column < length {
+            self.weights_into(row.position(column), &mut first)?;
+            let here = piece(column);
+            let end = match here {
+                Some(_) => 1 + last_where(column, length, |column| piece(column) == here),
+                None => column + 1,
+            };
+            self.weights_into(row.position(end - 1), &mut last)?;
+            visit(RowRun {
+                length: end - column,
+                first: &first,
+                last: &last,
+            });
+            column = end;
+        }
         Ok(())
     }
 }

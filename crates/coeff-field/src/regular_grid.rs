@@ -42,6 +42,8 @@ pub(crate) struct Axis {
 
 /// Coordinates closer than this are one line, relative to the samples' extent.
 const SAME_LINE: f64 = 1e-9;
+/// Lines with less scatter than this part of a cell move no weight by more than rounding.
+const HARMLESS: f64 = 1e-13;
 
 impl RegularGrid {
     /// Finds the columns and rows of samples.
@@ -161,7 +163,7 @@ impl Axis {
         if last == 0 {
             return (0, 0.0);
         }
-        let cell = self.lines.partition_point(|&line| line <= v).clamp(1, last) - 1;
+        let cell = self.cell(v);
         let (a, b) = (self.lines[cell], self.lines[cell + 1]);
         // Samples that scatter about their line still get their own value.
         if (v - a).abs() <= self.scatter {
@@ -171,6 +173,50 @@ impl Axis {
         } else {
             (cell, (v - a) / (b - a))
         }
+    }
+
+    /// The cell around a coordinate, or the one next to it; there are at least two lines.
+    fn cell(&self, v: f64) -> usize {
+        let last = self.lines.len() - 1;
+        self.lines.partition_point(|&line| line <= v).clamp(1, last) - 1
+    }
+
+    /// Where the parts that [`Self::locate`] gives stop to be linear: they are for the whole numbers from `v` on that
+    /// are below the result, and for `v` alone where that is not above it. With `clamped` coordinates are first clamped.
+    pub(crate) fn linear_until(&self, v: f64, clamped: bool) -> f64 {
+        let (last, low) = (self.lines.len() - 1, self.lines[0]);
+        if last == 0 {
+            return f64::INFINITY;
+        }
+        if clamped && v < low {
+            return low;
+        }
+        if clamped && v > self.lines[last] {
+            return f64::INFINITY;
+        }
+        let cell = self.cell(v);
+        let (a, b) = (self.lines[cell], self.lines[cell + 1]);
+        let mut until = match (cell + 1 == last, clamped) {
+            (false, _) => b,
+            (true, true) => b.floor() + 1.0,
+            (true, false) => f64::INFINITY,
+        };
+        if self.scatter > HARMLESS * (b - a) {
+            let is_moved = |v: f64, line: f64| (v - line).abs() <= self.scatter;
+            if is_moved(v, a) || is_moved(v, b) {
+                return v;
+            }
+            for line in [a, b] {
+                if v < line {
+                    until = until.min((line - self.scatter).ceil());
+                    // The bound itself is rounded.
+                    while until > v && is_moved(until - 1.0, line) {
+                        until -= 1.0;
+                    }
+                }
+            }
+        }
+        until
     }
 
     /// The nearest coordinate that the lines cover.

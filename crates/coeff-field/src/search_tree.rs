@@ -16,6 +16,8 @@ pub(crate) struct SearchTree {
 
 /// The tree's own distances may be rounded differently.
 const ROUNDING: f64 = 1.0 + 1e-12;
+/// Rounding of a squared distance, and of the position it is taken from, is well below this, relatively.
+const DOUBT: f64 = 64.0 * f64::EPSILON;
 
 impl SearchTree {
     pub(crate) fn new(points: &Points) -> Result<Self, CoeffFieldError> {
@@ -41,6 +43,30 @@ impl SearchTree {
             }
         });
         Some(best.1)
+    }
+
+    /// The sample nearest to `p`; none where another one is as near but for rounding.
+    ///
+    /// Where `p` and `q` have the same result, so have the positions between them: the difference of the squared distances of
+    /// two samples is linear along the line, and the rounding allowed for convex.
+    pub(crate) fn clearly_nearest(&self, p: Point) -> Option<usize> {
+        let two = const { NonZeroUsize::new(2).expect("2 is not 0") };
+        let found = self
+            .tree
+            .query(&p)
+            .nearest_n::<SquaredEuclidean<f64>>(two)
+            .execute();
+        let mut found = found.iter().map(|item| {
+            let sample = item.item as usize;
+            (self.square(p, sample), sample)
+        });
+        let a = found.next()?;
+        let Some(b) = found.next() else {
+            return Some(a.1);
+        };
+        let (near, far) = if a.0 <= b.0 { (a, b) } else { (b, a) };
+        let doubt = DOUBT * (far.0 + (p[0].abs() + p[1].abs()) * far.0.sqrt());
+        (far.0 - near.0 > doubt).then_some(near.1)
     }
 
     /// The squared distance of the `k`-th nearest sample apart from `skip`; of the last one where there are fewer.
@@ -103,6 +129,11 @@ mod tests {
             all.sort_by(|a, b| a.partial_cmp(b).unwrap());
             assert_eq!(tree.nearest(p, None), Some(all[0].1), "{p:?}");
             assert_eq!(tree.nearest(p, Some(all[0].1)), Some(all[1].1), "{p:?}");
+            let is_clear = all[0].0 < all[1].0 * (1.0 - 1e-9);
+            let expected = is_clear.then_some(all[0].1);
+            if is_clear || all[0].0 == all[1].0 {
+                assert_eq!(tree.clearly_nearest(p), expected, "{p:?}");
+            }
             let k = NonZeroUsize::new(7).unwrap();
             let seventh = all[6.min(all.len() - 1)].0;
             assert_eq!(tree.square_of_kth(p, k, None), Some(seventh));

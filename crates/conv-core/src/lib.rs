@@ -37,7 +37,9 @@ mod overlap;
 mod patch;
 mod planes;
 mod point_sources;
+mod simd;
 mod stamp_spline;
+mod transform;
 
 pub use basis_convolution::BasisConvolution;
 pub use direct::Direct;

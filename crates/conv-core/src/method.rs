@@ -4,10 +4,11 @@ use psf_types::{Image, Progress, PsfModel, Real, Scene};
 use rustfft::FftNum;
 
 use crate::ConvError;
+use crate::simd::SimdReal;
 
 /// The working precisions of this crate: `f32` and `f64`.
-pub trait ConvReal: Real + FftNum {}
-impl<T: Real + FftNum> ConvReal for T {}
+pub trait ConvReal: Real + FftNum + SimdReal {}
+impl<T: Real + FftNum + SimdReal> ConvReal for T {}
 
 /// Makes the image of a scene through a PSF that varies over the field.
 ///

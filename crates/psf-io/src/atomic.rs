@@ -1,10 +1,11 @@
 //! Outputs that appear whole or not at all.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::IoError;
+use crate::pending_file::PendingFile;
 
 /// Writes a file under a temporary name in its own directory and renames it when it is complete.
 ///
@@ -30,40 +31,10 @@ pub fn write_atomically<R, E: From<IoError>>(
     overwrite: bool,
     write: impl FnOnce(&Path) -> Result<R, E>,
 ) -> Result<R, E> {
-    let path = path.as_ref();
-    let failed = |source| IoError::Write {
-        path: path.to_owned(),
-        source,
-    };
-    let target = checked_target(path, overwrite)?;
-    let suffix = target.extension().map_or_else(Default::default, |extension| {
-        let mut suffix = std::ffi::OsString::from(".");
-        suffix.push(extension);
-        suffix
-    });
-    let temporary = tempfile::Builder::new()
-        .prefix(".psfield-")
-        .suffix(&suffix)
-        // Not `tempfile_in`: its files can be read by their owner alone, and stay so after the renaming.
-        .make_in(directory_of(&target), |at| {
-            File::options().write(true).create_new(true).open(at)
-        })
-        .map_err(failed)?
-        .into_temp_path();
-    let result = write(&temporary)?;
-    let renamed = if overwrite {
-        temporary.persist(&target)
-    } else {
-        temporary.persist_noclobber(&target)
-    };
-    match renamed {
-        Ok(()) => Ok(result),
-        Err(e) if e.error.kind() == ErrorKind::AlreadyExists => Err(IoError::Exists {
-            path: path.to_owned(),
-        }
-        .into()),
-        Err(e) => Err(failed(e.error).into()),
-    }
+    let file = PendingFile::create(path.as_ref(), overwrite)?;
+    let result = write(file.temporary())?;
+    file.commit()?;
+    Ok(result)
 }
 
 /// Whether `path` can be written, as far as can be told before the work is done: its directory exists, and it is not there
@@ -76,7 +47,7 @@ pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoErr
 }
 
 /// The file that is written in the end: `path`, or what it links to.
-fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, IoError> {
+pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, IoError> {
     let owned = || path.to_owned();
     if path.file_name().is_none() {
         return Err(IoError::NotAFile { path: owned() });
@@ -108,7 +79,7 @@ fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, IoError> {
 }
 
 /// The directory of a file; the current one for a bare name.
-fn directory_of(path: &Path) -> &Path {
+pub(crate) fn directory_of(path: &Path) -> &Path {
     match path.parent() {
         Some(directory) if !directory.as_os_str().is_empty() => directory,
         _ => Path::new("."),

@@ -30,6 +30,8 @@ pub(crate) struct Fits {
     handle: NonNull<sys::fitsfile>,
     /// The name for error messages; not the temporary one.
     path: PathBuf,
+    /// Whether the HDU in hand is an image that this handle writes.
+    writes_image: bool,
 }
 
 impl Fits {
@@ -68,6 +70,7 @@ impl Fits {
         let fits = Self {
             handle,
             path: path.to_owned(),
+            writes_image: false,
         };
         check(path, status, doing)?;
         Ok(fits)
@@ -93,8 +96,14 @@ impl Fits {
         self.check(status, "moving to an HDU")
     }
 
-    /// Reads the first `pixels.len()` pixels of the image; with `blank`, undefined integer pixels become NaN.
-    pub(crate) fn read_pixels<T: Real>(&mut self, pixels: &mut [T], blank: bool) -> Result<(), IoError> {
+    /// Reads `pixels.len()` pixels of the image from pixel `first` (0-based) on; with `blank`, undefined integer pixels become
+    /// NaN.
+    pub(crate) fn read_pixels<T: Real>(
+        &mut self,
+        first: usize,
+        pixels: &mut [T],
+        blank: bool,
+    ) -> Result<(), IoError> {
         let mut nan = T::nan();
         let null = if blank {
             (&raw mut nan).cast::<c_void>()
@@ -109,7 +118,7 @@ impl Fits {
             sys::ffgpv(
                 self.handle.as_ptr(),
                 datatype::<T>(),
-                1,
+                first as sys::LONGLONG + 1,
                 pixels.len() as sys::LONGLONG,
                 null,
                 pixels.as_mut_ptr().cast(),
@@ -166,10 +175,23 @@ impl Fits {
 
 impl Drop for Fits {
     fn drop(&mut self) {
-        let mut status = 0;
+        let (mut emptied, mut status) = (0, 0);
+        if self.writes_image {
+            // Nobody wants this file any more. CFITSIO would fill an incomplete image up with zeros, however large it is.
+            // SAFETY: the handle is open, the keyword is NUL-terminated; a null pointer keeps the comment.
+            unsafe {
+                sys::ffmkyj(
+                    self.handle.as_ptr(),
+                    c"NAXIS".as_ptr(),
+                    0,
+                    ptr::null(),
+                    &raw mut emptied,
+                )
+            };
+        }
         // SAFETY: the handle is open and not used again.
         unsafe { sys::ffclos(self.handle.as_ptr(), &raw mut status) };
-        if status != 0 {
+        if emptied != 0 || status != 0 {
             // SAFETY: clears the message stack, which CFITSIO guards itself.
             unsafe { sys::ffcmsg() };
         }

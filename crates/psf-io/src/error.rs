@@ -1,5 +1,6 @@
 //! What goes wrong with files.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use psf_types::DataError;
@@ -183,8 +184,41 @@ pub enum IoError {
         index: Vec<usize>,
         /// NaN or an infinity.
         value: f64,
-        /// How many there are.
+        /// How many there are, in the rows asked for when the image is read by bands.
         count: usize,
+    },
+    /// Rows that the image does not have.
+    #[error(
+        "{}: rows {} to {} (not included, 0-based) are not all in an image of {ny} rows",
+        path.display(), rows.start, rows.end
+    )]
+    Rows {
+        /// The file.
+        path: PathBuf,
+        /// The rows to be read or written.
+        rows: Range<usize>,
+        /// Rows of the image.
+        ny: usize,
+    },
+    /// A band of rows that is not as wide as the image.
+    #[error("{}: a band of rows must be as wide as the image, {expected} columns, got {got}", path.display())]
+    BandWidth {
+        /// The file.
+        path: PathBuf,
+        /// Columns of the image.
+        expected: usize,
+        /// Columns of the band.
+        got: usize,
+    },
+    /// An image that is finished before all its rows are written.
+    #[error("{}: the image has {expected} rows, only {got} were written: write the rest first", path.display())]
+    Incomplete {
+        /// The file.
+        path: PathBuf,
+        /// Rows of the image.
+        expected: usize,
+        /// Rows written.
+        got: usize,
     },
     /// Values that single precision cannot hold.
     #[error("{}: a value is beyond the range of single precision: use double precision", path.display())]
@@ -306,6 +340,9 @@ impl IoError {
             | Self::Version { path, .. }
             | Self::Axes { path, .. }
             | Self::NonFinitePixels { path, .. }
+            | Self::Rows { path, .. }
+            | Self::BandWidth { path, .. }
+            | Self::Incomplete { path, .. }
             | Self::Overflow { path }
             | Self::MissingColumn { path, .. }
             | Self::AmbiguousColumn { path, .. }

@@ -12,6 +12,8 @@
 //! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`; world coordinates, which count in
 //! FITS pixels, go over as they are. Files compressed by gzip or fpack must be unpacked first.
 //!
+//! An image that does not fit into memory is read and written by bands of rows: [`ImageReader`] and [`ImageWriter`].
+//!
 //! A scene from Python:
 //!
 //! ```python
@@ -24,15 +26,14 @@
 
 use std::path::Path;
 
-use ndarray::{Array2, Array3};
+use ndarray::Array3;
 use psf_types::{Image, Real};
 
-use crate::cfitsio::Fits;
 use crate::error::{bad_card, invalid};
 use crate::hdu::Hdu;
 use crate::pixels::read_pixels;
 use crate::structure::FitsStructure;
-use crate::{Card, HeaderCards, IoError, write_atomically};
+use crate::{Card, HeaderCards, ImageReader, ImageWriter, IoError};
 
 /// An image with the header cards that go with it.
 #[derive(Debug, Clone, PartialEq)]
@@ -65,16 +66,11 @@ impl<T: Real> FitsImage<T> {
 /// too large for f32, and the errors of any FITS file.
 pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoError> {
     let path = path.as_ref();
-    let structure = FitsStructure::scan(path)?;
-    let hdu = structure.first_image()?;
-    let &[ny, nx] = squeezed(hdu).as_slice() else {
-        return Err(hdu.axes_error("a single image [y, x] (a cube of PSF stamps is not a scene)"));
-    };
-    let pixels =
-        Array2::from_shape_vec((ny, nx), read_pixels(path, hdu)?).expect("as many pixels as the axes say");
+    let mut reader = ImageReader::open(path)?;
+    let pixels = reader.read_rows(0..reader.shape().ny())?;
     Ok(FitsImage {
         image: Image::new(pixels).map_err(invalid(path))?,
-        header: hdu.header.carried(),
+        header: reader.into_header(),
     })
 }
 
@@ -109,7 +105,7 @@ pub fn read_header(path: impl AsRef<Path>) -> Result<HeaderCards, IoError> {
 ///
 /// `header` are cards carried over from an input (cut frames: [`HeaderCards::shifted_origin`]); `added` follow, each in the place
 /// of the cards of its keyword, texts (HISTORY, COMMENT) at the end. The file appears whole or not at all
-/// ([`write_atomically`]).
+/// ([`write_atomically`](crate::write_atomically)).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -134,49 +130,9 @@ pub fn write_image<T: Real>(
     added: &[Card],
     overwrite: bool,
 ) -> Result<(), IoError> {
-    let shape = [image.shape().ny(), image.shape().nx()];
-    let pixels = image.pixels();
-    write_fits(path.as_ref(), overwrite, |fits| {
-        write_image_hdu(
-            fits,
-            &shape,
-            pixels.as_slice().expect("images are row-major"),
-            &header.with(added),
-        )
-    })
-}
-
-/// Creates a FITS file under a temporary name, lets `write` fill it and renames it.
-pub(crate) fn write_fits(
-    path: &Path,
-    overwrite: bool,
-    write: impl FnOnce(&mut Fits) -> Result<(), IoError>,
-) -> Result<(), IoError> {
-    write_atomically(path, overwrite, |temporary| {
-        // CFITSIO creates the file itself.
-        std::fs::remove_file(temporary).map_err(|source| IoError::Write {
-            path: path.to_owned(),
-            source,
-        })?;
-        let mut fits = Fits::create(temporary, path)?;
-        write(&mut fits)?;
-        fits.close()
-    })
-}
-
-/// Adds an image HDU; the header first, so that CFITSIO need not move the data.
-pub(crate) fn write_image_hdu<T: Real>(
-    fits: &mut Fits,
-    shape: &[usize],
-    pixels: &[T],
-    cards: &HeaderCards,
-) -> Result<(), IoError> {
-    fits.create_image::<T>(shape)?;
-    cards
-        .iter()
-        .flat_map(Card::records)
-        .try_for_each(|record| fits.write_record(record))?;
-    fits.write_pixels(pixels)
+    let mut writer = ImageWriter::create(path, image.shape(), header, added, overwrite)?;
+    writer.write_finite_rows(image.pixels())?;
+    writer.finish()
 }
 
 /// The shape in array order without the leading axes of length 1 (FITS' last ones) beyond two.

@@ -3,6 +3,7 @@
 //! | file | layout | in | out |
 //! |---|---|---|---|
 //! | scene, image | [`image`] | [`read_image`] | [`write_image`] |
+//! | the same, by bands of rows | [`image`] | [`ImageReader`] | [`ImageWriter`] |
 //! | PSF samples, stamps | [`samples`] | [`read_samples`] | [`write_samples`] |
 //! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
 //! | catalogue, positions | [`points`] | [`read_catalog`], [`read_positions`] | |
@@ -16,13 +17,13 @@
 //! format counts from 1, its reader converts.
 //!
 //! # Bad files
-//! A file is read completely and checked, or refused with an [`IoError`] that names the file, the HDU or row, and what to do. Headers
-//! are checked against the length of the file before memory is taken for the data; no content of a file makes this crate
-//! panic. Nothing is repaired silently: a NaN pixel is an error.
+//! A file, or the rows of it that are asked for, is read completely and checked, or refused with an [`IoError`] that names the
+//! file, the HDU or row, and what to do. Headers are checked against the length of the file before memory is taken for the
+//! data; no content of a file makes this crate panic. Nothing is repaired silently: a NaN pixel is an error.
 //!
 //! # Outputs
-//! Every file appears whole or not at all, and replaces another only when told to ([`write_atomically`]). The same input gives
-//! the same bytes: no dates are written.
+//! Every file appears whole or not at all, and replaces another only when told to ([`write_atomically`]), also one that is
+//! written by bands. The same input gives the same bytes: no dates are written.
 //!
 //! # CFITSIO
 //! Pixels and columns pass through CFITSIO, which the build compiles (no system library needed). File names are taken
@@ -44,7 +45,11 @@ mod error;
 mod hdu;
 mod header_cards;
 pub mod image;
+mod image_reader;
+mod image_writer;
 pub mod model;
+mod new_fits;
+mod pending_file;
 mod pixels;
 pub mod points;
 mod row;
@@ -59,6 +64,8 @@ pub use detect::{FileKind, detect};
 pub use error::IoError;
 pub use header_cards::HeaderCards;
 pub use image::{FitsImage, read_cube, read_header, read_image, write_image};
+pub use image_reader::ImageReader;
+pub use image_writer::ImageWriter;
 pub use model::{ModelFile, read_model, read_model_file, write_model};
 pub use points::{read_catalog, read_columns, read_positions};
 pub use row::Row;

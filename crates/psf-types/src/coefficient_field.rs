@@ -1,8 +1,9 @@
 //! Coefficients as functions of the position.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
-use ndarray::ArrayViewMut3;
+use ndarray::{Array2, ArrayViewMut3};
 use thiserror::Error;
 
 use crate::{PixelRegion, Position};
@@ -49,6 +50,60 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
             }
         }
         Ok(())
+    }
+
+    /// The values `v` `[node, component]` that the field combines: `a_k(x) = sum_n w_n(x) v_nk`, with the weights of
+    /// [`weights_along_row`](Self::weights_along_row).
+    ///
+    /// The provided method returns the unit matrix, so that the weights are the coefficients themselves.
+    fn node_values(&self) -> Cow<'_, Array2<f64>> {
+        Cow::Owned(Array2::eye(self.component_count()))
+    }
+
+    /// Visits the weights of the nodes along a row of pixels, `length` pixels from `(x, y)` on, in runs along which every weight
+    /// is linear in x. The runs follow each other without a gap; how they are cut may depend on the row asked for.
+    ///
+    /// A field that names few nodes a run and has long runs makes convolution fast. The provided method visits pixel by pixel.
+    ///
+    /// # Errors
+    /// [`FieldError`] at the first pixel where the field has no value, when all pixels before it have been visited.
+    fn weights_along_row(
+        &self,
+        (x, y): (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let mut coefficients = vec![0.0; self.component_count()];
+        let mut weights = Vec::with_capacity(coefficients.len());
+        for column in 0..length {
+            self.evaluate_into(Position::of_pixel(x + column as i64, y), &mut coefficients)?;
+            weights.clear();
+            weights.extend(coefficients.iter().copied().enumerate());
+            visit(RowRun::of_pixel(&weights));
+        }
+        Ok(())
+    }
+}
+
+/// Neighbouring pixels of a row along which the weights of a field's nodes are linear in x.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RowRun<'a> {
+    /// The number of pixels, at least 1.
+    pub length: usize,
+    /// `(node, weight)` at the first pixel; no node appears twice.
+    pub first: &'a [(usize, f64)],
+    /// `(node, weight)` at the last pixel; no node appears twice.
+    pub last: &'a [(usize, f64)],
+}
+
+impl<'a> RowRun<'a> {
+    /// A run of a single pixel.
+    pub fn of_pixel(weights: &'a [(usize, f64)]) -> Self {
+        Self {
+            length: 1,
+            first: weights,
+            last: weights,
+        }
     }
 }
 

@@ -34,7 +34,7 @@ mod scene;
 mod stamp;
 
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy};
-pub use coefficient_field::{CoefficientField, FieldError};
+pub use coefficient_field::{CoefficientField, FieldError, RowRun};
 pub use error::{DataError, Quantity};
 pub use frame::{FrameShape, PixelRegion};
 pub use image::Image;

@@ -10,6 +10,9 @@ use super::{Fits, datatype};
 use crate::IoError;
 use crate::card::{RECORD, Record};
 
+/// CFITSIO counts the bytes of reserved records in an `int`, and a header much longer than this (8 MB) is not read back.
+const RESERVE_LIMIT: usize = 100_000;
+
 impl Fits {
     /// Adds an image HDU for values of type `T`; `shape` in array order (x last).
     pub(crate) fn create_image<T: Real>(&mut self, shape: &[usize]) -> Result<(), IoError> {
@@ -30,11 +33,12 @@ impl Fits {
                 &raw mut status,
             )
         };
+        self.writes_image = true;
         self.check(status, "creating an image")
     }
 
-    /// Writes the pixels of the image, from the first on.
-    pub(crate) fn write_pixels<T: Real>(&mut self, pixels: &[T]) -> Result<(), IoError> {
+    /// Writes pixels of the image, from pixel `first` (0-based) on.
+    pub(crate) fn write_pixels<T: Real>(&mut self, first: usize, pixels: &[T]) -> Result<(), IoError> {
         let mut status = 0;
         // SAFETY: `pixels` holds the number of values announced, of the type that `datatype` names. CFITSIO's prototype
         // lacks a `const`; it copies the values into a buffer of its own before it changes their byte order.
@@ -42,7 +46,7 @@ impl Fits {
             sys::ffppr(
                 self.handle.as_ptr(),
                 datatype::<T>(),
-                1,
+                first as sys::LONGLONG + 1,
                 pixels.len() as sys::LONGLONG,
                 pixels.as_ptr().cast_mut().cast(),
                 &raw mut status,
@@ -67,6 +71,35 @@ impl Fits {
         self.check(status, "writing a header card")
     }
 
+    /// Leaves room in the header for this many records more, [`RESERVE_LIMIT`] at most; to be called after its cards and before
+    /// the pixels.
+    pub(crate) fn reserve_records(&mut self, count: usize) -> Result<(), IoError> {
+        let count = count.min(RESERVE_LIMIT) as c_int;
+        let mut status = 0;
+        // SAFETY: the handle is open.
+        unsafe { sys::ffhdef(self.handle.as_ptr(), count, &raw mut status) };
+        self.check(status, "reserving room in a header")
+    }
+
+    /// Removes the last records of the header.
+    pub(crate) fn remove_records(&mut self, count: usize) -> Result<(), IoError> {
+        let (mut last, mut status) = (0, 0);
+        // SAFETY: the handle is open; a null pointer for the room left is allowed.
+        unsafe {
+            sys::ffghsp(
+                self.handle.as_ptr(),
+                &raw mut last,
+                ptr::null_mut(),
+                &raw mut status,
+            )
+        };
+        for number in (1..=last).rev().take(count) {
+            // SAFETY: the handle is open; CFITSIO refuses a record that is not there.
+            unsafe { sys::ffdrec(self.handle.as_ptr(), number, &raw mut status) };
+        }
+        self.check(status, "removing a header card")
+    }
+
     /// Adds a binary table with columns (name, TFORM).
     pub(crate) fn create_table(
         &mut self,
@@ -85,6 +118,7 @@ impl Fits {
                 .collect::<Vec<_>>()
         };
         let (mut names_c, mut forms_c) = (pointers(&names), pointers(&forms));
+        self.writes_image = false;
         let mut status = 0;
         // SAFETY: both lists hold as many NUL-terminated strings as there are columns, which live until the call returns
         // and which CFITSIO only reads; a null pointer stands for "no units".

@@ -1,0 +1,164 @@
+"""The peers for images: each is a class with a plan (its constructor) and a run, and says what its image is exact for.
+
+`name`, `run() -> image`, `describe()`, and `own(reference)`: the values a double-precision sum over the method's own model gives at
+the reference's pixels. An image must meet them to rounding; what it differs from the true field by is the method's model error.
+"""
+
+import time
+
+import numpy as np
+import scipy.fft
+from scipy.signal import fftconvolve
+
+from basis import Modes, TiledBasis, WholeBasis
+from overlap_add import MEMORY, OverlapAdd
+from tiling import Tiling
+from transforms import lengths
+
+
+class Single:
+    """One PSF for the whole frame, `scipy.signal.fftconvolve`: the unit that the others are measured in."""
+
+    name = "single"
+
+    def __init__(self, inputs, pool):
+        self.inputs, self.threads = inputs, pool.threads
+        middle = (inputs.size - 1) / 2
+        self.psf = inputs.psf_at([middle], [middle])[0]
+        # `mode="same"` takes index (n - 1) / 2 as the centre of the stamp; a row and a column of zeros make that n / 2.
+        self.kernel = np.pad(self.psf, [(0, 1 - n % 2) for n in self.psf.shape])
+
+    def run(self):
+        with scipy.fft.set_workers(self.threads):
+            return fftconvolve(self.inputs.scene, self.kernel, mode="same")
+
+    def describe(self):
+        return "scipy.signal.fftconvolve"
+
+    def own(self, reference):
+        return reference.direct(np.broadcast_to(self.psf, self.inputs.samples.shape))
+
+
+class Cells:
+    """Exact: tiles of whole cells of the grid, or parts of one; a weighted forward transform for each sample around, one inverse.
+
+    The size is searched: candidates are ranked by the number of operations and the best timed on a part of the frame.
+    """
+
+    name = "cells"
+    TIMED = 5
+
+    def __init__(self, inputs, pool):
+        stamp = inputs.samples.shape[2]
+        candidates = {}
+        for together, split in [(t, 1) for t in range(1, 9)] + [(1, s) for s in range(2, 17)]:
+            ty, tx = (Tiling.cells(axis, together, split) for axis in (inputs.y, inputs.x))
+            if min(ty.side, tx.side) < 8 or max(ty.side, tx.side) > 600:
+                continue
+            for length in lengths(max(ty.side, tx.side) + stamp - 1):
+                if len(inputs.stamps) * length * (length // 2 + 1) * 8 <= MEMORY:
+                    candidates[ty.side, length] = (_operations(ty, tx, length), ty, tx, length)
+        if not candidates:
+            raise MemoryError("no size of tile keeps the spectra of the samples within memory")
+        best = sorted(candidates.values(), key=lambda c: c[0])[: self.TIMED]
+        self.plan, shortest = None, np.inf
+        for _, ty, tx, length in best:
+            for cache in (1e6, 2e6):
+                plan = OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache)
+                if self.plan is not None and plan.batch == self.plan.batch and length == self.plan.length:
+                    continue
+                seconds = _seconds_per_row(plan)
+                if seconds < shortest:
+                    self.plan, shortest = plan, seconds
+        self.run, self.describe = self.plan.run, self.plan.describe
+
+    def own(self, reference):
+        return reference.truth
+
+
+def _operations(ty, tx, length):
+    """Operations of a frame up to a factor: transforms of rows and columns, and products."""
+    columns = length / 2 + 1
+    components = ty.nodes * tx.nodes
+    one = length * np.log2(length)
+    rows = (tx.nodes * ty.side + length) / 2
+    tile = one * (rows + columns * (components + 1)) + 2 * components * length * columns
+    return len(ty) * len(tx) * tile
+
+
+def _seconds_per_row(plan, target=0.15):
+    """Time of a row of pixels: the best of three turns of some rows of tiles spread over the frame."""
+    count = len(plan.tile_y)
+    rows = min(count, plan.pool.threads)
+    best = np.inf
+    for turn in range(4):
+        chosen = set(np.linspace(0, count - 1, rows).round().astype(int).tolist())
+        start = time.perf_counter()
+        plan.run(chosen)
+        seconds = time.perf_counter() - start
+        if turn == 0:
+            # The first turn only warms up and says how many rows fill the time.
+            rows = min(count, max(rows, int(rows * target / seconds)))
+            continue
+        best = min(best, seconds / sum(plan.tile_y.length[row] for row in chosen))
+    return best
+
+
+class Hat:
+    """Exact: each sample convolves the light under its own hat function."""
+
+    name = "hat"
+
+    def __init__(self, inputs, pool):
+        ty, tx = (Tiling.hats(axis) for axis in (inputs.y, inputs.x))
+        length = lengths(max(ty.side, tx.side) + inputs.samples.shape[2] - 1)[0]
+        self.plan = OverlapAdd(inputs, inputs.samples, ty, tx, length, pool)
+        self.run, self.describe = self.plan.run, self.plan.describe
+
+    def own(self, reference):
+        return reference.truth
+
+
+class Patch:
+    """One PSF for each square patch, that of its middle."""
+
+    def __init__(self, inputs, pool, side):
+        self.name, self.side, self.size = f"patch-{side}", side, inputs.size
+        tiling = Tiling.patches(inputs.size, side)
+        middle = tiling.start + (tiling.length - 1) / 2
+        y, x = (a.ravel() for a in np.meshgrid(middle, middle, indexing="ij"))
+        kernels = inputs.psf_at(y, x).reshape(len(tiling), len(tiling), *inputs.samples.shape[2:])
+        length = lengths(side + inputs.samples.shape[2] - 1)[0]
+        self.plan = OverlapAdd(inputs, kernels, tiling, tiling, length, pool)
+        self.run, self.describe = self.plan.run, self.plan.describe
+
+    def own(self, reference):
+        def snap(positions):
+            first = positions // self.side * self.side
+            return (first + np.minimum(first + self.side, self.size) - 1) / 2
+
+        return reference.direct(snap=snap)
+
+
+class Basis:
+    """The paper's method: `F = sum_k (a_k f) * B_k` with 100 modes of the mean-centred samples, over the whole frame or in tiles."""
+
+    def __init__(self, inputs, pool, tiled):
+        self.name = "basis-tiled" if tiled else "basis"
+        self.modes = Modes.of(inputs)
+        self.plan = (TiledBasis if tiled else WholeBasis)(inputs, self.modes, pool)
+        self.run, self.describe = self.plan.run, self.plan.describe
+
+    def own(self, reference):
+        return reference.direct(self.modes.samples())
+
+
+METHODS = {
+    "single": Single,
+    "cells": Cells,
+    "hat": Hat,
+    "patch-64": lambda inputs, pool: Patch(inputs, pool, 64),
+    "patch-256": lambda inputs, pool: Patch(inputs, pool, 256),
+    "basis-tiled": lambda inputs, pool: Basis(inputs, pool, True),
+    "basis": lambda inputs, pool: Basis(inputs, pool, False),
+}

@@ -1,0 +1,57 @@
+"""psfield on the same files, through its command line: the only module that knows what `psfield bench` writes."""
+
+import json
+import subprocess
+import tempfile
+from pathlib import Path
+
+
+def offers_bench(binary):
+    try:
+        return subprocess.run([binary, "bench", "--help"], capture_output=True).returncode == 0
+    except OSError:
+        return False
+
+
+def beside(args, unit):
+    """psfield's rows for the files in the working folder, or none and a line that says why."""
+    if not args.psfield:
+        print("psfield: skipped, no --psfield")
+        return []
+    if not offers_bench(args.psfield):
+        print(f"psfield: skipped, {args.psfield} has no command bench")
+        return []
+    files = args.work / "scene.fits", args.work / "samples.fits"
+    return bench(args.psfield, *files, args.threads, args.tolerances.split(","), unit)
+
+
+def bench(binary, scene, samples, threads, tolerances, unit):
+    """Rows of the table, one a tolerance; `unit` is the time of `single`, seconds, or nothing."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "bench.json"
+        command = [binary, "bench", "--scene", scene, "--psf", samples, "--methods", "lowrank", "--tolerances", ",".join(tolerances)]
+        subprocess.run([*command, "--threads", str(threads), "--json", out], check=True, stdout=subprocess.DEVNULL)
+        found = json.loads(out.read_text())
+    return [_row(entry, unit) for entry in found]
+
+
+def _row(entry, unit):
+    seconds = entry["seconds"]
+    return {
+        "method": f"psfield {entry['tolerance']:g}",
+        "detail": f"{entry['method']}, error as psfield reports it",
+        "size": entry["size"],
+        "samples": entry.get("samples"),
+        "seconds_prepare": entry.get("seconds_plan"),
+        "seconds_min": seconds,
+        "seconds_median": entry.get("seconds_median"),
+        "ratio_to_single": None if unit is None else seconds / unit,
+        "relative_l2": entry.get("relative_l2"),
+        "relative_l2_own_model": None,
+    }
+
+
+def sample(binary, preset, grid, out):
+    """Draws one of psfield's own telescopes on a uniform grid."""
+    command = [binary, "sample", "--preset", preset, "--uniform", f"{grid},{grid}", "-o", out, "--overwrite", "-q"]
+    subprocess.run(command, check=True)

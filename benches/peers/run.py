@@ -1,0 +1,57 @@
+"""Times peer methods of convolution with a PSF that varies over the field, checks each, and psfield beside them.
+
+See README.md beside this file.
+"""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+RIGHT = 3e-6
+"""Largest relative L2 difference of an image from its own model: single precision, with room for long sums."""
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--size", type=int, default=1024, help="pixels along each axis of the frame (default 1024)")
+    parser.add_argument("--grid", type=int, default=71, help="PSF samples along each axis (default 71)")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--repeat", type=int, default=3, help="timed runs of each method (default 3)")
+    parser.add_argument("--methods", help="separated by commas (default: all but where --stars chooses those for stars)")
+    parser.add_argument("--stars", action="store_true", help="2916 one-pixel stars instead of a scene")
+    parser.add_argument("--scene", type=Path, help="FITS image of size x size pixels (default: drawn from --seed)")
+    parser.add_argument("--samples", type=Path, help="psf-samples file on a regular grid (default: drawn here)")
+    parser.add_argument("--preset", help="have psfield draw the samples of this telescope, for instance survey-2m")
+    parser.add_argument("--psfield", help="the program psfield, to be timed on the same files")
+    parser.add_argument("--tolerances", default="1e-3,1e-6", help="of psfield (default 1e-3,1e-6)")
+    parser.add_argument("--pixels", type=int, default=300, help="random pixels of the check (default 300)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--work", type=Path, default=Path("peers-work"), help="folder for scene.fits and samples.fits")
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
+    if args.preset and not args.psfield:
+        parser.error("--preset needs --psfield")
+    if args.preset and args.samples:
+        parser.error("--preset and --samples exclude each other")
+    return args
+
+
+def main():
+    args = arguments()
+    # Read by the libraries when they are loaded, so before that.
+    for library in ("OMP", "OPENBLAS", "MKL", "NUMBA"):
+        os.environ[f"{library}_NUM_THREADS"] = str(args.threads)
+    import images
+    import stars
+
+    ok, results = (stars if args.stars else images).benchmark(args)
+    if args.json:
+        args.json.write_text(json.dumps(results, indent=1) + "\n")
+    if not ok:
+        sys.exit("a method does not give what its own model gives: its time means nothing")
+
+
+if __name__ == "__main__":
+    main()

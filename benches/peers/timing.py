@@ -1,0 +1,46 @@
+"""Plans once, then runs all methods in turn, so that a machine that slows down does so for all of them."""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass
+class Timed:
+    """A method, what its plan took and what each of its runs took, seconds."""
+
+    method: object
+    prepare: float
+    seconds: list = field(default_factory=list)
+    error: float = np.nan
+    """Relative L2 error to the truth."""
+    own_error: float = np.nan
+    """Relative L2 difference from the double-precision sum over the method's own model."""
+
+    @property
+    def minimum(self):
+        return min(self.seconds)
+
+    @property
+    def median(self):
+        return float(np.median(self.seconds))
+
+
+def plan(name, make):
+    start = time.perf_counter()
+    method = make()
+    entry = Timed(method, time.perf_counter() - start)
+    print(f"  {name}: planned in {entry.prepare:.2f} s, {method.describe()}", flush=True)
+    return entry
+
+
+def in_turn(entries, repeat, check):
+    """`check(entry, image)` sees the image of the first round, which warms up and is not timed."""
+    for entry in entries:
+        check(entry, entry.method.run())
+    for _ in range(repeat):
+        for entry in entries:
+            start = time.perf_counter()
+            entry.method.run()
+            entry.seconds.append(time.perf_counter() - start)

@@ -1,0 +1,273 @@
+//! One-dimensional transforms, one in every lane, in place and in scrambled order.
+//!
+//! Forward transforms decimate in frequency: natural order in, scrambled out. Inverse ones decimate in time: scrambled in,
+//! natural out. A product of spectra does not care about the order, so nothing is ever sorted.
+
+use super::butterfly::{butterfly, times};
+use crate::ConvReal;
+use crate::simd::{Lanes, Pair};
+
+/// Transforms of one length.
+#[derive(Debug)]
+pub(crate) struct Stages<T> {
+    len: usize,
+    stages: Vec<Stage<T>>,
+}
+
+#[derive(Debug)]
+struct Stage<T> {
+    radix: usize,
+    /// Values that a transform of this stage takes, `radix` times those of the next.
+    block: usize,
+    /// `exp(-2 pi i j s / block)` for `j < block / radix`, `0 < s < radix`.
+    twiddles: Vec<Pair<T>>,
+}
+
+impl<T: ConvReal> Stages<T> {
+    /// Transforms of `len` values, a product of 2, 3 and 5.
+    pub(crate) fn new(len: usize) -> Self {
+        let mut block = len;
+        let stages = radices(len)
+            .into_iter()
+            .map(|radix| {
+                let step = block / radix;
+                let twiddles = (0..step)
+                    .flat_map(|j| (1..radix).map(move |s| (j, s)))
+                    .map(|(j, s)| root(block, j * s))
+                    .collect();
+                let stage = Stage {
+                    radix,
+                    block,
+                    twiddles,
+                };
+                block = step;
+                stage
+            })
+            .collect();
+        Self { len, stages }
+    }
+
+    /// `sum_n x_n exp(-2 pi i n k / len)`, scrambled. Values from `filled` on are zero.
+    #[inline(always)]
+    pub(crate) fn forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize) {
+        let values = &mut values[..self.len];
+        for (index, stage) in self.stages.iter().enumerate() {
+            let filled = if index == 0 { filled } else { self.len };
+            match stage.radix {
+                2 => stage.forward2(simd, values, filled),
+                3 => stage.forward3(simd, values, filled),
+                4 => stage.forward4(simd, values, filled),
+                5 => stage.forward5(simd, values, filled),
+                _ => stage.forward8(simd, values, filled),
+            }
+        }
+    }
+
+    /// The inverse times `len`, of values whose real and imaginary parts are swapped, which are swapped in the result too:
+    /// the inverse transform of swapped values is the swapped forward transform.
+    #[inline(always)]
+    pub(crate) fn inverse_of_swapped<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>]) {
+        let values = &mut values[..self.len];
+        for stage in self.stages.iter().rev() {
+            match stage.radix {
+                2 => stage.inverse2(simd, values),
+                3 => stage.inverse3(simd, values),
+                4 => stage.inverse4(simd, values),
+                5 => stage.inverse5(simd, values),
+                _ => stage.inverse8(simd, values),
+            }
+        }
+    }
+}
+
+/// Cuts `$block` into legs of `$step` values, one for each name.
+macro_rules! cut {
+    ($block:ident, $step:ident, $($leg:ident),+) => {
+        let rest = $block;
+        $(let ($leg, rest) = rest.split_at_mut($step);)+
+        let _ = rest;
+    };
+}
+
+/// The two directions of a stage of one radix. Closures are not inlined for certain, and what is not inlined here is slow: hence
+/// loops over legs with names.
+macro_rules! radix {
+    ($forward:ident, $inverse:ident, $radix:literal, $first:ident, $($leg:ident = $s:literal),+) => {
+        #[inline(always)]
+        fn $forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize) {
+            let step = self.block / $radix;
+            for block in values.chunks_exact_mut(self.block) {
+                cut!(block, step, $first, $($leg),+);
+                if step == 1 {
+                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $($leg[0]),+]);
+                    $first[0] = y[0];
+                    $($leg[0] = y[$s];)+
+                } else if filled <= step {
+                    // Only the first leg holds anything.
+                    for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
+                        let x = $first[j];
+                        $($leg[j] = times(simd, x, splat(simd, w[$s - 1]));)+
+                    }
+                } else {
+                    for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
+                        let y = butterfly::<T, S, $radix>(simd, [$first[j], $($leg[j]),+]);
+                        $first[j] = y[0];
+                        $($leg[j] = times(simd, y[$s], splat(simd, w[$s - 1]));)+
+                    }
+                }
+            }
+        }
+
+        #[inline(always)]
+        fn $inverse<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>]) {
+            let step = self.block / $radix;
+            for block in values.chunks_exact_mut(self.block) {
+                cut!(block, step, $first, $($leg),+);
+                if step == 1 {
+                    let y = butterfly::<T, S, $radix>(simd, [$first[0], $($leg[0]),+]);
+                    $first[0] = y[0];
+                    $($leg[0] = y[$s];)+
+                } else {
+                    for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
+                        let x = [$first[j], $(times(simd, $leg[j], splat(simd, w[$s - 1]))),+];
+                        let y = butterfly::<T, S, $radix>(simd, x);
+                        $first[j] = y[0];
+                        $($leg[j] = y[$s];)+
+                    }
+                }
+            }
+        }
+    };
+}
+
+impl<T: ConvReal> Stage<T> {
+    radix!(forward2, inverse2, 2, a, b = 1);
+    radix!(forward3, inverse3, 3, a, b = 1, c = 2);
+    radix!(forward4, inverse4, 4, a, b = 1, c = 2, d = 3);
+    radix!(forward5, inverse5, 5, a, b = 1, c = 2, d = 3, e = 4);
+    radix!(
+        forward8,
+        inverse8,
+        8,
+        a,
+        b = 1,
+        c = 2,
+        d = 3,
+        e = 4,
+        f = 5,
+        g = 6,
+        h = 7
+    );
+}
+
+#[inline(always)]
+fn splat<T: ConvReal, S: Lanes<T>>(simd: S, w: Pair<T>) -> Pair<S::V> {
+    [simd.splat(w[0]), simd.splat(w[1])]
+}
+
+/// `exp(-2 pi i k / n)`.
+pub(crate) fn root<T: ConvReal>(n: usize, k: usize) -> Pair<T> {
+    let angle = -std::f64::consts::TAU * (k % n) as f64 / n as f64;
+    [T::nearest(angle.cos()), T::nearest(angle.sin())]
+}
+
+/// The radices of the stages, in order.
+fn radices(len: usize) -> Vec<usize> {
+    let mut rest = len;
+    let mut radices = Vec::new();
+    for odd in [5, 3] {
+        while rest.is_multiple_of(odd) {
+            radices.push(odd);
+            rest /= odd;
+        }
+    }
+    assert!(rest.is_power_of_two(), "lengths are products of 2, 3 and 5");
+    // Few stages: each goes through all values once. The remainder of the eights comes first, where zeros can be skipped.
+    match rest.trailing_zeros() % 3 {
+        1 if rest > 8 => radices.extend([4, 4]),
+        1 => radices.push(2),
+        2 => radices.push(4),
+        _ => {}
+    }
+    while radices.iter().product::<usize>() < len {
+        radices.push(8);
+    }
+    radices
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simd::{WithIsa, with_every_isa};
+    use pulp::bytemuck;
+
+    #[test]
+    fn radices_multiply_to_the_length() {
+        for len in [
+            2, 3, 4, 5, 8, 16, 32, 64, 96, 128, 160, 256, 320, 384, 480, 512, 1024, 4096,
+        ] {
+            assert_eq!(radices(len).iter().product::<usize>(), len, "{:?}", radices(len));
+        }
+    }
+
+    /// With its rounding.
+    #[derive(Clone, Copy)]
+    struct RoundTrip(f64);
+    impl<T: ConvReal> WithIsa<T> for RoundTrip {
+        type Output = ();
+        fn run<S: Lanes<T>>(self, simd: S) {
+            let Self(rounding) = self;
+            for len in [1_usize, 2, 3, 4, 5, 6, 8, 10, 15, 16, 48, 80, 128, 192, 256, 512] {
+                for filled in [1, len.div_ceil(8), len.div_ceil(4), len.div_ceil(2), len] {
+                    let stages = Stages::<T>::new(len);
+                    let lanes = S::LANES;
+                    let value = |n: usize, part: usize, lane: usize| {
+                        let v = ((n * 37 + part * 11 + lane * 5) % 23) as f64 - 11.0;
+                        if n < filled { v } else { 0.0 }
+                    };
+                    let flat: Vec<T> = (0..len * 2 * lanes)
+                        .map(|i| T::nearest(value(i / lanes / 2, (i / lanes) % 2, i % lanes)))
+                        .collect();
+                    let mut buffer: Vec<Pair<S::V>> = bytemuck::cast_slice(&flat).to_vec();
+                    simd.vectorized(
+                        #[inline(always)]
+                        || stages.forward(simd, &mut buffer, filled),
+                    );
+                    // Scrambled, but the same set: each frequency is found once.
+                    let spectrum: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
+                    let lane = lanes - 1;
+                    for k in 0..len {
+                        let (mut re, mut im) = (0.0, 0.0);
+                        for n in 0..len {
+                            let angle = -std::f64::consts::TAU * ((n * k) % len) as f64 / len as f64;
+                            let (a, b) = (value(n, 0, lane), value(n, 1, lane));
+                            re += a * angle.cos() - b * angle.sin();
+                            im += a * angle.sin() + b * angle.cos();
+                        }
+                        let found = (0..len).any(|i| {
+                            let at = |part: usize| spectrum[(2 * i + part) * lanes + lane].as_f64();
+                            (at(0) - re).abs() + (at(1) - im).abs() < rounding * 20.0 * len as f64
+                        });
+                        assert!(found, "{len}, {filled}: frequency {k}");
+                    }
+                    buffer.iter_mut().for_each(|pair| pair.swap(0, 1));
+                    simd.vectorized(
+                        #[inline(always)]
+                        || stages.inverse_of_swapped(simd, &mut buffer),
+                    );
+                    buffer.iter_mut().for_each(|pair| pair.swap(0, 1));
+                    let back: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
+                    for (a, b) in back.iter().zip(&flat) {
+                        assert!((a.as_f64() / len as f64 - b.as_f64()).abs() < rounding * 20.0);
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn transforms_are_the_sums_they_stand_for() {
+        with_every_isa::<f32, _>(RoundTrip(1e-6));
+        with_every_isa::<f64, _>(RoundTrip(1e-14));
+    }
+}

@@ -1,0 +1,353 @@
+//! Two-dimensional real transforms of a tile.
+
+use super::butterfly::times;
+use super::stages::{Stages, root};
+use crate::ConvReal;
+use crate::simd::{Lanes, Pair};
+use pulp::bytemuck::{cast_slice, cast_slice_mut};
+
+/// Transforms of planes of `nx x ny` real values: cyclic in x, negacyclic in y.
+///
+/// The upper half of the rows is the imaginary part of the lower: real polynomials modulo `z^ny + 1` are complex ones modulo
+/// `z^(ny/2) - i`, so a real transform is a complex one of half the rows with neither a separation of spectra nor a row of its
+/// own for the highest frequency. A convolution whose result fits into the plane never wraps, so the sign of what
+/// wraps does not matter.
+///
+/// A spectrum has an order of its own: groups of as many scrambled y frequencies as a vector has lanes, in
+/// each the x frequencies, scrambled; real and imaginary parts vector by vector.
+#[derive(Debug)]
+pub(crate) struct TileTransform<T> {
+    nx: usize,
+    ny: usize,
+    across: Stages<T>,
+    down: Stages<T>,
+    /// `exp(i pi y / ny)` for the lower half of the rows.
+    twist: Vec<Pair<T>>,
+    /// `exp(-i pi y / ny) / (nx ny / 2)`.
+    untwist: Vec<Pair<T>>,
+}
+
+/// Sizes are multiples of these, so that every instruction set finds whole vectors.
+pub(crate) const X_STEP: usize = 16;
+pub(crate) const Y_STEP: usize = 32;
+
+impl<T: ConvReal> TileTransform<T> {
+    /// Transforms of `nx` columns, a multiple of [`X_STEP`], and `ny` rows, a multiple of [`Y_STEP`], without prime factors above 5.
+    pub(crate) fn new(nx: usize, ny: usize) -> Self {
+        assert!(
+            nx.is_multiple_of(X_STEP) && ny.is_multiple_of(Y_STEP),
+            "{nx} x {ny}"
+        );
+        let half = ny / 2;
+        let gain = T::nearest((nx * half) as f64);
+        let untwist: Vec<Pair<T>> = (0..half).map(|y| root(2 * ny, y)).collect();
+        Self {
+            nx,
+            ny,
+            across: Stages::new(nx),
+            down: Stages::new(half),
+            twist: untwist.iter().map(|w| [w[0], -w[1]]).collect(),
+            untwist: untwist.iter().map(|w| [w[0] / gain, w[1] / gain]).collect(),
+        }
+    }
+
+    /// Values from one row of a plane to the next. Not a power of two: such steps fall into few sets of a cache.
+    pub(crate) fn pitch(&self) -> usize {
+        self.nx + X_STEP
+    }
+
+    /// Values of a plane.
+    pub(crate) fn plane_len(&self) -> usize {
+        self.pitch() * self.ny
+    }
+
+    /// Values of a spectrum.
+    pub(crate) fn spectrum_len(&self) -> usize {
+        self.group() * self.ny
+    }
+
+    /// Complex vectors from one group of a spectrum to the next, padded like the rows of a plane.
+    fn group(&self) -> usize {
+        self.nx + 1
+    }
+
+    pub(crate) fn nx(&self) -> usize {
+        self.nx
+    }
+
+    pub(crate) fn ny(&self) -> usize {
+        self.ny
+    }
+
+    /// Values of the working memory that transforms need: a column of vectors, whatever the instruction set.
+    pub(crate) fn column_len(&self) -> usize {
+        self.ny * X_STEP
+    }
+
+    /// The spectrum of a plane `[y, x]`, [`pitch`](Self::pitch) values a row, of which `rows x columns` hold something; what lies in the rows beyond
+    /// `columns` up to the next multiple of [`X_STEP`] must be zero, the rest is not read.
+    #[inline(always)]
+    pub(crate) fn forward<S: Lanes<T>>(
+        &self,
+        simd: S,
+        plane: &[T],
+        (rows, columns): (usize, usize),
+        spectrum: &mut [T],
+        column: &mut [T],
+    ) {
+        let half = self.ny / 2;
+        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
+        let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
+        let blocks = columns.div_ceil(S::LANES);
+        let zero = simd.splat(T::zero());
+        for block in 0..blocks {
+            let both = rows.saturating_sub(half);
+            for (y, (value, w)) in column.iter_mut().zip(&self.twist).enumerate() {
+                let w = [simd.splat(w[0]), simd.splat(w[1])];
+                *value = if y < both {
+                    times(
+                        simd,
+                        [
+                            load(simd, plane, self.pitch(), y, block),
+                            load(simd, plane, self.pitch(), y + half, block),
+                        ],
+                        w,
+                    )
+                } else if y < rows {
+                    let real = load(simd, plane, self.pitch(), y, block);
+                    [simd.mul(real, w[0]), simd.mul(real, w[1])]
+                } else {
+                    [zero; 2]
+                };
+            }
+            self.down.forward(simd, column, rows.min(half));
+            let groups = spectrum.chunks_exact_mut(self.group());
+            for (from, group) in column.chunks_exact(S::LANES).zip(groups) {
+                simd.transpose(from, &mut group[block * S::LANES..(block + 1) * S::LANES]);
+            }
+        }
+        for group in spectrum.chunks_exact_mut(self.group()) {
+            group[blocks * S::LANES..self.nx].fill([zero; 2]);
+            self.across
+                .forward(simd, &mut group[..self.nx], blocks * S::LANES);
+        }
+    }
+
+    /// The plane of a spectrum whose real and imaginary parts are swapped, which is overwritten: its first `rows x columns` values.
+    #[inline(always)]
+    pub(crate) fn inverse_of_swapped<S: Lanes<T>>(
+        &self,
+        simd: S,
+        spectrum: &mut [T],
+        (rows, columns): (usize, usize),
+        plane: &mut [T],
+        column: &mut [T],
+    ) {
+        let half = self.ny / 2;
+        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
+        let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
+        for group in spectrum.chunks_exact_mut(self.group()) {
+            self.across.inverse_of_swapped(simd, &mut group[..self.nx]);
+        }
+        for block in 0..columns.div_ceil(S::LANES) {
+            let groups = spectrum.chunks_exact(self.group());
+            for (into, group) in column.chunks_exact_mut(S::LANES).zip(groups) {
+                simd.transpose(&group[block * S::LANES..(block + 1) * S::LANES], into);
+            }
+            self.down.inverse_of_swapped(simd, column);
+            for (y, (value, w)) in column.iter().zip(&self.untwist).enumerate() {
+                let w = [simd.splat(w[0]), simd.splat(w[1])];
+                let [lower, upper] = times(simd, [value[1], value[0]], w);
+                for (row, values) in [(y, lower), (y + half, upper)] {
+                    if row < rows {
+                        let first = row * self.pitch() + block * S::LANES;
+                        let to: &mut [S::V] = cast_slice_mut(&mut plane[first..first + S::LANES]);
+                        to[0] = values;
+                    }
+                }
+            }
+        }
+    }
+
+    /// The product of two spectra with its real and imaginary parts swapped, added to `sum` or put in its place.
+    #[inline(always)]
+    pub(crate) fn multiply_swapped<S: Lanes<T>>(&self, simd: S, a: &[T], b: &[T], sum: &mut [T], add: bool) {
+        let a: &[Pair<S::V>] = cast_slice(&a[..self.spectrum_len()]);
+        let b: &[Pair<S::V>] = cast_slice(&b[..self.spectrum_len()]);
+        let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
+        if add {
+            for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+                let imaginary = simd.mul_add(a[0], b[1], sum[0]);
+                let real = simd.mul_add(a[0], b[0], sum[1]);
+                *sum = [
+                    simd.mul_add(a[1], b[0], imaginary),
+                    simd.neg_mul_add(a[1], b[1], real),
+                ];
+            }
+        } else {
+            for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+                let [real, imaginary] = times(simd, *a, *b);
+                *sum = [imaginary, real];
+            }
+        }
+    }
+}
+
+/// A block of a row.
+#[inline(always)]
+fn load<T: ConvReal, S: Lanes<T>>(_: S, plane: &[T], pitch: usize, row: usize, block: usize) -> S::V {
+    let first = row * pitch + block * S::LANES;
+    cast_slice::<T, S::V>(&plane[first..first + S::LANES])[0]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simd::{WithIsa, with_every_isa};
+
+    #[derive(Clone, Copy)]
+    struct Convolves(f64);
+    impl<T: ConvReal> WithIsa<T> for Convolves {
+        type Output = ();
+        fn run<S: Lanes<T>>(self, simd: S) {
+            for (nx, ny) in [(16, 32), (48, 32), (80, 96), (64, 128)] {
+                let fft = TileTransform::<T>::new(nx, ny);
+                // Several sizes of what is filled: the result just fits.
+                for (rows, columns) in [(1, 1), (ny / 4, 7), (ny / 2 + 3, nx / 2 + 1)] {
+                    let (height, width) = (ny + 1 - rows, nx + 1 - columns);
+                    let (height, width) = (height.min(9), width.min(6));
+                    let light = |y: usize, x: usize| ((y * 7 + x * 5) % 11) as f64 - 4.0;
+                    let stamp = |y: usize, x: usize| ((y * 3 + x * 13) % 7) as f64 - 2.0;
+                    let plane = |rows: usize, columns: usize, value: &dyn Fn(usize, usize) -> f64| {
+                        // Dirty where nothing may be read.
+                        let clean = columns.next_multiple_of(X_STEP);
+                        let mut plane = vec![T::nan(); fft.plane_len()];
+                        for y in 0..rows {
+                            for x in 0..clean {
+                                let v = if x < columns { value(y, x) } else { 0.0 };
+                                plane[y * fft.pitch() + x] = T::nearest(v);
+                            }
+                        }
+                        plane
+                    };
+                    let dirty = || vec![T::nan(); fft.plane_len().max(fft.spectrum_len())];
+                    let (mut a, mut b, mut sum, mut result) = (dirty(), dirty(), dirty(), dirty());
+                    let mut column = vec![T::nan(); fft.column_len()];
+                    let (light_plane, stamp_plane) =
+                        (plane(rows, columns, &light), plane(height, width, &stamp));
+                    simd.vectorized(
+                        #[inline(always)]
+                        || {
+                            fft.forward(simd, &light_plane, (rows, columns), &mut a, &mut column);
+                            fft.forward(simd, &stamp_plane, (height, width), &mut b, &mut column);
+                            fft.multiply_swapped(simd, &a, &b, &mut sum, false);
+                            fft.multiply_swapped(simd, &a, &b, &mut sum, true);
+                            let size = (rows + height - 1, columns + width - 1);
+                            fft.inverse_of_swapped(simd, &mut sum, size, &mut result, &mut column);
+                        },
+                    );
+                    for y in 0..rows + height - 1 {
+                        for x in 0..columns + width - 1 {
+                            let mut exact = 0.0;
+                            for j in 0..height.min(y + 1) {
+                                for i in 0..width.min(x + 1) {
+                                    if y - j < rows && x - i < columns {
+                                        exact += 2.0 * light(y - j, x - i) * stamp(j, i);
+                                    }
+                                }
+                            }
+                            let got = result[y * fft.pitch() + x].as_f64();
+                            assert!(
+                                (got - exact).abs() < self.0 * 1e4,
+                                "{nx} x {ny}, {rows} x {columns}: {got} for {exact} at {x}, {y}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn products_of_spectra_are_convolutions() {
+        with_every_isa::<f32, _>(Convolves(1e-7));
+        with_every_isa::<f64, _>(Convolves(1e-16));
+    }
+}
+
+#[cfg(test)]
+mod timing {
+    use super::*;
+    use crate::simd::{SimdReal, WithIsa};
+
+    struct Time(usize);
+    impl<T: ConvReal> WithIsa<T> for Time {
+        type Output = ();
+        fn run<S: Lanes<T>>(self, simd: S) {
+            let n = self.0;
+            let fft = TileTransform::<T>::new(n, n);
+            let plane: Vec<T> = (0..fft.plane_len())
+                .map(|i| T::nearest((i % 17) as f64))
+                .collect();
+            let (mut a, mut b) = (
+                vec![T::zero(); fft.plane_len().max(fft.spectrum_len())],
+                vec![T::zero(); fft.plane_len().max(fft.spectrum_len())],
+            );
+            let mut sum = vec![T::zero(); fft.plane_len().max(fft.spectrum_len())];
+            let mut out = vec![T::zero(); fft.plane_len().max(fft.spectrum_len())];
+            let mut column = vec![T::zero(); fft.column_len()];
+            let time = |what: &str, work: &mut dyn FnMut()| {
+                work();
+                let mut best = f64::MAX;
+                for _ in 0..30 {
+                    let clock = std::time::Instant::now();
+                    for _ in 0..5 {
+                        work();
+                    }
+                    best = best.min(clock.elapsed().as_secs_f64() / 5.0);
+                }
+                let flop = 2.5 * (n * n) as f64 * ((n * n) as f64).log2();
+                println!(
+                    "{n} {} {what}: {:.1} us, {:.0} GFLOP/s",
+                    T::NAME,
+                    best * 1e6,
+                    flop / best * 1e-9
+                );
+            };
+            let t = n - 63;
+            time("forward", &mut || {
+                simd.vectorized(
+                    #[inline(always)]
+                    || fft.forward(simd, &plane, (t, t), &mut a, &mut column),
+                )
+            });
+            time("kernel", &mut || {
+                simd.vectorized(
+                    #[inline(always)]
+                    || fft.forward(simd, &plane, (64, 64), &mut b, &mut column),
+                )
+            });
+            time("multiply", &mut || {
+                simd.vectorized(
+                    #[inline(always)]
+                    || fft.multiply_swapped(simd, &a, &b, &mut sum, true),
+                )
+            });
+            time("inverse", &mut || {
+                simd.vectorized(
+                    #[inline(always)]
+                    || fft.inverse_of_swapped(simd, &mut sum, (n - 1, n - 1), &mut out, &mut column),
+                );
+            });
+        }
+    }
+
+    #[test]
+    #[ignore = "timing"]
+    fn timing() {
+        for n in [128, 192, 256, 320, 384, 512, 1024] {
+            f32::dispatch(Time(n));
+        }
+        f64::dispatch(Time(256));
+    }
+}

@@ -1,0 +1,152 @@
+//! An image read by bands of rows.
+
+use std::ops::Range;
+use std::path::{Path, PathBuf};
+
+use ndarray::{Array1, Array2, ArrayViewMut2};
+use psf_types::{FrameShape, Real};
+
+use crate::error::invalid;
+use crate::image::squeezed;
+use crate::pixels::Pixels;
+use crate::structure::FitsStructure;
+use crate::{HeaderCards, IoError};
+
+/// An image open for reading a band of rows at a time: what is larger than memory can be worked on in parts.
+///
+/// Files, axes and pixels are those of [`read_image`](crate::read_image), as are the errors; the bands put together are the
+/// image it returns, bit by bit. Rows may be read in any order and any number of times. Memory: the band, nothing else. A
+/// reader stays in its thread; several may be open on one file.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("scene.fits");
+/// use psf_io::{HeaderCards, ImageReader, write_image};
+/// use psf_types::{FrameShape, Image};
+/// let image = Image::<f32>::zeros(FrameShape::new(30, 20)?);
+/// write_image(&path, &image, &HeaderCards::new(), &[], false)?;
+///
+/// let mut reader = ImageReader::open(&path)?;
+/// assert_eq!(reader.shape(), image.shape());
+/// for first in (0..20).step_by(8) {
+///     let band = reader.read_rows::<f32>(first..20.min(first + 8))?; // [y, x]
+///     assert_eq!(band.ncols(), 30);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct ImageReader {
+    path: PathBuf,
+    pixels: Pixels,
+    shape: FrameShape,
+    header: HeaderCards,
+}
+
+impl ImageReader {
+    /// Opens the first image of a FITS file. Every header is read and checked against the length of the file, no pixel is read.
+    ///
+    /// # Errors
+    /// [`IoError::Axes`] for a cube, and the errors of any FITS file.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, IoError> {
+        let path = path.as_ref();
+        let structure = FitsStructure::scan(path)?;
+        let hdu = structure.first_image()?;
+        let &[ny, nx] = squeezed(hdu).as_slice() else {
+            return Err(hdu.axes_error("a single image [y, x] (a cube of PSF stamps is not a scene)"));
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            pixels: Pixels::open(path, hdu)?,
+            shape: FrameShape::new(nx, ny).map_err(invalid(path))?,
+            header: hdu.header.carried(),
+        })
+    }
+
+    /// Columns and rows of the whole image.
+    pub fn shape(&self) -> FrameShape {
+        self.shape
+    }
+
+    /// The header cards, without those about the structure of the file.
+    pub fn header(&self) -> &HeaderCards {
+        &self.header
+    }
+
+    /// The header cards, without a copy.
+    pub(crate) fn into_header(self) -> HeaderCards {
+        self.header
+    }
+
+    /// Reads rows as an array `[y, x]`, row-major, whose first row is row `rows.start` (0-based) of the image.
+    ///
+    /// # Errors
+    /// As [`read_rows_into`](Self::read_rows_into).
+    pub fn read_rows<T: Real>(&mut self, rows: Range<usize>) -> Result<Array2<T>, IoError> {
+        // Before memory is taken.
+        self.check_rows(&rows)?;
+        let mut band = Array2::zeros((rows.len(), self.shape.nx()));
+        self.read_rows_into(rows.start, band.view_mut())?;
+        Ok(band)
+    }
+
+    /// Reads as many rows as `band` `[y, x]` has, from row `first_row` (0-based) of the image on. After an error the contents of
+    /// `band` are not defined.
+    ///
+    /// # Errors
+    /// [`IoError::Rows`] for rows that the image does not have, [`IoError::BandWidth`], [`IoError::NonFinitePixels`] with the place
+    /// in the whole image and the number of such pixels in these rows, [`IoError::Overflow`] when a value of a
+    /// double-precision file is too large for f32, and what CFITSIO reports.
+    pub fn read_rows_into<T: Real>(
+        &mut self,
+        first_row: usize,
+        mut band: ArrayViewMut2<'_, T>,
+    ) -> Result<(), IoError> {
+        let (ny, nx) = band.dim();
+        self.check_rows(&(first_row..first_row.saturating_add(ny)))?;
+        if nx != self.shape.nx() {
+            return Err(IoError::BandWidth {
+                path: self.path.clone(),
+                expected: self.shape.nx(),
+                got: nx,
+            });
+        }
+        let first = first_row * nx;
+        let clean = match band.as_slice_mut() {
+            Some(values) => self.pixels.load(first, values)?,
+            None => self.load_scattered(first, band)?,
+        };
+        if clean {
+            Ok(())
+        } else {
+            Err(self.pixels.defect(first, ny * nx))
+        }
+    }
+
+    /// Reads into rows that are not one piece of memory.
+    fn load_scattered<T: Real>(
+        &mut self,
+        first: usize,
+        mut band: ArrayViewMut2<'_, T>,
+    ) -> Result<bool, IoError> {
+        let nx = self.shape.nx();
+        let mut values = Array1::zeros(nx);
+        let mut clean = true;
+        for (y, mut row) in band.rows_mut().into_iter().enumerate() {
+            let slice = values.as_slice_mut().expect("a new array is contiguous");
+            clean &= self.pixels.load(first + y * nx, slice)?;
+            row.assign(&values);
+        }
+        Ok(clean)
+    }
+
+    fn check_rows(&self, rows: &Range<usize>) -> Result<(), IoError> {
+        if rows.start <= rows.end && rows.end <= self.shape.ny() {
+            return Ok(());
+        }
+        Err(IoError::Rows {
+            path: self.path.clone(),
+            rows: rows.clone(),
+            ny: self.shape.ny(),
+        })
+    }
+}
