@@ -47,6 +47,8 @@ class Cells:
 
     name = "cells"
     TIMED = 5
+    CACHES = (1e6, 2e6)
+    """Bytes that a batch of tiles may take."""
 
     def __init__(self, inputs, pool):
         stamp = inputs.samples.shape[2]
@@ -60,16 +62,11 @@ class Cells:
                     candidates[ty.side, length] = (_operations(ty, tx, length), ty, tx, length)
         if not candidates:
             raise MemoryError("no size of tile keeps the spectra of the samples within memory")
-        best = sorted(candidates.values(), key=lambda c: c[0])[: self.TIMED]
-        self.plan, shortest = None, np.inf
-        for _, ty, tx, length in best:
-            for cache in (1e6, 2e6):
-                plan = OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache)
-                if self.plan is not None and plan.batch == self.plan.batch and length == self.plan.length:
-                    continue
-                seconds = _seconds_per_row(plan)
-                if seconds < shortest:
-                    self.plan, shortest = plan, seconds
+        ranked = sorted(candidates.values(), key=lambda c: c[0])[: self.TIMED]
+        choices = [(*sizes, cache) for _, *sizes in ranked for cache in self.CACHES]
+        seconds = [_seconds_per_row(OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache)) for ty, tx, length, cache in choices]
+        ty, tx, length, cache = choices[int(np.argmin(seconds))]
+        self.plan = OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache, effort="FFTW_PATIENT")
         self.run, self.describe = self.plan.run, self.plan.describe
 
     def own(self, reference):
@@ -87,15 +84,15 @@ def _operations(ty, tx, length):
 
 
 def _seconds_per_row(plan, target=0.15):
-    """Time of a row of pixels: the best of three turns of some rows of tiles spread over the frame."""
+    """Processor time of a row of pixels, which other programs disturb less: the best of three turns of tiles spread over the frame."""
     count = len(plan.tile_y)
     rows = min(count, plan.pool.threads)
     best = np.inf
     for turn in range(4):
         chosen = set(np.linspace(0, count - 1, rows).round().astype(int).tolist())
-        start = time.perf_counter()
+        start = time.process_time()
         plan.run(chosen)
-        seconds = time.perf_counter() - start
+        seconds = time.process_time() - start
         if turn == 0:
             # The first turn only warms up and says how many rows fill the time.
             rows = min(count, max(rows, int(rows * target / seconds)))

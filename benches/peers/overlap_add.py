@@ -10,7 +10,7 @@ import numpy as np
 
 import loops
 from pool import RowLocks
-from transforms import Forward, Inverse, Rows, as_reals, kernel_spectra
+from transforms import EFFORT, Forward, Inverse, Rows, as_reals, kernel_spectra
 
 MEMORY = 1.5e9
 """Bytes that the spectra of the kernels may take; above it they are made anew for each tile."""
@@ -21,8 +21,11 @@ CACHE = 1.0e6
 class OverlapAdd:
     """A plan: the tiling, the kernels' spectra, and each thread's buffers and transforms."""
 
-    def __init__(self, inputs, kernels, tile_y, tile_x, length, pool, cache=CACHE):
-        """`kernels` is `[index y, index x, v, u]`; `length` of the transform at least the tile's side + the stamp's - 1."""
+    def __init__(self, inputs, kernels, tile_y, tile_x, length, pool, cache=CACHE, effort=EFFORT):
+        """`kernels` is `[index y, index x, v, u]`; `length` of the transform at least the tile's side + the stamp's - 1.
+
+        `cache` is the number of bytes that a batch of tiles is kept within, `effort` FFTW's in planning.
+        """
         self.scene = inputs.scene
         self.stamp = kernels.shape[2:]
         self.tile_y, self.tile_x, self.length, self.pool = tile_y, tile_x, length, pool
@@ -37,7 +40,7 @@ class OverlapAdd:
         one = (2 * self.components + 1) * length * self.half * 8
         self.batch = int(np.clip(cache // one, 1, len(tile_x))) if fits else 1
         self.out_rows = tile_y.side + self.stamp[0] - 1
-        self.workers = [_Buffers(self) for _ in range(pool.threads)]
+        self.workers = [_Buffers(self, effort) for _ in range(pool.threads)]
         self.image = np.zeros_like(self.scene)
         self.locks = RowLocks(len(self.scene))
         self.jobs = [self._job(row, first) for row in range(len(tile_y)) for first in range(0, len(tile_x), self.batch)]
@@ -101,20 +104,20 @@ class _Job:
 class _Buffers:
     """One thread's."""
 
-    def __init__(self, plan):
+    def __init__(self, plan, effort):
         batch, length, half = plan.batch, plan.length, plan.half
         side, ny, nx = plan.tile_y.side, plan.tile_y.nodes, plan.tile_x.nodes
-        self.forward = Forward(batch * plan.components, side, length)
+        self.forward = Forward(batch * plan.components, side, length, effort)
         if ny == 1:
             self.rows = None
             self.real = self.forward.real.reshape(batch, nx, side, length)
         else:
-            self.rows = Rows(batch * nx * side, length)
+            self.rows = Rows(batch * nx * side, length, effort)
             self.real = self.rows.real.reshape(batch, nx, side, length)
             self.lines = self.rows.lines.reshape(batch, nx, side, half)
             self.spread = self.forward.lines.reshape(batch, ny, nx, length, half)[:, :, :, :side]
         self.ones = np.ones(side, dtype=np.float32)
         self.light = as_reals(self.forward.spectrum).reshape(batch, plan.components, -1)
-        self.inverse = Inverse(batch, plan.out_rows, length)
+        self.inverse = Inverse(batch, plan.out_rows, length, effort)
         self.product = as_reals(self.inverse.spectrum)
         self.kernel = Forward(1, plan.stamp[0], length) if plan.spectra is None else None

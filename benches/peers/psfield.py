@@ -45,6 +45,7 @@ def _row(entry, unit):
         "seconds_prepare": entry.get("seconds_plan"),
         "seconds_min": seconds,
         "seconds_median": entry.get("seconds_median"),
+        "seconds_processor": None,
         "ratio_to_single": None if unit is None else seconds / unit,
         "relative_l2": entry.get("relative_l2"),
         "relative_l2_own_model": None,

@@ -13,6 +13,8 @@ class Timed:
     method: object
     prepare: float
     seconds: list = field(default_factory=list)
+    processor: list = field(default_factory=list)
+    """Processor time of each run, all threads together: steadier than the clock where other programs run."""
     error: float = np.nan
     """Relative L2 error to the truth."""
     own_error: float = np.nan
@@ -41,6 +43,7 @@ def in_turn(entries, repeat, check):
         check(entry, entry.method.run())
     for _ in range(repeat):
         for entry in entries:
-            start = time.perf_counter()
+            start, processor = time.perf_counter(), time.process_time()
             entry.method.run()
             entry.seconds.append(time.perf_counter() - start)
+            entry.processor.append(time.process_time() - processor)

@@ -6,7 +6,8 @@ Rows without light are not transformed, nor rows that the result does not have.
 import numpy as np
 import pyfftw
 
-_FLAGS = ("FFTW_MEASURE",)
+EFFORT = "FFTW_MEASURE"
+"""What FFTW may spend on planning; `FFTW_PATIENT` gains up to a tenth and takes seconds."""
 
 
 def lengths(at_least):
@@ -32,15 +33,15 @@ class Forward:
     `real` holds the input, `lines` the rows' transforms (`[count, length, ...]`, of which the first `rows` are used), `spectrum` the result.
     """
 
-    def __init__(self, count, rows, length):
+    def __init__(self, count, rows, length, effort=EFFORT):
         half = length // 2 + 1
         self.real = pyfftw.zeros_aligned((count, rows, length), "float32")
         self.lines = pyfftw.zeros_aligned((count, length, half), "complex64")
         self.spectrum = pyfftw.empty_aligned((count, length, half), "complex64")
         top = self.lines[:, :rows]
         # Planning overwrites the arrays; the rows below the light must stay zero, so they are cleared after it.
-        self._rows = pyfftw.FFTW(self.real, top, axes=(2,), flags=_FLAGS)
-        self._columns = pyfftw.FFTW(self.lines, self.spectrum, axes=(1,), flags=_FLAGS)
+        self._rows = pyfftw.FFTW(self.real, top, axes=(2,), flags=(effort,))
+        self._columns = pyfftw.FFTW(self.lines, self.spectrum, axes=(1,), flags=(effort,))
         self.real[:] = 0
         self.lines[:] = 0
 
@@ -58,10 +59,10 @@ class Forward:
 class Rows:
     """The transform of rows alone: `[count, length]` real to `[count, length / 2 + 1]`."""
 
-    def __init__(self, count, length):
+    def __init__(self, count, length, effort=EFFORT):
         self.real = pyfftw.zeros_aligned((count, length), "float32")
         self.lines = pyfftw.empty_aligned((count, length // 2 + 1), "complex64")
-        self._plan = pyfftw.FFTW(self.real, self.lines, axes=(1,), flags=_FLAGS)
+        self._plan = pyfftw.FFTW(self.real, self.lines, axes=(1,), flags=(effort,))
         self.real[:] = 0
 
     def transform(self):
@@ -71,14 +72,14 @@ class Rows:
 class Inverse:
     """`[count, length, length / 2 + 1]` back to the first `rows` rows, `[count, rows, length]`; not scaled."""
 
-    def __init__(self, count, rows, length):
+    def __init__(self, count, rows, length, effort=EFFORT):
         half = length // 2 + 1
         self.spectrum = pyfftw.empty_aligned((count, length, half), "complex64")
         self.real = pyfftw.empty_aligned((count, rows, length), "float32")
         backward = {"direction": "FFTW_BACKWARD"}
-        self._columns = pyfftw.FFTW(self.spectrum, self.spectrum, axes=(1,), flags=_FLAGS, **backward)
+        self._columns = pyfftw.FFTW(self.spectrum, self.spectrum, axes=(1,), flags=(effort,), **backward)
         top = self.spectrum[:, :rows]
-        self._rows = pyfftw.FFTW(top, self.real, axes=(2,), flags=(*_FLAGS, "FFTW_DESTROY_INPUT"), **backward)
+        self._rows = pyfftw.FFTW(top, self.real, axes=(2,), flags=(effort, "FFTW_DESTROY_INPUT"), **backward)
 
     def transform(self):
         self._columns.execute()

@@ -112,6 +112,10 @@ impl FieldWeights for BilinearWeights {
         self.grid.xs().len() * self.grid.ys().len()
     }
 
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        Some([self.grid.xs().to_vec(), self.grid.ys().to_vec()])
+    }
+
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
         let [x, y] = self
             .admit(query(position)?)

@@ -65,7 +65,7 @@ pub(crate) struct Foot<'a> {
 
 /// What the nearest point of the hull lies on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum HullPiece {
+pub(crate) enum BoundaryPiece {
     /// The start of this side.
     Corner(usize),
     /// This side, and in its chain the link before this sample.
@@ -112,7 +112,7 @@ impl Boundary {
     /// The piece of the hull that `p` has its foot on; none inside, and on uneven sides, where the weights are not linear.
     ///
     /// Between two positions with the same piece lie only such: each is a half strip or a wedge.
-    pub(crate) fn piece(&self, p: Point) -> Option<HullPiece> {
+    pub(crate) fn piece(&self, p: Point) -> Option<BoundaryPiece> {
         let index = self.nearest_side(p);
         let side = &self.sides[index];
         if side.depth > 0.0 {
@@ -120,10 +120,10 @@ impl Boundary {
         }
         let offset = sub(p, side.start);
         match foot_on_segment([0.0; 2], side.span, offset) {
-            0.0 => Some(HullPiece::Corner(index)),
-            1.0 => Some(HullPiece::Corner((index + 1) % self.sides.len())),
+            0.0 => Some(BoundaryPiece::Corner(index)),
+            1.0 => Some(BoundaryPiece::Corner((index + 1) % self.sides.len())),
             _ => (side.depth_of(offset) < 0.0)
-                .then(|| HullPiece::Link(index, side.link(dot(side.nearest(offset), side.direction)))),
+                .then(|| BoundaryPiece::Link(index, side.link(dot(side.nearest(offset), side.direction)))),
         }
     }
 

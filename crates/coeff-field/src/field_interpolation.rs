@@ -113,6 +113,11 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// [`FieldError`] where there is no value.
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError>;
 
+    /// The x and the y coordinates of the lines between which all weights are bilinear or constant, where there are such cells.
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        None
+    }
+
     /// Calls `visit` with the weights at each of `positions` in turn: the same weights as
     /// [`weights_into`](Self::weights_into), for interpolators that work faster in sequence.
     ///
@@ -136,6 +141,19 @@ pub trait FieldWeights: Debug + Send + Sync {
     ///
     /// A pixel's weights are those of [`weights_into`](Self::weights_into) but for rounding. The provided method visits
     /// pixel by pixel.
+    ///
+    /// ```
+    /// use coeff_field::{Bilinear, FieldInterpolation};
+    /// use psf_types::{OutsidePolicy, Position, SamplePositions};
+    /// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
+    /// let positions = SamplePositions::new(corners.to_vec(), None)?;
+    /// let weights = Bilinear.prepare(&positions, OutsidePolicy::Nearest)?;
+    /// let mut runs = Vec::new();
+    /// weights.weights_along_row((-2, 0), 10, &mut |run| runs.push((run.length, run.last.to_vec())))?;
+    /// // Beside the cell on the left, in it with both its lines, and on the right.
+    /// assert_eq!(runs, [(2, vec![(0, 1.0)]), (5, vec![(1, 1.0)]), (3, vec![(1, 1.0)])]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
     ///
     /// # Errors
     /// [`FieldError`] at the first pixel without a value, when all pixels before it have been visited.

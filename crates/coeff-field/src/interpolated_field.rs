@@ -197,6 +197,10 @@ impl CoefficientField for InterpolatedField {
         })
     }
 
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        self.weights.grid_lines()
+    }
+
     fn node_values(&self) -> Cow<'_, Array2<f64>> {
         Cow::Borrowed(&self.nodes)
     }

@@ -33,6 +33,12 @@
 //! clusters cost digits; magnitudes up to 1e50 pixels are accepted. The same position gives the same bits, whatever the
 //! thread, region or range of components.
 //!
+//! # Rows of pixels
+//! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear, so that it costs by cells and
+//! not by pixels: a run for each cell ([`Bilinear`]), triangle ([`Delaunay`]), link of collinear samples, Voronoi cell
+//! ([`Nearest`]), or one alone (a [`Polynomial`] of degree 0 or 1). Other methods, and positions where weights are not linear
+//! (outside [`Delaunay`]'s samples under the policy extend, in slivers), go pixel by pixel.
+//!
 //! # How good is it?
 //! [`leave_one_out`] predicts every sample from all others.
 //!

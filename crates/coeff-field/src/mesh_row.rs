@@ -5,7 +5,7 @@ use spade::handles::{FaceHandle, InnerTag};
 use spade::{Point2, PositionInTriangulation, Triangulation};
 
 use crate::WeightList;
-use crate::boundary::HullPiece;
+use crate::boundary::BoundaryPiece;
 use crate::geometry::{Outside, Point, cross, dot, sub};
 use crate::mesh::{Mesh, Node, Peeled, area_shares, point_of, sample_of};
 use crate::mesh_weights::weights_at_hull;
@@ -162,7 +162,7 @@ impl<'a> MeshRow<'a> {
     }
 
     /// The piece of the hull that a column outside it is nearest to.
-    fn piece(&self, column: usize) -> Option<HullPiece> {
+    fn piece(&self, column: usize) -> Option<BoundaryPiece> {
         self.mesh.boundary.piece(self.row.point(column))
     }
 }

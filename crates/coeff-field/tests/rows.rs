@@ -86,6 +86,18 @@ fn check(field: &dyn CoefficientField, (x, y): (i64, i64), length: usize) -> Res
     }
 }
 
+/// Up to `n` different pixels of a square.
+fn pixels(n: usize, side: f64) -> Vec<Position> {
+    let mut all: Vec<Position> = Vec::new();
+    for p in scattered(n, 31, -side / 3.0, side) {
+        let p = Position::of_pixel(p.x().round() as i64, p.y().round() as i64);
+        if !all.contains(&p) {
+            all.push(p);
+        }
+    }
+    all
+}
+
 fn more_layouts() -> Vec<(&'static str, Vec<Position>)> {
     let mut all = layouts();
     let line =
@@ -111,9 +123,29 @@ fn more_layouts() -> Vec<(&'static str, Vec<Position>)> {
             "loose row",
             line(|i| 6.0 * i, |i| 5.0 + 1e-8 * (i * 2.3).sin().abs().round()).collect(),
         ),
+        // Its samples take their own values a little off the line.
+        (
+            "loose slanted line",
+            line(|i| 6.0 * i, |i| 4.0 * i + if i % 8.0 == 0.0 { 2e-8 } else { 0.0 }).collect(),
+        ),
+        (
+            "slivers",
+            line(|i| 20.0 * i, |i| 5.0 + 1e-6 * ((7.0 * i) % 5.0 - 2.0)).collect(),
+        ),
+        ("hardly turned grid", grid(7, 6, 12.0, 1e-15, 0.0)),
+        // Covers a few pixels around.
+        ("huge grid", grid(3, 3, 2e9, 0.0, 0.0)),
         ("one row of a grid", grid(5, 1, 11.0, 0.0, 0.0)),
         ("pixel", vec![at(12.0, -4.0)]),
         ("fine grid", grid(30, 30, 0.4, 0.0, 0.0)),
+        ("pixels", pixels(50, 25.0)),
+        (
+            "some pixels of a lattice",
+            pixels(40, 6.0)
+                .iter()
+                .map(|p| at(p.x() * 15.0, p.y() * 15.0))
+                .collect(),
+        ),
     ]);
     all
 }
@@ -128,10 +160,14 @@ fn rows(positions: &[Position]) -> Vec<((i64, i64), usize)> {
             (extent.high.0 - extent.low.0) as i64 + 50,
             (extent.high.1 - extent.low.1) as i64 + 24,
         );
-        rows.extend((0..ny).map(|row| ((x, y + row), nx as usize)));
+        rows.extend(
+            (0..ny)
+                .step_by(1 + ny as usize / 50)
+                .map(|row| ((x, y + row), nx as usize)),
+        );
     }
     let mut rng = rng(17);
-    for p in positions.iter().take(60) {
+    for p in positions.iter().take(25) {
         let (x, y) = (p.x().round() as i64, p.y().round() as i64);
         for dy in [-1, 0, 1] {
             rows.push(((x - rng.random_range(0..150), y + dy), 160));

@@ -43,6 +43,26 @@ pub enum ConvError {
         /// The image.
         got: FrameShape,
     },
+    /// A tolerance that bounds nothing.
+    #[error("the tolerance is {got}: it must be a number of at least 0 and below 1")]
+    Tolerance {
+        /// The tolerance asked for.
+        got: f64,
+    },
+    /// A scene of another shape or frame than the plan's.
+    #[error(
+        "the plan is for a scene of {expected} pixels with the frame {expected_frame}, not {got} with {got_frame}"
+    )]
+    PlanShape {
+        /// The plan's scene.
+        expected: FrameShape,
+        /// The plan's frame.
+        expected_frame: String,
+        /// The scene.
+        got: FrameShape,
+        /// Its frame.
+        got_frame: String,
+    },
     /// A pixel off the frame.
     #[error("pixel ({column}, {row}) lies outside the frame of {frame} pixels")]
     PixelOutsideFrame {

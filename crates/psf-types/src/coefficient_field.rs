@@ -60,6 +60,12 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Cow::Owned(Array2::eye(self.component_count()))
     }
 
+    /// The x and the y coordinates of the lines between which the field is smooth (bilinear, or constant), where it has cells
+    /// of that kind, both ascending. Convolution may cut its tiles there; nothing else depends on it.
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        None
+    }
+
     /// Visits the weights of the nodes along a row of pixels, `length` pixels from `(x, y)` on, in runs along which every weight
     /// is linear in x. The runs follow each other without a gap; how they are cut may depend on the row asked for.
     ///

@@ -98,6 +98,11 @@ impl PsfModel {
         self.field_shape
     }
 
+    /// The fields of the components' coefficients.
+    pub fn field(&self) -> &dyn CoefficientField {
+        self.field.as_ref()
+    }
+
     /// Whether the first stamp is the mean.
     pub fn is_mean_centred(&self) -> bool {
         self.mean_centred

@@ -10,7 +10,7 @@ use pulp::bytemuck::Pod;
 use pulp::{Simd, WithSimd};
 
 /// Real and imaginary parts of as many complex numbers as a vector has lanes.
-pub type Pair<V> = [V; 2];
+pub(crate) type Pair<V> = [V; 2];
 
 /// An instruction set.
 pub trait Isa: Simd {

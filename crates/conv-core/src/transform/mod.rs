@@ -4,4 +4,4 @@ mod butterfly;
 mod stages;
 mod tile;
 
-pub(crate) use tile::TileTransform;
+pub(crate) use tile::{TileTransform, X_STEP, Y_STEP};

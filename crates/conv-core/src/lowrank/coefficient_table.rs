@@ -1,0 +1,361 @@
+//! Local coefficients at every pixel of a region.
+
+use psf_types::{FieldError, PixelRegion, PsfModel};
+
+use super::local_modes::LocalModes;
+use super::region_runs::{RegionRuns, Run};
+use crate::ConvReal;
+
+/// What a PSF's flux does to the light.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum FluxRole {
+    /// It is the same everywhere, and part of the reference.
+    Constant,
+    /// The reference is multiplied by it.
+    Weight,
+    /// PSFs are scaled to unit flux: the reference is taken as it is, the modes are divided by it.
+    Divisor,
+    /// There is no reference. With `scaled`, the modes are divided by the flux.
+    NoReference { scaled: bool },
+}
+
+/// The coefficients of a region's modes, as functions along its rows.
+#[derive(Debug)]
+pub(crate) struct CoefficientTable<T> {
+    region: PixelRegion,
+    role: FluxRole,
+    /// The flux first, unless it is constant, then the modes.
+    functions: usize,
+    values: Values<T>,
+    /// `(row, column)` of the pixels without a PSF.
+    undefined: Vec<(u32, u32)>,
+}
+
+#[derive(Debug)]
+enum Values<T> {
+    /// Runs along which every function is linear: `(start, slope)` by run and function.
+    Linear {
+        row_starts: Vec<u32>,
+        /// First column and length.
+        runs: Vec<(u32, u32)>,
+        ramps: Vec<[T; 2]>,
+    },
+    /// By function and pixel.
+    Dense(Vec<T>),
+}
+
+/// Runs shorter than this on average are not worth their bookkeeping.
+const SHORT_RUN: usize = 4;
+/// Fluxes that differ by less than this part are the same.
+const SAME_FLUX: f64 = 4e-16;
+
+impl FluxRole {
+    /// The role in a region, and the flux where it is constant.
+    pub(crate) fn of(model: &PsfModel, modes: &LocalModes, runs: &RegionRuns) -> (Self, f64) {
+        let scaled = model.needs_flux_scaling();
+        if modes.reference().is_none() {
+            return (Self::NoReference { scaled }, 1.0);
+        }
+        if scaled {
+            return (Self::Divisor, 1.0);
+        }
+        let mut values = vec![0.0; 1 + modes.rank()];
+        let mut range: Option<(f64, f64)> = None;
+        for end in runs.runs().iter().filter_map(|run| runs.ends(run)).flatten() {
+            modes.values_into(end, &mut values);
+            let flux = values[0];
+            range = Some(range.map_or((flux, flux), |(low, high)| (low.min(flux), high.max(flux))));
+        }
+        match range {
+            None => (Self::Constant, 1.0),
+            Some((low, high)) if high - low <= SAME_FLUX * high.abs().max(low.abs()) => (Self::Constant, low),
+            // Unit fluxes up to the rounding of their sums.
+            Some((low, high)) if (low - 1.0).abs() <= 1e-12 && (high - 1.0).abs() <= 1e-12 => {
+                (Self::Constant, 1.0)
+            }
+            Some(_) => (Self::Weight, 1.0),
+        }
+    }
+
+    fn has_flux_function(self) -> bool {
+        !matches!(self, Self::Constant | Self::NoReference { scaled: false })
+    }
+
+    fn divides(self) -> bool {
+        matches!(self, Self::Divisor | Self::NoReference { scaled: true })
+    }
+}
+
+impl<T: ConvReal> CoefficientTable<T> {
+    pub(crate) fn new(region: PixelRegion, role: FluxRole, modes: &LocalModes, runs: &RegionRuns) -> Self {
+        let skip = usize::from(!role.has_flux_function());
+        let functions = 1 + modes.rank() - skip;
+        let (nx, ny) = (region.shape().nx(), region.shape().ny());
+        let mut builder = Builder {
+            modes,
+            ends: [vec![0.0; 1 + modes.rank()], vec![0.0; 1 + modes.rank()]],
+            skip,
+            divides: role.divides(),
+            undefined: Vec::new(),
+        };
+        let values = if runs.runs().len() * SHORT_RUN > nx * ny {
+            let mut dense = vec![T::zero(); functions * nx * ny];
+            for row in 0..ny {
+                for run in runs.row(row) {
+                    builder.each_piece(runs, run, row, |column, length, first, slope| {
+                        for f in 0..functions {
+                            for i in 0..length {
+                                dense[(f * ny + row) * nx + column + i] =
+                                    T::nearest(first[f] + i as f64 * slope(f));
+                            }
+                        }
+                    });
+                }
+            }
+            Values::Dense(dense)
+        } else {
+            let (mut row_starts, mut pieces, mut ramps) = (vec![0], Vec::new(), Vec::new());
+            for row in 0..ny {
+                for run in runs.row(row) {
+                    builder.each_piece(runs, run, row, |column, length, first, slope| {
+                        pieces.push((column as u32, length as u32));
+                        ramps.extend((0..functions).map(|f| [T::nearest(first[f]), T::nearest(slope(f))]));
+                    });
+                }
+                row_starts.push(pieces.len() as u32);
+            }
+            Values::Linear {
+                row_starts,
+                runs: pieces,
+                ramps,
+            }
+        };
+        Self {
+            region,
+            role,
+            functions,
+            values,
+            undefined: builder.undefined,
+        }
+    }
+
+    pub(crate) fn role(&self) -> FluxRole {
+        self.role
+    }
+
+    /// The number of kernels: the modes, and the reference where there is one.
+    pub(crate) fn kernel_count(&self) -> usize {
+        match self.role {
+            FluxRole::Constant => self.functions + 1,
+            FluxRole::Weight | FluxRole::Divisor | FluxRole::NoReference { scaled: false } => self.functions,
+            FluxRole::NoReference { scaled: true } => self.functions - 1,
+        }
+    }
+
+    /// Bytes of memory.
+    pub(crate) fn bytes(&self) -> usize {
+        let values = match &self.values {
+            Values::Linear {
+                row_starts,
+                runs,
+                ramps,
+            } => size_of_val(&row_starts[..]) + size_of_val(&runs[..]) + size_of_val(&ramps[..]),
+            Values::Dense(values) => size_of_val(&values[..]),
+        };
+        values + size_of_val(&self.undefined[..])
+    }
+
+    /// The error of the first pixel that is lit though there is no PSF; `lit(row, column)` counts from the region's first pixel.
+    pub(crate) fn check(
+        &self,
+        model: &PsfModel,
+        lit: impl Fn(usize, usize) -> bool,
+    ) -> Result<(), FieldError> {
+        let mut coefficients = vec![0.0; model.stamp_count()];
+        for &(row, column) in &self.undefined {
+            if lit(row as usize, column as usize) {
+                let position = self.region.position(column as usize, row as usize);
+                model.scaled_coefficients_into(position, &mut coefficients)?;
+            }
+        }
+        Ok(())
+    }
+
+    pub(crate) fn has_undefined(&self) -> bool {
+        !self.undefined.is_empty()
+    }
+
+    /// Multiplies pixels of a row by the coefficient of a kernel: `row` and the first column count from the region's first pixel,
+    /// `ramp` holds 0, 1, 2 ... .
+    #[inline(always)]
+    pub(crate) fn weigh(
+        &self,
+        kernel: usize,
+        row: usize,
+        first: usize,
+        light: &[T],
+        ramp: &[T],
+        weighted: &mut [T],
+    ) {
+        let function = match self.role {
+            FluxRole::Constant if kernel == 0 => None,
+            FluxRole::Constant => Some(kernel - 1),
+            FluxRole::Divisor if kernel == 0 => None,
+            FluxRole::Weight | FluxRole::Divisor | FluxRole::NoReference { scaled: false } => Some(kernel),
+            FluxRole::NoReference { scaled: true } => Some(kernel + 1),
+        };
+        let Some(function) = function else {
+            weighted.copy_from_slice(light);
+            return;
+        };
+        self.apply(
+            function,
+            row,
+            first,
+            ramp,
+            light.len(),
+            #[inline(always)]
+            |columns, piece| {
+                let pixels = light[columns.clone()].iter().zip(&mut weighted[columns]);
+                match piece {
+                    Piece::Linear { start, slope, ramp } => {
+                        for ((light, weighted), &i) in pixels.zip(ramp) {
+                            *weighted = *light * (start + i * slope);
+                        }
+                    }
+                    Piece::Dense(values) => {
+                        for ((light, weighted), &value) in pixels.zip(values) {
+                            *weighted = *light * value;
+                        }
+                    }
+                }
+            },
+        );
+        if self.role.divides() {
+            self.apply(
+                0,
+                row,
+                first,
+                ramp,
+                light.len(),
+                #[inline(always)]
+                |columns, piece| match piece {
+                    Piece::Linear { start, slope, ramp } => {
+                        for (weighted, &i) in weighted[columns].iter_mut().zip(ramp) {
+                            *weighted = *weighted / (start + i * slope);
+                        }
+                    }
+                    Piece::Dense(values) => {
+                        for (weighted, &value) in weighted[columns].iter_mut().zip(values) {
+                            *weighted = *weighted / value;
+                        }
+                    }
+                },
+            );
+        }
+    }
+
+    /// Calls `work` with the pieces of a function along part of a row; columns count from `first`.
+    #[inline(always)]
+    fn apply(
+        &self,
+        function: usize,
+        row: usize,
+        first: usize,
+        ramp: &[T],
+        length: usize,
+        mut work: impl FnMut(std::ops::Range<usize>, Piece<'_, T>),
+    ) {
+        match &self.values {
+            Values::Dense(values) => {
+                let (nx, ny) = (self.region.shape().nx(), self.region.shape().ny());
+                let start = (function * ny + row) * nx + first;
+                work(0..length, Piece::Dense(&values[start..start + length]));
+            }
+            Values::Linear {
+                row_starts,
+                runs,
+                ramps,
+            } => {
+                let of_row = row_starts[row] as usize..row_starts[row + 1] as usize;
+                for index in of_row {
+                    let (column, pixels) = (runs[index].0 as usize, runs[index].1 as usize);
+                    let (from, to) = (column.max(first), (column + pixels).min(first + length));
+                    if from < to {
+                        let [start, slope] = ramps[index * self.functions + function];
+                        work(
+                            from - first..to - first,
+                            Piece::Linear {
+                                start,
+                                slope,
+                                ramp: &ramp[from - column..to - column],
+                            },
+                        );
+                    }
+                }
+            }
+        }
+    }
+}
+
+enum Piece<'a, T> {
+    Linear { start: T, slope: T, ramp: &'a [T] },
+    Dense(&'a [T]),
+}
+
+struct Builder<'a> {
+    modes: &'a LocalModes,
+    ends: [Vec<f64>; 2],
+    /// Leading values that are no function.
+    skip: usize,
+    divides: bool,
+    undefined: Vec<(u32, u32)>,
+}
+
+impl Builder<'_> {
+    /// Visits a run: first column, length, the functions' values there and their slopes. It is visited pixel by pixel where its
+    /// flux is not positive somewhere.
+    fn each_piece(
+        &mut self,
+        runs: &RegionRuns,
+        run: &Run,
+        row: usize,
+        mut visit: impl FnMut(usize, usize, &[f64], &dyn Fn(usize) -> f64),
+    ) {
+        let Some(ends) = runs.ends(run) else {
+            self.undefined(row, run.column, run.length);
+            // What is never lit may be multiplied by anything but 1 / 0.
+            self.ends[0].fill(0.0);
+            self.ends[0][0] = 1.0;
+            visit(run.column, run.length, &self.ends[0][self.skip..], &|_| 0.0);
+            return;
+        };
+        for (end, values) in ends.iter().zip(&mut self.ends) {
+            self.modes.values_into(end, values);
+        }
+        let [first, last] = &self.ends;
+        let steps = (run.length - 1).max(1) as f64;
+        let slope = |f: usize| (last[f] - first[f]) / steps;
+        if !self.divides || first[0].min(last[0]) > 0.0 {
+            visit(run.column, run.length, &first[self.skip..], &|f| {
+                slope(f + self.skip)
+            });
+            return;
+        }
+        for i in 0..run.length {
+            let mut values: Vec<f64> = (0..first.len()).map(|f| first[f] + i as f64 * slope(f)).collect();
+            let positive = values[0] > 0.0 && values[0].is_finite();
+            if !positive {
+                values.fill(0.0);
+                values[0] = 1.0;
+                self.undefined.push((row as u32, (run.column + i) as u32));
+            }
+            visit(run.column + i, 1, &values[self.skip..], &|_| 0.0);
+        }
+    }
+
+    fn undefined(&mut self, row: usize, column: usize, length: usize) {
+        self.undefined
+            .extend((column..column + length).map(|column| (row as u32, column as u32)));
+    }
+}

@@ -1,0 +1,111 @@
+//! What the engine's steps cost.
+
+use crate::ConvReal;
+use crate::transform::{X_STEP, Y_STEP};
+
+/// Predicted seconds of one thread, from constants that are compiled in: measured on one core of an AVX-512 machine in f32
+/// (`cargo bench -p conv-core`), so that plans are the same everywhere. Only ratios matter for choices.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct CostModel {
+    /// f64 moves twice the bytes through half the lanes.
+    width: f64,
+}
+
+/// Seconds a value and a doubling of the transform's size, while a plane and its spectra stay in the L2 cache.
+const TRANSFORM: f64 = 17e-12;
+/// The same where they do not.
+const TRANSFORM_LARGE: f64 = 21e-12;
+const TRANSFORM_HUGE: f64 = 24e-12;
+/// A complex multiply-add, a value of the plane.
+const MULTIPLY: f64 = 0.09e-9;
+/// Weighing a pixel's light by one mode.
+const WEIGH: f64 = 0.10e-9;
+/// Looking at a pixel's light, and adding a pixel to the image.
+const LOOK: f64 = 0.15e-9;
+const ADD: f64 = 0.20e-9;
+/// Drawing a stamp: a stamp's pixel and mode, and adding it to the image.
+const DRAW: f64 = 0.05e-9;
+/// A product and a sum of the direct convolution.
+const DIRECT: f64 = 0.012e-9;
+
+impl CostModel {
+    pub(crate) fn of<T: ConvReal>() -> Self {
+        Self {
+            width: size_of::<T>() as f64 / 4.0,
+        }
+    }
+
+    /// One transform of `nx x ny` values, forward or back.
+    pub(crate) fn transform(self, (nx, ny): (usize, usize)) -> f64 {
+        let values = (nx * ny) as f64;
+        let unit = match nx * ny {
+            ..=110_000 => TRANSFORM,
+            ..=300_000 => TRANSFORM_LARGE,
+            _ => TRANSFORM_HUGE,
+        };
+        self.width * unit * values * values.log2()
+    }
+
+    /// The transform of a stamp: the empty columns are skipped.
+    pub(crate) fn kernel(self, size: (usize, usize), stamp: (usize, usize)) -> f64 {
+        self.transform(size) * (0.42 + 0.5 * stamp.0 as f64 / size.0 as f64)
+    }
+
+    pub(crate) fn multiply(self, (nx, ny): (usize, usize)) -> f64 {
+        self.width * MULTIPLY * (nx * ny) as f64
+    }
+
+    /// A tile of `(nx, ny)` pixels by transforms of `size`, with its local kernels at hand.
+    pub(crate) fn tile(self, tile: (usize, usize), size: (usize, usize), kernels: f64) -> f64 {
+        let pixels = (tile.0 * tile.1) as f64;
+        let plane = (size.0 * size.1) as f64;
+        let r = kernels;
+        r * (self.transform(size) + self.multiply(size) + self.width * WEIGH * pixels)
+            + self.transform(size)
+            + self.width * (LOOK * pixels + ADD * plane)
+    }
+
+    /// Drawing one lit pixel.
+    pub(crate) fn draw(self, stamp: (usize, usize), kernels: usize) -> f64 {
+        self.width * DRAW * (stamp.0 * stamp.1) as f64 * (kernels as f64 + 1.5)
+    }
+
+    /// Convolving a tile without transforms.
+    pub(crate) fn direct(self, tile: (usize, usize), stamp: (usize, usize), kernels: usize) -> f64 {
+        let out = ((tile.0 + stamp.0 - 1) * (tile.1 + stamp.1 - 1)) as f64;
+        self.width
+            * kernels as f64
+            * (DIRECT * out * (stamp.0 * stamp.1) as f64 + WEIGH * (tile.0 * tile.1) as f64)
+    }
+}
+
+/// The sizes of transforms along an axis: `at_least` or a little more.
+pub(crate) fn transform_size(at_least: (usize, usize)) -> (usize, usize) {
+    (fast(at_least.0, X_STEP), fast(at_least.1, Y_STEP))
+}
+
+/// Sizes worth trying, ascending: products of 2, 3 and 5 that suit both axes.
+pub(crate) fn sizes() -> impl Iterator<Item = usize> {
+    (1..=512).map(|i| i * Y_STEP).filter(|&n| is_fast(n))
+}
+
+fn fast(at_least: usize, step: usize) -> usize {
+    let mut n = at_least.next_multiple_of(step);
+    while !is_fast(n) {
+        n += step;
+    }
+    n
+}
+
+/// At most two factors of 3 or 5: each costs more than a factor of 2.
+fn is_fast(n: usize) -> bool {
+    let mut odd = n >> n.trailing_zeros();
+    let mut factors = 0;
+    for p in [3, 5] {
+        while odd.is_multiple_of(p) {
+            odd /= p;
+            factors += 1;
+        }
+    }
+    odd == 1 && factors <= 2
+}

@@ -1,0 +1,283 @@
+//! The few PSFs from which all PSFs of a region are made.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+
+use super::psf_space::{PsfSpace, norm};
+use super::region_runs::RegionRuns;
+
+/// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with modes that hold no flux, so that the flux is kept
+/// however few of them there are.
+///
+/// The modes are orthonormal and in the order of their weight. How many are kept: the fewest that leave every PSF of the
+/// region within the tolerance, relative to its own norm. Along a run PSFs are linear in x, so it is enough to look at
+/// its ends: the norm of the residual is convex, and a PSF's norm is at least its projection on the region's mean, which
+/// is linear.
+#[derive(Debug)]
+pub(crate) struct LocalModes {
+    /// The PSF of unit flux, `[direction]`; none where the region's PSFs hold no flux to speak of.
+    reference: Option<Array1<f64>>,
+    /// `[mode, direction]`.
+    modes: Array2<f64>,
+    /// Flux and coefficients that do not come from any node.
+    offset: Array1<f64>,
+    /// Flux and coefficients of the region's nodes, `[node, 1 + mode]`.
+    node_values: Array2<f64>,
+}
+
+/// Rows of a region whose PSFs choose the directions of the modes. All rows decide how many are kept.
+const SUPPORT_ROWS: usize = 5;
+/// Runs of each of those rows.
+const SUPPORT_RUNS: usize = 16;
+/// The region's mean is a reference for the flux where it holds at least this part of the largest flux of a node.
+const FLUX_TO_SPEAK_OF: f64 = 1e-3;
+/// Directions in which no node reaches farther than this, relative to the nodes' norms, are rounding.
+const ROUNDING: f64 = 2e-16;
+
+impl LocalModes {
+    /// The modes of a region, for a tolerance that is not below the rounding of double precision.
+    pub(crate) fn new(space: &PsfSpace, runs: &RegionRuns, tolerance: f64) -> Self {
+        let dimension = space.dimension();
+        let mut nodes = Array2::zeros((runs.nodes().len(), dimension));
+        for (mut row, &node) in nodes.outer_iter_mut().zip(runs.nodes()) {
+            row.assign(&space.node(node));
+        }
+        let mut offset = space.mean().to_owned();
+        if runs.is_partition_of_unity() {
+            nodes += &offset;
+            offset.fill(0.0);
+        }
+        let support = Support::of(runs);
+        let centre = support.mean_weights(nodes.nrows()).dot(&nodes) + &offset;
+        // beta(x) = <h(x), centre> / |centre|, linear and not above |h(x)|.
+        let along = &centre / norm(centre.view()).max(f64::MIN_POSITIVE);
+        let (beta, beta_offset) = (nodes.dot(&along), offset.dot(&along));
+        let fluxes = nodes.dot(&space.fluxes());
+        let flux_offset = offset.dot(&space.fluxes());
+        let largest_flux = fluxes.iter().fold(flux_offset.abs(), |m, f| m.max(f.abs()));
+        let flux = centre.dot(&space.fluxes());
+        let reference = (flux.abs() > FLUX_TO_SPEAK_OF * largest_flux).then(|| &centre / flux);
+        let scale = nodes
+            .outer_iter()
+            .chain([offset.view()])
+            .map(norm)
+            .fold(0.0, f64::max);
+        if let Some(reference) = &reference {
+            for (mut node, &flux) in nodes.outer_iter_mut().zip(&fluxes) {
+                node.scaled_add(-flux, reference);
+            }
+            offset.scaled_add(-flux_offset, reference);
+        }
+        // Now nodes and offset are what the modes must make.
+        let span = span(nodes.view(), offset.view(), ROUNDING * scale);
+        let (nodes, offset) = (nodes.dot(&span.t()), span.dot(&offset));
+        let flux_direction = reference.is_none().then(|| span.dot(&space.fluxes()));
+        let covariance = support.covariance(runs, nodes.view(), offset.view());
+        let (rotation, forced) = principal_axes(covariance, flux_direction);
+        let (nodes, offset) = (nodes.dot(&rotation), offset.dot(&rotation));
+        let rank = forced.max(needed(runs, nodes.view(), offset.view(), |end| {
+            let sum: f64 = end.iter().map(|&(n, w)| w * beta[n]).sum();
+            tolerance * (sum + beta_offset).max(0.0)
+        }));
+        let modes = rotation.slice(s![.., ..rank]).t().dot(&span);
+        let with_flux = |flux: ArrayView2<'_, f64>, values: ArrayView2<'_, f64>| {
+            ndarray::concatenate(Axis(1), &[flux, values]).expect("as many rows")
+        };
+        let kept = offset.slice(s![..rank]).insert_axis(Axis(0)).to_owned();
+        let offset = with_flux(ndarray::aview2(&[[flux_offset]]), kept.view());
+        Self {
+            reference,
+            modes,
+            offset: offset.row(0).to_owned(),
+            node_values: with_flux(fluxes.view().insert_axis(Axis(1)), nodes.slice(s![.., ..rank])),
+        }
+    }
+
+    /// The number of modes, the reference not counted.
+    pub(crate) fn rank(&self) -> usize {
+        self.modes.nrows()
+    }
+
+    pub(crate) fn reference(&self) -> Option<ArrayView1<'_, f64>> {
+        self.reference.as_ref().map(|r| r.view())
+    }
+
+    pub(crate) fn modes(&self) -> ArrayView2<'_, f64> {
+        self.modes.view()
+    }
+
+    /// The flux and the coefficients at one end of a run.
+    pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
+        values.copy_from_slice(self.offset.as_slice().expect("contiguous"));
+        for &(node, weight) in end {
+            for (value, node_value) in values.iter_mut().zip(self.node_values.row(node)) {
+                *value += weight * node_value;
+            }
+        }
+    }
+}
+
+/// Ends of runs, spread over a region: pairs of the run's index and which end.
+struct Support<'a>(Vec<&'a [(usize, f64)]>);
+
+impl<'a> Support<'a> {
+    fn of(runs: &'a RegionRuns) -> Self {
+        let rows = runs.row_count();
+        let count = SUPPORT_ROWS.min(rows);
+        let mut ends = Vec::new();
+        for i in 0..count {
+            let row = runs.row(i * (rows - 1) / (count - 1).max(1));
+            let step = row.len().div_ceil(SUPPORT_RUNS);
+            let chosen = row.iter().step_by(step).chain(row.last());
+            ends.extend(chosen.filter_map(|run| runs.ends(run)).flatten());
+        }
+        if ends.is_empty() {
+            // A region with values in few places.
+            ends.extend(
+                runs.runs()
+                    .iter()
+                    .find_map(|run| runs.ends(run))
+                    .into_iter()
+                    .flatten(),
+            );
+        }
+        Self(ends)
+    }
+
+    fn mean_weights(&self, nodes: usize) -> Array1<f64> {
+        let mut mean = Array1::zeros(nodes);
+        for &(node, weight) in self.0.iter().copied().flatten() {
+            mean[node] += weight / self.0.len() as f64;
+        }
+        mean
+    }
+
+    fn covariance(
+        &self,
+        _runs: &RegionRuns,
+        nodes: ArrayView2<'_, f64>,
+        offset: ArrayView1<'_, f64>,
+    ) -> DMatrix<f64> {
+        let n = offset.len();
+        let mut sum = DMatrix::zeros(n, n);
+        let mut value = offset.to_owned();
+        for end in &self.0 {
+            value.assign(&offset);
+            for &(node, weight) in *end {
+                value.scaled_add(weight, &nodes.row(node));
+            }
+            for j in 0..n {
+                for i in 0..=j {
+                    sum[(i, j)] += value[i] * value[j];
+                }
+            }
+        }
+        sum.fill_lower_triangle_with_upper_triangle();
+        sum
+    }
+}
+
+/// Orthonormal rows that span the rows of `nodes` and `offset` down to norms of `least`.
+fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> Array2<f64> {
+    let dimension = nodes.ncols();
+    if nodes.nrows() >= dimension {
+        return Array2::eye(dimension);
+    }
+    let mut rest =
+        ndarray::concatenate(Axis(0), &[nodes, offset.insert_axis(Axis(0))]).expect("as many columns");
+    let mut basis: Vec<Array1<f64>> = Vec::new();
+    while basis.len() < dimension {
+        let norms = rest.outer_iter().map(norm);
+        let Some((row, largest)) = norms.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else {
+            break;
+        };
+        if largest <= least {
+            break;
+        }
+        let mut direction = &rest.row(row) / largest;
+        // What rounding left of the earlier directions.
+        for earlier in &basis {
+            let p = earlier.dot(&direction);
+            direction.scaled_add(-p, earlier);
+        }
+        direction /= norm(direction.view());
+        for mut other in rest.outer_iter_mut() {
+            let p = other.dot(&direction);
+            other.scaled_add(-p, &direction);
+        }
+        rest.row_mut(row).fill(0.0);
+        basis.push(direction);
+    }
+    let mut rows = Array2::zeros((basis.len(), dimension));
+    for (mut row, direction) in rows.outer_iter_mut().zip(&basis) {
+        row.assign(direction);
+    }
+    rows
+}
+
+/// The eigenvectors of a covariance as columns, the largest eigenvalue first; and how many of them must be kept. Where a direction
+/// carries flux that must not be lost, it comes first and must be kept, and the others are orthogonal to it.
+fn principal_axes(covariance: DMatrix<f64>, keep: Option<Array1<f64>>) -> (Array2<f64>, usize) {
+    let n = covariance.nrows();
+    if n == 0 {
+        return (Array2::zeros((0, 0)), 0);
+    }
+    let keep = keep.filter(|k| norm(k.view()) > 0.0).map(|k| {
+        let length = norm(k.view());
+        nalgebra::DVector::from_iterator(n, k.iter().map(|v| v / length))
+    });
+    let matrix = match &keep {
+        None => covariance,
+        Some(k) => {
+            let projector = DMatrix::identity(n, n) - k * k.transpose();
+            &projector * covariance * &projector
+        }
+    };
+    let eigen = SymmetricEigen::new(matrix);
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+    let mut columns: Vec<nalgebra::DVector<f64>> = order
+        .iter()
+        .map(|&i| eigen.eigenvectors.column(i).into_owned())
+        .collect();
+    if let Some(k) = &keep {
+        let nearest = |c: &nalgebra::DVector<f64>| c.dot(k).abs();
+        let same = (0..n).max_by(|&a, &b| nearest(&columns[a]).total_cmp(&nearest(&columns[b])));
+        if let Some(same) = same {
+            columns.remove(same);
+        }
+        columns.insert(0, k.clone());
+    }
+    let rotation = Array2::from_shape_fn((n, n), |(i, j)| columns[j][i]);
+    (rotation, usize::from(keep.is_some()))
+}
+
+/// The smallest number of leading coordinates that leaves every PSF within its limit.
+fn needed(
+    runs: &RegionRuns,
+    nodes: ArrayView2<'_, f64>,
+    offset: ArrayView1<'_, f64>,
+    limit: impl Fn(&[(usize, f64)]) -> f64,
+) -> usize {
+    let n = offset.len();
+    let mut value = vec![0.0; n];
+    let mut needed = 0;
+    for ends in runs.runs().iter().filter_map(|run| runs.ends(run)) {
+        let least = limit(ends[0]).min(limit(ends[1])).powi(2);
+        for end in ends {
+            // Only coordinates beyond those needed already can raise the number.
+            for (i, v) in value.iter_mut().enumerate().skip(needed) {
+                *v = offset[i] + end.iter().map(|&(node, w)| w * nodes[[node, i]]).sum::<f64>();
+            }
+            let mut tail = 0.0;
+            for i in (needed..n).rev() {
+                tail += value[i] * value[i];
+                if tail > least {
+                    needed = i + 1;
+                    break;
+                }
+            }
+        }
+    }
+    needed
+}

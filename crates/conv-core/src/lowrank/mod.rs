@@ -1,0 +1,32 @@
+//! The fast engine: tiles, each with the few PSFs that its pixels need.
+//!
+//! A plan cuts the side to which PSFs belong into blocks ([`tiling`]), finds for each the few modes that make every PSF in it
+//! within the tolerance ([`local_modes`], from the weights of the field's nodes along rows, [`region_runs`]), and keeps stamps and
+//! coefficients ([`coefficient_table`]). An execution goes through the blocks in an order that does not depend on the number of
+//! threads ([`operator`]) and treats each tile by transforms, directly, stamp by stamp or not at all ([`tile_engine`]).
+
+mod axis_cuts;
+mod block;
+mod coefficient_table;
+mod cost_model;
+mod execution;
+mod geometry;
+mod light;
+mod local_modes;
+mod method;
+mod operator;
+mod options;
+mod plan;
+mod psf_space;
+mod region_runs;
+mod split;
+mod summary;
+mod tile_engine;
+mod tiling;
+mod workspace;
+
+pub use execution::TileCounts;
+pub use method::LowRank;
+pub use options::{Paths, PlanOptions};
+pub use plan::Plan;
+pub use summary::PlanSummary;

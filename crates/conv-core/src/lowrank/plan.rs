@@ -1,0 +1,404 @@
+//! Plans: everything about a convolution that does not depend on the light.
+
+use ndarray::{Array2, ArrayView2, s};
+use psf_types::{Anchor, FrameShape, Image, NoProgress, PixelRegion, Progress, PsfModel, Scene};
+use rayon::prelude::*;
+
+use super::axis_cuts::Stretch;
+use super::block::{Block, stamps_of};
+use super::cost_model::CostModel;
+use super::execution::TileCounts;
+use super::geometry::Geometry;
+use super::operator::{Gather, Scatter};
+use super::options::{Paths, PlanOptions};
+use super::psf_space::PsfSpace;
+use super::summary::PlanSummary;
+use super::tile_engine::TileEngine;
+use super::tiling::{Tiling, best_tiling};
+use super::workspace::Pool;
+use crate::crop::reaching;
+use crate::kernel::Reach;
+use crate::point_sources::add_point_sources;
+use crate::transform::TileTransform;
+use crate::{ConvError, ConvReal};
+
+/// The convolution of scenes of one shape with one model, prepared: tiles, the modes of each, their stamps and coefficients.
+///
+/// Made once, it serves any number of scenes. It is a linear operator: which modes a tile has depends on the model and the
+/// tolerance, never on the light. What depends on the light (skipping dark tiles, drawing single pixels) changes rounding
+/// alone.
+///
+/// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with the fewest modes that keep every one of them
+/// within the tolerance; the modes hold no flux, so that flux is kept at any tolerance.
+#[derive(Debug)]
+pub struct Plan<T: ConvReal> {
+    pub(super) model: PsfModel,
+    pub(super) space: PsfSpace,
+    pub(super) geometry: Geometry,
+    pub(super) options: PlanOptions,
+    pub(super) tiling: Tiling,
+    pub(super) fft: TileTransform<T>,
+    pub(super) cost: CostModel,
+    /// Row by row.
+    blocks: Vec<Block<T>>,
+    shape: FrameShape,
+    frame: PixelRegion,
+    /// Columns and rows of the scene that reach the frame.
+    light: [std::ops::Range<usize>; 2],
+    ramp: Vec<T>,
+    pool: Pool<T>,
+}
+
+/// Blocks whose stamps are made by one product of matrices.
+const BLOCKS_A_PRODUCT: usize = 32;
+
+impl<T: ConvReal> Plan<T> {
+    /// A plan for scenes of a shape seen through a frame, a region of the scene.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the model's stamps do not suit an image. A PSF that has no value somewhere is an error of the
+    /// execution, if there is light.
+    pub fn new(
+        model: &PsfModel,
+        shape: FrameShape,
+        frame: PixelRegion,
+        options: PlanOptions,
+    ) -> Result<Self, ConvError> {
+        let reach = Reach::of(model.grid())?;
+        let [columns, rows] = reaching(shape, frame, reach);
+        let light_shape =
+            FrameShape::new(columns.len().max(1), rows.len().max(1)).map_err(ConvError::Result)?;
+        let light = PixelRegion::new(
+            columns.start as i64 - frame.x0(),
+            rows.start as i64 - frame.y0(),
+            light_shape,
+        );
+        let geometry = Geometry::new(light, frame.shape(), reach, options.anchor());
+        let cost = CostModel::of::<T>();
+        let space = PsfSpace::new(model);
+        let tolerance = options.tolerance().max(rounding::<T>());
+        let tiling = best_tiling(model, &space, &geometry, tolerance, cost);
+        let across = tiling.columns.len();
+        let blocks: Vec<Block<T>> = (0..across * tiling.rows.len())
+            .into_par_iter()
+            .map(|i| {
+                let region = tiling.region(&geometry, i % across, i / across);
+                Block::new(model, &space, region, tolerance)
+            })
+            .collect();
+        let longest = tiling.columns.iter().map(Stretch::length).max().unwrap_or(1);
+        let mut plan = Self {
+            fft: TileTransform::new(tiling.size.0, tiling.size.1),
+            ramp: (0..longest).map(|i| T::nearest(i as f64)).collect(),
+            model: model.clone(),
+            light: [columns, rows],
+            pool: Pool::new(),
+            space,
+            geometry,
+            options,
+            tiling,
+            cost,
+            blocks,
+            shape,
+            frame,
+        };
+        plan.keep_within_memory();
+        Ok(plan)
+    }
+
+    /// A plan for scenes like this one.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn for_scene(model: &PsfModel, scene: &Scene<T>, options: PlanOptions) -> Result<Self, ConvError> {
+        Self::new(model, scene.shape(), scene.frame(), options)
+    }
+
+    /// Forgets tables beyond the memory allowed and makes the stamps for which there is room.
+    fn keep_within_memory(&mut self) {
+        let mut left = self.options.memory_bytes();
+        for block in &mut self.blocks {
+            match left.checked_sub(block.table_bytes()) {
+                Some(rest) => left = rest,
+                None => block.forget_table(),
+            }
+        }
+        let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
+        let mut room = 0;
+        while room < self.blocks.len() {
+            match left.checked_sub(self.blocks[room].kernel_count() * stamp) {
+                Some(rest) => left = rest,
+                None => break,
+            }
+            room += 1;
+        }
+        let stamps = self.space.stamps();
+        self.blocks[..room]
+            .par_chunks_mut(BLOCKS_A_PRODUCT)
+            .for_each(|blocks| {
+                let made = stamps_of(stamps, &blocks.iter().collect::<Vec<_>>());
+                for (block, stamps) in blocks.iter_mut().zip(made) {
+                    block.keep_stamps(stamps);
+                }
+            });
+    }
+
+    /// The image of a scene.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the scene has another shape or frame than the plan, or light where there is no PSF.
+    pub fn execute(&self, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
+        Ok(self.execute_with_progress(scene, &NoProgress)?.0)
+    }
+
+    /// The image of a scene, and how its tiles were treated.
+    ///
+    /// # Errors
+    /// As [`Self::execute`].
+    pub fn execute_with_progress(
+        &self,
+        scene: &Scene<T>,
+        progress: &dyn Progress,
+    ) -> Result<(Image<T>, TileCounts), ConvError> {
+        let (ny, nx) = (self.frame.shape().ny(), self.frame.shape().nx());
+        let mut image = Array2::zeros((ny, nx));
+        let counts = self.add_to(scene, &mut image, progress)?;
+        Ok((Image::new(image).map_err(ConvError::Result)?, counts))
+    }
+
+    /// Adds the image of a scene to one that is there: `[y, x]` of the frame.
+    ///
+    /// # Errors
+    /// As [`Self::execute`], and for an image of another shape than the frame.
+    pub fn add_to(
+        &self,
+        scene: &Scene<T>,
+        image: &mut Array2<T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        if scene.shape() != self.shape || scene.frame() != self.frame {
+            return Err(self.wrong_shape(scene.shape(), scene.frame()));
+        }
+        self.check_frame(image)?;
+        let mut counts = TileCounts::default();
+        if let Some(pixels) = scene.pixels() {
+            let [columns, rows] = self.light.clone();
+            counts = self.forward(pixels.slice(s![rows, columns]), image, progress)?;
+        }
+        add_point_sources(&self.model, scene, self.options.anchor(), image)?;
+        Ok(counts)
+    }
+
+    /// The transpose: what each pixel of the scene gives to the scalar product of its image with `image`, for images of the
+    /// frame. `<A f, g> = <f, A^T g>` for every scene `f` without point sources.
+    ///
+    /// # Errors
+    /// [`ConvError::FrameShape`] for an image of another shape than the frame.
+    pub fn adjoint(&self, image: &Image<T>) -> Result<Image<T>, ConvError> {
+        let image = image.pixels();
+        self.check_frame(&image)?;
+        let mut scene = Array2::zeros((self.shape.ny(), self.shape.nx()));
+        let [columns, rows] = self.light.clone();
+        let output = scene.slice_mut(s![rows, columns]);
+        let rows = 0..self.tiling.rows.len();
+        let progress = &NoProgress;
+        match self.options.anchor() {
+            Anchor::Output => T::dispatch(Scatter {
+                plan: self,
+                rows,
+                light: image,
+                first_light: 0,
+                output,
+                first_output: 0,
+                flip: true,
+                progress,
+            }),
+            _ => T::dispatch(Gather {
+                plan: self,
+                rows,
+                light: image,
+                first_light: 0,
+                output,
+                first_output: 0,
+                flip: true,
+                progress,
+            }),
+        }?;
+        Image::new(scene).map_err(ConvError::Result)
+    }
+
+    fn forward(
+        &self,
+        light: ArrayView2<'_, T>,
+        image: &mut Array2<T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        let rows = 0..self.tiling.rows.len();
+        progress.start(rows.len() as u64);
+        let output = image.view_mut();
+        Ok(match self.options.anchor() {
+            Anchor::Output => T::dispatch(Gather {
+                plan: self,
+                rows,
+                light,
+                first_light: 0,
+                output,
+                first_output: 0,
+                flip: false,
+                progress,
+            }),
+            _ => T::dispatch(Scatter {
+                plan: self,
+                rows,
+                light,
+                first_light: 0,
+                output,
+                first_output: 0,
+                flip: false,
+                progress,
+            }),
+        }?)
+    }
+
+    /// The plan in figures.
+    pub fn summary(&self) -> PlanSummary {
+        let most = self.blocks.iter().map(Block::kernel_count).max().unwrap_or(0);
+        let mut blocks_by_modes = vec![0; most + 1];
+        for block in &self.blocks {
+            blocks_by_modes[block.kernel_count()] += 1;
+        }
+        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
+        let longest = super::axis_cuts::longest;
+        let tile = (longest(&self.tiling.columns), longest(&self.tiling.rows));
+        let mut summary = PlanSummary {
+            frame: self.frame.shape(),
+            precision: T::NAME,
+            tolerance: self.options.tolerance(),
+            anchor: self.options.anchor(),
+            paths: self.options.paths(),
+            tile,
+            transform: self.tiling.size,
+            tiles: tiles(&self.tiling.columns) * tiles(&self.tiling.rows),
+            blocks: self.blocks.len(),
+            blocks_by_modes,
+            drawn_up_to: 0,
+            direct: false,
+            predicted_seconds: 0.0,
+            kept_bytes: (
+                self.blocks.iter().map(Block::table_bytes).sum(),
+                self.blocks.iter().map(Block::stamp_bytes).sum(),
+            ),
+            made_anew: (
+                self.blocks
+                    .iter()
+                    .filter(|block| block.table_bytes() == 0)
+                    .count(),
+                self.blocks
+                    .iter()
+                    .filter(|block| block.stamp_bytes() == 0)
+                    .count(),
+            ),
+        };
+        let kernels = summary.mean_modes();
+        let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);
+        summary.direct = direct && self.options.paths() == Paths::Cheapest;
+        summary.drawn_up_to = (whole / self.cost.draw(self.geometry.stamp, kernels.ceil() as usize)) as usize;
+        summary.predicted_seconds = summary.tiles as f64 * whole
+            + summary.blocks as f64 * kernels * self.cost.kernel(self.tiling.size, self.geometry.stamp);
+        summary
+    }
+
+    /// Predicted seconds for a fully lit tile, and whether without transforms.
+    pub(super) fn whole_tile(&self, tile: (usize, usize), kernels: usize) -> (f64, bool) {
+        let transforms = self.cost.tile(tile, self.tiling.size, kernels as f64);
+        let direct = self.cost.direct(tile, self.geometry.stamp, kernels);
+        if direct < transforms && self.options.paths() == Paths::Cheapest {
+            (direct, true)
+        } else {
+            (transforms, false)
+        }
+    }
+
+    pub(super) fn block(&self, column: usize, row: usize) -> &Block<T> {
+        &self.blocks[row * self.tiling.columns.len() + column]
+    }
+
+    pub(super) fn pool(&self) -> &Pool<T> {
+        &self.pool
+    }
+
+    pub(super) fn engine(&self, flip: bool) -> TileEngine<'_, T> {
+        TileEngine {
+            fft: &self.fft,
+            stamp: self.geometry.stamp,
+            flip,
+            ramp: &self.ramp,
+        }
+    }
+
+    /// The columns of the other side that each column of blocks reaches.
+    pub(super) fn column_extents(&self) -> Vec<(usize, usize)> {
+        let reach = |x: usize| self.geometry.reach_from(x, 0).0;
+        extents(
+            &self.tiling.columns,
+            reach,
+            self.geometry.stamp.0,
+            self.geometry.other_size().0,
+        )
+    }
+
+    /// The rows of the other side that each row of blocks reaches.
+    pub(super) fn row_extents(&self) -> Vec<(usize, usize)> {
+        let reach = |y: usize| self.geometry.reach_from(0, y).1;
+        extents(
+            &self.tiling.rows,
+            reach,
+            self.geometry.stamp.1,
+            self.geometry.other_size().1,
+        )
+    }
+
+    fn check_frame<S: ndarray::Data<Elem = T>>(
+        &self,
+        image: &ndarray::ArrayBase<S, ndarray::Ix2>,
+    ) -> Result<(), ConvError> {
+        let expected = self.frame.shape();
+        if image.dim() == (expected.ny(), expected.nx()) {
+            return Ok(());
+        }
+        let got = FrameShape::new(image.ncols(), image.nrows()).map_err(ConvError::Result)?;
+        Err(ConvError::FrameShape { expected, got })
+    }
+
+    fn wrong_shape(&self, got: FrameShape, got_frame: PixelRegion) -> ConvError {
+        let text = |frame: PixelRegion| format!("{} at ({}, {})", frame.shape(), frame.x0(), frame.y0());
+        ConvError::PlanShape {
+            expected: self.shape,
+            expected_frame: text(self.frame),
+            got,
+            got_frame: text(got_frame),
+        }
+    }
+}
+
+fn extents(
+    stretches: &[Stretch],
+    reach: impl Fn(usize) -> i64,
+    stamp: usize,
+    limit: usize,
+) -> Vec<(usize, usize)> {
+    let clamp = |v: i64| v.clamp(0, limit as i64) as usize;
+    stretches
+        .iter()
+        .map(|s| {
+            let from = reach(s.start());
+            (clamp(from), clamp(from + (s.length() + stamp - 1) as i64))
+        })
+        .collect()
+}
+
+/// Errors of a PSF below this are rounding of the working precision, and no mode is kept for them.
+fn rounding<T: ConvReal>() -> f64 {
+    // A sixteenth of the precision in f32; in f64 the coordinates themselves are no better than a few times theirs.
+    (T::epsilon().as_f64() / 16.0).max(1e-15)
+}

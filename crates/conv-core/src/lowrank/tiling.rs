@@ -1,0 +1,139 @@
+//! The choice of tiles: sizes, and whether they follow the cells of the field.
+
+use psf_types::{FrameShape, PixelRegion, PsfModel};
+use rayon::prelude::*;
+
+use super::axis_cuts::{Stretch, at_cuts, even, longest};
+use super::cost_model::{CostModel, sizes, transform_size};
+use super::geometry::Geometry;
+use super::local_modes::LocalModes;
+use super::psf_space::PsfSpace;
+use super::region_runs::RegionRuns;
+
+/// Tiles along both axes and their transforms.
+#[derive(Debug, Clone)]
+pub(crate) struct Tiling {
+    pub(crate) columns: Vec<Stretch>,
+    pub(crate) rows: Vec<Stretch>,
+    /// Columns and rows of the transforms.
+    pub(crate) size: (usize, usize),
+}
+
+/// Blocks whose rank is looked at to judge a tiling.
+const SAMPLES: usize = 5;
+/// Transforms larger than this many stamps gain nothing: padding is small already, and ranks grow.
+const LARGEST_IN_STAMPS: usize = 10;
+const LARGEST_AT_LEAST: usize = 640;
+/// A tile has at least this part of the stamp's size.
+const SMALLEST_IN_STAMPS: f64 = 0.4;
+/// Tiles of a block in each direction, where blocks do not follow cells.
+const TOGETHER: [usize; 3] = [1, 2, 4];
+
+/// The cheapest tiling that the cost model finds.
+pub(crate) fn best_tiling(
+    model: &PsfModel,
+    space: &PsfSpace,
+    geometry: &Geometry,
+    tolerance: f64,
+    cost: CostModel,
+) -> Tiling {
+    let (nx, ny) = geometry.weighted_size();
+    let stamp = geometry.stamp;
+    let side = stamp.0.max(stamp.1);
+    let whole = transform_size((nx + stamp.0 - 1, ny + stamp.1 - 1));
+    let largest = (LARGEST_IN_STAMPS * side).max(LARGEST_AT_LEAST);
+    let smallest = side + (SMALLEST_IN_STAMPS * side as f64) as usize;
+    let mut ways = Vec::new();
+    for n in sizes().filter(|&n| n >= smallest.min(whole.0.max(whole.1)) && n <= largest.max(smallest * 2)) {
+        let tile = (
+            (n + 1).saturating_sub(stamp.0).max(1),
+            (n + 1).saturating_sub(stamp.1).max(1),
+        );
+        for together in TOGETHER {
+            ways.push((even(nx, tile.0, together), even(ny, tile.1, together)));
+        }
+        if let Some([xs, ys]) = cuts(model, geometry) {
+            for split in [false, true] {
+                ways.push((at_cuts(nx, &xs, tile.0, split), at_cuts(ny, &ys, tile.1, split)));
+            }
+        }
+        if n >= whole.0.max(whole.1) {
+            break;
+        }
+    }
+    let judged: Vec<(f64, Tiling)> = ways
+        .into_par_iter()
+        .map(|(columns, rows)| {
+            let at_least = (longest(&columns) + stamp.0 - 1, longest(&rows) + stamp.1 - 1);
+            let tiling = Tiling {
+                columns,
+                rows,
+                size: transform_size(at_least),
+            };
+            (tiling.seconds(model, space, geometry, tolerance, cost), tiling)
+        })
+        .collect();
+    // The first of equals, so that the choice does not depend on the order of threads.
+    let best = judged.into_iter().reduce(|a, b| if b.0 < a.0 { b } else { a });
+    best.expect("at least one size is tried").1
+}
+
+/// The first pixels, counted from the weighted side's, of the field's cells, if it has any.
+fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
+    let [xs, ys] = model.field().grid_lines()?;
+    let cuts = |lines: &[f64], first: i64, length: usize| {
+        let pixels = lines.iter().map(|line| line.ceil() - first as f64);
+        let inside = pixels.filter(|&p| p >= 1.0 && p < length as f64);
+        let mut cuts: Vec<usize> = inside.map(|p| p as usize).collect();
+        cuts.dedup();
+        cuts
+    };
+    let (nx, ny) = geometry.weighted_size();
+    Some([
+        cuts(&xs, geometry.weighted.x0(), nx),
+        cuts(&ys, geometry.weighted.y0(), ny),
+    ])
+}
+
+impl Tiling {
+    /// The region of a block, in field positions.
+    pub(crate) fn region(&self, geometry: &Geometry, column: usize, row: usize) -> PixelRegion {
+        let (x, y) = (&self.columns[column], &self.rows[row]);
+        PixelRegion::new(
+            geometry.weighted.x0() + x.start() as i64,
+            geometry.weighted.y0() + y.start() as i64,
+            FrameShape::new(x.length(), y.length()).expect("stretches are not empty"),
+        )
+    }
+
+    /// Predicted seconds of one thread where every pixel is lit, from the ranks of a few blocks.
+    fn seconds(
+        &self,
+        model: &PsfModel,
+        space: &PsfSpace,
+        geometry: &Geometry,
+        tolerance: f64,
+        cost: CostModel,
+    ) -> f64 {
+        let (across, up) = (self.columns.len(), self.rows.len());
+        let blocks = across * up;
+        let samples = SAMPLES.min(blocks);
+        let kernels: usize = (0..samples)
+            .map(|i| {
+                // Spread over rows and columns.
+                let row = (2 * i + 1) * up / (2 * samples);
+                let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
+                let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
+                let runs = RegionRuns::sampled(model.field(), region);
+                LocalModes::new(space, &runs, tolerance).rank() + 1
+            })
+            .sum();
+        let kernels = kernels as f64 / samples as f64;
+        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
+        let count = tiles(&self.columns) * tiles(&self.rows);
+        let (nx, ny) = geometry.weighted_size();
+        let tile = (nx.div_ceil(tiles(&self.columns)), ny.div_ceil(tiles(&self.rows)));
+        blocks as f64 * kernels * cost.kernel(self.size, geometry.stamp)
+            + count as f64 * cost.tile(tile, self.size, kernels)
+    }
+}

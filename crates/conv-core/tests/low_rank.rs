@@ -1,0 +1,392 @@
+//! The fast engine against the double sum, its tolerance pixel by pixel, its transpose, and what must not change its result.
+
+mod common;
+
+use std::sync::Arc;
+
+use common::{Constant, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene};
+use conv_core::{ConvError, ConvolutionMethod, Direct, LowRank, Paths, Plan, PlanOptions};
+use ndarray::{Array2, s};
+use psf_types::{Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfModel, Scene};
+
+/// Transforms of a few thousand values, and the rounding of the modes, in double precision.
+const ROUNDING_F64: f64 = 1e-12;
+/// Transforms of a few thousand values in single precision.
+const ROUNDING_F32: f64 = 3e-6;
+
+const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
+const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
+
+/// Even, odd, off-centre, one pixel, wider than the scene.
+const STAMPS: [((usize, usize), (usize, usize)); 5] = [
+    ((6, 4), (3, 2)),
+    ((5, 7), (2, 3)),
+    ((4, 4), (0, 3)),
+    ((1, 3), (0, 0)),
+    ((33, 29), (16, 11)),
+];
+const SCENES: [(usize, usize); 6] = [(12, 12), (13, 7), (1, 1), (1, 37), (101, 1), (67, 53)];
+
+fn options(tolerance: f64, anchor: Anchor, paths: Paths) -> PlanOptions {
+    PlanOptions::new(tolerance)
+        .unwrap()
+        .with_anchor(anchor)
+        .with_paths(paths)
+}
+
+fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
+    STAMPS.into_iter().enumerate().flat_map(|(n, (shape, centre))| {
+        SCENES.into_iter().enumerate().map(move |(m, (nx, ny))| {
+            let (mean, normalisation) = [
+                (true, Normalisation::Unit),
+                (true, Normalisation::Keep),
+                (false, Normalisation::Keep),
+            ][(n + m) % 3];
+            let model = model_with(Arc::new(Waves), shape, centre, mean, normalisation);
+            let scene = scene(nx, ny, (nx * ny + n) as u64);
+            // Every other scene through a frame that is smaller.
+            let frame = region((nx / 3) as i64, (ny / 4) as i64, nx - nx / 3, ny.div_ceil(2));
+            let scene = if (n + m) % 2 == 0 {
+                scene.with_frame(frame).unwrap()
+            } else {
+                scene
+            };
+            (model, scene)
+        })
+    })
+}
+
+fn single(scene: &Scene<f64>) -> Scene<f32> {
+    let light = scene.pixels().unwrap().mapv(|v| v as f32);
+    Scene::from_image(Image::new(light).unwrap())
+        .with_frame(scene.frame())
+        .unwrap()
+}
+
+/// Every fifth pixel is a star: a light that every path treats.
+fn sparse(scene: &Scene<f64>) -> Scene<f64> {
+    let mut light = scene.pixels().unwrap().to_owned();
+    for ((y, x), value) in light.indexed_iter_mut() {
+        if (3 * y + x) % 5 != 0 {
+            *value = 0.0;
+        }
+    }
+    Scene::from_image(Image::new(light).unwrap())
+        .with_frame(scene.frame())
+        .unwrap()
+}
+
+#[test]
+fn at_tolerance_0_it_is_the_double_sum() {
+    for (model, scene) in cases() {
+        for scene in [sparse(&scene), scene] {
+            for anchor in ANCHORS {
+                let truth = double_sum(&model, &scene, anchor);
+                let scale = peak(&truth).max(1.0);
+                for paths in PATHS {
+                    let case = format!("{:?} {:?} {anchor} {paths:?}", model.grid(), scene.shape());
+                    let engine = LowRank::new(options(0.0, anchor, paths));
+                    let image = engine.convolve(&model, &scene).unwrap().into_pixels();
+                    let error = largest_difference(&image, &truth) / scale;
+                    assert!(error <= ROUNDING_F64, "f64, {case}: {error:e}");
+                    let image = engine.convolve(&model, &single(&scene)).unwrap();
+                    let error = largest_difference(&image.pixels().mapv(f64::from), &truth) / scale;
+                    assert!(error <= ROUNDING_F32, "f32, {case}: {error:e}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_adjoint_is_exact() {
+    for (model, scene) in cases() {
+        for anchor in ANCHORS {
+            for (paths, tolerance) in PATHS.into_iter().flat_map(|paths| [(paths, 0.0), (paths, 1e-2)]) {
+                let plan = Plan::for_scene(&model, &scene, options(tolerance, anchor, paths)).unwrap();
+                let shape = scene.frame().shape();
+                let g = Image::new(noise(shape.ny(), shape.nx(), 77)).unwrap();
+                let forward = plan.execute(&scene).unwrap();
+                let back = plan.adjoint(&g).unwrap();
+                let left = (&forward.pixels() * &g.pixels()).sum();
+                let right = (&scene.pixels().unwrap() * &back.pixels()).sum();
+                let scale =
+                    (forward.pixels().mapv(|v| v * v).sum() * g.pixels().mapv(|v| v * v).sum()).sqrt();
+                assert!(
+                    (left - right).abs() <= ROUNDING_F64 * scale,
+                    "{left} {right} {anchor} {paths:?} {:?} {:?}",
+                    model.grid(),
+                    scene.shape()
+                );
+            }
+        }
+    }
+}
+
+/// A field whose PSF jumps: tiles across the jump need both sides.
+#[derive(Debug)]
+struct Step;
+
+impl CoefficientField for Step {
+    fn component_count(&self) -> usize {
+        3
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        Waves.evaluate_into(p, a)?;
+        if p.x() + 0.3 * p.y() > 50.0 {
+            a[1] -= 0.8;
+            a[2] += 0.3;
+        }
+        Ok(())
+    }
+}
+
+/// The response to one more unit of light at a pixel, with light everywhere, against the exact PSF of that pixel.
+#[test]
+fn every_pixel_sees_a_psf_within_the_tolerance() {
+    let (nx, ny) = (120, 90);
+    let mut coarsest: f64 = 0.0;
+    for (field, mean, normalisation) in [
+        (
+            Arc::new(Waves) as Arc<dyn CoefficientField>,
+            true,
+            Normalisation::Unit,
+        ),
+        (Arc::new(Step), true, Normalisation::Keep),
+        (Arc::new(Step), false, Normalisation::Keep),
+    ] {
+        let model = model_with(field, (9, 8), (4, 4), mean, normalisation);
+        let light = noise(ny, nx, 5).mapv(|v| v + 1.5);
+        let lit = |light: &Array2<f64>| Scene::from_image(Image::new(light.clone()).unwrap());
+        for (tolerance, paths) in [
+            (3e-1, PATHS[1]),
+            (1e-1, PATHS[0]),
+            (1e-2, PATHS[1]),
+            (1e-3, PATHS[1]),
+        ] {
+            for anchor in ANCHORS {
+                let plan = Plan::for_scene(&model, &lit(&light), options(tolerance, anchor, paths)).unwrap();
+                let before = plan.execute(&lit(&light)).unwrap().into_pixels();
+                for n in 0..40 {
+                    let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
+                    // Output-anchored, the kernel of one output pixel is a row of the operator: a column of its transpose.
+                    let response = if anchor == Anchor::Source {
+                        let mut more = light.clone();
+                        more[[y, x]] += 1.0;
+                        plan.execute(&lit(&more)).unwrap().into_pixels() - &before
+                    } else {
+                        let mut one = Array2::zeros((ny, nx));
+                        one[[y, x]] = 1.0;
+                        plan.adjoint(&Image::new(one).unwrap()).unwrap().into_pixels()
+                    };
+                    let psf = model.psf_at(Position::of_pixel(x as i64, y as i64)).unwrap();
+                    let mut exact = Array2::zeros((ny, nx));
+                    for ((j, i), &h) in psf.values().indexed_iter() {
+                        let sign = if anchor == Anchor::Source { 1 } else { -1 };
+                        let row = y as i64 + sign * (j as i64 - 4);
+                        let column = x as i64 + sign * (i as i64 - 4);
+                        if (0..ny as i64).contains(&row) && (0..nx as i64).contains(&column) {
+                            exact[[row as usize, column as usize]] = h;
+                        }
+                    }
+                    let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
+                    // The tolerance is of the whole PSF; at the edge a part of it is cut off.
+                    let whole = psf.values().mapv(|v| v * v).sum().sqrt();
+                    let error = norm(&(&response - &exact)) / whole;
+                    assert!(
+                        error <= tolerance + ROUNDING_F64,
+                        "{error:e} > {tolerance:e} at {x}, {y}"
+                    );
+                    coarsest = coarsest.max(error);
+                }
+            }
+        }
+    }
+    // The tolerance is made use of: otherwise this would test nothing.
+    assert!(coarsest > 1e-2, "{coarsest:e}");
+}
+
+#[test]
+fn nothing_but_time_depends_on_memory_and_threads() {
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let scene = scene(420, 330, 9);
+    for anchor in ANCHORS {
+        let with = |threads: usize, memory: usize| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| {
+                let options = options(1e-3, anchor, Paths::Cheapest).with_memory(memory);
+                let plan = Plan::for_scene(&model, &scene, options).unwrap();
+                let image = plan.execute(&scene).unwrap();
+                let again = plan.execute(&scene).unwrap();
+                assert_eq!(image, again, "workspaces are dirty the second time");
+                (plan.adjoint(&image).unwrap(), image)
+            })
+        };
+        let one = with(1, usize::MAX);
+        assert!(
+            with(2, usize::MAX) == one && with(5, usize::MAX) == one,
+            "{anchor}"
+        );
+        let made_anew = with(3, 0);
+        let difference = largest_difference(&made_anew.1.pixels().to_owned(), &one.1.pixels().to_owned());
+        assert!(
+            difference <= ROUNDING_F64 * peak(&one.1.pixels().to_owned()),
+            "{difference:e}"
+        );
+    }
+}
+
+#[test]
+fn flux_is_kept_at_any_tolerance() {
+    let mut light = Array2::zeros((160, 200));
+    light
+        .slice_mut(s![40..120, 40..160])
+        .assign(&noise(80, 120, 4).mapv(|v| v + 1.2));
+    let scene = Scene::from_image(Image::new(light.clone()).unwrap());
+    for normalisation in [Normalisation::Unit, Normalisation::Keep] {
+        let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, normalisation);
+        let exact: f64 = light
+            .indexed_iter()
+            .map(|((y, x), f)| {
+                f * model
+                    .psf_at(Position::of_pixel(x as i64, y as i64))
+                    .unwrap()
+                    .values()
+                    .sum()
+            })
+            .sum();
+        for tolerance in [0.0, 1e-3, 1e-2, 0.1, 0.5] {
+            for paths in PATHS {
+                let engine = LowRank::new(options(tolerance, Anchor::Source, paths));
+                let flux = engine.convolve(&model, &scene).unwrap().pixels().sum();
+                assert!(
+                    (flux / exact - 1.0).abs() < 1e-12,
+                    "{flux} {exact} at {tolerance:e}"
+                );
+                let image = engine.convolve(&model, &single(&scene)).unwrap();
+                let flux: f64 = image.pixels().iter().map(|&v| f64::from(v)).sum();
+                assert!(
+                    (flux / exact - 1.0).abs() < 1e-6,
+                    "f32: {flux} {exact} at {tolerance:e}"
+                );
+            }
+        }
+    }
+}
+
+/// Components without any flux, and no mean: a kernel that takes differences.
+#[test]
+fn kernels_without_flux_are_kernels_too() {
+    let model = model_with(Arc::new(Waves), (6, 4), (3, 2), false, Normalisation::Keep);
+    let mut components = model.stamps().to_owned();
+    for mut component in components.outer_iter_mut() {
+        component.fill(0.0);
+    }
+    for k in 0..3 {
+        components[[k, k, 1]] = 0.5_f64.sqrt();
+        components[[k, k, 3]] = -(0.5_f64.sqrt());
+    }
+    let basis = psf_types::PsfBasis::new(None, components, model.grid()).unwrap();
+    let model = PsfModel::new(&basis, Arc::new(Waves), Normalisation::Keep, None).unwrap();
+    let scene = scene(67, 53, 8);
+    for anchor in ANCHORS {
+        let truth = double_sum(&model, &scene, anchor);
+        let image = LowRank::new(options(0.0, anchor, Paths::Transforms))
+            .convolve(&model, &scene)
+            .unwrap()
+            .into_pixels();
+        assert!(largest_difference(&image, &truth) <= ROUNDING_F64 * peak(&truth));
+    }
+}
+
+#[test]
+fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
+    let model = model_with(Arc::new(Constant), (16, 12), (8, 6), true, Normalisation::Unit);
+    let mut light = Array2::zeros((500, 500));
+    light
+        .slice_mut(s![..40, ..40])
+        .assign(&noise(40, 40, 3).mapv(|v| v + 2.0));
+    light[[400, 300]] = 5.0;
+    let scene = Scene::from_image(Image::new(light).unwrap());
+    let plan = Plan::for_scene(&model, &scene, options(0.0, Anchor::Source, Paths::Cheapest)).unwrap();
+    let summary = plan.summary();
+    assert_eq!((summary.most_modes(), summary.mean_modes()), (1, 1.0));
+    let (image, counts) = plan
+        .execute_with_progress(&scene, &psf_types::NoProgress)
+        .unwrap();
+    assert_eq!(counts.tiles(), summary.tiles);
+    assert_eq!(
+        counts.dark + counts.drawn + counts.transformed + counts.direct,
+        summary.tiles
+    );
+    assert!(counts.dark > summary.tiles / 2 && counts.drawn >= 1, "{counts:?}");
+    let truth = Direct::default().convolve(&model, &scene).unwrap().into_pixels();
+    assert!(largest_difference(&image.into_pixels(), &truth) < ROUNDING_F64);
+    assert!(summary.to_string().contains("tolerance 0e0"), "{summary}");
+}
+
+/// A bright star would fill its tile with noise if it went through a transform in single precision.
+#[test]
+fn a_bright_star_does_not_drown_the_faint_light_of_its_tile() {
+    let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
+    let mut light = noise(200, 200, 5).mapv(|v| v + 1.5);
+    light[[100, 90]] = 1e8;
+    let scene = Scene::from_image(Image::new(light).unwrap());
+    let truth = double_sum_far_from(&model, &scene);
+    for anchor in ANCHORS {
+        let image = LowRank::new(options(0.0, anchor, Paths::Cheapest))
+            .convolve(&model, &single(&scene))
+            .unwrap();
+        let exact = &truth[usize::from(anchor == Anchor::Output)];
+        let error = exact
+            .iter()
+            .map(|&((x, y), v)| (f64::from(image.pixels()[[y, x]]) - v).powi(2))
+            .sum::<f64>();
+        let norm = exact.iter().map(|&(_, v)| v * v).sum::<f64>();
+        assert!(
+            (error / norm).sqrt() < 1e-6,
+            "{:e} {anchor}",
+            (error / norm).sqrt()
+        );
+        // Through transforms alone it does.
+        let drowned = LowRank::new(options(0.0, anchor, Paths::Transforms))
+            .convolve(&model, &single(&scene))
+            .unwrap();
+        let error = exact
+            .iter()
+            .map(|&((x, y), v)| (f64::from(drowned.pixels()[[y, x]]) - v).powi(2))
+            .sum::<f64>();
+        assert!((error / norm).sqrt() > 1e-3, "{anchor}");
+    }
+}
+
+type PixelValues = Vec<((usize, usize), f64)>;
+
+fn double_sum_far_from(model: &PsfModel, scene: &Scene<f64>) -> [PixelValues; 2] {
+    let pixels: Vec<(usize, usize)> = (0..200_usize)
+        .map(|n| (60 + (n * 7) % 60, 70 + (n * 11) % 60))
+        .filter(|&(x, y)| x.abs_diff(90) > 12 || y.abs_diff(100) > 12)
+        .collect();
+    ANCHORS.map(|anchor| {
+        let values = Direct::new(anchor).at_pixels(model, scene, &pixels).unwrap();
+        pixels.iter().copied().zip(values).collect()
+    })
+}
+
+#[test]
+fn a_plan_refuses_what_it_was_not_made_for() {
+    let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
+    let plan = Plan::for_scene(&model, &scene(30, 20, 1), PlanOptions::default()).unwrap();
+    assert!(matches!(
+        plan.execute(&scene(20, 30, 1)),
+        Err(ConvError::PlanShape { .. })
+    ));
+    let wrong = Image::new(noise(3, 3, 1)).unwrap();
+    assert!(matches!(plan.adjoint(&wrong), Err(ConvError::FrameShape { .. })));
+    for bad in [-1e-3, 1.0, f64::NAN, f64::INFINITY] {
+        assert!(matches!(PlanOptions::new(bad), Err(ConvError::Tolerance { .. })));
+    }
+}
