@@ -21,7 +21,7 @@ fn main() {
             let mut best = f64::MAX;
             let mut image = ndarray::Array2::zeros((n, n));
             for _ in 0..4 { let t = Instant::now(); plan.add_to(&scene, &mut image, &NoProgress).unwrap(); best = best.min(t.elapsed().as_secs_f64()); }
-            let t = Instant::now(); let full = plan.execute(&scene).unwrap(); let fresh = t.elapsed().as_secs_f64();
+            for _ in 0..3 { let t = Instant::now(); let full = plan.execute(&scene).unwrap(); println!("fresh {:.4}", t.elapsed().as_secs_f64()); drop(full); } let t = Instant::now(); let full = plan.execute(&scene).unwrap(); let fresh = t.elapsed().as_secs_f64();
             let pixels: Vec<_> = (0..100).map(|i| ((i * 7919) % n, (i * 104729) % n)).collect();
             let exact = Direct::default().at_pixels(&model, &scene, &pixels).unwrap();
             let (mut e2, mut s2) = (0.0, 0.0);

@@ -25,6 +25,8 @@ const LOOK: f64 = 0.15e-9;
 const ADD: f64 = 0.20e-9;
 /// Drawing a stamp: a stamp's pixel and mode, and adding it to the image.
 const DRAW: f64 = 0.05e-9;
+/// Making a stamp: a stamp's pixel and a stamp of the model.
+const MAKE_STAMP: f64 = 0.1e-9;
 /// A product and a sum of the direct convolution.
 const DIRECT: f64 = 0.012e-9;
 
@@ -49,6 +51,15 @@ impl CostModel {
     /// The transform of a stamp: the empty columns are skipped.
     pub(crate) fn kernel(self, size: (usize, usize), stamp: (usize, usize)) -> f64 {
         self.transform(size) * (0.42 + 0.5 * stamp.0 as f64 / size.0 as f64)
+    }
+
+    /// Making one local stamp from those of the model.
+    pub(crate) fn make_stamp(self, stamp: (usize, usize), stamps: usize) -> f64 {
+        MAKE_STAMP * (stamp.0 * stamp.1 * stamps) as f64
+    }
+
+    pub(crate) fn stamp_bytes(self, stamp: (usize, usize)) -> f64 {
+        4.0 * self.width * (stamp.0 * stamp.1) as f64
     }
 
     pub(crate) fn multiply(self, (nx, ny): (usize, usize)) -> f64 {

@@ -10,6 +10,7 @@ mod block;
 mod coefficient_table;
 mod cost_model;
 mod execution;
+mod fresh;
 mod geometry;
 mod light;
 mod local_modes;

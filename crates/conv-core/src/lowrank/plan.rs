@@ -8,6 +8,7 @@ use super::axis_cuts::Stretch;
 use super::block::{Block, stamps_of};
 use super::cost_model::CostModel;
 use super::execution::TileCounts;
+use super::fresh::zeros;
 use super::geometry::Geometry;
 use super::operator::{Gather, Scatter};
 use super::options::{Paths, PlanOptions};
@@ -77,7 +78,7 @@ impl<T: ConvReal> Plan<T> {
         let cost = CostModel::of::<T>();
         let space = PsfSpace::new(model);
         let tolerance = options.tolerance().max(rounding::<T>());
-        let tiling = best_tiling(model, &space, &geometry, tolerance, cost);
+        let tiling = best_tiling(model, &space, &geometry, tolerance, cost, options.memory_bytes());
         let across = tiling.columns.len();
         let blocks: Vec<Block<T>> = (0..across * tiling.rows.len())
             .into_par_iter()
@@ -161,7 +162,7 @@ impl<T: ConvReal> Plan<T> {
         progress: &dyn Progress,
     ) -> Result<(Image<T>, TileCounts), ConvError> {
         let (ny, nx) = (self.frame.shape().ny(), self.frame.shape().nx());
-        let mut image = Array2::zeros((ny, nx));
+        let mut image = zeros((ny, nx));
         let counts = self.add_to(scene, &mut image, progress)?;
         Ok((Image::new(image).map_err(ConvError::Result)?, counts))
     }
@@ -197,7 +198,7 @@ impl<T: ConvReal> Plan<T> {
     pub fn adjoint(&self, image: &Image<T>) -> Result<Image<T>, ConvError> {
         let image = image.pixels();
         self.check_frame(&image)?;
-        let mut scene = Array2::zeros((self.shape.ny(), self.shape.nx()));
+        let mut scene = zeros((self.shape.ny(), self.shape.nx()));
         let [columns, rows] = self.light.clone();
         let output = scene.slice_mut(s![rows, columns]);
         let rows = 0..self.tiling.rows.len();

@@ -7,6 +7,7 @@ use super::axis_cuts::{Stretch, at_cuts, even, longest};
 use super::cost_model::{CostModel, sizes, transform_size};
 use super::geometry::Geometry;
 use super::local_modes::LocalModes;
+use super::operator::BAND;
 use super::psf_space::PsfSpace;
 use super::region_runs::RegionRuns;
 
@@ -26,6 +27,10 @@ const LARGEST_IN_STAMPS: usize = 10;
 const LARGEST_AT_LEAST: usize = 640;
 /// A tile has at least this part of the stamp's size.
 const SMALLEST_IN_STAMPS: f64 = 0.4;
+/// The number of threads that blocks must suffice for. A constant: plans do not depend on the machine.
+const THREADS: usize = 4;
+/// The part of the memory that coefficients leave to stamps.
+const TABLES: f64 = 0.85;
 /// Tiles of a block in each direction, where blocks do not follow cells.
 const TOGETHER: [usize; 3] = [1, 2, 4];
 
@@ -36,6 +41,7 @@ pub(crate) fn best_tiling(
     geometry: &Geometry,
     tolerance: f64,
     cost: CostModel,
+    memory_bytes: usize,
 ) -> Tiling {
     let (nx, ny) = geometry.weighted_size();
     let stamp = geometry.stamp;
@@ -70,7 +76,10 @@ pub(crate) fn best_tiling(
                 rows,
                 size: transform_size(at_least),
             };
-            (tiling.seconds(model, space, geometry, tolerance, cost), tiling)
+            (
+                tiling.seconds(model, space, geometry, tolerance, cost, memory_bytes),
+                tiling,
+            )
         })
         .collect();
     // The first of equals, so that the choice does not depend on the order of threads.
@@ -106,7 +115,7 @@ impl Tiling {
         )
     }
 
-    /// Predicted seconds of one thread where every pixel is lit, from the ranks of a few blocks.
+    /// Predicted seconds where every pixel is lit, from the ranks of a few blocks.
     fn seconds(
         &self,
         model: &PsfModel,
@@ -114,6 +123,7 @@ impl Tiling {
         geometry: &Geometry,
         tolerance: f64,
         cost: CostModel,
+        memory_bytes: usize,
     ) -> f64 {
         let (across, up) = (self.columns.len(), self.rows.len());
         let blocks = across * up;
@@ -133,7 +143,23 @@ impl Tiling {
         let count = tiles(&self.columns) * tiles(&self.rows);
         let (nx, ny) = geometry.weighted_size();
         let tile = (nx.div_ceil(tiles(&self.columns)), ny.div_ceil(tiles(&self.rows)));
-        blocks as f64 * kernels * cost.kernel(self.size, geometry.stamp)
-            + count as f64 * cost.tile(tile, self.size, kernels)
+        let tiles_a_block = count as f64 / blocks as f64;
+        // Stamps that do not fit into the memory are made anew by each execution.
+        let stamps = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
+        let made_anew = (1.0 - TABLES * memory_bytes as f64 / stamps).clamp(0.0, 1.0);
+        let block = kernels * cost.kernel(self.size, geometry.stamp)
+            + made_anew * kernels * cost.make_stamp(geometry.stamp, space.dimension())
+            + tiles_a_block * cost.tile(tile, self.size, kernels);
+        self.rounds() as f64 * block
+    }
+
+    /// How often [`THREADS`] threads take a block each, given that neighbours must wait for each other.
+    fn rounds(&self) -> usize {
+        let halves = |n: usize| [n.div_ceil(2), n / 2];
+        let bands = (0..self.rows.len()).step_by(BAND);
+        bands
+            .flat_map(|first| halves(BAND.min(self.rows.len() - first)))
+            .flat_map(|rows| halves(self.columns.len()).map(|columns| (rows * columns).div_ceil(THREADS)))
+            .sum()
     }
 }
