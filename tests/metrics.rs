@@ -1,6 +1,7 @@
 //! Measurements of simulated stars.
 
 use integration_tests::{small_telescope, uniform_samples};
+use psfield::conv_core::PlanOptions;
 use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
 use psfield::psf_types::{Anchor, FrameShape, PointSource, Position, Scene};
 use psfield::{FitOptions, MeasureOptions, Method, PsfInput, Simulation};
@@ -17,7 +18,9 @@ fn stars_on_pixels_measure_as_their_psfs() {
         .to_vec();
     let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(stars);
     let simulation = Simulation::new(psf, &scene, None).unwrap();
-    let image = simulation.run(&scene, Method::Auto, Anchor::default()).unwrap();
+    let image = simulation
+        .run(&scene, Method::Auto, PlanOptions::default())
+        .unwrap();
 
     let positions = places.map(|(x, y)| Position::of_pixel(x, y));
     let options = MeasureOptions {
@@ -62,7 +65,7 @@ fn sub_pixel_stars_lie_where_they_should() {
         let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(vec![star]);
         let image = Simulation::new(psf.clone(), &scene, None)
             .unwrap()
-            .run(&scene, Method::Auto, Anchor::default())
+            .run(&scene, Method::Auto, PlanOptions::default())
             .unwrap();
         let fit = fitter(80, 60).fit(image.pixels()).unwrap();
         let stamp = centred.psf_at(position).unwrap();

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use integration_tests::{relative_l2, small_telescope, small_telescope_params, test_scene, uniform_samples};
+use psfield::conv_core::PlanOptions;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_io::{Precision, read_model, read_samples, write_model, write_samples};
 use psfield::psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
@@ -13,7 +14,7 @@ fn image(psf: PsfInput) -> Image<f64> {
     let scene = test_scene(160, 120, 0);
     Simulation::new(psf, &scene, None)
         .unwrap()
-        .run(&scene, Method::Auto, Anchor::Source)
+        .run(&scene, Method::Auto, PlanOptions::default())
         .unwrap()
 }
 
@@ -57,7 +58,7 @@ fn the_number_of_threads_does_not_matter_from_end_to_end() {
             let psf = PsfInput::Samples(samples, FitOptions::default());
             Simulation::new(psf, &scene, None)
                 .unwrap()
-                .run(&scene, Method::Auto, Anchor::Source)
+                .run(&scene, Method::Auto, PlanOptions::default())
                 .unwrap()
         })
     };
@@ -158,7 +159,9 @@ fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
     light[[y, x]] = 1.0;
     let run = |scene: Scene<f64>| {
         let simulation = Simulation::new(psf.clone(), &scene, None).unwrap();
-        simulation.run(&scene, Method::Auto, Anchor::Source).unwrap()
+        simulation
+            .run(&scene, Method::Auto, PlanOptions::default())
+            .unwrap()
     };
     let pixel = run(Scene::from_image(Image::new(light).unwrap()));
     let star = PointSource::new(Position::of_pixel(x as i64, y as i64), 1.0).unwrap();

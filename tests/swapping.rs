@@ -198,7 +198,9 @@ fn own_parts_make_a_whole_simulation() {
     let simulation = Simulation::with_model(model);
     let methods: [&dyn ConvolutionMethod<f64>; 2] = [&PlainLoop, &BasisConvolution::default()];
     for method in methods {
-        let image = simulation.run_with(&scene, method, &NoProgress).unwrap();
+        let image = simulation
+            .run_with(&scene, method, Anchor::default(), &NoProgress)
+            .unwrap();
         assert!(relative_l2(&image, &expected) < 1e-13, "{method:?}");
         let check = SpotCheck::run(&image, 50, 1, |pixels| {
             simulation.exact_at(&scene, Anchor::Source, pixels)

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use libtest_mimic::{Failed, Trial};
-use psfield::psf_types::{Image, Interpolation, Normalisation, PsfSamples, Real, Scene};
+use psfield::psf_types::{FrameShape, Image, Interpolation, Normalisation, PsfSamples, Real, Scene};
 use psfield::{FitOptions, PsfInput, psf_io};
 
 /// Where the data should be.
@@ -60,6 +60,10 @@ pub(crate) const STRONG: Field = Field {
 impl Field {
     fn path(self, what: &str) -> PathBuf {
         file(&format!("{}/{what}", self.name))
+    }
+
+    pub(crate) fn frame(self) -> Result<FrameShape, Failed> {
+        Ok(FrameShape::new(self.size, self.size)?)
     }
 
     pub(crate) fn samples(self) -> Result<PsfSamples, Failed> {

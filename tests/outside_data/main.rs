@@ -4,9 +4,15 @@
 //! there, these tests show as ignored.
 
 mod data;
+mod dynamic_range;
 mod evaluation;
+mod flux;
+mod linearity;
+mod low_rank;
 mod measurements;
+mod responses;
 mod simulation;
+mod tolerance;
 
 use libtest_mimic::{Arguments, Trial};
 
@@ -24,7 +30,16 @@ fn main() {
             data::expected().display()
         );
     }
-    let trials = [simulation::trials(), evaluation::trials(), measurements::trials()];
+    let trials = [
+        simulation::trials(),
+        evaluation::trials(),
+        measurements::trials(),
+        low_rank::trials(),
+        flux::trials(),
+        linearity::trials(),
+        dynamic_range::trials(),
+        tolerance::trials(),
+    ];
     let trials = trials
         .into_iter()
         .flatten()

@@ -1,7 +1,7 @@
 //! Images of real PSFs and real galaxies against the two truths.
 
 use libtest_mimic::{Failed, Trial};
-use psfield::conv_core::ConvReal;
+use psfield::conv_core::{ConvReal, PlanOptions};
 use psfield::metrics::Comparison;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_types::{Anchor, Normalisation};
@@ -21,8 +21,10 @@ const EXACT: f64 = 1e-12;
 /// The figures of the uncentred truncations have two digits.
 const QUOTED: f64 = 0.1;
 
-const ANCHORS: [(Anchor, &str); 2] = [(Anchor::Source, "source"), (Anchor::Output, "output")];
-const FULL: FitOptions = FitOptions {
+/// The two anchorings and the names of their truths.
+pub(crate) const ANCHORS: [(Anchor, &str); 2] = [(Anchor::Source, "source"), (Anchor::Output, "output")];
+/// Every component, centred.
+pub(crate) const FULL: FitOptions = FitOptions {
     rank: RankSelection::Full,
     centring: Centring::Mean,
     noise: psfield::psf_basis::PixelNoise::Known(0.0),
@@ -64,7 +66,11 @@ pub(crate) fn trials() -> Vec<Trial> {
 
 fn relative_l2<T: ConvReal>(field: Field, psf: PsfInput, anchor: Anchor, truth: &str) -> Result<f64, Failed> {
     let scene = field.scene::<T>()?;
-    let image = Simulation::new(psf, &scene, None)?.run(&scene, Method::Basis, anchor)?;
+    let image = Simulation::new(psf, &scene, None)?.run(
+        &scene,
+        Method::Basis,
+        PlanOptions::default().with_anchor(anchor),
+    )?;
     let comparison = Comparison::of(image.pixels(), field.truth(truth)?.pixels())?;
     Ok(comparison.relative_l2()?)
 }
@@ -168,7 +174,7 @@ fn total_flux() -> Result<(), Failed> {
             ..FULL
         };
         let psf = PsfInput::Samples(STRONG.samples()?, options);
-        let image = Simulation::new(psf, &scene, None)?.run(&scene, Method::Basis, Anchor::Source)?;
+        let image = Simulation::new(psf, &scene, None)?.run(&scene, Method::Basis, PlanOptions::default())?;
         let error = (image.pixels().sum() / total - 1.0).abs();
         println!("strong K = {rank}: flux off by {error:.1e}");
         ensure(error <= 1e-12, || {
@@ -187,7 +193,7 @@ fn adjoint() -> Result<(), Failed> {
     let simulation = Simulation::new(ROMAN.psf(options)?, &scene, None)?;
     let g = ROMAN.truth("output")?;
     for (anchor, _) in ANCHORS {
-        let forward = simulation.run(&scene, Method::Basis, anchor)?;
+        let forward = simulation.run(&scene, Method::Basis, PlanOptions::default().with_anchor(anchor))?;
         let method = psfield::conv_core::BasisConvolution::new(anchor);
         let back = method.adjoint(simulation.model(), &g, &scene)?;
         let dot = |a: ndarray::ArrayView2<'_, f64>, b: ndarray::ArrayView2<'_, f64>| (&a * &b).sum();

@@ -44,6 +44,22 @@ impl Direct {
         scene: &Scene<T>,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
+        let rows = scene.pixels().map(|light| (light, 0));
+        self.at_pixels_of_rows(model, scene, rows, pixels)
+    }
+
+    /// The same where only some rows of the scene's image are at hand: `rows` are those from the given row of the scene on. They must
+    /// hold all light that reaches the pixels; `scene` itself gives the shape, the frame and the point sources.
+    ///
+    /// # Errors
+    /// As [`Self::at_pixels`].
+    pub fn at_pixels_of_rows<T: ConvReal>(
+        &self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        rows: Option<(ArrayView2<'_, T>, usize)>,
+        pixels: &[(usize, usize)],
+    ) -> Result<Vec<f64>, ConvError> {
         let frame = scene.frame();
         if let Some(&(column, row)) = pixels
             .iter()
@@ -56,7 +72,7 @@ impl Direct {
             });
         }
         let mut values = vec![0.0; pixels.len()];
-        if let Some(light) = scene.pixels() {
+        if let Some(light) = rows {
             let reach = Reach::of(model.grid())?;
             let sums: Vec<Result<f64, ConvError>> = pixels
                 .par_iter()
@@ -77,7 +93,7 @@ impl Direct {
         self,
         model: &PsfModel,
         scene: &Scene<T>,
-        light: ArrayView2<'_, T>,
+        (light, first_row): (ArrayView2<'_, T>, usize),
         reach: Reach,
         (column, row): (usize, usize),
     ) -> Result<f64, ConvError> {
@@ -94,7 +110,10 @@ impl Direct {
         let mut sum = 0.0;
         // The source at x = y - u, for every offset u of the stamp.
         for j in 0..stamps.dim().1 {
-            let Some(y) = (row + reach.below).checked_sub(j).filter(|&y| y < light.nrows()) else {
+            let Some(y) = (row + reach.below)
+                .checked_sub(j)
+                .filter(|&y| y >= first_row && y - first_row < light.nrows())
+            else {
                 continue;
             };
             for i in 0..stamps.dim().2 {
@@ -104,7 +123,7 @@ impl Direct {
                 else {
                     continue;
                 };
-                let flux = light[[y, x]].as_f64();
+                let flux = light[[y - first_row, x]].as_f64();
                 if flux == 0.0 {
                     continue;
                 }

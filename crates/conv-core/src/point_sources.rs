@@ -13,12 +13,31 @@ const AT_ONCE: usize = 32;
 /// Painted sources in memory at once.
 const PAINTED_AT_ONCE: usize = 1024;
 
-/// Draws every point source into an image of the frame: the PSF of its own position (or, output-anchored, of each pixel's),
-/// shifted to it by the stamps' splines. Sources off the frame shine in as far as their stamps reach.
-pub(crate) fn add_point_sources<T: ConvReal, S: ConvReal>(
+/// Draws every point source of a scene into an image of its frame: the PSF of its own position (or, output-anchored, of each
+/// pixel's), shifted to it by the stamps' splines. Sources off the frame shine in as far as their stamps reach.
+///
+/// # Errors
+/// [`ConvError`] when the stamps lack the pixel response, or the PSF has no value at a source that reaches the frame.
+///
+/// # Panics
+/// When `image` has not the frame's shape.
+pub fn add_point_sources<T: ConvReal, S: ConvReal>(
     model: &PsfModel,
     scene: &Scene<T>,
     anchor: Anchor,
+    image: &mut Array2<S>,
+) -> Result<(), ConvError> {
+    let shape = scene.frame().shape();
+    assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the frame");
+    add_point_sources_to_rows(model, scene, anchor, 0, image)
+}
+
+/// The same for a part of the image: whole rows from `first_row` of the frame on.
+pub(crate) fn add_point_sources_to_rows<T: ConvReal, S: ConvReal>(
+    model: &PsfModel,
+    scene: &Scene<T>,
+    anchor: Anchor,
+    first_row: usize,
     image: &mut Array2<S>,
 ) -> Result<(), ConvError> {
     let sources = scene.sources();
@@ -26,18 +45,20 @@ pub(crate) fn add_point_sources<T: ConvReal, S: ConvReal>(
         return Ok(());
     }
     let painter = Painter::new(model, scene.frame(), anchor)?;
+    let rows = first_row as i64..(first_row + image.nrows()) as i64;
+    let reaches = |source: &&PointSource| {
+        let (_, y, _, ny) = painter.window(source);
+        painter.reaches(source) && y < rows.end && y.saturating_add(ny as i64) > rows.start
+    };
     add_in_order(image, sources.len().div_ceil(AT_ONCE), &NoProgress, |task| {
-        let sources = sources[task * AT_ONCE..]
-            .iter()
-            .take(AT_ONCE)
-            .filter(|source| painter.reaches(source));
+        let sources = sources[task * AT_ONCE..].iter().take(AT_ONCE).filter(reaches);
         sources
             .map(|source| {
                 let (window, values) = painter.paint(source)?;
                 let values = values.mapv(S::nearest);
                 Ok(Piece {
                     first_column: window.0,
-                    first_row: window.1,
+                    first_row: window.1 - rows.start,
                     values,
                 })
             })

@@ -5,7 +5,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{Constant, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene};
-use conv_core::{ConvError, ConvolutionMethod, Direct, LowRank, Paths, Plan, PlanOptions};
+use conv_core::{ConvError, ConvolutionMethod, Direct, LowRank, Paths, Plan, PlanOptions, RowStream};
 use ndarray::{Array2, s};
 use psf_types::{Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfModel, Scene};
 
@@ -388,5 +388,64 @@ fn a_plan_refuses_what_it_was_not_made_for() {
     assert!(matches!(plan.adjoint(&wrong), Err(ConvError::FrameShape { .. })));
     for bad in [-1e-3, 1.0, f64::NAN, f64::INFINITY] {
         assert!(matches!(PlanOptions::new(bad), Err(ConvError::Tolerance { .. })));
+    }
+}
+
+/// A scene in memory that is handed out by rows.
+struct Rows<'a> {
+    scene: &'a Scene<f64>,
+    image: Vec<f64>,
+    most: usize,
+}
+
+impl RowStream<f64> for Rows<'_> {
+    type Error = ConvError;
+    fn read(
+        &mut self,
+        rows: std::ops::Range<usize>,
+        mut light: ndarray::ArrayViewMut2<'_, f64>,
+    ) -> Result<(), ConvError> {
+        self.most = self.most.max(rows.len());
+        light.assign(&self.scene.pixels().unwrap().slice(s![rows, ..]));
+        Ok(())
+    }
+    fn write(&mut self, rows: ndarray::ArrayView2<'_, f64>) -> Result<(), ConvError> {
+        self.image.extend(rows.iter());
+        Ok(())
+    }
+}
+
+#[test]
+fn a_streamed_image_has_the_same_bytes() {
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let star = |x, y| psf_types::PointSource::new(Position::new(x, y).unwrap(), 3.0).unwrap();
+    let stars: Vec<_> = (0..60)
+        .map(|n| star(2.5 + f64::from(n % 20), 147.0 * f64::from(n) + 0.3))
+        .collect();
+    for frame in [
+        region(0, 0, 20, 9000),
+        region(7, 33, 9, 8800),
+        region(3, 690, 12, 10),
+    ] {
+        let scene = scene(20, 9000, 6)
+            .with_sources(stars.clone())
+            .with_frame(frame)
+            .unwrap();
+        for anchor in ANCHORS {
+            let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, Paths::Cheapest)).unwrap();
+            let whole = plan.execute(&scene).unwrap();
+            let mut rows = Rows {
+                scene: &scene,
+                image: Vec::new(),
+                most: 0,
+            };
+            let counts = plan
+                .stream(&scene, &model, &mut rows, &psf_types::NoProgress)
+                .unwrap();
+            assert_eq!(counts.tiles(), plan.summary().tiles);
+            assert_eq!(rows.image.len(), frame.shape().pixel_count());
+            assert!(rows.image.iter().eq(whole.pixels().iter()), "{anchor}, {frame:?}");
+            assert!(rows.most < 5000, "{} rows at once", rows.most);
+        }
     }
 }

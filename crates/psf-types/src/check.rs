@@ -18,7 +18,10 @@ pub(crate) fn stamp_shape(got: (usize, usize), grid: StampGrid) -> Result<(), Da
 
 pub(crate) fn finite2<T: Real>(quantity: Quantity, values: ArrayView2<'_, T>) -> Result<(), DataError> {
     // Without indices this is as fast as memory; nearly always it is enough.
-    if values.as_slice().is_some_and(|values| values.iter().all(|v| v.is_finite())) {
+    if values
+        .as_slice()
+        .is_some_and(|values| values.iter().all(|v| v.is_finite()))
+    {
         return Ok(());
     }
     match values.indexed_iter().find(|(_, v)| !v.is_finite()) {

@@ -57,10 +57,6 @@ impl<T: ConvReal> Block<T> {
         }
     }
 
-    pub(crate) fn region(&self) -> PixelRegion {
-        self.region
-    }
-
     /// Modes, and the reference where there is one.
     pub(crate) fn kernel_count(&self) -> usize {
         self.modes.rank() + usize::from(self.modes.reference().is_some())

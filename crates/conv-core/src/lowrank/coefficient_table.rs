@@ -139,10 +139,6 @@ impl<T: ConvReal> CoefficientTable<T> {
         }
     }
 
-    pub(crate) fn role(&self) -> FluxRole {
-        self.role
-    }
-
     /// The number of kernels: the modes, and the reference where there is one.
     pub(crate) fn kernel_count(&self) -> usize {
         match self.role {

@@ -16,9 +16,6 @@ use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
 
-/// Rows of blocks that are in work at once. A fixed number, as the order of additions must not depend on the machine.
-pub(crate) const BAND: usize = 4;
-
 /// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`.
 pub(crate) struct Scatter<'a, T: ConvReal> {
     pub(crate) plan: &'a Plan<T>,
@@ -80,10 +77,11 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, T> {
             })
             .collect();
         let column_colours = colours(&columns);
-        let row_colours = colours(&rows[self.rows.clone()]);
+        // Of all rows, so that part of a frame is made like the whole of it.
+        let row_colours = colours(&plan.row_extents());
         let mut counts = TileCounts::default();
-        for band in self.rows.clone().step_by(BAND) {
-            let band = band..(band + BAND).min(self.rows.end);
+        for band in self.rows.clone().step_by(plan.tiling.band()) {
+            let band = band..(band + plan.tiling.band()).min(self.rows.end);
             for row_colour in 0..row_colours {
                 let of_rows: Vec<usize> = band
                     .clone()

@@ -1,6 +1,6 @@
 //! Plans: everything about a convolution that does not depend on the light.
 
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, FrameShape, Image, NoProgress, PixelRegion, Progress, PsfModel, Scene};
 use rayon::prelude::*;
 
@@ -42,10 +42,10 @@ pub struct Plan<T: ConvReal> {
     pub(super) cost: CostModel,
     /// Row by row.
     blocks: Vec<Block<T>>,
-    shape: FrameShape,
-    frame: PixelRegion,
+    pub(super) shape: FrameShape,
+    pub(super) frame: PixelRegion,
     /// Columns and rows of the scene that reach the frame.
-    light: [std::ops::Range<usize>; 2],
+    pub(super) light: [std::ops::Range<usize>; 2],
     ramp: Vec<T>,
     pool: Pool<T>,
 }
@@ -161,10 +161,20 @@ impl<T: ConvReal> Plan<T> {
         scene: &Scene<T>,
         progress: &dyn Progress,
     ) -> Result<(Image<T>, TileCounts), ConvError> {
-        let (ny, nx) = (self.frame.shape().ny(), self.frame.shape().nx());
-        let mut image = zeros((ny, nx));
+        let mut image = self.dark_image();
         let counts = self.add_to(scene, &mut image, progress)?;
         Ok((Image::new(image).map_err(ConvError::Result)?, counts))
+    }
+
+    /// An image of the frame `[y, x]` without light, for [`add_to`](Self::add_to). Adding to its fresh memory takes less time than to that
+    /// of a large array of zeros made otherwise: its pages have been written to.
+    pub fn dark_image(&self) -> Array2<T> {
+        zeros((self.frame.shape().ny(), self.frame.shape().nx()))
+    }
+
+    /// The anchoring.
+    pub fn anchor(&self) -> Anchor {
+        self.options.anchor()
     }
 
     /// Adds the image of a scene to one that is there: `[y, x]` of the frame.
@@ -177,17 +187,34 @@ impl<T: ConvReal> Plan<T> {
         image: &mut Array2<T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
+        let counts = self.add_extended_to(scene, image, progress)?;
+        add_point_sources(&self.model, scene, self.options.anchor(), image)?;
+        Ok(counts)
+    }
+
+    /// Like [`Self::add_to`] without the scene's point sources.
+    ///
+    /// # Errors
+    /// As [`Self::add_to`].
+    pub fn add_extended_to(
+        &self,
+        scene: &Scene<T>,
+        image: &mut Array2<T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
         if scene.shape() != self.shape || scene.frame() != self.frame {
             return Err(self.wrong_shape(scene.shape(), scene.frame()));
         }
         self.check_frame(image)?;
-        let mut counts = TileCounts::default();
-        if let Some(pixels) = scene.pixels() {
-            let [columns, rows] = self.light.clone();
-            counts = self.forward(pixels.slice(s![rows, columns]), image, progress)?;
-        }
-        add_point_sources(&self.model, scene, self.options.anchor(), image)?;
-        Ok(counts)
+        let Some(pixels) = scene.pixels() else {
+            return Ok(TileCounts::default());
+        };
+        let [columns, rows] = self.light.clone();
+        let output = image.view_mut();
+        let rows_of_blocks = 0..self.tiling.rows.len();
+        progress.start(rows_of_blocks.len() as u64);
+        let light = pixels.slice(s![rows, columns]);
+        self.forward(rows_of_blocks, (light, 0), (output, 0), progress)
     }
 
     /// The transpose: what each pixel of the scene gives to the scalar product of its image with `image`, for images of the
@@ -228,23 +255,23 @@ impl<T: ConvReal> Plan<T> {
         Image::new(scene).map_err(ConvError::Result)
     }
 
-    fn forward(
+    /// The image of the light in some rows of blocks: `light` and `output` come with the first row that they hold, counted from
+    /// the first row that reaches the frame and from the frame's.
+    pub(super) fn forward(
         &self,
-        light: ArrayView2<'_, T>,
-        image: &mut Array2<T>,
+        rows: std::ops::Range<usize>,
+        (light, first_light): (ArrayView2<'_, T>, usize),
+        (output, first_output): (ArrayViewMut2<'_, T>, usize),
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        let rows = 0..self.tiling.rows.len();
-        progress.start(rows.len() as u64);
-        let output = image.view_mut();
         Ok(match self.options.anchor() {
             Anchor::Output => T::dispatch(Gather {
                 plan: self,
                 rows,
                 light,
-                first_light: 0,
+                first_light,
                 output,
-                first_output: 0,
+                first_output,
                 flip: false,
                 progress,
             }),
@@ -252,9 +279,9 @@ impl<T: ConvReal> Plan<T> {
                 plan: self,
                 rows,
                 light,
-                first_light: 0,
+                first_light,
                 output,
-                first_output: 0,
+                first_output,
                 flip: false,
                 progress,
             }),
@@ -371,7 +398,7 @@ impl<T: ConvReal> Plan<T> {
         Err(ConvError::FrameShape { expected, got })
     }
 
-    fn wrong_shape(&self, got: FrameShape, got_frame: PixelRegion) -> ConvError {
+    pub(super) fn wrong_shape(&self, got: FrameShape, got_frame: PixelRegion) -> ConvError {
         let text = |frame: PixelRegion| format!("{} at ({}, {})", frame.shape(), frame.x0(), frame.y0());
         ConvError::PlanShape {
             expected: self.shape,

@@ -83,10 +83,6 @@ impl PsfSpace {
         self.nodes.row(node)
     }
 
-    pub(crate) fn node_count(&self) -> usize {
-        self.nodes.nrows()
-    }
-
     pub(crate) fn mean(&self) -> ArrayView1<'_, f64> {
         self.mean.view()
     }

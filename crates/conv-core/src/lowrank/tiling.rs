@@ -7,7 +7,6 @@ use super::axis_cuts::{Stretch, at_cuts, even, longest};
 use super::cost_model::{CostModel, sizes, transform_size};
 use super::geometry::Geometry;
 use super::local_modes::LocalModes;
-use super::operator::BAND;
 use super::psf_space::PsfSpace;
 use super::region_runs::RegionRuns;
 
@@ -29,6 +28,8 @@ const LARGEST_AT_LEAST: usize = 640;
 const SMALLEST_IN_STAMPS: f64 = 0.4;
 /// The number of threads that blocks must suffice for. A constant: plans do not depend on the machine.
 const THREADS: usize = 4;
+/// Rows of pixels in work at once: few enough for the outer caches, enough to keep threads busy.
+const BAND_ROWS: usize = 1024;
 /// The part of the memory that coefficients leave to stamps.
 const TABLES: f64 = 0.85;
 /// Tiles of a block in each direction, where blocks do not follow cells.
@@ -153,12 +154,20 @@ impl Tiling {
         self.rounds() as f64 * block
     }
 
+    /// Rows of blocks that are in work at once: about [`BAND_ROWS`] rows of pixels. The order of additions follows from it, so it must
+    /// not depend on the machine.
+    pub(crate) fn band(&self) -> usize {
+        let pixels: usize = self.rows.iter().map(Stretch::length).sum();
+        (BAND_ROWS * self.rows.len()).div_ceil(pixels.max(1)).clamp(1, self.rows.len())
+    }
+
     /// How often [`THREADS`] threads take a block each, given that neighbours must wait for each other.
     fn rounds(&self) -> usize {
         let halves = |n: usize| [n.div_ceil(2), n / 2];
-        let bands = (0..self.rows.len()).step_by(BAND);
+        let band = self.band();
+        let bands = (0..self.rows.len()).step_by(band);
         bands
-            .flat_map(|first| halves(BAND.min(self.rows.len() - first)))
+            .flat_map(|first| halves(band.min(self.rows.len() - first)))
             .flat_map(|rows| halves(self.columns.len()).map(|columns| (rows * columns).div_ceil(THREADS)))
             .sum()
     }

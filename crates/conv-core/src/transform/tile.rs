@@ -75,10 +75,6 @@ impl<T: ConvReal> TileTransform<T> {
         self.nx
     }
 
-    pub(crate) fn ny(&self) -> usize {
-        self.ny
-    }
-
     /// Values of the working memory that transforms need: a column of vectors, whatever the instruction set.
     pub(crate) fn column_len(&self) -> usize {
         self.ny * X_STEP

@@ -70,3 +70,58 @@ pub(crate) fn at_least_zero(text: &str) -> Result<f64, String> {
         _ => Err("a number, 0 or above, is needed".to_owned()),
     }
 }
+
+/// A number from 0 to below 1.
+pub(crate) fn tolerance(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..1.0).contains(&value) => Ok(value),
+        _ => Err("a number from 0 to below 1 is needed".to_owned()),
+    }
+}
+
+/// Bytes: a whole number, perhaps followed by K, M or G (powers of 1024).
+pub(crate) fn bytes(text: &str) -> Result<usize, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let shift = match text[digits.len()..].to_ascii_uppercase().as_str() {
+        "" | "B" => Some(0),
+        "K" | "KB" | "KIB" => Some(10),
+        "M" | "MB" | "MIB" => Some(20),
+        "G" | "GB" | "GIB" => Some(30),
+        _ => None,
+    };
+    let number: Option<usize> = digits.trim().parse().ok();
+    number
+        .zip(shift)
+        .and_then(|(n, shift)| n.checked_mul(1 << shift))
+        .ok_or_else(|| "a whole number of bytes is needed, perhaps with K, M or G, as in 256M".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_units() {
+        for (text, size) in [
+            ("0", 0),
+            ("17", 17),
+            ("3K", 3072),
+            ("256M", 256 << 20),
+            ("2GiB", 2 << 30),
+            ("1kb", 1024),
+        ] {
+            assert_eq!(bytes(text), Ok(size));
+        }
+        for text in [
+            "",
+            "M",
+            "-1",
+            "1.5G",
+            "1T",
+            "99999999999999999999",
+            "99999999999G",
+        ] {
+            assert!(bytes(text).is_err(), "{text}");
+        }
+    }
+}

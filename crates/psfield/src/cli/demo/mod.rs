@@ -14,6 +14,7 @@ use metrics::{Comparison, Summary};
 use psf_optics::Telescope;
 use psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
 use psf_types::{Anchor, Progress, PsfModel, PsfSamples, PsfSource, Scene};
+use psfield::conv_core::PlanOptions;
 use psfield::{FitOptions, Method, PsfInput, Simulation, SpotCheck, fit};
 
 use super::context::{Context, check_cards, signature};
@@ -96,13 +97,13 @@ impl DemoArgs {
         let scene = Scene::from_image(sky.galaxies.clone()).with_sources(sky.stars.clone());
         let clock = Instant::now();
         let simulation = Simulation::new(psf, &scene, None)?;
-        let image = simulation.run(&scene, Method::Auto, Anchor::Source)?;
+        let image = simulation.run(&scene, Method::Auto, PlanOptions::default())?;
         let simulate_seconds = clock.elapsed().as_secs_f64();
         let spot_check = SpotCheck::run(&image, SPOT_CHECK, self.seed, |pixels| {
             simulation.exact_at(&scene, Anchor::Source, pixels)
         })?;
         out.image("image.fits", &image, &check_cards(&spot_check)?)?;
-        let by_patches = simulation.run(&scene, Method::Patch(PATCH), Anchor::Source)?;
+        let by_patches = simulation.run(&scene, Method::Patch(PATCH), PlanOptions::default())?;
         let patch_error = Comparison::of(by_patches.pixels(), image.pixels())?.relative_l2()?;
         out.pictures(&sky, &image, &by_patches)?;
         drop(spinner);

@@ -1,0 +1,156 @@
+//! What `simulate` says of a run.
+
+use std::path::PathBuf;
+
+use conv_core::{PlanSummary, TileCounts};
+use psf_types::{Anchor, Normalisation};
+use psfield::SpotCheck;
+use serde::Serialize;
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+pub(super) struct Report {
+    pub(super) output: PathBuf,
+    pub(super) method: String,
+    pub(super) anchor: Anchor,
+    pub(super) precision: &'static str,
+    /// Of the methods that have one.
+    pub(super) tolerance: Option<f64>,
+    /// Components of the model, the mean not counted.
+    pub(super) rank: usize,
+    /// Convolutions of every pixel: modes a tile in the mean, or the stamps of the basis method.
+    pub(super) modes: f64,
+    pub(super) normalise: Normalisation,
+    pub(super) shape: [usize; 2],
+    pub(super) sources: usize,
+    /// Whether the scene came and the image went by bands of rows.
+    pub(super) streamed: bool,
+    pub(super) plan: Option<PlanReport>,
+    pub(super) tiles: Option<TilesReport>,
+    pub(super) seconds: Seconds,
+    pub(super) peak_memory_bytes: Option<u64>,
+    pub(super) spot_check: Option<SpotCheck>,
+    /// The plan as text.
+    #[serde(skip)]
+    pub(super) plan_text: Option<String>,
+}
+
+/// Seconds by stage. `plan` is the time that the engine takes to prepare itself.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct Seconds {
+    pub(super) read: f64,
+    pub(super) fit: f64,
+    pub(super) plan: f64,
+    pub(super) execute: f64,
+    pub(super) write: f64,
+}
+
+/// The plan in figures.
+#[derive(Debug, Serialize)]
+pub(super) struct PlanReport {
+    tile: [usize; 2],
+    transform: [usize; 2],
+    tiles: usize,
+    blocks: usize,
+    blocks_by_modes: Vec<usize>,
+    drawn_up_to: usize,
+    predicted_seconds_one_thread: f64,
+    kept_bytes: usize,
+}
+
+impl PlanReport {
+    pub(super) fn of(plan: &PlanSummary) -> Self {
+        Self {
+            tile: plan.tile.into(),
+            transform: plan.transform.into(),
+            tiles: plan.tiles,
+            blocks: plan.blocks,
+            blocks_by_modes: plan.blocks_by_modes.clone(),
+            drawn_up_to: plan.drawn_up_to,
+            predicted_seconds_one_thread: plan.predicted_seconds,
+            kept_bytes: plan.kept_bytes.0 + plan.kept_bytes.1,
+        }
+    }
+}
+
+/// Tiles by the way they were treated.
+#[derive(Debug, Serialize)]
+pub(super) struct TilesReport {
+    dark: usize,
+    drawn: usize,
+    direct: usize,
+    transformed: usize,
+    drawn_pixels: usize,
+}
+
+impl TilesReport {
+    pub(super) fn of(counts: TileCounts) -> Self {
+        Self {
+            dark: counts.dark,
+            drawn: counts.drawn,
+            direct: counts.direct,
+            transformed: counts.transformed,
+            drawn_pixels: counts.drawn_pixels,
+        }
+    }
+}
+
+impl Report {
+    pub(super) fn text(&self) -> String {
+        let [nx, ny] = self.shape;
+        let s = &self.seconds;
+        let plan = self.plan_text.as_ref().map_or_else(String::new, |plan| {
+            format!("plan: {}\n", plan.replace('\n', "\n  "))
+        });
+        let tiles = self.tiles.as_ref().map_or_else(String::new, |t| {
+            format!(
+                "tiles: {} by transforms, {} directly, {} stamp by stamp, {} dark; {} pixels drawn\n",
+                t.transformed, t.direct, t.drawn, t.dark, t.drawn_pixels
+            )
+        });
+        let check = self.spot_check.as_ref().map_or_else(String::new, |check| {
+            let over_peak = check
+                .max_over_peak
+                .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
+            let relative = check
+                .relative_rms
+                .map_or_else(String::new, |r| format!(" ({r:.1e} of theirs)"));
+            format!(
+                "against the direct sum at {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}{relative}\n",
+                check.pixels, check.max_abs, check.rms,
+            )
+        });
+        let streamed = if self.streamed { ", streamed" } else { "" };
+        format!(
+            "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}{streamed}\n{plan}{tiles}\
+             seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
+            self.output.display(),
+            self.rank,
+            self.method,
+            self.anchor,
+            self.precision,
+            s.read,
+            s.fit,
+            s.plan,
+            s.execute,
+            s.write,
+        )
+    }
+}
+
+/// The most memory this process has held, where the system tells (Linux).
+pub(super) fn peak_memory_bytes() -> Option<u64> {
+    kibibytes("/proc/self/status", "VmHWM:")
+}
+
+/// The memory that is free for use, where the system tells (Linux).
+pub(super) fn available_memory_bytes() -> Option<u64> {
+    kibibytes("/proc/meminfo", "MemAvailable:")
+}
+
+fn kibibytes(file: &str, key: &str) -> Option<u64> {
+    let text = std::fs::read_to_string(file).ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix(key))?;
+    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kibibytes * 1024)
+}

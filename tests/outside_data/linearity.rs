@@ -1,0 +1,64 @@
+//! The fast engine is a linear operator, and its transpose belongs to it.
+
+use libtest_mimic::{Failed, Trial};
+use ndarray::Array2;
+use psfield::conv_core::{Paths, Plan, PlanOptions};
+use psfield::psf_types::{Anchor, Image, Scene};
+
+use crate::data::{Field, ROMAN, STRONG, ensure, trial};
+use crate::responses::{lit_everywhere, norm};
+use crate::simulation::{ANCHORS, FULL};
+
+/// Rounding of the transforms, relative to the norms of what is added.
+const LINEAR: f64 = 1e-12;
+/// Rounding of two scalar products of a million terms, relative to their value.
+const TRANSPOSE: f64 = 1e-12;
+
+pub(crate) fn trials() -> Vec<Trial> {
+    let mut trials = Vec::new();
+    for field in [STRONG, ROMAN] {
+        for (anchor, name) in ANCHORS {
+            trials.push(trial(
+                format!("{}, {name}-anchored: linear, with its transpose", field.name),
+                move || linear(field, anchor),
+            ));
+        }
+    }
+    trials
+}
+
+fn linear(field: Field, anchor: Anchor) -> Result<(), Failed> {
+    let model = field.psf(FULL)?.into_model()?;
+    let frame = field.frame()?;
+    // Light everywhere, and stars and galaxies in the dark: what is cheapest is not the same for the two and for their sum.
+    let f: Array2<f64> = lit_everywhere(frame.nx(), frame.ny(), 5);
+    let g = field.scene::<f64>()?;
+    let g = g.pixels().expect("an image").to_owned();
+    let (a, b) = (2.5, -0.75);
+    for paths in [Paths::Transforms, Paths::Cheapest] {
+        for tolerance in [0.0, 1e-3] {
+            let options = PlanOptions::new(tolerance)?.with_anchor(anchor).with_paths(paths);
+            let plan = Plan::<f64>::new(&model, frame, frame.region(), options)?;
+            let image = |light: &Array2<f64>| -> Result<Array2<f64>, Failed> {
+                let scene = Scene::from_image(Image::new(light.clone())?);
+                Ok(plan.execute(&scene)?.into_pixels())
+            };
+            let (of_f, of_g) = (image(&f)?, image(&g)?);
+            let of_sum = image(&(a * &f + b * &g))?;
+            let difference = norm((&of_sum - &(a * &of_f + b * &of_g)).view());
+            let off = difference / (a.abs() * norm(of_f.view()) + b.abs() * norm(of_g.view()));
+            let weights: Array2<f64> = lit_everywhere(frame.nx(), frame.ny(), 6);
+            let back = plan.adjoint(&Image::new(weights.clone())?)?;
+            let (left, right) = ((&of_g * &weights).sum(), (&back.pixels() * &g).sum());
+            let transposed = (left / right - 1.0).abs();
+            println!(
+                "{} {anchor} {paths:?} at {tolerance:e}: linear to {off:.1e}, transpose to {transposed:.1e}",
+                field.name
+            );
+            ensure(off <= LINEAR && transposed <= TRANSPOSE, || {
+                format!("{paths:?} at {tolerance:e}: linear to {off:.3e}, transpose to {transposed:.3e}")
+            })?;
+        }
+    }
+    Ok(())
+}
