@@ -1,13 +1,31 @@
 //! Convolution with the model of a telescope.
 
 use integration_tests::{relative_l2, small_telescope, test_scene, uniform_samples};
-use psfield::conv_core::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
+use ndarray::{Array2, Array3, s};
+use psfield::conv_core::{
+    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, Plan,
+    PlanOptions,
+};
 use psfield::psf_basis::{Centring, RankSelection};
-use psfield::psf_types::{Anchor, Image, PsfModel};
+use psfield::psf_types::{
+    Anchor, FieldError, Image, Interpolation, OutsidePolicy, Position, PsfModel, PsfSamples, PsfSource,
+    SamplePositions, Scene,
+};
 use psfield::{FitOptions, PsfInput, SpotCheck};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
 
 /// A few hundred transforms and products in double precision.
 const ROUNDING: f64 = 1e-13;
+/// The fast engine at tolerance 0, over the peak: rounding of its transforms and modes.
+const ENGINE_F64: f64 = 1e-12;
+/// The same in single precision.
+const ENGINE_F32: f64 = 1e-6;
+/// The same where the weights of an interpolator, which may be the terms of a polynomial, add their rounding.
+const ENGINE_INTERPOLATED: f64 = 1e-11;
+
+const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
+const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
 
 fn model(rank: RankSelection, centring: Centring) -> PsfModel {
     let options = FitOptions {
@@ -89,9 +107,195 @@ fn the_spot_check_sees_a_wrong_image() {
     };
     let good = BasisConvolution::default().convolve(&model, &scene).unwrap();
     assert!(check(&good).max_over_peak.unwrap() < ROUNDING);
+    assert_eq!(check(&good).judged(ROUNDING).passed, Some(true));
+    // An engine that is off by a part in a thousand at one pixel in ten.
+    let perturbed = good
+        .pixels()
+        .indexed_iter()
+        .map(|((y, x), v)| if (3 * y + x) % 10 == 0 { v * 1.001 } else { *v });
+    let perturbed = Array2::from_shape_vec(good.pixels().dim(), perturbed.collect()).unwrap();
+    let judged = check(&Image::new(perturbed).unwrap()).judged(ROUNDING);
+    assert_eq!(judged.passed, Some(false), "{judged:?}");
     let patched = PatchConvolution::new(32, Anchor::Source)
         .unwrap()
         .convolve(&model, &scene)
         .unwrap();
     assert!(check(&patched).max_over_peak.unwrap() > 1e-4);
+}
+
+fn engine(anchor: Anchor, paths: Paths) -> LowRank {
+    let options = PlanOptions::new(0.0).unwrap();
+    LowRank::new(options.with_anchor(anchor).with_paths(paths))
+}
+
+fn scene_of(light: Array2<f64>) -> Scene<f64> {
+    Scene::from_image(Image::new(light).unwrap())
+}
+
+/// Light in single precision, so that both precisions see the same; every `every`th pixel holds some.
+fn noisy(nx: usize, ny: usize, every: usize) -> Array2<f64> {
+    let mut rng = ChaCha8Rng::seed_from_u64((nx * ny) as u64);
+    Array2::from_shape_simple_fn((ny, nx), || {
+        let value = f64::from(rng.random_range(0.5_f32..1.5));
+        if rng.random_range(0..every) == 0 {
+            value
+        } else {
+            0.0
+        }
+    })
+}
+
+/// The fast engine in both precisions, by all paths and with both anchorings, against the double sum.
+fn assert_exact(name: &str, model: &PsfModel, light: &Array2<f64>) {
+    let scene = scene_of(light.clone());
+    let single = Scene::from_image(Image::new(light.mapv(|v| v as f32)).unwrap());
+    for anchor in ANCHORS {
+        let truth = Direct::new(anchor).convolve(model, &scene).unwrap().into_pixels();
+        let peak = truth.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        let off = |image: Array2<f64>| (image - &truth).iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+        for paths in PATHS {
+            let engine = engine(anchor, paths);
+            let double = off(engine.convolve(model, &scene).unwrap().into_pixels());
+            let image = engine.convolve(model, &single).unwrap();
+            let single = off(image.pixels().mapv(f64::from));
+            println!(
+                "{name}, {anchor}, {paths:?}: off by {:.1e} and {:.1e} of the peak",
+                double / peak.max(f64::MIN_POSITIVE),
+                single / peak.max(f64::MIN_POSITIVE)
+            );
+            // Not over the peak, which is 0 where all is dark.
+            assert!(
+                double <= ENGINE_F64 * peak && single <= ENGINE_F32 * peak,
+                "{name}, {anchor}, {paths:?}: {double:e} and {single:e}, the peak is {peak:e}"
+            );
+        }
+    }
+}
+
+#[test]
+fn the_fast_engine_makes_awkward_scenes_exactly() {
+    let model = model(RankSelection::Auto, Centring::Mean);
+    let mut deltas = Array2::zeros((120, 160));
+    let mut rng = ChaCha8Rng::seed_from_u64(4);
+    for _ in 0..1000 {
+        let flux = f64::from(10_f32.powf(rng.random_range(0.0..4.0)));
+        deltas[[rng.random_range(0..120), rng.random_range(0..160)]] = flux;
+    }
+    assert_exact("a thousand deltas", &model, &deltas);
+    assert_exact("darkness", &model, &Array2::zeros((50, 70)));
+    assert_exact("one pixel", &model, &Array2::from_elem((1, 1), 3.0));
+    for (nx, ny) in [(131, 1), (1, 113), (53, 37), (127, 2), (7, 5), (3, 89)] {
+        for every in [1, 9] {
+            let name = format!("{nx} x {ny}, one in {every}");
+            assert_exact(&name, &model, &noisy(nx, ny, every));
+        }
+    }
+}
+
+/// Where samples are 8 pixels apart, with nothing in common, tiles of that size take the fewest modes; stamps are of 24 pixels.
+#[test]
+fn the_fast_engine_is_exact_where_stamps_are_larger_than_tiles() {
+    let options = FitOptions {
+        rank: RankSelection::Full,
+        interpolation: Interpolation::Bilinear,
+        ..FitOptions::default()
+    };
+    let model = PsfInput::Samples(uniform_samples(&small_telescope(1), 21, 16), options)
+        .into_model()
+        .unwrap();
+    let light = noisy(160, 120, 1);
+    let options = PlanOptions::new(0.0).unwrap().with_paths(Paths::Transforms);
+    let summary = Plan::for_scene(&model, &scene_of(light.clone()), options)
+        .unwrap()
+        .summary();
+    println!("{summary}");
+    assert!(summary.tile.0 < 24 && summary.tile.1 < 24, "{summary}");
+    assert_exact("small tiles", &model, &light);
+}
+
+/// Every interpolator that takes scattered samples.
+const SCATTERED: [Interpolation; 5] = [
+    Interpolation::Delaunay,
+    Interpolation::NaturalNeighbour,
+    Interpolation::InverseDistance { power: 2.0 },
+    Interpolation::Polynomial { degree: 3 },
+    Interpolation::Nearest,
+];
+
+/// A model from samples at random positions, which reach as far as 20 pixels from the left and right edges of the frame of
+/// 160 x 120 pixels, and 15 from the others.
+fn scattered(interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
+    let telescope = small_telescope(1);
+    let mut rng = ChaCha8Rng::seed_from_u64(6);
+    let mut at = vec![(20.0, 15.0), (140.0, 15.0), (20.0, 105.0), (140.0, 105.0)];
+    at.extend((0..50).map(|_| (rng.random_range(20.0..140.0), rng.random_range(15.0..105.0))));
+    let at: Vec<Position> = at
+        .into_iter()
+        .map(|(x, y)| Position::new(x, y).unwrap())
+        .collect();
+    let mut stamps = Array3::zeros((at.len(), 24, 24));
+    for (&position, stamp) in at.iter().zip(stamps.outer_iter_mut()) {
+        telescope.draw_into(position, stamp).unwrap();
+    }
+    let positions = SamplePositions::new(at, None).unwrap();
+    let samples = PsfSamples::new(stamps, positions, telescope.grid()).unwrap();
+    let options = FitOptions {
+        rank: RankSelection::Full,
+        interpolation,
+        outside,
+        ..FitOptions::default()
+    };
+    PsfInput::Samples(samples, options).into_model().unwrap()
+}
+
+#[test]
+fn the_fast_engine_takes_every_interpolator() {
+    let scene = test_scene(160, 120, 0);
+    let mut rng = ChaCha8Rng::seed_from_u64(7);
+    let pixels: Vec<(usize, usize)> = (0..300)
+        .map(|_| (rng.random_range(0..160), rng.random_range(0..120)))
+        .collect();
+    for interpolation in SCATTERED {
+        let model = scattered(interpolation, OutsidePolicy::Nearest);
+        for anchor in ANCHORS {
+            let exact = Direct::new(anchor).at_pixels(&model, &scene, &pixels).unwrap();
+            let peak = exact.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
+            for paths in PATHS {
+                let image = engine(anchor, paths).convolve(&model, &scene).unwrap();
+                let pairs = exact.iter().zip(&pixels);
+                let off = pairs.fold(0.0_f64, |m, (v, &(x, y))| {
+                    m.max((image.pixels()[[y, x]] - v).abs())
+                });
+                println!(
+                    "{interpolation}, {anchor}, {paths:?}: off by {:.1e} of the peak",
+                    off / peak
+                );
+                assert!(
+                    off <= ENGINE_INTERPOLATED * peak,
+                    "{interpolation}, {anchor}, {paths:?}: {off:e}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn the_fast_engine_refuses_light_where_there_is_no_psf_and_only_there() {
+    let mut inside = Array2::zeros((120, 160));
+    inside.slice_mut(s![45..75, 60..100]).assign(&noisy(40, 30, 1));
+    let mut outside = inside.clone();
+    outside[[2, 157]] = 1e-30;
+    for interpolation in SCATTERED {
+        let model = scattered(interpolation, OutsidePolicy::Error);
+        assert_exact(&format!("{interpolation}, dark outside"), &model, &inside);
+        for anchor in ANCHORS {
+            for paths in PATHS {
+                let refused = engine(anchor, paths).convolve(&model, &scene_of(outside.clone()));
+                assert!(
+                    matches!(refused, Err(ConvError::Field(FieldError::OutsideSamples { .. }))),
+                    "{interpolation}, {anchor}, {paths:?}: {refused:?}"
+                );
+            }
+        }
+    }
 }

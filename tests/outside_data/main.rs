@@ -13,6 +13,8 @@ mod measurements;
 mod responses;
 mod simulation;
 mod tolerance;
+mod tolerance_checks;
+mod tolerance_fields;
 
 use libtest_mimic::{Arguments, Trial};
 
@@ -39,6 +41,8 @@ fn main() {
         linearity::trials(),
         dynamic_range::trials(),
         tolerance::trials(),
+        tolerance_fields::trials(),
+        tolerance_checks::trials(),
     ];
     let trials = trials
         .into_iter()

@@ -26,7 +26,14 @@
 //! # Threads
 //! Work is spread over rayon's current pool. Results are the same bytes on any number of threads.
 
+#![allow(
+    clippy::inline_always,
+    reason = "what runs inside `Isa::vectorized` must be inlined there, or it is compiled for the baseline instruction set"
+)]
+
 mod basis_convolution;
+#[doc(hidden)]
+pub mod bench_support;
 mod crop;
 mod direct;
 mod error;

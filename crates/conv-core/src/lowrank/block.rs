@@ -79,13 +79,11 @@ impl<T: ConvReal> Block<T> {
     }
 
     pub(crate) fn table(&self, model: &PsfModel) -> Table<'_, T> {
-        match &self.table {
-            Some(table) => Table::Kept(table),
-            None => {
-                let runs = RegionRuns::new(model.field(), self.region);
-                Table::New(CoefficientTable::new(self.region, self.role, &self.modes, &runs))
-            }
+        if let Some(table) = &self.table {
+            return Table::Kept(table);
         }
+        let runs = RegionRuns::new(model.field(), self.region);
+        Table::New(CoefficientTable::new(self.region, self.role, &self.modes, &runs))
     }
 
     pub(crate) fn stamps(&self, space: &PsfSpace) -> Cow<'_, [T]> {

@@ -81,6 +81,16 @@ impl FluxRole {
         !matches!(self, Self::Constant | Self::NoReference { scaled: false })
     }
 
+    /// The function by which a kernel's light is multiplied, if it is.
+    fn function_of(self, kernel: usize) -> Option<usize> {
+        match self {
+            Self::Constant => kernel.checked_sub(1),
+            Self::Divisor => (kernel > 0).then_some(kernel),
+            Self::Weight | Self::NoReference { scaled: false } => Some(kernel),
+            Self::NoReference { scaled: true } => Some(kernel + 1),
+        }
+    }
+
     fn divides(self) -> bool {
         matches!(self, Self::Divisor | Self::NoReference { scaled: true })
     }
@@ -193,13 +203,7 @@ impl<T: ConvReal> CoefficientTable<T> {
         ramp: &[T],
         weighted: &mut [T],
     ) {
-        let function = match self.role {
-            FluxRole::Constant if kernel == 0 => None,
-            FluxRole::Constant => Some(kernel - 1),
-            FluxRole::Divisor if kernel == 0 => None,
-            FluxRole::Weight | FluxRole::Divisor | FluxRole::NoReference { scaled: false } => Some(kernel),
-            FluxRole::NoReference { scaled: true } => Some(kernel + 1),
-        };
+        let function = self.role.function_of(kernel);
         let Some(function) = function else {
             weighted.copy_from_slice(light);
             return;
@@ -238,12 +242,12 @@ impl<T: ConvReal> CoefficientTable<T> {
                 |columns, piece| match piece {
                     Piece::Linear { start, slope, ramp } => {
                         for (weighted, &i) in weighted[columns].iter_mut().zip(ramp) {
-                            *weighted = *weighted / (start + i * slope);
+                            *weighted /= start + i * slope;
                         }
                     }
                     Piece::Dense(values) => {
                         for (weighted, &value) in weighted[columns].iter_mut().zip(values) {
-                            *weighted = *weighted / value;
+                            *weighted /= value;
                         }
                     }
                 },

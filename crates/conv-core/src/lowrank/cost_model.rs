@@ -42,7 +42,7 @@ impl CostModel {
         let values = (nx * ny) as f64;
         let unit = match nx * ny {
             ..=110_000 => TRANSFORM,
-            ..=300_000 => TRANSFORM_LARGE,
+            110_001..=300_000 => TRANSFORM_LARGE,
             _ => TRANSFORM_HUGE,
         };
         self.width * unit * values * values.log2()
@@ -54,7 +54,7 @@ impl CostModel {
     }
 
     /// Making one local stamp from those of the model.
-    pub(crate) fn make_stamp(self, stamp: (usize, usize), stamps: usize) -> f64 {
+    pub(crate) fn make_stamp(stamp: (usize, usize), stamps: usize) -> f64 {
         MAKE_STAMP * (stamp.0 * stamp.1 * stamps) as f64
     }
 

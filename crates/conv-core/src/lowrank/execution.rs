@@ -32,6 +32,16 @@ impl AddAssign for TileCounts {
 }
 
 impl TileCounts {
+    /// Counts a tile that was convolved as a whole.
+    pub(crate) fn whole(&mut self, direct: bool, modes: usize) {
+        if direct {
+            self.direct += 1;
+        } else {
+            self.transformed += 1;
+            self.modes += modes;
+        }
+    }
+
     /// All tiles.
     pub fn tiles(&self) -> usize {
         self.dark + self.drawn + self.direct + self.transformed

@@ -3,7 +3,7 @@
 //! A plan cuts the side to which PSFs belong into blocks ([`tiling`]), finds for each the few modes that make every PSF in it
 //! within the tolerance ([`local_modes`], from the weights of the field's nodes along rows, [`region_runs`]), and keeps stamps and
 //! coefficients ([`coefficient_table`]). An execution goes through the blocks in an order that does not depend on the number of
-//! threads ([`operator`]) and treats each tile by transforms, directly, stamp by stamp or not at all ([`tile_engine`]).
+//! threads ([`scatter`], [`gather`]) and treats each tile by transforms, directly, stamp by stamp or not at all ([`tile_engine`]).
 
 mod axis_cuts;
 mod block;
@@ -11,20 +11,26 @@ mod coefficient_table;
 mod cost_model;
 mod execution;
 mod fresh;
+mod gather;
 mod geometry;
+mod job;
 mod light;
 mod local_modes;
 mod method;
-mod operator;
 mod options;
 mod plan;
+mod prepared;
 mod psf_space;
 mod region_runs;
+mod scatter;
 mod split;
 mod stream;
 mod summary;
+mod tile_direct;
+mod tile_draw;
 mod tile_engine;
 mod tiling;
+mod treatment;
 mod workspace;
 
 pub use execution::TileCounts;

@@ -9,10 +9,12 @@ use super::block::{Block, stamps_of};
 use super::cost_model::CostModel;
 use super::execution::TileCounts;
 use super::fresh::zeros;
+use super::gather::Gather;
 use super::geometry::Geometry;
-use super::operator::{Gather, Scatter};
+use super::job::Job;
 use super::options::{Paths, PlanOptions};
 use super::psf_space::PsfSpace;
+use super::scatter::Scatter;
 use super::summary::PlanSummary;
 use super::tile_engine::TileEngine;
 use super::tiling::{Tiling, best_tiling};
@@ -229,28 +231,18 @@ impl<T: ConvReal> Plan<T> {
         let [columns, rows] = self.light.clone();
         let output = scene.slice_mut(s![rows, columns]);
         let rows = 0..self.tiling.rows.len();
-        let progress = &NoProgress;
+        let job = Job {
+            plan: self,
+            rows,
+            light: image,
+            first_light: 0,
+            first_output: 0,
+            flip: true,
+            progress: &NoProgress,
+        };
         match self.options.anchor() {
-            Anchor::Output => T::dispatch(Scatter {
-                plan: self,
-                rows,
-                light: image,
-                first_light: 0,
-                output,
-                first_output: 0,
-                flip: true,
-                progress,
-            }),
-            _ => T::dispatch(Gather {
-                plan: self,
-                rows,
-                light: image,
-                first_light: 0,
-                output,
-                first_output: 0,
-                flip: true,
-                progress,
-            }),
+            Anchor::Output => T::dispatch(Scatter { job, output }),
+            _ => T::dispatch(Gather { job, output }),
         }?;
         Image::new(scene).map_err(ConvError::Result)
     }
@@ -264,27 +256,18 @@ impl<T: ConvReal> Plan<T> {
         (output, first_output): (ArrayViewMut2<'_, T>, usize),
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
+        let job = Job {
+            plan: self,
+            rows,
+            light,
+            first_light,
+            first_output,
+            flip: false,
+            progress,
+        };
         Ok(match self.options.anchor() {
-            Anchor::Output => T::dispatch(Gather {
-                plan: self,
-                rows,
-                light,
-                first_light,
-                output,
-                first_output,
-                flip: false,
-                progress,
-            }),
-            _ => T::dispatch(Scatter {
-                plan: self,
-                rows,
-                light,
-                first_light,
-                output,
-                first_output,
-                flip: false,
-                progress,
-            }),
+            Anchor::Output => T::dispatch(Gather { job, output }),
+            _ => T::dispatch(Scatter { job, output }),
         }?)
     }
 

@@ -94,23 +94,21 @@ impl<T: ConvReal> Plan<T> {
 
     /// Rows of light that a band of blocks needs, counted from the first that reaches the frame.
     fn light_rows(&self, band: Range<usize>) -> Range<usize> {
-        match self.options.anchor() {
-            Anchor::Output => {
-                let extents = self.row_extents();
-                extents[band.start].0..extents[band.end - 1].1
-            }
-            _ => self.tiling.rows[band.start].start()..self.tiling.rows[band.end - 1].end(),
+        if self.options.anchor() == Anchor::Output {
+            let extents = self.row_extents();
+            extents[band.start].0..extents[band.end - 1].1
+        } else {
+            self.tiling.rows[band.start].start()..self.tiling.rows[band.end - 1].end()
         }
     }
 
     /// Rows of the image that a band of blocks writes to.
     fn image_rows(&self, band: Range<usize>) -> Range<usize> {
-        match self.options.anchor() {
-            Anchor::Output => self.tiling.rows[band.start].start()..self.tiling.rows[band.end - 1].end(),
-            _ => {
-                let extents = self.row_extents();
-                extents[band.start].0..extents[band.end - 1].1
-            }
+        if self.options.anchor() == Anchor::Output {
+            self.tiling.rows[band.start].start()..self.tiling.rows[band.end - 1].end()
+        } else {
+            let extents = self.row_extents();
+            extents[band.start].0..extents[band.end - 1].1
         }
     }
 

@@ -1,9 +1,8 @@
-//! One tile at a time: by transforms, by drawing stamps, or by the direct sum.
+//! One tile at a time, by transforms.
 
 use ndarray::{ArrayView2, ArrayViewMut2};
 
 use super::coefficient_table::CoefficientTable;
-use super::light::LitPixel;
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::Lanes;
@@ -30,7 +29,21 @@ pub(crate) struct TilePart {
     pub(crate) size: (usize, usize),
 }
 
+/// A tile and what its block has for it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LocalTile<'a, T> {
+    pub(crate) part: TilePart,
+    pub(crate) table: &'a CoefficientTable<T>,
+    /// `[kernel, y, x]`.
+    pub(crate) stamps: &'a [T],
+}
+
 impl<T: ConvReal> TileEngine<'_, T> {
+    /// The size of a tile with what its stamps reach around it.
+    pub(crate) fn around(&self, (columns, rows): (usize, usize)) -> (usize, usize) {
+        (columns + self.stamp.0 - 1, rows + self.stamp.1 - 1)
+    }
+
     /// Copies what lies within `source` of a rectangle whose first pixel is (`column`, `row`) of it, padded with zeros.
     #[inline(always)]
     pub(crate) fn load<S: Lanes<T>>(
@@ -124,24 +137,23 @@ impl<T: ConvReal> TileEngine<'_, T> {
     pub(crate) fn scatter<S: Lanes<T>>(
         &self,
         simd: S,
-        table: &CoefficientTable<T>,
-        part: TilePart,
+        local: LocalTile<'_, T>,
         workspace: &mut Workspace<T>,
     ) {
-        let (columns, rows) = part.size;
+        let (columns, rows) = local.part.size;
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let padded = columns.next_multiple_of(X_STEP);
         let w = workspace;
-        for kernel in 0..table.kernel_count() {
+        for kernel in 0..local.table.kernel_count() {
             let light = w.light.get().chunks_exact(pitch);
             let weighted = w.weighted.get_mut().chunks_exact_mut(pitch);
             for (y, (light, weighted)) in light.zip(weighted).take(rows).enumerate() {
                 let weighted = &mut weighted[..padded];
                 weighted[columns..].fill(T::zero());
-                table.weigh(
+                local.table.weigh(
                     kernel,
-                    part.corner.1 + y,
-                    part.corner.0,
+                    local.part.corner.1 + y,
+                    local.part.corner.0,
                     &light[..columns],
                     self.ramp,
                     &mut weighted[..columns],
@@ -154,11 +166,11 @@ impl<T: ConvReal> TileEngine<'_, T> {
             self.fft
                 .multiply_swapped(simd, w.spectrum.get(), spectra, w.sum.get_mut(), kernel > 0);
         }
-        let size = (rows + self.stamp.1 - 1, columns + self.stamp.0 - 1);
+        let (width, height) = self.around(local.part.size);
         self.fft.inverse_of_swapped(
             simd,
             w.sum.get_mut(),
-            size,
+            (height, width),
             w.weighted.get_mut(),
             w.column.get_mut(),
         );
@@ -170,19 +182,18 @@ impl<T: ConvReal> TileEngine<'_, T> {
     pub(crate) fn gather<S: Lanes<T>>(
         &self,
         simd: S,
-        table: &CoefficientTable<T>,
-        part: TilePart,
+        local: LocalTile<'_, T>,
         workspace: &mut Workspace<T>,
         output: &mut ArrayViewMut2<'_, T>,
     ) {
-        let (columns, rows) = part.size;
-        let (width, height) = (columns + self.stamp.0 - 1, rows + self.stamp.1 - 1);
+        let (_, rows) = local.part.size;
+        let (width, height) = self.around(local.part.size);
         let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
         let w = workspace;
         let column = w.column.get_mut();
         self.fft
             .forward(simd, w.light.get(), (height, width), w.spectrum.get_mut(), column);
-        for kernel in 0..table.kernel_count() {
+        for kernel in 0..local.table.kernel_count() {
             let spectra = &w.kernels.get()[kernel * length..(kernel + 1) * length];
             self.fft
                 .multiply_swapped(simd, w.spectrum.get(), spectra, w.sum.get_mut(), false);
@@ -192,25 +203,30 @@ impl<T: ConvReal> TileEngine<'_, T> {
             let whole = plane.chunks_exact(pitch).skip(self.stamp.1 - 1).take(rows);
             for (y, values) in whole.enumerate() {
                 let values = &values[self.stamp.0 - 1..width];
-                self.weigh_and_add(table, kernel, part, y, values, &mut w.row, output);
+                self.weigh_and_add(local, kernel, y, values, &mut w.row, output);
             }
         }
     }
 
     #[inline(always)]
-    #[allow(clippy::too_many_arguments)] // One row's worth of everything.
-    fn weigh_and_add(
+    pub(crate) fn weigh_and_add(
         &self,
-        table: &CoefficientTable<T>,
+        local: LocalTile<'_, T>,
         kernel: usize,
-        part: TilePart,
         y: usize,
         values: &[T],
         row: &mut [T],
         output: &mut ArrayViewMut2<'_, T>,
     ) {
         let row = &mut row[..values.len()];
-        table.weigh(kernel, part.corner.1 + y, part.corner.0, values, self.ramp, row);
+        local.table.weigh(
+            kernel,
+            local.part.corner.1 + y,
+            local.part.corner.0,
+            values,
+            self.ramp,
+            row,
+        );
         let mut target = output.row_mut(y);
         let target = target.as_slice_mut().expect("images are row-major");
         for (t, v) in target.iter_mut().zip(row.iter()) {
@@ -218,188 +234,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// Like [`scatter`](Self::scatter) without transforms, from stamps.
     #[inline(always)]
-    pub(crate) fn scatter_directly<S: Lanes<T>>(
-        &self,
-        _: S,
-        table: &CoefficientTable<T>,
-        part: TilePart,
-        stamps: &[T],
-        workspace: &mut Workspace<T>,
-    ) {
-        let (columns, rows) = part.size;
-        let (sx, sy) = self.stamp;
-        let pitch = self.fft.pitch();
-        let w = workspace;
-        let result = w.weighted.get_mut();
-        for into in result.chunks_exact_mut(pitch).take(rows + sy - 1) {
-            into[..columns + sx - 1].fill(T::zero());
-        }
-        for (kernel, stamp) in stamps.chunks_exact(sx * sy).enumerate() {
-            for y in 0..rows {
-                let light = &w.light.get()[y * pitch..y * pitch + columns];
-                let row = &mut w.row[..columns];
-                table.weigh(kernel, part.corner.1 + y, part.corner.0, light, self.ramp, row);
-                for j in 0..sy {
-                    let into = &mut result[(y + j) * pitch..(y + j + 1) * pitch];
-                    for i in 0..sx {
-                        let value = self.at(stamp, i, j);
-                        for (t, v) in into[i..i + columns].iter_mut().zip(row.iter()) {
-                            *t += value * *v;
-                        }
-                    }
-                }
-            }
-        }
-    }
-
-    /// Like [`gather`](Self::gather) without transforms, from stamps.
-    #[inline(always)]
-    pub(crate) fn gather_directly<S: Lanes<T>>(
-        &self,
-        _: S,
-        table: &CoefficientTable<T>,
-        part: TilePart,
-        stamps: &[T],
-        workspace: &mut Workspace<T>,
-        output: &mut ArrayViewMut2<'_, T>,
-    ) {
-        let (columns, rows) = part.size;
-        let (sx, sy) = self.stamp;
-        let pitch = self.fft.pitch();
-        let w = workspace;
-        let mut values = vec![T::zero(); columns];
-        for (kernel, stamp) in stamps.chunks_exact(sx * sy).enumerate() {
-            for y in 0..rows {
-                values.fill(T::zero());
-                for j in 0..sy {
-                    let light = &w.light.get()[(y + sy - 1 - j) * pitch..][..pitch];
-                    for i in 0..sx {
-                        let value = self.at(stamp, i, j);
-                        for (t, v) in values.iter_mut().zip(&light[sx - 1 - i..]) {
-                            *t += value * *v;
-                        }
-                    }
-                }
-                self.weigh_and_add(table, kernel, part, y, &values, &mut w.row, output);
-            }
-        }
-    }
-
-    /// Draws single pixels of a tile's light: the stamp of each into `output`, in which the tile's first pixel spreads from
-    /// `corner` on.
-    #[inline(always)]
-    pub(crate) fn draw_scattered<S: Lanes<T>>(
-        &self,
-        _: S,
-        table: &CoefficientTable<T>,
-        part: TilePart,
-        stamps: &[T],
-        pixels: &[LitPixel<T>],
-        output: &mut ArrayViewMut2<'_, T>,
-        corner: (i64, i64),
-    ) {
-        let (sx, sy) = self.stamp;
-        let (height, width) = output.dim();
-        let mut coefficients = vec![T::zero(); table.kernel_count()];
-        for &(y, x, value) in pixels {
-            for (kernel, c) in coefficients.iter_mut().enumerate() {
-                let one = std::slice::from_mut(c);
-                table.weigh(
-                    kernel,
-                    part.corner.1 + y,
-                    part.corner.0 + x,
-                    &[value],
-                    self.ramp,
-                    one,
-                );
-            }
-            let (column, row) = (corner.0 + x as i64, corner.1 + y as i64);
-            let from = (-column).clamp(0, sx as i64) as usize;
-            let to = (width as i64 - column).clamp(from as i64, sx as i64) as usize;
-            if from == to {
-                continue;
-            }
-            let start = (column + from as i64) as usize;
-            for j in 0..sy {
-                let target = row + j as i64;
-                if !(0..height as i64).contains(&target) {
-                    continue;
-                }
-                let mut target = output.row_mut(target as usize);
-                let target = target.as_slice_mut().expect("images are row-major");
-                let target = &mut target[start..start + (to - from)];
-                let stamp_row = if self.flip { sy - 1 - j } else { j } * sx;
-                for (stamp, &c) in stamps.chunks_exact(sx * sy).zip(&coefficients) {
-                    let values = &stamp[stamp_row..stamp_row + sx];
-                    if self.flip {
-                        let values = values[sx - to..sx - from].iter().rev();
-                        target.iter_mut().zip(values).for_each(
-                            #[inline(always)]
-                            |(t, v)| *t += c * *v,
-                        );
-                    } else {
-                        let values = &values[from..to];
-                        target.iter_mut().zip(values).for_each(
-                            #[inline(always)]
-                            |(t, v)| *t += c * *v,
-                        );
-                    }
-                }
-            }
-        }
-    }
-
-    /// What single pixels of the light around a tile give to it.
-    #[inline(always)]
-    pub(crate) fn draw_gathered<S: Lanes<T>>(
-        &self,
-        _: S,
-        table: &CoefficientTable<T>,
-        part: TilePart,
-        stamps: &[T],
-        pixels: &[LitPixel<T>],
-        row: &mut Vec<T>,
-        output: &mut ArrayViewMut2<'_, T>,
-    ) {
-        let (columns, rows) = part.size;
-        let (sx, sy) = self.stamp;
-        let mut line = vec![T::zero(); sx];
-        for &(y, x, value) in pixels {
-            // Pixel p of the tile takes stamp pixel (p + size - 1) - q from pixel q of the light around it.
-            let (from, to) = ((x + 1).saturating_sub(sx), (x + 1).min(columns));
-            if from >= to {
-                continue;
-            }
-            for p in (y + 1).saturating_sub(sy)..(y + 1).min(rows) {
-                let j = p + sy - 1 - y;
-                for (kernel, stamp) in stamps.chunks_exact(sx * sy).enumerate() {
-                    let line = &mut line[..to - from];
-                    for (t, p) in line.iter_mut().zip(from..to) {
-                        *t = value * self.at(stamp, p + sx - 1 - x, j);
-                    }
-                    let row = &mut row[..to - from];
-                    table.weigh(
-                        kernel,
-                        part.corner.1 + p,
-                        part.corner.0 + from,
-                        line,
-                        self.ramp,
-                        row,
-                    );
-                    let mut target = output.row_mut(p);
-                    let target = target.as_slice_mut().expect("images are row-major");
-                    for (t, v) in target[from..to].iter_mut().zip(row.iter()) {
-                        *t += *v;
-                    }
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn at(&self, stamp: &[T], i: usize, j: usize) -> T {
+    pub(crate) fn at(&self, stamp: &[T], i: usize, j: usize) -> T {
         let (sx, sy) = self.stamp;
         let (i, j) = if self.flip {
             (sx - 1 - i, sy - 1 - j)

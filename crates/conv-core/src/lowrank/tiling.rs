@@ -149,7 +149,7 @@ impl Tiling {
         let stamps = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
         let made_anew = (1.0 - TABLES * memory_bytes as f64 / stamps).clamp(0.0, 1.0);
         let block = kernels * cost.kernel(self.size, geometry.stamp)
-            + made_anew * kernels * cost.make_stamp(geometry.stamp, space.dimension())
+            + made_anew * kernels * CostModel::make_stamp(geometry.stamp, space.dimension())
             + tiles_a_block * cost.tile(tile, self.size, kernels);
         self.rounds() as f64 * block
     }
@@ -158,7 +158,9 @@ impl Tiling {
     /// not depend on the machine.
     pub(crate) fn band(&self) -> usize {
         let pixels: usize = self.rows.iter().map(Stretch::length).sum();
-        (BAND_ROWS * self.rows.len()).div_ceil(pixels.max(1)).clamp(1, self.rows.len())
+        (BAND_ROWS * self.rows.len())
+            .div_ceil(pixels.max(1))
+            .clamp(1, self.rows.len())
     }
 
     /// How often [`THREADS`] threads take a block each, given that neighbours must wait for each other.

@@ -250,12 +250,16 @@ mod tests {
                         });
                         assert!(found, "{len}, {filled}: frequency {k}");
                     }
-                    buffer.iter_mut().for_each(|pair| pair.swap(0, 1));
+                    for pair in &mut buffer {
+                        pair.swap(0, 1);
+                    }
                     simd.vectorized(
                         #[inline(always)]
                         || stages.inverse_of_swapped(simd, &mut buffer),
                     );
-                    buffer.iter_mut().for_each(|pair| pair.swap(0, 1));
+                    for pair in &mut buffer {
+                        pair.swap(0, 1);
+                    }
                     let back: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
                     for (a, b) in back.iter().zip(&flat) {
                         assert!((a.as_f64() / len as f64 - b.as_f64()).abs() < rounding * 20.0);

@@ -36,7 +36,13 @@ mod tests {
     #[test]
     fn every_pixel_is_lit_and_the_seed_decides() {
         let shape = FrameShape::new(40, 30).unwrap();
-        let pixels = |seed| lit_scene::<f32>(shape, seed).unwrap().pixels().unwrap().to_owned();
+        let pixels = |seed| {
+            lit_scene::<f32>(shape, seed)
+                .unwrap()
+                .pixels()
+                .unwrap()
+                .to_owned()
+        };
         assert!(pixels(1).iter().all(|&v| v >= 1.0));
         assert_eq!(pixels(1), pixels(1));
         assert_ne!(pixels(1), pixels(2));

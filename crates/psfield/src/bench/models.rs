@@ -133,7 +133,13 @@ mod tests {
         let record = record();
         let frame = FrameShape::new(101, 51).unwrap();
         let wide = stretched(&record, frame).unwrap();
-        let corners: Vec<(f64, f64)> = wide.coefficients().positions().as_slice().iter().map(|p| (p.x(), p.y())).collect();
+        let corners: Vec<(f64, f64)> = wide
+            .coefficients()
+            .positions()
+            .as_slice()
+            .iter()
+            .map(|p| (p.x(), p.y()))
+            .collect();
         assert_eq!(corners, [(0.0, 0.0), (100.0, 0.0), (0.0, 50.0), (100.0, 50.0)]);
         assert_eq!(wide.coefficients().positions().field(), Some(frame));
         let psf = |record: PsfModelRecord, x: f64, y: f64| {
@@ -164,7 +170,10 @@ mod tests {
         assert!(rank >= 2);
         let one = truncated(&record, 1).unwrap();
         assert_eq!(one.basis().rank(), 1);
-        assert_eq!(one.basis().components().index_axis(Axis(0), 0), record.basis().components().index_axis(Axis(0), 0));
+        assert_eq!(
+            one.basis().components().index_axis(Axis(0), 0),
+            record.basis().components().index_axis(Axis(0), 0)
+        );
         assert_eq!(truncated(&record, 99).unwrap().basis().rank(), rank);
     }
 }

@@ -28,7 +28,7 @@ pub(super) struct Prepared<T: ConvReal> {
 #[derive(Debug)]
 enum Work<T: ConvReal> {
     Planned(Box<Plan<T>>),
-    Whole(Box<dyn ConvolutionMethod<T>>, PsfModel),
+    Whole(Box<dyn ConvolutionMethod<T>>, Box<PsfModel>),
 }
 
 impl<T: ConvReal> Prepared<T> {
@@ -96,7 +96,7 @@ impl<T: ConvReal> Prepared<T> {
             modes: None,
             tile: None,
             transform: None,
-            work: Work::Whole(method, model),
+            work: Work::Whole(method, Box::new(model)),
         }
     }
 

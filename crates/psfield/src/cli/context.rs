@@ -80,12 +80,15 @@ pub(crate) fn signature() -> Vec<Card> {
     ]
 }
 
-/// The arguments without the number of threads, `--json` and `--quiet`.
+/// The arguments without the number of threads, `--json`, `--quiet` and `--stream`.
 fn matters(arguments: &[String]) -> impl Iterator<Item = &String> {
     let mut is_count = false;
     arguments.iter().filter(move |arg| {
         let was_count = std::mem::replace(&mut is_count, *arg == "--threads");
-        let silent = matches!(arg.as_str(), "--threads" | "--json" | "-q" | "--quiet");
+        let silent = matches!(
+            arg.as_str(),
+            "--threads" | "--json" | "-q" | "--quiet" | "--stream"
+        );
         !(was_count || silent || arg.starts_with("--threads="))
     })
 }

@@ -1,5 +1,6 @@
 //! The command line: arguments in, files and reports out. All that computes is in the library.
 
+mod bench;
 mod compare;
 mod context;
 mod demo;
@@ -35,8 +36,8 @@ pub(crate) struct Cli {
 #[command(next_help_heading = "Common options")]
 pub(crate) struct GlobalArgs {
     /// Print one JSON object on standard output in place of text
-    #[arg(long, global = true)]
-    json: bool,
+    #[arg(long, global = true, action = clap::ArgAction::SetTrue, value_parser = bench::JsonTo::of_flag)]
+    json: bench::JsonTo,
     /// Print nothing but errors (and --json, if asked for)
     #[arg(short, long, global = true)]
     quiet: bool,
@@ -54,6 +55,7 @@ enum Command {
     Evaluate(evaluate::EvaluateArgs),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
+    Bench(bench::BenchArgs),
 }
 
 impl Cli {
@@ -67,6 +69,7 @@ impl Cli {
             Command::Evaluate(_) => "evaluate",
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
+            Command::Bench(_) => "bench",
         }
     }
 
@@ -77,7 +80,7 @@ impl Cli {
                 .num_threads(usize::from(threads))
                 .build_global()?;
         }
-        let context = Context::new(self.global.json, self.global.quiet);
+        let context = Context::new(self.global.json.is_output(), self.global.quiet);
         match self.command {
             Command::Demo(args) => args.run(&context),
             Command::Sample(args) => args.run(&context),
@@ -86,6 +89,7 @@ impl Cli {
             Command::Evaluate(args) => args.run(&context),
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),
+            Command::Bench(args) => args.run(&context),
         }
     }
 }

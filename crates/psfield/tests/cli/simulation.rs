@@ -130,7 +130,7 @@ fn frame_cuts_the_image_and_moves_its_origin() {
     assert_eq!((real("CRPIX1"), real("CRPIX2")), (15.5, 23.0));
     // The PSF's field begins at the frame's first pixel, so a point at its middle has the middle sample.
     desk.write_image("point.fits", points(&[(35, 32, 1.0)]));
-    desk.done("simulate point.fits --psf samples.fits --precision f64 --rank full --frame 5,7,56,44 -o point_out.fits");
+    desk.done("simulate point.fits --psf samples.fits --precision f64 --rank full --tolerance 0 --frame 5,7,56,44 -o point_out.fits");
     let stamp = middle_sample(&desk);
     let image = desk.image("point_out.fits");
     let cut = image.slice(s![25 - 7..=25 + 7, 30 - 7..=30 + 7]).to_owned();
@@ -170,7 +170,8 @@ fn headers_say_how_to_repeat_the_result() {
     let text = |t: &str| CardValue::Text(t.to_owned());
     assert_eq!(value("PSFIELD"), text(env!("CARGO_PKG_VERSION")));
     assert_eq!(value("PSFANCH"), text("output"));
-    assert_eq!(value("PSFMETH"), text("basis"));
+    assert_eq!(value("PSFMETH"), text("auto"));
+    assert_eq!(value("PSFTOL"), CardValue::Real(1e-4));
     assert_eq!(value("PSFRANK"), CardValue::Integer(3));
     assert_eq!(value("PSFPREC"), text("f32"));
     assert_eq!(value("PSFNORM"), text("unit"));
@@ -200,21 +201,97 @@ fn the_report_counts_what_was_done() {
             "spot_check",
             "method",
             "anchor",
+            "tolerance",
+            "tiles",
+            "plan",
         ],
     );
     assert_keys(&report["seconds"], &["read", "fit", "plan", "execute", "write"]);
+    assert_eq!(report["rank"], 3);
+    let modes = report["modes"].as_f64().unwrap();
+    assert!((1.0..=4.0).contains(&modes), "{modes}");
+    let tiles = &report["tiles"];
+    let count = |how: &str| tiles[how].as_u64().unwrap();
     assert_eq!(
-        (report["rank"].as_u64(), report["modes"].as_u64()),
-        (Some(3), Some(4))
+        count("dark") + count("drawn") + count("direct") + count("transformed"),
+        report["plan"]["tiles"].as_u64().unwrap()
     );
     assert_eq!(report["spot_check"]["pixels"], 50);
     let worst = report["spot_check"]["max_over_peak"].as_f64().unwrap();
-    assert!(worst > 0.0 && worst <= SINGLE, "{worst:e}");
+    assert!(worst > 0.0 && worst <= 1e-4, "{worst:e}");
+    assert_eq!(report["spot_check"]["passed"], true);
+    let basis = desk
+        .done("simulate scene.fits --psf samples.fits -o basis.fits --rank 3 --method basis --spot-check 50 --json")
+        .json();
+    assert_eq!(basis["modes"], 4.0);
+    assert!(basis["tiles"].is_null() && basis["tolerance"].is_null());
+    assert!(basis["spot_check"]["max_over_peak"].as_f64().unwrap() <= SINGLE);
     // Patches are not exact, and the check says so.
     let report = desk
         .done("simulate scene.fits --psf samples.fits -o patches.fits --method patch=40 --spot-check 200 --json")
         .json();
     assert!(report["spot_check"]["max_over_peak"].as_f64().unwrap() > VISIBLE);
+    // They promise nothing.
+    assert!(report["spot_check"]["passed"].is_null());
+}
+
+#[test]
+fn the_tolerance_is_kept_and_made_use_of() {
+    let desk = Desk::new();
+    let error = |tolerance: &str, method: &str| {
+        desk.done(&format!(
+            "{TO} --method {method} --tolerance {tolerance} --overwrite -o image.fits"
+        ));
+        let report = desk.done("compare image.fits exact.fits --json").json();
+        report["relative_l2"].as_f64().unwrap()
+    };
+    desk.done(&format!("{TO} --method direct -o exact.fits"));
+    for method in ["auto", "lowrank"] {
+        assert!(error("0", method) <= DOUBLE);
+        let coarse = error("0.3", method);
+        assert!(coarse > 1e-4 && coarse <= 0.3, "{coarse:e}");
+        assert!(error("1e-3", method) <= 1e-3);
+    }
+}
+
+#[test]
+fn a_streamed_image_has_the_same_bytes() {
+    let desk = Desk::new();
+    for (n, options) in [
+        "",
+        "--anchor output --frame 3,4,50,40",
+        "--catalog stars.csv --spot-check 30 --tolerance 0.1",
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        desk.write("stars.csv", "x,y,flux\n10,12,50\n30,40,7\n");
+        let run = |how: &str| {
+            let report = desk
+                .done(&format!("{TO} --overwrite -o image.fits --json {options} {how}"))
+                .json();
+            let image = desk.bytes("image.fits");
+            (
+                report["streamed"].as_bool().unwrap(),
+                report["spot_check"].clone(),
+                image,
+            )
+        };
+        let (whole, bands) = (run(""), run("--stream"));
+        assert!(!whole.0 && bands.0);
+        assert_eq!(whole.1, bands.1, "case {n}");
+        assert!(whole.2 == bands.2, "case {n}");
+    }
+    desk.refused(
+        &format!("{TO} -o x.fits --stream --method basis"),
+        2,
+        &["--stream", "lowrank"],
+    );
+    desk.refused(
+        "simulate --catalog stars.csv --shape 60,50 --psf samples.fits --stream -o x.fits",
+        2,
+        &["scene"],
+    );
 }
 
 #[test]

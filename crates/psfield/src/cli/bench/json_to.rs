@@ -18,7 +18,11 @@ impl JsonTo {
     /// Of `--json` without a value.
     #[allow(clippy::unnecessary_wraps, reason = "a parser of values")]
     pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
-        Ok(if text == "true" { Self::Output } else { Self::Nowhere })
+        Ok(if text == "true" {
+            Self::Output
+        } else {
+            Self::Nowhere
+        })
     }
 
     /// Of `--json FILE`; `-` is standard output.

@@ -15,7 +15,7 @@ use psf_basis::RankSelection;
 use psf_io::IoError;
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
-use psf_types::{Anchor, FrameShape, Interpolation, PsfModelRecord, Scene};
+use psf_types::{Anchor, FrameShape, Interpolation, PsfModelRecord, PsfSource as _, Scene};
 use psfield::bench::{self, BenchCase, BenchOptions};
 use psfield::{FitOptions, PsfInput, fit};
 use serde::Serialize;
@@ -176,9 +176,15 @@ impl BenchArgs {
         if let Some(scene) = &scene {
             settings.sizes = Vec::new();
             anyhow::ensure!(
-                scene.pixels().is_some_and(|pixels| pixels.iter().any(|v| !v.is_zero())),
+                scene
+                    .pixels()
+                    .is_some_and(|pixels| pixels.iter().any(|v| !v.is_zero())),
                 "{}: the scene is dark, there is nothing to measure",
-                self.scene.iter().map(|path| path.display()).next().expect("a scene has its file")
+                self.scene
+                    .iter()
+                    .map(|path| path.display())
+                    .next()
+                    .expect("a scene has its file")
             );
         }
         if self.psf.is_some() {
@@ -219,8 +225,13 @@ impl BenchArgs {
             self.write(path, &text)?;
         }
         if let Some(path) = &self.plot {
-            let titled: Vec<_> = report.cases().into_iter().map(|rows| (report::heading(&rows[0]), rows)).collect();
-            let drawn = plot::plot(&titled).with_context(|| format!("{}: the plot failed", path.display()))?;
+            let titled: Vec<_> = report
+                .cases()
+                .into_iter()
+                .map(|rows| (report::heading(&rows[0]), rows))
+                .collect();
+            let drawn =
+                plot::plot(&titled).with_context(|| format!("{}: the plot failed", path.display()))?;
             self.write(path, &drawn)?;
         }
         context.report(&report, || report.text())
@@ -230,7 +241,10 @@ impl BenchArgs {
     fn origin(&self) -> String {
         match &self.psf {
             Some(path) if self.stretch => format!("with the PSF of {}", path.display()),
-            Some(path) => format!("with the PSF of {} (--stretch fits its positions to any frame)", path.display()),
+            Some(path) => format!(
+                "with the PSF of {} (--stretch fits its positions to any frame)",
+                path.display()
+            ),
             None => "with the PSF of the preset".to_owned(),
         }
     }
@@ -260,11 +274,14 @@ impl BenchArgs {
             Preset::WideFieldLens => Telescope::wide_field_lens(),
         };
         for &grid in &settings.grids {
-            psfield::check_stack(grid * grid, telescope.grid()).map_err(|e| UsageError(format!("--grids: {e}")))?;
+            psfield::check_stack(grid * grid, telescope.grid())
+                .map_err(|e| UsageError(format!("--grids: {e}")))?;
         }
         Ok(Box::new(settings.grids.iter().map(move |&grid| {
             let bar = context.bar("sampling");
-            let samples = UniformSampling::new(grid, grid)?.sample(&telescope, &bar)?.samples;
+            let samples = UniformSampling::new(grid, grid)?
+                .sample(&telescope, &bar)?
+                .samples;
             drop(bar);
             let _spinner = context.spinner("fitting the PSF");
             let options = FitOptions {
@@ -349,7 +366,13 @@ fn whole(text: &str, range: std::ops::RangeInclusive<usize>) -> Result<NonZeroUs
         .ok()
         .filter(|n| range.contains(n))
         .and_then(NonZeroUsize::new)
-        .ok_or_else(|| format!("a whole number from {} to {} is needed", range.start(), range.end()))
+        .ok_or_else(|| {
+            format!(
+                "a whole number from {} to {} is needed",
+                range.start(),
+                range.end()
+            )
+        })
 }
 
 /// A tolerance of the engine.
@@ -362,7 +385,10 @@ fn tolerance(text: &str) -> Result<f64, String> {
 
 fn svg_path(text: &str) -> Result<PathBuf, String> {
     let path = PathBuf::from(text);
-    if path.extension().is_some_and(|end| end.eq_ignore_ascii_case("svg")) {
+    if path
+        .extension()
+        .is_some_and(|end| end.eq_ignore_ascii_case("svg"))
+    {
         Ok(path)
     } else {
         Err("the plot is an SVG file: give a name that ends in .svg".to_owned())

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use plotters::coord::Shift;
+use plotters::coord::{CoordTranslate, Shift};
 use plotters::prelude::*;
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use psfield::bench::BenchRow;
@@ -46,7 +46,11 @@ pub(super) fn plot(cases: &[(String, &[BenchRow])]) -> Result<String, Failure> {
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
         let (top, rest) = root.split_vertically(LEGEND);
-        let there = |name: &str| cases.iter().any(|(_, rows)| rows.iter().any(|r| r.method == name));
+        let there = |name: &str| {
+            cases
+                .iter()
+                .any(|(_, rows)| rows.iter().any(|r| r.method == name))
+        };
         legend(&top, METHODS.iter().filter(|(name, _)| there(name)))?;
         for ((title, rows), panel) in cases.iter().zip(rest.split_evenly((down, across))) {
             draw(&panel, title, rows)?;
@@ -57,11 +61,17 @@ pub(super) fn plot(cases: &[(String, &[BenchRow])]) -> Result<String, Failure> {
 }
 
 fn legend<'a>(area: &Area<'_>, names: impl Iterator<Item = &'a (&'a str, RGBColor)>) -> Result<(), Failure> {
-    let style = ("sans-serif", TEXT).into_font().color(&BLACK).pos(Pos::new(HPos::Left, VPos::Center));
+    let style = ("sans-serif", TEXT)
+        .into_font()
+        .color(&BLACK)
+        .pos(Pos::new(HPos::Left, VPos::Center));
     for (i, (name, colour)) in names.enumerate() {
         let (x, y) = (28 + i as i32 * NAME_WIDTH, LEGEND as i32 / 2);
-        area.draw(&PathElement::new(vec![(x - 14, y), (x + 14, y)], colour.stroke_width(2)))?;
-        area.draw(&marker(name, (x, y), *colour))?;
+        area.draw(&PathElement::new(
+            vec![(x - 14, y), (x + 14, y)],
+            colour.stroke_width(2),
+        ))?;
+        mark(area, name, (x, y), *colour)?;
         area.draw(&Text::new((*name).to_owned(), (x + 20, y), style.clone()))?;
     }
     Ok(())
@@ -69,7 +79,7 @@ fn legend<'a>(area: &Area<'_>, names: impl Iterator<Item = &'a (&'a str, RGBColo
 
 fn draw(area: &Area<'_>, title: &str, rows: &[BenchRow]) -> Result<(), Failure> {
     let errors = extent(rows.iter().filter_map(error), 3.0);
-    let times = extent(rows.iter().map(|row| row.seconds), 1.6);
+    let times = decades(&extent(rows.iter().map(|row| row.seconds), 1.2));
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", TITLE))
         .margin(10)
@@ -79,6 +89,7 @@ fn draw(area: &Area<'_>, title: &str, rows: &[BenchRow]) -> Result<(), Failure> 
         .build_cartesian_2d(errors.clone().log_scale(), times.log_scale())?;
     chart
         .configure_mesh()
+        .max_light_lines(1)
         .light_line_style(RGBColor(240, 240, 240))
         .bold_line_style(RGBColor(215, 215, 215))
         .label_style(("sans-serif", TEXT))
@@ -96,7 +107,10 @@ fn draw(area: &Area<'_>, title: &str, rows: &[BenchRow]) -> Result<(), Failure> 
             .collect();
         if *name == "single" {
             // One convolution costs this, whatever the error.
-            let at = rows.iter().filter(|row| row.method == *name).map(|row| row.seconds);
+            let at = rows
+                .iter()
+                .filter(|row| row.method == *name)
+                .map(|row| row.seconds);
             for level in at {
                 chart.draw_series(LineSeries::new(
                     [(errors.start, level), (errors.end, level)],
@@ -104,9 +118,14 @@ fn draw(area: &Area<'_>, title: &str, rows: &[BenchRow]) -> Result<(), Failure> 
                 ))?;
             }
         } else {
-            chart.draw_series(LineSeries::new(points.iter().map(|p| (p.0, p.1)), colour.stroke_width(2)))?;
+            chart.draw_series(LineSeries::new(
+                points.iter().map(|p| (p.0, p.1)),
+                colour.stroke_width(2),
+            ))?;
         }
-        chart.draw_series(points.iter().map(|p| marker(name, (p.0, p.1), *colour)))?;
+        for p in &points {
+            mark(chart.plotting_area(), name, (p.0, p.1), *colour)?;
+        }
         // `auto` has the settings of `lowrank`, close by.
         if *name != "auto" || !rows.iter().any(|row| row.method == "lowrank") {
             let style = ("sans-serif", SMALL)
@@ -123,21 +142,19 @@ fn draw(area: &Area<'_>, title: &str, rows: &[BenchRow]) -> Result<(), Failure> 
 }
 
 /// A method's marker, in pixels about a point.
-fn marker<'a, Coordinate: Clone + 'a>(
+fn mark<C: CoordTranslate>(
+    area: &DrawingArea<SVGBackend<'_>, C>,
     method: &str,
-    at: Coordinate,
+    at: C::From,
     colour: RGBColor,
-) -> DynElement<'a, SVGBackend<'a>, Coordinate> {
-    let filled = colour.filled();
+) -> Result<(), Failure> {
+    let (at, filled) = (EmptyElement::at(at), colour.filled());
     match method {
-        "lowrank" => (EmptyElement::at(at) + Circle::new((0, 0), 5, filled)).into_dyn(),
-        "auto" => (EmptyElement::at(at) + TriangleMarker::new((0, 0), 6, filled)).into_dyn(),
-        "patch" => (EmptyElement::at(at) + Rectangle::new([(-5, -5), (5, 5)], filled)).into_dyn(),
-        "basis" => {
-            let diamond = vec![(0, -6), (6, 0), (0, 6), (-6, 0)];
-            (EmptyElement::at(at) + Polygon::new(diamond, filled)).into_dyn()
-        }
-        _ => (EmptyElement::at(at) + Cross::new((0, 0), 5, colour.stroke_width(2))).into_dyn(),
+        "lowrank" => area.draw(&(at + Circle::new((0, 0), 5, filled))),
+        "auto" => area.draw(&(at + TriangleMarker::new((0, 0), 6, filled))),
+        "patch" => area.draw(&(at + Rectangle::new([(-5, -5), (5, 5)], filled))),
+        "basis" => area.draw(&(at + Polygon::new(vec![(0, -6), (6, 0), (0, 6), (-6, 0)], filled))),
+        _ => area.draw(&(at + Cross::new((0, 0), 5, colour.stroke_width(2)))),
     }
 }
 
@@ -148,12 +165,19 @@ fn error(row: &BenchRow) -> Option<f64> {
 
 /// The range of some values, widened by a factor at both ends.
 fn extent(values: impl Iterator<Item = f64>, factor: f64) -> Range<f64> {
-    let (low, high) = values.fold((f64::INFINITY, 0.0f64), |(low, high), v| (low.min(v), high.max(v)));
+    let (low, high) = values.fold((f64::INFINITY, 0.0f64), |(low, high), v| {
+        (low.min(v), high.max(v))
+    });
     if low <= high {
         low / factor..high * factor
     } else {
         LEAST_ERROR..1.0
     }
+}
+
+/// The whole powers of ten about a range.
+fn decades(range: &Range<f64>) -> Range<f64> {
+    10f64.powf(range.start.log10().floor())..10f64.powf(range.end.log10().ceil())
 }
 
 /// Seconds without needless digits.

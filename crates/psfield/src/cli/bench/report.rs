@@ -41,9 +41,7 @@ impl Report {
 
     /// The rows of each size and number of samples, the single PSF first.
     pub(super) fn cases(&self) -> Vec<&[BenchRow]> {
-        self.rows
-            .chunk_by(|_, next| next.method != "single")
-            .collect()
+        self.rows.chunk_by(|_, next| next.method != "single").collect()
     }
 
     pub(super) fn text(&self) -> String {
@@ -57,14 +55,31 @@ impl Report {
             let _ = writeln!(
                 text,
                 "{:8} {:16} {:>9} {:>9} {:>9} {:>8} {:>10} {:>6} {:>11} {:>9}",
-                "method", "setting", "plan s", "min s", "median s", "ratio", "rel. L2", "modes", "tile", "memory"
+                "method",
+                "setting",
+                "plan s",
+                "min s",
+                "median s",
+                "ratio",
+                "rel. L2",
+                "modes",
+                "tile",
+                "memory"
             );
             for row in rows {
                 let _ = writeln!(text, "{}", line(row));
             }
-            for skipped in self.skipped.iter().filter(|s| s.size == rows[0].size && s.samples == rows[0].samples) {
+            for skipped in self
+                .skipped
+                .iter()
+                .filter(|s| s.size == rows[0].size && s.samples == rows[0].samples)
+            {
                 let setting = skipped.setting.as_deref().unwrap_or("-");
-                let _ = writeln!(text, "{:8} {setting:16} skipped: {}", skipped.method, skipped.reason);
+                let _ = writeln!(
+                    text,
+                    "{:8} {setting:16} skipped: {}",
+                    skipped.method, skipped.reason
+                );
             }
         }
         text
@@ -93,6 +108,9 @@ fn line(row: &BenchRow) -> String {
         or_dash(row.relative_l2.map(|e| format!("{e:.1e}"))),
         or_dash(row.modes.map(|m| format!("{m:.1}"))),
         or_dash(row.tile.map(|[x, y]| format!("{x} x {y}"))),
-        or_dash(row.peak_memory_bytes.map(|b| format!("{:.0} MiB", b as f64 / f64::from(1 << 20)))),
+        or_dash(
+            row.peak_memory_bytes
+                .map(|b| format!("{:.0} MiB", b as f64 / f64::from(1 << 20)))
+        ),
     )
 }

@@ -41,9 +41,10 @@ impl Settings {
             (BenchOptions::DEFAULT_REPEAT, BenchOptions::DEFAULT_PIXELS)
         };
         let numbers = |given: &Option<Vec<NonZeroUsize>>, default: &[usize]| {
-            given
-                .as_ref()
-                .map_or_else(|| default.to_vec(), |given| given.iter().map(|n| n.get()).collect())
+            given.as_ref().map_or_else(
+                || default.to_vec(),
+                |given| given.iter().map(|n| n.get()).collect(),
+            )
         };
         Self {
             sizes: numbers(&args.sizes, sizes),
@@ -69,20 +70,29 @@ impl Settings {
         for method in &self.methods {
             match method {
                 MethodName::Single => add(Contender::Single),
-                MethodName::Lowrank => self
-                    .tolerances
-                    .iter()
-                    .for_each(|&tolerance| add(Contender::LowRank { tolerance })),
-                MethodName::Auto => self
-                    .tolerances
-                    .iter()
-                    .for_each(|&tolerance| add(Contender::Auto { tolerance })),
-                MethodName::Patch => self.patches.iter().for_each(|&size| add(Contender::Patch { size })),
-                // A rank beyond the model's is the model's.
-                MethodName::Basis => self
-                    .ranks
-                    .iter()
-                    .for_each(|&asked| add(Contender::Basis { rank: asked.min(rank) })),
+                MethodName::Lowrank => {
+                    for &tolerance in &self.tolerances {
+                        add(Contender::LowRank { tolerance });
+                    }
+                }
+                MethodName::Auto => {
+                    for &tolerance in &self.tolerances {
+                        add(Contender::Auto { tolerance });
+                    }
+                }
+                MethodName::Patch => {
+                    for &size in &self.patches {
+                        add(Contender::Patch { size });
+                    }
+                }
+                MethodName::Basis => {
+                    for &asked in &self.ranks {
+                        // A rank beyond the model's is the model's.
+                        add(Contender::Basis {
+                            rank: asked.min(rank),
+                        });
+                    }
+                }
                 MethodName::Direct => add(Contender::Direct),
             }
         }

@@ -1,0 +1,106 @@
+//! Plans and executions, on as many threads as rayon has.
+
+mod common;
+
+use std::hint::black_box;
+
+use conv_core::{ConvReal, Paths, Plan, PlanOptions};
+use criterion::{BenchmarkId, Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
+use ndarray::Array2;
+use psf_types::{Image, NoProgress, PointSource, Position, Real, Scene};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const SIZES: [usize; 3] = [256, 512, 1024];
+const TOLERANCES: [f64; 3] = [1e-2, 1e-4, 0.0];
+/// One pixel in so many is lit where stamps are drawn: a few tens in a tile.
+const SPARSE: usize = 1000;
+
+/// A square scene of which about one in `every` pixels is lit.
+fn lit<T: Real>(frame: usize, every: usize) -> Scene<T> {
+    let mut rng = ChaCha8Rng::seed_from_u64(2);
+    let light = Array2::from_shape_simple_fn((frame, frame), || {
+        let shines = every == 1 || rng.random_range(0..every) == 0;
+        T::nearest(if shines { rng.random_range(1.0..2.0) } else { 0.0 })
+    });
+    Scene::from_image(Image::new(light).expect("finite light"))
+}
+
+fn options(tolerance: f64) -> PlanOptions {
+    PlanOptions::new(tolerance)
+        .expect("a tolerance")
+        .with_paths(Paths::Transforms)
+}
+
+fn name(tolerance: f64) -> String {
+    if tolerance == 0.0 {
+        "tolerance-0".to_owned()
+    } else {
+        format!("tolerance-{tolerance:e}")
+    }
+}
+
+fn plan(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("plan-f32");
+    group.sample_size(10).sampling_mode(SamplingMode::Flat);
+    for size in SIZES {
+        let (model, scene) = (common::model(size), lit::<f32>(size, 1));
+        group.throughput(Throughput::Elements((size * size) as u64));
+        for tolerance in TOLERANCES {
+            group.bench_function(BenchmarkId::new(name(tolerance), size), |bencher| {
+                bencher.iter(|| black_box(Plan::for_scene(&model, &scene, options(tolerance))));
+            });
+        }
+    }
+    group.finish();
+}
+
+fn execute<T: ConvReal>(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group(format!("execute-{}", T::NAME));
+    group.sample_size(10).sampling_mode(SamplingMode::Flat);
+    for size in SIZES {
+        let (model, scene) = (common::model(size), lit::<T>(size, 1));
+        group.throughput(Throughput::Elements((size * size) as u64));
+        for tolerance in TOLERANCES {
+            let plan = Plan::for_scene(&model, &scene, options(tolerance)).expect("a plan");
+            let mut image = Array2::zeros((size, size));
+            group.bench_function(BenchmarkId::new(name(tolerance), size), |bencher| {
+                bencher.iter(|| plan.add_to(&scene, &mut image, &NoProgress).expect("an image"));
+            });
+        }
+    }
+    group.finish();
+}
+
+fn draw(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("draw-f32");
+    group.sample_size(10).sampling_mode(SamplingMode::Flat);
+    for size in SIZES {
+        let model = common::model(size);
+        let mut image = Array2::zeros((size, size));
+        // Whole pixels, from the local modes' stamps.
+        let pixels = lit::<f32>(size, SPARSE);
+        let count = pixels
+            .pixels()
+            .map_or(0, |light| light.iter().filter(|v| **v > 0.0).count());
+        group.throughput(Throughput::Elements(count as u64));
+        let plan = Plan::for_scene(&model, &pixels, PlanOptions::default()).expect("a plan");
+        group.bench_function(BenchmarkId::new("lit-pixels", size), |bencher| {
+            bencher.iter(|| plan.add_to(&pixels, &mut image, &NoProgress).expect("an image"));
+        });
+        // As many sources between pixels, by splines.
+        let place = |i: usize, factor: usize| ((i * factor) % (size - 1)) as f64 + 0.3;
+        let sources = (0..count).map(|i| {
+            let position = Position::new(place(i, 7919), place(i, 104_729)).expect("a position");
+            PointSource::new(position, 1.0).expect("a flux")
+        });
+        let stars = Scene::<f32>::dark(pixels.shape()).with_sources(sources.collect());
+        group.bench_function(BenchmarkId::new("point-sources", size), |bencher| {
+            bencher.iter(|| plan.add_to(&stars, &mut image, &NoProgress).expect("an image"));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, plan, execute::<f32>, execute::<f64>, draw);
+criterion_main!(benches);

@@ -1,0 +1,108 @@
+//! The engine's transforms of a square tile, step by step, and realfft's and rustfft's of the same size.
+
+use std::hint::black_box;
+use std::sync::Arc;
+
+use conv_core::ConvReal;
+use conv_core::bench_support::{SquareTransform, Step};
+use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use realfft::{RealFftPlanner, RealToComplex};
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+
+const SIZES: [usize; 5] = [128, 192, 256, 320, 512];
+const STAMP: usize = 64;
+/// Rows whose spectra are transposed together: whole cache lines.
+const BLOCK: usize = 16;
+
+/// The spectrum of a square plane, left transposed, by realfft along rows and rustfft along columns.
+struct RowsThenColumns<T: ConvReal> {
+    size: usize,
+    along_rows: Arc<dyn RealToComplex<T>>,
+    along_columns: Arc<dyn Fft<T>>,
+    plane: Vec<T>,
+    row: Vec<T>,
+    /// The spectra of [`BLOCK`] rows.
+    block: Vec<Complex<T>>,
+    spectrum: Vec<Complex<T>>,
+    scratch: Vec<Complex<T>>,
+}
+
+impl<T: ConvReal> RowsThenColumns<T> {
+    fn new(size: usize) -> Self {
+        let along_rows = RealFftPlanner::new().plan_fft_forward(size);
+        let along_columns = FftPlanner::new().plan_fft_forward(size);
+        let zeros = |length: usize| vec![Complex::new(T::zero(), T::zero()); length];
+        Self {
+            size,
+            plane: (0..size * size).map(|i| T::nearest((i % 17) as f64)).collect(),
+            row: vec![T::zero(); size],
+            block: zeros(BLOCK * (size / 2 + 1)),
+            spectrum: zeros((size / 2 + 1) * size),
+            scratch: zeros(
+                along_rows
+                    .get_scratch_len()
+                    .max(along_columns.get_inplace_scratch_len()),
+            ),
+            along_rows,
+            along_columns,
+        }
+    }
+
+    fn forward(&mut self) {
+        let half = self.size / 2 + 1;
+        for first in (0..self.size).step_by(BLOCK) {
+            for (values, into) in self.plane[first * self.size..]
+                .chunks_exact(self.size)
+                .zip(self.block.chunks_exact_mut(half))
+            {
+                self.row.copy_from_slice(values);
+                self.along_rows
+                    .process_with_scratch(
+                        &mut self.row,
+                        into,
+                        &mut self.scratch[..self.along_rows.get_scratch_len()],
+                    )
+                    .expect("buffers of the plan's size");
+            }
+            for (k, column) in self.spectrum.chunks_exact_mut(self.size).enumerate() {
+                for (value, from) in column[first..].iter_mut().zip(self.block.chunks_exact(half)) {
+                    *value = from[k];
+                }
+            }
+        }
+        for column in self.spectrum.chunks_exact_mut(self.size) {
+            self.along_columns.process_with_scratch(column, &mut self.scratch);
+        }
+    }
+}
+
+fn transforms<T: ConvReal>(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group(format!("transform-{}", T::NAME));
+    for size in SIZES {
+        group.throughput(Throughput::Elements((size * size) as u64));
+        let mut ours = SquareTransform::<T>::new(size, STAMP);
+        for (name, step) in [
+            ("forward", Step::Forward),
+            ("kernel", Step::Kernel),
+            ("multiply", Step::Multiply),
+            ("inverse", Step::Inverse),
+        ] {
+            group.bench_function(BenchmarkId::new(name, size), |bencher| {
+                bencher.iter(|| black_box(&mut ours).run(step));
+            });
+            // Sums that grow without end would become infinite, and denormal numbers are slow.
+            ours = SquareTransform::new(size, STAMP);
+            ours.run(Step::Forward);
+            ours.run(Step::Kernel);
+        }
+        let mut theirs = RowsThenColumns::<T>::new(size);
+        group.bench_function(BenchmarkId::new("realfft-forward", size), |bencher| {
+            bencher.iter(|| black_box(&mut theirs).forward());
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, transforms::<f32>, transforms::<f64>);
+criterion_main!(benches);

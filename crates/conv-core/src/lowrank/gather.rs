@@ -1,0 +1,181 @@
+//! From the other side to the weighted one.
+
+use ndarray::{ArrayViewMut2, s};
+use psf_types::FieldError;
+use rayon::prelude::*;
+
+use super::axis_cuts::Stretch;
+use super::execution::TileCounts;
+use super::job::Job;
+use super::light::look;
+use super::prepared::Prepared;
+use super::split::split;
+use super::tile_engine::{TileEngine, TilePart};
+use super::treatment::{Treatment, treat};
+use super::workspace::Workspace;
+use crate::ConvReal;
+use crate::simd::{Lanes, WithIsa};
+
+/// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(q - p)`. Every block writes to its own pixels.
+pub(crate) struct Gather<'a, T: ConvReal> {
+    pub(crate) job: Job<'a, T>,
+    pub(crate) output: ArrayViewMut2<'a, T>,
+}
+
+impl<T: ConvReal> WithIsa<T> for Gather<'_, T> {
+    type Output = Result<TileCounts, FieldError>;
+
+    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
+        let plan = self.job.plan;
+        let ranges = |stretches: &[Stretch], first: usize| -> Vec<(usize, usize)> {
+            stretches
+                .iter()
+                .map(|s| (s.start() - first, s.end() - first))
+                .collect()
+        };
+        let columns = ranges(&plan.tiling.columns, 0);
+        let rows = ranges(&plan.tiling.rows[self.job.rows.clone()], self.job.first_output);
+        let mut tasks = Vec::new();
+        let parts = split(self.output.view_mut(), 0, &rows);
+        for (row, part) in self.job.rows.clone().zip(parts) {
+            let parts = split(part, 1, &columns);
+            tasks.extend(
+                parts
+                    .into_iter()
+                    .enumerate()
+                    .map(|(column, part)| (column, row, part)),
+            );
+        }
+        let job = &self.job;
+        let done: Vec<Result<TileCounts, FieldError>> = tasks
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|(column, row, output)| {
+                let counts = plan.pool().with(&plan.fft, |workspace| {
+                    gather_block(simd, job, (column, row), output, workspace)
+                });
+                if column + 1 == columns.len() {
+                    job.progress.advance(1);
+                }
+                counts
+            })
+            .collect();
+        let mut counts = TileCounts::default();
+        for outcome in done {
+            counts += outcome?;
+        }
+        Ok(counts)
+    }
+}
+
+fn gather_block<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    job: &Job<'_, T>,
+    (column, row): (usize, usize),
+    mut output: ArrayViewMut2<'_, T>,
+    workspace: &mut Workspace<T>,
+) -> Result<TileCounts, FieldError> {
+    let plan = job.plan;
+    let mut block = GatherBlock {
+        simd,
+        job,
+        engine: plan.engine(job.flip),
+        prepared: Prepared::new(plan, plan.block(column, row)),
+        workspace,
+        counts: TileCounts::default(),
+    };
+    let (across, up) = (&plan.tiling.columns[column], &plan.tiling.rows[row]);
+    for &(y, rows) in &up.tiles {
+        for &(x, columns) in &across.tiles {
+            let (i, j) = (x - across.start(), y - up.start());
+            let part = TilePart {
+                corner: (i, j),
+                size: (columns, rows),
+            };
+            block.tile((x, y), part, output.slice_mut(s![j..j + rows, i..i + columns]))?;
+        }
+    }
+    Ok(block.counts)
+}
+
+/// Views are invariant: the job's and the work's lifetimes stay apart.
+struct GatherBlock<'w, 'j, T: ConvReal, S> {
+    simd: S,
+    job: &'w Job<'j, T>,
+    engine: TileEngine<'w, T>,
+    prepared: Prepared<'w, T>,
+    workspace: &'w mut Workspace<T>,
+    counts: TileCounts,
+}
+
+impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
+    /// One tile, whose first pixel is (`x`, `y`) of the weighted side.
+    fn tile(
+        &mut self,
+        (x, y): (usize, usize),
+        part: TilePart,
+        mut output: ArrayViewMut2<'_, T>,
+    ) -> Result<(), FieldError> {
+        let (simd, engine, plan) = (self.simd, self.engine, self.job.plan);
+        let workspace = &mut *self.workspace;
+        let pitch = plan.fft.pitch();
+        let around = engine.around(part.size);
+        let seen = simd.vectorized(
+            #[inline(always)]
+            || {
+                let reach = plan.geometry.reach_from(x, y);
+                let corner = (reach.0, reach.1 - self.job.first_light as i64);
+                engine.load(simd, self.job.light, corner, around, workspace.light.get_mut());
+                look(workspace.light.get(), pitch, around.1, around.0)
+            },
+        );
+        if seen.lit == 0 {
+            self.counts.dark += 1;
+            return Ok(());
+        }
+        let plane = workspace.light.get();
+        // A pixel needs its PSF where any light reaches it.
+        self.prepared.check(part, |column, row| {
+            (row..row + engine.stamp.1).any(|row| {
+                let under = &plane[row * pitch + column..][..engine.stamp.0];
+                under.iter().any(|v| !v.is_zero())
+            })
+        })?;
+        let kernels = self.prepared.kernel_count();
+        let drawn = match treat(plan, seen, around, part.size, kernels, workspace) {
+            Treatment::Dark => return Ok(()),
+            Treatment::Drawn(pixels) => {
+                self.counts.drawn += 1;
+                pixels
+            }
+            Treatment::Whole { direct, apart } => {
+                self.counts.whole(direct, kernels);
+                if !direct {
+                    self.prepared.kernels(simd, &engine, workspace);
+                }
+                let local = self.prepared.local(part);
+                simd.vectorized(
+                    #[inline(always)]
+                    || {
+                        if direct {
+                            engine.gather_directly(simd, local, workspace, &mut output);
+                        } else {
+                            engine.gather(simd, local, workspace, &mut output);
+                        }
+                    },
+                );
+                apart
+            }
+        };
+        if !drawn.is_empty() {
+            self.counts.drawn_pixels += drawn.len();
+            let local = self.prepared.local(part);
+            let row = &mut workspace.row;
+            simd.vectorized(
+                #[inline(always)]
+                || engine.draw_gathered(simd, local, &drawn, row, &mut output),
+            );
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,220 @@
+//! From the weighted side to the other.
+
+use ndarray::ArrayViewMut2;
+use psf_types::FieldError;
+use rayon::prelude::*;
+
+use super::execution::TileCounts;
+use super::job::Job;
+use super::light::look;
+use super::prepared::Prepared;
+use super::split::{colours, split};
+use super::tile_engine::{TileEngine, TilePart};
+use super::treatment::{Treatment, treat};
+use super::workspace::Workspace;
+use crate::ConvReal;
+use crate::simd::{Lanes, WithIsa};
+
+/// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`.
+///
+/// Blocks whose outputs overlap never run at the same time: in each band of rows of blocks, every n-th row and every n-th
+/// column run together, one set after the other. So the order of additions to a pixel is always the same.
+pub(crate) struct Scatter<'a, T: ConvReal> {
+    pub(crate) job: Job<'a, T>,
+    pub(crate) output: ArrayViewMut2<'a, T>,
+}
+
+/// A block's part of the output, and its first column and row on the other side.
+struct Task<'a, T> {
+    column: usize,
+    row: usize,
+    output: ArrayViewMut2<'a, T>,
+    origin: (usize, usize),
+}
+
+impl<T: ConvReal> WithIsa<T> for Scatter<'_, T> {
+    type Output = Result<TileCounts, FieldError>;
+
+    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
+        let plan = self.job.plan;
+        let columns = plan.column_extents();
+        // Colours are those of all rows, so that part of a frame is made like the whole of it.
+        let (column_colours, row_colours) = (colours(&columns), colours(&plan.row_extents()));
+        let bands: Vec<usize> = self.job.rows.clone().step_by(plan.tiling.band()).collect();
+        let mut counts = TileCounts::default();
+        for first in bands {
+            let band = first..(first + plan.tiling.band()).min(self.job.rows.end);
+            for row_colour in 0..row_colours {
+                let rows: Vec<usize> = band
+                    .clone()
+                    .filter(|row| row % row_colours == row_colour)
+                    .collect();
+                for column_colour in 0..column_colours {
+                    let of_colour: Vec<usize> =
+                        (column_colour..columns.len()).step_by(column_colours).collect();
+                    counts += self.together(simd, &rows, &of_colour)?;
+                }
+            }
+            self.job.progress.advance(band.len() as u64);
+        }
+        Ok(counts)
+    }
+}
+
+impl<T: ConvReal> Scatter<'_, T> {
+    /// The blocks at some rows and columns, which do not touch each other.
+    fn together<S: Lanes<T>>(
+        &mut self,
+        simd: S,
+        rows: &[usize],
+        columns: &[usize],
+    ) -> Result<TileCounts, FieldError> {
+        let (plan, first_output) = (self.job.plan, self.job.first_output);
+        let height = self.output.nrows();
+        let within = |row: usize| row.saturating_sub(first_output).min(height);
+        let (row_extents, column_extents) = (plan.row_extents(), plan.column_extents());
+        let row_ranges: Vec<(usize, usize)> = rows
+            .iter()
+            .map(|&row| (within(row_extents[row].0), within(row_extents[row].1)))
+            .collect();
+        let column_ranges: Vec<(usize, usize)> = columns.iter().map(|&c| column_extents[c]).collect();
+        let mut tasks = Vec::with_capacity(rows.len() * columns.len());
+        let parts = split(self.output.view_mut(), 0, &row_ranges);
+        for ((&row, part), &(top, _)) in rows.iter().zip(parts).zip(&row_ranges) {
+            let parts = split(part, 1, &column_ranges);
+            for ((&column, output), &(left, _)) in columns.iter().zip(parts).zip(&column_ranges) {
+                tasks.push(Task {
+                    column,
+                    row,
+                    output,
+                    origin: (left, top + first_output),
+                });
+            }
+        }
+        let job = &self.job;
+        let done: Vec<Result<TileCounts, FieldError>> = tasks
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|task| {
+                plan.pool()
+                    .with(&plan.fft, |workspace| scatter_block(simd, job, task, workspace))
+            })
+            .collect();
+        let mut counts = TileCounts::default();
+        for outcome in done {
+            counts += outcome?;
+        }
+        Ok(counts)
+    }
+}
+
+fn scatter_block<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    job: &Job<'_, T>,
+    task: Task<'_, T>,
+    workspace: &mut Workspace<T>,
+) -> Result<TileCounts, FieldError> {
+    let plan = job.plan;
+    let engine = plan.engine(job.flip);
+    let mut block = ScatterBlock {
+        simd,
+        job,
+        engine,
+        prepared: Prepared::new(plan, plan.block(task.column, task.row)),
+        task,
+        workspace,
+        counts: TileCounts::default(),
+    };
+    let (across, up) = (
+        &plan.tiling.columns[block.task.column],
+        &plan.tiling.rows[block.task.row],
+    );
+    for &(y, rows) in &up.tiles {
+        for &(x, columns) in &across.tiles {
+            let part = TilePart {
+                corner: (x - across.start(), y - up.start()),
+                size: (columns, rows),
+            };
+            block.tile((x, y), part)?;
+        }
+    }
+    Ok(block.counts)
+}
+
+/// Views are invariant: the job's, the task's and the work's lifetimes stay apart.
+struct ScatterBlock<'w, 'j, 't, T: ConvReal, S> {
+    simd: S,
+    job: &'w Job<'j, T>,
+    engine: TileEngine<'w, T>,
+    prepared: Prepared<'w, T>,
+    task: Task<'t, T>,
+    workspace: &'w mut Workspace<T>,
+    counts: TileCounts,
+}
+
+impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
+    /// One tile, whose first pixel is (`x`, `y`) of the weighted side.
+    fn tile(&mut self, (x, y): (usize, usize), part: TilePart) -> Result<(), FieldError> {
+        let (simd, engine, plan) = (self.simd, self.engine, self.job.plan);
+        let workspace = &mut *self.workspace;
+        let pitch = plan.fft.pitch();
+        let seen = simd.vectorized(
+            #[inline(always)]
+            || {
+                let corner = (x as i64, y as i64 - self.job.first_light as i64);
+                engine.load(simd, self.job.light, corner, part.size, workspace.light.get_mut());
+                look(workspace.light.get(), pitch, part.size.1, part.size.0)
+            },
+        );
+        if seen.lit == 0 {
+            self.counts.dark += 1;
+            return Ok(());
+        }
+        let plane = workspace.light.get();
+        self.prepared
+            .check(part, |column, row| !plane[row * pitch + column].is_zero())?;
+        let reach = plan.geometry.reach_from(x, y);
+        let place = (
+            reach.0 - self.task.origin.0 as i64,
+            reach.1 - self.task.origin.1 as i64,
+        );
+        let kernels = self.prepared.kernel_count();
+        let output = &mut self.task.output;
+        let drawn = match treat(plan, seen, part.size, part.size, kernels, workspace) {
+            Treatment::Dark => return Ok(()),
+            Treatment::Drawn(pixels) => {
+                self.counts.drawn += 1;
+                pixels
+            }
+            Treatment::Whole { direct, apart } => {
+                self.counts.whole(direct, kernels);
+                if !direct {
+                    self.prepared.kernels(simd, &engine, workspace);
+                }
+                let local = self.prepared.local(part);
+                simd.vectorized(
+                    #[inline(always)]
+                    || {
+                        if direct {
+                            engine.scatter_directly(simd, local, workspace);
+                        } else {
+                            engine.scatter(simd, local, workspace);
+                        }
+                        let size = engine.around(part.size);
+                        engine.add(simd, workspace.weighted.get(), size, output, place);
+                    },
+                );
+                apart
+            }
+        };
+        if !drawn.is_empty() {
+            self.counts.drawn_pixels += drawn.len();
+            let local = self.prepared.local(part);
+            simd.vectorized(
+                #[inline(always)]
+                || engine.draw_scattered(simd, local, &drawn, output, place),
+            );
+        }
+        Ok(())
+    }
+}
