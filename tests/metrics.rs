@@ -3,7 +3,7 @@
 use integration_tests::{small_telescope, uniform_samples};
 use psfield::conv_core::PlanOptions;
 use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
-use psfield::psf_types::{Anchor, FrameShape, PointSource, Position, Scene};
+use psfield::psf_types::{FrameShape, PointSource, Position, Scene};
 use psfield::{FitOptions, MeasureOptions, Method, PsfInput, Simulation};
 
 /// A star on a pixel is its stamp times its flux; measurements differ by rounding in f64.

@@ -7,7 +7,7 @@ use psfield::conv_core::PlanOptions;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_io::{Precision, read_model, read_samples, write_model, write_samples};
 use psfield::psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
-use psfield::psf_types::{Anchor, FrameShape, Image, NoProgress, PointSource, Position, Scene};
+use psfield::psf_types::{FrameShape, Image, NoProgress, PointSource, Position, Scene};
 use psfield::{EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, evaluate, fit};
 
 fn image(psf: PsfInput) -> Image<f64> {

@@ -5,6 +5,7 @@ mod common;
 
 // The engine's own files, since what they hold is private to the crate.
 #[allow(dead_code, reason = "a bench needs a part of it")]
+#[allow(clippy::inline_always, reason = "what is vectorised must be inlined")]
 #[path = "../src/lowrank/coefficient_table.rs"]
 mod coefficient_table;
 #[allow(dead_code, reason = "a bench needs a part of it")]

@@ -15,7 +15,8 @@ const STAMP: usize = 64;
 /// Rows whose spectra are transposed together: whole cache lines.
 const BLOCK: usize = 16;
 
-/// The spectrum of a square plane, left transposed, by realfft along rows and rustfft along columns.
+/// The spectrum of a square plane that holds a tile as large as [`SquareTransform`]'s, left transposed, by realfft along the tile's rows and
+/// rustfft along columns.
 struct RowsThenColumns<T: ConvReal> {
     size: usize,
     along_rows: Arc<dyn RealToComplex<T>>,
@@ -51,8 +52,12 @@ impl<T: ConvReal> RowsThenColumns<T> {
 
     fn forward(&mut self) {
         let half = self.size / 2 + 1;
-        for first in (0..self.size).step_by(BLOCK) {
-            for (values, into) in self.plane[first * self.size..]
+        let tile = self.size + 1 - STAMP;
+        for column in self.spectrum.chunks_exact_mut(self.size) {
+            column[tile..].fill(Complex::new(T::zero(), T::zero()));
+        }
+        for first in (0..tile).step_by(BLOCK) {
+            for (values, into) in self.plane[first * self.size..tile * self.size]
                 .chunks_exact(self.size)
                 .zip(self.block.chunks_exact_mut(half))
             {
@@ -66,7 +71,7 @@ impl<T: ConvReal> RowsThenColumns<T> {
                     .expect("buffers of the plan's size");
             }
             for (k, column) in self.spectrum.chunks_exact_mut(self.size).enumerate() {
-                for (value, from) in column[first..].iter_mut().zip(self.block.chunks_exact(half)) {
+                for (value, from) in column[first..tile].iter_mut().zip(self.block.chunks_exact(half)) {
                     *value = from[k];
                 }
             }

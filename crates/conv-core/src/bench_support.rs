@@ -98,6 +98,7 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
 struct Buffer<T> {
     values: Vec<T>,
     start: usize,
+    length: usize,
 }
 
 const CACHE_LINE: usize = 64;
@@ -109,15 +110,16 @@ impl<T: ConvReal> Buffer<T> {
         Self {
             start: (CACHE_LINE - past) % CACHE_LINE / size_of::<T>(),
             values,
+            length,
         }
     }
 
     fn get(&self) -> &[T] {
-        &self.values[self.start..]
+        &self.values[self.start..self.start + self.length]
     }
 
     fn get_mut(&mut self) -> &mut [T] {
-        &mut self.values[self.start..]
+        &mut self.values[self.start..self.start + self.length]
     }
 }
 

@@ -10,11 +10,12 @@
 //!
 //! | method | what it is | cost | error |
 //! |---|---|---|---|
+//! | [`LowRank`], [`Plan`] | the fast engine: in each tile the few modes that its PSFs need | that of 2 to 6 ordinary FFT convolutions | at most the tolerance, for the PSF of every pixel |
 //! | [`Direct`] | the double sum, in f64 | each lit pixel times each stamp pixel times `K` | none but rounding; the reference |
 //! | [`BasisConvolution`] | `K` whole-image FFT convolutions | `K` transforms of the image | rounding of the precision chosen |
 //! | [`PatchConvolution`] | one PSF a patch | one transform of each lit patch | the PSF jumps from patch to patch |
 //!
-//! All are [`ConvolutionMethod`]s over a [`psf_types::PsfModel`] and a [`psf_types::Scene`]. Outside the scene there is no
+//! All but [`Plan`] are [`ConvolutionMethod`]s over a [`psf_types::PsfModel`] and a [`psf_types::Scene`]. Outside the scene there is no
 //! light. Point sources are drawn one by one, with the PSF of their own position shifted to it by [`StampSpline`], by every
 //! method alike.
 //!

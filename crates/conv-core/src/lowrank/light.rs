@@ -68,36 +68,68 @@ pub(crate) fn lit_pixels<T: ConvReal>(
     pixels
 }
 
-/// Takes the pixels out of a tile that would drown the rest of it in the noise of a transform, the brightest first; at most
-/// `most` of them.
+/// Takes the pixels out of a tile that would drown the rest of it in the noise of a transform, at most `most` of them.
+///
+/// What the noise is to be compared with is the mean over the whole tile without its `most` brightest pixels: a bright galaxy of a few
+/// hundred pixels must not raise the level that it is judged by.
 pub(crate) fn take_bright<T: ConvReal>(
     plane: &mut [T],
     pitch: usize,
     (rows, columns): (usize, usize),
-    mut light: Light,
+    light: Light,
     most: usize,
 ) -> Vec<LitPixel<T>> {
+    let pixels = (rows * columns) as f64;
+    let contrast = brightest_allowed::<T>();
+    // Where no pixel stands out, as in most fully lit tiles, this is all there is to do.
+    if light.largest <= contrast * (light.total - most as f64 * light.largest) / pixels {
+        return Vec::new();
+    }
+    let rest = match total_of_faint(plane, pitch, (rows, columns), most) {
+        rest if rest > 0.0 => rest,
+        // There is nothing but those few pixels; among themselves they are compared with their mean.
+        _ => light.total,
+    };
+    let limit = contrast * rest / pixels;
     let mut taken: Vec<LitPixel<T>> = Vec::new();
-    loop {
-        // The mean over the whole tile, dark pixels included, is what the noise is to be compared with.
-        let limit = brightest_allowed::<T>() * light.total / (rows * columns) as f64;
-        if light.lit <= 1 || light.largest <= limit {
-            return taken;
-        }
-        let before = taken.len();
-        for (row, values) in plane.chunks_mut(pitch).take(rows).enumerate() {
-            for (column, value) in values[..columns].iter_mut().enumerate() {
-                if value.abs().as_f64() > limit && taken.len() < most {
-                    taken.push((row, column, *value));
-                    *value = T::zero();
-                }
+    if light.lit <= 1 || light.largest <= limit {
+        return taken;
+    }
+    for (row, values) in plane.chunks_mut(pitch).take(rows).enumerate() {
+        for (column, value) in values[..columns].iter_mut().enumerate() {
+            if value.abs().as_f64() > limit && taken.len() < most {
+                taken.push((row, column, *value));
+                *value = T::zero();
             }
         }
-        if taken.len() == before || taken.len() == most {
-            return taken;
-        }
-        light = look(plane, pitch, rows, columns);
     }
+    taken
+}
+
+/// The sum of the absolute values without the brightest, of which there are at most `most`; to the nearest factor of 2 in
+/// brightness.
+fn total_of_faint<T: ConvReal>(
+    plane: &[T],
+    pitch: usize,
+    (rows, columns): (usize, usize),
+    most: usize,
+) -> f64 {
+    const EXPONENTS: usize = 1 << 11;
+    let mut by_exponent = vec![(0_usize, 0.0_f64); EXPONENTS];
+    for values in plane.chunks(pitch).take(rows) {
+        for value in &values[..columns] {
+            let value = value.abs().as_f64();
+            let bin = &mut by_exponent[(value.to_bits() >> 52) as usize % EXPONENTS];
+            bin.0 += 1;
+            bin.1 += value;
+        }
+    }
+    let mut bright = 0;
+    let faint = by_exponent.iter().rev().skip_while(|(count, _)| {
+        bright += count;
+        bright <= most
+    });
+    faint.map(|(_, sum)| sum).sum()
 }
 
 #[cfg(test)]
@@ -121,7 +153,23 @@ mod tests {
         assert_eq!(taken, [(3, 4, 1e8), (5, 6, -1e5)]);
         let light = look(&plane, pitch, rows, columns);
         assert_eq!((light.lit, light.largest, light.total), (598, 1.0, 598.0));
+        // A bright galaxy does not raise the level it is judged by; more of it than may be drawn stays where it is.
+        for row in 10..14 {
+            plane[row * pitch + 2..row * pitch + 5].fill(1e7);
+        }
+        let light = look(&plane, pitch, rows, columns);
+        let mut copy = plane.clone();
+        assert_eq!(
+            take_bright(&mut copy, pitch, (rows, columns), light, 20).len(),
+            12
+        );
+        assert_eq!(look(&copy, pitch, rows, columns).largest, 1.0);
+        assert!(take_bright(&mut plane, pitch, (rows, columns), light, 8).len() <= 8);
+        for row in 10..14 {
+            plane[row * pitch + 2..row * pitch + 5].fill(1.0);
+        }
+        let light = look(&plane, pitch, rows, columns);
         assert!(take_bright(&mut plane, pitch, (rows, columns), light, 10).is_empty());
-        assert_eq!(lit_pixels(&plane, pitch, rows, columns).len(), 598);
+        assert_eq!(lit_pixels(&plane, pitch, rows, columns).len(), light.lit);
     }
 }

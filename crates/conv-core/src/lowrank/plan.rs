@@ -33,6 +33,46 @@ use crate::{ConvError, ConvReal};
 ///
 /// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with the fewest modes that keep every one of them
 /// within the tolerance; the modes hold no flux, so that flux is kept at any tolerance.
+///
+/// ```
+/// use std::sync::Arc;
+///
+/// use conv_core::{Direct, ConvolutionMethod, Plan, PlanOptions};
+/// use ndarray::{Array2, Array3};
+/// use psf_types::{
+///     CoefficientField, FieldError, Image, Normalisation, Position, PsfBasis, PsfModel, Scene, StampGrid,
+/// };
+///
+/// /// One component, whose share grows from left to right.
+/// #[derive(Debug)]
+/// struct Ramp;
+/// impl CoefficientField for Ramp {
+///     fn component_count(&self) -> usize {
+///         1
+///     }
+///     fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+///         a[0] = p.x() / 500.0;
+///         Ok(())
+///     }
+/// }
+///
+/// let component = Array3::from_shape_fn((1, 3, 3), |(_, y, x)| if y == 1 { [-0.5, 0.0, 0.5][x] } else { 0.0 }) * 2f64.sqrt();
+/// let basis = PsfBasis::new(Some(Array2::from_elem((3, 3), 1.0 / 9.0)), component, StampGrid::new(3, 3)?)?;
+/// let model = PsfModel::new(&basis, Arc::new(Ramp), Normalisation::Unit, None)?;
+///
+/// let scene = |seed: usize| {
+///     Image::new(Array2::from_shape_fn((60, 70), |(y, x)| ((3 * x + 5 * y + seed) % 7) as f64)).map(Scene::from_image)
+/// };
+/// let plan = Plan::for_scene(&model, &scene(0)?, PlanOptions::new(1e-3)?)?;
+/// println!("{}", plan.summary());
+/// for seed in 0..3 {
+///     let image = plan.execute(&scene(seed)?)?;
+///     let exact = Direct::default().convolve(&model, &scene(seed)?)?;
+///     let largest = (&image.pixels() - &exact.pixels()).fold(0.0, |m: f64, d| m.max(d.abs()));
+///     assert!(largest < 1e-3 * 7.0);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(super) model: PsfModel,

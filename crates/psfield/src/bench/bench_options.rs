@@ -7,7 +7,7 @@ use psf_types::Anchor;
 pub struct BenchOptions {
     /// Whose PSF applies.
     pub anchor: Anchor,
-    /// Timed runs of each contender, after one that warms up; 0 counts as 1.
+    /// Timed turns of each contender, after a run that warms up; 0 counts as 1.
     pub repeat: usize,
     /// Random pixels at which images are compared with the direct sum; 0 counts as 1.
     pub pixels: usize,
@@ -20,7 +20,7 @@ pub struct BenchOptions {
 impl BenchOptions {
     /// Products of the direct sum that take a few seconds.
     pub const DEFAULT_DIRECT_PRODUCTS: f64 = 2e9;
-    /// Timed runs of each contender.
+    /// Timed turns of each contender.
     pub const DEFAULT_REPEAT: usize = 3;
     /// Pixels compared.
     pub const DEFAULT_PIXELS: usize = 400;

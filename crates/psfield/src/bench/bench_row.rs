@@ -42,8 +42,8 @@ pub struct BenchRow {
     pub transform: Option<[usize; 2]>,
     /// Threads that shared the work.
     pub threads: usize,
-    /// By how much the process grew, at most, from before the plan to the end of the first run, where the system tells (Linux). Memory
-    /// that earlier work left to the process does not count.
+    /// The most memory that the process held from before the plan to the end of the first run, where the system tells (Linux): the plans
+    /// made before and what they left are in it, so that a method's own figure is that of a run without others.
     pub peak_memory_bytes: Option<u64>,
 }
 

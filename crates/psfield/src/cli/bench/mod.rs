@@ -81,7 +81,7 @@ pub(crate) struct BenchArgs {
     /// Working precision
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
-    /// Timed runs of each method [default: 3]
+    /// Timed turns of each method; what is done in less than 20 ms runs more than once a turn [default: 3]
     #[arg(long, value_name = "N")]
     repeat: Option<NonZeroU16>,
     /// Random pixels at which errors are measured [default: 400]
