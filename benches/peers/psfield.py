@@ -13,7 +13,7 @@ def offers_bench(binary):
         return False
 
 
-def beside(args, unit):
+def beside(args, unit, method="lowrank"):
     """psfield's rows for the files in the working folder, or none and a line that says why."""
     if not args.psfield:
         print("psfield: skipped, no --psfield")
@@ -22,14 +22,14 @@ def beside(args, unit):
         print(f"psfield: skipped, {args.psfield} has no command bench")
         return []
     files = args.work / "scene.fits", args.work / "samples.fits"
-    return bench(args.psfield, *files, args.threads, args.tolerances.split(","), unit)
+    return bench(args.psfield, *files, args.threads, args.tolerances.split(","), unit, method)
 
 
-def bench(binary, scene, samples, threads, tolerances, unit):
+def bench(binary, scene, samples, threads, tolerances, unit, method):
     """Rows of the table, one a tolerance; `unit` is the time of `single`, seconds, or nothing."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "bench.json"
-        command = [binary, "bench", "--scene", scene, "--psf", samples, "--methods", "lowrank", "--tolerances", ",".join(tolerances)]
+        command = [binary, "bench", "--scene", scene, "--psf", samples, "--methods", method, "--tolerances", ",".join(tolerances)]
         subprocess.run([*command, "--threads", str(threads), "--json", out], check=True, stdout=subprocess.DEVNULL)
         found = json.loads(out.read_text())["rows"]
     # psfield's own single PSF comes along as the unit of its own ratios.

@@ -174,7 +174,7 @@ def benchmark(args):
     timing.in_turn(entries, args.repeat, check)
     results = table.rows(entries, args.size, args.grid)
     ok = all(row["relative_l2_own_model"] <= RIGHT for row in results)
-    results += psfield.beside(args, unit=None)
+    results += psfield.beside(args, unit=None, method="auto")
     table.show(f"{COUNT} stars of one pixel, {args.size} x {args.size} pixels, {args.grid} x {args.grid} samples, {args.threads} threads", results)
     return ok, results
 

@@ -1,6 +1,9 @@
 //! Private pieces for the benches of this crate: no part of its interface.
 
+use psf_types::{PixelRegion, PsfModel};
+
 use crate::ConvReal;
+use crate::lowrank::internals::{Aligned, CoefficientTable, FluxRole, LocalModes, PsfSpace, RegionRuns};
 use crate::simd::{Lanes, WithIsa};
 use crate::transform::TileTransform;
 
@@ -10,12 +13,12 @@ pub struct SquareTransform<T: ConvReal> {
     fft: TileTransform<T>,
     /// Pixels along each side of the tile and of the stamp.
     sides: [usize; 2],
-    plane: Buffer<T>,
-    spectrum: Buffer<T>,
-    kernel: Buffer<T>,
-    sum: Buffer<T>,
-    result: Buffer<T>,
-    column: Buffer<T>,
+    plane: Aligned<T>,
+    spectrum: Aligned<T>,
+    kernel: Aligned<T>,
+    sum: Aligned<T>,
+    result: Aligned<T>,
+    column: Aligned<T>,
 }
 
 /// A step of a convolution.
@@ -36,13 +39,13 @@ impl<T: ConvReal> SquareTransform<T> {
     pub fn new(size: usize, stamp: usize) -> Self {
         let fft = TileTransform::new(size, size);
         let length = fft.plane_len().max(fft.spectrum_len());
-        let zeros = || Buffer::zeros(length);
+        let zeros = || Aligned::zeros(length);
         let mut plane = zeros();
         for (i, value) in plane.get_mut().iter_mut().enumerate() {
             *value = T::nearest((i % 17) as f64);
         }
         Self {
-            column: Buffer::zeros(fft.column_len()),
+            column: Aligned::zeros(fft.column_len()),
             sides: [size + 1 - stamp, stamp],
             plane,
             spectrum: zeros(),
@@ -93,47 +96,77 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
     }
 }
 
-/// Values that start at a cache line.
+/// What a block of tiles needs before any light comes.
 #[derive(Debug)]
-struct Buffer<T> {
-    values: Vec<T>,
-    start: usize,
-    length: usize,
+pub struct BlockSteps<T: ConvReal> {
+    model: PsfModel,
+    space: PsfSpace,
+    region: PixelRegion,
+    tolerance: f64,
+    runs: RegionRuns,
+    modes: LocalModes,
+    role: FluxRole,
+    table: CoefficientTable<T>,
+    ramp: Vec<T>,
 }
 
-const CACHE_LINE: usize = 64;
-
-impl<T: ConvReal> Buffer<T> {
-    fn zeros(length: usize) -> Self {
-        let values = vec![T::zero(); length + CACHE_LINE / size_of::<T>()];
-        let past = values.as_ptr() as usize % CACHE_LINE;
+impl<T: ConvReal> BlockSteps<T> {
+    /// The steps for a region of a model's field, all of them done once.
+    pub fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
+        let space = PsfSpace::new(model);
+        let runs = RegionRuns::new(model.field(), region);
+        let modes = LocalModes::new(&space, &runs, tolerance);
+        let (role, _) = FluxRole::of(model, &modes, &runs);
         Self {
-            start: (CACHE_LINE - past) % CACHE_LINE / size_of::<T>(),
-            values,
-            length,
+            table: CoefficientTable::new(region, role, &modes, &runs),
+            ramp: (0..region.shape().nx()).map(|i| T::nearest(i as f64)).collect(),
+            model: model.clone(),
+            space,
+            region,
+            tolerance,
+            runs,
+            modes,
+            role,
         }
     }
 
-    fn get(&self) -> &[T] {
-        &self.values[self.start..self.start + self.length]
+    /// The weights of the field's nodes along the region's rows.
+    pub fn weights_along_rows(&mut self) {
+        self.runs = RegionRuns::new(self.model.field(), self.region);
     }
 
-    fn get_mut(&mut self) -> &mut [T] {
-        &mut self.values[self.start..self.start + self.length]
+    /// The modes.
+    pub fn local_modes(&mut self) {
+        self.modes = LocalModes::new(&self.space, &self.runs, self.tolerance);
+    }
+
+    /// Their coefficients over the region.
+    pub fn coefficients(&mut self) {
+        self.table = CoefficientTable::new(self.region, self.role, &self.modes, &self.runs);
+    }
+
+    /// The region's light `[y, x]` times the coefficient of the last mode.
+    pub fn weigh(&self, light: &[T], weighted: &mut [T]) {
+        T::dispatch(Weigh(self, light, weighted));
     }
 }
 
-/// Runs `work` compiled for the best instruction set of this machine; what it calls must be inlined.
-pub fn vectorized<T: ConvReal>(work: impl FnMut()) {
-    struct Work<F>(F);
-    impl<T: ConvReal, F: FnMut()> WithIsa<T> for Work<F> {
-        type Output = ();
-        fn run<S: Lanes<T>>(mut self, simd: S) {
-            simd.vectorized(
-                #[inline(always)]
-                || (self.0)(),
-            );
-        }
+struct Weigh<'a, T: ConvReal>(&'a BlockSteps<T>, &'a [T], &'a mut [T]);
+
+impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
+    type Output = ();
+    fn run<S: Lanes<T>>(self, simd: S) {
+        let Self(block, light, weighted) = self;
+        let nx = block.region.shape().nx();
+        let last = block.table.kernel_count() - 1;
+        simd.vectorized(
+            #[inline(always)]
+            || {
+                let rows = light.chunks_exact(nx).zip(weighted.chunks_exact_mut(nx));
+                for (row, (light, weighted)) in rows.enumerate() {
+                    block.table.weigh(last, row, 0, light, &block.ramp, weighted);
+                }
+            },
+        );
     }
-    T::dispatch(Work(work));
 }

@@ -22,45 +22,38 @@ impl<T: ConvReal> TileEngine<'_, T> {
     ) {
         let (sx, sy) = self.stamp;
         let (height, width) = output.dim();
-        let mut coefficients = vec![T::zero(); local.table.kernel_count()];
-        for &(y, x, value) in pixels {
-            for (kernel, c) in coefficients.iter_mut().enumerate() {
+        let kernels = local.table.kernel_count();
+        let mut coefficients = vec![T::zero(); pixels.len() * kernels];
+        for (&(y, x, value), all) in pixels.iter().zip(coefficients.chunks_exact_mut(kernels)) {
+            let (column, row) = (local.part.corner.0 + x, local.part.corner.1 + y);
+            for (kernel, c) in all.iter_mut().enumerate() {
                 let one = std::slice::from_mut(c);
-                local.table.weigh(
-                    kernel,
-                    local.part.corner.1 + y,
-                    local.part.corner.0 + x,
-                    &[value],
-                    self.ramp,
-                    one,
-                );
+                local.table.weigh(kernel, row, column, &[value], self.ramp, one);
             }
-            let (column, row) = (corner.0 + x as i64, corner.1 + y as i64);
-            let from = (-column).clamp(0, sx as i64) as usize;
-            let to = (width as i64 - column).clamp(from as i64, sx as i64) as usize;
-            if from == to {
-                continue;
-            }
-            let start = (column + from as i64) as usize;
-            for j in 0..sy {
-                let target = row + j as i64;
-                if !(0..height as i64).contains(&target) {
+        }
+        // Row by row of the stamps: one row of all of them stays in the first cache while every pixel takes its part of it.
+        for j in 0..sy {
+            for (&(y, x, _), all) in pixels.iter().zip(coefficients.chunks_exact(kernels)) {
+                let (column, row) = (corner.0 + x as i64, corner.1 + (y + j) as i64);
+                let from = (-column).clamp(0, sx as i64) as usize;
+                let to = (width as i64 - column).clamp(from as i64, sx as i64) as usize;
+                if from == to || !(0..height as i64).contains(&row) {
                     continue;
                 }
-                let mut target = output.row_mut(target as usize);
+                let start = (column + from as i64) as usize;
+                let mut target = output.row_mut(row as usize);
                 let target = target.as_slice_mut().expect("images are row-major");
                 let target = &mut target[start..start + (to - from)];
                 if self.flip {
                     let row = (sy - 1 - j) * sx;
-                    for (stamp, &c) in local.stamps.chunks_exact(sx * sy).zip(&coefficients) {
+                    for (stamp, &c) in local.stamps.chunks_exact(sx * sy).zip(all) {
                         let values = stamp[row + sx - to..row + sx - from].iter().rev();
                         for (t, v) in target.iter_mut().zip(values) {
                             *t += c * *v;
                         }
                     }
                 } else {
-                    let first = j * sx + from;
-                    add_combination(simd, target, local.stamps, (sx * sy, first), &coefficients);
+                    add_combination(simd, target, local.stamps, (sx * sy, j * sx + from), all);
                 }
             }
         }

@@ -159,12 +159,16 @@ impl<T: ConvReal> TileEngine<'_, T> {
                     &mut weighted[..columns],
                 );
             }
-            let (plane, column) = (w.weighted.get(), w.column.get_mut());
-            self.fft
-                .forward(simd, plane, (rows, columns), w.spectrum.get_mut(), column);
-            let spectra = &w.kernels.get()[kernel * length..(kernel + 1) * length];
-            self.fft
-                .multiply_swapped(simd, w.spectrum.get(), spectra, w.sum.get_mut(), kernel > 0);
+            self.fft.forward_multiply_swapped(
+                simd,
+                w.weighted.get(),
+                (rows, columns),
+                &w.kernels.get()[kernel * length..(kernel + 1) * length],
+                w.sum.get_mut(),
+                kernel > 0,
+                w.spectrum.get_mut(),
+                w.column.get_mut(),
+            );
         }
         let (width, height) = self.around(local.part.size);
         self.fft.inverse_of_swapped(

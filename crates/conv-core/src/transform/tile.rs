@@ -91,12 +91,58 @@ impl<T: ConvReal> TileTransform<T> {
         spectrum: &mut [T],
         column: &mut [T],
     ) {
+        self.down(simd, plane, (rows, columns), spectrum, column);
+        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
+        for group in spectrum.chunks_exact_mut(self.group()) {
+            self.across(simd, group, columns);
+        }
+    }
+
+    /// The spectrum of a plane as by [`forward`](Self::forward), times another, real and imaginary parts swapped; added to `sum` or put in
+    /// its place. Group by group, so that each stays in the first cache from its transform to the sum; `spectrum` is overwritten.
+    #[inline(always)]
+    #[allow(clippy::too_many_arguments, reason = "three planes of input, two of output")]
+    pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
+        &self,
+        simd: S,
+        plane: &[T],
+        (rows, columns): (usize, usize),
+        factor: &[T],
+        sum: &mut [T],
+        add: bool,
+        spectrum: &mut [T],
+        column: &mut [T],
+    ) {
+        self.down(simd, plane, (rows, columns), spectrum, column);
+        let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
+        let factor: &[Pair<S::V>] = cast_slice(&factor[..self.spectrum_len()]);
+        let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
+        let groups = spectrum.chunks_exact_mut(self.group());
+        let others = factor
+            .chunks_exact(self.group())
+            .zip(sum.chunks_exact_mut(self.group()));
+        for (group, (factor, sum)) in groups.zip(others) {
+            self.across(simd, group, columns);
+            let n = self.nx;
+            multiply_swapped(simd, &group[..n], &factor[..n], &mut sum[..n], add);
+        }
+    }
+
+    /// The transforms along y of a plane's columns, as groups of a spectrum.
+    #[inline(always)]
+    fn down<S: Lanes<T>>(
+        &self,
+        simd: S,
+        plane: &[T],
+        (rows, columns): (usize, usize),
+        spectrum: &mut [T],
+        column: &mut [T],
+    ) {
         let half = self.ny / 2;
         let spectrum: &mut [Pair<S::V>] = cast_slice_mut(&mut spectrum[..self.spectrum_len()]);
         let column: &mut [Pair<S::V>] = &mut cast_slice_mut(column)[..half];
-        let blocks = columns.div_ceil(S::LANES);
         let zero = simd.splat(T::zero());
-        for block in 0..blocks {
+        for block in 0..columns.div_ceil(S::LANES) {
             let both = rows.saturating_sub(half);
             for (y, (value, w)) in column.iter_mut().zip(&self.twist).enumerate() {
                 let w = [simd.splat(w[0]), simd.splat(w[1])];
@@ -122,11 +168,14 @@ impl<T: ConvReal> TileTransform<T> {
                 simd.transpose(from, &mut group[block * S::LANES..(block + 1) * S::LANES]);
             }
         }
-        for group in spectrum.chunks_exact_mut(self.group()) {
-            group[blocks * S::LANES..self.nx].fill([zero; 2]);
-            self.across
-                .forward(simd, &mut group[..self.nx], blocks * S::LANES);
-        }
+    }
+
+    /// The transforms along x of a group, of which only the first `columns` values are there.
+    #[inline(always)]
+    fn across<S: Lanes<T>>(&self, simd: S, group: &mut [Pair<S::V>], columns: usize) {
+        let filled = columns.next_multiple_of(S::LANES);
+        group[filled..self.nx].fill([simd.splat(T::zero()); 2]);
+        self.across.forward(simd, &mut group[..self.nx], filled);
     }
 
     /// The plane of a spectrum whose real and imaginary parts are swapped, which is overwritten: its first `rows x columns` values.
@@ -171,20 +220,31 @@ impl<T: ConvReal> TileTransform<T> {
         let a: &[Pair<S::V>] = cast_slice(&a[..self.spectrum_len()]);
         let b: &[Pair<S::V>] = cast_slice(&b[..self.spectrum_len()]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);
-        if add {
-            for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
-                let imaginary = simd.mul_add(a[0], b[1], sum[0]);
-                let real = simd.mul_add(a[0], b[0], sum[1]);
-                *sum = [
-                    simd.mul_add(a[1], b[0], imaginary),
-                    simd.neg_mul_add(a[1], b[1], real),
-                ];
-            }
-        } else {
-            for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
-                let [real, imaginary] = times(simd, *a, *b);
-                *sum = [imaginary, real];
-            }
+        multiply_swapped(simd, a, b, sum, add);
+    }
+}
+
+#[inline(always)]
+fn multiply_swapped<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    a: &[Pair<S::V>],
+    b: &[Pair<S::V>],
+    sum: &mut [Pair<S::V>],
+    add: bool,
+) {
+    if add {
+        for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+            let imaginary = simd.mul_add(a[0], b[1], sum[0]);
+            let real = simd.mul_add(a[0], b[0], sum[1]);
+            *sum = [
+                simd.mul_add(a[1], b[0], imaginary),
+                simd.neg_mul_add(a[1], b[1], real),
+            ];
+        }
+    } else {
+        for ((sum, a), b) in sum.iter_mut().zip(a).zip(b) {
+            let [real, imaginary] = times(simd, *a, *b);
+            *sum = [imaginary, real];
         }
     }
 }
@@ -237,7 +297,16 @@ mod tests {
                             fft.forward(simd, &light_plane, (rows, columns), &mut a, &mut column);
                             fft.forward(simd, &stamp_plane, (height, width), &mut b, &mut column);
                             fft.multiply_swapped(simd, &a, &b, &mut sum, false);
-                            fft.multiply_swapped(simd, &a, &b, &mut sum, true);
+                            fft.forward_multiply_swapped(
+                                simd,
+                                &light_plane,
+                                (rows, columns),
+                                &b,
+                                &mut sum,
+                                true,
+                                &mut a,
+                                &mut column,
+                            );
                             let size = (rows + height - 1, columns + width - 1);
                             fft.inverse_of_swapped(simd, &mut sum, size, &mut result, &mut column);
                         },
