@@ -132,10 +132,14 @@ fn draw(area: &Area<'_>, title: &str, rows: &[BenchRow]) -> Result<(), Failure> 
                 .into_font()
                 .color(colour)
                 .pos(Pos::new(HPos::Left, VPos::Bottom));
-            chart.draw_series(points.iter().filter_map(|p| {
-                let value = p.2?.rsplit('=').next()?.to_owned();
-                Some(EmptyElement::at((p.0, p.1)) + Text::new(value, (6, -5), style.clone()))
-            }))?;
+            let labels = points
+                .chunk_by(|a, b| close(a.0, b.0) && close(a.1, b.1))
+                .map(|same| {
+                    let values = same.iter().filter_map(|p| p.2?.rsplit('=').next());
+                    let text = values.collect::<Vec<_>>().join(", ");
+                    EmptyElement::at((same[0].0, same[0].1)) + Text::new(text, (6, -5), style.clone())
+                });
+            chart.draw_series(labels)?;
         }
     }
     Ok(())
@@ -156,6 +160,11 @@ fn mark<C: CoordTranslate>(
         "basis" => area.draw(&(at + Polygon::new(vec![(0, -6), (6, 0), (0, 6), (-6, 0)], filled))),
         _ => area.draw(&(at + Cross::new((0, 0), 5, colour.stroke_width(2)))),
     }
+}
+
+/// Whether two values lie so close on a logarithmic axis that their labels would overlap.
+fn close(a: f64, b: f64) -> bool {
+    (a / b).ln().abs() < 0.3
 }
 
 /// The error as it is drawn, where there is one.

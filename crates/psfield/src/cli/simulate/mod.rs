@@ -223,18 +223,15 @@ impl SimulateArgs {
         };
         let bar = context.bar("convolving");
         let clock = Instant::now();
-        let (image, plan) = match plan {
-            Some(plan) => {
-                let (image, counts) = simulation.run_planned(&plan, &scene, &bar)?;
-                (image, Some((plan.summary(), counts)))
-            }
-            None => {
-                let method = self.method.build::<T>(self.options()?)?;
-                (
-                    simulation.run_with(&scene, method.as_ref(), self.anchor, &bar)?,
-                    None,
-                )
-            }
+        let (image, plan) = if let Some(plan) = plan {
+            let (image, counts) = simulation.run_planned(&plan, &scene, &bar)?;
+            (image, Some((plan.summary(), counts)))
+        } else {
+            let method = self.method.build::<T>(self.options()?)?;
+            (
+                simulation.run_with(&scene, method.as_ref(), self.anchor, &bar)?,
+                None,
+            )
         };
         seconds.execute = clock.elapsed().as_secs_f64();
         drop(bar);
