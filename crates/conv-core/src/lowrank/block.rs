@@ -41,18 +41,24 @@ impl<T> std::ops::Deref for Table<'_, T> {
 }
 
 impl<T: ConvReal> Block<T> {
-    /// The block with its coefficients.
-    pub(crate) fn new(model: &PsfModel, space: &PsfSpace, region: PixelRegion, tolerance: f64) -> Self {
+    /// The block, with its coefficients if they are to be kept.
+    pub(crate) fn new(
+        model: &PsfModel,
+        space: &PsfSpace,
+        region: PixelRegion,
+        tolerance: f64,
+        keep_table: bool,
+    ) -> Self {
         let runs = RegionRuns::new(model.field(), region);
         let modes = LocalModes::new(space, &runs, tolerance);
         let (role, flux) = FluxRole::of(model, &modes, &runs);
-        let table = CoefficientTable::new(region, role, &modes, &runs);
+        let table = keep_table.then(|| CoefficientTable::new(region, role, &modes, &runs));
         Self {
             region,
             modes,
             role,
             flux,
-            table: Some(table),
+            table,
             stamps: None,
         }
     }

@@ -44,8 +44,6 @@ enum Values<T> {
     Dense(Vec<T>),
 }
 
-/// Runs shorter than this on average are not worth their bookkeeping.
-const SHORT_RUN: usize = 4;
 /// Fluxes that differ by less than this part are the same.
 const SAME_FLUX: f64 = 4e-16;
 
@@ -108,7 +106,7 @@ impl<T: ConvReal> CoefficientTable<T> {
             divides: role.divides(),
             undefined: Vec::new(),
         };
-        let values = if runs.runs().len() * SHORT_RUN > nx * ny {
+        let values = if runs.are_short() {
             let mut dense = vec![T::zero(); functions * nx * ny];
             for row in 0..ny {
                 for run in runs.row(row) {

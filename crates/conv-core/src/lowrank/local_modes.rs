@@ -34,6 +34,9 @@ const FLUX_TO_SPEAK_OF: f64 = 1e-3;
 /// Directions in which no node reaches farther than this, relative to the nodes' norms, are rounding.
 const ROUNDING: f64 = 2e-16;
 
+/// What is left of a node is rounding where less than this part of it is orthogonal to the directions found before.
+const MOSTLY_NEW: f64 = 0.5;
+
 impl LocalModes {
     /// The modes of a region, for a tolerance that is not below the rounding of double precision.
     pub(crate) fn new(space: &PsfSpace, runs: &RegionRuns, tolerance: f64) -> Self {
@@ -195,17 +198,21 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
             break;
         }
         let mut direction = &rest.row(row) / largest;
+        rest.row_mut(row).fill(0.0);
         // What rounding left of the earlier directions.
         for earlier in &basis {
             let p = earlier.dot(&direction);
             direction.scaled_add(-p, earlier);
         }
-        direction /= norm(direction.view());
+        let new = norm(direction.view());
+        if new < MOSTLY_NEW {
+            continue;
+        }
+        direction /= new;
         for mut other in rest.outer_iter_mut() {
             let p = other.dot(&direction);
             other.scaled_add(-p, &direction);
         }
-        rest.row_mut(row).fill(0.0);
         basis.push(direction);
     }
     let mut rows = Array2::zeros((basis.len(), dimension));

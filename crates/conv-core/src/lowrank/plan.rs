@@ -94,6 +94,8 @@ pub struct Plan<T: ConvReal> {
 
 /// Blocks whose stamps are made by one product of matrices.
 const BLOCKS_A_PRODUCT: usize = 32;
+/// Blocks that are planned at once.
+const BLOCKS_AT_ONCE: usize = 64;
 
 impl<T: ConvReal> Plan<T> {
     /// A plan for scenes of a shape seen through a frame, a region of the scene.
@@ -121,14 +123,14 @@ impl<T: ConvReal> Plan<T> {
         let space = PsfSpace::new(model);
         let tolerance = options.tolerance().max(rounding::<T>());
         let tiling = best_tiling(model, &space, &geometry, tolerance, cost, options.memory_bytes());
-        let across = tiling.columns.len();
-        let blocks: Vec<Block<T>> = (0..across * tiling.rows.len())
-            .into_par_iter()
-            .map(|i| {
-                let region = tiling.region(&geometry, i % across, i / across);
-                Block::new(model, &space, region, tolerance)
-            })
-            .collect();
+        let (blocks, left) = blocks(
+            model,
+            &space,
+            &geometry,
+            &tiling,
+            tolerance,
+            options.memory_bytes(),
+        );
         let longest = tiling.columns.iter().map(Stretch::length).max().unwrap_or(1);
         let mut plan = Self {
             fft: TileTransform::new(tiling.size.0, tiling.size.1),
@@ -145,7 +147,7 @@ impl<T: ConvReal> Plan<T> {
             shape,
             frame,
         };
-        plan.keep_within_memory();
+        plan.keep_stamps(left);
         Ok(plan)
     }
 
@@ -157,15 +159,8 @@ impl<T: ConvReal> Plan<T> {
         Self::new(model, scene.shape(), scene.frame(), options)
     }
 
-    /// Forgets tables beyond the memory allowed and makes the stamps for which there is room.
-    fn keep_within_memory(&mut self) {
-        let mut left = self.options.memory_bytes();
-        for block in &mut self.blocks {
-            match left.checked_sub(block.table_bytes()) {
-                Some(rest) => left = rest,
-                None => block.forget_table(),
-            }
-        }
+    /// Makes the stamps for which there is room.
+    fn keep_stamps(&mut self, mut left: usize) {
         let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
         let mut room = 0;
         while room < self.blocks.len() {
@@ -430,6 +425,43 @@ impl<T: ConvReal> Plan<T> {
             got_frame: text(got_frame),
         }
     }
+}
+
+/// The blocks of a tiling, row by row, with coefficients as far as the memory reaches, and the memory that is left.
+fn blocks<T: ConvReal>(
+    model: &PsfModel,
+    space: &PsfSpace,
+    geometry: &Geometry,
+    tiling: &Tiling,
+    tolerance: f64,
+    memory_bytes: usize,
+) -> (Vec<Block<T>>, usize) {
+    let across = tiling.columns.len();
+    let count = across * tiling.rows.len();
+    let mut blocks: Vec<Block<T>> = Vec::with_capacity(count);
+    let mut left = memory_bytes;
+    let mut full = false;
+    // A few at a time, so that tables for which there is no room do not pile up.
+    for first in (0..count).step_by(BLOCKS_AT_ONCE) {
+        let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
+            .into_par_iter()
+            .map(|i| {
+                let region = tiling.region(geometry, i % across, i / across);
+                Block::new(model, space, region, tolerance, !full)
+            })
+            .collect();
+        for mut block in made {
+            match left.checked_sub(block.table_bytes()) {
+                Some(rest) if !full => left = rest,
+                _ => {
+                    full = true;
+                    block.forget_table();
+                }
+            }
+            blocks.push(block);
+        }
+    }
+    (blocks, left)
 }
 
 fn extents(

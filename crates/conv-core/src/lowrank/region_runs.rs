@@ -129,6 +129,12 @@ impl RegionRuns {
         Some([&self.weights[first.clone()], &self.weights[last.clone()]])
     }
 
+    /// Whether runs hold next to nothing but single pixels, so that a region takes much memory.
+    pub(crate) fn are_short(&self) -> bool {
+        let pixels: usize = self.runs.iter().map(|run| run.length).sum();
+        self.runs.len() * SHORT_RUN > pixels
+    }
+
     /// Whether the weights of every end add up to 1.
     pub(crate) fn is_partition_of_unity(&self) -> bool {
         let sums_to_one = |ends: [&[(usize, f64)]; 2]| {
@@ -141,5 +147,7 @@ impl RegionRuns {
 
 /// Rows that stand for a region.
 const SAMPLED_ROWS: usize = 5;
+/// Runs shorter than this on average are not worth their bookkeeping.
+const SHORT_RUN: usize = 4;
 /// Weights of an interpolator add up to 1 up to this.
 const ROUNDING_OF_WEIGHTS: f64 = 1e-12;

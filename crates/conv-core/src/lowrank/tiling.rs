@@ -129,6 +129,9 @@ impl Tiling {
         let (across, up) = (self.columns.len(), self.rows.len());
         let blocks = across * up;
         let samples = SAMPLES.min(blocks);
+        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
+        let count = tiles(&self.columns) * tiles(&self.rows);
+        let mut short_runs = false;
         let kernels: usize = (0..samples)
             .map(|i| {
                 // Spread over rows and columns.
@@ -136,12 +139,15 @@ impl Tiling {
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
                 let runs = RegionRuns::sampled(model.field(), region);
+                short_runs |= runs.are_short();
                 LocalModes::new(space, &runs, tolerance).rank() + 1
             })
             .sum();
+        if short_runs && count > blocks {
+            // Coefficients pixel by pixel: blocks of several tiles would take too much memory.
+            return f64::INFINITY;
+        }
         let kernels = kernels as f64 / samples as f64;
-        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
-        let count = tiles(&self.columns) * tiles(&self.rows);
         let (nx, ny) = geometry.weighted_size();
         let tile = (nx.div_ceil(tiles(&self.columns)), ny.div_ceil(tiles(&self.rows)));
         let tiles_a_block = count as f64 / blocks as f64;
