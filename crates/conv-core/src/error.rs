@@ -43,6 +43,9 @@ pub enum ConvError {
         /// The image.
         got: FrameShape,
     },
+    /// A frame that does not lie within its scene.
+    #[error(transparent)]
+    Frame(DataError),
     /// A tolerance that bounds nothing.
     #[error("the tolerance is {got}: it must be a number of at least 0 and below 1")]
     Tolerance {

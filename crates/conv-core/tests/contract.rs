@@ -5,7 +5,9 @@ mod common;
 use std::sync::Arc;
 
 use common::{Constant, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene};
-use conv_core::{BasisConvolution, ConvError, ConvolutionMethod, Direct, PatchConvolution};
+use conv_core::{
+    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, PlanOptions,
+};
 use ndarray::{Array2, Array3};
 use psf_types::{Anchor, Image, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid};
 
@@ -434,10 +436,12 @@ fn only_light_that_reaches_the_frame_needs_a_psf() {
         .unwrap();
     let truth = double_sum(&model(Arc::new(Waves)), &scene, Anchor::Source);
     let island = model(Arc::new(Island));
-    let methods: [&dyn ConvolutionMethod<f64>; 3] = [
+    let exact = LowRank::new(PlanOptions::new(0.0).unwrap());
+    let methods: [&dyn ConvolutionMethod<f64>; 4] = [
         &BasisConvolution::default(),
         &Direct::default(),
         &PatchConvolution::new(1, Anchor::Source).unwrap(),
+        &exact,
     ];
     for method in methods {
         let image = method.convolve(&island, &scene).unwrap().into_pixels();
@@ -447,8 +451,17 @@ fn only_light_that_reaches_the_frame_needs_a_psf() {
         );
     }
     let lit_outside = scene.with_frame(region(200, 2, 100, 20)).unwrap();
-    assert!(matches!(
-        BasisConvolution::default().convolve(&island, &lit_outside),
-        Err(ConvError::Field(_))
-    ));
+    for method in [
+        &BasisConvolution::default() as &dyn ConvolutionMethod<f64>,
+        &exact,
+    ] {
+        let refused = method.convolve(&island, &lit_outside);
+        assert!(
+            matches!(
+                refused,
+                Err(ConvError::Field(psf_types::FieldError::OutsideSamples { .. }))
+            ),
+            "{method:?}"
+        );
+    }
 }

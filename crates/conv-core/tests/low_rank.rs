@@ -207,7 +207,7 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
 }
 
 #[test]
-fn nothing_but_time_depends_on_memory_and_threads() {
+fn the_result_does_not_depend_on_threads_nor_on_what_is_made_anew() {
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
     let scene = scene(420, 330, 9);
     for anchor in ANCHORS {
@@ -219,6 +219,7 @@ fn nothing_but_time_depends_on_memory_and_threads() {
             pool.install(|| {
                 let options = options(1e-3, anchor, Paths::Cheapest).with_memory(memory);
                 let plan = Plan::for_scene(&model, &scene, options).unwrap();
+                assert!(plan.summary().blocks > 1);
                 let image = plan.execute(&scene).unwrap();
                 let again = plan.execute(&scene).unwrap();
                 assert_eq!(image, again, "workspaces are dirty the second time");
@@ -246,8 +247,17 @@ fn flux_is_kept_at_any_tolerance() {
         .slice_mut(s![40..120, 40..160])
         .assign(&noise(80, 120, 4).mapv(|v| v + 1.2));
     let scene = Scene::from_image(Image::new(light.clone()).unwrap());
-    for normalisation in [Normalisation::Unit, Normalisation::Keep] {
-        let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, normalisation);
+    for (field, mean, normalisation) in [
+        (
+            Arc::new(Waves) as Arc<dyn CoefficientField>,
+            true,
+            Normalisation::Unit,
+        ),
+        (Arc::new(Waves), true, Normalisation::Keep),
+        (Arc::new(Step), true, Normalisation::Unit),
+        (Arc::new(Step), false, Normalisation::Keep),
+    ] {
+        let model = model_with(field, (16, 12), (8, 6), mean, normalisation);
         let exact: f64 = light
             .indexed_iter()
             .map(|((y, x), f)| {
@@ -302,6 +312,62 @@ fn kernels_without_flux_are_kernels_too() {
     }
 }
 
+/// More components than a tile has modes, and fluxes that nearly cancel: the one mode that carries flux comes first.
+#[test]
+fn kernels_whose_flux_nearly_cancels_are_exact_and_keep_it() {
+    /// Twelve smooth fields that few modes make in a tile.
+    #[derive(Debug)]
+    struct Smooth;
+    impl CoefficientField for Smooth {
+        fn component_count(&self) -> usize {
+            12
+        }
+        fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+            for (k, a) in a.iter_mut().enumerate() {
+                let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
+                *a = sign
+                    * (1.0 + 1e-3 * (k as f64 + 1.0) * (p.x() / 90.0).sin() + 2e-3 * (p.y() / 70.0).cos());
+            }
+            Ok(())
+        }
+    }
+    // Components of a single pixel each, in pairs of opposite coefficients.
+    let mut components = ndarray::Array3::zeros((12, 5, 6));
+    for k in 0..12 {
+        components[[k, k / 4 + 1, k % 4 + 1]] = 1.0;
+    }
+    let grid = psf_types::StampGrid::new(6, 5).unwrap();
+    let basis = psf_types::PsfBasis::new(None, components, grid).unwrap();
+    let model = PsfModel::new(&basis, Arc::new(Smooth), Normalisation::Keep, None).unwrap();
+    let mut light = Array2::zeros((90, 110));
+    light
+        .slice_mut(s![10..80, 10..100])
+        .assign(&noise(70, 90, 2).mapv(|v| v + 2.0));
+    let scene = Scene::from_image(Image::new(light).unwrap());
+    for anchor in ANCHORS {
+        let truth = double_sum(&model, &scene, anchor);
+        for tolerance in [0.0, 1e-3, 1e-1] {
+            let plan =
+                Plan::for_scene(&model, &scene, options(tolerance, anchor, Paths::Transforms)).unwrap();
+            let image = plan.execute(&scene).unwrap().into_pixels();
+            let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
+            let error = norm(&(&image - &truth)) / norm(&truth);
+            // Light of one sign through kernels of both: errors add up a little.
+            assert!(
+                error <= 10.0 * tolerance + ROUNDING_F64,
+                "{error:e} at {tolerance:e}, {anchor}"
+            );
+            if anchor == Anchor::Source {
+                let lost = (image.sum() - truth.sum()).abs() / peak(&truth);
+                assert!(lost < 1e-10, "{lost:e} at {tolerance:e}");
+            }
+            if tolerance == 1e-1 {
+                assert!(plan.summary().most_modes() < 12);
+            }
+        }
+    }
+}
+
 #[test]
 fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
     let model = model_with(Arc::new(Constant), (16, 12), (8, 6), true, Normalisation::Unit);
@@ -318,10 +384,6 @@ fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
         .execute_with_progress(&scene, &psf_types::NoProgress)
         .unwrap();
     assert_eq!(counts.tiles(), summary.tiles);
-    assert_eq!(
-        counts.dark + counts.drawn + counts.transformed + counts.direct,
-        summary.tiles
-    );
     assert!(counts.dark > summary.tiles / 2 && counts.drawn >= 1, "{counts:?}");
     let truth = Direct::default().convolve(&model, &scene).unwrap().into_pixels();
     assert!(largest_difference(&image.into_pixels(), &truth) < ROUNDING_F64);
@@ -386,6 +448,10 @@ fn a_plan_refuses_what_it_was_not_made_for() {
     ));
     let wrong = Image::new(noise(3, 3, 1)).unwrap();
     assert!(matches!(plan.adjoint(&wrong), Err(ConvError::FrameShape { .. })));
+    for frame in [region(-1, 0, 4, 4), region(28, 0, 4, 4)] {
+        let plan = Plan::<f64>::new(&model, scene(30, 20, 1).shape(), frame, PlanOptions::default());
+        assert!(matches!(plan, Err(ConvError::Frame(_))));
+    }
     for bad in [-1e-3, 1.0, f64::NAN, f64::INFINITY] {
         assert!(matches!(PlanOptions::new(bad), Err(ConvError::Tolerance { .. })));
     }

@@ -41,6 +41,7 @@ mod pixel_picker;
 mod psf_input;
 mod simulation;
 mod spot_check;
+mod system_memory;
 
 pub use {coeff_field, conv_core, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
 
@@ -53,3 +54,4 @@ pub use pixel_picker::{PickedPixel, PixelPicker};
 pub use psf_input::{PsfInput, check_stack};
 pub use simulation::{SceneParts, Simulation};
 pub use spot_check::SpotCheck;
+pub use system_memory::{available_memory_bytes, peak_memory_bytes};

@@ -68,6 +68,14 @@ impl<T: ConvReal> Block<T> {
         self.modes.rank() + usize::from(self.modes.reference().is_some())
     }
 
+    pub(crate) fn has_table(&self) -> bool {
+        self.table.is_some()
+    }
+
+    pub(crate) fn has_stamps(&self) -> bool {
+        self.stamps.is_some()
+    }
+
     pub(crate) fn table_bytes(&self) -> usize {
         self.table.as_ref().map_or(0, CoefficientTable::bytes)
     }

@@ -180,6 +180,10 @@ impl<T: ConvReal> CoefficientTable<T> {
             if lit(row as usize, column as usize) {
                 let position = self.region.position(column as usize, row as usize);
                 model.scaled_coefficients_into(position, &mut coefficients)?;
+                return Err(FieldError::External {
+                    position,
+                    source: "the field's weights are not finite, or do not cover the row".into(),
+                });
             }
         }
         Ok(())

@@ -16,7 +16,8 @@ use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
 
-/// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(q - p)`. Every block writes to its own pixels.
+/// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` where stamps
+/// are turned. Every block writes to its own pixels.
 pub(crate) struct Gather<'a, T: ConvReal> {
     pub(crate) job: Job<'a, T>,
     pub(crate) output: ArrayViewMut2<'a, T>,
@@ -142,8 +143,12 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
             })
         })?;
         let kernels = self.prepared.kernel_count();
-        let drawn = match treat(plan, seen, around, part.size, kernels, workspace) {
-            Treatment::Dark => return Ok(()),
+        let draw = plan.cost.draw_gathered(engine.stamp, kernels);
+        let drawn = match treat(plan, seen, around, part.size, kernels, draw, workspace) {
+            Treatment::Dark => {
+                self.counts.dark += 1;
+                return Ok(());
+            }
             Treatment::Drawn(pixels) => {
                 self.counts.drawn += 1;
                 pixels

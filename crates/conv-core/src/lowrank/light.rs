@@ -13,9 +13,7 @@ pub(crate) struct Light {
     pub(crate) total: f64,
 }
 
-/// A transform spreads rounding noise of this part of a tile's light over all of it.
-///
-/// A pixel that outshines the tile's mean by more than `1 / (NOISE_GOAL)` of the precision is drawn by itself.
+/// By how much a pixel may outshine the mean of a tile: a transform spreads rounding noise of a pixel's light over all of it.
 pub(crate) fn brightest_allowed<T: ConvReal>() -> f64 {
     // 256 in f32, 1e11 in f64: the noise stays below a few 1e-6 of the faint light in the one, 1e-5 in the other.
     3e-5 / T::epsilon().as_f64()
@@ -73,7 +71,8 @@ pub(crate) fn lit_pixels<T: ConvReal>(
     pixels
 }
 
-/// Takes the pixels out of a tile that would drown the rest of it in the noise of a transform, at most `most` of them.
+/// Takes the pixels out of a tile that would drown the rest of it in the noise of a transform, at most `most` of them, the
+/// brightest first.
 ///
 /// What the noise is to be compared with is the mean over the whole tile without its `most` brightest pixels: a bright galaxy of a few
 /// hundred pixels must not raise the level that it is judged by.
@@ -100,13 +99,18 @@ pub(crate) fn take_bright<T: ConvReal>(
     if light.lit <= 1 || light.largest <= limit {
         return taken;
     }
-    for (row, values) in plane.chunks_mut(pitch).take(rows).enumerate() {
-        for (column, value) in values[..columns].iter_mut().enumerate() {
-            if value.abs().as_f64() > limit && taken.len() < most {
-                taken.push((row, column, *value));
-                *value = T::zero();
+    for (row, values) in plane.chunks(pitch).take(rows).enumerate() {
+        for (column, &value) in values[..columns].iter().enumerate() {
+            if value.abs().as_f64() > limit {
+                taken.push((row, column, value));
             }
         }
+    }
+    // The brightest of them; a stable sort, so that equals keep their order.
+    taken.sort_by(|a, b| b.2.abs().as_f64().total_cmp(&a.2.abs().as_f64()));
+    taken.truncate(most);
+    for &(row, column, _) in &taken {
+        plane[row * pitch + column] = T::zero();
     }
     taken
 }

@@ -9,7 +9,8 @@ use super::region_runs::RegionRuns;
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with modes that hold no flux, so that the flux is kept
 /// however few of them there are.
 ///
-/// The modes are orthonormal and in the order of their weight. How many are kept: the fewest that leave every PSF of the
+/// The modes are orthonormal and in the order of their weight, but that one which carries all flux comes first where there is no
+/// reference. How many are kept: the fewest that leave every PSF of the
 /// region within the tolerance, relative to its own norm. Along a run PSFs are linear in x, so it is enough to look at
 /// its ends: the norm of the residual is convex, and a PSF's norm is at least its projection on the region's mean, which
 /// is linear.
@@ -29,8 +30,10 @@ pub(crate) struct LocalModes {
 const SUPPORT_ROWS: usize = 5;
 /// Runs of each of those rows.
 const SUPPORT_RUNS: usize = 16;
-/// The region's mean is a reference for the flux where it holds at least this part of the largest flux of a node.
+/// The region's mean is a reference for the flux where it holds at least this part of the flux that a vector of its norm can hold.
 const FLUX_TO_SPEAK_OF: f64 = 1e-3;
+/// What nodes without flux hold along the direction of flux, relative to their norms, is rounding up to this.
+const NO_FLUX: f64 = 1e-12;
 /// Directions in which no node reaches farther than this, relative to the nodes' norms, are rounding.
 const ROUNDING: f64 = 2e-16;
 
@@ -57,9 +60,9 @@ impl LocalModes {
         let (beta, beta_offset) = (nodes.dot(&along), offset.dot(&along));
         let fluxes = nodes.dot(&space.fluxes());
         let flux_offset = offset.dot(&space.fluxes());
-        let largest_flux = fluxes.iter().fold(flux_offset.abs(), |m, f| m.max(f.abs()));
         let flux = centre.dot(&space.fluxes());
-        let reference = (flux.abs() > FLUX_TO_SPEAK_OF * largest_flux).then(|| &centre / flux);
+        let possible = norm(centre.view()) * norm(space.fluxes());
+        let reference = (flux.abs() > FLUX_TO_SPEAK_OF * possible).then(|| &centre / flux);
         let scale = nodes
             .outer_iter()
             .chain([offset.view()])
@@ -74,9 +77,36 @@ impl LocalModes {
         // Now nodes and offset are what the modes must make.
         let span = span(nodes.view(), offset.view(), ROUNDING * scale);
         let (nodes, offset) = (nodes.dot(&span.t()), span.dot(&offset));
-        let flux_direction = reference.is_none().then(|| span.dot(&space.fluxes()));
-        let covariance = support.covariance(runs, nodes.view(), offset.view());
-        let (rotation, forced) = principal_axes(covariance, flux_direction);
+        let covariance = support.covariance(nodes.view(), offset.view());
+        let (rotation, forced) = match flux_axis(&span, space.fluxes()) {
+            None => (principal_axes(&covariance), 0),
+            // Without a reference, this one mode carries all flux and must not be lost.
+            Some(axis) if reference.is_none() => {
+                let rest = complement(&axis);
+                let rest = rest.dot(&principal_axes(&rest.t().dot(&covariance).dot(&rest)));
+                let axis = axis.insert_axis(Axis(1));
+                (
+                    ndarray::concatenate(Axis(1), &[axis.view(), rest.view()]).expect("as many rows"),
+                    1,
+                )
+            }
+            // With one, nothing lies along it, and no mode may.
+            Some(axis) => {
+                let along = nodes
+                    .dot(&axis)
+                    .iter()
+                    .fold(offset.dot(&axis).abs(), |m, v| m.max(v.abs()));
+                if along <= NO_FLUX * scale {
+                    let rest = complement(&axis);
+                    (
+                        rest.dot(&principal_axes(&rest.t().dot(&covariance).dot(&rest))),
+                        0,
+                    )
+                } else {
+                    (principal_axes(&covariance), 0)
+                }
+            }
+        };
         let (nodes, offset) = (nodes.dot(&rotation), offset.dot(&rotation));
         let rank = forced.max(needed(runs, nodes.view(), offset.view(), |end| {
             let sum: f64 = end.iter().map(|&(n, w)| w * beta[n]).sum();
@@ -120,7 +150,7 @@ impl LocalModes {
     }
 }
 
-/// Ends of runs, spread over a region: pairs of the run's index and which end.
+/// The weights of nodes at ends of runs, spread over a region.
 struct Support<'a>(Vec<&'a [(usize, f64)]>);
 
 impl<'a> Support<'a> {
@@ -155,27 +185,19 @@ impl<'a> Support<'a> {
         mean
     }
 
-    fn covariance(
-        &self,
-        _runs: &RegionRuns,
-        nodes: ArrayView2<'_, f64>,
-        offset: ArrayView1<'_, f64>,
-    ) -> DMatrix<f64> {
+    fn covariance(&self, nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>) -> Array2<f64> {
         let n = offset.len();
-        let mut sum = DMatrix::zeros(n, n);
+        let mut sum = Array2::zeros((n, n));
         let mut value = offset.to_owned();
         for end in &self.0 {
             value.assign(&offset);
             for &(node, weight) in *end {
                 value.scaled_add(weight, &nodes.row(node));
             }
-            for j in 0..n {
-                for i in 0..=j {
-                    sum[(i, j)] += value[i] * value[j];
-                }
+            for (mut row, &v) in sum.outer_iter_mut().zip(&value) {
+                row.scaled_add(v, &value);
             }
         }
-        sum.fill_lower_triangle_with_upper_triangle();
         sum
     }
 }
@@ -222,41 +244,35 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
     rows
 }
 
-/// The eigenvectors of a covariance as columns, the largest eigenvalue first; and how many of them must be kept. Where a direction
-/// carries flux that must not be lost, it comes first and must be kept, and the others are orthogonal to it.
-fn principal_axes(covariance: DMatrix<f64>, keep: Option<Array1<f64>>) -> (Array2<f64>, usize) {
+/// The direction of flux within a span, if it has any.
+fn flux_axis(span: &Array2<f64>, fluxes: ArrayView1<'_, f64>) -> Option<Array1<f64>> {
+    let axis = span.dot(&fluxes);
+    let length = norm(axis.view());
+    (length > NO_FLUX * norm(fluxes)).then(|| axis / length)
+}
+
+/// Orthonormal columns orthogonal to a unit vector: all but the first of the reflection that takes it to the first axis.
+fn complement(axis: &Array1<f64>) -> Array2<f64> {
+    let n = axis.len();
+    let mut normal = axis.clone();
+    normal[0] += axis[0].signum();
+    let twice = 2.0 / normal.dot(&normal);
+    Array2::from_shape_fn((n, n - 1), |(i, j)| {
+        f64::from(u8::from(i == j + 1)) - twice * normal[i] * normal[j + 1]
+    })
+}
+
+/// The eigenvectors of a covariance as columns, the largest eigenvalue first.
+fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     let n = covariance.nrows();
-    if n == 0 {
-        return (Array2::zeros((0, 0)), 0);
+    // Beyond the range of numbers there are no axes to be found; then any will do, as all are kept.
+    if n == 0 || covariance.iter().any(|v| !v.is_finite()) {
+        return Array2::eye(n);
     }
-    let keep = keep.filter(|k| norm(k.view()) > 0.0).map(|k| {
-        let length = norm(k.view());
-        nalgebra::DVector::from_iterator(n, k.iter().map(|v| v / length))
-    });
-    let matrix = match &keep {
-        None => covariance,
-        Some(k) => {
-            let projector = DMatrix::identity(n, n) - k * k.transpose();
-            &projector * covariance * &projector
-        }
-    };
-    let eigen = SymmetricEigen::new(matrix);
+    let eigen = SymmetricEigen::new(DMatrix::from_fn(n, n, |i, j| covariance[[i, j]]));
     let mut order: Vec<usize> = (0..n).collect();
     order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
-    let mut columns: Vec<nalgebra::DVector<f64>> = order
-        .iter()
-        .map(|&i| eigen.eigenvectors.column(i).into_owned())
-        .collect();
-    if let Some(k) = &keep {
-        let nearest = |c: &nalgebra::DVector<f64>| c.dot(k).abs();
-        let same = (0..n).max_by(|&a, &b| nearest(&columns[a]).total_cmp(&nearest(&columns[b])));
-        if let Some(same) = same {
-            columns.remove(same);
-        }
-        columns.insert(0, k.clone());
-    }
-    let rotation = Array2::from_shape_fn((n, n), |(i, j)| columns[j][i]);
-    (rotation, usize::from(keep.is_some()))
+    Array2::from_shape_fn((n, n), |(i, j)| eigen.eigenvectors[(i, order[j])])
 }
 
 /// The smallest number of leading coordinates that leaves every PSF within its limit.

@@ -68,8 +68,10 @@ impl PlanOptions {
         Self { paths, ..self }
     }
 
-    /// The same with another limit to what the plan keeps. What does not fit is made anew by each execution: the result is the
-    /// same, the time is not. The model, and what threads work in (a few MB each), come on top.
+    /// The same with another limit to the coefficients and stamps that the plan keeps. What does not fit is made anew by each
+    /// execution, which takes time. Tiles are chosen with that in mind, so that another limit may give other tiles: the
+    /// result differs by rounding and within the tolerance. The model, the modes (a few kB a block) and what threads work in (a few MB
+    /// each; a spectrum for each mode of a tile) come on top.
     #[must_use]
     pub fn with_memory(self, bytes: usize) -> Self {
         Self {

@@ -101,7 +101,7 @@ impl<T: ConvReal> Plan<T> {
     /// A plan for scenes of a shape seen through a frame, a region of the scene.
     ///
     /// # Errors
-    /// [`ConvError`] when the model's stamps do not suit an image. A PSF that has no value somewhere is an error of the
+    /// [`ConvError`] when the model's stamps do not suit an image, or the frame reaches beyond the scene. A PSF that has no value somewhere is an error of the
     /// execution, if there is light.
     pub fn new(
         model: &PsfModel,
@@ -110,6 +110,10 @@ impl<T: ConvReal> Plan<T> {
         options: PlanOptions,
     ) -> Result<Self, ConvError> {
         let reach = Reach::of(model.grid())?;
+        // A scene checks its frame.
+        Scene::<T>::dark(shape)
+            .with_frame(frame)
+            .map_err(ConvError::Frame)?;
         let [columns, rows] = reaching(shape, frame, reach);
         let light_shape =
             FrameShape::new(columns.len().max(1), rows.len().max(1)).map_err(ConvError::Result)?;
@@ -335,20 +339,16 @@ impl<T: ConvReal> Plan<T> {
                 self.blocks.iter().map(Block::stamp_bytes).sum(),
             ),
             made_anew: (
-                self.blocks
-                    .iter()
-                    .filter(|block| block.table_bytes() == 0)
-                    .count(),
-                self.blocks
-                    .iter()
-                    .filter(|block| block.stamp_bytes() == 0)
-                    .count(),
+                self.blocks.iter().filter(|block| !block.has_table()).count(),
+                self.blocks.iter().filter(|block| !block.has_stamps()).count(),
             ),
         };
         let kernels = summary.mean_modes();
         let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);
         summary.direct = direct && self.options.paths() == Paths::Cheapest;
-        summary.drawn_up_to = (whole / self.cost.draw(self.geometry.stamp, kernels.ceil() as usize)) as usize;
+        let draws = self.options.paths() == Paths::Cheapest;
+        summary.drawn_up_to = usize::from(draws)
+            * (whole / self.cost.draw(self.geometry.stamp, kernels.ceil() as usize)) as usize;
         summary.predicted_seconds = summary.tiles as f64 * whole
             + summary.blocks as f64 * kernels * self.cost.kernel(self.tiling.size, self.geometry.stamp);
         summary

@@ -55,20 +55,30 @@ impl RegionRuns {
         let mut column = 0;
         while column < length {
             let outcome = field.weights_along_row((x + column as i64, y), length - column, &mut |run| {
-                let first = self.push(run.first);
-                let last = if run.length == 1 {
-                    first.clone()
+                // Whatever a field says, a row is covered once.
+                let pixels = run.length.min(length - column);
+                let finite = |end: &[(usize, f64)]| end.iter().all(|(_, w)| w.is_finite());
+                let ends = if finite(run.first) && finite(run.last) && pixels == run.length {
+                    let first = self.push(run.first);
+                    let last = if run.length == 1 {
+                        first.clone()
+                    } else {
+                        self.push(run.last)
+                    };
+                    Some([first, last])
                 } else {
-                    self.push(run.last)
+                    None
                 };
-                self.runs.push(Run {
-                    column,
-                    length: run.length,
-                    ends: Some([first, last]),
-                });
-                column += run.length;
+                if pixels > 0 {
+                    self.runs.push(Run {
+                        column,
+                        length: pixels,
+                        ends,
+                    });
+                }
+                column += pixels;
             });
-            if outcome.is_err() {
+            if outcome.is_err() || column < length {
                 // Nobody may ever ask for this pixel; if it holds light, that is the time to complain.
                 self.runs.push(Run {
                     column,

@@ -15,7 +15,8 @@ use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
 
-/// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`.
+/// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`, or `k(p - q)` where stamps are
+/// turned.
 ///
 /// Blocks whose outputs overlap never run at the same time: in each band of rows of blocks, every n-th row and every n-th
 /// column run together, one set after the other. So the order of additions to a pixel is always the same.
@@ -180,8 +181,12 @@ impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
         );
         let kernels = self.prepared.kernel_count();
         let output = &mut self.task.output;
-        let drawn = match treat(plan, seen, part.size, part.size, kernels, workspace) {
-            Treatment::Dark => return Ok(()),
+        let draw = plan.cost.draw(engine.stamp, kernels);
+        let drawn = match treat(plan, seen, part.size, part.size, kernels, draw, workspace) {
+            Treatment::Dark => {
+                self.counts.dark += 1;
+                return Ok(());
+            }
             Treatment::Drawn(pixels) => {
                 self.counts.drawn += 1;
                 pixels

@@ -19,16 +19,19 @@ pub(crate) enum Treatment<T> {
     },
 }
 
-/// Decides on the light in `workspace.light`, `lit_size` columns and rows; single pixels are taken out of it.
+/// Decides on the light in `workspace.light`, `lit_size` columns and rows; single pixels are taken out of it. `draw` is the
+/// cost of drawing one.
 pub(crate) fn treat<T: ConvReal>(
     plan: &Plan<T>,
     light: Light,
     lit_size: (usize, usize),
     tile: (usize, usize),
     kernels: usize,
+    draw: f64,
     workspace: &mut Workspace<T>,
 ) -> Treatment<T> {
-    if light.lit == 0 || kernels == 0 {
+    // No modes: the PSFs of the tile are zero.
+    if kernels == 0 {
         return Treatment::Dark;
     }
     if plan.options.paths() == Paths::Transforms {
@@ -38,7 +41,6 @@ pub(crate) fn treat<T: ConvReal>(
         };
     }
     let pitch = plan.fft.pitch();
-    let draw = plan.cost.draw(plan.geometry.stamp, kernels);
     let (whole, direct) = plan.whole_tile(tile, kernels);
     if light.lit as f64 * draw <= whole {
         return Treatment::Drawn(lit_pixels(workspace.light.get(), pitch, lit_size.1, lit_size.0));

@@ -166,7 +166,7 @@ simd_real!(f32);
 simd_real!(f64);
 
 /// Runs a test with every instruction set that this machine has.
-#[cfg(test)]
+#[cfg(all(test, target_arch = "x86_64"))]
 pub(crate) fn with_every_isa<T: SimdReal, W: WithIsa<T, Output = ()> + Copy>(work: W)
 where
     pulp::Scalar: Lanes<T>,
@@ -174,14 +174,21 @@ where
     pulp::x86::V4: Lanes<T>,
 {
     work.run(pulp::Scalar);
-    #[cfg(target_arch = "x86_64")]
-    {
-        if let Some(simd) = pulp::x86::V3::try_new() {
-            work.run(simd);
-        }
-        if let Some(simd) = pulp::x86::V4::try_new() {
-            work.run(simd);
-        }
+    if let Some(simd) = pulp::x86::V3::try_new() {
+        work.run(simd);
     }
+    if let Some(simd) = pulp::x86::V4::try_new() {
+        work.run(simd);
+    }
+    T::dispatch(work);
+}
+
+/// Runs a test with every instruction set that this machine has.
+#[cfg(all(test, not(target_arch = "x86_64")))]
+pub(crate) fn with_every_isa<T: SimdReal, W: WithIsa<T, Output = ()> + Copy>(work: W)
+where
+    pulp::Scalar: Lanes<T>,
+{
+    work.run(pulp::Scalar);
     T::dispatch(work);
 }

@@ -2,6 +2,8 @@
 
 use std::fs;
 
+use crate::peak_memory_bytes;
+
 /// Watches the memory of this process from one moment on, where the system tells (Linux).
 ///
 /// Growth alone would say little: what earlier work gave back stays with the process and is used again.
@@ -21,12 +23,6 @@ impl PeakMemory {
 
     /// The most bytes held since then.
     pub(super) fn bytes(&self) -> Option<u64> {
-        if !self.marked {
-            return None;
-        }
-        let text = fs::read_to_string("/proc/self/status").ok()?;
-        let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-        let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-        Some(kibibytes * 1024)
+        self.marked.then(peak_memory_bytes).flatten()
     }
 }

@@ -22,7 +22,7 @@ use serde::Serialize;
 
 use super::UsageError;
 use super::context::Context;
-use super::values::Precision;
+use super::values::{Precision, tolerance};
 pub(crate) use json_to::JsonTo;
 use report::{Options, Report};
 use settings::Settings;
@@ -373,14 +373,6 @@ fn whole(text: &str, range: std::ops::RangeInclusive<usize>) -> Result<NonZeroUs
                 range.end()
             )
         })
-}
-
-/// A tolerance of the engine.
-fn tolerance(text: &str) -> Result<f64, String> {
-    match text.trim().parse::<f64>() {
-        Ok(value) if (0.0..1.0).contains(&value) => Ok(value),
-        _ => Err("a number of at least 0 and below 1 is needed".to_owned()),
-    }
 }
 
 fn svg_path(text: &str) -> Result<PathBuf, String> {

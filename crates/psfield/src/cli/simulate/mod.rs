@@ -10,14 +10,17 @@ use anyhow::Context as _;
 use conv_core::{ConvReal, Plan, PlanOptions, TileCounts};
 use psf_io::{Card, HeaderCards, ImageReader, ImageWriter};
 use psf_types::{Anchor, FrameShape, PixelRegion, PointSource, Scene};
-use psfield::{Method, PixelPicker, PsfInput, SceneParts, Simulation, SpotCheck};
+use psfield::{
+    Method, PixelPicker, PsfInput, SceneParts, Simulation, SpotCheck, available_memory_bytes,
+    peak_memory_bytes,
+};
 
 use super::UsageError;
 use super::context::{CHECK_KEYWORDS, Context, check_cards, signature};
 use super::fit_args::FitArgs;
 use super::values::{Frame, Pair, Precision, bytes, stamp_size, tolerance};
 use banded::FitsRows;
-use report::{PlanReport, Report, Seconds, TilesReport, available_memory_bytes, peak_memory_bytes};
+use report::{PlanReport, Report, Seconds, TilesReport};
 
 /// Convolve a scene with a PSF that varies over the field
 ///
@@ -63,12 +66,12 @@ pub(crate) struct SimulateArgs {
     /// PSF in N x N pixels; not exact) or direct (the double sum)
     #[arg(long, default_value_t, value_name = "METHOD")]
     method: Method,
-    /// Memory of the plan of auto and lowrank, beside scene and image: bytes, or with K, M or G
-    #[arg(long, value_name = "SIZE", default_value = "256M", value_parser = bytes)]
-    memory: usize,
+    /// Memory of the plan of auto and lowrank, beside scene and image: bytes, or with K, M or G [default: 256M]
+    #[arg(long, value_name = "SIZE", value_parser = bytes)]
+    memory: Option<usize>,
     /// Read the scene and write the image by bands of rows: neither is ever in memory as a whole. The same bytes. Chosen by
     /// itself where they would fill most of the memory
-    #[arg(long, requires = "scene")]
+    #[arg(long)]
     stream: bool,
     /// Working precision and that of the result
     #[arg(long, default_value = "f32", value_enum)]
@@ -108,7 +111,7 @@ const PIXELS_OVER_PSF: f64 = 3.0;
 
 /// What becomes of a scene.
 struct Outcome {
-    scene_shape: FrameShape,
+    image_shape: FrameShape,
     sources: usize,
     seconds: Seconds,
     plan: Option<(conv_core::PlanSummary, TileCounts)>,
@@ -129,8 +132,14 @@ impl SimulateArgs {
             (None, Some(_), Some(_)) if self.stamp_size.is_some() => {
                 Some("--stamp-size is of the stamps that images are convolved with: there is no image here")
             }
-            _ if self.tolerance.is_some() && self.plan_options()?.is_none() => {
-                Some("--tolerance is of the methods auto and lowrank")
+            _ if self.tolerance.is_some() && self.promised()?.is_none() => {
+                Some("--tolerance is of the methods auto and lowrank, and of images: stars are drawn exactly")
+            }
+            _ if self.memory.is_some() && self.plan_options()?.is_none() => {
+                Some("--memory is of the methods auto and lowrank")
+            }
+            _ if self.stream && self.scene.is_none() => {
+                Some("--stream is of scenes that are images: there is no scene here")
             }
             _ if self.stream && self.plan_options()?.is_none() => {
                 Some("--stream is of the methods auto and lowrank")
@@ -172,11 +181,11 @@ impl SimulateArgs {
             method: self.method.to_string(),
             anchor: self.anchor,
             precision: T::NAME,
-            tolerance: self.plan_options()?.map(|options| options.tolerance()),
+            tolerance: self.promised()?,
             rank: model.rank(),
             modes: plan.map_or(model.stamp_count() as f64, |(plan, _)| plan.mean_modes()),
             normalise: model.normalisation(),
-            shape: [outcome.scene_shape.nx(), outcome.scene_shape.ny()],
+            shape: [outcome.image_shape.nx(), outcome.image_shape.ny()],
             sources: outcome.sources,
             streamed: outcome.streamed,
             plan: plan.map(|(plan, _)| PlanReport::of(plan)),
@@ -260,7 +269,7 @@ impl SimulateArgs {
         psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
         seconds.write = clock.elapsed().as_secs_f64();
         let outcome = Outcome {
-            scene_shape: image.shape(),
+            image_shape: image.shape(),
             sources: scene.sources().len(),
             seconds,
             plan,
@@ -290,7 +299,12 @@ impl SimulateArgs {
         let shape = scene.frame().shape();
         let header = carried(reader.header(), scene.frame());
         let cards = self.cards::<T>(simulation.model())?;
-        let late = CHECK_KEYWORDS.len();
+        // None without a check, so that the header is as long as that of an image written as a whole.
+        let late = if self.spot_check > 0 {
+            CHECK_KEYWORDS.len()
+        } else {
+            0
+        };
         let writer =
             ImageWriter::create_reserving(&self.output, shape, &header, &cards, late, self.overwrite)?;
 
@@ -335,7 +349,7 @@ impl SimulateArgs {
         writer.finish_with(&cards)?;
         seconds.write = write_seconds + clock.elapsed().as_secs_f64();
         let outcome = Outcome {
-            scene_shape: shape,
+            image_shape: shape,
             sources: scene.sources().len(),
             seconds,
             plan: Some((plan.summary(), counts)),
@@ -386,14 +400,21 @@ impl SimulateArgs {
     /// The options of the engine, whatever the method.
     fn options(&self) -> anyhow::Result<PlanOptions> {
         let tolerance = self.tolerance.unwrap_or(PlanOptions::DEFAULT_TOLERANCE);
+        let memory = self.memory.unwrap_or(PlanOptions::DEFAULT_MEMORY_BYTES);
         Ok(PlanOptions::new(tolerance)?
             .with_anchor(self.anchor)
-            .with_memory(self.memory))
+            .with_memory(memory))
     }
 
     /// The options of the plan, for methods that have one.
     fn plan_options(&self) -> anyhow::Result<Option<PlanOptions>> {
         Ok(self.method.plan_options(self.options()?))
+    }
+
+    /// The tolerance of a plan, where there is an image for one: stars are drawn as they are.
+    fn promised(&self) -> anyhow::Result<Option<f64>> {
+        let options = self.plan_options()?.filter(|_| self.scene.is_some());
+        Ok(options.map(|options| options.tolerance()))
     }
 
     /// The check with a verdict, unless the method promises nothing.
@@ -403,9 +424,9 @@ impl SimulateArgs {
         } else {
             ROUNDING_F64
         };
-        let limit = match (self.method, self.plan_options()?) {
-            (Method::Patch(_), _) => None,
-            (_, Some(options)) => Some(PIXELS_OVER_PSF * options.tolerance() + rounding),
+        let limit = match (self.method, self.promised()?) {
+            (Method::Patch(_), _) if self.scene.is_some() => None,
+            (_, Some(tolerance)) => Some(PIXELS_OVER_PSF * tolerance + rounding),
             (_, None) => Some(rounding),
         };
         Ok(match limit {
@@ -491,8 +512,7 @@ impl SimulateArgs {
                 "unit: every PSF has unit flux",
             )?,
         ]);
-        if let Some(options) = self.plan_options()? {
-            let tolerance = options.tolerance();
+        if let Some(tolerance) = self.promised()? {
             cards.push(Card::new(
                 "PSFTOL",
                 tolerance,

@@ -18,7 +18,7 @@ pub(super) struct Report {
     pub(super) tolerance: Option<f64>,
     /// Components of the model, the mean not counted.
     pub(super) rank: usize,
-    /// Convolutions of every pixel: modes a tile in the mean, or the stamps of the basis method.
+    /// Modes a tile in the mean where there is a plan, else the stamps of the model.
     pub(super) modes: f64,
     pub(super) normalise: Normalisation,
     pub(super) shape: [usize; 2],
@@ -136,21 +136,4 @@ impl Report {
             s.write,
         )
     }
-}
-
-/// The most memory this process has held, where the system tells (Linux).
-pub(super) fn peak_memory_bytes() -> Option<u64> {
-    kibibytes("/proc/self/status", "VmHWM:")
-}
-
-/// The memory that is free for use, where the system tells (Linux).
-pub(super) fn available_memory_bytes() -> Option<u64> {
-    kibibytes("/proc/meminfo", "MemAvailable:")
-}
-
-fn kibibytes(file: &str, key: &str) -> Option<u64> {
-    let text = std::fs::read_to_string(file).ok()?;
-    let line = text.lines().find_map(|line| line.strip_prefix(key))?;
-    let kibibytes: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
-    Some(kibibytes * 1024)
 }
