@@ -7,6 +7,7 @@
 
 mod axis_cuts;
 mod block;
+mod blocks;
 mod coefficient_table;
 mod cost_model;
 mod execution;

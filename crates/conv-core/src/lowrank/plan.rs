@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use super::axis_cuts::Stretch;
 use super::block::{Block, stamps_of};
+use super::blocks::blocks;
 use super::cost_model::CostModel;
 use super::execution::TileCounts;
 use super::fresh::zeros;
@@ -15,7 +16,6 @@ use super::job::Job;
 use super::options::{Paths, PlanOptions};
 use super::psf_space::PsfSpace;
 use super::scatter::Scatter;
-use super::summary::PlanSummary;
 use super::tile_engine::TileEngine;
 use super::tiling::{Tiling, best_tiling};
 use super::workspace::Pool;
@@ -83,7 +83,7 @@ pub struct Plan<T: ConvReal> {
     pub(super) fft: TileTransform<T>,
     pub(super) cost: CostModel,
     /// Row by row.
-    blocks: Vec<Block<T>>,
+    pub(super) blocks: Vec<Block<T>>,
     pub(super) shape: FrameShape,
     pub(super) frame: PixelRegion,
     /// Columns and rows of the scene that reach the frame.
@@ -94,8 +94,6 @@ pub struct Plan<T: ConvReal> {
 
 /// Blocks whose stamps are made by one product of matrices.
 const BLOCKS_A_PRODUCT: usize = 32;
-/// Blocks that are planned at once.
-const BLOCKS_AT_ONCE: usize = 64;
 
 impl<T: ConvReal> Plan<T> {
     /// A plan for scenes of a shape seen through a frame, a region of the scene.
@@ -310,50 +308,6 @@ impl<T: ConvReal> Plan<T> {
         }?)
     }
 
-    /// The plan in figures.
-    pub fn summary(&self) -> PlanSummary {
-        let most = self.blocks.iter().map(Block::kernel_count).max().unwrap_or(0);
-        let mut blocks_by_modes = vec![0; most + 1];
-        for block in &self.blocks {
-            blocks_by_modes[block.kernel_count()] += 1;
-        }
-        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
-        let longest = super::axis_cuts::longest;
-        let tile = (longest(&self.tiling.columns), longest(&self.tiling.rows));
-        let mut summary = PlanSummary {
-            frame: self.frame.shape(),
-            precision: T::NAME,
-            tolerance: self.options.tolerance(),
-            anchor: self.options.anchor(),
-            paths: self.options.paths(),
-            tile,
-            transform: self.tiling.size,
-            tiles: tiles(&self.tiling.columns) * tiles(&self.tiling.rows),
-            blocks: self.blocks.len(),
-            blocks_by_modes,
-            drawn_up_to: 0,
-            direct: false,
-            predicted_seconds: 0.0,
-            kept_bytes: (
-                self.blocks.iter().map(Block::table_bytes).sum(),
-                self.blocks.iter().map(Block::stamp_bytes).sum(),
-            ),
-            made_anew: (
-                self.blocks.iter().filter(|block| !block.has_table()).count(),
-                self.blocks.iter().filter(|block| !block.has_stamps()).count(),
-            ),
-        };
-        let kernels = summary.mean_modes();
-        let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);
-        summary.direct = direct && self.options.paths() == Paths::Cheapest;
-        let draws = self.options.paths() == Paths::Cheapest;
-        summary.drawn_up_to = usize::from(draws)
-            * (whole / self.cost.draw(self.geometry.stamp, kernels.ceil() as usize)) as usize;
-        summary.predicted_seconds = summary.tiles as f64 * whole
-            + summary.blocks as f64 * kernels * self.cost.kernel(self.tiling.size, self.geometry.stamp);
-        summary
-    }
-
     /// Predicted seconds for a fully lit tile, and whether without transforms.
     pub(super) fn whole_tile(&self, tile: (usize, usize), kernels: usize) -> (f64, bool) {
         let transforms = self.cost.tile(tile, self.tiling.size, kernels as f64);
@@ -425,43 +379,6 @@ impl<T: ConvReal> Plan<T> {
             got_frame: text(got_frame),
         }
     }
-}
-
-/// The blocks of a tiling, row by row, with coefficients as far as the memory reaches, and the memory that is left.
-fn blocks<T: ConvReal>(
-    model: &PsfModel,
-    space: &PsfSpace,
-    geometry: &Geometry,
-    tiling: &Tiling,
-    tolerance: f64,
-    memory_bytes: usize,
-) -> (Vec<Block<T>>, usize) {
-    let across = tiling.columns.len();
-    let count = across * tiling.rows.len();
-    let mut blocks: Vec<Block<T>> = Vec::with_capacity(count);
-    let mut left = memory_bytes;
-    let mut full = false;
-    // A few at a time, so that tables for which there is no room do not pile up.
-    for first in (0..count).step_by(BLOCKS_AT_ONCE) {
-        let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
-            .into_par_iter()
-            .map(|i| {
-                let region = tiling.region(geometry, i % across, i / across);
-                Block::new(model, space, region, tolerance, !full)
-            })
-            .collect();
-        for mut block in made {
-            match left.checked_sub(block.table_bytes()) {
-                Some(rest) if !full => left = rest,
-                _ => {
-                    full = true;
-                    block.forget_table();
-                }
-            }
-            blocks.push(block);
-        }
-    }
-    (blocks, left)
 }
 
 fn extents(

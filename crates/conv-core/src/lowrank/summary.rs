@@ -2,7 +2,11 @@
 
 use psf_types::{Anchor, FrameShape};
 
+use super::axis_cuts::{Stretch, longest};
+use super::block::Block;
 use super::options::Paths;
+use super::plan::Plan;
+use crate::ConvReal;
 
 /// What a [`Plan`](crate::Plan) decided. Prints as a few lines of text.
 #[derive(Debug, Clone, PartialEq)]
@@ -55,6 +59,51 @@ impl PlanSummary {
     /// The most modes of a block.
     pub fn most_modes(&self) -> usize {
         self.blocks_by_modes.len().saturating_sub(1)
+    }
+}
+
+impl<T: ConvReal> Plan<T> {
+    /// The plan in figures.
+    pub fn summary(&self) -> PlanSummary {
+        let most = self.blocks.iter().map(Block::kernel_count).max().unwrap_or(0);
+        let mut blocks_by_modes = vec![0; most + 1];
+        for block in &self.blocks {
+            blocks_by_modes[block.kernel_count()] += 1;
+        }
+        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
+        let tile = (longest(&self.tiling.columns), longest(&self.tiling.rows));
+        let mut summary = PlanSummary {
+            frame: self.frame.shape(),
+            precision: T::NAME,
+            tolerance: self.options.tolerance(),
+            anchor: self.options.anchor(),
+            paths: self.options.paths(),
+            tile,
+            transform: self.tiling.size,
+            tiles: tiles(&self.tiling.columns) * tiles(&self.tiling.rows),
+            blocks: self.blocks.len(),
+            blocks_by_modes,
+            drawn_up_to: 0,
+            direct: false,
+            predicted_seconds: 0.0,
+            kept_bytes: (
+                self.blocks.iter().map(Block::table_bytes).sum(),
+                self.blocks.iter().map(Block::stamp_bytes).sum(),
+            ),
+            made_anew: (
+                self.blocks.iter().filter(|block| !block.has_table()).count(),
+                self.blocks.iter().filter(|block| !block.has_stamps()).count(),
+            ),
+        };
+        let kernels = summary.mean_modes();
+        let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);
+        summary.direct = direct && self.options.paths() == Paths::Cheapest;
+        let draws = self.options.paths() == Paths::Cheapest;
+        summary.drawn_up_to = usize::from(draws)
+            * (whole / self.cost.draw(self.geometry.stamp, kernels.ceil() as usize)) as usize;
+        summary.predicted_seconds = summary.tiles as f64 * whole
+            + summary.blocks as f64 * kernels * self.cost.kernel(self.tiling.size, self.geometry.stamp);
+        summary
     }
 }
 
