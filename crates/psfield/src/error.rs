@@ -40,7 +40,7 @@ pub enum PsfieldError {
         field: FrameShape,
     },
     /// A method that cannot be read.
-    #[error("the method must be auto, basis, patch=N (N at least 1) or direct, got {got}")]
+    #[error("the method must be auto, lowrank, basis, patch=N (N at least 1) or direct, got {got}")]
     BadMethod {
         /// What was given.
         got: String,
