@@ -37,7 +37,7 @@ pub(crate) fn trials() -> Vec<Trial> {
             beside("20 stars", &stars(), Some(FAINT))
         }),
         trial("strong: galaxies beside a bright galaxy".to_owned(), || {
-            beside("a bright galaxy", &bright_galaxy(), Some(FAINT))
+            beside("a bright galaxy", &bright_galaxy(), None)
         }),
     ]
 }
