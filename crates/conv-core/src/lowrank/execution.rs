@@ -2,6 +2,8 @@
 
 use std::ops::AddAssign;
 
+use super::treatment::{Treatment, Whole};
+
 /// How many tiles were treated in which way, and what it took.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
@@ -32,13 +34,17 @@ impl AddAssign for TileCounts {
 }
 
 impl TileCounts {
-    /// Counts a tile that was convolved as a whole.
-    pub(crate) fn whole(&mut self, direct: bool, modes: usize) {
-        if direct {
-            self.direct += 1;
-        } else {
-            self.transformed += 1;
-            self.modes += modes;
+    /// Counts a tile.
+    pub(crate) fn count<T>(&mut self, treatment: &Treatment<T>, modes: usize) {
+        self.drawn_pixels += treatment.drawn.len();
+        match treatment.whole {
+            Some(Whole::Directly) => self.direct += 1,
+            Some(Whole::ByTransforms) => {
+                self.transformed += 1;
+                self.modes += modes;
+            }
+            None if treatment.drawn.is_empty() => self.dark += 1,
+            None => self.drawn += 1,
         }
     }
 

@@ -11,7 +11,7 @@ use super::light::look;
 use super::prepared::Prepared;
 use super::split::split;
 use super::tile_engine::{TileEngine, TilePart};
-use super::treatment::{Treatment, treat};
+use super::treatment::{Whole, treat};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -144,41 +144,26 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
         })?;
         let kernels = self.prepared.kernel_count();
         let draw = plan.cost.draw_gathered(engine.stamp, kernels);
-        let drawn = match treat(plan, seen, around, part.size, kernels, draw, workspace) {
-            Treatment::Dark => {
-                self.counts.dark += 1;
-                return Ok(());
-            }
-            Treatment::Drawn(pixels) => {
-                self.counts.drawn += 1;
-                pixels
-            }
-            Treatment::Whole { direct, apart } => {
-                self.counts.whole(direct, kernels);
-                if !direct {
-                    self.prepared.kernels(simd, &engine, workspace);
-                }
-                let local = self.prepared.local(part);
-                simd.vectorized(
-                    #[inline(always)]
-                    || {
-                        if direct {
-                            engine.gather_directly(simd, local, workspace, &mut output);
-                        } else {
-                            engine.gather(simd, local, workspace, &mut output);
-                        }
-                    },
-                );
-                apart
-            }
-        };
-        if !drawn.is_empty() {
-            self.counts.drawn_pixels += drawn.len();
-            let local = self.prepared.local(part);
+        let treatment = treat(plan, seen, around, part.size, kernels, draw, workspace);
+        self.counts.count(&treatment, kernels);
+        if treatment.whole == Some(Whole::ByTransforms) {
+            self.prepared.kernels(simd, &engine, workspace);
+        }
+        let local = self.prepared.local(part);
+        if let Some(whole) = treatment.whole {
+            simd.vectorized(
+                #[inline(always)]
+                || match whole {
+                    Whole::Directly => engine.gather_directly(simd, local, workspace, &mut output),
+                    Whole::ByTransforms => engine.gather(simd, local, workspace, &mut output),
+                },
+            );
+        }
+        if !treatment.drawn.is_empty() {
             let row = &mut workspace.row;
             simd.vectorized(
                 #[inline(always)]
-                || engine.draw_gathered(simd, local, &drawn, row, &mut output),
+                || engine.draw_gathered(simd, local, &treatment.drawn, row, &mut output),
             );
         }
         Ok(())

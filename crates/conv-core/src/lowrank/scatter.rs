@@ -10,7 +10,7 @@ use super::light::look;
 use super::prepared::Prepared;
 use super::split::{colours, split};
 use super::tile_engine::{TileEngine, TilePart};
-use super::treatment::{Treatment, treat};
+use super::treatment::{Whole, treat};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -25,6 +25,9 @@ pub(crate) struct Scatter<'a, T: ConvReal> {
     pub(crate) output: ArrayViewMut2<'a, T>,
 }
 
+/// Where each column or row of blocks begins and ends on the other side.
+type Extents = Vec<(usize, usize)>;
+
 /// A block's part of the output, and its first column and row on the other side.
 struct Task<'a, T> {
     column: usize,
@@ -38,9 +41,10 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, T> {
 
     fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
         let plan = self.job.plan;
-        let columns = plan.column_extents();
+        let extents = (plan.column_extents(), plan.row_extents());
+        let columns = &extents.0;
         // Colours are those of all rows, so that part of a frame is made like the whole of it.
-        let (column_colours, row_colours) = (colours(&columns), colours(&plan.row_extents()));
+        let (column_colours, row_colours) = (colours(columns), colours(&extents.1));
         let bands: Vec<usize> = self.job.rows.clone().step_by(plan.tiling.band()).collect();
         let mut counts = TileCounts::default();
         for first in bands {
@@ -53,7 +57,7 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, T> {
                 for column_colour in 0..column_colours {
                     let of_colour: Vec<usize> =
                         (column_colour..columns.len()).step_by(column_colours).collect();
-                    counts += self.together(simd, &rows, &of_colour)?;
+                    counts += self.together(simd, &extents, &rows, &of_colour)?;
                 }
             }
             self.job.progress.advance(band.len() as u64);
@@ -67,13 +71,13 @@ impl<T: ConvReal> Scatter<'_, T> {
     fn together<S: Lanes<T>>(
         &mut self,
         simd: S,
+        (column_extents, row_extents): &(Extents, Extents),
         rows: &[usize],
         columns: &[usize],
     ) -> Result<TileCounts, FieldError> {
         let (plan, first_output) = (self.job.plan, self.job.first_output);
         let height = self.output.nrows();
         let within = |row: usize| row.saturating_sub(first_output).min(height);
-        let (row_extents, column_extents) = (plan.row_extents(), plan.column_extents());
         let row_ranges: Vec<(usize, usize)> = rows
             .iter()
             .map(|&row| (within(row_extents[row].0), within(row_extents[row].1)))
@@ -182,42 +186,29 @@ impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
         let kernels = self.prepared.kernel_count();
         let output = &mut self.task.output;
         let draw = plan.cost.draw(engine.stamp, kernels);
-        let drawn = match treat(plan, seen, part.size, part.size, kernels, draw, workspace) {
-            Treatment::Dark => {
-                self.counts.dark += 1;
-                return Ok(());
-            }
-            Treatment::Drawn(pixels) => {
-                self.counts.drawn += 1;
-                pixels
-            }
-            Treatment::Whole { direct, apart } => {
-                self.counts.whole(direct, kernels);
-                if !direct {
-                    self.prepared.kernels(simd, &engine, workspace);
-                }
-                let local = self.prepared.local(part);
-                simd.vectorized(
-                    #[inline(always)]
-                    || {
-                        if direct {
-                            engine.scatter_directly(simd, local, workspace);
-                        } else {
-                            engine.scatter(simd, local, workspace);
-                        }
-                        let size = engine.around(part.size);
-                        engine.add(simd, workspace.weighted.get(), size, output, place);
-                    },
-                );
-                apart
-            }
-        };
-        if !drawn.is_empty() {
-            self.counts.drawn_pixels += drawn.len();
-            let local = self.prepared.local(part);
+        let treatment = treat(plan, seen, part.size, part.size, kernels, draw, workspace);
+        self.counts.count(&treatment, kernels);
+        if treatment.whole == Some(Whole::ByTransforms) {
+            self.prepared.kernels(simd, &engine, workspace);
+        }
+        let local = self.prepared.local(part);
+        if let Some(whole) = treatment.whole {
             simd.vectorized(
                 #[inline(always)]
-                || engine.draw_scattered(simd, local, &drawn, output, place),
+                || {
+                    match whole {
+                        Whole::Directly => engine.scatter_directly(simd, local, workspace),
+                        Whole::ByTransforms => engine.scatter(simd, local, workspace),
+                    }
+                    let size = engine.around(part.size);
+                    engine.add(simd, workspace.weighted.get(), size, output, place);
+                },
+            );
+        }
+        if !treatment.drawn.is_empty() {
+            simd.vectorized(
+                #[inline(always)]
+                || engine.draw_scattered(simd, local, &treatment.drawn, output, place),
             );
         }
         Ok(())

@@ -8,15 +8,18 @@ use crate::ConvReal;
 
 /// How a tile is treated.
 #[derive(Debug)]
-pub(crate) enum Treatment<T> {
-    Dark,
-    /// Stamp by stamp.
-    Drawn(Vec<LitPixel<T>>),
-    /// The rest of the light at once, after single pixels were taken out of it.
-    Whole {
-        direct: bool,
-        apart: Vec<LitPixel<T>>,
-    },
+pub(crate) struct Treatment<T> {
+    /// Its light at once, directly or by transforms.
+    pub(crate) whole: Option<Whole>,
+    /// Pixels drawn stamp by stamp, which are not part of that light.
+    pub(crate) drawn: Vec<LitPixel<T>>,
+}
+
+/// How the light of a tile is convolved at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Whole {
+    Directly,
+    ByTransforms,
 }
 
 /// Decides on the light in `workspace.light`, `lit_size` columns and rows; single pixels are taken out of it. `draw` is the
@@ -32,31 +35,38 @@ pub(crate) fn treat<T: ConvReal>(
 ) -> Treatment<T> {
     // No modes: the PSFs of the tile are zero.
     if kernels == 0 {
-        return Treatment::Dark;
+        return Treatment {
+            whole: None,
+            drawn: Vec::new(),
+        };
     }
     if plan.options.paths() == Paths::Transforms {
-        return Treatment::Whole {
-            direct: false,
-            apart: Vec::new(),
+        return Treatment {
+            whole: Some(Whole::ByTransforms),
+            drawn: Vec::new(),
         };
     }
     let pitch = plan.fft.pitch();
-    let (whole, direct) = plan.whole_tile(tile, kernels);
-    if light.lit as f64 * draw <= whole {
-        return Treatment::Drawn(lit_pixels(workspace.light.get(), pitch, lit_size.1, lit_size.0));
+    let (seconds, direct) = plan.whole_tile(tile, kernels);
+    if light.lit as f64 * draw <= seconds {
+        return Treatment {
+            whole: None,
+            drawn: lit_pixels(workspace.light.get(), pitch, lit_size.1, lit_size.0),
+        };
     }
     // The direct sum spreads no noise.
-    let apart = if direct {
-        Vec::new()
+    let (whole, drawn) = if direct {
+        (Whole::Directly, Vec::new())
     } else {
-        let most = (2.0 * whole / draw) as usize;
-        take_bright(
-            workspace.light.get_mut(),
-            pitch,
-            (lit_size.1, lit_size.0),
-            light,
-            most,
+        let most = (2.0 * seconds / draw) as usize;
+        let size = (lit_size.1, lit_size.0);
+        (
+            Whole::ByTransforms,
+            take_bright(workspace.light.get_mut(), pitch, size, light, most),
         )
     };
-    Treatment::Whole { direct, apart }
+    Treatment {
+        whole: Some(whole),
+        drawn,
+    }
 }
