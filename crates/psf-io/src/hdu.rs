@@ -182,19 +182,36 @@ impl Hdu {
         .ok_or_else(|| self.missing_keyword(keyword, expected))
     }
 
+    pub(crate) fn optional_text(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<Option<String>, IoError> {
+        self.optional(keyword, expected, |value| match value {
+            CardValue::Text(value) => Some(value),
+            _ => None,
+        })
+    }
+
     /// A text keyword that holds one of the forms of a choice.
+    pub(crate) fn optional_choice<T: std::str::FromStr<Err = psf_types::DataError>>(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<Option<T>, IoError> {
+        self.optional_text(keyword, expected)?
+            .map(|text| text.parse().map_err(invalid(&self.path)))
+            .transpose()
+    }
+
+    /// The same where there is no default.
     pub(crate) fn required_choice<T: std::str::FromStr<Err = psf_types::DataError>>(
         &self,
         keyword: &'static str,
         expected: &'static str,
     ) -> Result<T, IoError> {
-        let text = self
-            .optional(keyword, expected, |value| match value {
-                CardValue::Text(value) => Some(value),
-                _ => None,
-            })?
-            .ok_or_else(|| self.missing_keyword(keyword, expected))?;
-        text.parse().map_err(invalid(&self.path))
+        self.optional_choice(keyword, expected)?
+            .ok_or_else(|| self.missing_keyword(keyword, expected))
     }
 
     fn missing_keyword(&self, keyword: &'static str, expected: &'static str) -> IoError {
@@ -206,7 +223,7 @@ impl Hdu {
         }
     }
 
-    /// The grid of `nx` by `ny` stamps: `OVERSAMP`, `CENX`, `CENY` and `PIXCONV`.
+    /// The grid of `nx` by `ny` stamps: `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and `STAMPINT`.
     pub(crate) fn stamp_grid(&self, nx: usize, ny: usize) -> Result<StampGrid, IoError> {
         let data = |result: Result<StampGrid, _>| result.map_err(invalid(&self.path));
         let grid = data(StampGrid::new(nx, ny))?;
@@ -214,7 +231,10 @@ impl Hdu {
         let centre_y = self.optional_real("CENY")?.unwrap_or(grid.centre_y());
         let grid = data(grid.with_centre(centre_x, centre_y))?;
         let grid = data(grid.with_oversampling(self.optional_real("OVERSAMP")?.unwrap_or(1.0)))?;
-        Ok(grid.with_pixel_response_included(self.optional_logical("PIXCONV")?.unwrap_or(true)))
+        let interpolation = self.optional_choice("STAMPINT", "cubic-spline or lanczos3")?;
+        Ok(grid
+            .with_pixel_response_included(self.optional_logical("PIXCONV")?.unwrap_or(true))
+            .with_interpolation(interpolation.unwrap_or_default()))
     }
 
     /// The field: `FIELDNX` and `FIELDNY`, both or none.
@@ -263,6 +283,11 @@ pub(crate) fn grid_cards(grid: StampGrid, field: Option<FrameShape>) -> Vec<Card
             "PIXCONV",
             grid.pixel_response_included().into(),
             "the pixel response is in the stamps",
+        ),
+        card(
+            "STAMPINT",
+            grid.interpolation().to_string().into(),
+            "values between the pixels of a stamp",
         ),
     ];
     if let Some(field) = field {

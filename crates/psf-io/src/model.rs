@@ -16,7 +16,7 @@
 //! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `polynomial=DEGREE` or `nearest` |
 //! | `OUTSIDE` | outside the samples: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
-//! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
+//! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
 //!
 //! The PSF at a sample is `mean + sum_k A[k] * plane[k]`. Everything comes back bit by bit: doubles in the header are written
 //! with as many digits as that takes.

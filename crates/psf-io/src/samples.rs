@@ -12,6 +12,7 @@
 //! | `OVERSAMP` | stamp pixels per frame pixel, a number above 0 | 1 |
 //! | `CENX`, `CENY` | stamp index of the PSF's reference point, 0-based, may be fractional | `n / 2`, integer division: 32 of 64 |
 //! | `PIXCONV` | `T` when the response of a frame pixel is in the stamps | `T` |
+//! | `STAMPINT` | how values continue between the stamps' pixels: `cubic-spline` or `lanczos3` | `cubic-spline` |
 //! | `FIELDNX`, `FIELDNY` | the frame's size in pixels; both or none | not known |
 //!
 //! A value is the fraction of a source's flux in a *frame* pixel centred there: a stamp with `OVERSAMP = s` holds unit flux when

@@ -129,6 +129,18 @@ pub enum Anchor {
     Output,
 }
 
+/// How the values of a stamp continue between its pixels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+#[non_exhaustive]
+pub enum StampInterpolation {
+    /// The interpolating cubic spline, as photutils and the makers of gridded ePSFs have it.
+    #[default]
+    CubicSpline,
+    /// The Lanczos kernel of three lobes, corrected to keep a constant, as GalSim draws PSFEx models.
+    Lanczos3,
+}
+
 /// `Display` and `FromStr` of a choice without parameters, from one table.
 macro_rules! named {
     ($type:ident, $what:literal, $allowed:literal, $($name:literal => $variant:ident),+) => {
@@ -151,6 +163,7 @@ macro_rules! named {
 
 named!(OutsidePolicy, "outside", "nearest, extend or error", "nearest" => Nearest, "extend" => Extend, "error" => Error);
 named!(Normalisation, "normalise", "unit or keep", "unit" => Unit, "keep" => Keep);
+named!(StampInterpolation, "stamp interpolation", "cubic-spline or lanczos3", "cubic-spline" => CubicSpline, "lanczos3" => Lanczos3);
 named!(Anchor, "anchor", "source or output", "source" => Source, "output" => Output);
 
 /// Serde through the text forms above, so that a file cannot hold what the command line would refuse.
@@ -170,7 +183,13 @@ macro_rules! through_text {
     )+};
 }
 
-through_text!(Interpolation, OutsidePolicy, Normalisation, Anchor);
+through_text!(
+    Interpolation,
+    OutsidePolicy,
+    Normalisation,
+    Anchor,
+    StampInterpolation
+);
 
 #[cfg(test)]
 mod tests {

@@ -33,7 +33,7 @@ mod sample_positions;
 mod scene;
 mod stamp;
 
-pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy};
+pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation};
 pub use coefficient_field::{CoefficientField, FieldError, RowRun};
 pub use error::{DataError, Quantity};
 pub use frame::{FrameShape, PixelRegion};

@@ -3,10 +3,11 @@
 use ndarray::{Array2, ArrayView2};
 use serde::{Deserialize, Serialize};
 
-use crate::DataError;
 use crate::check::{self, Quantity};
+use crate::{DataError, StampInterpolation};
 
-/// The pixel grid of a stamp: shape, centre, oversampling and whether the pixel response is in the values.
+/// The pixel grid of a stamp: shape, centre, oversampling, whether the pixel response is in the values, and how they continue
+/// between the pixels.
 ///
 /// * A stamp value at index `(row, column)` belongs to the offset
 ///   `((column - centre_x) / oversampling, (row - centre_y) / oversampling)` in frame pixels from the source.
@@ -29,6 +30,7 @@ pub struct StampGrid {
     centre_y: f64,
     oversampling: f64,
     pixel_response_included: bool,
+    interpolation: StampInterpolation,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -39,6 +41,8 @@ struct RawStampGrid {
     centre_y: f64,
     oversampling: f64,
     pixel_response_included: bool,
+    #[serde(default)]
+    interpolation: StampInterpolation,
 }
 
 impl StampGrid {
@@ -58,6 +62,7 @@ impl StampGrid {
             centre_y: (ny / 2) as f64,
             oversampling: 1.0,
             pixel_response_included: true,
+            interpolation: StampInterpolation::default(),
         })
     }
 
@@ -104,6 +109,15 @@ impl StampGrid {
         }
     }
 
+    /// The same grid with another rule for the values between the stamps' pixels.
+    #[must_use]
+    pub fn with_interpolation(self, interpolation: StampInterpolation) -> Self {
+        Self {
+            interpolation,
+            ..self
+        }
+    }
+
     /// Number of columns.
     pub fn nx(self) -> usize {
         self.nx
@@ -144,6 +158,11 @@ impl StampGrid {
         self.pixel_response_included
     }
 
+    /// How the values continue between the stamps' pixels.
+    pub fn interpolation(self) -> StampInterpolation {
+        self.interpolation
+    }
+
     /// The centre as whole `(column, row)` indices, if it lies on a pixel centre.
     pub fn whole_centre(self) -> Option<(usize, usize)> {
         (self.centre_x.fract() == 0.0 && self.centre_y.fract() == 0.0)
@@ -162,7 +181,8 @@ impl TryFrom<RawStampGrid> for StampGrid {
         Ok(Self::new(raw.nx, raw.ny)?
             .with_centre(raw.centre_x, raw.centre_y)?
             .with_oversampling(raw.oversampling)?
-            .with_pixel_response_included(raw.pixel_response_included))
+            .with_pixel_response_included(raw.pixel_response_included)
+            .with_interpolation(raw.interpolation))
     }
 }
 
@@ -175,6 +195,7 @@ impl From<StampGrid> for RawStampGrid {
             centre_y: grid.centre_y,
             oversampling: grid.oversampling,
             pixel_response_included: grid.pixel_response_included,
+            interpolation: grid.interpolation,
         }
     }
 }
