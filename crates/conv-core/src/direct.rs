@@ -13,7 +13,7 @@ use crate::{ConvError, ConvReal, ConvolutionMethod};
 /// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
 /// that every other method is measured against.
 ///
-/// Point sources between pixels are drawn from the same [`StampSpline`](crate::StampSpline) as by every other method: the sum is
+/// Point sources between pixels are drawn from the same [`StampInterpolator`](crate::StampInterpolator) as by every other method: the sum is
 /// exact for the model, not for a PSF that its stamps sample too coarsely to be interpolated.
 ///
 /// A whole image costs `K` multiplications for each lit pixel and each pixel of a stamp; [`Direct::at_pixels`] gives single

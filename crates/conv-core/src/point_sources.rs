@@ -5,7 +5,7 @@ use psf_types::{Anchor, NoProgress, PixelRegion, PointSource, Position, PsfModel
 use rayon::prelude::*;
 
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::stamp_spline::StampSpline;
+use crate::stamp_interpolator::StampInterpolator;
 use crate::{ConvError, ConvReal};
 
 /// Sources that one task draws.
@@ -106,7 +106,7 @@ struct Painter<'a> {
     model: &'a PsfModel,
     frame: PixelRegion,
     /// Output-anchored: the spline of every stamp.
-    splines: Option<Vec<StampSpline>>,
+    splines: Option<Vec<StampInterpolator>>,
     /// A grid at the frame's scale that holds the stamp wherever in its pixel the source lies.
     target: StampGrid,
 }
@@ -121,7 +121,7 @@ impl<'a> Painter<'a> {
             model
                 .stamps()
                 .axis_iter(Axis(0))
-                .map(|stamp| StampSpline::new(stamp, grid))
+                .map(|stamp| StampInterpolator::new(stamp, grid))
                 .collect()
         });
         let reach = |room: f64| (room.max(0.0) / grid.oversampling() + 0.5).ceil() as usize;
@@ -182,7 +182,7 @@ impl<'a> Painter<'a> {
             None => {
                 let position = Position::new(x, y).map_err(ConvError::Result)?;
                 let psf = self.model.psf_at(position)?;
-                StampSpline::new(psf.values(), self.model.grid()).resample(shift, self.target)
+                StampInterpolator::new(psf.values(), self.model.grid()).resample(shift, self.target)
             }
             Some(splines) => {
                 let mut values = Array2::zeros((ny, nx));

@@ -111,9 +111,9 @@ impl PsfInput {
     fn native_target(&self, size: Option<usize>) -> Result<StampGrid, PsfieldError> {
         Ok(match size {
             None => native_grid(self.grid())?,
-            Some(n) => {
-                StampGrid::new(n, n)?.with_pixel_response_included(self.grid().pixel_response_included())
-            }
+            Some(n) => StampGrid::new(n, n)?
+                .with_pixel_response_included(self.grid().pixel_response_included())
+                .with_interpolation(self.grid().interpolation()),
         })
     }
 }
