@@ -12,6 +12,7 @@ mod low_rank;
 mod measurements;
 mod responses;
 mod simulation;
+mod stars;
 mod tolerance;
 mod tolerance_checks;
 mod tolerance_fields;
@@ -34,6 +35,7 @@ fn main() {
     }
     let trials = [
         simulation::trials(),
+        stars::trials(),
         evaluation::trials(),
         measurements::trials(),
         low_rank::trials(),

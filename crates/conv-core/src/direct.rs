@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::crop::within_reach;
 use crate::kernel::Reach;
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::point_sources::{add_point_sources, point_sources_at};
+use crate::point_sources::{StarPainter, add_point_sources};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
@@ -80,11 +80,13 @@ impl Direct {
                 .collect();
             values = sums.into_iter().collect::<Result<_, _>>()?;
         }
-        for (value, stars) in values
-            .iter_mut()
-            .zip(point_sources_at(model, scene, self.anchor, pixels)?)
-        {
-            *value += stars;
+        if !scene.sources().is_empty() {
+            let stars =
+                StarPainter::new(model, frame, self.anchor, None)?.at_pixels(scene.sources(), pixels)?;
+            values
+                .iter_mut()
+                .zip(stars)
+                .for_each(|(value, star)| *value += star);
         }
         Ok(values)
     }

@@ -48,6 +48,7 @@ mod planes;
 mod point_sources;
 mod simd;
 mod stamp_interpolator;
+mod stars;
 mod transform;
 
 pub use basis_convolution::BasisConvolution;
@@ -56,5 +57,6 @@ pub use error::ConvError;
 pub use lowrank::{LowRank, Paths, Plan, PlanOptions, PlanSummary, RowStream, TileCounts};
 pub use method::{ConvReal, ConvolutionMethod};
 pub use patch::PatchConvolution;
-pub use point_sources::add_point_sources;
+pub use point_sources::{StarPainter, add_point_sources};
 pub use stamp_interpolator::{StampInterpolator, grid_with_pixel_response, native_grid, resample_samples};
+pub use stars::StarPlan;

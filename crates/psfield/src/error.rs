@@ -85,4 +85,27 @@ pub enum PsfieldError {
         /// The largest stack in bytes.
         limit: usize,
     },
+    /// Scenes that are too fine.
+    #[error("a scene may have 1 to {most} pixels along each side of a frame pixel, got {got} (--oversample)")]
+    Oversample {
+        /// What was given.
+        got: usize,
+        /// The most.
+        most: usize,
+    },
+    /// A frame that does not cover whole pixels of its own.
+    #[error(
+        "the frame at ({}, {}) of {} scene pixels does not hold whole frame pixels of {oversample} x {oversample}: all four numbers \
+         must be multiples of {oversample} (--oversample)",
+        frame.x0(), frame.y0(), frame.shape()
+    )]
+    FinerFrame {
+        /// Scene pixels along each side of a frame pixel.
+        oversample: usize,
+        /// The frame, in pixels of the scene.
+        frame: psf_types::PixelRegion,
+    },
+    /// A plan without an image asked to stream one.
+    #[error("only scenes that are images can be streamed: this plan is for stars alone")]
+    NothingToStream,
 }

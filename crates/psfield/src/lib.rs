@@ -26,7 +26,7 @@
 //! light[[16, 16]] = 100.0;
 //! let scene = Scene::from_image(Image::new(light)?);
 //! let psf = PsfInput::Samples(samples, FitOptions::default());
-//! let image = Simulation::new(psf, &scene, None)?.run(&scene, Default::default(), Default::default())?;
+//! let image = Simulation::new(psf, &scene, Default::default())?.run(&scene, Default::default(), Default::default())?;
 //! assert!((image.pixels().sum() - 100.0).abs() < 1e-10); // the flux is kept
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -34,12 +34,15 @@
 pub mod bench;
 mod error;
 mod evaluate;
+mod finer_scene;
 mod fit;
 mod measure;
 mod method;
 mod pixel_picker;
 mod psf_input;
 mod simulation;
+mod simulation_options;
+mod simulation_plan;
 mod spot_check;
 mod system_memory;
 
@@ -53,5 +56,7 @@ pub use method::Method;
 pub use pixel_picker::{PickedPixel, PixelPicker};
 pub use psf_input::{PsfInput, check_stack};
 pub use simulation::{SceneParts, Simulation};
+pub use simulation_options::SimulationOptions;
+pub use simulation_plan::SimulationPlan;
 pub use spot_check::SpotCheck;
 pub use system_memory::{available_memory_bytes, peak_memory_bytes};

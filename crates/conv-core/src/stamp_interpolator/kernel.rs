@@ -90,6 +90,14 @@ impl Kernel {
         }
     }
 
+    /// Pixels beyond the outermost ones where there still are values.
+    pub(crate) fn reach(self) -> f64 {
+        match self {
+            Self::CubicSpline => 0.0,
+            Self::Lanczos3 => 3.0,
+        }
+    }
+
     /// The coefficient that stands at an index which may lie off the stamp; none where there is nothing.
     pub(crate) fn index(self, index: i64, length: usize) -> Option<usize> {
         match self {

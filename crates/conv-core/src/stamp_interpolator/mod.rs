@@ -7,7 +7,7 @@ mod taps;
 use ndarray::{Array2, Array3, ArrayView2};
 use psf_types::{DataError, PsfSamples, StampGrid};
 
-pub(crate) use kernel::Kernel;
+pub(crate) use kernel::{Kernel, MOST_TAPS};
 pub(crate) use taps::Taps;
 
 /// The values of a stamp between its pixels, by the rule that its grid names ([`psf_types::StampInterpolation`]).
