@@ -57,8 +57,8 @@ fn the_cards_of_a_scaled_input_do_not_disturb() {
 
 #[test]
 fn bits_choose_the_kind() {
-    let kinds = [1, 8, 9, 16, 17, 24].map(IntegerKind::of_bits);
     use IntegerKind::{Signed32, Unsigned8, Unsigned16};
+    let kinds = [1, 8, 9, 16, 17, 24].map(IntegerKind::of_bits);
     assert_eq!(
         kinds,
         [Unsigned8, Unsigned8, Unsigned16, Unsigned16, Signed32, Signed32]
