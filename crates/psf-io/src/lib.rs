@@ -4,6 +4,7 @@
 //! |---|---|---|---|
 //! | scene, image | [`image`] | [`read_image`] | [`write_image`] |
 //! | the same, by bands of rows | [`image`] | [`ImageReader`] | [`ImageWriter`] |
+//! | whole numbers: raw counts, masks | [`image`] | [`read_image`] | [`write_integers`] |
 //! | PSF samples, stamps | [`samples`] | [`read_samples`] | [`write_samples`] |
 //! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
 //! | catalogue, positions | [`points`] | [`read_catalog`], [`read_positions`] | |
@@ -47,6 +48,7 @@ mod header_cards;
 pub mod image;
 mod image_reader;
 mod image_writer;
+mod integer_image;
 pub mod model;
 mod new_fits;
 mod pending_file;
@@ -66,6 +68,7 @@ pub use header_cards::HeaderCards;
 pub use image::{FitsImage, read_cube, read_header, read_image, write_image};
 pub use image_reader::ImageReader;
 pub use image_writer::ImageWriter;
+pub use integer_image::{IntegerKind, write_integers};
 pub use model::{ModelFile, read_model, read_model_file, write_model};
 pub use points::{read_catalog, read_columns, read_positions};
 pub use row::Row;

@@ -1,5 +1,7 @@
 //! What can go wrong in the pipeline.
 
+use std::path::PathBuf;
+
 use psf_types::{DataError, FrameShape};
 use thiserror::Error;
 
@@ -25,6 +27,26 @@ pub enum PsfieldError {
     /// A file could not be read or written.
     #[error(transparent)]
     Io(#[from] psf_io::IoError),
+    /// A detector that cannot be, or what it cannot expose.
+    #[error(transparent)]
+    Detector(#[from] detector::DetectorError),
+    /// A mask of bad pixels with values that are none.
+    #[error("{}: this is no mask of bad pixels", path.display())]
+    Mask {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: detector::DetectorError,
+    },
+    /// One file in two roles.
+    #[error("{} would be written over another file of this run: choose another name", path.display())]
+    SameFile {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A header card that cannot be written.
+    #[error(transparent)]
+    Card(#[from] psf_io::CardError),
     /// A measurement failed that everything else needs.
     #[error(transparent)]
     Metrics(#[from] metrics::MetricsError),

@@ -35,6 +35,7 @@ pub mod bench;
 mod error;
 mod evaluate;
 mod finer_scene;
+mod exposure_files;
 mod fit;
 mod measure;
 mod method;
@@ -46,10 +47,11 @@ mod simulation_plan;
 mod spot_check;
 mod system_memory;
 
-pub use {coeff_field, conv_core, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
+pub use {coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
 
 pub use error::PsfieldError;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
+pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use method::Method;

@@ -5,6 +5,7 @@ mod compare;
 mod context;
 mod demo;
 mod evaluate;
+mod expose;
 mod fit;
 mod fit_args;
 mod measure;
@@ -53,6 +54,7 @@ enum Command {
     Fit(fit::FitCommandArgs),
     Simulate(Box<simulate::SimulateArgs>),
     Evaluate(evaluate::EvaluateArgs),
+    Expose(Box<expose::ExposeArgs>),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
     Bench(bench::BenchArgs),
@@ -67,6 +69,7 @@ impl Cli {
             Command::Fit(_) => "fit",
             Command::Simulate(_) => "simulate",
             Command::Evaluate(_) => "evaluate",
+            Command::Expose(_) => "expose",
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
             Command::Bench(_) => "bench",
@@ -87,6 +90,7 @@ impl Cli {
             Command::Fit(args) => args.run(&context),
             Command::Simulate(args) => args.run(&context),
             Command::Evaluate(args) => args.run(&context),
+            Command::Expose(args) => args.run(&context),
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),

@@ -4,6 +4,7 @@ mod bad_input;
 mod bench;
 mod desk;
 mod evaluation;
+mod exposing;
 mod measuring;
 mod sampling;
 mod simulation;
