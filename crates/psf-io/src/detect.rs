@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::structure::{FitsStructure, Magic, magic};
-use crate::{IoError, model, points, samples};
+use crate::{IoError, model, points, psfex, samples};
 
 /// What a file holds, told from its content, never from its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,6 +13,8 @@ pub enum FileKind {
     PsfModel,
     /// PSF samples: [`read_samples`](crate::read_samples).
     PsfSamples,
+    /// PSFEx models: [`read_psfex`](crate::read_psfex).
+    Psfex,
     /// An image: [`read_image`](crate::read_image).
     Image,
     /// A stack of images without positions: [`read_cube`](crate::read_cube).
@@ -31,6 +33,7 @@ impl std::fmt::Display for FileKind {
         f.write_str(match self {
             Self::PsfModel => "a PSF model",
             Self::PsfSamples => "PSF samples",
+            Self::Psfex => "a PSFEx model",
             Self::Image => "an image",
             Self::Cube => "a cube",
             Self::PointTable => "a table of positions",
@@ -47,6 +50,7 @@ type Test = (FileKind, fn(&FitsStructure) -> bool);
 const TESTS: &[Test] = &[
     (FileKind::PsfModel, model::is_model),
     (FileKind::PsfSamples, samples::is_samples),
+    (FileKind::Psfex, psfex::is_psfex),
     (FileKind::Image, |structure| image_axes(structure) == Some(2)),
     (FileKind::Cube, |structure| image_axes(structure) == Some(3)),
     (FileKind::PointTable, points::has_points),

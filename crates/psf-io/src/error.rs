@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use psf_types::DataError;
 use thiserror::Error;
 
-use crate::{CardError, Row};
+use crate::{CardError, HduChoice, Row};
 
 /// Why a file could not be read or written.
 ///
@@ -115,6 +115,33 @@ pub enum IoError {
         path: PathBuf,
         /// What was looked for.
         what: String,
+    },
+    /// Several HDUs that could be meant.
+    #[error(
+        "{}: the file has {} {what}, in the HDUs {}: choose one with {option}",
+        path.display(), found.len(), found.join(", ")
+    )]
+    SeveralHdus {
+        /// The file.
+        path: PathBuf,
+        /// What they hold.
+        what: &'static str,
+        /// The option of the command line that chooses.
+        option: &'static str,
+        /// Number and name of each.
+        found: Vec<String>,
+    },
+    /// A choice that is none of the HDUs that could be meant.
+    #[error("{}: HDU {wanted} is none of the {what} in the file, which are in the HDUs {}", path.display(), found.join(", "))]
+    NoSuchHdu {
+        /// The file.
+        path: PathBuf,
+        /// What is looked for.
+        what: &'static str,
+        /// What was asked for.
+        wanted: HduChoice,
+        /// Number and name of each HDU that there is.
+        found: Vec<String>,
     },
     /// A keyword that must be there.
     #[error("{}: HDU {hdu} has no keyword {keyword} ({expected})", path.display())]
@@ -335,6 +362,8 @@ impl IoError {
             | Self::Truncated { path, .. }
             | Self::Header { path, .. }
             | Self::MissingHdu { path, .. }
+            | Self::SeveralHdus { path, .. }
+            | Self::NoSuchHdu { path, .. }
             | Self::MissingKeyword { path, .. }
             | Self::Keyword { path, .. }
             | Self::Version { path, .. }

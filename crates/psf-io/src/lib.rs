@@ -6,6 +6,7 @@
 //! | the same, by bands of rows | [`image`] | [`ImageReader`] | [`ImageWriter`] |
 //! | PSF samples, stamps | [`samples`] | [`read_samples`] | [`write_samples`] |
 //! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
+//! | PSFEx model | [`psfex`] | [`read_psfex`] | [`write_psfex`] |
 //! | catalogue, positions | [`points`] | [`read_catalog`], [`read_positions`] | |
 //! | any table of results | CSV with a line of names | [`read_columns`] | [`write_csv`] |
 //! | any cube | | [`read_cube`] | |
@@ -43,6 +44,7 @@ mod csv_out;
 mod detect;
 mod error;
 mod hdu;
+mod hdu_choice;
 mod header_cards;
 pub mod image;
 mod image_reader;
@@ -52,6 +54,7 @@ mod new_fits;
 mod pending_file;
 mod pixels;
 pub mod points;
+pub mod psfex;
 mod row;
 pub mod samples;
 mod structure;
@@ -62,11 +65,13 @@ pub use card_value::{CardError, CardValue};
 pub use csv_out::write_csv;
 pub use detect::{FileKind, detect};
 pub use error::IoError;
+pub use hdu_choice::HduChoice;
 pub use header_cards::HeaderCards;
 pub use image::{FitsImage, read_cube, read_header, read_image, write_image};
 pub use image_reader::ImageReader;
 pub use image_writer::ImageWriter;
 pub use model::{ModelFile, read_model, read_model_file, write_model};
 pub use points::{read_catalog, read_columns, read_positions};
+pub use psfex::{PsfexAxis, PsfexFigures, PsfexModel, PsfexPolynomial, read_psfex, write_psfex};
 pub use row::Row;
 pub use samples::{Precision, read_samples, write_samples};
