@@ -4,10 +4,12 @@ use ndarray::{Array3, ArrayView1, ArrayView2, Axis};
 
 /// A value this far below zero, relative to the peak, is no wing of a PSF: real libraries stay a thousand times closer.
 const NEGATIVE: f64 = 0.01;
-/// A border row this many times brighter than the next one inwards is not the wing of a PSF, which falls outwards ...
+/// A border pixel this many times brighter than the next one inwards is not the wing of a PSF, which falls outwards ...
 const JUMP: f64 = 10.0;
 /// ... where it matters at all, relative to the peak.
 const FAINT: f64 = 0.01;
+/// A row is bad when more than this part of its pixels are, which bad rows on the adjacent sides do not reach.
+const PART: f64 = 0.25;
 /// Rows from the border that are looked at: one in so many of the stamp's.
 const DEPTH: usize = 10;
 
@@ -59,13 +61,13 @@ fn side_defect(
 /// How many rows from the border inwards are bad.
 fn bad_rows(stamp: ArrayView2<'_, f64>, axis: usize, last: bool) -> usize {
     let peak = stamp.iter().copied().fold(0.0, f64::max);
-    let size = |row| strongest(line(stamp, axis, last, row), 0.0).abs();
     let is_bad = |&row: &usize| {
-        let lowest = line(stamp, axis, last, row)
-            .iter()
-            .copied()
-            .fold(f64::INFINITY, f64::min);
-        lowest < -NEGATIVE * peak || (size(row) > FAINT * peak && size(row) > JUMP * size(row + 1))
+        let (values, inwards) = (line(stamp, axis, last, row), line(stamp, axis, last, row + 1));
+        let bad = values.iter().zip(inwards).filter(|&(&value, &next)| {
+            let size = value.abs();
+            value < -NEGATIVE * peak || (size > FAINT * peak && size > JUMP * next.abs())
+        });
+        bad.count() as f64 > PART * values.len() as f64
     };
     let rows = stamp.len_of(Axis(axis));
     (0..rows.div_ceil(DEPTH).min(rows.saturating_sub(1)))
