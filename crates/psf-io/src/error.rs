@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use psf_types::DataError;
 use thiserror::Error;
 
-use crate::{CardError, HduChoice, Row};
+use crate::{CardError, GriddedError, HduChoice, Row};
 
 /// Why a file could not be read or written.
 ///
@@ -325,6 +325,14 @@ pub enum IoError {
         /// Which invariant, and where.
         source: DataError,
     },
+    /// A PSF library that cannot be read, or samples that cannot be written as one.
+    #[error("{}: the PSF library cannot be used", path.display())]
+    Library {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and where.
+        source: GriddedError,
+    },
     /// A header card that cannot be written.
     #[error("{}: a header card cannot be written", path.display())]
     Card {
@@ -380,6 +388,7 @@ impl IoError {
             | Self::RowLength { path, .. }
             | Self::Csv { path, .. }
             | Self::Data { path, .. }
+            | Self::Library { path, .. }
             | Self::Card { path, .. }
             | Self::Cfitsio { path, .. } => path,
         }
@@ -397,6 +406,14 @@ pub(crate) fn invalid(path: &Path) -> impl FnOnce(DataError) -> IoError + '_ {
 /// `map_err` for cards that cannot be written.
 pub(crate) fn bad_card(path: &Path) -> impl FnOnce(CardError) -> IoError + '_ {
     move |source| IoError::Card {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// `map_err` for PSF libraries that are not what they should be.
+pub(crate) fn unsuitable(path: &Path) -> impl Fn(GriddedError) -> IoError + Copy + '_ {
+    move |source| IoError::Library {
         path: path.to_owned(),
         source,
     }
