@@ -10,6 +10,7 @@ mod flux;
 mod linearity;
 mod low_rank;
 mod measurements;
+mod psfex;
 mod responses;
 mod simulation;
 mod tolerance;
@@ -43,6 +44,7 @@ fn main() {
         tolerance::trials(),
         tolerance_fields::trials(),
         tolerance_checks::trials(),
+        psfex::trials(),
     ];
     let trials = trials
         .into_iter()

@@ -4,6 +4,7 @@ mod file_options;
 mod fit_choices;
 mod open;
 mod psfex_record;
+mod scopesim_record;
 
 use conv_core::{native_grid, resample_samples};
 use ndarray::{Array3, s};

@@ -3,6 +3,7 @@
 mod bench;
 mod compare;
 mod context;
+mod convert;
 mod demo;
 mod evaluate;
 mod fit;
@@ -10,6 +11,7 @@ mod fit_args;
 mod measure;
 mod preview;
 mod progress;
+mod psf_file_args;
 mod sample;
 mod simulate;
 mod values;
@@ -53,6 +55,7 @@ enum Command {
     Fit(fit::FitCommandArgs),
     Simulate(Box<simulate::SimulateArgs>),
     Evaluate(evaluate::EvaluateArgs),
+    Convert(convert::ConvertArgs),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
     Bench(bench::BenchArgs),
@@ -67,6 +70,7 @@ impl Cli {
             Command::Fit(_) => "fit",
             Command::Simulate(_) => "simulate",
             Command::Evaluate(_) => "evaluate",
+            Command::Convert(_) => "convert",
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
             Command::Bench(_) => "bench",
@@ -87,6 +91,7 @@ impl Cli {
             Command::Fit(args) => args.run(&context),
             Command::Simulate(args) => args.run(&context),
             Command::Evaluate(args) => args.run(&context),
+            Command::Convert(args) => args.run(&context),
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),

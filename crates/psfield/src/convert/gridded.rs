@@ -16,7 +16,7 @@ const NODES: usize = 11;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct GriddedConversion {
-    /// The PSFs: a whole number of stamp pixels a frame pixel, odd sizes with the centre in the middle.
+    /// The PSFs: a whole number of stamp pixels a frame pixel, centred in the middle, as [`psf_io::write_gridded`] wants them.
     pub samples: PsfSamples,
     /// The largest relative L2 error of the bilinear interpolation at the middle of a cell; none where the source is itself
     /// interpolated bilinearly between these nodes.
@@ -61,8 +61,13 @@ pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, 
         Some(midway_error(input, &samples)?)
     };
     let samples = resampled(samples, &mut notes)?;
+    let samples = if is_centred(samples.grid()) {
+        samples
+    } else {
+        with_centre_in_the_middle(samples, FORMAT)?
+    };
     Ok(GriddedConversion {
-        samples: with_centre_in_the_middle(samples, FORMAT)?,
+        samples,
         max_error,
         notes,
     })
@@ -121,12 +126,22 @@ fn midway_error(input: PsfInput, nodes: &PsfSamples) -> Result<f64, PsfieldError
     Ok(largest)
 }
 
-/// The same PSFs at a whole oversampling, the next that is not coarser.
+/// The same PSFs at a whole oversampling, the next that is not coarser, told to continue by a cubic spline.
 fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples, PsfieldError> {
     let grid = samples.grid();
     let whole = grid.oversampling().ceil();
     if whole == grid.oversampling() {
-        return Ok(samples);
+        if grid.interpolation() == StampInterpolation::CubicSpline {
+            return Ok(samples);
+        }
+        notes.push(
+            "readers of gridded libraries interpolate between the stamps' pixels by a cubic spline, not by the source's \
+             Lanczos kernel"
+                .to_owned(),
+        );
+        let grid = grid.with_interpolation(StampInterpolation::CubicSpline);
+        let (stamps, positions) = (samples.stamps().to_owned(), samples.positions().clone());
+        return Ok(PsfSamples::new(stamps, positions, grid)?);
     }
     let ratio = whole / grid.oversampling();
     let reach = |centre: f64, n: usize| (centre.max((n - 1) as f64 - centre) * ratio).floor() as usize;
@@ -138,10 +153,16 @@ fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples,
         .with_oversampling(whole)?
         .with_interpolation(StampInterpolation::CubicSpline);
     notes.push(format!(
-        "stamps resampled from {} to {whole} pixels a frame pixel: libraries hold whole numbers",
+        "stamps resampled from {:.6} to {whole} pixels a frame pixel: libraries hold whole numbers",
         grid.oversampling()
     ));
     Ok(resample_samples(&samples, target)?)
+}
+
+/// Whether the centre is the middle, be it between pixels.
+fn is_centred(grid: StampGrid) -> bool {
+    let middle = |n: usize| (n - 1) as f64 / 2.0;
+    (grid.centre_x(), grid.centre_y()) == (middle(grid.nx()), middle(grid.ny()))
 }
 
 #[cfg(test)]

@@ -224,7 +224,7 @@ mod tests {
             .unwrap()
             .with_oversampling(2.0)
             .unwrap();
-        let field = FrameShape::new(1000, 1000).ok();
+        let field = FrameShape::new(2000, 2000).ok();
         let positions = SamplePositions::new(positions, field).unwrap();
         PsfSamples::new(stamps, positions, grid).unwrap()
     }

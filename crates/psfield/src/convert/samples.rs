@@ -2,7 +2,7 @@
 
 use psf_types::{Normalisation, Position, PsfSamples};
 
-use crate::{EvaluateOptions, PsfInput, PsfieldError, evaluate};
+use crate::{EvaluateOptions, PsfInput, PsfieldError, check_stack, evaluate};
 
 /// Where a PSF is evaluated.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -47,6 +47,8 @@ pub fn to_samples(input: PsfInput, at: &SamplesAt) -> Result<PsfSamples, Psfield
 
 /// A regular grid over the field, from the centre of its first pixel to that of its last, or over the samples; x fastest.
 fn grid_positions(input: &PsfInput, nx: usize, ny: usize) -> Result<Vec<Position>, PsfieldError> {
+    // Before the positions themselves fill the memory.
+    check_stack(nx.saturating_mul(ny), input.grid())?;
     let known = input.positions();
     let [x, y] = match known.field() {
         Some(field) => [(0.0, (field.nx() - 1) as f64), (0.0, (field.ny() - 1) as f64)],

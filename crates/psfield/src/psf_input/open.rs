@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use ndarray::Axis;
-use psf_io::FileKind;
-use psf_types::{Position, PsfBasis, PsfModelRecord, PsfSamples, SamplePositions, StampGrid};
+use psf_basis::RankSelection;
+use psf_io::{FileKind, ScopesimOptions, StampCubeOptions};
+use psf_types::{Interpolation, Normalisation, PsfBasis, PsfModelRecord, PsfSamples};
 
 use super::psfex_record::record_of_psfex;
+use super::scopesim_record::record_of_scopesim;
 use crate::{FitChoices, FitOptions, PsfFileOptions, PsfInput, PsfieldError};
 
 /// A PSF from a file.
@@ -48,8 +49,12 @@ impl PsfInput {
     /// | [PSF samples](psf_io::samples) | unit | all of `choices` |
     /// | [PSF model](psf_io::model) | as it says | `outside` and `normalisation` of `choices` |
     /// | [PSFEx model](psf_io::psfex) | unit | the same; `file.extension` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | as it is | all of `choices` (every component is kept); `file.plane_order`, `file.detector` |
+    /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling` |
     /// | single stamp: the same PSF everywhere | unit | `file.oversampling` |
+    ///
+    /// `file.pixel_response_included` applies to all.
     ///
     /// ```no_run
     /// use psfield::{FitChoices, PsfFileOptions, PsfInput};
@@ -96,9 +101,15 @@ impl PsfInput {
 /// The fit options of samples of a format where nothing is chosen.
 fn defaults(kind: FileKind) -> FitOptions {
     match kind {
+        // The normalisation is part of a library's calibration, and its few planes are to come back as they are.
+        FileKind::Stpsf | FileKind::Stdpsf => FitOptions {
+            rank: RankSelection::Full,
+            normalisation: Normalisation::Keep,
+            ..FitOptions::default()
+        },
         // One PSF for the whole field has no others to interpolate between.
         FileKind::Image => FitOptions {
-            interpolation: psf_types::Interpolation::Nearest,
+            interpolation: Interpolation::Nearest,
             ..FitOptions::default()
         },
         _ => FitOptions::default(),
@@ -115,16 +126,25 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Content, FileKind, Vec<St
             formats,
         });
     }
-    let mut notes = Vec::new();
-    let content = match kind {
-        FileKind::PsfModel => Content::Model(psf_io::read_model(path)?),
+    let of_library = |library: psf_io::GriddedPsf| {
+        let notes = library.notes().to_vec();
+        (Content::Samples(library.into_samples()), notes)
+    };
+    let (content, notes) = match kind {
+        FileKind::PsfModel => (Content::Model(psf_io::read_model(path)?), Vec::new()),
         FileKind::Psfex => {
             let model = psf_io::read_psfex(path, file.extension.as_ref())?;
-            Content::Model(record_of_psfex(&model)?)
+            (Content::Model(record_of_psfex(&model)?), Vec::new())
         }
-        FileKind::Cube | FileKind::Image => Content::Samples(plain(path, kind, file, &mut notes)?),
+        FileKind::Stpsf => of_library(psf_io::read_stpsf(path, file.plane_order.unwrap_or_default())?),
+        FileKind::Stdpsf => of_library(psf_io::read_stdpsf(path, file.detector)?),
+        FileKind::Scopesim => {
+            let psf = psf_io::read_scopesim(path, &scopesim_options(path, file)?)?;
+            (Content::Model(record_of_scopesim(&psf)?), psf.notes().to_vec())
+        }
+        FileKind::Cube | FileKind::Image => plain(path, kind, file)?,
         // Whatever else it is, the reader of samples says best what is missing.
-        _ => Content::Samples(psf_io::read_samples(path)?),
+        _ => (Content::Samples(psf_io::read_samples(path)?), Vec::new()),
     };
     let content = match file.pixel_response_included {
         Some(included) => content.with_pixel_response_included(included)?,
@@ -133,56 +153,60 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Content, FileKind, Vec<St
     Ok((content, kind, notes))
 }
 
-/// Stamps without a word about them.
-fn plain(
-    path: &Path,
-    kind: FileKind,
-    file: &PsfFileOptions,
-    notes: &mut Vec<String>,
-) -> Result<PsfSamples, PsfieldError> {
-    let missing = |what, option| PsfieldError::MissingChoice {
+fn missing(path: &Path, kind: FileKind, what: &'static str, option: &'static str) -> PsfieldError {
+    PsfieldError::MissingChoice {
         path: path.to_owned(),
         kind,
         what,
         option,
-    };
-    let stamps = match kind {
-        FileKind::Cube => psf_io::read_cube::<f64>(path)?,
-        _ => psf_io::read_image::<f64>(path)?
-            .into_parts()
-            .0
-            .into_pixels()
-            .insert_axis(Axis(0)),
-    };
-    let (count, ny, nx) = stamps.dim();
-    let positions = match (&file.positions, count) {
-        (Some(positions), _) => positions.clone(),
-        (None, 1) => vec![Position::of_pixel(0, 0)],
-        (None, _) => {
-            return Err(missing(
-                "a table POSITIONS that says where its planes belong",
-                "--psf-positions POSITIONS.csv (columns x, y: 0-based pixels, one row a plane)",
-            ));
-        }
-    };
-    let oversampling = file.oversampling.ok_or_else(|| {
-        missing(
-            "a table POSITIONS, and does not say how fine its stamps are",
-            "--psf-oversampling S (stamp pixels per frame pixel; 1 for the frame's own pixels)",
+    }
+}
+
+fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOptions, PsfieldError> {
+    let lacks = |what, option| missing(path, FileKind::Scopesim, what, option);
+    let scale = file.pixel_scale_arcsec.ok_or_else(|| {
+        lacks(
+            "a word on the frame's pixels",
+            "--pixel-scale ARCSEC (the size of a frame pixel)",
         )
     })?;
-    if count == 1 {
-        notes.push(format!(
-            "{}: one stamp, taken as the PSF of the whole field",
-            path.display()
+    let centre = file.field_centre.ok_or_else(|| {
+        lacks(
+            "a word on where its field lies on the frame",
+            "--field-centre X,Y (the centre of the field in 0-based pixels)",
+        )
+    })?;
+    let options = ScopesimOptions::new(scale, centre)?;
+    Ok(match file.wavelength_um {
+        Some(wavelength) => options.with_wavelength_um(wavelength)?,
+        None => options,
+    })
+}
+
+/// Stamps without a word about them.
+fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Content, Vec<String>), PsfieldError> {
+    // An image may as well be a scene that was given by mistake: someone must say that it is a PSF.
+    if file.oversampling.is_none() && psf_io::read_header(path)?.get("OVERSAMP").is_none() {
+        return Err(missing(
+            path,
+            kind,
+            "a table POSITIONS, as PSF samples have, nor a word on how fine its stamps are",
+            "--psf-oversampling S to take it as PSF stamps (S stamp pixels per frame pixel; 1 for the frame's own pixels)",
         ));
     }
-    let grid = StampGrid::new(nx, ny)?.with_oversampling(oversampling)?;
-    Ok(PsfSamples::new(
-        stamps,
-        SamplePositions::new(positions, None)?,
-        grid,
-    )?)
+    let mut options = StampCubeOptions::default();
+    if let Some(positions) = &file.positions {
+        options = options.with_positions(positions.clone());
+    }
+    if let Some(oversampling) = file.oversampling {
+        options = options.with_oversampling(oversampling);
+    }
+    let samples = psf_io::read_stamp_cube(path, &options)?;
+    let mut notes = Vec::new();
+    if samples.len() == 1 {
+        notes.push("one stamp, taken as the PSF of the whole field".to_owned());
+    }
+    Ok((Content::Samples(samples), notes))
 }
 
 impl Content {

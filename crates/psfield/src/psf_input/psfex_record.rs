@@ -80,8 +80,8 @@ mod tests {
     use crate::model_of;
     use psf_io::PsfexPolynomial;
 
-    /// Rounding of sums over a few terms, relative to the peak.
-    const ROUNDING: f64 = 1e-13;
+    /// Rounding, relative to the peak, also two scales away from the nodes, where high powers amplify it.
+    const ROUNDING: f64 = 1e-12;
 
     fn model(degree: usize, scale: f64) -> PsfexModel {
         let axis = |name, zero| PsfexAxis::new(name, zero, scale).unwrap();
