@@ -7,11 +7,14 @@ mod data;
 mod dynamic_range;
 mod evaluation;
 mod flux;
+mod libraries;
 mod linearity;
 mod low_rank;
 mod measurements;
 mod responses;
 mod simulation;
+mod stdpsf;
+mod stpsf;
 mod tolerance;
 mod tolerance_checks;
 mod tolerance_fields;
@@ -43,6 +46,8 @@ fn main() {
         tolerance::trials(),
         tolerance_fields::trials(),
         tolerance_checks::trials(),
+        stdpsf::trials(),
+        stpsf::trials(),
     ];
     let trials = trials
         .into_iter()
