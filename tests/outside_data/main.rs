@@ -7,12 +7,15 @@ mod data;
 mod dynamic_range;
 mod evaluation;
 mod flux;
+mod libraries;
 mod linearity;
 mod low_rank;
 mod measurements;
 mod psfex;
 mod responses;
 mod simulation;
+mod stdpsf;
+mod stpsf;
 mod tolerance;
 mod tolerance_checks;
 mod tolerance_fields;
@@ -45,6 +48,8 @@ fn main() {
         tolerance_fields::trials(),
         tolerance_checks::trials(),
         psfex::trials(),
+        stdpsf::trials(),
+        stpsf::trials(),
     ];
     let trials = trials
         .into_iter()
