@@ -7,12 +7,16 @@ mod data;
 mod dynamic_range;
 mod evaluation;
 mod flux;
+mod libraries;
 mod linearity;
 mod low_rank;
 mod measurements;
+mod psfex;
 mod responses;
 mod simulation;
 mod stars;
+mod stdpsf;
+mod stpsf;
 mod tolerance;
 mod tolerance_checks;
 mod tolerance_fields;
@@ -45,6 +49,9 @@ fn main() {
         tolerance::trials(),
         tolerance_fields::trials(),
         tolerance_checks::trials(),
+        psfex::trials(),
+        stdpsf::trials(),
+        stpsf::trials(),
     ];
     let trials = trials
         .into_iter()

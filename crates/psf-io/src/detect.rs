@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::structure::{FitsStructure, Magic, magic};
-use crate::{IoError, model, points, samples};
+use crate::{IoError, model, points, psfex, samples, scopesim, stdpsf, stpsf};
 
 /// What a file holds, told from its content, never from its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,6 +13,14 @@ pub enum FileKind {
     PsfModel,
     /// PSF samples: [`read_samples`](crate::read_samples).
     PsfSamples,
+    /// PSFEx models: [`read_psfex`](crate::read_psfex).
+    Psfex,
+    /// A gridded PSF library of STPSF or WebbPSF: [`read_stpsf`](crate::read_stpsf).
+    Stpsf,
+    /// An STDPSF library: [`read_stdpsf`](crate::read_stdpsf).
+    Stdpsf,
+    /// A field-varying PSF of ScopeSim: [`read_scopesim`](crate::read_scopesim).
+    Scopesim,
     /// An image: [`read_image`](crate::read_image).
     Image,
     /// A stack of images without positions: [`read_cube`](crate::read_cube).
@@ -31,6 +39,10 @@ impl std::fmt::Display for FileKind {
         f.write_str(match self {
             Self::PsfModel => "a PSF model",
             Self::PsfSamples => "PSF samples",
+            Self::Psfex => "a PSFEx model",
+            Self::Stpsf => "an STPSF library",
+            Self::Stdpsf => "an STDPSF library",
+            Self::Scopesim => "a field-varying PSF of ScopeSim",
             Self::Image => "an image",
             Self::Cube => "a cube",
             Self::PointTable => "a table of positions",
@@ -47,6 +59,10 @@ type Test = (FileKind, fn(&FitsStructure) -> bool);
 const TESTS: &[Test] = &[
     (FileKind::PsfModel, model::is_model),
     (FileKind::PsfSamples, samples::is_samples),
+    (FileKind::Psfex, psfex::is_psfex),
+    (FileKind::Stpsf, stpsf::is_stpsf),
+    (FileKind::Stdpsf, stdpsf::is_stdpsf),
+    (FileKind::Scopesim, scopesim::is_scopesim),
     (FileKind::Image, |structure| image_axes(structure) == Some(2)),
     (FileKind::Cube, |structure| image_axes(structure) == Some(3)),
     (FileKind::PointTable, points::has_points),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use psf_types::DataError;
 use thiserror::Error;
 
-use crate::{CardError, Row};
+use crate::{CardError, GriddedError, HduChoice, Row};
 
 /// Why a file could not be read or written.
 ///
@@ -115,6 +115,33 @@ pub enum IoError {
         path: PathBuf,
         /// What was looked for.
         what: String,
+    },
+    /// Several HDUs that could be meant.
+    #[error(
+        "{}: the file has {} {what}, in the HDUs {}: choose one with {option}",
+        path.display(), found.len(), found.join(", ")
+    )]
+    SeveralHdus {
+        /// The file.
+        path: PathBuf,
+        /// What they hold.
+        what: &'static str,
+        /// The option of the command line that chooses.
+        option: &'static str,
+        /// Number and name of each.
+        found: Vec<String>,
+    },
+    /// A choice that is none of the HDUs that could be meant.
+    #[error("{}: HDU {wanted} is none of the {what} in the file, which are in the HDUs {}", path.display(), found.join(", "))]
+    NoSuchHdu {
+        /// The file.
+        path: PathBuf,
+        /// What is looked for.
+        what: &'static str,
+        /// What was asked for.
+        wanted: HduChoice,
+        /// Number and name of each HDU that there is.
+        found: Vec<String>,
     },
     /// A keyword that must be there.
     #[error("{}: HDU {hdu} has no keyword {keyword} ({expected})", path.display())]
@@ -315,6 +342,14 @@ pub enum IoError {
         /// Which invariant, and where.
         source: DataError,
     },
+    /// A PSF library that cannot be read, or samples that cannot be written as one.
+    #[error("{}: the PSF library cannot be used", path.display())]
+    Library {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong, and where.
+        source: GriddedError,
+    },
     /// A header card that cannot be written.
     #[error("{}: a header card cannot be written", path.display())]
     Card {
@@ -352,6 +387,8 @@ impl IoError {
             | Self::Truncated { path, .. }
             | Self::Header { path, .. }
             | Self::MissingHdu { path, .. }
+            | Self::SeveralHdus { path, .. }
+            | Self::NoSuchHdu { path, .. }
             | Self::MissingKeyword { path, .. }
             | Self::Keyword { path, .. }
             | Self::Version { path, .. }
@@ -369,6 +406,7 @@ impl IoError {
             | Self::RowLength { path, .. }
             | Self::Csv { path, .. }
             | Self::Data { path, .. }
+            | Self::Library { path, .. }
             | Self::Card { path, .. }
             | Self::Cfitsio { path, .. } => path,
         }
@@ -386,6 +424,14 @@ pub(crate) fn invalid(path: &Path) -> impl FnOnce(DataError) -> IoError + '_ {
 /// `map_err` for cards that cannot be written.
 pub(crate) fn bad_card(path: &Path) -> impl FnOnce(CardError) -> IoError + '_ {
     move |source| IoError::Card {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// `map_err` for PSF libraries that are not what they should be.
+pub(crate) fn unsuitable(path: &Path) -> impl Fn(GriddedError) -> IoError + Copy + '_ {
+    move |source| IoError::Library {
         path: path.to_owned(),
         source,
     }

@@ -125,7 +125,7 @@ impl Hdu {
         }
     }
 
-    fn keyword_error(&self, keyword: &'static str, expected: &'static str) -> IoError {
+    pub(crate) fn keyword_error(&self, keyword: &'static str, expected: &'static str) -> IoError {
         let card = self.header.get(keyword);
         let got = match card.and_then(Card::value) {
             Some(value) => value.to_string(),
@@ -155,12 +155,21 @@ impl Hdu {
         }
     }
 
-    fn optional_real(&self, keyword: &'static str) -> Result<Option<f64>, IoError> {
+    pub(crate) fn optional_real(&self, keyword: &'static str) -> Result<Option<f64>, IoError> {
         self.optional(keyword, "a number", |value| match value {
             CardValue::Real(value) => Some(value),
             CardValue::Integer(value) => Some(value as f64),
             _ => None,
         })
+    }
+
+    pub(crate) fn required_real(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<f64, IoError> {
+        self.optional_real(keyword)?
+            .ok_or_else(|| self.missing_keyword(keyword, expected))
     }
 
     pub(crate) fn optional_logical(&self, keyword: &'static str) -> Result<Option<bool>, IoError> {
@@ -170,16 +179,24 @@ impl Hdu {
         })
     }
 
+    pub(crate) fn optional_integer(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<Option<i64>, IoError> {
+        self.optional(keyword, expected, |value| match value {
+            CardValue::Integer(value) => Some(value),
+            _ => None,
+        })
+    }
+
     pub(crate) fn required_integer(
         &self,
         keyword: &'static str,
         expected: &'static str,
     ) -> Result<i64, IoError> {
-        self.optional(keyword, expected, |value| match value {
-            CardValue::Integer(value) => Some(value),
-            _ => None,
-        })?
-        .ok_or_else(|| self.missing_keyword(keyword, expected))
+        self.optional_integer(keyword, expected)?
+            .ok_or_else(|| self.missing_keyword(keyword, expected))
     }
 
     pub(crate) fn optional_text(
@@ -214,7 +231,7 @@ impl Hdu {
             .ok_or_else(|| self.missing_keyword(keyword, expected))
     }
 
-    fn missing_keyword(&self, keyword: &'static str, expected: &'static str) -> IoError {
+    pub(crate) fn missing_keyword(&self, keyword: &'static str, expected: &'static str) -> IoError {
         IoError::MissingKeyword {
             path: self.path.clone(),
             hdu: self.index,

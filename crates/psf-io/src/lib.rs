@@ -6,7 +6,12 @@
 //! | the same, by bands of rows | [`image`] | [`ImageReader`] | [`ImageWriter`] |
 //! | whole numbers: raw counts, masks | [`image`] | [`read_image`] | [`write_integers`] |
 //! | PSF samples, stamps | [`samples`] | [`read_samples`] | [`write_samples`] |
+//! | STPSF, WebbPSF library | [`stpsf`] | [`read_stpsf`] | [`write_gridded`] |
+//! | STDPSF library | [`stdpsf`] | [`read_stdpsf`] | |
+//! | ScopeSim's field-varying PSF | [`scopesim`] | [`read_scopesim`] | |
+//! | plain stamps | a cube or an image | [`read_stamp_cube`] | |
 //! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
+//! | PSFEx model | [`psfex`] | [`read_psfex`] | [`write_psfex`] |
 //! | catalogue, positions | [`points`] | [`read_catalog`], [`read_positions`] | |
 //! | any table of results | CSV with a line of names | [`read_columns`] | [`write_csv`] |
 //! | any cube | | [`read_cube`] | |
@@ -43,19 +48,29 @@ mod csv_in;
 mod csv_out;
 mod detect;
 mod error;
+mod gridded_error;
+mod gridded_out;
+mod gridded_psf;
 mod hdu;
+mod hdu_choice;
 mod header_cards;
 pub mod image;
 mod image_reader;
 mod image_writer;
 mod integer_image;
+mod library_cards;
 pub mod model;
 mod new_fits;
 mod pending_file;
 mod pixels;
 pub mod points;
+pub mod psfex;
 mod row;
 pub mod samples;
+pub mod scopesim;
+mod stamp_cube;
+pub mod stdpsf;
+pub mod stpsf;
 mod structure;
 
 pub use atomic::{check_output, write_atomically};
@@ -64,6 +79,10 @@ pub use card_value::{CardError, CardValue};
 pub use csv_out::write_csv;
 pub use detect::{FileKind, detect};
 pub use error::IoError;
+pub use gridded_error::GriddedError;
+pub use gridded_out::write_gridded;
+pub use gridded_psf::GriddedPsf;
+pub use hdu_choice::HduChoice;
 pub use header_cards::HeaderCards;
 pub use image::{FitsImage, read_cube, read_header, read_image, write_image};
 pub use image_reader::ImageReader;
@@ -71,5 +90,10 @@ pub use image_writer::ImageWriter;
 pub use integer_image::{IntegerKind, write_integers};
 pub use model::{ModelFile, read_model, read_model_file, write_model};
 pub use points::{read_catalog, read_columns, read_positions};
+pub use psfex::{PsfexAxis, PsfexFigures, PsfexModel, PsfexPolynomial, read_psfex, write_psfex};
 pub use row::Row;
 pub use samples::{Precision, read_samples, write_samples};
+pub use scopesim::{ScopesimOptions, ScopesimPsf, read_scopesim};
+pub use stamp_cube::{StampCubeOptions, read_stamp_cube};
+pub use stdpsf::read_stdpsf;
+pub use stpsf::{PlaneOrder, read_stpsf};

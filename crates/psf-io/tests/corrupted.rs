@@ -6,14 +6,15 @@ use std::path::Path;
 
 use ndarray::{Array2, Array3, array};
 use psf_io::{
-    Card, HeaderCards, IoError, Precision, detect, read_catalog, read_cube, read_header, read_image,
-    read_model_file, read_positions, read_samples, write_image, write_model, write_samples,
+    Card, HeaderCards, IoError, PlaneOrder, Precision, ScopesimOptions, StampCubeOptions, detect,
+    read_catalog, read_cube, read_header, read_image, read_model_file, read_positions, read_samples,
+    read_scopesim, read_stamp_cube, read_stdpsf, read_stpsf, write_image, write_model, write_samples,
 };
 use psf_types::{
     FrameShape, Image, Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModelRecord,
     PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
 };
-use support::{SIMPLE, Scratch, i16s, image, table};
+use support::{SIMPLE, Scratch, i16s, image, libraries, table};
 
 fn positions() -> SamplePositions {
     let positions = (0..3).map(|i| Position::of_pixel(i, 2 * i)).collect();
@@ -64,8 +65,18 @@ fn files(scratch: &Scratch) -> Vec<Vec<u8>> {
         &i16s(&[1; 9]),
     ));
     files.push(stars);
+    files.extend([
+        libraries::stpsf(&[]),
+        libraries::stdpsf(3, 2),
+        libraries::scopesim(),
+    ]);
     files.push(b"# stars\nx,y,flux\n1,2,3\n4,\"5\",6e3\n".to_vec());
     files
+}
+
+fn scopesim_options() -> ScopesimOptions {
+    let options = ScopesimOptions::new(0.25, Position::of_pixel(5, 5)).unwrap();
+    options.with_wavelength_um(1.5).unwrap()
 }
 
 /// Reads a file in every way; returns how many succeeded. Errors must have a text and name the file.
@@ -84,6 +95,10 @@ fn read_all(path: &Path) -> usize {
         read_model_file(path).map(drop),
         read_catalog(path).map(drop),
         read_positions(path).map(drop),
+        read_stpsf(path, PlaneOrder::Auto).map(drop),
+        read_stdpsf(path, None).map(drop),
+        read_scopesim(path, &scopesim_options()).map(drop),
+        read_stamp_cube(path, &StampCubeOptions::default()).map(drop),
     ];
     for error in outcomes.iter().filter_map(|outcome| outcome.as_ref().err()) {
         assert!(support::names(error, path), "{error}");

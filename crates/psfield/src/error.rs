@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use psf_io::FileKind;
 use psf_types::{DataError, FrameShape};
 use thiserror::Error;
 
@@ -67,6 +68,85 @@ pub enum PsfieldError {
         /// What was given.
         got: String,
     },
+    /// An option that the format of a PSF file does not know.
+    #[error("{}: {option} is for {formats}; this file holds {kind}: leave it out", path.display())]
+    ForeignOption {
+        /// The file.
+        path: PathBuf,
+        /// What it holds.
+        kind: FileKind,
+        /// The option.
+        option: &'static str,
+        /// What the option is for.
+        formats: &'static str,
+    },
+    /// A choice of the fit for a file that holds a model.
+    #[error(
+        "{}: this file holds {kind}: of the fit options only --outside and --normalise apply to it; leave the others out, or give \
+         the samples",
+        path.display()
+    )]
+    FitOfModel {
+        /// The file.
+        path: PathBuf,
+        /// What it holds.
+        kind: FileKind,
+    },
+    /// Something that a PSF file does not say, so that it must be chosen.
+    #[error("{}: {kind} without {what}: give {option}", path.display())]
+    MissingChoice {
+        /// The file.
+        path: PathBuf,
+        /// What it holds.
+        kind: FileKind,
+        /// What it does not hold.
+        what: &'static str,
+        /// The option that says it.
+        option: &'static str,
+    },
+    /// A polynomial model whose PSF has no light within the area that it was made for.
+    #[error(
+        "the PSF at {position} has flux {flux}: a model needs positive flux over the whole area that it was fitted to"
+    )]
+    DarkNode {
+        /// Where.
+        position: psf_types::Position,
+        /// The flux there.
+        flux: f64,
+    },
+    /// Something that a format cannot hold.
+    #[error("{format} cannot hold {what}: {remedy}")]
+    Unholdable {
+        /// The format.
+        format: &'static str,
+        /// What it cannot hold.
+        what: &'static str,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// A polynomial without a degree.
+    #[error(
+        "the source is no polynomial, whose degree could be taken: choose one, as in --to psfex=2 (a total degree in x and y, 0 to 10)"
+    )]
+    DegreeNeeded,
+    /// Samples that leave a polynomial undetermined.
+    #[error(
+        "a polynomial of degree {degree} in x and y has {terms} terms, which {samples} samples at these positions do not determine: \
+         choose a lower degree"
+    )]
+    PolynomialUndetermined {
+        /// The total degree.
+        degree: usize,
+        /// Its terms.
+        terms: usize,
+        /// The samples.
+        samples: usize,
+    },
+    /// A grid over a field that is not known.
+    #[error(
+        "the PSF is known along no more than a line, and its file says nothing of the field: a grid needs an area; give positions"
+    )]
+    NoExtent,
     /// A position outside the field over which the PSF is known.
     #[error(
         "position {index} (0-based) at {position} lies outside the field of {field} pixels over which the PSF is known"

@@ -32,6 +32,7 @@
 //! ```
 
 pub mod bench;
+pub mod convert;
 mod error;
 mod evaluate;
 mod finer_scene;
@@ -56,7 +57,7 @@ pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, f
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use method::Method;
 pub use pixel_picker::{PickedPixel, PixelPicker};
-pub use psf_input::{PsfInput, check_stack};
+pub use psf_input::{FitChoices, OpenedPsf, PsfFileOptions, PsfInput, check_stack, record_of_psfex};
 pub use simulation::{SceneParts, Simulation};
 pub use simulation_options::SimulationOptions;
 pub use simulation_plan::SimulationPlan;

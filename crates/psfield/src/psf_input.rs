@@ -1,14 +1,22 @@
 //! A PSF as a user brings it: samples to be fitted, or a model.
 
+mod file_options;
+mod fit_choices;
+mod open;
+mod psfex_record;
 mod resampled;
-
-use std::path::Path;
+mod scopesim_record;
 
 use ndarray::{Array3, s};
-use psf_io::FileKind;
-use psf_types::{DataError, PsfModel, PsfModelRecord, PsfSamples, StampGrid};
+use psf_types::{DataError, PsfModel, PsfModelRecord, PsfSamples, SamplePositions, StampGrid};
 
 use crate::{FitOptions, PsfieldError, fit, model_of};
+
+pub use file_options::PsfFileOptions;
+pub use fit_choices::FitChoices;
+pub use open::OpenedPsf;
+pub(crate) use psfex_record::extrema;
+pub use psfex_record::record_of_psfex;
 
 /// A PSF as a user brings it.
 #[derive(Debug, Clone)]
@@ -20,24 +28,19 @@ pub enum PsfInput {
 }
 
 impl PsfInput {
-    /// Reads samples or a model, whichever the file holds; `options` apply to samples.
-    ///
-    /// # Errors
-    /// [`PsfieldError::Io`] when the file holds neither or is damaged.
-    pub fn open(path: impl AsRef<Path>, options: FitOptions) -> Result<Self, PsfieldError> {
-        let path = path.as_ref();
-        Ok(match psf_io::detect(path)? {
-            FileKind::PsfModel => Self::Model(psf_io::read_model(path)?),
-            // Whatever else it is, the reader of samples says best what is missing.
-            _ => Self::Samples(psf_io::read_samples(path)?, options),
-        })
-    }
-
     /// The pixel grid of the stamps.
     pub fn grid(&self) -> StampGrid {
         match self {
             Self::Samples(samples, _) => samples.grid(),
             Self::Model(record) => record.basis().grid(),
+        }
+    }
+
+    /// Where the samples lie, or the nodes of the model.
+    pub fn positions(&self) -> &SamplePositions {
+        match self {
+            Self::Samples(samples, _) => samples.positions(),
+            Self::Model(record) => record.coefficients().positions(),
         }
     }
 

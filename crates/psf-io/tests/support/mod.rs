@@ -1,6 +1,9 @@
 //! FITS files made byte by byte, independent of the crate's own writer.
 #![allow(dead_code, reason = "each test file uses a part")]
 
+pub(crate) mod libraries;
+pub(crate) mod mutations;
+
 use std::path::{Path, PathBuf};
 
 /// A directory for one test's files.

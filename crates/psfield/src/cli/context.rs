@@ -49,6 +49,13 @@ impl Context {
         }
     }
 
+    /// A line on standard error about what was done, unless `--quiet`.
+    pub(crate) fn note(&self, text: &str) {
+        if !self.quiet {
+            eprintln!("psfield: note: {text}");
+        }
+    }
+
     /// A progress bar; drawn on a terminal only.
     pub(crate) fn bar(&self, what: &'static str) -> Bar {
         Bar::counting(what, self.quiet)

@@ -13,8 +13,8 @@ use super::values::{Precision, stamp_size};
 /// Write the PSF of a model at given positions
 #[derive(Debug, clap::Args)]
 pub(crate) struct EvaluateArgs {
-    /// A model, or samples to be fitted
-    #[arg(value_name = "MODEL.fits|SAMPLES.fits")]
+    /// A model, samples to be fitted, or any other PSF file (PSFEx, STPSF, STDPSF, ScopeSim, plain stamps)
+    #[arg(value_name = "PSF")]
     psf: PathBuf,
     /// Where: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
@@ -53,6 +53,8 @@ struct Report {
     stamps: usize,
     shape: [usize; 2],
     oversampling: f64,
+    /// How the PSF was read.
+    notes: Vec<String>,
 }
 
 impl EvaluateArgs {
@@ -62,9 +64,10 @@ impl EvaluateArgs {
             return Err(super::UsageError("--sub-pixel needs --grid native".to_owned()).into());
         }
         let positions = psf_io::read_positions(&self.at)?;
-        let psf = self.fit.open(&self.psf)?;
+        let opened = self.fit.opened(&self.psf, context)?;
         let spinner = context.spinner("evaluating");
-        let model = psf
+        let model = opened
+            .input
             .into_model()
             .with_context(|| format!("with the PSF of {}", self.psf.display()))?;
         let options = EvaluateOptions {
@@ -89,6 +92,7 @@ impl EvaluateArgs {
             stamps: stamps.len(),
             shape: [grid.nx(), grid.ny()],
             oversampling: grid.oversampling(),
+            notes: opened.notes,
         };
         context.report(&report, || {
             let [nx, ny] = report.shape;

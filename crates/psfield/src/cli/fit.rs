@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::FileKind;
-use psfield::{FitReport, fit};
+use psfield::{FitReport, OpenedPsf, PsfInput, fit};
 
 use super::context::{Context, signature};
 use super::fit_args::FitArgs;
@@ -12,7 +12,8 @@ use super::fit_args::FitArgs;
 /// Fit a PSF model (basis and coefficient fields) to samples
 #[derive(Debug, clap::Args)]
 pub(crate) struct FitCommandArgs {
-    /// PSF samples (FITS: a cube and a table POSITIONS)
+    /// PSF samples (FITS: a cube and a table POSITIONS), or another PSF file that holds stamps at positions (STPSF, STDPSF,
+    /// a plain cube)
     #[arg(value_name = "SAMPLES.fits")]
     samples: PathBuf,
     /// The model to write
@@ -29,15 +30,21 @@ impl FitCommandArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         psf_io::check_output(&self.output, self.overwrite)?;
         let spinner = context.spinner("fitting");
-        let samples = match psf_io::detect(&self.samples)? {
-            FileKind::PsfModel => anyhow::bail!(
+        let OpenedPsf { input, kind, .. } = self.fit.opened(&self.samples, context)?;
+        let (samples, options) = match input {
+            PsfInput::Samples(samples, options) => (samples, options),
+            PsfInput::Model(_) if kind == FileKind::PsfModel => anyhow::bail!(
                 "{} is a fitted model already: give it to simulate or evaluate, or fit its samples anew",
                 self.samples.display()
             ),
-            _ => psf_io::read_samples(&self.samples)?,
+            PsfInput::Model(_) => anyhow::bail!(
+                "{} holds {kind}, which needs no fit: give it to simulate or evaluate as it is, or make a model file of it with \
+                 psfield convert --to psf-model",
+                self.samples.display()
+            ),
         };
         let in_file = || format!("in {}", self.samples.display());
-        let fitted = fit(samples, &self.fit.options()).with_context(in_file)?;
+        let fitted = fit(samples, &options).with_context(in_file)?;
         let report = fitted.report().with_context(in_file)?;
         let cards = signature();
         psf_io::write_model(

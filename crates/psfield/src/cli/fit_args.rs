@@ -1,18 +1,23 @@
 //! The options that turn samples into a model.
 
+use std::path::Path;
+
 use psf_basis::{Centring, PixelNoise, RankSelection};
+use psf_io::HduChoice;
 use psf_types::{Interpolation, Normalisation, OutsidePolicy};
-use psfield::{FitOptions, PsfInput};
+use psfield::{FitChoices, OpenedPsf, PsfInput, PsfieldError};
 
 use super::UsageError;
+use super::context::Context;
+use super::psf_file_args::PsfFileArgs;
 use super::values::at_least_zero;
 
 /// How samples become a model.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Fit options (for samples)")]
+#[command(next_help_heading = "Fit options (models take --outside and --normalise alone)")]
 pub(crate) struct FitArgs {
     /// Components to keep: auto, elbow, full, a number, energy=0.999 or error=1e-3. auto: at least the elbow, and as many
-    /// more as a fit error of 1e-4 asks, but none below the noise [default: auto]
+    /// more as a fit error of 1e-4 asks, but none below the noise [default: auto; STPSF and STDPSF: full]
     #[arg(long, value_name = "RANK")]
     rank: Option<RankSelection>,
     /// Take out the mean stamp (mean) or not (none) [default: mean]
@@ -25,42 +30,55 @@ pub(crate) struct FitArgs {
     /// else natural neighbour [default: auto]
     #[arg(long, value_name = "METHOD")]
     interpolation: Option<Interpolation>,
-    /// Outside the samples: nearest, extend or error [default: nearest]
+    /// Outside the samples: nearest, extend or error [default: nearest; models as they say, PSFEx: extend]
     #[arg(long, value_name = "POLICY")]
     outside: Option<OutsidePolicy>,
-    /// Scale every PSF to unit flux, or keep the values as they are [default: unit]
+    /// Scale every PSF to unit flux, or keep the values as they are [default: unit; models as they say, STPSF and STDPSF: keep]
     #[arg(long, value_name = "unit|keep")]
     normalise: Option<Normalisation>,
+    #[command(flatten)]
+    file: PsfFileArgs,
 }
 
 impl FitArgs {
-    pub(crate) fn options(&self) -> FitOptions {
-        FitOptions {
-            rank: self.rank.unwrap_or_default(),
-            centring: self.centring.unwrap_or_default(),
-            noise: self.noise.map_or(PixelNoise::Estimate, PixelNoise::Known),
-            interpolation: self.interpolation.unwrap_or_default(),
-            outside: self.outside.unwrap_or_default(),
-            normalisation: self.normalise.unwrap_or_default(),
+    /// What is chosen; the rest takes the default of the file's format.
+    pub(crate) fn choices(&self) -> FitChoices {
+        FitChoices {
+            rank: self.rank,
+            centring: self.centring,
+            noise: self.noise.map(PixelNoise::Known),
+            interpolation: self.interpolation,
+            outside: self.outside,
+            normalisation: self.normalise,
         }
     }
 
-    /// Opens samples or a model; a model takes none of these options.
-    pub(crate) fn open(&self, path: &std::path::Path) -> anyhow::Result<PsfInput> {
-        let input = PsfInput::open(path, self.options())?;
-        let given = self.rank.is_some()
-            || self.centring.is_some()
-            || self.noise.is_some()
-            || self.interpolation.is_some()
-            || self.outside.is_some()
-            || self.normalise.is_some();
-        if given && matches!(input, PsfInput::Model(_)) {
-            let path = path.display();
-            return Err(UsageError(format!(
-                "{path} is a fitted model: fit options (--rank ... --normalise) apply to samples only; leave them out, or give the samples"
-            ))
-            .into());
+    /// Which of several models of a PSFEx file.
+    pub(crate) fn extension(&self) -> Option<&HduChoice> {
+        self.file.extension()
+    }
+
+    /// Opens any PSF file and tells how it was read.
+    pub(crate) fn opened(&self, path: &Path, context: &Context) -> anyhow::Result<OpenedPsf> {
+        let opened = PsfInput::open_with(path, &self.file.options()?, &self.choices()).map_err(as_usage)?;
+        for note in &opened.notes {
+            context.note(&format!("{}: {note}", path.display()));
         }
-        Ok(input)
+        Ok(opened)
+    }
+
+    /// The same where the PSF alone is needed.
+    pub(crate) fn open(&self, path: &Path, context: &Context) -> anyhow::Result<PsfInput> {
+        Ok(self.opened(path, context)?.input)
+    }
+}
+
+/// Options that do not suit the file are bad usage.
+fn as_usage(error: PsfieldError) -> anyhow::Error {
+    match error {
+        PsfieldError::ForeignOption { .. } | PsfieldError::FitOfModel { .. } => {
+            UsageError(error.to_string()).into()
+        }
+        other => other.into(),
     }
 }

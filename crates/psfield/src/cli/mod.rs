@@ -3,6 +3,7 @@
 mod bench;
 mod compare;
 mod context;
+mod convert;
 mod demo;
 mod evaluate;
 mod expose;
@@ -11,6 +12,7 @@ mod fit_args;
 mod measure;
 mod preview;
 mod progress;
+mod psf_file_args;
 mod sample;
 mod simulate;
 mod values;
@@ -55,6 +57,7 @@ enum Command {
     Simulate(Box<simulate::SimulateArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Expose(Box<expose::ExposeArgs>),
+    Convert(convert::ConvertArgs),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
     Bench(bench::BenchArgs),
@@ -70,6 +73,7 @@ impl Cli {
             Command::Simulate(_) => "simulate",
             Command::Evaluate(_) => "evaluate",
             Command::Expose(_) => "expose",
+            Command::Convert(_) => "convert",
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
             Command::Bench(_) => "bench",
@@ -91,6 +95,7 @@ impl Cli {
             Command::Simulate(args) => args.run(&context),
             Command::Evaluate(args) => args.run(&context),
             Command::Expose(args) => args.run(&context),
+            Command::Convert(args) => args.run(&context),
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),

@@ -137,6 +137,23 @@ impl Desk {
         self.done(&format!("{arguments} --overwrite -q"));
     }
 
+    /// Runs `psfield`, which must do its work and say nothing but notes, one of which holds each of `needles`; nothing under `-q`.
+    pub(crate) fn noted(&self, arguments: &str, needles: &[&str]) -> Run {
+        let run = self.run(arguments);
+        assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
+        let notes = |run: &Run| run.stderr.lines().all(|line| line.starts_with("psfield: note: "));
+        assert!(notes(&run), "psfield {arguments}: {run:?}");
+        for needle in needles {
+            assert!(
+                run.stderr.contains(needle),
+                "psfield {arguments}: {needle:?} is missing in {}",
+                run.stderr
+            );
+        }
+        self.done(&format!("{arguments} --overwrite -q"));
+        run
+    }
+
     /// Runs `psfield`, which must end with this status, say each of `needles` on standard error, nothing on standard output, and leave
     /// the folder as it was.
     pub(crate) fn refused(&self, arguments: &str, code: i32, needles: &[&str]) {

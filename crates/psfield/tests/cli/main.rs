@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod bench;
+mod converting;
 mod desk;
 mod evaluation;
 mod exposing;

@@ -112,14 +112,7 @@ fn fit_options_are_for_samples() {
     let desk = Desk::new();
     desk.done("fit samples.fits -o model.fits");
     desk.write("at.csv", "x,y\n3,4\n");
-    for option in [
-        "--rank 2",
-        "--centring none",
-        "--noise 0",
-        "--interpolation auto",
-        "--outside extend",
-        "--normalise keep",
-    ] {
+    for option in ["--rank 2", "--centring none", "--noise 0", "--interpolation auto"] {
         for command in [
             "simulate scene.fits --psf model.fits",
             "evaluate model.fits --at at.csv",
@@ -130,6 +123,13 @@ fn fit_options_are_for_samples() {
                 &["model.fits", "fit options"],
             );
         }
+    }
+    // What acts on a model as well: (0, 0) lies within the field, where the policies agree.
+    for option in ["--outside extend", "--normalise keep"] {
+        desk.done(&format!(
+            "simulate scene.fits --psf model.fits -o {}.fits {option}",
+            &option[2..9]
+        ));
     }
     desk.refused(
         "fit model.fits -o out.fits",
@@ -173,7 +173,7 @@ fn help_and_version() {
     let version = desk.done("--version").stdout;
     assert_eq!(version.trim(), format!("psfield {}", env!("CARGO_PKG_VERSION")));
     for command in [
-        "demo", "sample", "fit", "simulate", "evaluate", "expose", "measure", "compare", "bench",
+        "demo", "sample", "fit", "simulate", "evaluate", "convert", "expose", "measure", "compare", "bench",
     ] {
         assert!(desk.done("--help").stdout.contains(&format!("  {command} ")));
         let help = desk.done(&format!("{command} --help")).stdout;

@@ -31,8 +31,8 @@ pub(crate) struct SimulateArgs {
     /// The scene: a FITS image. Without one: --catalog and --shape
     #[arg(value_name = "SCENE.fits")]
     scene: Option<PathBuf>,
-    /// The PSF: a model, or samples to be fitted
-    #[arg(long, value_name = "MODEL.fits|SAMPLES.fits")]
+    /// The PSF: a model, samples to be fitted, or any other PSF file (PSFEx, STPSF, STDPSF, ScopeSim, plain stamps)
+    #[arg(long, value_name = "PSF")]
     psf: PathBuf,
     /// The image to write
     #[arg(short, long, value_name = "IMAGE.fits")]
@@ -163,7 +163,7 @@ impl SimulateArgs {
         let clock = Instant::now();
         let psf = {
             let _spinner = context.spinner("reading");
-            self.fit.open(&self.psf)?
+            self.fit.open(&self.psf, context)?
         };
         let seconds = Seconds {
             read: clock.elapsed().as_secs_f64(),

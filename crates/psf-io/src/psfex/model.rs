@@ -1,0 +1,305 @@
+//! What a PSFEx file holds.
+
+use ndarray::{Array2, Array3, ArrayView3};
+use psf_types::{DataError, Position, Quantity, Stamp, StampGrid, StampInterpolation};
+
+/// One coordinate of a PSFEx polynomial: `t = (v - zero) / scale`, `v` in 0-based pixels of the frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PsfexAxis {
+    name: String,
+    zero: f64,
+    scale: f64,
+}
+
+impl PsfexAxis {
+    /// A coordinate of this name (`X_IMAGE`), offset (0-based pixels; `POLZERO` less 1) and scale (pixels).
+    ///
+    /// # Errors
+    /// [`DataError::Setting`] for an offset that is not finite, or a scale that is not finite or 0.
+    pub fn new(name: &str, zero: f64, scale: f64) -> Result<Self, DataError> {
+        let refused = |name, allowed, got: f64| DataError::Setting {
+            name,
+            allowed,
+            got: got.to_string(),
+        };
+        if !zero.is_finite() {
+            return Err(refused("POLZERO of a PSFEx model", "a finite number", zero));
+        }
+        if !scale.is_finite() || scale == 0.0 {
+            return Err(refused(
+                "POLSCAL of a PSFEx model",
+                "a finite number other than 0",
+                scale,
+            ));
+        }
+        Ok(Self {
+            name: name.to_owned(),
+            zero,
+            scale,
+        })
+    }
+
+    /// The coordinate's name, `X_IMAGE` or the like.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The offset in 0-based pixels.
+    pub fn zero(&self) -> f64 {
+        self.zero
+    }
+
+    /// The scale in pixels.
+    pub fn scale(&self) -> f64 {
+        self.scale
+    }
+
+    /// Powers 0 to `degree` of the scaled coordinate.
+    fn powers(&self, v: f64, degree: usize) -> Vec<f64> {
+        let t = (v - self.zero) / self.scale;
+        std::iter::successors(Some(1.0), |power| Some(power * t))
+            .take(degree + 1)
+            .collect()
+    }
+}
+
+/// The polynomial of a PSFEx model: two coordinates and the total degree.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PsfexPolynomial {
+    x: PsfexAxis,
+    y: PsfexAxis,
+    degree: usize,
+}
+
+impl PsfexPolynomial {
+    /// The highest degree that PSFEx and SExtractor know.
+    pub const MAX_DEGREE: usize = 10;
+
+    /// A polynomial of total degree `degree` in x and y.
+    ///
+    /// # Errors
+    /// [`DataError::Setting`] above [`Self::MAX_DEGREE`].
+    pub fn new(x: PsfexAxis, y: PsfexAxis, degree: usize) -> Result<Self, DataError> {
+        if degree > Self::MAX_DEGREE {
+            return Err(DataError::Setting {
+                name: "the degree of a PSFEx model",
+                allowed: "0 to 10",
+                got: degree.to_string(),
+            });
+        }
+        Ok(Self { x, y, degree })
+    }
+
+    /// The column coordinate.
+    pub fn x(&self) -> &PsfexAxis {
+        &self.x
+    }
+
+    /// The row coordinate.
+    pub fn y(&self) -> &PsfexAxis {
+        &self.y
+    }
+
+    /// The total degree.
+    pub fn degree(&self) -> usize {
+        self.degree
+    }
+
+    /// Number of terms of a total degree: `(d+1)(d+2)/2`.
+    pub fn term_count(degree: usize) -> usize {
+        (degree + 1) * (degree + 2) / 2
+    }
+
+    /// The terms at a position, in the order of the planes: for each power of y all of x.
+    ///
+    /// ```
+    /// use psf_io::{PsfexAxis, PsfexPolynomial};
+    /// use psf_types::Position;
+    /// let axis = |name| PsfexAxis::new(name, 10.0, 2.0);
+    /// let polynomial = PsfexPolynomial::new(axis("X_IMAGE")?, axis("Y_IMAGE")?, 2)?;
+    /// // X = 2, Y = 3: 1, X, X^2, Y, XY, Y^2.
+    /// assert_eq!(polynomial.terms(Position::new(14.0, 16.0)?), [1.0, 2.0, 4.0, 3.0, 6.0, 9.0]);
+    /// # Ok::<(), psf_types::DataError>(())
+    /// ```
+    pub fn terms(&self, position: Position) -> Vec<f64> {
+        let [x, y] = [
+            self.x.powers(position.x(), self.degree),
+            self.y.powers(position.y(), self.degree),
+        ];
+        (0..=self.degree)
+            .flat_map(|j| (0..=self.degree - j).map(move |i| (i, j)))
+            .map(|(i, j)| x[i] * y[j])
+            .collect()
+    }
+}
+
+/// What PSFEx says of its own work: for the record, nothing depends on it.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub struct PsfexFigures {
+    /// The full width at half maximum in frame pixels (`PSF_FWHM`).
+    pub fwhm_px: Option<f64>,
+    /// Stars that were tried (`LOADED`).
+    pub loaded: Option<i64>,
+    /// Stars that were used (`ACCEPTED`).
+    pub accepted: Option<i64>,
+    /// Reduced chi square of the fit (`CHI2`).
+    pub chi2: Option<f64>,
+}
+
+/// A PSFEx model: planes whose sum, weighted by the terms of a polynomial in the position, is the PSF.
+///
+/// There are as many planes as terms, one where the PSF is the same everywhere; every value is finite.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PsfexModel {
+    planes: Array3<f64>,
+    sampling: f64,
+    polynomial: Option<PsfexPolynomial>,
+    grid: StampGrid,
+    figures: PsfexFigures,
+}
+
+impl PsfexModel {
+    /// A model from planes `[term, y, x]`, their sampling (`PSF_SAMP`: frame pixels a plane pixel) and the polynomial; without
+    /// one, the PSF is the same everywhere.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyStamp`], [`DataError::CountMismatch`] when the planes are not as many as the terms,
+    /// [`DataError::NonFinite`] and [`DataError::Oversampling`].
+    pub fn new(
+        planes: Array3<f64>,
+        sampling: f64,
+        polynomial: Option<PsfexPolynomial>,
+    ) -> Result<Self, DataError> {
+        let (count, ny, nx) = planes.dim();
+        let degree = polynomial.as_ref().map_or(0, PsfexPolynomial::degree);
+        let expected = PsfexPolynomial::term_count(degree);
+        if count != expected {
+            return Err(DataError::CountMismatch {
+                what: "planes of a PSFEx model, (d+1)(d+2)/2 for degree d",
+                expected,
+                got: count,
+            });
+        }
+        let grid = StampGrid::new(nx, ny)?
+            .with_oversampling(1.0 / sampling)?
+            .with_interpolation(StampInterpolation::Lanczos3);
+        if let Some((index, &value)) = planes.indexed_iter().find(|(_, value)| !value.is_finite()) {
+            return Err(DataError::NonFinite {
+                quantity: Quantity::BasisValue,
+                index: vec![index.0, index.1, index.2],
+                value,
+            });
+        }
+        Ok(Self {
+            planes: planes.as_standard_layout().into_owned(),
+            sampling,
+            polynomial,
+            grid,
+            figures: PsfexFigures::default(),
+        })
+    }
+
+    /// The same model with PSFEx's own figures.
+    #[must_use]
+    pub fn with_figures(self, figures: PsfexFigures) -> Self {
+        Self { figures, ..self }
+    }
+
+    /// The planes `[term, y, x]`, row-major.
+    pub fn planes(&self) -> ArrayView3<'_, f64> {
+        self.planes.view()
+    }
+
+    /// Frame pixels a plane pixel.
+    pub fn sampling(&self) -> f64 {
+        self.sampling
+    }
+
+    /// The polynomial; none where the PSF is the same everywhere.
+    pub fn polynomial(&self) -> Option<&PsfexPolynomial> {
+        self.polynomial.as_ref()
+    }
+
+    /// The total degree; 0 where the PSF is the same everywhere.
+    pub fn degree(&self) -> usize {
+        self.polynomial.as_ref().map_or(0, PsfexPolynomial::degree)
+    }
+
+    /// The pixel grid of the planes: centre `n / 2`, oversampled `1 / sampling` times, with the pixel response.
+    pub fn grid(&self) -> StampGrid {
+        self.grid
+    }
+
+    /// PSFEx's own figures.
+    pub fn figures(&self) -> PsfexFigures {
+        self.figures
+    }
+
+    /// The PSF at a position, as PSFEx has it: not scaled to unit flux.
+    ///
+    /// # Errors
+    /// [`DataError::NonFinite`] so far away that the polynomial overflows.
+    pub fn psf_at(&self, position: Position) -> Result<Stamp, DataError> {
+        let terms = match &self.polynomial {
+            Some(polynomial) => polynomial.terms(position),
+            None => vec![1.0],
+        };
+        let mut values = Array2::zeros(self.grid.dim());
+        for (term, plane) in terms.into_iter().zip(self.planes.outer_iter()) {
+            values.scaled_add(term, &plane);
+        }
+        Stamp::new(values, self.grid)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    fn linear() -> PsfexPolynomial {
+        let axis = |name, zero| PsfexAxis::new(name, zero, 4.0).unwrap();
+        PsfexPolynomial::new(axis("X_IMAGE", 1.0), axis("Y_IMAGE", 2.0), 1).unwrap()
+    }
+
+    #[test]
+    fn the_psf_is_the_weighted_sum_of_the_planes() {
+        let planes = array![[[1.0, 2.0]], [[10.0, 0.0]], [[0.0, 100.0]]];
+        let model = PsfexModel::new(planes, 0.5, Some(linear())).unwrap();
+        // X = 1/2, Y = -1/4.
+        let psf = model.psf_at(Position::new(3.0, 1.0).unwrap()).unwrap();
+        assert_eq!(psf.values(), array![[6.0, -23.0]]);
+        assert_eq!(psf.grid().oversampling(), 2.0);
+        assert_eq!(psf.grid().interpolation(), StampInterpolation::Lanczos3);
+        assert_eq!((psf.grid().centre_x(), psf.grid().centre_y()), (1.0, 0.0));
+    }
+
+    #[test]
+    fn each_invariant_is_checked() {
+        let make = |planes: Array3<f64>, sampling| PsfexModel::new(planes, sampling, Some(linear()));
+        assert!(make(Array3::ones((3, 2, 2)), 0.5).is_ok());
+        assert!(matches!(
+            make(Array3::ones((2, 2, 2)), 0.5),
+            Err(DataError::CountMismatch {
+                expected: 3,
+                got: 2,
+                ..
+            })
+        ));
+        assert!(matches!(
+            make(Array3::ones((3, 0, 2)), 0.5),
+            Err(DataError::EmptyStamp { .. })
+        ));
+        for sampling in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(make(Array3::ones((3, 2, 2)), sampling).is_err(), "{sampling}");
+        }
+        let mut planes = Array3::ones((3, 2, 2));
+        planes[[2, 0, 1]] = f64::NAN;
+        assert!(matches!(make(planes, 0.5), Err(DataError::NonFinite { index, .. }) if index == [2, 0, 1]));
+        assert!(PsfexAxis::new("X_IMAGE", 0.0, 0.0).is_err());
+        assert!(PsfexAxis::new("X_IMAGE", f64::NAN, 1.0).is_err());
+        let PsfexPolynomial { x, y, .. } = linear();
+        assert!(PsfexPolynomial::new(x, y, 11).is_err());
+    }
+}

@@ -1,0 +1,124 @@
+//! Plain stamps: a cube, or a single image, without the table that makes it PSF samples.
+
+use std::path::Path;
+
+use ndarray::Array3;
+use psf_types::{DataError, Position, PsfSamples, SamplePositions};
+
+use crate::error::{invalid, unsuitable};
+use crate::gridded_psf::cube_shape;
+use crate::pixels::read_pixels;
+use crate::structure::FitsStructure;
+use crate::{GriddedError, IoError};
+
+/// What the file of a [plain cube of stamps](read_stamp_cube) does not say, or says wrongly: what is given here goes before its
+/// header.
+///
+/// ```
+/// use psf_io::StampCubeOptions;
+/// let options = StampCubeOptions::default().with_oversampling(4.0).with_pixel_response_included(false);
+/// # let _ = options;
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StampCubeOptions {
+    positions: Option<Vec<Position>>,
+    oversampling: Option<f64>,
+    centre: Option<(f64, f64)>,
+    pixel_response_included: Option<bool>,
+}
+
+impl StampCubeOptions {
+    /// One position for each plane, in their order.
+    #[must_use]
+    pub fn with_positions(self, positions: Vec<Position>) -> Self {
+        Self {
+            positions: Some(positions),
+            ..self
+        }
+    }
+
+    /// Stamp pixels per frame pixel.
+    #[must_use]
+    pub fn with_oversampling(self, oversampling: f64) -> Self {
+        Self {
+            oversampling: Some(oversampling),
+            ..self
+        }
+    }
+
+    /// The stamps' reference point, a 0-based index that may be fractional.
+    #[must_use]
+    pub fn with_centre(self, x: f64, y: f64) -> Self {
+        Self {
+            centre: Some((x, y)),
+            ..self
+        }
+    }
+
+    /// Whether the response of a frame pixel is in the stamps.
+    #[must_use]
+    pub fn with_pixel_response_included(self, included: bool) -> Self {
+        Self {
+            pixel_response_included: Some(included),
+            ..self
+        }
+    }
+}
+
+/// Reads plain stamps as PSF samples: the first image with pixels, a cube `[plane, y, x]` or an image `[y, x]`.
+///
+/// Keywords of the [`psf-samples` layout](crate::samples) are understood where they are there, and have the same defaults; `options`
+/// go before them. A single stamp needs no position: as the only sample it holds everywhere, and lies at (0, 0).
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("stamp.fits");
+/// use psf_io::{HeaderCards, StampCubeOptions, read_stamp_cube, write_image};
+/// use psf_types::Image;
+/// let stamp = Image::new(ndarray::Array2::from_elem((5, 5), 0.16_f32))?;
+/// write_image(&path, &stamp, &HeaderCards::new(), &[], false)?;
+/// let samples = read_stamp_cube(&path, &StampCubeOptions::default().with_oversampling(2.0))?;
+/// assert!((samples.flux(0) - 1.0).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Library`] for several planes without positions; [`IoError::Data`] where there is not one position a plane, two are equal, a
+/// stamp has no flux, or oversampling or centre are out of range; [`IoError::Axes`], [`IoError::NonFinitePixels`]; and the errors of any
+/// FITS file.
+pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Result<PsfSamples, IoError> {
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    let hdu = structure.first_image()?;
+    let shape = cube_shape(hdu)?;
+    let positions = match &options.positions {
+        Some(positions) if positions.len() != shape.0 => {
+            return Err(invalid(path)(DataError::CountMismatch {
+                what: "positions, one for each plane of the cube",
+                expected: shape.0,
+                got: positions.len(),
+            }));
+        }
+        Some(positions) => positions.clone(),
+        None if shape.0 == 1 => vec![Position::of_pixel(0, 0)],
+        None => {
+            return Err(unsuitable(path)(GriddedError::PositionsNeeded {
+                planes: shape.0,
+            }));
+        }
+    };
+    let positions = SamplePositions::new(positions, hdu.field()?).map_err(invalid(path))?;
+    let mut grid = hdu.stamp_grid(shape.2, shape.1)?;
+    if let Some(oversampling) = options.oversampling {
+        grid = grid.with_oversampling(oversampling).map_err(invalid(path))?;
+    }
+    if let Some((x, y)) = options.centre {
+        grid = grid.with_centre(x, y).map_err(invalid(path))?;
+    }
+    if let Some(included) = options.pixel_response_included {
+        grid = grid.with_pixel_response_included(included);
+    }
+    let stamps =
+        Array3::from_shape_vec(shape, read_pixels(path, hdu)?).expect("as many pixels as the axes say");
+    PsfSamples::new(stamps, positions, grid).map_err(invalid(path))
+}

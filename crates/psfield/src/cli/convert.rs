@@ -1,0 +1,309 @@
+//! `psfield convert`.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::Context as _;
+use psf_io::FileKind;
+use psf_types::FrameShape;
+use psfield::convert::{SamplesAt, to_gridded, to_psfex, to_samples};
+use psfield::{OpenedPsf, PsfInput, fit};
+use serde::Serialize;
+
+use super::UsageError;
+use super::context::{Context, signature};
+use super::fit_args::FitArgs;
+use super::values::{Pair, Precision};
+
+/// Turn a PSF file of any kind into another
+///
+/// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim's field-varying PSFs and plain stamps.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ConvertArgs {
+    /// The PSF to read
+    #[arg(value_name = "PSF")]
+    input: PathBuf,
+    /// The file to write
+    #[arg(short, long, value_name = "OUTPUT")]
+    output: PathBuf,
+    /// psf-samples, psf-model, psfex=DEGREE (a polynomial in x and y; psfex alone keeps the degree of a source that is one) or
+    /// gridded (a library that photutils reads) [default: psfex for an OUTPUT.psf]
+    #[arg(long, value_name = "FORMAT")]
+    to: Option<Target>,
+    /// Replace the output if it exists
+    #[arg(long)]
+    overwrite: bool,
+    /// psf-samples, gridded: evaluate on a regular grid of NX x NY positions over the field [default: the PSF's own positions]
+    #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
+    grid: Option<Pair>,
+    /// psf-samples, gridded: evaluate at these positions, CSV or FITS table with columns x, y (0-based pixels)
+    #[arg(long, value_name = "POSITIONS.csv")]
+    at: Option<PathBuf>,
+    /// psf-samples: write f32 or f64 [default: f32]
+    #[arg(long, value_enum)]
+    precision: Option<Precision>,
+    #[command(flatten)]
+    fit: FitArgs,
+}
+
+/// What to write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Target {
+    PsfSamples,
+    PsfModel,
+    /// With the total degree.
+    Psfex(Option<usize>),
+    Gridded,
+}
+
+impl FromStr for Target {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once('=') {
+            None if text == "psf-samples" => Ok(Self::PsfSamples),
+            None if text == "psf-model" => Ok(Self::PsfModel),
+            None if text == "psfex" => Ok(Self::Psfex(None)),
+            None if text == "gridded" => Ok(Self::Gridded),
+            Some(("psfex", degree)) => match degree.parse() {
+                Ok(degree) if degree <= psf_io::PsfexPolynomial::MAX_DEGREE => Ok(Self::Psfex(Some(degree))),
+                _ => Err("the degree of a PSFEx model must be 0 to 10".to_owned()),
+            },
+            _ => Err("psf-samples, psf-model, psfex=DEGREE or gridded is needed".to_owned()),
+        }
+    }
+}
+
+impl Target {
+    fn name(self) -> &'static str {
+        match self {
+            Self::PsfSamples => "psf-samples",
+            Self::PsfModel => "psf-model",
+            Self::Psfex(_) => "psfex",
+            Self::Gridded => "gridded",
+        }
+    }
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    output: PathBuf,
+    format: &'static str,
+    /// Stamps, components (the mean not counted) or polynomial terms written.
+    planes: usize,
+    shape: [usize; 2],
+    oversampling: f64,
+    /// The largest relative L2 error of what is written, where it is measured.
+    max_error: Option<f64>,
+    notes: Vec<String>,
+}
+
+/// What a conversion has to say.
+struct Written {
+    planes: usize,
+    what: &'static str,
+    shape: (usize, usize),
+    oversampling: f64,
+    max_error: Option<f64>,
+    notes: Vec<String>,
+}
+
+impl ConvertArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let target = self.target()?;
+        self.check_usage(target)?;
+        psf_io::check_output(&self.output, self.overwrite)?;
+        let at = match (self.grid, &self.at) {
+            (Some(Pair(nx, ny)), _) => {
+                FrameShape::new(nx, ny).map_err(|e| UsageError(format!("--grid: {e}")))?;
+                SamplesAt::Grid { nx, ny }
+            }
+            (None, Some(path)) => SamplesAt::Positions(psf_io::read_positions(path)?),
+            (None, None) => SamplesAt::Own,
+        };
+        let opened = self.fit.opened(&self.input, context)?;
+        self.check_fit_options(target, &at, &opened)?;
+        let spinner = context.spinner("converting");
+        let mut notes = opened.notes.clone();
+        let written = match target {
+            Target::PsfSamples => self.write_samples(opened.input, &at),
+            Target::PsfModel => self.write_model(opened.input),
+            Target::Psfex(degree) => self.write_psfex(opened, degree),
+            Target::Gridded => self.write_gridded(opened.input, &at),
+        };
+        let written = written.with_context(|| format!("with the PSF of {}", self.input.display()))?;
+        drop(spinner);
+        for note in &written.notes {
+            context.note(&format!("{}: {note}", self.output.display()));
+        }
+        notes.extend(written.notes);
+        let report = Report {
+            output: self.output,
+            format: target.name(),
+            planes: written.planes,
+            shape: [written.shape.1, written.shape.0],
+            oversampling: written.oversampling,
+            max_error: written.max_error,
+            notes,
+        };
+        context.report(&report, || text(&report, written.what))
+    }
+
+    fn target(&self) -> anyhow::Result<Target> {
+        let says_psfex = || {
+            let extension = self.output.extension()?.to_str()?;
+            extension
+                .eq_ignore_ascii_case("psf")
+                .then_some(Target::Psfex(None))
+        };
+        self.to.or_else(says_psfex).ok_or_else(|| {
+            let what = "what to write? give --to psf-samples, psf-model, psfex=DEGREE or gridded";
+            UsageError(what.to_owned()).into()
+        })
+    }
+
+    /// Options that the target has no use for.
+    fn check_usage(&self, target: Target) -> Result<(), UsageError> {
+        let takes_positions = matches!(target, Target::PsfSamples | Target::Gridded);
+        let what = if !takes_positions && (self.grid.is_some() || self.at.is_some()) {
+            "--grid and --at are for psf-samples and gridded: models hold no PSFs at positions"
+        } else if target != Target::PsfSamples && self.precision.is_some() {
+            "--precision is for psf-samples: models and libraries are written in f64, PSFEx models in f32"
+        } else {
+            return Ok(());
+        };
+        Err(UsageError(what.to_owned()))
+    }
+
+    /// Fit options where nothing is fitted.
+    fn check_fit_options(
+        &self,
+        target: Target,
+        at: &SamplesAt,
+        opened: &OpenedPsf,
+    ) -> Result<(), UsageError> {
+        let choices = self.fit.choices();
+        let given = choices.needs_fit() || choices.outside.is_some();
+        let is_model = matches!(opened.input, PsfInput::Model(_));
+        let what = match target {
+            Target::PsfSamples if given && *at == SamplesAt::Own && !is_model => {
+                "samples at their own positions are not fitted: of the fit options only --normalise applies"
+            }
+            Target::Psfex(_) if is_model && (given || choices.normalisation.is_some()) => {
+                "a PSFEx file holds neither --normalise nor --outside: its polynomial goes on, and its readers scale to unit flux"
+            }
+            Target::Psfex(_) if given => {
+                "the samples are fitted by the polynomial itself: of the fit options only --normalise applies"
+            }
+            _ => return Ok(()),
+        };
+        Err(UsageError(what.to_owned()))
+    }
+
+    fn write_samples(&self, input: PsfInput, at: &SamplesAt) -> anyhow::Result<Written> {
+        let samples = to_samples(input, at)?;
+        let precision = match self.precision {
+            Some(Precision::F64) => psf_io::Precision::Double,
+            _ => psf_io::Precision::Single,
+        };
+        psf_io::write_samples(&self.output, &samples, &signature(), precision, self.overwrite)?;
+        Ok(Written {
+            planes: samples.len(),
+            what: "stamps",
+            shape: samples.grid().dim(),
+            oversampling: samples.grid().oversampling(),
+            max_error: None,
+            notes: Vec::new(),
+        })
+    }
+
+    fn write_model(&self, input: PsfInput) -> anyhow::Result<Written> {
+        let (record, singular_values, max_error) = match input {
+            PsfInput::Samples(samples, options) => {
+                let fitted = fit(samples, &options)?;
+                let error = fitted.report()?.max_error;
+                (
+                    fitted.record().clone(),
+                    fitted.singular_values().to_vec(),
+                    Some(error),
+                )
+            }
+            PsfInput::Model(record) => (record, Vec::new(), None),
+        };
+        psf_io::write_model(
+            &self.output,
+            &record,
+            &singular_values,
+            &signature(),
+            self.overwrite,
+        )?;
+        Ok(Written {
+            planes: record.basis().rank(),
+            what: "components",
+            shape: record.basis().grid().dim(),
+            oversampling: record.basis().grid().oversampling(),
+            max_error,
+            notes: Vec::new(),
+        })
+    }
+
+    fn write_psfex(&self, opened: OpenedPsf, degree: Option<usize>) -> anyhow::Result<Written> {
+        let (model, max_error, notes) = match self.planes_as_they_are(&opened, degree)? {
+            Some(model) => (model, 0.0, Vec::new()),
+            None => {
+                let converted = to_psfex(opened.input, degree)?;
+                (converted.model, converted.max_error, converted.notes)
+            }
+        };
+        psf_io::write_psfex(&self.output, &model, &signature(), self.overwrite)?;
+        Ok(Written {
+            planes: model.planes().dim().0,
+            what: "polynomial terms",
+            shape: model.grid().dim(),
+            oversampling: model.grid().oversampling(),
+            max_error: Some(max_error),
+            notes,
+        })
+    }
+
+    /// The planes of a PSFEx file whose degree is the one that is wanted.
+    fn planes_as_they_are(
+        &self,
+        opened: &OpenedPsf,
+        degree: Option<usize>,
+    ) -> anyhow::Result<Option<psf_io::PsfexModel>> {
+        if opened.kind != FileKind::Psfex || !opened.input.grid().pixel_response_included() {
+            return Ok(None);
+        }
+        let model = psf_io::read_psfex(&self.input, self.fit.extension())?;
+        Ok(Some(model).filter(|model| degree.is_none_or(|degree| degree == model.degree())))
+    }
+
+    fn write_gridded(&self, input: PsfInput, at: &SamplesAt) -> anyhow::Result<Written> {
+        let converted = to_gridded(input, at)?;
+        let grid = converted.samples.grid();
+        let planes = psf_io::write_gridded(&self.output, &converted.samples, &signature(), self.overwrite)?;
+        Ok(Written {
+            planes,
+            what: "stamps",
+            shape: grid.dim(),
+            oversampling: grid.oversampling(),
+            max_error: converted.max_error,
+            notes: converted.notes,
+        })
+    }
+}
+
+fn text(report: &Report, what: &str) -> String {
+    let [nx, ny] = report.shape;
+    let error = match report.max_error {
+        Some(error) => format!("\nlargest error:  {error:.2e} (relative L2)"),
+        None => String::new(),
+    };
+    format!(
+        "{}: {}, {} {what} of {nx} x {ny} pixels, {:.6} pixels a frame pixel{error}",
+        report.output.display(),
+        report.format,
+        report.planes,
+        report.oversampling,
+    )
+}

@@ -1,0 +1,252 @@
+//! A PSF as a gridded library.
+
+use conv_core::resample_samples;
+use ndarray::{Array2, Zip};
+use psf_types::{Interpolation, Position, PsfSamples, StampGrid, StampInterpolation};
+
+use super::padding::with_centre_in_the_middle;
+use super::samples::{SamplesAt, to_samples};
+use crate::{PsfInput, PsfieldError};
+
+const FORMAT: &str = "a gridded library";
+/// Fewest nodes each way of a grid that is chosen here.
+const NODES: usize = 11;
+
+/// PSFs on a regular grid, and how well their bilinear interpolation holds the PSF that they were made from.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct GriddedConversion {
+    /// The PSFs: a whole number of stamp pixels a frame pixel, centred in the middle, as [`psf_io::write_gridded`] wants them.
+    pub samples: PsfSamples,
+    /// The largest relative L2 error of the bilinear interpolation at the middle of a cell; none where the source is itself
+    /// interpolated bilinearly between these nodes.
+    pub max_error: Option<f64>,
+    /// What was done, in plain sentences.
+    pub notes: Vec<String>,
+}
+
+/// PSFs on a regular grid of positions, as libraries of ePSFs hold them: photutils (`GriddedPSFModel`) and others interpolate
+/// bilinearly between the nodes.
+///
+/// What lies on such a grid already, and is interpolated bilinearly, stays as it is. Anything else is evaluated on one: `at`, or
+/// a square grid of at least 11 x 11 nodes and as many as there are samples. A fractional oversampling is resampled to the
+/// next whole one.
+///
+/// # Errors
+/// [`PsfieldError::Unholdable`] for positions that form no grid or stamps centred between pixels, and the errors of
+/// [`to_samples`].
+pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, PsfieldError> {
+    let mut notes = Vec::new();
+    let bilinear = is_bilinear(&input);
+    let nodes = match at {
+        SamplesAt::Own if !bilinear => {
+            let n = (input.positions().len() as f64).sqrt().ceil() as usize;
+            let n = n.max(NODES);
+            notes.push(format!("evaluated on a grid of {n} x {n} positions"));
+            SamplesAt::Grid { nx: n, ny: n }
+        }
+        other => other.clone(),
+    };
+    let samples = to_samples(input.clone(), &nodes)?;
+    if !is_grid(&samples) {
+        return Err(PsfieldError::Unholdable {
+            format: FORMAT,
+            what: "positions that form no regular grid of at least 2 x 2",
+            remedy: "choose a grid with --grid NX,NY",
+        });
+    }
+    let max_error = if bilinear && nodes == SamplesAt::Own {
+        None
+    } else {
+        Some(midway_error(input, &samples)?)
+    };
+    let samples = resampled(samples, &mut notes)?;
+    let samples = if is_centred(samples.grid()) {
+        samples
+    } else {
+        with_centre_in_the_middle(samples, FORMAT)?
+    };
+    Ok(GriddedConversion {
+        samples,
+        max_error,
+        notes,
+    })
+}
+
+/// Whether the PSF is interpolated bilinearly between samples on a grid.
+fn is_bilinear(input: &PsfInput) -> bool {
+    let interpolation = match input {
+        PsfInput::Samples(_, options) => options.interpolation,
+        PsfInput::Model(record) => record.interpolation(),
+    };
+    input.positions().len() >= 4
+        && coeff_field::resolve(interpolation, input.positions()) == Interpolation::Bilinear
+}
+
+fn is_grid(samples: &PsfSamples) -> bool {
+    samples.len() >= 4
+        && coeff_field::resolve(Interpolation::Auto, samples.positions()) == Interpolation::Bilinear
+}
+
+/// The largest relative L2 error in the middle of the cells, of stamps at the source's own sampling.
+fn midway_error(input: PsfInput, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
+    let distinct = |of: fn(Position) -> f64| {
+        let mut values: Vec<f64> = nodes.positions().as_slice().iter().map(|&p| of(p)).collect();
+        values.sort_by(f64::total_cmp);
+        values.dedup();
+        values
+    };
+    let (columns, rows) = (distinct(Position::x), distinct(Position::y));
+    let stamp_at = |x: f64, y: f64| {
+        let found = nodes
+            .positions()
+            .as_slice()
+            .iter()
+            .position(|p| p.x() == x && p.y() == y);
+        nodes.stamp(found.expect("every column and row of a grid has its node"))
+    };
+    let model = input.into_model()?;
+    let mut largest = 0.0_f64;
+    for y in rows.windows(2) {
+        for x in columns.windows(2) {
+            let mut mean = Array2::<f64>::zeros(nodes.grid().dim());
+            for (cx, cy) in [(x[0], y[0]), (x[1], y[0]), (x[0], y[1]), (x[1], y[1])] {
+                mean.scaled_add(0.25, &stamp_at(cx, cy));
+            }
+            let middle = Position::new(f64::midpoint(x[0], x[1]), f64::midpoint(y[0], y[1]))?;
+            let truth = model.psf_at(middle)?;
+            let (mut rest, mut whole) = (0.0, 0.0);
+            Zip::from(&mean).and(truth.values()).for_each(|a, b| {
+                rest += (a - b) * (a - b);
+                whole += b * b;
+            });
+            largest = largest.max((rest / whole).sqrt());
+        }
+    }
+    Ok(largest)
+}
+
+/// The same PSFs at a whole oversampling, the next that is not coarser, told to continue by a cubic spline.
+fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples, PsfieldError> {
+    let grid = samples.grid();
+    let whole = grid.oversampling().ceil();
+    if whole == grid.oversampling() {
+        if grid.interpolation() == StampInterpolation::CubicSpline {
+            return Ok(samples);
+        }
+        notes.push(
+            "readers of gridded libraries interpolate between the stamps' pixels by a cubic spline, not by the source's \
+             Lanczos kernel"
+                .to_owned(),
+        );
+        let grid = grid.with_interpolation(StampInterpolation::CubicSpline);
+        let (stamps, positions) = (samples.stamps().to_owned(), samples.positions().clone());
+        return Ok(PsfSamples::new(stamps, positions, grid)?);
+    }
+    let ratio = whole / grid.oversampling();
+    let reach = |centre: f64, n: usize| (centre.max((n - 1) as f64 - centre) * ratio).floor() as usize;
+    let (rx, ry) = (
+        reach(grid.centre_x(), grid.nx()),
+        reach(grid.centre_y(), grid.ny()),
+    );
+    let target = StampGrid::new(2 * rx + 1, 2 * ry + 1)?
+        .with_oversampling(whole)?
+        .with_interpolation(StampInterpolation::CubicSpline);
+    notes.push(format!(
+        "stamps resampled from {:.6} to {whole} pixels a frame pixel: libraries hold whole numbers",
+        grid.oversampling()
+    ));
+    Ok(resample_samples(&samples, target)?)
+}
+
+/// Whether the centre is the middle, be it between pixels.
+fn is_centred(grid: StampGrid) -> bool {
+    let middle = |n: usize| (n - 1) as f64 / 2.0;
+    (grid.centre_x(), grid.centre_y()) == (middle(grid.nx()), middle(grid.ny()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{FitOptions, record_of_psfex};
+    use ndarray::Array3;
+    use psf_io::{PsfexAxis, PsfexModel, PsfexPolynomial};
+    use psf_types::{Normalisation, SamplePositions};
+
+    fn gauss(sigma: f64, oversampling: f64, dx: f64) -> f64 {
+        (-0.5 * (dx / (sigma * oversampling)).powi(2)).exp()
+    }
+
+    fn psfex(sampling: f64) -> PsfexModel {
+        let axis = |name| PsfexAxis::new(name, 500.0, 1000.0).unwrap();
+        let polynomial = PsfexPolynomial::new(axis("X_IMAGE"), axis("Y_IMAGE"), 2).unwrap();
+        let planes = Array3::from_shape_fn((6, 25, 25), |(t, y, x)| {
+            let r = (x as f64 - 12.0).hypot(y as f64 - 12.0);
+            [1.0, 0.1, 0.05, -0.1, 0.03, 0.08][t] * gauss(1.4 + 0.1 * t as f64, 1.0 / sampling, r)
+        });
+        PsfexModel::new(planes, sampling, Some(polynomial)).unwrap()
+    }
+
+    #[test]
+    fn a_finer_grid_has_a_smaller_error_and_whole_pixels() {
+        let input = PsfInput::Model(record_of_psfex(&psfex(0.6)).unwrap());
+        let of = |n| to_gridded(input.clone(), &SamplesAt::Grid { nx: n, ny: n }).unwrap();
+        let (coarse, fine) = (of(3), of(9));
+        // Bilinear interpolation: the error goes with the square of the cells.
+        let ratio = coarse.max_error.unwrap() / fine.max_error.unwrap();
+        assert!((10.0..25.0).contains(&ratio), "{ratio}");
+        assert_eq!(fine.samples.grid().oversampling(), 2.0);
+        let (ny, nx) = fine.samples.grid().dim();
+        assert!(nx % 2 == 1 && fine.samples.grid().whole_centre() == Some((nx / 2, ny / 2)));
+        assert!(fine.notes[0].contains("resampled"), "{:?}", fine.notes);
+        // Unit flux stays unit flux: a well sampled PSF loses nothing.
+        assert!(
+            (fine.samples.flux(40) - 1.0).abs() < 1e-3,
+            "{}",
+            fine.samples.flux(40)
+        );
+        let auto = to_gridded(input, &SamplesAt::Own).unwrap();
+        assert_eq!(auto.samples.len(), NODES * NODES);
+    }
+
+    #[test]
+    fn a_grid_of_samples_stays_as_it_is_and_scattered_ones_become_one() {
+        let grid = StampGrid::new(7, 7).unwrap().with_oversampling(4.0).unwrap();
+        let of = |positions: Vec<Position>| {
+            let stamps = Array3::from_shape_fn((positions.len(), 7, 7), |(j, y, x)| {
+                gauss(
+                    1.0 + 0.01 * positions[j].x(),
+                    1.0,
+                    (x as f64 - 3.0).hypot(y as f64 - 3.0),
+                )
+            });
+            let positions = SamplePositions::new(positions, None).unwrap();
+            let options = FitOptions {
+                normalisation: Normalisation::Keep,
+                ..FitOptions::default()
+            };
+            PsfInput::Samples(PsfSamples::new(stamps, positions, grid).unwrap(), options)
+        };
+        let regular = of([(0, 0), (50, 0), (0, 40), (50, 40)]
+            .map(|(x, y)| Position::of_pixel(x, y))
+            .into());
+        let same = to_gridded(regular.clone(), &SamplesAt::Own).unwrap();
+        let PsfInput::Samples(before, _) = regular else {
+            unreachable!()
+        };
+        assert_eq!(
+            (same.samples, same.max_error, same.notes.len()),
+            (before, None, 0)
+        );
+        let scattered = of([(0, 0), (50, 3), (7, 40), (50, 40), (20, 20)]
+            .map(|(x, y)| Position::of_pixel(x, y))
+            .into());
+        let made = to_gridded(scattered.clone(), &SamplesAt::Own).unwrap();
+        assert_eq!(made.samples.len(), NODES * NODES);
+        let own = scattered.positions().as_slice().to_vec();
+        assert!(matches!(
+            to_gridded(scattered, &SamplesAt::Positions(own)),
+            Err(PsfieldError::Unholdable { .. })
+        ));
+    }
+}

@@ -1,0 +1,13 @@
+//! A PSF in another form: samples at other positions, a PSFEx model, a gridded library.
+//!
+//! What a form cannot hold is an error ([`PsfieldError::Unholdable`](crate::PsfieldError::Unholdable)) or, where the PSFs stay
+//! what they are, a note.
+
+mod gridded;
+mod padding;
+mod psfex;
+mod samples;
+
+pub use gridded::{GriddedConversion, to_gridded};
+pub use psfex::{PsfexConversion, to_psfex};
+pub use samples::{SamplesAt, to_samples};

@@ -1,0 +1,315 @@
+//! A PSF as a PSFEx model.
+
+use metrics::GaussianFitter;
+use nalgebra::DMatrix;
+use ndarray::{Array3, Axis};
+use psf_io::{PsfexAxis, PsfexFigures, PsfexModel, PsfexPolynomial};
+use psf_types::{
+    Interpolation, Normalisation, OutsidePolicy, Position, PsfModelRecord, PsfSamples, StampInterpolation,
+};
+
+use super::padding::with_centre_in_the_middle;
+use super::samples::{SamplesAt, bounds, to_samples};
+use crate::psf_input::extrema;
+use crate::{EvaluateOptions, PsfInput, PsfieldError, evaluate, model_of};
+
+const FORMAT: &str = "a PSFEx file";
+/// Singular values below this part of the largest count as 0: the samples leave a term undetermined.
+const DEGENERATE: f64 = 1e-10;
+
+/// A PSFEx model and how well it holds the PSFs that it was made from.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct PsfexConversion {
+    /// The model, its values in single precision as a file holds them.
+    pub model: PsfexModel,
+    /// Samples, or nodes of the model, that it was fitted to.
+    pub samples: usize,
+    /// The largest relative L2 error over those.
+    pub max_error: f64,
+    /// What the file does not hold, in plain sentences.
+    pub notes: Vec<String>,
+}
+
+/// A PSFEx model of samples or of a model: a polynomial of a total degree in x and y, for each pixel of the stamps.
+///
+/// A model whose coefficients are polynomials of this degree or a lower one is carried over exactly (before any scaling to
+/// unit flux, which PSFEx's readers do); its own degree is taken where none is given. Anything else is fitted at its own
+/// samples or nodes, by least squares. Stamps get an odd size, the centre in the middle (zeros are added), where PSFEx and
+/// GalSim agree on the centre.
+///
+/// # Errors
+/// [`PsfieldError::DegreeNeeded`] when there is no degree, [`PsfieldError::PolynomialUndetermined`] when the samples are too
+/// few for it, [`PsfieldError::Unholdable`] for stamps without the pixel response or centred between pixels.
+pub fn to_psfex(input: PsfInput, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
+    let own_degree = match &input {
+        PsfInput::Model(record) => match record.interpolation() {
+            Interpolation::Polynomial { degree } => Some(degree),
+            _ => None,
+        },
+        PsfInput::Samples(..) => None,
+    };
+    let degree = degree.or(own_degree).ok_or(PsfieldError::DegreeNeeded)?;
+    if !input.grid().pixel_response_included() {
+        return Err(PsfieldError::Unholdable {
+            format: FORMAT,
+            what: "stamps without the pixel response, which PSFEx's are meant to include",
+            remedy: "if it is in them, say so with --pixel-response included",
+        });
+    }
+    let notes = notes(&input);
+    let samples = match input {
+        PsfInput::Model(record) if own_degree.is_some_and(|own| own <= degree) => {
+            polynomial_samples(record, degree)?
+        }
+        other => to_samples(other, &SamplesAt::Own)?,
+    };
+    let samples = with_centre_in_the_middle(samples, FORMAT)?;
+    let model = fitted(&samples, degree)?;
+    Ok(PsfexConversion {
+        max_error: max_error(&model, &samples)?,
+        samples: samples.len(),
+        model,
+        notes,
+    })
+}
+
+fn notes(input: &PsfInput) -> Vec<String> {
+    let mut notes = Vec::new();
+    if input.grid().interpolation() != StampInterpolation::Lanczos3 {
+        notes.push(
+            "readers of PSFEx models interpolate between the stamps' pixels by a Lanczos kernel, not by the source's cubic spline"
+                .to_owned(),
+        );
+    }
+    let (outside, normalisation) = match input {
+        PsfInput::Samples(_, options) => (OutsidePolicy::Extend, options.normalisation),
+        PsfInput::Model(record) => (record.outside(), record.normalisation()),
+    };
+    if outside != OutsidePolicy::Extend {
+        notes.push(format!(
+            "a PSFEx model continues its polynomial outside the samples: the policy {outside} is not kept"
+        ));
+    }
+    if normalisation == Normalisation::Keep {
+        notes.push(
+            "readers of PSFEx models scale PSFs to unit flux; psfield takes them as they are with --normalise keep"
+                .to_owned(),
+        );
+    }
+    notes
+}
+
+/// The unscaled PSFs of a polynomial model at nodes that determine a polynomial of this degree, over the area of its own.
+fn polynomial_samples(record: PsfModelRecord, degree: usize) -> Result<PsfSamples, PsfieldError> {
+    let [x, y] = bounds(record.coefficients().positions().as_slice());
+    let along = |(low, high): (f64, f64)| {
+        let (centre, scale) = centre_and_scale((low, high));
+        let mut nodes = extrema(degree, centre, 0.5 * scale);
+        if low < high && degree > 0 {
+            // Not but for rounding: a field may end there.
+            nodes[0] = low;
+            nodes[degree] = high;
+        }
+        nodes
+    };
+    let (columns, rows) = (along(x), along(y));
+    let positions: Result<Vec<Position>, _> = rows
+        .iter()
+        .flat_map(|&y| columns.iter().map(move |&x| Position::new(x, y)))
+        .collect();
+    let bare = PsfModelRecord::new(
+        record.basis().clone(),
+        record.coefficients().clone(),
+        record.interpolation(),
+        OutsidePolicy::Extend,
+        Normalisation::Keep,
+    )?;
+    evaluate(&model_of(bare)?, positions?, EvaluateOptions::default())
+}
+
+/// Offset and scale of a coordinate, so that the samples lie from -1/2 to 1/2, as PSFEx has it.
+fn centre_and_scale((low, high): (f64, f64)) -> (f64, f64) {
+    let scale = if low < high { high - low } else { 1.0 };
+    (f64::midpoint(low, high), scale)
+}
+
+/// Least squares for each pixel, in double precision, then rounded to single.
+fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldError> {
+    let [x, y] = bounds(samples.positions().as_slice());
+    let axis = |name, range| {
+        let (zero, scale) = centre_and_scale(range);
+        PsfexAxis::new(name, zero, scale)
+    };
+    let polynomial = PsfexPolynomial::new(axis("X_IMAGE", x)?, axis("Y_IMAGE", y)?, degree)?;
+    let terms = PsfexPolynomial::term_count(degree);
+    let (count, ny, nx) = samples.stamps().dim();
+    let undetermined = PsfieldError::PolynomialUndetermined {
+        degree,
+        terms,
+        samples: count,
+    };
+    if count < terms {
+        return Err(undetermined);
+    }
+    let rows = samples.positions().as_slice().iter();
+    let mut design = DMatrix::from_row_iterator(count, terms, rows.flat_map(|&p| polynomial.terms(p)));
+    // High powers of numbers below 1/2 are small; columns of norm 1 tell what the samples leave open from what is merely small.
+    let norms: Vec<f64> = design.column_iter().map(|column| column.norm()).collect();
+    if norms.iter().any(|&norm| norm == 0.0) {
+        return Err(undetermined);
+    }
+    for (mut column, norm) in design.column_iter_mut().zip(&norms) {
+        column /= *norm;
+    }
+    let svd = design.svd(true, true);
+    let limit = DEGENERATE * svd.singular_values.max();
+    if svd.singular_values.iter().any(|&value| value <= limit) {
+        return Err(undetermined);
+    }
+    let stamps = samples.stamps();
+    let stamps = DMatrix::from_row_slice(count, ny * nx, stamps.as_slice().expect("samples are row-major"));
+    let solution = svd.solve(&stamps, 0.0).expect("both sides were computed");
+    let planes = Array3::from_shape_fn((terms, ny, nx), |(term, y, x)| {
+        f64::from((solution[(term, y * nx + x)] / norms[term]) as f32)
+    });
+    let sampling = 1.0 / samples.grid().oversampling();
+    let model = PsfexModel::new(planes, sampling, Some(polynomial))?;
+    let mut figures = PsfexFigures::default();
+    // Informative, and not known of a PSF that is no peak.
+    let fit = GaussianFitter::elliptical().fit(model.planes().index_axis_move(Axis(0), 0));
+    figures.fwhm_px = fit.ok().map(|fit| fit.fwhm_px() * sampling);
+    (figures.loaded, figures.accepted) = (Some(count as i64), Some(count as i64));
+    Ok(model.with_figures(figures))
+}
+
+/// The largest relative L2 error over the samples.
+fn max_error(model: &PsfexModel, samples: &PsfSamples) -> Result<f64, PsfieldError> {
+    let mut largest = 0.0_f64;
+    for (&position, truth) in samples
+        .positions()
+        .as_slice()
+        .iter()
+        .zip(samples.stamps().outer_iter())
+    {
+        let found = model.psf_at(position)?;
+        let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>();
+        let rest = squares(&mut found.values().iter().zip(&truth).map(|(a, b)| a - b));
+        largest = largest.max((rest / squares(&mut truth.iter().copied())).sqrt());
+    }
+    Ok(largest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{FitOptions, record_of_psfex};
+    use psf_types::{FrameShape, SamplePositions, StampGrid};
+
+    /// Rounding to single precision of values that are added up, relative to the peak.
+    const SINGLE: f64 = 1e-6;
+
+    /// A Gaussian whose width and place change over the field as a polynomial of degree 2 in its pixels' values does not.
+    fn samples(across: usize, size: usize) -> PsfSamples {
+        let positions: Vec<Position> = (0..across * across)
+            .map(|i| Position::of_pixel(100 * (i % across) as i64, 80 * (i / across) as i64 + 3))
+            .collect();
+        let stamps = Array3::from_shape_fn((positions.len(), size, size), |(j, y, x)| {
+            let p = positions[j];
+            let sigma = 1.5 + p.x() / 2000.0 + (p.y() / 700.0).powi(2);
+            let r2 = (x as f64 - (size / 2) as f64).powi(2) + (y as f64 - (size / 2) as f64).powi(2);
+            (-0.5 * r2 / (sigma * sigma)).exp()
+        });
+        let grid = StampGrid::new(size, size)
+            .unwrap()
+            .with_oversampling(2.0)
+            .unwrap();
+        let field = FrameShape::new(2000, 2000).ok();
+        let positions = SamplePositions::new(positions, field).unwrap();
+        PsfSamples::new(stamps, positions, grid).unwrap()
+    }
+
+    fn input(samples: PsfSamples) -> PsfInput {
+        PsfInput::Samples(samples, FitOptions::default())
+    }
+
+    #[test]
+    fn the_error_falls_with_the_degree_and_is_the_one_reported() {
+        let mut last = f64::INFINITY;
+        for degree in 0..=4 {
+            let converted = to_psfex(input(samples(6, 17)), Some(degree)).unwrap();
+            assert!(converted.max_error < 0.5 * last, "degree {degree}");
+            last = converted.max_error;
+            let truth = samples(6, 17).into_unit_flux();
+            let mut largest = 0.0f64;
+            for (j, &p) in truth.positions().as_slice().iter().enumerate() {
+                let difference = converted.model.psf_at(p).unwrap().into_values() - truth.stamp(j);
+                let norm = |v: f64| v.sqrt();
+                let error =
+                    norm(difference.mapv(|v| v * v).sum()) / norm(truth.stamp(j).mapv(|v| v * v).sum());
+                largest = largest.max(error);
+            }
+            assert!((largest / converted.max_error - 1.0).abs() < 1e-9);
+        }
+        assert!(last < 1e-3, "{last:e}");
+    }
+
+    #[test]
+    fn a_psfex_model_comes_back_from_its_record_also_at_a_higher_degree() {
+        let first = to_psfex(input(samples(5, 17)), Some(2)).unwrap().model;
+        let record = record_of_psfex(&first).unwrap();
+        for (degree, terms) in [(None, 6), (Some(2), 6), (Some(3), 10)] {
+            let again = to_psfex(PsfInput::Model(record.clone()), degree).unwrap();
+            assert!(again.max_error < SINGLE && again.notes.is_empty());
+            assert_eq!(again.model.planes().dim().0, terms);
+            for (x, y) in [(0.0, 0.0), (250.0, 1.0), (600.0, -50.0)] {
+                let at = Position::new(x, y).unwrap();
+                let difference =
+                    again.model.psf_at(at).unwrap().into_values() - first.psf_at(at).unwrap().values();
+                let peak = first.psf_at(at).unwrap().values()[[8, 8]];
+                assert!(
+                    difference.iter().all(|d| d.abs() <= SINGLE * peak),
+                    "{degree:?} {at}"
+                );
+            }
+        }
+        let again = to_psfex(PsfInput::Model(record), None).unwrap().model;
+        let (a, b) = (again.polynomial().unwrap(), first.polynomial().unwrap());
+        assert!((a.x().zero() - b.x().zero()).abs() < 1e-9 && (a.y().scale() - b.y().scale()).abs() < 1e-9);
+        let difference = again.planes().to_owned() - first.planes();
+        assert!(difference.iter().all(|d| d.abs() < SINGLE));
+    }
+
+    #[test]
+    fn even_stamps_get_their_centre_in_the_middle() {
+        let converted = to_psfex(input(samples(3, 16)), Some(1)).unwrap();
+        assert_eq!(converted.model.grid().dim(), (17, 17));
+        let psf = converted.model.psf_at(Position::of_pixel(100, 83)).unwrap();
+        let peak = psf.values().iter().copied().fold(0.0, f64::max);
+        assert_eq!(psf.values()[[8, 8]], peak);
+        let fwhm = converted.model.figures().fwhm_px.unwrap();
+        assert!((1.5..3.0).contains(&fwhm), "{fwhm} frame pixels");
+    }
+
+    #[test]
+    fn what_cannot_be_is_refused() {
+        assert!(matches!(
+            to_psfex(input(samples(3, 9)), None),
+            Err(PsfieldError::DegreeNeeded)
+        ));
+        for (across, degree) in [(2, 2), (3, 3), (1, 1)] {
+            assert!(matches!(
+                to_psfex(input(samples(across, 9)), Some(degree)),
+                Err(PsfieldError::PolynomialUndetermined { .. })
+            ));
+        }
+        assert!(to_psfex(input(samples(15, 5)), Some(11)).is_err());
+        let samples = samples(3, 9);
+        let grid = samples.grid().with_pixel_response_included(false);
+        let bare = PsfSamples::new(samples.stamps().to_owned(), samples.positions().clone(), grid).unwrap();
+        assert!(matches!(
+            to_psfex(input(bare), Some(1)),
+            Err(PsfieldError::Unholdable { .. })
+        ));
+    }
+}

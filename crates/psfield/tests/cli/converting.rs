@@ -1,0 +1,443 @@
+//! `psfield convert`, and PSF files of every kind as inputs.
+
+use ndarray::{Array2, Array3, Axis};
+use psfield::psf_io::{
+    self, HeaderCards, PlaneOrder, PsfexAxis, PsfexModel, PsfexPolynomial, read_psfex, read_stpsf,
+    write_psfex,
+};
+use psfield::psf_types::{Image, Position, PsfSamples, StampInterpolation};
+use serde_json::json;
+
+use crate::desk::{Desk, NX, NY, STAMP, samples};
+
+/// Rounding of stamps in f32, relative to the peak.
+const SINGLE: f64 = 1e-6;
+
+fn largest(a: ndarray::ArrayView3<'_, f64>, b: ndarray::ArrayView3<'_, f64>) -> f64 {
+    assert_eq!(a.dim(), b.dim());
+    let peak = b.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / peak
+}
+
+/// A model of degree 2 over the field; its planes have no unit flux.
+fn psfex(size: usize, sampling: f64) -> PsfexModel {
+    let axis = |name, n| PsfexAxis::new(name, (n - 1) as f64 / 2.0, (n - 1) as f64).unwrap();
+    let polynomial = PsfexPolynomial::new(axis("X_IMAGE", NX), axis("Y_IMAGE", NY), 2).unwrap();
+    let planes = Array3::from_shape_fn((6, size, size), |(t, y, x)| {
+        let offset = |k: usize| (k as f64 - (size / 2) as f64) * sampling;
+        let r2 = offset(x).powi(2) + offset(y).powi(2);
+        let sigma = 1.4 + 0.1 * t as f64;
+        let amplitude = [0.1, 0.02, 0.01, -0.015, 0.01, 0.02][t];
+        f64::from((amplitude * (-0.5 * r2 / (sigma * sigma)).exp()) as f32)
+    });
+    PsfexModel::new(planes, sampling, Some(polynomial)).unwrap()
+}
+
+fn put_psfex(desk: &Desk, name: &str, model: &PsfexModel) {
+    write_psfex(desk.path(name), model, &[], false).unwrap();
+}
+
+fn put_stamps(desk: &Desk, name: &str, count: usize) {
+    let stamps = samples(3, 1).stamps().to_owned();
+    let plane = |k: usize| stamps.index_axis(Axis(0), k).to_owned();
+    if count == 1 {
+        let image = Image::new(plane(4)).unwrap();
+        psf_io::write_image(desk.path(name), &image, &HeaderCards::new(), &[], false).unwrap();
+        return;
+    }
+    // A cube without positions: samples whose table is cut off.
+    desk.write_samples("with_table.fits", &samples(3, 1));
+    let bytes = desk.bytes("with_table.fits");
+    let table = bytes.windows(8).position(|w| w == b"XTENSION").unwrap();
+    desk.write(name, &bytes[..table]);
+}
+
+#[test]
+fn samples_become_a_psfex_model_and_come_back() {
+    let desk = Desk::new();
+    let run = desk.noted(
+        "convert samples.fits -o field.psf --to psfex=2 --json",
+        &["Lanczos", "field.psf"],
+    );
+    let report = run.json();
+    assert_eq!(report["format"], "psfex");
+    assert_eq!(
+        (&report["planes"], &report["shape"]),
+        (&json!(6), &json!([STAMP, STAMP]))
+    );
+    assert_eq!(report["notes"].as_array().unwrap().len(), 1);
+    let error = report["max_error"].as_f64().unwrap();
+    // Six terms for nine samples.
+    assert!((1e-6..1e-2).contains(&error), "{error:e}");
+    desk.write(
+        "at.csv",
+        "x,y\n0,0\n30,0\n60,0\n0,25\n30,25\n60,25\n0,50\n30,50\n60,50\n",
+    );
+    desk.done("convert field.psf -o back.fits --to psf-samples --at at.csv");
+    desk.done("convert field.psf -o raw.fits --to psf-samples --at at.csv --normalise keep --precision f64");
+    let truth = desk.samples("samples.fits");
+    for name in ["back.fits", "raw.fits"] {
+        let back = desk.samples(name);
+        assert_eq!(back.positions().as_slice(), truth.positions().as_slice());
+        assert_eq!(back.grid().interpolation(), StampInterpolation::Lanczos3);
+        let difference = largest(back.stamps(), truth.stamps());
+        assert!(
+            difference > 0.1 * error && difference < 2.0 * error,
+            "{difference:e}"
+        );
+    }
+    assert!((desk.samples("back.fits").flux(3) - 1.0).abs() < SINGLE);
+    // What is exact: a polynomial of enough terms for the samples.
+    let text = desk.run("convert samples.fits -o exact.psf --to psfex=0").stdout;
+    assert!(
+        text.contains("1 polynomial terms") && text.contains("largest error"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_psfex_model_keeps_its_planes() {
+    let desk = Desk::empty();
+    for (name, size) in [("odd.psf", 15), ("even.psf", 16)] {
+        let model = psfex(size, 0.5);
+        put_psfex(&desk, name, &model);
+        let same = desk.done(&format!("convert {name} -o same_{name} --json")).json();
+        assert_eq!(same["max_error"], 0.0);
+        assert_eq!(
+            read_psfex(desk.path(&format!("same_{name}")), None).unwrap(),
+            model
+        );
+        let report = desk
+            .done(&format!(
+                "convert {name} -o model_{size}.fits --to psf-model --json"
+            ))
+            .json();
+        assert_eq!(
+            (&report["planes"], &report["oversampling"]),
+            (&json!(5), &json!(2.0))
+        );
+        desk.done(&format!("convert model_{size}.fits -o again_{name}"));
+        let again = read_psfex(desk.path(&format!("again_{name}")), None).unwrap();
+        // Odd, so that every reader finds the centre in the middle.
+        assert_eq!(again.grid().dim(), (size / 2 * 2 + 1, size / 2 * 2 + 1));
+        let part = again
+            .planes()
+            .slice_move(ndarray::s![.., ..size, ..size])
+            .to_owned();
+        assert!(largest(part.view(), model.planes()) <= SINGLE);
+        let total: f64 = again.planes().iter().map(|v| v.abs()).sum();
+        assert!((total / part.iter().map(|v| v.abs()).sum::<f64>() - 1.0).abs() < 1e-12);
+        assert_eq!(again.degree(), 2);
+    }
+    // One degree more: the same PSFs, more planes.
+    desk.done("convert odd.psf -o cubic.psf --to psfex=3");
+    let (cubic, model) = (read_psfex(desk.path("cubic.psf"), None).unwrap(), psfex(15, 0.5));
+    assert_eq!(cubic.planes().dim().0, 10);
+    let at = Position::new(17.0, 44.0).unwrap();
+    let difference = cubic.psf_at(at).unwrap().into_values() - model.psf_at(at).unwrap().values();
+    assert!(difference.iter().all(|d| d.abs() < SINGLE * 0.1));
+}
+
+#[test]
+fn a_psfex_model_serves_every_command() {
+    let desk = Desk::new();
+    let model = psfex(31, 0.5);
+    put_psfex(&desk, "field.psf", &model);
+    desk.write("at.csv", "x,y\n3,4\n40.5,20\n-10,70\n");
+    desk.done("evaluate field.psf --at at.csv -o raw.fits --normalise keep --precision f64");
+    let raw = desk.samples("raw.fits");
+    for (j, &p) in raw.positions().as_slice().iter().enumerate() {
+        let difference = raw.stamp(j).to_owned() - model.psf_at(p).unwrap().values();
+        assert!(difference.iter().all(|d| d.abs() < 1e-13), "{p}");
+    }
+    desk.done("evaluate field.psf --at at.csv -o unit.fits");
+    let unit = desk.samples("unit.fits");
+    assert!((0..3).all(|j| (unit.flux(j) - 1.0).abs() < SINGLE) && (raw.flux(0) - 1.0).abs() > 1e-3);
+    // The polynomial goes on, unless it is told not to.
+    desk.refused(
+        "evaluate field.psf --at at.csv -o out.fits --outside error",
+        1,
+        &["at.csv", "(-10, 70)"],
+    );
+    desk.done("simulate scene.fits --psf field.psf -o image.fits --method direct");
+    let (image, scene) = (desk.image("image.fits"), desk.image("scene.fits"));
+    assert!((image.sum() / scene.sum() - 1.0).abs() < 1e-3);
+    desk.refused(
+        "fit field.psf -o model.fits",
+        1,
+        &["field.psf", "PSFEx", "convert --to psf-model"],
+    );
+    desk.refused(
+        "evaluate field.psf --at at.csv -o out.fits --rank 3",
+        2,
+        &["field.psf", "fit options"],
+    );
+}
+
+#[test]
+fn one_of_several_psfex_models_is_chosen() {
+    let desk = Desk::empty();
+    put_psfex(&desk, "a.psf", &psfex(9, 0.5));
+    put_psfex(&desk, "b.psf", &psfex(11, 1.0));
+    let second = desk.bytes("b.psf");
+    let table = second.windows(8).position(|w| w == b"XTENSION").unwrap();
+    let both = [desk.bytes("a.psf"), second[table..].to_vec()].concat();
+    desk.write("both.psf", both);
+    desk.refused(
+        "convert both.psf -o out.fits --to psf-model",
+        1,
+        &["both.psf", "--psf-extension", "1 (PSF_DATA)", "2 (PSF_DATA)"],
+    );
+    desk.refused(
+        "convert both.psf -o out.fits --to psf-model --psf-extension 3",
+        1,
+        &["both.psf", "HDU 3", "2 (PSF_DATA)"],
+    );
+    for (extension, size) in [(1, 9), (2, 11)] {
+        let report = desk
+            .done(&format!(
+                "convert both.psf -o out{extension}.psf --psf-extension {extension} --json"
+            ))
+            .json();
+        assert_eq!(report["shape"], json!([size, size]));
+    }
+}
+
+#[test]
+fn samples_become_a_library_and_come_back() {
+    let desk = Desk::empty();
+    desk.write_samples("samples.fits", &samples(3, 4));
+    let report = desk
+        .done("convert samples.fits -o library.fits --to gridded --json")
+        .json();
+    assert_eq!(report["oversampling"], 4.0);
+    // 60 = 4 x 15 pixels, centred at 30: one more on each axis.
+    assert_eq!(report["shape"], json!([61, 61]));
+    let library = read_stpsf(desk.path("library.fits"), PlaneOrder::Auto).unwrap();
+    assert_eq!(
+        library.samples().len(),
+        report["planes"].as_u64().unwrap() as usize
+    );
+    desk.write("at.csv", "x,y\n0,0\n30,25\n60,50\n");
+    // The note says how the planes were ordered.
+    desk.noted(
+        "evaluate library.fits --at at.csv -o back.fits",
+        &["library.fits"],
+    );
+    let (back, truth) = (desk.samples("back.fits"), desk.samples("samples.fits"));
+    for (plane, sample) in [(0, 0), (1, 4), (2, 8)] {
+        let found = back.stamp(plane).slice_move(ndarray::s![..60, ..60]).to_owned();
+        let difference = largest(
+            found.insert_axis(Axis(0)).view(),
+            truth.stamp(sample).insert_axis(Axis(0)),
+        );
+        assert!(difference < SINGLE, "{difference:e}");
+    }
+    // Fractional sampling is resampled, a polynomial is evaluated on a grid.
+    put_psfex(&desk, "field.psf", &psfex(31, 0.45));
+    let run = desk.noted(
+        "convert field.psf -o resampled.fits --to gridded --grid 5,5 --json",
+        &["resampled from 2.2"],
+    );
+    assert_eq!(run.json()["oversampling"], 3.0);
+    let error = run.json()["max_error"].as_f64().unwrap();
+    assert!((1e-6..0.1).contains(&error), "{error:e}");
+    desk.noted("convert field.psf -o auto.fits --to gridded", &["11 x 11"]);
+}
+
+#[test]
+fn plain_stamps_need_a_word() {
+    let desk = Desk::new();
+    put_stamps(&desk, "stamp.fits", 1);
+    put_stamps(&desk, "cube.fits", 9);
+    desk.write("at.csv", "x,y\n3,4\n40,20\n");
+    desk.refused(
+        "evaluate stamp.fits --at at.csv -o out.fits",
+        1,
+        &["stamp.fits", "POSITIONS", "--psf-oversampling"],
+    );
+    desk.noted(
+        "evaluate stamp.fits --at at.csv -o constant.fits --psf-oversampling 1",
+        &["stamp.fits", "whole field"],
+    );
+    let constant = desk.samples("constant.fits");
+    assert_eq!(constant.stamp(0), constant.stamp(1));
+    // Written by psfield, it says its oversampling itself.
+    desk.refused(
+        "evaluate cube.fits --at at.csv -o out.fits",
+        1,
+        &["cube.fits", "--psf-positions"],
+    );
+    desk.write(
+        "nodes.csv",
+        "x,y\n0,0\n30,0\n60,0\n0,25\n30,25\n60,25\n0,50\n30,50\n60,50\n",
+    );
+    desk.done("convert cube.fits -o same.fits --to psf-samples --psf-positions nodes.csv");
+    let (same, truth): (PsfSamples, PsfSamples) = (desk.samples("same.fits"), desk.samples("samples.fits"));
+    assert_eq!(same.positions().as_slice(), truth.positions().as_slice());
+    assert!(largest(same.stamps(), truth.stamps()) < SINGLE);
+    desk.write("few.csv", "x,y\n0,0\n30,0\n");
+    desk.refused(
+        "convert cube.fits -o out.fits --to psf-samples --psf-positions few.csv",
+        1,
+        &["cube.fits", "positions", "9", "2"],
+    );
+}
+
+#[test]
+fn options_of_other_formats_are_bad_usage() {
+    let desk = Desk::new();
+    put_psfex(&desk, "field.psf", &psfex(9, 1.0));
+    desk.write("at.csv", "x,y\n3,4\n");
+    for (file, option) in [
+        ("samples.fits", "--psf-extension 1"),
+        ("samples.fits", "--psf-detector 2"),
+        ("samples.fits", "--psf-oversampling 2"),
+        ("samples.fits", "--psf-positions at.csv"),
+        ("field.psf", "--psf-order cards"),
+        ("field.psf", "--psf-wavelength 2.2"),
+        ("field.psf", "--pixel-scale 0.004"),
+        ("field.psf", "--field-centre 10,-3"),
+    ] {
+        let name = option.split(' ').next().unwrap();
+        desk.refused(
+            &format!("evaluate {file} --at at.csv -o out.fits {option}"),
+            2,
+            &[file, name],
+        );
+    }
+    for option in [
+        "--psf-detector 0",
+        "--psf-order backwards",
+        "--field-centre 3",
+        "--pixel-scale -1",
+        "--pixel-response perhaps",
+        "--psf-extension ,2",
+    ] {
+        let name = option.split(' ').next().unwrap();
+        desk.refused(
+            &format!("evaluate field.psf --at at.csv -o out.fits {option}"),
+            2,
+            &[name],
+        );
+    }
+}
+
+#[test]
+fn conversions_that_cannot_be() {
+    let desk = Desk::new();
+    put_psfex(&desk, "field.psf", &psfex(9, 1.0));
+    desk.done("fit samples.fits -o model.fits");
+    desk.write("at.csv", "x,y\n3,4\n5,6\n");
+    for (arguments, code, needles) in [
+        ("samples.fits -o out.fits", 2, &["--to"][..]),
+        ("samples.fits -o out.psf", 1, &["samples.fits", "--to psfex=2"]),
+        ("samples.fits -o out.psf --to psfex=11", 2, &["0 to 10"]),
+        ("samples.fits -o out.psf --to psfex=-1", 2, &["0 to 10"]),
+        (
+            "samples.fits -o out.psf --to psfex=3",
+            1,
+            &["10 terms", "9 samples"],
+        ),
+        ("samples.fits -o out.fits --to fits", 2, &["psf-samples"]),
+        (
+            "samples.fits -o out.psf --to psfex=1 --pixel-response missing",
+            1,
+            &["samples.fits", "pixel response"],
+        ),
+        (
+            "samples.fits -o out.fits --to gridded --pixel-response missing",
+            1,
+            &["response"],
+        ),
+        (
+            "samples.fits -o out.psf --to psfex=1 --rank 3",
+            2,
+            &["--normalise"],
+        ),
+        (
+            "samples.fits -o out.fits --to psf-samples --rank 3",
+            2,
+            &["--normalise"],
+        ),
+        ("field.psf -o out.psf --normalise keep", 2, &["--normalise"]),
+        ("field.psf -o out.psf --outside nearest", 2, &["--outside"]),
+        ("field.psf -o out.fits --to psf-model --grid 3,3", 2, &["--grid"]),
+        ("field.psf -o out.psf --at at.csv", 2, &["--at"]),
+        (
+            "field.psf -o out.fits --to psf-model --precision f32",
+            2,
+            &["--precision"],
+        ),
+        (
+            "field.psf -o out.fits --to psf-samples --grid 3,3 --at at.csv",
+            2,
+            &["--grid", "--at"],
+        ),
+        (
+            "field.psf -o out.fits --to psf-samples --grid 3,0",
+            2,
+            &["--grid"],
+        ),
+        (
+            "model.fits -o out.fits --to psf-samples --grid 100000,100000",
+            1,
+            &["GiB"],
+        ),
+        (
+            "scene.fits -o out.fits --to psf-model",
+            1,
+            &["scene.fits", "POSITIONS"],
+        ),
+        ("none.psf -o out.psf", 1, &["none.psf"]),
+        ("field.psf -o field.psf", 1, &["field.psf", "--overwrite"]),
+        (
+            "samples.fits -o out.fits --to gridded --at at.csv",
+            1,
+            &["regular grid", "--grid"],
+        ),
+    ] {
+        desk.refused(&format!("convert {arguments}"), code, needles);
+    }
+    // One stamp and no field: no grid.
+    put_stamps(&desk, "stamp.fits", 1);
+    desk.refused(
+        "convert stamp.fits -o out.fits --to gridded --psf-oversampling 1",
+        1,
+        &["area"],
+    );
+    desk.write_image("dark.fits", Array2::zeros((5, 5)));
+    desk.refused(
+        "convert dark.fits -o out.fits --to psf-model --psf-oversampling 1",
+        1,
+        &["dark.fits", "flux"],
+    );
+}
+
+#[test]
+fn any_model_becomes_a_model_file() {
+    let desk = Desk::new();
+    let report = desk
+        .done("convert samples.fits -o model.fits --to psf-model --rank 4 --json")
+        .json();
+    desk.done("fit samples.fits -o fitted.fits --rank 4");
+    let [model, fitted] =
+        ["model.fits", "fitted.fits"].map(|name| psf_io::read_model(desk.path(name)).unwrap());
+    assert_eq!(model, fitted);
+    assert_eq!(report["planes"], 4);
+    assert!(report["max_error"].as_f64().unwrap() > 0.0);
+    desk.done("convert model.fits -o nodes.fits --to psf-samples");
+    assert_eq!(desk.samples("nodes.fits").len(), 9);
+    desk.done("convert model.fits -o grid.fits --to psf-samples --grid 4,2");
+    let grid = desk.samples("grid.fits");
+    let position = |k: usize| grid.positions().as_slice()[k];
+    assert_eq!(grid.len(), 8);
+    assert_eq!(
+        (position(0), position(1), position(7)),
+        (
+            Position::of_pixel(0, 0),
+            Position::of_pixel(20, 0),
+            Position::of_pixel(60, 50)
+        )
+    );
+}
