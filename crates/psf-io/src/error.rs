@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use psf_types::DataError;
 use thiserror::Error;
 
-use crate::{CardError, Row};
+use crate::{CardError, HduChoice, Row};
 
 /// Why a file could not be read or written.
 ///
@@ -115,6 +115,32 @@ pub enum IoError {
         path: PathBuf,
         /// What was looked for.
         what: String,
+    },
+    /// Several HDUs of the kind needed, and no choice.
+    #[error("{}: the file holds several {what}: {}: choose one by number or name with --extension", path.display(), found.join(", "))]
+    SeveralHdus {
+        /// The file.
+        path: PathBuf,
+        /// What was looked for, in the plural.
+        what: &'static str,
+        /// Number, name and size of each.
+        found: Vec<String>,
+    },
+    /// The HDU chosen is not there, or of another kind.
+    #[error(
+        "{}: extension {choice} is no {what}; the file has {}",
+        path.display(),
+        if found.is_empty() { "none".to_owned() } else { found.join(", ") }
+    )]
+    NoSuchHdu {
+        /// The file.
+        path: PathBuf,
+        /// The choice.
+        choice: HduChoice,
+        /// What was looked for.
+        what: &'static str,
+        /// Number, name and size of those there are.
+        found: Vec<String>,
     },
     /// A keyword that must be there.
     #[error("{}: HDU {hdu} has no keyword {keyword} ({expected})", path.display())]
@@ -282,6 +308,41 @@ pub enum IoError {
         /// Number of fields.
         got: u64,
     },
+    /// A row of a catalogue that does not make a source.
+    #[error("{}: {row} is not a valid source", path.display())]
+    Source {
+        /// The file.
+        path: PathBuf,
+        /// Where.
+        row: Row,
+        /// What is wrong.
+        source: DataError,
+    },
+    /// Magnitudes without the magnitude of flux 1.
+    #[error(
+        "{}: the column {column:?} holds magnitudes: give the magnitude of flux 1 with --zero-point",
+        path.display()
+    )]
+    ZeroPoint {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: String,
+    },
+    /// Sky coordinates without the world coordinates of the frame.
+    #[error(
+        "{}: the columns {ra:?} and {dec:?} are sky coordinates, and no world coordinates of the frame are given: give a scene whose \
+         header has them, or positions in pixels",
+        path.display()
+    )]
+    NoWorldCoordinates {
+        /// The file.
+        path: PathBuf,
+        /// The column of right ascensions.
+        ra: String,
+        /// The column of declinations.
+        dec: String,
+    },
     /// A text table that is not well formed, or a row that cannot be written.
     #[error("{}: not a well-formed CSV table", path.display())]
     Csv {
@@ -335,6 +396,11 @@ impl IoError {
             | Self::Truncated { path, .. }
             | Self::Header { path, .. }
             | Self::MissingHdu { path, .. }
+            | Self::SeveralHdus { path, .. }
+            | Self::NoSuchHdu { path, .. }
+            | Self::Source { path, .. }
+            | Self::ZeroPoint { path, .. }
+            | Self::NoWorldCoordinates { path, .. }
             | Self::MissingKeyword { path, .. }
             | Self::Keyword { path, .. }
             | Self::Version { path, .. }
