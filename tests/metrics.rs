@@ -4,7 +4,7 @@ use integration_tests::{small_telescope, uniform_samples};
 use psfield::conv_core::PlanOptions;
 use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
 use psfield::psf_types::{FrameShape, PointSource, Position, Scene};
-use psfield::{FitOptions, MeasureOptions, Method, PsfInput, Simulation};
+use psfield::{FitOptions, MeasureOptions, Method, PsfInput, Simulation, SimulationOptions};
 
 /// A star on a pixel is its stamp times its flux; measurements differ by rounding in f64.
 const ROUNDING: f64 = 1e-9;
@@ -17,7 +17,7 @@ fn stars_on_pixels_measure_as_their_psfs() {
         .map(|(x, y)| PointSource::new(Position::of_pixel(x, y), 1e4).unwrap())
         .to_vec();
     let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(stars);
-    let simulation = Simulation::new(psf, &scene, None).unwrap();
+    let simulation = Simulation::new(psf, &scene, SimulationOptions::default()).unwrap();
     let image = simulation
         .run(&scene, Method::Auto, PlanOptions::default())
         .unwrap();
@@ -63,7 +63,7 @@ fn sub_pixel_stars_lie_where_they_should() {
         let position = Position::new(80.0 + dx, 60.0 + dy).unwrap();
         let star = PointSource::new(position, 1.0).unwrap();
         let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(vec![star]);
-        let image = Simulation::new(psf.clone(), &scene, None)
+        let image = Simulation::new(psf.clone(), &scene, SimulationOptions::default())
             .unwrap()
             .run(&scene, Method::Auto, PlanOptions::default())
             .unwrap();

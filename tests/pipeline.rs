@@ -8,11 +8,13 @@ use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_io::{Precision, read_model, read_samples, write_model, write_samples};
 use psfield::psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
 use psfield::psf_types::{FrameShape, Image, NoProgress, PointSource, Position, Scene};
-use psfield::{EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, evaluate, fit};
+use psfield::{
+    EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, SimulationOptions, evaluate, fit,
+};
 
 fn image(psf: PsfInput) -> Image<f64> {
     let scene = test_scene(160, 120, 0);
-    Simulation::new(psf, &scene, None)
+    Simulation::new(psf, &scene, SimulationOptions::default())
         .unwrap()
         .run(&scene, Method::Auto, PlanOptions::default())
         .unwrap()
@@ -56,7 +58,7 @@ fn the_number_of_threads_does_not_matter_from_end_to_end() {
             let star = PointSource::new(Position::new(50.3, 70.9).unwrap(), 40.0).unwrap();
             let scene = scene.with_sources(vec![star]);
             let psf = PsfInput::Samples(samples, FitOptions::default());
-            Simulation::new(psf, &scene, None)
+            Simulation::new(psf, &scene, SimulationOptions::default())
                 .unwrap()
                 .run(&scene, Method::Auto, PlanOptions::default())
                 .unwrap()
@@ -158,7 +160,7 @@ fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
     let mut light = ndarray::Array2::<f64>::zeros((120, 160));
     light[[y, x]] = 1.0;
     let run = |scene: Scene<f64>| {
-        let simulation = Simulation::new(psf.clone(), &scene, None).unwrap();
+        let simulation = Simulation::new(psf.clone(), &scene, SimulationOptions::default()).unwrap();
         simulation
             .run(&scene, Method::Auto, PlanOptions::default())
             .unwrap()

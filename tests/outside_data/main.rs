@@ -14,6 +14,7 @@ mod measurements;
 mod psfex;
 mod responses;
 mod simulation;
+mod stars;
 mod stdpsf;
 mod stpsf;
 mod tolerance;
@@ -38,6 +39,7 @@ fn main() {
     }
     let trials = [
         simulation::trials(),
+        stars::trials(),
         evaluation::trials(),
         measurements::trials(),
         low_rank::trials(),

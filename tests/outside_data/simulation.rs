@@ -5,7 +5,7 @@ use psfield::conv_core::{ConvReal, PlanOptions};
 use psfield::metrics::Comparison;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_types::{Anchor, Normalisation};
-use psfield::{FitOptions, Method, PsfInput, Simulation};
+use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions};
 use rand::SeedableRng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
@@ -66,7 +66,7 @@ pub(crate) fn trials() -> Vec<Trial> {
 
 fn relative_l2<T: ConvReal>(field: Field, psf: PsfInput, anchor: Anchor, truth: &str) -> Result<f64, Failed> {
     let scene = field.scene::<T>()?;
-    let image = Simulation::new(psf, &scene, None)?.run(
+    let image = Simulation::new(psf, &scene, SimulationOptions::default())?.run(
         &scene,
         Method::Basis,
         PlanOptions::default().with_anchor(anchor),
@@ -85,7 +85,7 @@ fn full_rank<T: ConvReal>(field: Field, anchor: Anchor, truth: &str, limit: f64)
 
 fn direct(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
     let scene = field.scene::<f64>()?;
-    let simulation = Simulation::new(field.psf(FULL)?, &scene, None)?;
+    let simulation = Simulation::new(field.psf(FULL)?, &scene, SimulationOptions::default())?;
     let exact = field.exact(truth)?;
     let peak = field
         .truth(truth)?
@@ -174,7 +174,11 @@ fn total_flux() -> Result<(), Failed> {
             ..FULL
         };
         let psf = PsfInput::Samples(STRONG.samples()?, options);
-        let image = Simulation::new(psf, &scene, None)?.run(&scene, Method::Basis, PlanOptions::default())?;
+        let image = Simulation::new(psf, &scene, SimulationOptions::default())?.run(
+            &scene,
+            Method::Basis,
+            PlanOptions::default(),
+        )?;
         let error = (image.pixels().sum() / total - 1.0).abs();
         println!("strong K = {rank}: flux off by {error:.1e}");
         ensure(error <= 1e-12, || {
@@ -190,7 +194,7 @@ fn adjoint() -> Result<(), Failed> {
         ..FULL
     };
     let scene = ROMAN.scene::<f64>()?;
-    let simulation = Simulation::new(ROMAN.psf(options)?, &scene, None)?;
+    let simulation = Simulation::new(ROMAN.psf(options)?, &scene, SimulationOptions::default())?;
     let g = ROMAN.truth("output")?;
     for (anchor, _) in ANCHORS {
         let forward = simulation.run(&scene, Method::Basis, PlanOptions::default().with_anchor(anchor))?;

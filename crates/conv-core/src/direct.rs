@@ -7,13 +7,13 @@ use rayon::prelude::*;
 use crate::crop::within_reach;
 use crate::kernel::Reach;
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::point_sources::{add_point_sources, point_sources_at};
+use crate::point_sources::{StarPainter, add_point_sources};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
 /// that every other method is measured against.
 ///
-/// Point sources between pixels are drawn from the same [`StampSpline`](crate::StampSpline) as by every other method: the sum is
+/// Point sources between pixels are drawn from the same [`StampInterpolator`](crate::StampInterpolator) as by every other method: the sum is
 /// exact for the model, not for a PSF that its stamps sample too coarsely to be interpolated.
 ///
 /// A whole image costs `K` multiplications for each lit pixel and each pixel of a stamp; [`Direct::at_pixels`] gives single
@@ -80,11 +80,13 @@ impl Direct {
                 .collect();
             values = sums.into_iter().collect::<Result<_, _>>()?;
         }
-        for (value, stars) in values
-            .iter_mut()
-            .zip(point_sources_at(model, scene, self.anchor, pixels)?)
-        {
-            *value += stars;
+        if !scene.sources().is_empty() {
+            let stars =
+                StarPainter::new(model, frame, self.anchor, None)?.at_pixels(scene.sources(), pixels)?;
+            values
+                .iter_mut()
+                .zip(stars)
+                .for_each(|(value, star)| *value += star);
         }
         Ok(values)
     }

@@ -16,7 +16,7 @@
 //! | [`PatchConvolution`] | one PSF a patch | one transform of each lit patch | the PSF jumps from patch to patch |
 //!
 //! All but [`Plan`] are [`ConvolutionMethod`]s over a [`psf_types::PsfModel`] and a [`psf_types::Scene`]. Outside the scene there is no
-//! light. Point sources are drawn one by one, with the PSF of their own position shifted to it by [`StampSpline`], by every
+//! light. Point sources are drawn one by one, with the PSF of their own position shifted to it by [`StampInterpolator`], by every
 //! method alike.
 //!
 //! # Normalisation
@@ -47,7 +47,8 @@ mod patch;
 mod planes;
 mod point_sources;
 mod simd;
-mod stamp_spline;
+mod stamp_interpolator;
+mod stars;
 mod transform;
 
 pub use basis_convolution::BasisConvolution;
@@ -56,5 +57,6 @@ pub use error::ConvError;
 pub use lowrank::{LowRank, Paths, Plan, PlanOptions, PlanSummary, RowStream, TileCounts};
 pub use method::{ConvReal, ConvolutionMethod};
 pub use patch::PatchConvolution;
-pub use point_sources::add_point_sources;
-pub use stamp_spline::{StampSpline, native_grid, resample_samples};
+pub use point_sources::{StarPainter, add_point_sources};
+pub use stamp_interpolator::{StampInterpolator, grid_with_pixel_response, native_grid, resample_samples};
+pub use stars::StarPlan;

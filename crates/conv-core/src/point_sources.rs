@@ -5,7 +5,8 @@ use psf_types::{Anchor, NoProgress, PixelRegion, PointSource, Position, PsfModel
 use rayon::prelude::*;
 
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::stamp_spline::StampSpline;
+use crate::stamp_interpolator::{Kernel, StampInterpolator};
+use crate::stars::Window;
 use crate::{ConvError, ConvReal};
 
 /// Sources that one task draws.
@@ -27,92 +28,36 @@ pub fn add_point_sources<T: ConvReal, S: ConvReal>(
     anchor: Anchor,
     image: &mut Array2<S>,
 ) -> Result<(), ConvError> {
-    let shape = scene.frame().shape();
-    assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the frame");
-    add_point_sources_to_rows(model, scene, anchor, 0, image)
-}
-
-/// The same for a part of the image: whole rows from `first_row` of the frame on.
-pub(crate) fn add_point_sources_to_rows<T: ConvReal, S: ConvReal>(
-    model: &PsfModel,
-    scene: &Scene<T>,
-    anchor: Anchor,
-    first_row: usize,
-    image: &mut Array2<S>,
-) -> Result<(), ConvError> {
-    let sources = scene.sources();
-    if sources.is_empty() {
+    if scene.sources().is_empty() {
         return Ok(());
     }
-    let painter = Painter::new(model, scene.frame(), anchor)?;
-    let rows = first_row as i64..(first_row + image.nrows()) as i64;
-    let reaches = |source: &&PointSource| {
-        let (_, y, _, ny) = painter.window(source);
-        painter.reaches(source) && y < rows.end && y.saturating_add(ny as i64) > rows.start
-    };
-    add_in_order(image, sources.len().div_ceil(AT_ONCE), &NoProgress, |task| {
-        let sources = sources[task * AT_ONCE..].iter().take(AT_ONCE).filter(reaches);
-        sources
-            .map(|source| {
-                let (window, values) = painter.paint(source)?;
-                let values = values.mapv(S::nearest);
-                Ok(Piece {
-                    first_column: window.0,
-                    first_row: window.1 - rows.start,
-                    values,
-                })
-            })
-            .collect()
-    })
+    StarPainter::new(model, scene.frame(), anchor, None)?.add_to(scene.sources(), image)
 }
 
-/// The point sources' light in single pixels `(column, row)` of the frame.
-pub(crate) fn point_sources_at<T: ConvReal>(
-    model: &PsfModel,
-    scene: &Scene<T>,
-    anchor: Anchor,
-    pixels: &[(usize, usize)],
-) -> Result<Vec<f64>, ConvError> {
-    if scene.sources().is_empty() {
-        return Ok(vec![0.0; pixels.len()]);
-    }
-    let painter = Painter::new(model, scene.frame(), anchor)?;
-    let hit = |source: &&PointSource| {
-        let (x, y, nx, ny) = painter.window(source);
-        painter.reaches(source)
-            && pixels.iter().any(|&(column, row)| {
-                (x..x + nx as i64).contains(&(column as i64)) && (y..y + ny as i64).contains(&(row as i64))
-            })
-    };
-    let hit: Vec<&PointSource> = scene.sources().iter().filter(hit).collect();
-    let mut values = vec![0.0; pixels.len()];
-    for some in hit.chunks(PAINTED_AT_ONCE) {
-        let painted: Vec<Result<_, ConvError>> =
-            some.par_iter().map(|source| painter.paint(source)).collect();
-        for painted in painted {
-            let ((x, y), stamp) = painted?;
-            for (value, &(column, row)) in values.iter_mut().zip(pixels) {
-                let inside = |first: i64, index: usize| usize::try_from(index as i64 - first).ok();
-                if let (Some(i), Some(j)) = (inside(x, column), inside(y, row)) {
-                    *value += stamp.get((j, i)).copied().unwrap_or(0.0);
-                }
-            }
-        }
-    }
-    Ok(values)
-}
-
-struct Painter<'a> {
+/// Draws stars one by one in double precision, each from all components of the model: the reference for [`crate::StarPlan`], and the way
+/// that serves every model and anchoring.
+#[derive(Debug)]
+pub struct StarPainter<'a> {
     model: &'a PsfModel,
     frame: PixelRegion,
     /// Output-anchored: the spline of every stamp.
-    splines: Option<Vec<StampSpline>>,
+    splines: Option<Vec<StampInterpolator>>,
     /// A grid at the frame's scale that holds the stamp wherever in its pixel the source lies.
     target: StampGrid,
 }
 
-impl<'a> Painter<'a> {
-    fn new(model: &'a PsfModel, frame: PixelRegion, anchor: Anchor) -> Result<Self, ConvError> {
+impl<'a> StarPainter<'a> {
+    /// Draws on a frame, a region of the scene in whose pixels sources are given. Stars are cut to `size` columns and rows about the
+    /// pixel that each lies on (that at index `size / 2`), where given.
+    ///
+    /// # Errors
+    /// [`ConvError::PixelResponse`] when the stamps lack the pixel response.
+    pub fn new(
+        model: &'a PsfModel,
+        frame: PixelRegion,
+        anchor: Anchor,
+        size: Option<usize>,
+    ) -> Result<Self, ConvError> {
         let grid = model.grid();
         if !grid.pixel_response_included() {
             return Err(ConvError::PixelResponse);
@@ -121,18 +66,25 @@ impl<'a> Painter<'a> {
             model
                 .stamps()
                 .axis_iter(Axis(0))
-                .map(|stamp| StampSpline::new(stamp, grid))
+                .map(|stamp| StampInterpolator::new(stamp, grid))
                 .collect()
         });
-        let reach = |room: f64| (room.max(0.0) / grid.oversampling() + 0.5).ceil() as usize;
-        let (left, right) = (
+        let beyond = Kernel::of(grid.interpolation()).reach();
+        let reach = |room: f64| ((room.max(0.0) + beyond) / grid.oversampling() + 0.5).ceil() as usize;
+        let most = |size: usize| (size / 2, size - 1 - size / 2);
+        let cut = |reach: (usize, usize)| {
+            size.map_or(reach, |size| {
+                (reach.0.min(most(size).0), reach.1.min(most(size).1))
+            })
+        };
+        let (left, right) = cut((
             reach(grid.centre_x()),
             reach((grid.nx() - 1) as f64 - grid.centre_x()),
-        );
-        let (below, above) = (
+        ));
+        let (below, above) = cut((
             reach(grid.centre_y()),
             reach((grid.ny() - 1) as f64 - grid.centre_y()),
-        );
+        ));
         let target = StampGrid::new(left + right + 1, below + above + 1)
             .and_then(|target| target.with_centre(left as f64, below as f64))
             .map_err(ConvError::Result)?;
@@ -141,6 +93,95 @@ impl<'a> Painter<'a> {
             frame,
             splines,
             target,
+        })
+    }
+
+    /// The pixels about a star's own that it may light.
+    pub(crate) fn window(&self) -> Window {
+        let axis = |centre: f64, count: usize| (-(centre as i64), count as i64 - centre as i64);
+        Window {
+            columns: axis(self.target.centre_x(), self.target.nx()),
+            rows: axis(self.target.centre_y(), self.target.ny()),
+        }
+    }
+
+    /// The sources' light in single pixels `(column, row)` of the frame.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the PSF has no value at a source that reaches one of the pixels.
+    pub fn at_pixels(
+        &self,
+        sources: &[PointSource],
+        pixels: &[(usize, usize)],
+    ) -> Result<Vec<f64>, ConvError> {
+        let hit = |source: &&PointSource| {
+            let (x, y, nx, ny) = self.lit(source);
+            self.reaches(source)
+                && pixels.iter().any(|&(column, row)| {
+                    (x..x + nx as i64).contains(&(column as i64))
+                        && (y..y + ny as i64).contains(&(row as i64))
+                })
+        };
+        let hit: Vec<&PointSource> = sources.iter().filter(hit).collect();
+        let mut values = vec![0.0; pixels.len()];
+        for some in hit.chunks(PAINTED_AT_ONCE) {
+            let painted: Vec<Result<_, ConvError>> =
+                some.par_iter().map(|source| self.paint(source)).collect();
+            for painted in painted {
+                let ((x, y), stamp) = painted?;
+                for (value, &(column, row)) in values.iter_mut().zip(pixels) {
+                    let inside = |first: i64, index: usize| usize::try_from(index as i64 - first).ok();
+                    if let (Some(i), Some(j)) = (inside(x, column), inside(y, row)) {
+                        *value += stamp.get((j, i)).copied().unwrap_or(0.0);
+                    }
+                }
+            }
+        }
+        Ok(values)
+    }
+
+    /// Adds sources to an image of the frame, `[y, x]`.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the PSF has no value at a source that reaches the frame.
+    ///
+    /// # Panics
+    /// When `image` has not the frame's shape.
+    pub fn add_to<S: ConvReal>(
+        &self,
+        sources: &[PointSource],
+        image: &mut Array2<S>,
+    ) -> Result<(), ConvError> {
+        let shape = self.frame.shape();
+        assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the frame");
+        self.add_to_rows(sources, 0, image)
+    }
+
+    /// Draws sources into rows of an image from `first_row` of the frame on.
+    pub(crate) fn add_to_rows<S: ConvReal>(
+        &self,
+        sources: &[PointSource],
+        first_row: usize,
+        image: &mut Array2<S>,
+    ) -> Result<(), ConvError> {
+        let rows = first_row as i64..(first_row + image.nrows()) as i64;
+        let reaches = |source: &&PointSource| {
+            let (_, y, _, ny) = self.lit(source);
+            self.reaches(source) && y < rows.end && y.saturating_add(ny as i64) > rows.start
+        };
+        add_in_order(image, sources.len().div_ceil(AT_ONCE), &NoProgress, |task| {
+            let sources = sources[task * AT_ONCE..].iter().take(AT_ONCE).filter(reaches);
+            sources
+                .map(|source| {
+                    let (lit, values) = self.paint(source)?;
+                    let values = values.mapv(S::nearest);
+                    Ok(Piece {
+                        first_column: lit.0,
+                        first_row: lit.1 - rows.start,
+                        values,
+                    })
+                })
+                .collect()
         })
     }
 
@@ -154,7 +195,7 @@ impl<'a> Painter<'a> {
     }
 
     /// First column, first row, columns and rows of the pixels that a source may light, in pixels of the frame.
-    fn window(&self, source: &PointSource) -> (i64, i64, usize, usize) {
+    fn lit(&self, source: &PointSource) -> (i64, i64, usize, usize) {
         let (column, row) = self.pixel(source);
         let first_column = column.saturating_sub(self.target.centre_x() as i64);
         let first_row = row.saturating_sub(self.target.centre_y() as i64);
@@ -162,7 +203,7 @@ impl<'a> Painter<'a> {
     }
 
     fn reaches(&self, source: &PointSource) -> bool {
-        let (x, y, nx, ny) = self.window(source);
+        let (x, y, nx, ny) = self.lit(source);
         let shape = self.frame.shape();
         let on = |first: i64, length: usize, limit: usize| {
             first < limit as i64 && first.saturating_add(length as i64) > 0
@@ -172,7 +213,7 @@ impl<'a> Painter<'a> {
 
     /// The first pixel of the source's window and the light in the window `[y, x]`.
     fn paint(&self, source: &PointSource) -> Result<((i64, i64), Array2<f64>), ConvError> {
-        let (first_column, first_row, nx, ny) = self.window(source);
+        let (first_column, first_row, nx, ny) = self.lit(source);
         let (column, row) = self.pixel(source);
         // Positions of the field count from the frame's first pixel.
         let x = source.position().x() - self.frame.x0() as f64;
@@ -182,7 +223,7 @@ impl<'a> Painter<'a> {
             None => {
                 let position = Position::new(x, y).map_err(ConvError::Result)?;
                 let psf = self.model.psf_at(position)?;
-                StampSpline::new(psf.values(), self.model.grid()).resample(shift, self.target)
+                StampInterpolator::new(psf.values(), self.model.grid()).resample(shift, self.target)
             }
             Some(splines) => {
                 let mut values = Array2::zeros((ny, nx));

@@ -506,7 +506,7 @@ fn a_streamed_image_has_the_same_bytes() {
                 most: 0,
             };
             let counts = plan
-                .stream(&scene, &model, &mut rows, &psf_types::NoProgress)
+                .stream(&scene, None, &mut rows, &psf_types::NoProgress)
                 .unwrap();
             assert_eq!(counts.tiles(), plan.summary().tiles);
             assert_eq!(rows.image.len(), frame.shape().pixel_count());

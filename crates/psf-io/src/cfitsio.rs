@@ -9,6 +9,7 @@
 )]
 
 mod write;
+mod write_integers;
 
 use std::ffi::{CString, c_char, c_int, c_void};
 use std::path::{Path, PathBuf};

@@ -247,6 +247,23 @@ pub enum IoError {
         /// Rows written.
         got: usize,
     },
+    /// A value that an image of whole numbers cannot hold.
+    #[error(
+        "{}: the pixel {index:?} ([y, x]) is {value}: a whole number from {lowest} to {highest} is needed",
+        path.display()
+    )]
+    NotWhole {
+        /// The file.
+        path: PathBuf,
+        /// The pixel.
+        index: [usize; 2],
+        /// Its value.
+        value: f64,
+        /// The lowest number allowed.
+        lowest: i32,
+        /// The highest number allowed.
+        highest: i32,
+    },
     /// Values that single precision cannot hold.
     #[error("{}: a value is beyond the range of single precision: use double precision", path.display())]
     Overflow {
@@ -380,6 +397,7 @@ impl IoError {
             | Self::Rows { path, .. }
             | Self::BandWidth { path, .. }
             | Self::Incomplete { path, .. }
+            | Self::NotWhole { path, .. }
             | Self::Overflow { path }
             | Self::MissingColumn { path, .. }
             | Self::AmbiguousColumn { path, .. }

@@ -1,5 +1,7 @@
 //! The cards of a header, in order.
 
+mod binned;
+
 use crate::card::Record;
 use crate::{Card, CardValue};
 
@@ -135,15 +137,19 @@ impl HeaderCards {
         shifted
     }
 
-    /// Adds to every number under a keyword; its comment stays.
     fn add_to(&mut self, keyword: &str, difference: f64) {
+        self.change(keyword, |value| value + difference);
+    }
+
+    /// Changes every number under a keyword; its comment stays.
+    fn change(&mut self, keyword: &str, changed: impl Fn(f64) -> f64) {
         for card in self.cards.iter_mut().filter(|card| card.has_keyword(keyword)) {
             let value = match card.value() {
                 Some(CardValue::Real(value)) => value,
                 Some(CardValue::Integer(value)) => value as f64,
                 _ => continue,
             };
-            if let Ok(moved) = Card::new(keyword, value + difference, &card.comment_text()) {
+            if let Ok(moved) = Card::new(keyword, changed(value), &card.comment_text()) {
                 *card = moved;
             }
         }

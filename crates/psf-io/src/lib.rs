@@ -4,6 +4,7 @@
 //! |---|---|---|---|
 //! | scene, image | [`image`] | [`read_image`] | [`write_image`] |
 //! | the same, by bands of rows | [`image`] | [`ImageReader`] | [`ImageWriter`] |
+//! | whole numbers: raw counts, masks | [`image`] | [`read_image`] | [`write_integers`] |
 //! | PSF samples, stamps | [`samples`] | [`read_samples`] | [`write_samples`] |
 //! | STPSF, WebbPSF library | [`stpsf`] | [`read_stpsf`] | [`write_gridded`] |
 //! | STDPSF library | [`stdpsf`] | [`read_stdpsf`] | |
@@ -56,6 +57,7 @@ mod header_cards;
 pub mod image;
 mod image_reader;
 mod image_writer;
+mod integer_image;
 mod library_cards;
 pub mod model;
 mod new_fits;
@@ -85,6 +87,7 @@ pub use header_cards::HeaderCards;
 pub use image::{FitsImage, read_cube, read_header, read_image, write_image};
 pub use image_reader::ImageReader;
 pub use image_writer::ImageWriter;
+pub use integer_image::{IntegerKind, write_integers};
 pub use model::{ModelFile, read_model, read_model_file, write_model};
 pub use points::{read_catalog, read_columns, read_positions};
 pub use psfex::{PsfexAxis, PsfexFigures, PsfexModel, PsfexPolynomial, read_psfex, write_psfex};

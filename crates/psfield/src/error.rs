@@ -28,6 +28,26 @@ pub enum PsfieldError {
     /// A file could not be read or written.
     #[error(transparent)]
     Io(#[from] psf_io::IoError),
+    /// A detector that cannot be, or what it cannot expose.
+    #[error(transparent)]
+    Detector(#[from] detector::DetectorError),
+    /// A mask of bad pixels with values that are none.
+    #[error("{}: this is no mask of bad pixels", path.display())]
+    Mask {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        source: detector::DetectorError,
+    },
+    /// One file in two roles.
+    #[error("{} would be written over another file of this run: choose another name", path.display())]
+    SameFile {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A header card that cannot be written.
+    #[error(transparent)]
+    Card(#[from] psf_io::CardError),
     /// A measurement failed that everything else needs.
     #[error(transparent)]
     Metrics(#[from] metrics::MetricsError),
@@ -167,4 +187,27 @@ pub enum PsfieldError {
         /// The largest stack in bytes.
         limit: usize,
     },
+    /// Scenes that are too fine.
+    #[error("a scene may have 1 to {most} pixels along each side of a frame pixel, got {got} (--oversample)")]
+    Oversample {
+        /// What was given.
+        got: usize,
+        /// The most.
+        most: usize,
+    },
+    /// A frame that does not cover whole pixels of its own.
+    #[error(
+        "the frame at ({}, {}) of {} scene pixels does not hold whole frame pixels of {oversample} x {oversample}: all four numbers \
+         must be multiples of {oversample} (--oversample)",
+        frame.x0(), frame.y0(), frame.shape()
+    )]
+    FinerFrame {
+        /// Scene pixels along each side of a frame pixel.
+        oversample: usize,
+        /// The frame, in pixels of the scene.
+        frame: psf_types::PixelRegion,
+    },
+    /// A plan without an image asked to stream one.
+    #[error("only scenes that are images can be streamed: this plan is for stars alone")]
+    NothingToStream,
 }

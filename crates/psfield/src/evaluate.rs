@@ -1,6 +1,6 @@
 //! The PSF of a model at given positions.
 
-use conv_core::{StampSpline, native_grid};
+use conv_core::{StampInterpolator, native_grid};
 use ndarray::{Array2, Array3};
 use psf_types::{DataError, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
@@ -82,7 +82,7 @@ pub fn evaluate(
             Ok(if target == model.grid() && shift == (0.0, 0.0) {
                 psf.into_values()
             } else {
-                StampSpline::new(psf.values(), model.grid()).resample(shift, target)
+                StampInterpolator::new(psf.values(), model.grid()).resample(shift, target)
             })
         })
         .collect();
@@ -104,5 +104,6 @@ fn target_grid(grid: StampGrid, options: EvaluateOptions) -> Result<StampGrid, P
     Ok(StampGrid::new(size, size)?
         .with_oversampling(base.oversampling())?
         .with_pixel_response_included(base.pixel_response_included())
+        .with_interpolation(base.interpolation())
         .with_centre(centre(base.centre_x()), centre(base.centre_y()))?)
 }

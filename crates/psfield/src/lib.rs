@@ -26,7 +26,7 @@
 //! light[[16, 16]] = 100.0;
 //! let scene = Scene::from_image(Image::new(light)?);
 //! let psf = PsfInput::Samples(samples, FitOptions::default());
-//! let image = Simulation::new(psf, &scene, None)?.run(&scene, Default::default(), Default::default())?;
+//! let image = Simulation::new(psf, &scene, Default::default())?.run(&scene, Default::default(), Default::default())?;
 //! assert!((image.pixels().sum() - 100.0).abs() < 1e-10); // the flux is kept
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
@@ -35,24 +35,31 @@ pub mod bench;
 pub mod convert;
 mod error;
 mod evaluate;
+mod finer_scene;
+mod exposure_files;
 mod fit;
 mod measure;
 mod method;
 mod pixel_picker;
 mod psf_input;
 mod simulation;
+mod simulation_options;
+mod simulation_plan;
 mod spot_check;
 mod system_memory;
 
-pub use {coeff_field, conv_core, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
+pub use {coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
 
 pub use error::PsfieldError;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
+pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use method::Method;
 pub use pixel_picker::{PickedPixel, PixelPicker};
 pub use psf_input::{FitChoices, OpenedPsf, PsfFileOptions, PsfInput, check_stack, record_of_psfex};
 pub use simulation::{SceneParts, Simulation};
+pub use simulation_options::SimulationOptions;
+pub use simulation_plan::SimulationPlan;
 pub use spot_check::SpotCheck;
 pub use system_memory::{available_memory_bytes, peak_memory_bytes};

@@ -4,12 +4,11 @@ mod file_options;
 mod fit_choices;
 mod open;
 mod psfex_record;
+mod resampled;
 mod scopesim_record;
 
-use conv_core::{native_grid, resample_samples};
 use ndarray::{Array3, s};
-use psf_basis::{Centring, RankSelection};
-use psf_types::{DataError, Normalisation, PsfModel, PsfModelRecord, PsfSamples, SamplePositions, StampGrid};
+use psf_types::{DataError, PsfModel, PsfModelRecord, PsfSamples, SamplePositions, StampGrid};
 
 use crate::{FitOptions, PsfieldError, fit, model_of};
 
@@ -55,71 +54,6 @@ impl PsfInput {
             Self::Model(record) => model_of(record),
         }
     }
-
-    /// The same PSF with stamps at the frame's own pixels, centred on one, as images need them; `size` pixels wide and high,
-    /// centred at `size / 2`, where given, else as large as the stamps. What is such already stays as it is.
-    ///
-    /// Resampling is linear in the stamps and interpolation in the samples, so a model gives the PSFs that come of resampling
-    /// its own, before the scaling to unit flux; that is done last, on the new stamps.
-    ///
-    /// # Errors
-    /// [`PsfieldError`] when `size` is 0, the resampled stamps hold no flux or would fill more memory than
-    /// [`PsfieldError::TooLarge`] allows.
-    pub fn native(self, size: Option<usize>) -> Result<Self, PsfieldError> {
-        let target = self.native_target(size)?;
-        if target == self.grid() {
-            return Ok(self);
-        }
-        Ok(match self {
-            Self::Samples(samples, options) => {
-                check_stack(samples.len(), target)?;
-                Self::Samples(resample_samples(&samples, target)?, options)
-            }
-            Self::Model(record) => {
-                check_stack(record.coefficients().positions().len(), target)?;
-                let options = FitOptions {
-                    rank: RankSelection::Full,
-                    centring: if record.basis().mean().is_some() {
-                        Centring::Mean
-                    } else {
-                        Centring::None
-                    },
-                    interpolation: record.interpolation(),
-                    outside: record.outside(),
-                    normalisation: Normalisation::Keep,
-                    ..FitOptions::default()
-                };
-                let fitted = fit(resample_samples(&samples_of(&record)?, target)?, &options)?;
-                let kept = fitted.record();
-                Self::Model(PsfModelRecord::new(
-                    kept.basis().clone(),
-                    kept.coefficients().clone(),
-                    record.interpolation(),
-                    record.outside(),
-                    record.normalisation(),
-                )?)
-            }
-        })
-    }
-
-    /// Whether [`native`](Self::native) only picks pixels of the stamps, so that nothing is interpolated.
-    ///
-    /// # Errors
-    /// [`PsfieldError::Data`] when `size` is 0.
-    pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
-        let grid = self.grid();
-        let picks = grid.whole_centre().is_some() && grid.oversampling().fract() == 0.0;
-        Ok(picks || self.native_target(size)? == grid)
-    }
-
-    fn native_target(&self, size: Option<usize>) -> Result<StampGrid, PsfieldError> {
-        Ok(match size {
-            None => native_grid(self.grid())?,
-            Some(n) => {
-                StampGrid::new(n, n)?.with_pixel_response_included(self.grid().pixel_response_included())
-            }
-        })
-    }
 }
 
 /// The largest stack of stamps that is made: 16 GiB.
@@ -148,7 +82,7 @@ pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
 ///
 /// # Errors
 /// [`DataError`] when the truncated basis leaves a sample without flux.
-fn samples_of(record: &PsfModelRecord) -> Result<PsfSamples, DataError> {
+pub(crate) fn samples_of(record: &PsfModelRecord) -> Result<PsfSamples, DataError> {
     let (basis, coefficients) = (record.basis(), record.coefficients());
     let (ny, nx) = basis.grid().dim();
     let components = basis

@@ -1,16 +1,19 @@
 //! A scene through a PSF.
 
 use conv_core::{
-    ConvReal, ConvolutionMethod, Direct, Plan, PlanOptions, RowStream, TileCounts, add_point_sources,
+    ConvReal, ConvolutionMethod, Direct, Plan, PlanOptions, RowStream, StarPainter, StarPlan, TileCounts,
     native_grid,
 };
-use ndarray::ArrayView2;
+use ndarray::{Array2, ArrayView2};
 use psf_types::{Anchor, FrameShape, Image, NoProgress, Progress, PsfModel, Scene};
 
-use crate::{Method, PsfInput, PsfieldError};
+use crate::finer_scene::{FinerRows, FinerScene};
+use crate::{Method, PsfInput, PsfieldError, SimulationOptions, SimulationPlan};
 
-/// Convolves a scene with the right models of a PSF: images with stamps at the frame's pixels, stars with the stamps as they
+/// Convolves a scene with the right models of a PSF: images with stamps at the scene's pixels, stars with the stamps as they
 /// are (an oversampled stamp places a star between pixels better than its own pixels would).
+///
+/// The response of a frame pixel is applied once: stamps that lack it get it here.
 ///
 /// ```no_run
 /// use psfield::conv_core::PlanOptions;
@@ -18,7 +21,7 @@ use crate::{Method, PsfInput, PsfieldError};
 /// use psfield::{FitOptions, PsfInput, Simulation};
 /// let psf = PsfInput::open("samples.fits", FitOptions::default())?;
 /// let scene = Scene::from_image(psfield::psf_io::read_image::<f32>("scene.fits")?.into_parts().0);
-/// let simulation = Simulation::new(psf, &scene, None)?;
+/// let simulation = Simulation::new(psf, &scene, Default::default())?;
 /// let image = simulation.run(&scene, Default::default(), PlanOptions::new(1e-3)?)?;
 ///
 /// // Many scenes of one shape: plan once.
@@ -28,9 +31,10 @@ use crate::{Method, PsfInput, PsfieldError};
 /// ```
 #[derive(Debug)]
 pub struct Simulation {
+    /// For images, at the scene's pixels; for stars too, unless they have one.
     model: PsfModel,
-    /// For the point sources of a scene that is also an image, where they need another.
     stars: Option<PsfModel>,
+    options: SimulationOptions,
 }
 
 /// What of a scene needs a model.
@@ -40,7 +44,7 @@ pub struct SceneParts {
     pub image: bool,
     /// There are point sources.
     pub sources: bool,
-    /// The frame's shape.
+    /// The frame's shape, in pixels of the scene.
     pub frame: FrameShape,
 }
 
@@ -56,17 +60,16 @@ impl SceneParts {
 }
 
 impl Simulation {
-    /// The models that scenes of the kind of `scene` need, fitted where `psf` is samples. `stamp_size` cuts or pads the
-    /// stamps with which images are convolved; stars are drawn from the stamps as they are.
+    /// The models that scenes of the kind of `scene` need, fitted where `psf` is samples.
     ///
     /// # Errors
     /// [`PsfieldError`] when a fit fails, or the frame is larger than the field of the PSF.
     pub fn new<T: ConvReal>(
         psf: PsfInput,
         scene: &Scene<T>,
-        stamp_size: Option<usize>,
+        options: SimulationOptions,
     ) -> Result<Self, PsfieldError> {
-        Self::for_parts(psf, SceneParts::of(scene), stamp_size)
+        Self::for_parts(psf, SceneParts::of(scene), options)
     }
 
     /// The same for a scene that is not at hand.
@@ -76,36 +79,59 @@ impl Simulation {
     pub fn for_parts(
         psf: PsfInput,
         parts: SceneParts,
-        stamp_size: Option<usize>,
+        options: SimulationOptions,
     ) -> Result<Self, PsfieldError> {
+        let (finer, size) = (options.oversample(), options.stamp_size());
+        let frame = FrameShape::new(parts.frame.nx().div_ceil(finer), parts.frame.ny().div_ceil(finer))?;
         // One model serves both where the stamps have the frame's pixels already.
-        let one_serves = stamp_size.is_none() && native_grid(psf.grid())? == psf.grid();
-        let simulation = match (parts.image, parts.sources) {
-            _ if one_serves => Self::with_model(psf.into_model()?),
-            (true, false) => Self::with_model(psf.native(stamp_size)?.into_model()?),
-            (true, true) => Self {
-                stars: Some(psf.clone().into_model()?),
-                ..Self::with_model(psf.native(stamp_size)?.into_model()?)
-            },
-            (false, _) => Self::with_model(psf.into_model()?),
+        let as_it_is = size.is_none() && finer == 1 && native_grid(psf.grid())? == psf.grid();
+        let of_image = |psf: PsfInput| match finer {
+            1 => psf.native(size),
+            _ => psf.for_finer_scene(finer, size, options.anchor()),
         };
-        let frame = parts.frame;
-        if let Some(field) = simulation.model().field_shape()
-            && (frame.nx() > field.nx() || frame.ny() > field.ny())
+        let of_stars = |psf: PsfInput| psf.with_pixel_response()?.into_model();
+        let (model, stars) = match (parts.image, parts.sources) {
+            _ if as_it_is && psf.grid().pixel_response_included() => (psf.into_model()?, None),
+            (true, false) => (of_image(psf)?.into_model()?, None),
+            (true, true) => (of_image(psf.clone())?.into_model()?, Some(of_stars(psf)?)),
+            (false, _) => (of_stars(psf)?, None),
+        };
+        let scale = if parts.image { finer } else { 1 };
+        let field = model
+            .field_shape()
+            .map(|field| (field.nx() / scale, field.ny() / scale));
+        if let Some((nx, ny)) = field
+            && (frame.nx() > nx || frame.ny() > ny)
         {
-            return Err(PsfieldError::FrameBeyondField { frame, field });
+            return Err(PsfieldError::FrameBeyondField {
+                frame,
+                field: FrameShape::new(nx, ny)?,
+            });
         }
-        Ok(simulation)
+        Ok(Self {
+            model,
+            stars,
+            options,
+        })
     }
 
     /// A simulation with a model of the caller's, for images and stars alike.
     pub fn with_model(model: PsfModel) -> Self {
-        Self { model, stars: None }
+        Self {
+            model,
+            stars: None,
+            options: SimulationOptions::default(),
+        }
     }
 
     /// The model that convolves images, and draws stars unless their stamps are finer.
     pub fn model(&self) -> &PsfModel {
         &self.model
+    }
+
+    /// What it was made for.
+    pub fn options(&self) -> SimulationOptions {
+        self.options
     }
 
     fn star_model(&self) -> &PsfModel {
@@ -122,16 +148,22 @@ impl Simulation {
         method: Method,
         options: PlanOptions,
     ) -> Result<Image<T>, PsfieldError> {
-        self.run_with(
-            scene,
-            method.build::<T>(options)?.as_ref(),
-            options.anchor(),
-            &NoProgress,
-        )
+        match method.plan_options(options) {
+            Some(options) => {
+                let plan = self.plan(scene, options)?;
+                Ok(self.run_planned(&plan, scene, &NoProgress)?.0)
+            }
+            None => self.run_with(
+                scene,
+                method.build::<T>(options)?.as_ref(),
+                options.anchor(),
+                &NoProgress,
+            ),
+        }
     }
 
-    /// The image of a scene by any method, of this project or of the caller's own, telling how far it has come. `anchor` is that
-    /// of the method; it matters here where stars have a model of their own.
+    /// The image of a scene by any method, of this project or of the caller's own, telling how far it has come; stars are drawn one
+    /// by one in double precision. `anchor` is that of the method.
     ///
     /// # Errors
     /// [`PsfieldError::Convolution`].
@@ -142,23 +174,56 @@ impl Simulation {
         anchor: Anchor,
         progress: &dyn Progress,
     ) -> Result<Image<T>, PsfieldError> {
-        let (Some(stars), true) = (&self.stars, scene.image().is_some()) else {
-            return Ok(method.convolve_with_progress(&self.model, scene, progress)?);
+        let finer = FinerScene::new(self.options.oversample(), scene)?;
+        let mut pixels = if scene.image().is_some() {
+            let extended = scene.clone().with_sources(Vec::new());
+            let image = method.convolve_with_progress(&self.model, &extended, progress)?;
+            finer.sampled(image.into_pixels())
+        } else {
+            let frame = finer.stars().frame().shape();
+            Array2::zeros((frame.ny(), frame.nx()))
         };
-        let sources = stars_of(scene)?;
-        let extended = scene.clone().with_sources(Vec::new());
-        let image = method.convolve_with_progress(&self.model, &extended, progress)?;
-        let mut pixels = image.into_pixels();
-        add_point_sources(stars, &sources, anchor, &mut pixels)?;
+        self.painter(finer.stars(), anchor)?
+            .add_to(finer.stars().sources(), &mut pixels)?;
         Ok(Image::new(pixels)?)
     }
 
-    /// A plan of the fast engine for the image part of scenes of one shape and frame.
+    /// A plan of the fast engine for scenes of one shape and frame.
     ///
     /// # Errors
     /// [`PsfieldError::Convolution`].
-    pub fn plan<T: ConvReal>(&self, scene: &Scene<T>, options: PlanOptions) -> Result<Plan<T>, PsfieldError> {
-        Ok(Plan::for_scene(&self.model, scene, options)?)
+    pub fn plan<T: ConvReal>(
+        &self,
+        scene: &Scene<T>,
+        options: PlanOptions,
+    ) -> Result<SimulationPlan<T>, PsfieldError> {
+        let engine = match scene.image() {
+            Some(_) => Some(Plan::for_scene(&self.model, scene, options)?),
+            None => None,
+        };
+        self.planned(engine, options)
+    }
+
+    /// The same for scenes that are images and not at hand; `scene` gives their shape and frame.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`].
+    pub fn plan_for_images<T: ConvReal>(
+        &self,
+        scene: &Scene<T>,
+        options: PlanOptions,
+    ) -> Result<SimulationPlan<T>, PsfieldError> {
+        self.planned(Some(Plan::for_scene(&self.model, scene, options)?), options)
+    }
+
+    fn planned<T: ConvReal>(
+        &self,
+        engine: Option<Plan<T>>,
+        options: PlanOptions,
+    ) -> Result<SimulationPlan<T>, PsfieldError> {
+        let size = self.options.stamp_size();
+        let stars = StarPlan::new(self.star_model(), options, size)?;
+        Ok(SimulationPlan::new(engine, stars))
     }
 
     /// The image of a scene by a plan of this simulation, and how its tiles were treated.
@@ -167,13 +232,20 @@ impl Simulation {
     /// [`PsfieldError::Convolution`].
     pub fn run_planned<T: ConvReal>(
         &self,
-        plan: &Plan<T>,
+        plan: &SimulationPlan<T>,
         scene: &Scene<T>,
         progress: &dyn Progress,
     ) -> Result<(Image<T>, TileCounts), PsfieldError> {
-        let mut image = plan.dark_image();
-        let counts = plan.add_extended_to(scene, &mut image, progress)?;
-        add_point_sources(self.star_model(), scene, plan.anchor(), &mut image)?;
+        let finer = FinerScene::new(self.options.oversample(), scene)?;
+        let (mut image, counts) = if let Some(engine) = plan.engine() {
+            let mut image = engine.dark_image();
+            let counts = engine.add_extended_to(scene, &mut image, progress)?;
+            (finer.sampled(image), counts)
+        } else {
+            let frame = finer.stars().frame().shape();
+            (Array2::zeros((frame.ny(), frame.nx())), TileCounts::default())
+        };
+        plan.stars().add_to(finer.stars(), &mut image)?;
         Ok((Image::new(image)?, counts))
     }
 
@@ -183,12 +255,19 @@ impl Simulation {
     /// Those of the stream and of the convolution.
     pub fn stream<T: ConvReal, R: RowStream<T>>(
         &self,
-        plan: &Plan<T>,
+        plan: &SimulationPlan<T>,
         scene: &Scene<T>,
         stream: &mut R,
         progress: &dyn Progress,
-    ) -> Result<TileCounts, R::Error> {
-        plan.stream(scene, self.star_model(), stream, progress)
+    ) -> Result<TileCounts, R::Error>
+    where
+        R::Error: From<PsfieldError>,
+    {
+        let finer = FinerScene::new(self.options.oversample(), scene)?;
+        let engine = plan.engine().ok_or(PsfieldError::NothingToStream)?;
+        let dark = scene.clone().with_sources(Vec::new());
+        let mut rows = FinerRows::new(stream, &finer, plan.stars());
+        engine.stream(&dark, None, &mut rows, progress)
     }
 
     /// Single pixels `(column, row)` of the image by the direct sum in double precision.
@@ -205,7 +284,7 @@ impl Simulation {
     }
 
     /// The same where only some rows of the scene's image are at hand, with the number of the first of them: all that reach the
-    /// pixels. `scene` gives the shape, the frame and the point sources.
+    /// pixels ([`Self::rows_reaching`]). `scene` gives the shape, the frame and the point sources.
     ///
     /// # Errors
     /// [`PsfieldError::Convolution`].
@@ -216,18 +295,41 @@ impl Simulation {
         anchor: Anchor,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, PsfieldError> {
-        let direct = Direct::new(anchor);
+        let finer = FinerScene::new(self.options.oversample(), scene)?;
         let dark = Scene::<T>::dark(scene.shape()).with_frame(scene.frame())?;
-        let mut sums = direct.at_pixels_of_rows(&self.model, &dark, rows, pixels)?;
-        let stars = direct.at_pixels_of_rows(self.star_model(), &stars_of(scene)?, None, pixels)?;
-        sums.iter_mut().zip(stars).for_each(|(sum, star)| *sum += star);
+        let of_scene: Vec<(usize, usize)> = pixels.iter().map(|&pixel| finer.sampled_pixel(pixel)).collect();
+        let mut sums = if rows.is_some() {
+            Direct::new(anchor).at_pixels_of_rows(&self.model, &dark, rows, &of_scene)?
+        } else {
+            vec![0.0; pixels.len()]
+        };
+        let stars = self
+            .painter(finer.stars(), anchor)?
+            .at_pixels(finer.stars().sources(), pixels)?;
+        for (sum, star) in sums.iter_mut().zip(stars) {
+            *sum = *sum * finer.pixel_area() + star;
+        }
         Ok(sums)
     }
-}
 
-/// A scene's point sources without its image.
-fn stars_of<T: ConvReal>(scene: &Scene<T>) -> Result<Scene<T>, PsfieldError> {
-    Ok(Scene::dark(scene.shape())
-        .with_sources(scene.sources().to_vec())
-        .with_frame(scene.frame())?)
+    /// The rows of a scene that reach some rows of the image.
+    pub fn rows_reaching<T: ConvReal>(
+        &self,
+        scene: &Scene<T>,
+        rows: std::ops::RangeInclusive<usize>,
+    ) -> std::ops::Range<usize> {
+        let reach = self.model.grid().ny();
+        let of_scene = |row: usize| scene.frame().y0() as usize + row * self.options.oversample();
+        let last = of_scene(rows.end() + 1) + reach;
+        of_scene(*rows.start()).saturating_sub(reach)..last.min(scene.shape().ny())
+    }
+
+    fn painter<'a, T: ConvReal>(
+        &'a self,
+        stars: &Scene<T>,
+        anchor: Anchor,
+    ) -> Result<StarPainter<'a>, PsfieldError> {
+        let size = self.options.stamp_size();
+        Ok(StarPainter::new(self.star_model(), stars.frame(), anchor, size)?)
+    }
 }

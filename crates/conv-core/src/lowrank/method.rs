@@ -5,7 +5,7 @@ use psf_types::{Image, NoProgress, Progress, PsfModel, Scene};
 
 use super::options::PlanOptions;
 use super::plan::Plan;
-use crate::point_sources::add_point_sources;
+use crate::stars::StarPlan;
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// The fast engine, planned anew for each scene; keep a [`Plan`] for many scenes.
@@ -35,7 +35,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for LowRank {
         if scene.image().is_none() {
             let shape = scene.frame().shape();
             let mut image = Array2::zeros((shape.ny(), shape.nx()));
-            add_point_sources(model, scene, self.options.anchor(), &mut image)?;
+            StarPlan::new(model, self.options, None)?.add_to(scene, &mut image)?;
             return Image::new(image).map_err(ConvError::Result);
         }
         let plan = Plan::for_scene(model, scene, self.options)?;

@@ -41,10 +41,11 @@ pub use plan::Plan;
 pub use stream::RowStream;
 pub use summary::PlanSummary;
 
-/// What the benches time on its own.
+/// What the drawing of stars shares, and the benches time on its own.
 pub(crate) mod internals {
     pub(crate) use super::coefficient_table::{CoefficientTable, FluxRole};
     pub(crate) use super::local_modes::LocalModes;
+    pub(crate) use super::plan::rounding;
     pub(crate) use super::psf_space::PsfSpace;
     pub(crate) use super::region_runs::RegionRuns;
     pub(crate) use super::workspace::Aligned;

@@ -21,7 +21,7 @@ use super::tiling::{Tiling, best_tiling};
 use super::workspace::Pool;
 use crate::crop::reaching;
 use crate::kernel::Reach;
-use crate::point_sources::add_point_sources;
+use crate::stars::StarPlan;
 use crate::transform::TileTransform;
 use crate::{ConvError, ConvReal};
 
@@ -90,6 +90,7 @@ pub struct Plan<T: ConvReal> {
     pub(super) light: [std::ops::Range<usize>; 2],
     ramp: Vec<T>,
     pool: Pool<T>,
+    pub(super) stars: StarPlan<T>,
 }
 
 /// Blocks whose stamps are made by one product of matrices.
@@ -140,6 +141,7 @@ impl<T: ConvReal> Plan<T> {
             model: model.clone(),
             light: [columns, rows],
             pool: Pool::new(),
+            stars: StarPlan::new(model, options, None)?,
             space,
             geometry,
             options,
@@ -227,7 +229,7 @@ impl<T: ConvReal> Plan<T> {
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
         let counts = self.add_extended_to(scene, image, progress)?;
-        add_point_sources(&self.model, scene, self.options.anchor(), image)?;
+        self.stars.add_to(scene, image)?;
         Ok(counts)
     }
 
@@ -398,7 +400,7 @@ fn extents(
 }
 
 /// Errors of a PSF below this are rounding of the working precision, and no mode is kept for them.
-fn rounding<T: ConvReal>() -> f64 {
+pub(crate) fn rounding<T: ConvReal>() -> f64 {
     // A sixteenth of the precision in f32; in f64 the coordinates themselves are no better than a few times theirs.
     (T::epsilon().as_f64() / 16.0).max(1e-15)
 }

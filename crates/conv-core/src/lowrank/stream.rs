@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
-use psf_types::{Anchor, Image, Progress, PsfModel, Scene};
+use psf_types::{Anchor, Image, Progress, Scene};
 
 use super::execution::TileCounts;
 use super::plan::Plan;
-use crate::point_sources::add_point_sources_to_rows;
+use crate::stars::StarPlan;
 use crate::{ConvError, ConvReal};
 
 /// Where the rows of a scene come from and those of its image go to.
@@ -32,14 +32,15 @@ impl<T: ConvReal> Plan<T> {
     /// The image of a scene that comes and goes by bands of rows, so that neither is ever in memory as a whole. The same bytes as
     /// [`execute`](Self::execute).
     ///
-    /// `scene` gives the shape, the frame and the point sources, which `stars` draws; its image part is not looked at.
+    /// `scene` gives the shape, the frame and the point sources, which `stars` draws where given, else the plan itself; its image part is
+    /// not looked at.
     ///
     /// # Errors
     /// Those of the stream, and [`ConvError`] as for [`execute`](Self::execute).
     pub fn stream<R: RowStream<T>>(
         &self,
         scene: &Scene<T>,
-        stars: &PsfModel,
+        stars: Option<&StarPlan<T>>,
         stream: &mut R,
         progress: &dyn Progress,
     ) -> Result<TileCounts, R::Error> {
@@ -83,7 +84,9 @@ impl<T: ConvReal> Plan<T> {
             pending = image.slice(s![next - written.., ..]).to_owned();
             if next > written {
                 let mut finished = image.slice_move(s![..next - written, ..]);
-                add_point_sources_to_rows(stars, scene, self.options.anchor(), written, &mut finished)?;
+                stars
+                    .unwrap_or(&self.stars)
+                    .add_to_rows(scene, written, &mut finished)?;
                 let finished = Image::new(finished).map_err(ConvError::Result)?;
                 stream.write(finished.pixels())?;
             }

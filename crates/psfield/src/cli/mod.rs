@@ -6,6 +6,7 @@ mod context;
 mod convert;
 mod demo;
 mod evaluate;
+mod expose;
 mod fit;
 mod fit_args;
 mod measure;
@@ -55,6 +56,7 @@ enum Command {
     Fit(fit::FitCommandArgs),
     Simulate(Box<simulate::SimulateArgs>),
     Evaluate(evaluate::EvaluateArgs),
+    Expose(Box<expose::ExposeArgs>),
     Convert(convert::ConvertArgs),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
@@ -70,6 +72,7 @@ impl Cli {
             Command::Fit(_) => "fit",
             Command::Simulate(_) => "simulate",
             Command::Evaluate(_) => "evaluate",
+            Command::Expose(_) => "expose",
             Command::Convert(_) => "convert",
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
@@ -91,6 +94,7 @@ impl Cli {
             Command::Fit(args) => args.run(&context),
             Command::Simulate(args) => args.run(&context),
             Command::Evaluate(args) => args.run(&context),
+            Command::Expose(args) => args.run(&context),
             Command::Convert(args) => args.run(&context),
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),

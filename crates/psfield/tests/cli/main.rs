@@ -5,6 +5,7 @@ mod bench;
 mod converting;
 mod desk;
 mod evaluation;
+mod exposing;
 mod measuring;
 mod sampling;
 mod simulation;

@@ -15,7 +15,7 @@ use psf_optics::Telescope;
 use psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
 use psf_types::{Anchor, Progress, PsfModel, PsfSamples, PsfSource, Scene};
 use psfield::conv_core::PlanOptions;
-use psfield::{FitOptions, Method, PsfInput, Simulation, SpotCheck, fit};
+use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions, SpotCheck, fit};
 
 use super::context::{Context, check_cards, signature};
 use super::preview;
@@ -96,7 +96,7 @@ impl DemoArgs {
         out.catalogue("stars.csv", &sky.stars)?;
         let scene = Scene::from_image(sky.galaxies.clone()).with_sources(sky.stars.clone());
         let clock = Instant::now();
-        let simulation = Simulation::new(psf, &scene, None)?;
+        let simulation = Simulation::new(psf, &scene, SimulationOptions::default())?;
         let image = simulation.run(&scene, Method::Auto, PlanOptions::default())?;
         let simulate_seconds = clock.elapsed().as_secs_f64();
         let spot_check = SpotCheck::run(&image, SPOT_CHECK, self.seed, |pixels| {

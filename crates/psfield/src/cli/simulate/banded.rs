@@ -50,15 +50,12 @@ pub(super) fn exact_at<T: ConvReal>(
     anchor: Anchor,
     pixels: &[(usize, usize)],
 ) -> Result<Vec<f64>, PsfieldError> {
-    let reach = simulation.model().grid().ny();
-    let first_row = scene.frame().y0() as usize;
     let mut sums = Vec::with_capacity(pixels.len());
     let mut rest = pixels;
     while let Some(&(_, first)) = rest.first() {
         let count = rest.partition_point(|&(_, row)| row < first + BAND);
         let last = rest[count - 1].1;
-        let rows =
-            (first_row + first).saturating_sub(reach)..(first_row + last + reach + 1).min(scene.shape().ny());
+        let rows = simulation.rows_reaching(scene, first..=last);
         let light = reader.read_rows::<T>(rows.clone())?;
         sums.extend(simulation.exact_at_rows(
             scene,

@@ -7,12 +7,12 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use conv_core::{ConvReal, Plan, PlanOptions, TileCounts};
+use conv_core::{ConvReal, PlanOptions, TileCounts};
 use psf_io::{Card, HeaderCards, ImageReader, ImageWriter};
-use psf_types::{Anchor, FrameShape, PixelRegion, PointSource, Scene};
+use psf_types::{Anchor, FrameShape, PixelRegion, PointSource, Position, Scene};
 use psfield::{
-    Method, PixelPicker, PsfInput, SceneParts, Simulation, SpotCheck, available_memory_bytes,
-    peak_memory_bytes,
+    Method, PixelPicker, PsfInput, PsfieldError, SceneParts, Simulation, SimulationOptions, SimulationPlan,
+    SpotCheck, available_memory_bytes, peak_memory_bytes,
 };
 
 use super::UsageError;
@@ -76,8 +76,11 @@ pub(crate) struct SimulateArgs {
     /// Working precision and that of the result
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
-    /// Cut or pad the stamps that images are convolved with to N x N pixels, centred at N / 2; stars are drawn from the stamps
-    /// as they are
+    /// The scene is finer than the frame: S x S of its pixels are one of the image. Positions, --shape and --frame are in pixels of
+    /// the image all the same, and the response of its pixels is applied once
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u16).range(1..=SimulationOptions::MAX_OVERSAMPLE as i64))]
+    oversample: Option<u16>,
+    /// Cut or pad the stamps to N x N pixels of the image, centred at N / 2; stars are cut to as many
     #[arg(long, value_name = "N", value_parser = stamp_size)]
     stamp_size: Option<usize>,
     /// Check N random pixels, half of them where the image is bright, against the direct sum in double precision. A difference
@@ -129,11 +132,11 @@ impl SimulateArgs {
             (None, Some(_), None) => {
                 Some("a catalogue without a scene needs the frame's size: --shape NX,NY")
             }
-            (None, Some(_), Some(_)) if self.stamp_size.is_some() => {
-                Some("--stamp-size is of the stamps that images are convolved with: there is no image here")
+            (None, _, _) if self.oversample.is_some() => {
+                Some("--oversample is of scenes that are images: there is no image here")
             }
             _ if self.tolerance.is_some() && self.promised()?.is_none() => {
-                Some("--tolerance is of the methods auto and lowrank, and of images: stars are drawn exactly")
+                Some("--tolerance is of the methods auto and lowrank")
             }
             _ if self.memory.is_some() && self.plan_options()?.is_none() => {
                 Some("--memory is of the methods auto and lowrank")
@@ -225,16 +228,14 @@ impl SimulateArgs {
         )?;
 
         let plan = match self.plan_options()? {
-            Some(options) if scene.image().is_some() => {
-                Some(plan(&simulation, &scene, options, &mut seconds, context)?)
-            }
-            _ => None,
+            Some(options) => Some(timed(&mut seconds, context, || simulation.plan(&scene, options))?),
+            None => None,
         };
         let bar = context.bar("convolving");
         let clock = Instant::now();
         let (image, plan) = if let Some(plan) = plan {
             let (image, counts) = simulation.run_planned(&plan, &scene, &bar)?;
-            (image, Some((plan.summary(), counts)))
+            (image, plan.summary().map(|summary| (summary, counts)))
         } else {
             let method = self.method.build::<T>(self.options()?)?;
             (
@@ -265,7 +266,7 @@ impl SimulateArgs {
                 .into_iter()
                 .flatten(),
         );
-        let header = carried(&header, scene.frame());
+        let header = self.carried(&header, &scene);
         psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
         seconds.write = clock.elapsed().as_secs_f64();
         let outcome = Outcome {
@@ -295,9 +296,11 @@ impl SimulateArgs {
         let simulation = self.simulation(psf, parts, scene.sources(), &mut seconds, context)?;
         let options = self.options()?;
         let options = self.method.plan_options(options).unwrap_or(options);
-        let plan = plan(&simulation, &scene, options, &mut seconds, context)?;
-        let shape = scene.frame().shape();
-        let header = carried(reader.header(), scene.frame());
+        let plan = timed(&mut seconds, context, || {
+            simulation.plan_for_images(&scene, options)
+        })?;
+        let shape = self.shown(&scene)?;
+        let header = self.carried(reader.header(), &scene);
         let cards = self.cards::<T>(simulation.model())?;
         // None without a check, so that the header is as long as that of an image written as a whole.
         let late = if self.spot_check > 0 {
@@ -352,7 +355,7 @@ impl SimulateArgs {
             image_shape: shape,
             sources: scene.sources().len(),
             seconds,
-            plan: Some((plan.summary(), counts)),
+            plan: plan.summary().map(|summary| (summary, counts)),
             spot_check,
             streamed: true,
         };
@@ -374,8 +377,11 @@ impl SimulateArgs {
         let Ok(reader) = ImageReader::open(path) else {
             return Ok(None);
         };
-        let frame = self.frame.map_or(reader.shape(), |Frame(frame)| frame.shape());
-        let pixels = reader.shape().pixel_count() + frame.pixel_count();
+        let shown = match self.frame {
+            Some(Frame(frame)) => frame.shape().pixel_count() * self.finer().pow(2),
+            None => reader.shape().pixel_count(),
+        };
+        let pixels = reader.shape().pixel_count() + shown;
         let too_large = pixels as f64 * size_of::<T>() as f64 > IN_MEMORY * free as f64;
         Ok(too_large.then(|| path.clone()))
     }
@@ -392,7 +398,8 @@ impl SimulateArgs {
         let clock = Instant::now();
         self.warn_of_interpolated_stamps(&psf, parts, sources, context)?;
         let in_psf = || format!("with the PSF of {}", self.psf.display());
-        let simulation = Simulation::for_parts(psf, parts, self.stamp_size).with_context(in_psf)?;
+        let simulation =
+            Simulation::for_parts(psf, parts, self.simulation_options()?).with_context(in_psf)?;
         seconds.fit = clock.elapsed().as_secs_f64();
         Ok(simulation)
     }
@@ -411,10 +418,42 @@ impl SimulateArgs {
         Ok(self.method.plan_options(self.options()?))
     }
 
-    /// The tolerance of a plan, where there is an image for one: stars are drawn as they are.
+    /// The tolerance, of methods that have one.
     fn promised(&self) -> anyhow::Result<Option<f64>> {
-        let options = self.plan_options()?.filter(|_| self.scene.is_some());
-        Ok(options.map(|options| options.tolerance()))
+        Ok(self.plan_options()?.map(|options| options.tolerance()))
+    }
+
+    /// Pixels of the scene along each side of a frame pixel.
+    fn finer(&self) -> usize {
+        self.oversample.map_or(1, usize::from)
+    }
+
+    fn simulation_options(&self) -> anyhow::Result<SimulationOptions> {
+        Ok(SimulationOptions::default()
+            .with_stamp_size(self.stamp_size)
+            .with_anchor(self.anchor)
+            .with_oversample(self.finer())?)
+    }
+
+    /// The shape of the image.
+    fn shown<T: ConvReal>(&self, scene: &Scene<T>) -> anyhow::Result<FrameShape> {
+        let shape = scene.frame().shape();
+        Ok(FrameShape::new(
+            shape.nx() / self.finer(),
+            shape.ny() / self.finer(),
+        )?)
+    }
+
+    /// The scene's cards as the image carries them.
+    fn carried<T: ConvReal>(&self, header: &HeaderCards, scene: &Scene<T>) -> HeaderCards {
+        let mut header = header
+            .shifted_origin(scene.frame().x0(), scene.frame().y0())
+            .binned(self.finer());
+        // A scene that is itself a result must not lend its own check to this one.
+        for keyword in CHECK_KEYWORDS {
+            header.remove(keyword);
+        }
+        header
     }
 
     /// The check with a verdict, unless the method promises nothing.
@@ -479,12 +518,29 @@ impl SimulateArgs {
 
     /// The scene with the catalogue's sources and the frame.
     fn dressed<T: ConvReal>(&self, mut scene: Scene<T>) -> anyhow::Result<Scene<T>> {
+        let s = self.finer() as i64;
+        // Everything in a scene is in its own pixels.
+        let of_scene = |v: f64| v * s as f64 + (s as f64 - 1.0) / 2.0;
         if let Some(path) = &self.catalog {
-            scene = scene.with_sources(psf_io::read_catalog(path)?);
+            let sources = psf_io::read_catalog(path)?.into_iter().map(|source| {
+                let (x, y) = (source.position().x(), source.position().y());
+                PointSource::new(Position::new(of_scene(x), of_scene(y))?, source.flux())
+            });
+            scene = scene.with_sources(sources.collect::<Result<_, _>>()?);
+        }
+        let shape = scene.shape();
+        if self.frame.is_none() && [shape.nx(), shape.ny()].iter().any(|n| n % self.finer() != 0) {
+            anyhow::bail!(
+                "the scene is {shape} pixels, which is no multiple of --oversample {s}: cut it, or choose a part of it with --frame"
+            );
         }
         if let Some(Frame(frame)) = self.frame {
+            let shape = FrameShape::new(
+                frame.shape().nx() * self.finer(),
+                frame.shape().ny() * self.finer(),
+            )?;
             scene = scene
-                .with_frame(frame)
+                .with_frame(PixelRegion::new(frame.x0() * s, frame.y0() * s, shape))
                 .map_err(|e| UsageError(format!("--frame: {e}")))?;
         }
         Ok(scene)
@@ -524,26 +580,14 @@ impl SimulateArgs {
 }
 
 /// Plans, and takes the time.
-fn plan<T: ConvReal>(
-    simulation: &Simulation,
-    scene: &Scene<T>,
-    options: PlanOptions,
+fn timed<T: ConvReal>(
     seconds: &mut Seconds,
     context: &Context,
-) -> anyhow::Result<Plan<T>> {
+    plan: impl FnOnce() -> Result<SimulationPlan<T>, PsfieldError>,
+) -> anyhow::Result<SimulationPlan<T>> {
     let _spinner = context.spinner("planning");
     let clock = Instant::now();
-    let plan = simulation.plan(scene, options)?;
+    let plan = plan()?;
     seconds.plan = clock.elapsed().as_secs_f64();
     Ok(plan)
-}
-
-/// The scene's cards as the image carries them.
-fn carried(header: &HeaderCards, frame: PixelRegion) -> HeaderCards {
-    let mut header = header.shifted_origin(frame.x0(), frame.y0());
-    // A scene that is itself a result must not lend its own check to this one.
-    for keyword in CHECK_KEYWORDS {
-        header.remove(keyword);
-    }
-    header
 }

@@ -1,0 +1,346 @@
+//! Plans for stars.
+
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayViewMut2, Axis};
+use psf_types::{Anchor, FieldError, FrameShape, PixelRegion, Position, PsfModel, Scene};
+use rayon::prelude::*;
+
+use super::cache::{BlockCache, BlockKey};
+use super::draw::BlockDraw;
+use super::phases::PhasedAxis;
+use super::star::{PreparedStar, Star, Window};
+use super::star_block::{RowLayout, StarBlock};
+use crate::lowrank::internals::{PsfSpace, rounding};
+use crate::point_sources::StarPainter;
+use crate::simd::{Lanes, WithIsa};
+use crate::{ConvError, ConvReal, PlanOptions};
+
+/// The drawing of point sources through one model, prepared.
+///
+/// Source-anchored, and with stamps whose oversampling is a whole number, a star is drawn from the few PSFs of its part of the field that
+/// the tolerance asks for, in the working precision: the relative L2 error of its PSF, at the stamps' own sampling, is at most the
+/// tolerance. Every star is checked; one that would miss it is drawn from all components. So are all stars of other models, in
+/// double precision. Which way a star takes depends on its position alone, so that the image is linear in the fluxes. At any number of
+/// threads it has the same bytes.
+///
+/// Parts of the field are prepared when the first star falls on them, and kept for the next catalogue as far as the options' memory
+/// reaches.
+///
+/// ```
+/// use std::sync::Arc;
+///
+/// use conv_core::{PlanOptions, StarPlan};
+/// use ndarray::{Array2, Array3};
+/// use psf_types::{
+///     CoefficientField, FieldError, FrameShape, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid,
+/// };
+///
+/// /// No component at all: the mean stamp everywhere.
+/// #[derive(Debug)]
+/// struct Constant;
+/// impl CoefficientField for Constant {
+///     fn component_count(&self) -> usize {
+///         0
+///     }
+///     fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+///         Ok(())
+///     }
+/// }
+///
+/// let gauss = |d: f64| (-d * d / 18.0).exp();
+/// let stamp = Array2::from_shape_fn((41, 41), |(y, x)| gauss(y as f64 - 20.0) * gauss(x as f64 - 20.0));
+/// let grid = StampGrid::new(41, 41)?.with_oversampling(4.0)?;
+/// let basis = PsfBasis::new(Some(stamp), Array3::zeros((0, 41, 41)), grid)?;
+/// let model = PsfModel::new(&basis, Arc::new(Constant), Normalisation::Unit, None)?;
+///
+/// let frame = FrameShape::new(32, 32)?;
+/// let star = PointSource::new(Position::new(12.3, 20.75)?, 1000.0)?;
+/// let plan = StarPlan::<f32>::new(&model, PlanOptions::default(), None)?;
+/// let mut image = Array2::zeros((32, 32));
+/// plan.add_to(&Scene::<f32>::dark(frame).with_sources(vec![star]), &mut image)?;
+/// assert!((image.sum() - 1000.0).abs() < 0.1);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct StarPlan<T> {
+    model: PsfModel,
+    options: PlanOptions,
+    size: Option<usize>,
+    window: Window,
+    /// None where stars are drawn from all components.
+    phased: Option<Phased<T>>,
+}
+
+#[derive(Debug)]
+struct Phased<T> {
+    axes: [PhasedAxis; 2],
+    layout: RowLayout,
+    space: PsfSpace,
+    tolerance: f64,
+    blocks: BlockCache<T>,
+}
+
+/// Columns and rows of the field that share a local basis.
+const BLOCK: i64 = 64;
+/// Stars that are prepared at a time.
+const AT_ONCE: usize = 1 << 15;
+/// Rows of the image that one task draws.
+const BAND: usize = 32;
+/// Modes are chosen by a few rows of a block for this part of the tolerance, so that hardly a star between them misses it.
+const MARGIN: f64 = 0.5;
+
+impl<T: ConvReal> StarPlan<T> {
+    /// A plan for stars through a model, drawn on `size` by `size` pixels about the pixel that each lies on (its own at index
+    /// `size / 2`) where given, else as far as the stamps reach. Light beyond these pixels is lost, not put elsewhere.
+    ///
+    /// # Errors
+    /// [`ConvError::PixelResponse`] when the stamps lack the pixel response.
+    pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
+        let painter = StarPainter::new(
+            model,
+            FrameShape::new(1, 1).map_err(ConvError::Result)?.region(),
+            options.anchor(),
+            size,
+        )?;
+        let axes = PhasedAxis::both(model.grid()).filter(|_| options.anchor() != Anchor::Output);
+        Ok(Self {
+            window: painter.window(),
+            phased: axes.map(|axes| Phased {
+                layout: RowLayout::new::<T>(&axes[0]),
+                axes,
+                space: PsfSpace::new(model),
+                tolerance: options.tolerance().max(rounding::<T>()),
+                blocks: BlockCache::new(options.memory_bytes()),
+            }),
+            model: model.clone(),
+            options,
+            size,
+        })
+    }
+
+    /// The model.
+    pub fn model(&self) -> &PsfModel {
+        &self.model
+    }
+
+    /// Columns and rows to which stars are cut, if they are.
+    pub fn size(&self) -> Option<usize> {
+        self.size
+    }
+
+    /// Adds the point sources of a scene to an image of its frame, `[y, x]`. Sources off the frame shine in as far as their
+    /// stamps reach.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the PSF has no value at a source that reaches the frame.
+    ///
+    /// # Panics
+    /// When `image` has not the frame's shape.
+    pub fn add_to(&self, scene: &Scene<T>, image: &mut Array2<T>) -> Result<(), ConvError> {
+        let shape = scene.frame().shape();
+        assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the frame");
+        self.add_to_rows(scene, 0, image)
+    }
+
+    /// The same for a part of the image: whole rows from `first_row` of the frame on. What a row gets does not depend on which other rows
+    /// are at hand.
+    ///
+    /// # Errors
+    /// As [`Self::add_to`].
+    pub fn add_to_rows(
+        &self,
+        scene: &Scene<T>,
+        first_row: usize,
+        image: &mut Array2<T>,
+    ) -> Result<(), ConvError> {
+        if scene.sources().is_empty() {
+            return Ok(());
+        }
+        let Some(phased) = &self.phased else {
+            return self.draw_exactly(scene, scene.sources(), first_row, image);
+        };
+        let rows = first_row as i64..(first_row + image.nrows()) as i64;
+        let mut stars: Vec<(BlockKey, Star)> = scene
+            .sources()
+            .par_iter()
+            .enumerate()
+            .map(|(index, source)| Star::new(index, source, scene.frame()))
+            .filter(|star| star.reaches(self.window, image.ncols(), rows.clone()))
+            .map(|star| (block_of(star.pixel), star))
+            .collect();
+        stars.par_sort_by_key(|&(block, star)| (block, star.index));
+        let mut missed = Vec::new();
+        for stars in stars.chunks(AT_ONCE) {
+            missed.extend(self.draw(phased, stars, first_row, image)?);
+        }
+        missed.sort_unstable();
+        let missed: Vec<_> = missed.into_iter().map(|index| scene.sources()[index]).collect();
+        self.draw_exactly(scene, &missed, first_row, image)
+    }
+
+    /// Draws sorted stars, and tells which would miss the tolerance and were not drawn.
+    fn draw(
+        &self,
+        phased: &Phased<T>,
+        stars: &[(BlockKey, Star)],
+        first_row: usize,
+        image: &mut Array2<T>,
+    ) -> Result<Vec<usize>, ConvError> {
+        let groups: Vec<&[(BlockKey, Star)]> = stars.chunk_by(|a, b| a.0 == b.0).collect();
+        let prepared: Vec<(Group<T>, Vec<usize>)> = groups
+            .into_par_iter()
+            .map(|stars| self.prepare(phased, stars))
+            .collect::<Result<_, _>>()?;
+        let (groups, missed): (Vec<Group<T>>, Vec<Vec<usize>>) = prepared.into_iter().unzip();
+        T::dispatch(Draw {
+            phased,
+            groups: &groups,
+            image: image.view_mut(),
+            first_row,
+        });
+        Ok(missed.into_iter().flatten().collect())
+    }
+
+    /// The block of some stars, and what each takes of it.
+    fn prepare(
+        &self,
+        phased: &Phased<T>,
+        stars: &[(BlockKey, Star)],
+    ) -> Result<(Group<T>, Vec<usize>), ConvError> {
+        let key = stars[0].0;
+        let block = phased.blocks.get(key, || {
+            StarBlock::new(
+                &self.model,
+                &phased.space,
+                region_of(key),
+                &phased.axes,
+                MARGIN * phased.tolerance,
+            )
+        });
+        let mut coefficients = vec![0.0; self.model.stamp_count()];
+        let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
+        for (_, star) in stars {
+            let Some([columns, rows]) = star.phases(&phased.axes, self.window) else {
+                continue;
+            };
+            let (x, y) = star.position;
+            let position = Position::new(x, y).map_err(ConvError::Result)?;
+            let (mut psf, scale) = self.psf_of(phased, position, &mut coefficients)?;
+            let (flux, whole) = (psf.dot(&phased.space.fluxes()), psf.dot(&psf));
+            let weights = block.project(flux, &mut psf);
+            if psf.dot(&psf) > phased.tolerance.powi(2) * whole {
+                missed.push(star.index);
+                continue;
+            }
+            let scale = scale * star.flux;
+            let weights = rows.weights[..phased.axes[1].tap_count()]
+                .iter()
+                .flat_map(|tap| weights.iter().map(move |c| T::nearest(tap * c * scale)))
+                .collect();
+            prepared.push(PreparedStar {
+                pixel: star.pixel,
+                columns,
+                rows,
+                weights,
+            });
+        }
+        let group = Group {
+            block,
+            stars: prepared,
+        };
+        Ok((group, missed))
+    }
+
+    /// The PSF at a position as a vector, before any scaling to unit flux, and that scale.
+    fn psf_of(
+        &self,
+        phased: &Phased<T>,
+        position: Position,
+        coefficients: &mut [f64],
+    ) -> Result<(ndarray::Array1<f64>, f64), ConvError> {
+        self.model.coefficients_into(position, coefficients)?;
+        let first = usize::from(self.model.is_mean_centred());
+        let mut psf = phased.space.mean().to_owned();
+        for (value, a) in psf.iter_mut().zip(&coefficients[first..]) {
+            *value += a;
+        }
+        if !self.model.needs_flux_scaling() {
+            return Ok((psf, 1.0));
+        }
+        let flux = psf.dot(&phased.space.fluxes());
+        if flux > 0.0 && flux.is_finite() {
+            Ok((psf, 1.0 / flux))
+        } else {
+            Err(FieldError::NonPositiveFlux { position, flux }.into())
+        }
+    }
+
+    fn draw_exactly(
+        &self,
+        scene: &Scene<T>,
+        sources: &[psf_types::PointSource],
+        first_row: usize,
+        image: &mut Array2<T>,
+    ) -> Result<(), ConvError> {
+        let painter = StarPainter::new(&self.model, scene.frame(), self.options.anchor(), self.size)?;
+        painter.add_to_rows(sources, first_row, image)
+    }
+}
+
+/// Stars of one block.
+struct Group<T> {
+    block: Arc<StarBlock<T>>,
+    stars: Vec<PreparedStar<T>>,
+}
+
+/// Groups into an image, by bands of rows.
+struct Draw<'a, T> {
+    phased: &'a Phased<T>,
+    groups: &'a [Group<T>],
+    image: ArrayViewMut2<'a, T>,
+    first_row: usize,
+}
+
+impl<T: ConvReal> WithIsa<T> for Draw<'_, T> {
+    type Output = ();
+    fn run<S: Lanes<T>>(self, simd: S) {
+        let (phased, groups, first_row) = (self.phased, self.groups, self.first_row);
+        let mut image = self.image;
+        image
+            .axis_chunks_iter_mut(Axis(0), BAND)
+            .into_par_iter()
+            .enumerate()
+            .for_each(|(band, mut rows)| {
+                let first = (first_row + band * BAND) as i64;
+                let end = first + rows.nrows() as i64;
+                for group in groups {
+                    let touches = |star: &&PreparedStar<T>| {
+                        star.pixel.1 + star.rows.from < end && star.pixel.1 + star.rows.to > first
+                    };
+                    let draw = BlockDraw {
+                        axes: &phased.axes,
+                        layout: phased.layout,
+                        kernels: group.block.kernel_count(),
+                        values: group.block.values(),
+                    };
+                    let stars: Vec<&PreparedStar<T>> = group.stars.iter().filter(touches).collect();
+                    if !stars.is_empty() {
+                        simd.vectorized(
+                            #[inline(always)]
+                            || draw.draw(simd, &stars, &mut rows, first),
+                        );
+                    }
+                }
+            });
+    }
+}
+
+fn block_of((column, row): (i64, i64)) -> BlockKey {
+    (row.div_euclid(BLOCK), column.div_euclid(BLOCK))
+}
+
+fn region_of((row, column): BlockKey) -> PixelRegion {
+    let shape = FrameShape::new(BLOCK as usize, BLOCK as usize).expect("blocks have pixels");
+    PixelRegion::new(column * BLOCK, row * BLOCK, shape)
+}

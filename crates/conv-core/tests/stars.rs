@@ -1,0 +1,270 @@
+//! Stars by a plan against the same drawn one by one.
+
+#[allow(dead_code, reason = "each test binary uses a part")]
+mod common;
+
+use std::sync::Arc;
+
+use common::{Waves, largest_difference, peak, region};
+use conv_core::{ConvReal, PlanOptions, StarPainter, StarPlan};
+use ndarray::{Array2, Array3};
+use psf_types::{
+    Anchor, CoefficientField, FieldError, FrameShape, Normalisation, PointSource, Position, PsfBasis,
+    PsfModel, Scene, StampGrid, StampInterpolation,
+};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+const FRAME: (usize, usize) = (150, 97);
+
+/// Rounding, and phases within 1e-9 of a stamp's pixel taken as on it.
+const SAME: f64 = 1e-11;
+
+/// The same model with stamps of another sampling.
+fn resampled(
+    model: &PsfModel,
+    oversampling: f64,
+    centre: (f64, f64),
+    kernel: StampInterpolation,
+) -> PsfModel {
+    let grid = StampGrid::new(model.grid().nx(), model.grid().ny())
+        .and_then(|g| g.with_oversampling(oversampling))
+        .and_then(|g| g.with_centre(centre.0, centre.1))
+        .unwrap()
+        .with_interpolation(kernel);
+    let stamps = model.stamps().to_owned();
+    let basis = PsfBasis::new(None, stamps, grid).unwrap();
+    PsfModel::new(&basis, Arc::new(Waves), model.normalisation(), None).unwrap()
+}
+
+fn model(normalisation: Normalisation) -> PsfModel {
+    common::model_with(Arc::new(Waves), (23, 18), (11, 9), false, normalisation)
+}
+
+/// On the frame, at its edges, off it; on pixels, between them and just beside their borders.
+fn stars(count: usize) -> Vec<PointSource> {
+    let mut rng = ChaCha8Rng::seed_from_u64(5);
+    let mut at = |low: f64, high: f64| rng.random_range(low..high);
+    let star = |x: f64, y: f64, flux: f64| PointSource::new(Position::new(x, y).unwrap(), flux).unwrap();
+    let mut stars = vec![
+        star(20.0, 30.0, 5.0),
+        star(64.0, 64.0, -2.0),
+        star(63.5, 20.5, 1.0),
+        star(63.499_999_999_999, 20.5, 1.0),
+        star(0.25, 0.75, 3.0),
+        star(1e6, 1e6, 1.0),
+        star(70.0, 70.0, 0.0),
+    ];
+    stars.extend((0..count).map(|_| star(at(-15.0, 165.0), at(-12.0, 110.0), at(0.1, 4.0))));
+    stars
+}
+
+fn scene<T: ConvReal>(stars: Vec<PointSource>) -> Scene<T> {
+    Scene::dark(FrameShape::new(FRAME.0, FRAME.1).unwrap()).with_sources(stars)
+}
+
+fn planned<T: ConvReal>(
+    model: &PsfModel,
+    scene: &Scene<T>,
+    options: PlanOptions,
+    size: Option<usize>,
+) -> Array2<f64> {
+    let shape = scene.frame().shape();
+    let mut image = Array2::<T>::zeros((shape.ny(), shape.nx()));
+    StarPlan::new(model, options, size)
+        .unwrap()
+        .add_to(scene, &mut image)
+        .unwrap();
+    image.mapv(T::as_f64)
+}
+
+fn painted<T: ConvReal>(
+    model: &PsfModel,
+    scene: &Scene<T>,
+    anchor: Anchor,
+    size: Option<usize>,
+) -> Array2<f64> {
+    let shape = scene.frame().shape();
+    let mut image = Array2::<f64>::zeros((shape.ny(), shape.nx()));
+    let painter = StarPainter::new(model, scene.frame(), anchor, size).unwrap();
+    painter.add_to(scene.sources(), &mut image).unwrap();
+    image
+}
+
+/// Every sampling, kernel, centre and cut: without a tolerance, the same but for rounding.
+#[test]
+fn a_plan_draws_what_the_painter_draws() {
+    let scene = scene::<f64>(stars(300));
+    let exact = PlanOptions::new(0.0).unwrap();
+    {
+        let model = model(Normalisation::Keep);
+        for kernel in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
+            for (oversampling, centre) in [
+                (1.0, (11.0, 9.0)),
+                (2.0, (11.0, 8.5)),
+                (4.0, (10.5, 9.25)),
+                (7.0, (12.0, 9.0)),
+                (2.1, (11.0, 9.0)),
+            ] {
+                let model = resampled(&model, oversampling, centre, kernel);
+                for size in [None, Some(5), Some(4), Some(60)] {
+                    let reference = painted(&model, &scene, Anchor::Source, size);
+                    let image = planned(&model, &scene, exact, size);
+                    let largest = largest_difference(&image, &reference) / peak(&reference);
+                    assert!(largest < SAME, "{kernel} {oversampling} {size:?}: {largest}");
+                    assert!(peak(&reference) > 0.1, "the test must see stars");
+                }
+            }
+        }
+    }
+}
+
+#[derive(Debug)]
+struct One(fn(Position) -> f64);
+impl CoefficientField for One {
+    fn component_count(&self) -> usize {
+        1
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        a[0] = (self.0)(p);
+        Ok(())
+    }
+}
+
+/// Unit flux at every position, and a mean stamp.
+#[test]
+fn scaling_and_means_are_kept() {
+    let positive = |p: Position| 1.5 + (p.x() / 9.0).sin();
+    let bump = |width: f64| {
+        move |y: usize, x: usize| (-((y as f64 - 8.0).powi(2) + (x as f64 - 8.0).powi(2)) / width).exp()
+    };
+    let (mean, component) = (
+        Array2::from_shape_fn((17, 17), |(y, x)| bump(6.0)(y, x)),
+        Array2::from_shape_fn((17, 17), |(y, x)| bump(14.0)(y, x)),
+    );
+    let norm = component.mapv(|v| v * v).sum().sqrt();
+    let components: Array3<f64> = (component / norm).insert_axis(ndarray::Axis(0));
+    let grid = StampGrid::new(17, 17).unwrap().with_oversampling(2.0).unwrap();
+    let basis = PsfBasis::new(Some(mean), components, grid).unwrap();
+    let scene = scene::<f64>(stars(100));
+    for normalisation in [Normalisation::Unit, Normalisation::Keep] {
+        let model = PsfModel::new(&basis, Arc::new(One(positive)), normalisation, None).unwrap();
+        let reference = painted(&model, &scene, Anchor::Source, None);
+        let image = planned(&model, &scene, PlanOptions::new(0.0).unwrap(), None);
+        assert!(largest_difference(&image, &reference) < SAME * peak(&reference));
+    }
+}
+
+/// The tolerance is of every single star.
+#[test]
+fn every_star_is_within_the_tolerance() {
+    let model = resampled(
+        &model(Normalisation::Keep),
+        3.0,
+        (11.0, 9.0),
+        StampInterpolation::CubicSpline,
+    );
+    for tolerance in [0.3, 1e-1, 1e-2] {
+        let mut largest = 0.0f64;
+        for star in stars(40).into_iter().filter(|s| s.flux() != 0.0) {
+            let scene = scene::<f64>(vec![star]);
+            let (a, b) = (
+                planned(&model, &scene, PlanOptions::new(tolerance).unwrap(), None),
+                painted(&model, &scene, Anchor::Source, None),
+            );
+            let l2 = |v: &Array2<f64>| v.mapv(|v| v * v).sum().sqrt();
+            if l2(&b) > 0.0 {
+                largest = largest.max(l2(&(&a - &b)) / l2(&b));
+            }
+        }
+        // At the stamps' sampling it is the tolerance; one phase of three random stamps may hold more of the error than others.
+        assert!(largest < 3.0 * tolerance, "{tolerance}: {largest}");
+        assert!(
+            largest > 0.0 || tolerance < 0.1,
+            "the test must be able to see an error"
+        );
+    }
+}
+
+#[test]
+fn single_precision_is_rounding_off() {
+    let model = resampled(
+        &model(Normalisation::Keep),
+        4.0,
+        (11.0, 9.0),
+        StampInterpolation::CubicSpline,
+    );
+    let reference = painted(&model, &scene::<f64>(stars(200)), Anchor::Source, None);
+    let image = planned(
+        &model,
+        &scene::<f32>(stars(200)),
+        PlanOptions::new(0.0).unwrap(),
+        None,
+    );
+    let largest = largest_difference(&image, &reference) / peak(&reference);
+    assert!(largest < 1e-6 && largest > 1e-10, "{largest}");
+}
+
+/// Seen through a frame, output-anchored, on any number of threads, twice with one plan.
+#[test]
+fn frames_anchors_threads_and_repetition() {
+    let model = resampled(
+        &model(Normalisation::Keep),
+        2.0,
+        (11.0, 9.0),
+        StampInterpolation::CubicSpline,
+    );
+    let scene = scene::<f64>(stars(300))
+        .with_frame(region(13, 7, 101, 64))
+        .unwrap();
+    for anchor in [Anchor::Source, Anchor::Output] {
+        let options = PlanOptions::new(0.0).unwrap().with_anchor(anchor);
+        let reference = painted(&model, &scene, anchor, None);
+        let plan = StarPlan::new(&model, options, None).unwrap();
+        let mut first = None;
+        for threads in [1, 2, 5] {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            let mut image = Array2::<f64>::zeros((64, 101));
+            pool.install(|| plan.add_to(&scene, &mut image)).unwrap();
+            assert!(
+                largest_difference(&image, &reference) < SAME * peak(&reference),
+                "{anchor}"
+            );
+            assert_eq!(
+                first.get_or_insert(image.clone()),
+                &image,
+                "{anchor}, {threads} threads"
+            );
+        }
+    }
+}
+
+/// A field without values in places: an error where a star needs one, none where it does not.
+#[test]
+fn a_star_without_a_psf_is_an_error() {
+    #[derive(Debug)]
+    struct Half;
+    impl CoefficientField for Half {
+        fn component_count(&self) -> usize {
+            3
+        }
+        fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+            if p.x() > 70.25 {
+                return Err(FieldError::OutsideSamples { position: p });
+            }
+            a.copy_from_slice(&[1.0, 0.5, p.x() / 50.0]);
+            Ok(())
+        }
+    }
+    let whole = common::model_with(Arc::new(Half), (9, 9), (4, 4), false, Normalisation::Keep);
+    let star = |x: f64| vec![PointSource::new(Position::new(x, 40.3).unwrap(), 1.0).unwrap()];
+    let plan = StarPlan::<f64>::new(&whole, PlanOptions::default(), None).unwrap();
+    let mut image = Array2::zeros((FRAME.1, FRAME.0));
+    plan.add_to(&scene(star(70.2)), &mut image).unwrap();
+    let reference = painted(&whole, &scene::<f64>(star(70.2)), Anchor::Source, None);
+    assert!(largest_difference(&image, &reference) < 1e-3 * peak(&reference));
+    assert!(plan.add_to(&scene(star(70.3)), &mut image).is_err());
+}

@@ -1,0 +1,251 @@
+//! The files of an exposure: counts, noise-free truth, flags of the pixels.
+
+use std::path::{Path, PathBuf};
+
+use detector::{BadPixelMask, Detector, Exposure};
+use psf_io::{Card, CardError, HeaderCards, IntegerKind};
+use psf_types::{Image, Real};
+
+use crate::PsfieldError;
+
+/// Keywords of [`exposure_cards`] that an input must not lend to its exposure.
+const KEYWORDS: [&str; 24] = [
+    "DETNAME", "DETSEED", "DETPSEED", "DETTRUTH", "DETEPF", "DETPHOT", "DETSKY", "DETSKYX", "DETSKYY",
+    "DETDARK", "DETRESP", "DETDEAD", "DETHOT", "DETHOTD", "DETBCOL", "DETFULL", "DETBIAS", "DETBITS",
+    "DETNSAT", "DETNNEG", "DETNBAD", "RDNOISE", "GAIN", "SATURATE",
+];
+
+/// Where an exposure goes.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let at = |name: &str| directory.path().join(name);
+/// use psfield::ExposureFiles;
+/// use psfield::detector::{Detector, DetectorParams};
+/// use psfield::psf_io::{HeaderCards, read_image};
+/// use psfield::psf_types::{FrameShape, Image};
+/// let ccd = Detector::new(DetectorParams { photon_noise: true, sky_e: 30.0, bits: Some(16), ..Default::default() })?;
+/// let image = Image::<f32>::zeros(FrameShape::new(50, 40)?);
+/// let files = ExposureFiles { raw: at("raw.fits"), truth: Some(at("truth.fits")), quality: None, overwrite: false };
+/// files.check(&[])?;
+/// let exposure = ccd.expose(&image, 1)?;
+/// files.write(&exposure, &image, &ccd, &HeaderCards::new(), &[])?;
+/// assert_eq!(read_image::<f32>(at("truth.fits"))?.image().pixels()[[0, 0]], 30.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ExposureFiles {
+    /// The counts: `BITPIX` 8, 16 (with `BZERO`) or 32 when they are digitised, else -32 or -64.
+    pub raw: PathBuf,
+    /// The noise-free image in the same unit ([`Detector::truth`]).
+    pub truth: Option<PathBuf>,
+    /// Sums of [`PixelFlags`](detector::PixelFlags), `BITPIX` 8.
+    pub quality: Option<PathBuf>,
+    /// Whether existing files may be replaced.
+    pub overwrite: bool,
+}
+
+impl ExposureFiles {
+    /// Whether all of them can be written, as far as can be told before the work is done.
+    ///
+    /// # Errors
+    /// [`PsfieldError::SameFile`] when two are one file, or one is among `inputs`, which are never replaced; and those of
+    /// [`check_output`](psf_io::check_output).
+    pub fn check(&self, inputs: &[&Path]) -> Result<(), PsfieldError> {
+        let outputs = [Some(&self.raw), self.truth.as_ref(), self.quality.as_ref()];
+        let mut taken: Vec<PathBuf> = inputs.iter().map(|path| resolved(path)).collect();
+        for path in outputs.into_iter().flatten() {
+            let place = resolved(path);
+            if taken.contains(&place) {
+                return Err(PsfieldError::SameFile { path: path.clone() });
+            }
+            psf_io::check_output(path, self.overwrite)?;
+            taken.push(place);
+        }
+        Ok(())
+    }
+
+    /// Writes an exposure of `light`. `header` are the cards of the image that was exposed, `added` follow, then
+    /// [`exposure_cards`]. The counts are written last: where they are, the rest is.
+    ///
+    /// # Errors
+    /// Those of [`Detector::truth`] and of [`write_image`](psf_io::write_image).
+    pub fn write<T: Real>(
+        &self,
+        exposure: &Exposure<T>,
+        light: &Image<T>,
+        detector: &Detector,
+        header: &HeaderCards,
+        added: &[Card],
+    ) -> Result<(), PsfieldError> {
+        let mut header = header.clone();
+        KEYWORDS.into_iter().for_each(|keyword| header.remove(keyword));
+        if let Some(path) = &self.truth {
+            let cards = [added, &truth_cards(detector)?].concat();
+            psf_io::write_image(path, &detector.truth(light)?, &header, &cards, self.overwrite)?;
+        }
+        if let Some(path) = &self.quality {
+            let mut header = header.clone();
+            header.remove("BUNIT");
+            let meaning = Card::comment("Sums of 1 dead, 2 hot, 4 bad column, 8 saturated");
+            let cards = [added, &[meaning]].concat();
+            let kind = IntegerKind::Unsigned8;
+            psf_io::write_integers(path, exposure.flags(), kind, &header, &cards, self.overwrite)?;
+        }
+        let cards = [added, &exposure_cards(detector, exposure)?].concat();
+        let counts = exposure.counts();
+        if let Some(bits) = detector.params().bits {
+            let whole = counts.pixels().mapv(|count| count.as_f64() as i32);
+            let kind = IntegerKind::of_bits(bits);
+            psf_io::write_integers(&self.raw, whole.view(), kind, &header, &cards, self.overwrite)?;
+        } else {
+            psf_io::write_image(&self.raw, counts, &header, &cards, self.overwrite)?;
+        }
+        Ok(())
+    }
+}
+
+/// Reads a mask of bad pixels: an image of sums of [`PixelFlags`](detector::PixelFlags), 0 for good pixels.
+///
+/// # Errors
+/// Those of [`read_image`](psf_io::read_image); [`PsfieldError::Mask`] for other values.
+pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, PsfieldError> {
+    let path = path.as_ref();
+    let image = psf_io::read_image::<f32>(path)?;
+    BadPixelMask::new(image.image().pixels()).map_err(|source| PsfieldError::Mask {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Header cards of an exposure: what is needed to repeat it, and what readers of raw frames look for.
+///
+/// | keyword | value |
+/// |---|---|
+/// | `BUNIT` | `electron` or `adu` |
+/// | `EXPTIME` | s, if known |
+/// | `GAIN`, `RDNOISE` | electrons per unit of the counts; electrons |
+/// | `SATURATE` | [`Detector::saturation`], if there is one |
+/// | `DETSEED`, `DETPSEED` | seeds of the noise and of the sensor's pattern, as texts (they may exceed FITS' integers) |
+/// | `DETEPF`, `DETPHOT`, `DETSKY`, `DETSKYX`, `DETSKYY`, `DETDARK`, `DETRESP`, `DETFULL`, `DETBIAS`, `DETBITS`, `DETDEAD`, `DETHOT`, `DETHOTD`, `DETBCOL`, `DETNAME` | the settings of [`DetectorParams`](detector::DetectorParams), those that are on |
+/// | `DETNSAT`, `DETNNEG`, `DETNBAD` | pixels that are saturated, expected less than no charge, are bad |
+///
+/// # Errors
+/// None for a checked detector: every value is finite.
+pub fn exposure_cards<T: Real>(detector: &Detector, exposure: &Exposure<T>) -> Result<Vec<Card>, CardError> {
+    let (params, report) = (detector.params(), exposure.report());
+    let mut cards = level_cards(detector)?;
+    cards.extend([
+        Card::new("DETSEED", report.seed.to_string(), "seed of the noise")?,
+        Card::new("DETPHOT", params.photon_noise, "photon noise")?,
+        Card::new("RDNOISE", params.read_noise_e, "[electron] read noise, r.m.s.")?,
+    ]);
+    if let Some(level) = detector.saturation() {
+        cards.push(Card::new("SATURATE", level, "level of saturated pixels")?);
+    }
+    if let Some(full) = params.full_well_e {
+        cards.push(Card::new("DETFULL", full, "[electron] full well")?);
+    }
+    if let Some(bits) = params.bits {
+        cards.push(Card::new("DETBITS", bits, "bits of the converter")?);
+    }
+    let bad = params.bad_pixels;
+    let pattern = [
+        ("DETRESP", params.response_rms, "r.m.s. of the pixels' response"),
+        ("DETDEAD", bad.dead_fraction, "chance of a pixel to be dead"),
+        ("DETHOT", bad.hot_fraction, "chance of a pixel to be hot"),
+        (
+            "DETHOTD",
+            bad.hot_dark_e_per_s,
+            "[electron/s] dark current of hot pixels",
+        ),
+        ("DETBCOL", bad.bad_column_fraction, "chance of a column to be bad"),
+    ];
+    for (keyword, value, comment) in pattern.into_iter().filter(|p| p.1 > 0.0) {
+        cards.push(Card::new(keyword, value, comment)?);
+    }
+    if pattern.iter().any(|p| p.1 > 0.0) {
+        let seed = params.pattern_seed.to_string();
+        cards.push(Card::new("DETPSEED", seed, "seed of response and bad pixels")?);
+    }
+    cards.extend([
+        Card::new("DETNSAT", report.saturated_pixels, "saturated pixels")?,
+        Card::new(
+            "DETNNEG",
+            report.negative_pixels,
+            "pixels of negative light, taken as dark",
+        )?,
+        Card::new("DETNBAD", report.bad_pixels, "bad pixels")?,
+    ]);
+    Ok(cards)
+}
+
+/// Cards of the noise-free image.
+fn truth_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
+    let mut cards = level_cards(detector)?;
+    cards.push(Card::new(
+        "DETTRUTH",
+        true,
+        "noise-free: what a perfect detector expects",
+    )?);
+    Ok(cards)
+}
+
+/// What the expected counts follow from.
+fn level_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
+    let params = detector.params();
+    let mut cards = vec![
+        Card::new("BUNIT", detector.unit().to_string(), "unit of the pixels")?,
+        Card::new("GAIN", detector.gain(), "[electron] per unit of the pixels")?,
+        Card::new(
+            "DETEPF",
+            params.electrons_per_flux,
+            "[electron] per unit of the scene's flux",
+        )?,
+        Card::new("DETSKY", params.sky_e, "[electron] sky")?,
+    ];
+    if !params.name.is_empty() {
+        cards.push(Card::new("DETNAME", params.name.as_str(), "detector")?);
+    }
+    if let Some(seconds) = params.exposure_s {
+        cards.push(Card::new("EXPTIME", seconds, "[s] exposure time")?);
+    }
+    if let Some(slope) = params.sky_gradient_e_per_px {
+        cards.push(Card::new(
+            "DETSKYX",
+            slope.x,
+            "[electron/pixel] sky gradient along x",
+        )?);
+        cards.push(Card::new(
+            "DETSKYY",
+            slope.y,
+            "[electron/pixel] sky gradient along y",
+        )?);
+    }
+    if params.dark_e_per_s > 0.0 {
+        cards.push(Card::new(
+            "DETDARK",
+            params.dark_e_per_s,
+            "[electron/s] dark current",
+        )?);
+    }
+    if let Some(bias) = params.bias_adu {
+        cards.push(Card::new("DETBIAS", bias, "[adu] level of no charge")?);
+    }
+    Ok(cards)
+}
+
+/// One name for a file, whether it exists or not.
+fn resolved(path: &Path) -> PathBuf {
+    if let Ok(place) = path.canonicalize() {
+        return place;
+    }
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    match (folder.canonicalize(), path.file_name()) {
+        (Ok(folder), Some(name)) => folder.join(name),
+        _ => path.to_owned(),
+    }
+}

@@ -1,0 +1,426 @@
+//! `psfield expose`.
+
+use psfield::psf_io::CardValue;
+
+use crate::desk::{Desk, NX, NY, assert_keys, points};
+
+/// Detector settings of each kind.
+const CCD: &str = r#"
+    name = "CCD"
+    electrons_per_flux = 20.0
+    exposure_s = 100.0
+    photon_noise = true
+    sky_e = 30.0
+    sky_gradient_e_per_px = { x = 0.1, y = -0.05 }
+    dark_e_per_s = 0.1
+    response_rms = 0.01
+    full_well_e = 900.0
+    read_noise_e = 4.0
+    gain_e_per_adu = 1.5
+    bias_adu = 200.0
+    bits = 16
+    pattern_seed = 18446744073709551615
+    [bad_pixels]
+    dead_fraction = 0.01
+    hot_fraction = 0.01
+    hot_dark_e_per_s = 3.0
+    bad_column_fraction = 0.02
+"#;
+
+fn with_detector() -> Desk {
+    let desk = Desk::new();
+    desk.write("ccd.toml", CCD);
+    desk
+}
+
+fn text(desk: &Desk, file: &str, keyword: &str) -> String {
+    match desk.header(file).get(keyword).and_then(|card| card.value()) {
+        Some(CardValue::Text(text)) => text,
+        other => panic!("{keyword} of {file}: {other:?}"),
+    }
+}
+
+fn number(desk: &Desk, file: &str, keyword: &str) -> f64 {
+    match desk.header(file).get(keyword).and_then(|card| card.value()) {
+        Some(CardValue::Real(value)) => value,
+        Some(CardValue::Integer(value)) => value as f64,
+        other => panic!("{keyword} of {file}: {other:?}"),
+    }
+}
+
+#[test]
+fn a_whole_detector_from_a_file() {
+    let desk = with_detector();
+    let input = desk.bytes("scene.fits");
+    let report = desk
+        .done("expose scene.fits --detector ccd.toml --seed 5 -o raw.fits --truth truth.fits --quality quality.fits --json")
+        .json();
+    assert_keys(
+        &report,
+        &[
+            "output",
+            "truth",
+            "quality",
+            "shape",
+            "precision",
+            "unit",
+            "saturation",
+            "detector",
+            "seed",
+            "pixels",
+            "saturated_pixels",
+            "below_zero_pixels",
+            "negative_pixels",
+            "lowest_expected_e",
+            "bad_pixels",
+            "dead_pixels",
+            "hot_pixels",
+            "bad_column_pixels",
+            "mean_sky_e",
+            "dark_e",
+            "seconds",
+        ],
+    );
+    assert_eq!(report["unit"], "adu");
+    assert_eq!(report["detector"]["read_noise_e"], 4.0);
+    assert_eq!(report["pixels"].as_u64(), Some((NX * NY) as u64));
+    assert_eq!(desk.bytes("scene.fits"), input, "the input is never touched");
+
+    let raw = desk.image("raw.fits");
+    assert!(raw.iter().all(|v| v.fract() == 0.0 && (0.0..65536.0).contains(v)));
+    assert!(desk.bytes("raw.fits")[80..].starts_with(b"BITPIX  =                   16"));
+    // Cards of the input, what readers of raw frames look for, and the settings.
+    assert_eq!(text(&desk, "raw.fits", "TELESCOP"), "Small One");
+    for (keyword, value) in [
+        ("GAIN", 1.5),
+        ("RDNOISE", 4.0),
+        ("EXPTIME", 100.0),
+        ("SATURATE", 800.0),
+        ("CRPIX1", 20.5),
+        ("DETNSAT", report["saturated_pixels"].as_f64().unwrap()),
+        ("DETNBAD", report["bad_pixels"].as_f64().unwrap()),
+    ] {
+        assert_eq!(number(&desk, "raw.fits", keyword), value, "{keyword}");
+    }
+    assert_eq!(
+        (
+            text(&desk, "raw.fits", "BUNIT"),
+            text(&desk, "truth.fits", "BUNIT")
+        ),
+        ("adu".into(), "adu".into())
+    );
+    assert!(desk.header("truth.fits").get("DETTRUTH").is_some());
+
+    let (scene, truth) = (desk.image("scene.fits"), desk.image("truth.fits"));
+    for ((y, x), flux) in scene.indexed_iter() {
+        let sky = 30.0 + 0.1 * (x as f64 - 30.0) - 0.05 * (y as f64 - 25.0);
+        let expected = (20.0 * flux + sky + 10.0) / 1.5 + 200.0;
+        // The truth is written in single precision.
+        assert!((truth[[y, x]] / expected - 1.0).abs() < 1e-6);
+    }
+    let quality = desk.image("quality.fits");
+    let count = |bit: u8| quality.iter().filter(|&&v| v as u8 & bit != 0).count() as u64;
+    for (bit, key) in [
+        (1, "dead_pixels"),
+        (2, "hot_pixels"),
+        (4, "bad_column_pixels"),
+        (8, "saturated_pixels"),
+    ] {
+        assert_eq!(Some(count(bit)), report[key].as_u64(), "{key}");
+        assert!(count(bit) > 0, "{key}");
+    }
+    // Good pixels are off the truth by their noise.
+    let (mut chi, mut good) = (0.0, 0.0);
+    for ((at, count), quality) in raw.indexed_iter().zip(&quality) {
+        if *quality == 0.0 {
+            let electrons = (truth[at] - 200.0) * 1.5;
+            let variance = (electrons + 16.0 + (0.01 * electrons).powi(2)) / 2.25 + 1.0 / 12.0;
+            chi += (count - truth[at]).powi(2) / variance;
+            good += 1.0;
+        }
+    }
+    // Chi-square over its degrees of freedom, whose deviation is sqrt(2 / n).
+    let off = (chi / good - 1.0) / f64::sqrt(2.0 / good);
+    assert!(off.abs() < 4.0, "{off} standard deviations");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_for_any_number_of_threads() {
+    let desk = with_detector();
+    let exposed = |options: &str| {
+        desk.done(&format!(
+            "expose scene.fits --detector ccd.toml -o raw.fits --overwrite --quality quality.fits {options}"
+        ));
+        (desk.bytes("raw.fits"), desk.bytes("quality.fits"))
+    };
+    let one = exposed("--seed 7 --threads 1");
+    assert_eq!(exposed("--seed 7 --threads 2"), one);
+    assert_eq!(exposed("--seed 7 --threads 7"), one);
+    exposed("--seed 7");
+    let first = desk.image("raw.fits");
+    exposed("--seed 8");
+    assert_ne!(desk.image("raw.fits"), first);
+}
+
+#[test]
+fn the_header_is_enough_to_repeat_an_exposure() {
+    let desk = with_detector();
+    desk.done("expose scene.fits --detector ccd.toml --seed 12345678901234567890 -o raw.fits");
+    let header = desk.header("raw.fits");
+    let mut settings = String::new();
+    let mut bad = String::from("[bad_pixels]\n");
+    for (keyword, key, table) in [
+        ("DETEPF", "electrons_per_flux", false),
+        ("EXPTIME", "exposure_s", false),
+        ("DETSKY", "sky_e", false),
+        ("DETSKYX", "sky_gradient_e_per_px.x", false),
+        ("DETSKYY", "sky_gradient_e_per_px.y", false),
+        ("DETDARK", "dark_e_per_s", false),
+        ("DETRESP", "response_rms", false),
+        ("DETFULL", "full_well_e", false),
+        ("RDNOISE", "read_noise_e", false),
+        ("GAIN", "gain_e_per_adu", false),
+        ("DETBIAS", "bias_adu", false),
+        ("DETBITS", "bits", false),
+        ("DETDEAD", "dead_fraction", true),
+        ("DETHOT", "hot_fraction", true),
+        ("DETHOTD", "hot_dark_e_per_s", true),
+        ("DETBCOL", "bad_column_fraction", true),
+    ] {
+        let value = header.get(keyword).and_then(|card| card.value()).unwrap();
+        let line = format!("{key} = {value}\n");
+        if table { &mut bad } else { &mut settings }.push_str(&line);
+    }
+    assert_eq!(header.get("DETPHOT").and_then(|c| c.value()), Some(true.into()));
+    let seed = text(&desk, "raw.fits", "DETSEED");
+    let pattern = text(&desk, "raw.fits", "DETPSEED");
+    desk.write(
+        "again.toml",
+        format!("photon_noise = true\npattern_seed = {pattern}\n{settings}{bad}"),
+    );
+    desk.done(&format!(
+        "expose scene.fits --detector again.toml --seed {seed} -o again.fits"
+    ));
+    assert_eq!(desk.image("again.fits"), desk.image("raw.fits"));
+}
+
+#[test]
+fn options_without_a_file_and_over_one() {
+    let desk = with_detector();
+    desk.write_image("dark.fits", points(&[]));
+    let report = desk
+        .done("expose dark.fits -o raw.fits --photon-noise --sky 400 --read-noise 5 --exposure 10 --dark 2 --seed 1 --json")
+        .json();
+    assert_eq!(
+        (report["unit"].as_str(), report["dark_e"].as_f64()),
+        (Some("electron"), Some(20.0))
+    );
+    let pixels = desk.image("raw.fits");
+    let n = pixels.len() as f64;
+    let mean = pixels.mean().unwrap();
+    let variance = pixels.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+    // Five standard deviations of the mean and of the variance.
+    assert!((mean - 420.0).abs() < 5.0 * (445.0 / n).sqrt(), "{mean}");
+    assert!(
+        (variance - 445.0).abs() < 5.0 * 445.0 * (2.0 / n).sqrt(),
+        "{variance}"
+    );
+    assert!(desk.bytes("raw.fits")[80..].starts_with(b"BITPIX  =                  -32"));
+
+    let report = desk
+        .done("expose dark.fits --detector ccd.toml -o over.fits --bits 8 --gain 3 --bias 10 --full-well 500 --json")
+        .json();
+    assert_eq!(report["detector"]["bits"], 8);
+    assert_eq!(report["detector"]["sky_e"], 30.0);
+    assert!(desk.bytes("over.fits")[80..].starts_with(b"BITPIX  =                    8"));
+    assert_eq!(
+        number(&desk, "over.fits", "SATURATE"),
+        (500.0f64 / 3.0 + 10.0).min(255.0)
+    );
+}
+
+#[test]
+fn photons_alone() {
+    let desk = Desk::new();
+    desk.done("expose scene.fits --photons-only --seed 3 -o photons.fits --truth truth.fits --precision f64");
+    let photons = desk.image("photons.fits");
+    assert!(photons.iter().all(|n| *n >= 0.0 && n.fract() == 0.0));
+    assert_eq!(desk.image("truth.fits"), desk.image("scene.fits"));
+    // The same photons as those of a detector with nothing else.
+    desk.done("expose scene.fits --photon-noise --seed 3 -o same.fits --precision f64");
+    assert_eq!(desk.image("same.fits"), photons);
+}
+
+#[test]
+fn masks_of_bad_pixels() {
+    let desk = Desk::new();
+    desk.write_image("mask.fits", points(&[(3, 4, 1.0), (5, 6, 4.0), (7, 8, 8.0)]));
+    desk.write_image("flat.fits", points(&[]));
+    let options = "--sky 10 --quality quality.fits --overwrite -q";
+    desk.done(&format!(
+        "expose flat.fits --mask mask.fits -o raw.fits {options}"
+    ));
+    let (raw, quality) = (desk.image("raw.fits"), desk.image("quality.fits"));
+    assert_eq!(
+        (raw[[4, 3]], raw[[6, 5]], raw[[8, 7]], raw[[0, 0]]),
+        (0.0, 0.0, 10.0, 10.0)
+    );
+    assert_eq!((quality[[4, 3]], quality[[6, 5]], quality.sum()), (1.0, 4.0, 5.0));
+    // What came out is a mask.
+    desk.done(&format!(
+        "expose flat.fits --mask quality.fits -o again.fits {}",
+        "--sky 10 -q"
+    ));
+    assert_eq!(desk.image("again.fits"), raw);
+
+    desk.write_image("bad.fits", points(&[(3, 4, 0.5)]));
+    let to = "expose flat.fits -o out.fits --photon-noise --mask";
+    desk.refused(
+        &format!("{to} bad.fits"),
+        1,
+        &["bad.fits", "0.5", "[4, 3]", "1 (dead)"],
+    );
+    desk.write_image("hot.fits", points(&[(3, 4, 2.0)]));
+    desk.refused(
+        &format!("{to} hot.fits"),
+        1,
+        &["hot", "bad_pixels.hot_dark_e_per_s"],
+    );
+    desk.write_image("small.fits", ndarray::Array2::zeros((3, 4)));
+    desk.refused(&format!("{to} small.fits"), 1, &["4 x 3", "61 x 51"]);
+}
+
+#[test]
+fn what_is_left_out_is_said() {
+    let desk = Desk::new();
+    desk.warned("expose scene.fits --read-noise 3 -o raw.fits", "no photon noise");
+    let text = desk
+        .done("expose scene.fits --photon-noise --sky 3 -o raw.fits --seed 9 --overwrite")
+        .stdout;
+    for needle in [
+        "raw.fits: 61 x 51 pixels in electron",
+        "seed 9",
+        "sky 3 e",
+        "0 saturated",
+    ] {
+        assert!(text.contains(needle), "{text}");
+    }
+    // A frame that was exposed before lends no levels to its next exposure.
+    desk.done("expose scene.fits --photon-noise --read-noise 3 --full-well 90 -o first.fits");
+    desk.done("expose first.fits --photon-noise -o second.fits");
+    assert!(desk.header("second.fits").get("SATURATE").is_none());
+    assert_eq!(number(&desk, "second.fits", "RDNOISE"), 0.0);
+}
+
+#[test]
+fn negative_light_is_counted() {
+    let desk = Desk::new();
+    desk.write_image("dip.fits", points(&[(3, 4, -0.25), (9, 9, 50.0)]));
+    let report = desk
+        .done("expose dip.fits --photons-only -o raw.fits --json")
+        .json();
+    assert_eq!(
+        (
+            report["negative_pixels"].as_u64(),
+            report["lowest_expected_e"].as_f64()
+        ),
+        (Some(1), Some(-0.25))
+    );
+    assert_eq!(desk.image("raw.fits")[[4, 3]], 0.0);
+}
+
+#[test]
+fn bad_usage() {
+    let desk = with_detector();
+    let to = "expose scene.fits -o out.fits";
+    desk.refused(to, 2, &["nothing to add", "--detector", "Usage: psfield expose"]);
+    desk.refused("expose -o out.fits --photon-noise", 2, &["IMAGE.fits"]);
+    desk.refused("expose scene.fits --photon-noise", 2, &["--output"]);
+    for (option, needles) in [
+        ("--sky -1", ["--sky", "0 or above"]),
+        ("--read-noise nan", ["--read-noise", "0 or above"]),
+        ("--gain 0", ["--gain", "above 0"]),
+        ("--full-well -5", ["--full-well", "above 0"]),
+        ("--bits 25", ["--bits", "25"]),
+        ("--bias inf", ["bias_adu", "inf"]),
+        ("--dark 1", ["dark_e_per_s", "exposure_s"]),
+        ("--seed one", ["--seed", "one"]),
+        (
+            "--photons-only --detector ccd.toml",
+            ["--photons-only", "--detector"],
+        ),
+        ("--photons-only --sky 3", ["--photons-only", "--sky"]),
+        ("--precision f16", ["--precision", "f32"]),
+    ] {
+        desk.refused(&format!("{to} {option}"), 2, &needles);
+    }
+}
+
+#[test]
+fn bad_detectors_and_files() {
+    let desk = Desk::new();
+    let to = "expose scene.fits -o out.fits --detector";
+    desk.refused(&format!("{to} none.toml"), 1, &["none.toml", "cannot read"]);
+    for (content, needle) in [
+        ("read_noise = 5.0", "read_noise"),
+        ("read_noise_e = -5.0", "read_noise_e must be a number, 0 or above"),
+        ("dark_e_per_s = 1.0", "exposure_s"),
+        ("sky_e = ", "line 1"),
+    ] {
+        desk.write("bad.toml", content);
+        desk.refused(&format!("{to} bad.toml"), 1, &["bad.toml", needle]);
+    }
+    desk.write(
+        "steep.toml",
+        "photon_noise = true\nsky_e = 1.0\nsky_gradient_e_per_px = { y = 1.0 }",
+    );
+    desk.refused(
+        &format!("{to} steep.toml"),
+        1,
+        &["sky", "[0, 0]", "sky_gradient_e_per_px"],
+    );
+
+    desk.refused(
+        "expose none.fits -o out.fits --photons-only",
+        1,
+        &["none.fits", "cannot read"],
+    );
+    desk.refused(
+        "expose samples.fits -o out.fits --photons-only",
+        1,
+        &["samples.fits", "[9, 15, 15]"],
+    );
+    desk.refused(
+        "expose scene.fits -o none/out.fits --photons-only",
+        1,
+        &["no directory none"],
+    );
+    // Nothing is written over an input or over another output, whatever was said.
+    let photons = "expose scene.fits --photons-only --overwrite";
+    desk.refused(
+        &format!("{photons} -o scene.fits"),
+        1,
+        &["scene.fits", "another name"],
+    );
+    desk.refused(
+        &format!("{photons} -o ./scene.fits"),
+        1,
+        &["scene.fits", "another name"],
+    );
+    desk.refused(
+        &format!("{photons} -o a.fits --truth ./a.fits"),
+        1,
+        &["a.fits", "another name"],
+    );
+    desk.refused(
+        &format!("{photons} -o a.fits --quality scene.fits"),
+        1,
+        &["scene.fits", "another name"],
+    );
+    desk.write("there.fits", "kept");
+    desk.refused(
+        "expose scene.fits --photons-only -o a.fits --truth there.fits",
+        1,
+        &["there.fits", "exists", "--overwrite"],
+    );
+}
