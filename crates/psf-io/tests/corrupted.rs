@@ -6,9 +6,10 @@ use std::path::Path;
 
 use ndarray::{Array2, Array3, array};
 use psf_io::{
-    Card, HeaderCards, IoError, PlaneOrder, Precision, ScopesimOptions, StampCubeOptions, detect,
-    read_catalog, read_cube, read_header, read_image, read_model_file, read_positions, read_samples,
-    read_scopesim, read_stamp_cube, read_stdpsf, read_stpsf, write_image, write_model, write_samples,
+    Card, HeaderCards, IoError, PlaneOrder, Precision, PsfexAxis, PsfexModel, PsfexPolynomial,
+    ScopesimOptions, StampCubeOptions, detect, read_catalog, read_cube, read_header, read_image,
+    read_model_file, read_positions, read_psfex, read_samples, read_scopesim, read_stamp_cube, read_stdpsf,
+    read_stpsf, write_image, write_model, write_psfex, write_samples,
 };
 use psf_types::{
     FrameShape, Image, Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModelRecord,
@@ -70,6 +71,11 @@ fn files(scratch: &Scratch) -> Vec<Vec<u8>> {
         libraries::stdpsf(3, 2),
         libraries::scopesim(),
     ]);
+    let axis = |name| PsfexAxis::new(name, 4.5, 9.0).unwrap();
+    let polynomial = PsfexPolynomial::new(axis("X_IMAGE"), axis("Y_IMAGE"), 1).unwrap();
+    let psfex = PsfexModel::new(Array3::from_elem((3, 4, 4), 0.1), 0.5, Some(polynomial)).unwrap();
+    write_psfex(&path, &psfex, &[], true).unwrap();
+    files.push(std::fs::read(&path).unwrap());
     files.push(b"# stars\nx,y,flux\n1,2,3\n4,\"5\",6e3\n".to_vec());
     files
 }
@@ -98,6 +104,7 @@ fn read_all(path: &Path) -> usize {
         read_stpsf(path, PlaneOrder::Auto).map(drop),
         read_stdpsf(path, None).map(drop),
         read_scopesim(path, &scopesim_options()).map(drop),
+        read_psfex(path, None).map(drop),
         read_stamp_cube(path, &StampCubeOptions::default()).map(drop),
     ];
     for error in outcomes.iter().filter_map(|outcome| outcome.as_ref().err()) {
