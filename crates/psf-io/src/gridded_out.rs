@@ -11,7 +11,7 @@ use crate::card_text::text_records;
 use crate::error::{bad_card, unsuitable};
 use crate::gridded_psf::middle;
 use crate::image::cards;
-use crate::new_fits::{write_fits, write_image_hdu};
+use crate::new_fits::{write_fits, write_image_header};
 use crate::stpsf::{PLANE_ORDER, POSITION};
 use crate::{GriddedError, HeaderCards, IoError};
 
@@ -75,10 +75,15 @@ pub fn write_gridded(
         let (x, y) = square.position(plane);
         header.push(position_card(plane, x, y));
     }
-    let stamps = square.stamps(samples);
-    let values = stamps.as_slice().expect("a new array is row-major");
+    let (ny, nx) = samples.grid().dim();
     write_fits(path, overwrite, |fits| {
-        write_image_hdu(fits, stamps.shape(), values, &header)
+        write_image_header::<f64>(fits, &[planes, ny, nx], &header)?;
+        // Plane by plane: there may be many more than samples.
+        (0..planes).try_for_each(|plane| {
+            let stamp = square.stamp(samples, plane);
+            let values = stamp.as_slice().expect("a new array is row-major");
+            fits.write_pixels(plane * ny * nx, values)
+        })
     })?;
     Ok(planes)
 }
