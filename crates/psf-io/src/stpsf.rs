@@ -55,11 +55,11 @@ const POSITION_EXPECTED: &str =
     "a text \"(y, x)\" with the detector position of a plane in pixels, such as '(0.0, 682.0)'";
 const OVERSAMPLING_EXPECTED: &str = "stamp pixels per detector pixel, a whole number above 0";
 
-/// Whether a file is such a library: its cube has positions and an oversampling.
+/// Whether a file is such a library: its cube has positions. (What else must be there, the reader says best.)
 pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
-    structure.first_image().is_ok_and(|hdu| {
-        hdu.header.get("OVERSAMP").is_some() && hdu.header.iter().any(|card| position_number(card).is_some())
-    })
+    structure
+        .first_image()
+        .is_ok_and(|hdu| hdu.header.iter().any(|card| position_number(card).is_some()))
 }
 
 /// Reads a gridded PSF library of STPSF or WebbPSF; see the [layout](self).
