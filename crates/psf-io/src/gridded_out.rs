@@ -27,7 +27,7 @@ const MIN_SIZE: usize = 4;
 ///
 /// # Planes
 /// Releases of photutils disagree on how positions belong to planes: up to 3.0 the `i`-th card in the header belongs to plane `i` and its two
-/// numbers are taken as (x, y), from 3.1 on `DET_YXi` does and they are taken as (y, x), as written. A library is
+/// numbers are taken as (x, y), in later ones `DET_YXi` does and they are taken as (y, x), as written. A library is
 /// read alike by both when x and y of its grid have the same values and the cards stand in a certain order, so it is written like
 /// that. A grid with other values in x than in y gets more planes, at every crossing of all those values: what lies on them is
 /// bilinear between the samples and constant outside, so that the field of readers, who interpolate the same way, stays the

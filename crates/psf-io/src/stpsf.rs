@@ -27,7 +27,7 @@
 //! WebbPSF up to 1.2.1 stores the planes as its cards say, x being the slower coordinate. Since 2023-12-11 (WebbPSF 1.3, STPSF) the
 //! planes are stored sorted by y, then x, while the cards have stayed as they were; a reader that goes by the cards exchanges x and
 //! y of the field. photutils up to 3.0 exchanges the coordinates of the cards, which is right for the later files on square grids
-//! and wrong for the earlier ones; photutils since 3.1 goes by the cards, which is right for the earlier files alone. [`PlaneOrder`]
+//! and wrong for the earlier ones; later photutils goes by the cards, which is right for the earlier files alone. [`PlaneOrder`]
 //! decides here.
 
 mod order;
