@@ -26,12 +26,13 @@ const MIN_SIZE: usize = 4;
 /// Values are written as they are, in double precision. `cards` are added to the header, ahead of the layout's own.
 ///
 /// # Planes
-/// Releases of photutils disagree on how positions belong to planes: up to 3.0 the `i`-th card in the header belongs to plane `i` and its two
-/// numbers are taken as (x, y), in later ones `DET_YXi` does and they are taken as (y, x), as written. A library is
-/// read alike by both when x and y of its grid have the same values and the cards stand in a certain order, so it is written like
-/// that. A grid with other values in x than in y gets more planes, at every crossing of all those values: what lies on them is
-/// bilinear between the samples and constant outside, so that the field of readers, who interpolate the same way, stays the
-/// same everywhere.
+/// Releases of photutils disagree on how positions belong to planes. Up to 3.0 the `i`-th card in the header belongs to plane `i`, and its
+/// two numbers are taken as (x, y); in later ones `DET_YXi` belongs to it, and they are taken as (y, x), as written. Both read a
+/// library alike when x and y of its grid have the same values and the cards stand in a certain order, so it is written like
+/// that.
+///
+/// A grid with other values in x than in y gets more planes: one at every crossing of all these values, bilinear between
+/// the samples and constant outside them. Readers interpolate the same way, so that the PSF stays the same everywhere.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
