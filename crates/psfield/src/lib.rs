@@ -43,7 +43,7 @@ mod simulation;
 mod spot_check;
 mod system_memory;
 
-pub use {coeff_field, conv_core, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
+pub use {coeff_field, conv_core, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_stars, psf_types};
 
 pub use error::PsfieldError;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
