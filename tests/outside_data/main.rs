@@ -7,6 +7,7 @@ mod data;
 mod dynamic_range;
 mod evaluation;
 mod flux;
+mod frames;
 mod libraries;
 mod linearity;
 mod low_rank;
@@ -44,6 +45,7 @@ fn main() {
         measurements::trials(),
         low_rank::trials(),
         flux::trials(),
+        frames::trials(),
         linearity::trials(),
         dynamic_range::trials(),
         tolerance::trials(),

@@ -35,8 +35,8 @@ pub mod bench;
 pub mod convert;
 mod error;
 mod evaluate;
-mod finer_scene;
 mod exposure_files;
+mod finer_scene;
 mod fit;
 mod measure;
 mod method;
@@ -48,7 +48,10 @@ mod simulation_plan;
 mod spot_check;
 mod system_memory;
 
-pub use {coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
+pub use {
+    coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_stars,
+    psf_types, sersic,
+};
 
 pub use error::PsfieldError;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
