@@ -8,7 +8,7 @@
 //! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
 //! | catalogue, positions | [`points`] | [`read_catalog`], [`read_positions`] | |
 //! | any table of results | CSV with a line of names | [`read_columns`] | [`write_csv`] |
-//! | any cube | | [`read_cube`] | |
+//! | any cube | | [`read_cube`] | [`write_cube`] |
 //!
 //! [`detect`] tells the kinds apart by content.
 //!
@@ -40,6 +40,7 @@ mod cfitsio;
 mod columns;
 mod csv_in;
 mod csv_out;
+mod cube_out;
 mod detect;
 mod error;
 mod hdu;
@@ -60,6 +61,7 @@ pub use atomic::{check_output, write_atomically};
 pub use card::Card;
 pub use card_value::{CardError, CardValue};
 pub use csv_out::write_csv;
+pub use cube_out::write_cube;
 pub use detect::{FileKind, detect};
 pub use error::IoError;
 pub use header_cards::HeaderCards;

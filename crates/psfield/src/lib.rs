@@ -39,6 +39,7 @@ mod measure;
 mod method;
 mod pixel_picker;
 mod psf_input;
+mod round_trip;
 mod simulation;
 mod spot_check;
 mod system_memory;
@@ -52,6 +53,9 @@ pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use method::Method;
 pub use pixel_picker::{PickedPixel, PixelPicker};
 pub use psf_input::{PsfInput, check_stack};
+pub use round_trip::{
+    Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport, RoundTripRow,
+};
 pub use simulation::{SceneParts, Simulation};
 pub use spot_check::SpotCheck;
 pub use system_memory::{available_memory_bytes, peak_memory_bytes};

@@ -10,8 +10,10 @@ mod fit_args;
 mod measure;
 mod preview;
 mod progress;
+mod round_trip;
 mod sample;
 mod simulate;
+mod star_args;
 mod values;
 
 use clap::{Parser, Subcommand};
@@ -49,13 +51,15 @@ pub(crate) struct GlobalArgs {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::DemoArgs),
-    Sample(sample::SampleArgs),
+    Sample(Box<sample::SampleArgs>),
     Fit(fit::FitCommandArgs),
     Simulate(Box<simulate::SimulateArgs>),
     Evaluate(evaluate::EvaluateArgs),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
     Bench(bench::BenchArgs),
+    #[command(name = "roundtrip")]
+    RoundTrip(Box<round_trip::RoundTripArgs>),
 }
 
 impl Cli {
@@ -70,6 +74,7 @@ impl Cli {
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
             Command::Bench(_) => "bench",
+            Command::RoundTrip(_) => "roundtrip",
         }
     }
 
@@ -90,6 +95,7 @@ impl Cli {
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),
+            Command::RoundTrip(args) => args.run(&context),
         }
     }
 }
