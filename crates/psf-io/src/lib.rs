@@ -14,7 +14,7 @@
 //! | PSFEx model | [`psfex`] | [`read_psfex`] | [`write_psfex`] |
 //! | catalogue, positions | [`points`] | [`read_catalog_with`], [`read_catalog`], [`read_positions`] | |
 //! | any table of results | CSV with a line of names | [`read_columns`] | [`write_csv`] |
-//! | any cube | | [`read_cube`] | |
+//! | any cube | | [`read_cube`] | [`write_cube`] |
 //!
 //! [`detect`] tells the kinds apart by content.
 //!
@@ -48,6 +48,7 @@ mod catalog_options;
 mod cfitsio;
 mod columns;
 mod csv_out;
+mod cube_out;
 mod detect;
 mod error;
 mod gridded_error;
@@ -86,6 +87,7 @@ pub use catalog::{Catalog, read_catalog_with, read_positions_with};
 pub use catalog_columns::CatalogColumns;
 pub use catalog_options::CatalogOptions;
 pub use csv_out::write_csv;
+pub use cube_out::write_cube;
 pub use detect::{FileKind, detect};
 pub use error::IoError;
 pub use gridded_error::GriddedError;
