@@ -1,6 +1,7 @@
 //! The command line: arguments in, files and reports out. All that computes is in the library.
 
 mod bench;
+mod catalog_args;
 mod compare;
 mod context;
 mod convert;

@@ -3,13 +3,14 @@
 use std::path::PathBuf;
 
 use conv_core::{PlanSummary, TileCounts};
+use detector::ExposureReport;
 use psf_types::{Anchor, Normalisation};
 use psfield::SpotCheck;
 use serde::Serialize;
 
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
-pub(super) struct Report {
+pub(crate) struct Report {
     pub(super) output: PathBuf,
     pub(super) method: String,
     pub(super) anchor: Anchor,
@@ -22,7 +23,11 @@ pub(super) struct Report {
     pub(super) modes: f64,
     pub(super) normalise: Normalisation,
     pub(super) shape: [usize; 2],
+    /// Point sources.
     pub(super) sources: usize,
+    pub(super) galaxies: usize,
+    /// Rows of the catalogue that were left out.
+    pub(super) invalid_rows: usize,
     /// Whether the scene came and the image went by bands of rows.
     pub(super) streamed: bool,
     pub(super) plan: Option<PlanReport>,
@@ -30,6 +35,8 @@ pub(super) struct Report {
     pub(super) seconds: Seconds,
     pub(super) peak_memory_bytes: Option<u64>,
     pub(super) spot_check: Option<SpotCheck>,
+    /// What the detector made of it, where there is one.
+    pub(super) exposure: Option<ExposureReport>,
     /// The plan as text.
     #[serde(skip)]
     pub(super) plan_text: Option<String>,
@@ -96,7 +103,18 @@ impl TilesReport {
 }
 
 impl Report {
-    pub(super) fn text(&self) -> String {
+    /// An error if the image failed its spot check.
+    pub(crate) fn verdict(&self) -> anyhow::Result<()> {
+        if self.spot_check.as_ref().is_some_and(|check| check.passed == Some(false)) {
+            anyhow::bail!(
+                "{} was written, but it failed its spot check: it differs from the direct sum by more than the method promises",
+                self.output.display()
+            );
+        }
+        Ok(())
+    }
+
+    pub(crate) fn text(&self) -> String {
         let [nx, ny] = self.shape;
         let s = &self.seconds;
         let plan = self.plan_text.as_ref().map_or_else(String::new, |plan| {
@@ -120,9 +138,23 @@ impl Report {
                 check.pixels, check.max_abs, check.rms,
             )
         });
+        let mut sources = String::new();
+        if self.sources + self.galaxies + self.invalid_rows > 0 {
+            sources = format!("catalogue: {} stars, {} galaxies", self.sources, self.galaxies);
+            if self.invalid_rows > 0 {
+                sources += &format!(", {} rows left out", self.invalid_rows);
+            }
+            sources.push('\n');
+        }
+        let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
+            format!(
+                "detector: sky {} e, dark {} e, seed {}; {} pixels saturated, {} bad, {} below 0 before noise\n",
+                e.mean_sky_e, e.dark_e, e.seed, e.saturated_pixels, e.bad_pixels, e.negative_pixels
+            )
+        });
         let streamed = if self.streamed { ", streamed" } else { "" };
         format!(
-            "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}{streamed}\n{plan}{tiles}\
+            "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
              seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),
             self.rank,

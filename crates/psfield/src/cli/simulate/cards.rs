@@ -1,0 +1,54 @@
+//! Header cards of an image.
+
+use conv_core::ConvReal;
+use psf_io::{Card, HeaderCards};
+use psf_types::{PsfModel, Scene};
+
+use super::SimulateArgs;
+use super::super::context::{CHECK_KEYWORDS, signature};
+
+impl SimulateArgs {
+    /// What is needed to repeat the result.
+    pub(super) fn cards<T: ConvReal>(&self, model: &PsfModel) -> anyhow::Result<Vec<Card>> {
+        let mut cards = signature();
+        cards.extend([
+            Card::new("PSFMETH", self.method.to_string(), "convolution method")?,
+            Card::new(
+                "PSFANCH",
+                self.anchor.to_string(),
+                "whose PSF applies: source or output pixel",
+            )?,
+            Card::new("PSFPREC", T::NAME, "working precision")?,
+            Card::new(
+                "PSFRANK",
+                model.rank(),
+                "components of the PSF model (mean not counted)",
+            )?,
+            Card::new(
+                "PSFNORM",
+                model.normalisation().to_string(),
+                "unit: every PSF has unit flux",
+            )?,
+        ]);
+        if let Some(tolerance) = self.promised()? {
+            cards.push(Card::new(
+                "PSFTOL",
+                tolerance,
+                "relative L2 error allowed for any pixel's PSF",
+            )?);
+        }
+        Ok(cards)
+    }
+
+    /// The scene's cards as the image carries them.
+    pub(super) fn carried<T: ConvReal>(&self, header: &HeaderCards, scene: &Scene<T>) -> HeaderCards {
+        let mut header = header
+            .shifted_origin(scene.frame().x0(), scene.frame().y0())
+            .binned(self.scene.finer());
+        // A scene that is itself a result must not lend its own check to this one.
+        for keyword in CHECK_KEYWORDS {
+            header.remove(keyword);
+        }
+        header
+    }
+}

@@ -1,0 +1,72 @@
+//! The image as a detector counts it.
+
+use std::path::{Path, PathBuf};
+
+use detector::{Detector, ExposureReport};
+use psf_io::{Card, HeaderCards};
+use psf_types::{Image, Real};
+use psfield::ExposureFiles;
+
+/// A detector behind the image.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Detector")]
+pub(super) struct ExposureArgs {
+    /// Write what this detector counts: sky, photon noise, dark current, read noise, gain, digits (psfield expose --help names the keys).
+    /// Noise follows --seed
+    #[arg(long, value_name = "DETECTOR.toml")]
+    pub(super) detector: Option<PathBuf>,
+    /// Also write the noise-free image, in the detector's unit and with its sky
+    #[arg(long, value_name = "TRUTH.fits", requires = "detector")]
+    truth: Option<PathBuf>,
+    /// Also write what is wrong with each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
+    #[arg(long, value_name = "QUALITY.fits", requires = "detector")]
+    quality: Option<PathBuf>,
+}
+
+/// A detector and where its counts go.
+pub(super) struct Exposing {
+    detector: Detector,
+    files: ExposureFiles,
+    seed: u64,
+}
+
+impl ExposureArgs {
+    /// What is to be done, with everything checked that can be before the work.
+    pub(super) fn exposing(
+        &self,
+        output: &Path,
+        overwrite: bool,
+        seed: u64,
+        inputs: &[Option<&PathBuf>],
+    ) -> anyhow::Result<Option<Exposing>> {
+        let files = ExposureFiles {
+            raw: output.to_owned(),
+            truth: self.truth.clone(),
+            quality: self.quality.clone(),
+            overwrite,
+        };
+        let inputs = inputs.iter().copied().chain([self.detector.as_ref()]);
+        let inputs: Vec<&Path> = inputs.flatten().map(PathBuf::as_path).collect();
+        files.check(&inputs)?;
+        let Some(path) = &self.detector else { return Ok(None) };
+        Ok(Some(Exposing {
+            detector: Detector::from_toml_file(path)?,
+            files,
+            seed,
+        }))
+    }
+}
+
+impl Exposing {
+    /// Exposes an image and writes all files.
+    pub(super) fn write<T: Real>(
+        &self,
+        image: &Image<T>,
+        header: &HeaderCards,
+        cards: &[Card],
+    ) -> anyhow::Result<ExposureReport> {
+        let exposure = self.detector.expose(image, self.seed)?;
+        self.files.write(&exposure, image, &self.detector, header, cards)?;
+        Ok(exposure.report().clone())
+    }
+}

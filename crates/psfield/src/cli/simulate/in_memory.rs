@@ -1,0 +1,87 @@
+//! A scene in memory as a whole.
+
+use std::time::Instant;
+
+use conv_core::ConvReal;
+use psf_types::Scene;
+use psfield::{SceneParts, SpotCheck};
+
+use super::super::context::{Context, check_cards};
+use super::exposure_args::Exposing;
+use super::prepared::{Preparations, timed};
+use super::report::Seconds;
+use super::{Outcome, SimulateArgs};
+
+impl SimulateArgs {
+    pub(super) fn in_memory<T: ConvReal>(
+        &self,
+        exposing: Option<&Exposing>,
+        preparations: &mut Preparations,
+        context: &Context,
+    ) -> anyhow::Result<Outcome<T>> {
+        let spinner = context.spinner("reading");
+        let mut seconds = Seconds::default();
+        let ((scene, sources, header), read) = timed(|| self.scene.read::<T>())?;
+        seconds.read = read;
+        drop(spinner);
+        // A plan serves images with stars and without.
+        let parts = SceneParts {
+            sources: self.scene.catalog.is_some(),
+            ..SceneParts::of(&scene)
+        };
+        let prepared = self.prepared(parts, &scene, preparations, &mut seconds, context)?;
+        prepared.warn_of_coarse_stamps(scene.sources(), context);
+        let simulation = &prepared.simulation;
+
+        let bar = context.bar("convolving");
+        let clock = Instant::now();
+        let (image, plan) = if let Some(plan) = &prepared.plan {
+            let (image, counts) = simulation.run_planned(plan, &scene, &bar)?;
+            (image, plan.summary().map(|summary| (summary, counts)))
+        } else {
+            let method = self.method.build::<T>(self.options()?)?;
+            let image = simulation.run_with(&scene, method.as_ref(), self.anchor, &bar)?;
+            (image, None)
+        };
+        seconds.execute = clock.elapsed().as_secs_f64();
+        drop(bar);
+
+        let spot_check = (self.spot_check > 0)
+            .then(|| {
+                let _spinner = context.spinner("checking");
+                SpotCheck::run(&image, self.spot_check as usize, self.seed, |pixels| {
+                    simulation.exact_at(&scene, self.anchor, pixels)
+                })
+            })
+            .transpose()?;
+        let spot_check = self.judged::<T>(spot_check)?;
+
+        let clock = Instant::now();
+        let mut cards = self.cards::<T>(simulation.model())?;
+        if let Some(check) = &spot_check {
+            cards.extend(check_cards(check)?);
+        }
+        let header = self.carried(&header, &scene);
+        let exposure = match exposing {
+            Some(exposing) => Some(exposing.write(&image, &header, &cards)?),
+            None => {
+                psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
+                None
+            }
+        };
+        seconds.write = clock.elapsed().as_secs_f64();
+        let stars = Scene::sources(&scene).len();
+        Ok(Outcome {
+            image_shape: image.shape(),
+            sources: stars,
+            galaxies: sources.galaxies.len(),
+            invalid_rows: sources.invalid_rows,
+            seconds,
+            plan,
+            spot_check,
+            exposure,
+            prepared,
+            streamed: false,
+        })
+    }
+}

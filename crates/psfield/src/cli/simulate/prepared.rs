@@ -1,0 +1,86 @@
+//! What scenes of one kind share.
+
+use std::any::Any;
+use std::sync::Arc;
+use std::time::Instant;
+
+use conv_core::ConvReal;
+use psf_types::PointSource;
+use psfield::{Simulation, SimulationPlan};
+
+use super::super::context::Context;
+
+/// Models and plan for scenes of one kind.
+pub(super) struct Prepared<T: ConvReal> {
+    pub(super) simulation: Simulation,
+    /// Of the methods that have one.
+    pub(super) plan: Option<SimulationPlan<T>>,
+    /// Pixels of the PSF file's stamps along each side of an image pixel.
+    pub(super) oversampling: f64,
+    /// How long the model took, and the plan.
+    pub(super) seconds: [f64; 2],
+}
+
+/// Stamps with fewer pixels a frame pixel than this may be too coarse to be interpolated.
+const FINE_ENOUGH: f64 = 2.0;
+
+impl<T: ConvReal> Prepared<T> {
+    /// Says where stars are interpolated between the pixels of coarse stamps, which nothing here can check.
+    pub(super) fn warn_of_coarse_stamps(&self, sources: &[PointSource], context: &Context) {
+        let between_pixels =
+            |s: &PointSource| s.position().x().fract() != 0.0 || s.position().y().fract() != 0.0;
+        if self.oversampling < FINE_ENOUGH && sources.iter().any(between_pixels) {
+            context.warn(
+                "stars lie between pixels, and the PSF stamps are hardly oversampled: they are interpolated, which is wrong by \
+                 percents where the PSF is under-sampled; the spot check does not see that",
+            );
+        }
+    }
+}
+
+/// Preparations kept for the next scene of the same kind, the latest first.
+#[derive(Default)]
+pub(crate) struct Preparations {
+    kept: Vec<(String, Arc<dyn Any + Send + Sync>)>,
+    /// How many; none are kept for a single scene.
+    most: usize,
+}
+
+impl Preparations {
+    /// A keeper of at most so many.
+    pub(crate) fn keeping(most: usize) -> Self {
+        Self {
+            kept: Vec::new(),
+            most,
+        }
+    }
+
+    /// The preparation that `key` describes in full, kept or made, and whether it was made.
+    pub(super) fn get<T: ConvReal>(
+        &mut self,
+        key: &str,
+        make: impl FnOnce() -> anyhow::Result<Prepared<T>>,
+    ) -> anyhow::Result<(Arc<Prepared<T>>, bool)> {
+        if let Some(place) = self.kept.iter().position(|(k, _)| k == key) {
+            let found = self.kept.remove(place);
+            if let Ok(prepared) = Arc::clone(&found.1).downcast::<Prepared<T>>() {
+                self.kept.insert(0, found);
+                return Ok((prepared, false));
+            }
+        }
+        self.kept.truncate(self.most.saturating_sub(1));
+        let prepared = Arc::new(make()?);
+        if self.most > 0 {
+            let any: Arc<dyn Any + Send + Sync> = Arc::<Prepared<T>>::clone(&prepared);
+            self.kept.insert(0, (key.to_owned(), any));
+        }
+        Ok((prepared, true))
+    }
+}
+
+/// What a piece of work gives, and the seconds that it took.
+pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Result<(R, f64)> {
+    let clock = Instant::now();
+    let result = work()?;
+    Ok((result, clock.elapsed().as_secs_f64()))
+}

@@ -1,0 +1,190 @@
+//! What is to be convolved.
+
+use std::path::{Path, PathBuf};
+
+use conv_core::ConvReal;
+use ndarray::ArrayViewMut2;
+use psf_io::{Catalog, HduChoice, HeaderCards, ImageReader};
+use psf_types::{
+    FrameShape, Image, PixelRegion, PointSource, Position, Scene, SersicProfile, SersicSource,
+};
+use psfield::SimulationOptions;
+
+use super::super::UsageError;
+use super::super::catalog_args::CatalogArgs;
+use super::super::values::{Frame, Pair};
+
+/// The scene: an image, a catalogue, or both.
+#[derive(Debug, Clone, clap::Args)]
+pub(super) struct SceneArgs {
+    /// The scene: a FITS image, flux in each pixel. Without one: --catalog and --shape
+    #[arg(value_name = "SCENE.fits")]
+    pub(super) scene: Option<PathBuf>,
+    /// Which image of the scene's file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME", requires = "scene")]
+    pub(super) extension: Option<HduChoice>,
+    /// Stars and galaxies: a CSV, text or FITS table with the columns x, y (pixels of the image, 0-based; also off it) and flux; with re, n,
+    /// q and angle: galaxies with Sersic profiles. See --columns
+    #[arg(long, value_name = "CATALOG")]
+    pub(super) catalog: Option<PathBuf>,
+    /// Columns and rows of a scene without an image
+    #[arg(long, value_name = "NX,NY", conflicts_with = "scene", allow_hyphen_values = true)]
+    pub(super) shape: Option<Pair>,
+    /// The part of the scene that the result shows: first column and row, columns and rows
+    #[arg(long, value_name = "X0,Y0,NX,NY", allow_hyphen_values = true)]
+    pub(super) frame: Option<Frame>,
+    /// The scene is finer than the image: S x S of its pixels are one of the image. The catalogue, --shape and --frame are in pixels of
+    /// the image all the same, and the response of its pixels is applied once
+    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u16).range(1..=SimulationOptions::MAX_OVERSAMPLE as i64))]
+    oversample: Option<u16>,
+    #[command(flatten)]
+    columns: CatalogArgs,
+}
+
+/// The largest frame that can be asked for, 4 GiB in f32; a larger number is a slip.
+const MAX_PIXELS: usize = 1 << 30;
+
+/// A scene without its image, everything in its own pixels.
+pub(super) struct Sources<T> {
+    pub(super) scene: Scene<T>,
+    pub(super) galaxies: Vec<SersicSource>,
+    /// Rows of the catalogue that make no source.
+    pub(super) invalid_rows: usize,
+}
+
+impl SceneArgs {
+    /// What is wrong with the options given, if anything.
+    pub(super) fn missing(&self) -> Option<String> {
+        match (&self.scene, &self.catalog, self.shape) {
+            (None, None, _) => Some(
+                "there is nothing to convolve: give a scene (SCENE.fits), sources (--catalog STARS.csv --shape NX,NY), or both \
+                 (SCENE.fits --catalog STARS.csv)"
+                    .to_owned(),
+            ),
+            (None, Some(_), None) => {
+                Some("a catalogue without a scene needs the frame's size: --shape NX,NY".to_owned())
+            }
+            (Some(_), None, _) => self
+                .columns
+                .given()
+                .map(|option| format!("{option} is of a catalogue: there is none here (--catalog)")),
+            _ => None,
+        }
+    }
+
+    /// Pixels of the scene along each side of a pixel of the image.
+    pub(super) fn finer(&self) -> usize {
+        self.oversample.map_or(1, usize::from)
+    }
+
+    /// The whole scene in memory, and the header of its image.
+    pub(super) fn read<T: ConvReal>(&self) -> anyhow::Result<(Scene<T>, Sources<T>, HeaderCards)> {
+        let (image, header) = match &self.scene {
+            Some(path) => {
+                let read = psf_io::read_image_hdu::<T>(path, self.extension.as_ref())?;
+                let (image, header) = read.into_parts();
+                (Some(image), header)
+            }
+            None => (None, HeaderCards::new()),
+        };
+        let shape = match &image {
+            Some(image) => image.shape(),
+            None => self.dark_shape()?,
+        };
+        let sources = self.sources(shape)?;
+        let image = match image {
+            None if sources.galaxies.is_empty() => None,
+            None => Some(Image::zeros(shape)),
+            image => image,
+        };
+        let Some(image) = image else {
+            return Ok((sources.scene.clone(), sources, header));
+        };
+        let mut light = image.into_pixels();
+        sources.add_galaxies(light.view_mut(), 0);
+        let scene = Scene::from_image(Image::new(light)?)
+            .with_sources(sources.scene.sources().to_vec())
+            .with_frame(sources.scene.frame())?;
+        Ok((scene, sources, header))
+    }
+
+    /// The image of the scene, row by row.
+    pub(super) fn open(&self, path: &Path) -> Result<ImageReader, psf_io::IoError> {
+        ImageReader::open_hdu(path, self.extension.as_ref())
+    }
+
+    fn dark_shape(&self) -> anyhow::Result<FrameShape> {
+        let Some(Pair(nx, ny)) = self.shape else {
+            return Err(UsageError("a scene needs an image or --shape NX,NY".to_owned()).into());
+        };
+        let s = self.finer();
+        let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
+        if pixels.is_none_or(|pixels| pixels > MAX_PIXELS) {
+            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many")).into());
+        }
+        Ok(FrameShape::new(nx * s, ny * s).map_err(|e| UsageError(format!("--shape: {e}")))?)
+    }
+
+    /// The catalogue's sources on a scene of a shape, seen through the frame.
+    pub(super) fn sources<T: ConvReal>(&self, shape: FrameShape) -> anyhow::Result<Sources<T>> {
+        let catalog = match &self.catalog {
+            Some(path) => psf_io::read_catalog_with(path, &self.columns.options()?)?,
+            None => Catalog::default(),
+        };
+        let invalid_rows = catalog.invalid_rows();
+        let (stars, galaxies) = self.in_scene_pixels(catalog)?;
+        let mut scene = Scene::dark(shape).with_sources(stars);
+        let s = self.finer();
+        match self.frame {
+            Some(Frame(frame)) => {
+                let shape = FrameShape::new(frame.shape().nx() * s, frame.shape().ny() * s)?;
+                scene = scene
+                    .with_frame(PixelRegion::new(frame.x0() * s as i64, frame.y0() * s as i64, shape))
+                    .map_err(|e| UsageError(format!("--frame: {e}")))?;
+            }
+            None if shape.nx() % s != 0 || shape.ny() % s != 0 => anyhow::bail!(
+                "the scene is {shape} pixels, which is no multiple of --oversample {s}: cut it, or choose a part of it with --frame"
+            ),
+            None => {}
+        }
+        Ok(Sources {
+            scene,
+            galaxies,
+            invalid_rows,
+        })
+    }
+
+    /// Everything in a scene is in its own pixels.
+    fn in_scene_pixels(&self, catalog: Catalog) -> anyhow::Result<(Vec<PointSource>, Vec<SersicSource>)> {
+        let (stars, galaxies) = catalog.into_parts();
+        if self.finer() == 1 {
+            return Ok((stars, galaxies));
+        }
+        let s = self.finer() as f64;
+        let place = |p: Position| {
+            let of_scene = |v: f64| v * s + (s - 1.0) / 2.0;
+            Position::new(of_scene(p.x()), of_scene(p.y()))
+        };
+        let stars = stars
+            .into_iter()
+            .map(|star| PointSource::new(place(star.position())?, star.flux()))
+            .collect::<Result<_, _>>()?;
+        let galaxies = galaxies
+            .into_iter()
+            .map(|galaxy| {
+                let of = galaxy.profile();
+                let radius = of.half_light_radius_px() * s;
+                let profile = SersicProfile::new(radius, of.index(), of.axis_ratio(), of.angle_deg())?;
+                SersicSource::new(place(galaxy.position())?, galaxy.flux(), profile)
+            })
+            .collect::<Result<_, _>>()?;
+        Ok((stars, galaxies))
+    }
+}
+
+impl<T: ConvReal> Sources<T> {
+    /// Adds the galaxies' light to rows of the scene, the first of which is row `first_row`.
+    pub(super) fn add_galaxies(&self, rows: ArrayViewMut2<'_, T>, first_row: usize) {
+        sersic::add_galaxies(rows, (0, first_row as i64), &self.galaxies);
+    }
+}
