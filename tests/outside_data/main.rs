@@ -8,6 +8,7 @@ mod doors;
 mod dynamic_range;
 mod evaluation;
 mod flux;
+mod frames;
 mod libraries;
 mod linearity;
 mod low_rank;
@@ -45,6 +46,7 @@ fn main() {
         measurements::trials(),
         low_rank::trials(),
         flux::trials(),
+        frames::trials(),
         linearity::trials(),
         dynamic_range::trials(),
         tolerance::trials(),

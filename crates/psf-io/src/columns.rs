@@ -2,6 +2,7 @@
 
 use crate::cfitsio::Fits;
 use crate::hdu::Hdu;
+use crate::number_columns::Gaps;
 use crate::structure::FitsStructure;
 use crate::{IoError, Row};
 
@@ -69,6 +70,11 @@ impl<'a> Table<'a> {
         self.rows
     }
 
+    /// The names of the columns.
+    pub(crate) fn names(&self) -> Vec<String> {
+        self.columns.iter().map(|column| column.name.clone()).collect()
+    }
+
     /// The column of this name, upper or lower case.
     pub(crate) fn column(&self, name: &str) -> Result<&Column, IoError> {
         let path = &self.structure.path;
@@ -96,6 +102,11 @@ impl<'a> Table<'a> {
 
     /// All values of a column of numbers that has `repeat` of them in each row; NaN and infinities are refused.
     pub(crate) fn read(&self, name: &str, repeat: usize) -> Result<Vec<f64>, IoError> {
+        self.read_with(name, repeat, Gaps::Refused)
+    }
+
+    /// The same, where undefined values may be allowed.
+    pub(crate) fn read_with(&self, name: &str, repeat: usize, gaps: Gaps) -> Result<Vec<f64>, IoError> {
         let column = self.column(name)?;
         if !b"BIJKED".contains(&column.code) || column.repeat != repeat {
             return Err(IoError::ColumnFormat {
@@ -114,7 +125,8 @@ impl<'a> Table<'a> {
         if !values.is_empty() {
             fits.read_column(column.number, &mut values, null)?;
         }
-        match values.iter().position(|value| !value.is_finite()) {
+        let refused = |value: &f64| gaps == Gaps::Refused && !value.is_finite();
+        match values.iter().position(refused) {
             None => Ok(values),
             Some(flat) => Err(IoError::Value {
                 path: self.structure.path.clone(),

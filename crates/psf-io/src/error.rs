@@ -326,6 +326,41 @@ pub enum IoError {
         /// Number of fields.
         got: u64,
     },
+    /// A row of a catalogue that does not make a source.
+    #[error("{}: {row} is not a valid source", path.display())]
+    Source {
+        /// The file.
+        path: PathBuf,
+        /// Where.
+        row: Row,
+        /// What is wrong.
+        source: DataError,
+    },
+    /// Magnitudes without the magnitude of flux 1.
+    #[error(
+        "{}: the column {column:?} holds magnitudes: give the magnitude of flux 1 with --zero-point",
+        path.display()
+    )]
+    ZeroPoint {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: String,
+    },
+    /// Sky coordinates without the world coordinates of the frame.
+    #[error(
+        "{}: the columns {ra:?} and {dec:?} are sky coordinates, and no world coordinates of the frame are given: give a scene whose \
+         header has them, or positions in pixels",
+        path.display()
+    )]
+    NoWorldCoordinates {
+        /// The file.
+        path: PathBuf,
+        /// The column of right ascensions.
+        ra: String,
+        /// The column of declinations.
+        dec: String,
+    },
     /// A text table that is not well formed, or a row that cannot be written.
     #[error("{}: not a well-formed CSV table", path.display())]
     Csv {
@@ -389,6 +424,9 @@ impl IoError {
             | Self::MissingHdu { path, .. }
             | Self::SeveralHdus { path, .. }
             | Self::NoSuchHdu { path, .. }
+            | Self::Source { path, .. }
+            | Self::ZeroPoint { path, .. }
+            | Self::NoWorldCoordinates { path, .. }
             | Self::MissingKeyword { path, .. }
             | Self::Keyword { path, .. }
             | Self::Version { path, .. }

@@ -11,7 +11,7 @@ use crate::card_text::text_records;
 use crate::error::{bad_card, unsuitable};
 use crate::gridded_psf::middle;
 use crate::image::cards;
-use crate::new_fits::{write_fits, write_image_hdu};
+use crate::new_fits::{write_fits, write_image_header};
 use crate::stpsf::{PLANE_ORDER, POSITION};
 use crate::{GriddedError, HeaderCards, IoError};
 
@@ -26,12 +26,13 @@ const MIN_SIZE: usize = 4;
 /// Values are written as they are, in double precision. `cards` are added to the header, ahead of the layout's own.
 ///
 /// # Planes
-/// Releases of photutils disagree on how positions belong to planes: up to 3.0 the `i`-th card in the header belongs to plane `i` and its two
-/// numbers are taken as (x, y), from 3.1 on `DET_YXi` does and they are taken as (y, x), as written. A library is
-/// read alike by both when x and y of its grid have the same values and the cards stand in a certain order, so it is written like
-/// that. A grid with other values in x than in y gets more planes, at every crossing of all those values: what lies on them is
-/// bilinear between the samples and constant outside, so that the field of readers, who interpolate the same way, stays the
-/// same everywhere.
+/// Releases of photutils disagree on how positions belong to planes. Up to 3.0 the `i`-th card in the header belongs to plane `i`, and its
+/// two numbers are taken as (x, y); in later ones `DET_YXi` belongs to it, and they are taken as (y, x), as written. Both read a
+/// library alike when x and y of its grid have the same values and the cards stand in a certain order, so it is written like
+/// that.
+///
+/// A grid with other values in x than in y gets more planes: one at every crossing of all these values, bilinear between
+/// the samples and constant outside them. Readers interpolate the same way, so that the PSF stays the same everywhere.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -75,10 +76,15 @@ pub fn write_gridded(
         let (x, y) = square.position(plane);
         header.push(position_card(plane, x, y));
     }
-    let stamps = square.stamps(samples);
-    let values = stamps.as_slice().expect("a new array is row-major");
+    let (ny, nx) = samples.grid().dim();
     write_fits(path, overwrite, |fits| {
-        write_image_hdu(fits, stamps.shape(), values, &header)
+        write_image_header::<f64>(fits, &[planes, ny, nx], &header)?;
+        // Plane by plane: there may be many more than samples.
+        (0..planes).try_for_each(|plane| {
+            let stamp = square.stamp(samples, plane);
+            let values = stamp.as_slice().expect("a new array is row-major");
+            fits.write_pixels(plane * ny * nx, values)
+        })
     })?;
     Ok(planes)
 }

@@ -1,6 +1,7 @@
 //! The cards of a header, in order.
 
 mod binned;
+use std::collections::HashSet;
 
 use crate::card::Record;
 use crate::{Card, CardValue};
@@ -16,6 +17,14 @@ const STRUCTURE: &[&str] = &[
 /// The same with a number after them.
 const NUMBERED_STRUCTURE: &[&str] = &[
     "NAXIS", "ZNAXIS", "ZTILE", "ZNAME", "ZVAL", "PTYPE", "PSCAL", "PZERO",
+];
+/// What names or numbers one HDU and is of no meaning for another.
+const OWN: &[&str] = &["EXTNAME", "EXTVER", "EXTLEVEL", "HDUNAME", "HDUVER", "INHERIT"];
+/// World coordinates: keywords, and stems that a number follows.
+const WORLD: &[&str] = &["WCSAXES", "WCSNAME", "LONPOLE", "LATPOLE"];
+const NUMBERED_WORLD: &[&str] = &[
+    "CTYPE", "CRVAL", "CRPIX", "CDELT", "CUNIT", "CROTA", "CD", "PC", "PV", "PS", "LTV", "LTM", "A_", "B_",
+    "AP_", "BP_",
 ];
 /// What CFITSIO writes at the top of every primary header.
 const STANDARD_COMMENTS: [&str; 2] = [
@@ -181,12 +190,45 @@ impl HeaderCards {
         }
     }
 
+    /// The cards of an extension that also inherits those of its primary header (the convention of `INHERIT = T`): the primary's come
+    /// first, but for those that the extension has too, texts, names of HDUs, and, where the extension has world coordinates of
+    /// its own, the primary's.
+    pub(crate) fn inheriting(&self, primary: &Self) -> Self {
+        let own: HashSet<String> = self.cards.iter().map(Card::keyword).collect();
+        let has_world = own.iter().any(|keyword| keyword.starts_with("CTYPE"));
+        let inherited = |card: &&Card| {
+            let keyword = card.keyword();
+            let stays = card.is_commentary()
+                || own.contains(&keyword)
+                || OWN.contains(&keyword.as_str())
+                || (has_world && is_world(&keyword));
+            !stays
+        };
+        let inherited = primary.cards.iter().filter(inherited);
+        Self {
+            cards: inherited.chain(&self.cards).cloned().collect(),
+        }
+    }
+
     /// These cards and others, each of which takes the place of those with its keyword; none about structure.
     pub(crate) fn with(&self, added: &[Card]) -> Self {
         let mut all = self.clone();
         added.iter().cloned().for_each(|card| all.set(card));
         all.carried()
     }
+}
+
+/// Whether a keyword is of world coordinates.
+fn is_world(keyword: &str) -> bool {
+    // A letter may name an alternate system.
+    WORLD
+        .iter()
+        .any(|word| keyword.strip_prefix(word).is_some_and(|rest| rest.len() <= 1))
+        || NUMBERED_WORLD.iter().any(|stem| {
+            keyword
+                .strip_prefix(stem)
+                .is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))
+        })
 }
 
 impl<'a> IntoIterator for &'a HeaderCards {
@@ -270,6 +312,42 @@ mod tests {
         assert_eq!(value("LTV1"), (-13.0).into());
         assert!(cut.get("LTV2").is_none());
         assert_eq!(wcs.shifted_origin(0, 0), wcs);
+    }
+
+    #[test]
+    fn extensions_inherit_what_describes_the_exposure() {
+        let primary = header(&[
+            "SIMPLE  =                    T",
+            "EXPTIME =                 30.0",
+            "FILTER  = 'r       '",
+            "EXTNAME = 'PRIMARY '",
+            "CRVAL1  =                  1.0",
+            "RADESYS = 'ICRS    '",
+            "HISTORY of the primary",
+        ]);
+        let extension = header(&["FILTER  = 'i       '", "HISTORY own", "CTYPE1  = 'RA---TAN'"]);
+        let keywords = |cards: &HeaderCards| cards.carried().iter().map(Card::keyword).collect::<Vec<_>>();
+        let both = extension.inheriting(&primary);
+        assert_eq!(
+            keywords(&both),
+            ["EXPTIME", "RADESYS", "FILTER", "HISTORY", "CTYPE1"]
+        );
+        assert_eq!(
+            both.get("FILTER").and_then(Card::value),
+            Some("i       ".trim_end().into())
+        );
+        let without = header(&["FILTER  = 'i       '"]).inheriting(&primary);
+        assert_eq!(keywords(&without), ["EXPTIME", "CRVAL1", "RADESYS", "FILTER"]);
+        for (keyword, world) in [
+            ("CD1_2", true),
+            ("WCSNAMEA", true),
+            ("A_0_2", true),
+            ("PVERSION", false),
+            ("CDELT2B", true),
+            ("CDS", false),
+        ] {
+            assert_eq!(is_world(keyword), world, "{keyword}");
+        }
     }
 
     #[test]

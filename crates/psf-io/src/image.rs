@@ -4,10 +4,10 @@
 //!
 //! | part | read | written |
 //! |---|---|---|
-//! | HDU | the first image HDU with pixels: the primary, or an extension behind an empty primary | the primary |
+//! | HDU | the primary when it has pixels; else the only image extension; or the one chosen ([`HduChoice`]) | the primary |
 //! | axes | `NAXIS = 2`, or more with further axes of length 1 | `NAXIS = 2` |
 //! | pixels | any `BITPIX`; `BSCALE` and `BZERO` are applied; NaN, infinities and `BLANK` pixels are refused | `BITPIX` -32 (f32) or -64 (f64) |
-//! | header | every card but those about the file's structure | the same, then the caller's |
+//! | header | every card but those about the file's structure; an extension inherits those of an empty primary HDU, unless `INHERIT = F` | the same, then the caller's |
 //!
 //! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`; world coordinates, which count in
 //! FITS pixels, go over as they are. Files compressed by gzip or fpack must be unpacked first.
@@ -33,7 +33,7 @@ use crate::error::{bad_card, invalid};
 use crate::hdu::Hdu;
 use crate::pixels::read_pixels;
 use crate::structure::FitsStructure;
-use crate::{Card, HeaderCards, ImageReader, ImageWriter, IoError};
+use crate::{Card, HduChoice, HeaderCards, ImageReader, ImageWriter, IoError};
 
 /// An image with the header cards that go with it.
 #[derive(Debug, Clone, PartialEq)]
@@ -59,14 +59,25 @@ impl<T: Real> FitsImage<T> {
     }
 }
 
-/// Reads the first image of a FITS file, whatever its BITPIX, in the precision asked for.
+/// Reads the image of a FITS file, whatever its BITPIX, in the precision asked for: [`read_image_hdu`] without a choice.
 ///
 /// # Errors
-/// [`IoError::Axes`] for a cube, [`IoError::NonFinitePixels`], [`IoError::Overflow`] when a value of a double-precision file is
-/// too large for f32, and the errors of any FITS file.
+/// As [`read_image_hdu`].
 pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoError> {
+    read_image_hdu(path, None)
+}
+
+/// Reads the image chosen; without a choice that of the primary HDU, or the only one there is.
+///
+/// # Errors
+/// [`IoError::SeveralHdus`] with a list where a choice is needed, [`IoError::NoSuchHdu`], [`IoError::Axes`] for a cube, [`IoError::NonFinitePixels`], [`IoError::Overflow`] when a value of a double-precision file is
+/// too large for f32, and the errors of any FITS file.
+pub fn read_image_hdu<T: Real>(
+    path: impl AsRef<Path>,
+    choice: Option<&HduChoice>,
+) -> Result<FitsImage<T>, IoError> {
     let path = path.as_ref();
-    let mut reader = ImageReader::open(path)?;
+    let mut reader = ImageReader::open_hdu(path, choice)?;
     let pixels = reader.read_rows(0..reader.shape().ny())?;
     Ok(FitsImage {
         image: Image::new(pixels).map_err(invalid(path))?,
@@ -74,16 +85,27 @@ pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoErr
     })
 }
 
-/// Reads the first image of a FITS file as a stack `[plane, y, x]`: a cube, or an image as a stack of one.
+/// Reads the image of a FITS file as a stack `[plane, y, x]`: a cube, or an image as a stack of one.
 ///
 /// For stamps that need not be PSF samples, such as a reference to compare with.
 ///
 /// # Errors
-/// As [`read_image`]; [`IoError::Axes`] for more than three axes.
+/// As [`read_cube_hdu`].
 pub fn read_cube<T: Real>(path: impl AsRef<Path>) -> Result<Array3<T>, IoError> {
+    read_cube_hdu(path, None)
+}
+
+/// The same of the image chosen.
+///
+/// # Errors
+/// As [`read_image_hdu`]; [`IoError::Axes`] for more than three axes.
+pub fn read_cube_hdu<T: Real>(
+    path: impl AsRef<Path>,
+    choice: Option<&HduChoice>,
+) -> Result<Array3<T>, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
-    let hdu = structure.first_image()?;
+    let hdu = structure.image(choice)?;
     let shape = match squeezed(hdu)[..] {
         [ny, nx] => (1, ny, nx),
         [planes, ny, nx] => (planes, ny, nx),
@@ -92,13 +114,21 @@ pub fn read_cube<T: Real>(path: impl AsRef<Path>) -> Result<Array3<T>, IoError> 
     Ok(Array3::from_shape_vec(shape, read_pixels(path, hdu)?).expect("as many pixels as the axes say"))
 }
 
-/// Reads the header cards of the first image of a FITS file, without those about the structure of the file.
+/// Reads the header cards of the image of a FITS file, without those about the structure of the file.
 ///
 /// # Errors
-/// The errors of any FITS file; the pixels are not read.
+/// As [`read_header_hdu`].
 pub fn read_header(path: impl AsRef<Path>) -> Result<HeaderCards, IoError> {
+    read_header_hdu(path, None)
+}
+
+/// The same of the image chosen.
+///
+/// # Errors
+/// As [`read_image_hdu`]; the pixels are not read.
+pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
-    Ok(structure.first_image()?.header.carried())
+    Ok(structure.cards(structure.image(choice)?))
 }
 
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.

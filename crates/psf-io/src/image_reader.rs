@@ -10,7 +10,7 @@ use crate::error::invalid;
 use crate::image::squeezed;
 use crate::pixels::Pixels;
 use crate::structure::FitsStructure;
-use crate::{HeaderCards, IoError};
+use crate::{HduChoice, HeaderCards, IoError};
 
 /// An image open for reading a band of rows at a time: what is larger than memory can be worked on in parts.
 ///
@@ -43,14 +43,24 @@ pub struct ImageReader {
 }
 
 impl ImageReader {
-    /// Opens the first image of a FITS file. Every header is read and checked against the length of the file, no pixel is read.
+    /// Opens the image of a FITS file: [`open_hdu`](Self::open_hdu) without a choice.
     ///
     /// # Errors
-    /// [`IoError::Axes`] for a cube, and the errors of any FITS file.
+    /// As [`open_hdu`](Self::open_hdu).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, IoError> {
+        Self::open_hdu(path, None)
+    }
+
+    /// Opens the image chosen; without a choice that of the primary HDU, or the only one there is. Every header is read and checked against
+    /// the length of the file, no pixel is read.
+    ///
+    /// # Errors
+    /// [`IoError::SeveralHdus`] with a list where a choice is needed, [`IoError::NoSuchHdu`], [`IoError::Axes`] for a cube, and the
+    /// errors of any FITS file.
+    pub fn open_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<Self, IoError> {
         let path = path.as_ref();
         let structure = FitsStructure::scan(path)?;
-        let hdu = structure.first_image()?;
+        let hdu = structure.image(choice)?;
         let &[ny, nx] = squeezed(hdu).as_slice() else {
             return Err(hdu.axes_error("a single image [y, x] (a cube of PSF stamps is not a scene)"));
         };
@@ -58,7 +68,7 @@ impl ImageReader {
             path: path.to_owned(),
             pixels: Pixels::open(path, hdu)?,
             shape: FrameShape::new(nx, ny).map_err(invalid(path))?,
-            header: hdu.header.carried(),
+            header: structure.cards(hdu),
         })
     }
 

@@ -12,9 +12,9 @@
 //! | plain stamps | a cube or an image | [`read_stamp_cube`] | |
 //! | PSF model | [`model`] | [`read_model`] | [`write_model`] |
 //! | PSFEx model | [`psfex`] | [`read_psfex`] | [`write_psfex`] |
-//! | catalogue, positions | [`points`] | [`read_catalog`], [`read_positions`] | |
+//! | catalogue, positions | [`points`] | [`read_catalog_with`], [`read_catalog`], [`read_positions`] | |
 //! | any table of results | CSV with a line of names | [`read_columns`] | [`write_csv`] |
-//! | any cube | | [`read_cube`] | |
+//! | any cube | | [`read_cube`] | [`write_cube`] |
 //!
 //! [`detect`] tells the kinds apart by content.
 //!
@@ -42,10 +42,13 @@ mod atomic;
 mod card;
 mod card_text;
 mod card_value;
+mod catalog;
+mod catalog_columns;
+mod catalog_options;
 mod cfitsio;
 mod columns;
-mod csv_in;
 mod csv_out;
+mod cube_out;
 mod detect;
 mod error;
 mod gridded_error;
@@ -61,6 +64,7 @@ mod integer_image;
 mod library_cards;
 pub mod model;
 mod new_fits;
+mod number_columns;
 mod pending_file;
 mod pixels;
 pub mod points;
@@ -72,11 +76,18 @@ mod stamp_cube;
 pub mod stdpsf;
 pub mod stpsf;
 mod structure;
+mod table_file;
+mod text_header;
+mod text_table;
 
 pub use atomic::{check_output, write_atomically};
 pub use card::Card;
 pub use card_value::{CardError, CardValue};
+pub use catalog::{Catalog, read_catalog_with, read_positions_with};
+pub use catalog_columns::CatalogColumns;
+pub use catalog_options::CatalogOptions;
 pub use csv_out::write_csv;
+pub use cube_out::write_cube;
 pub use detect::{FileKind, detect};
 pub use error::IoError;
 pub use gridded_error::GriddedError;
@@ -84,7 +95,10 @@ pub use gridded_out::write_gridded;
 pub use gridded_psf::GriddedPsf;
 pub use hdu_choice::HduChoice;
 pub use header_cards::HeaderCards;
-pub use image::{FitsImage, read_cube, read_header, read_image, write_image};
+pub use image::{
+    FitsImage, read_cube, read_cube_hdu, read_header, read_header_hdu, read_image, read_image_hdu,
+    write_image,
+};
 pub use image_reader::ImageReader;
 pub use image_writer::ImageWriter;
 pub use integer_image::{IntegerKind, write_integers};

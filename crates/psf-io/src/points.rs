@@ -2,18 +2,21 @@
 //!
 //! # Layout
 //!
-//! A CSV file or a binary table of a FITS file, told apart by content, not by name.
+//! A text table or a binary table of a FITS file, told apart by content, not by name.
 //!
 //! | column | meaning |
 //! |---|---|
 //! | `x`, `y` | position in pixels of the frame, 0-based, an integer is the centre of a pixel; sub-pixel, also outside the frame |
 //! | `flux` | total flux of the source (catalogues only) |
 //!
-//! Upper and lower case are the same, columns stand in any order, and further columns are ignored.
+//! Upper and lower case are the same, columns stand in any order, and further columns are ignored. Other names, 1-based pixels, magnitudes,
+//! sky coordinates and galaxies: [`read_catalog_with`](crate::read_catalog_with) and [`CatalogColumns`](crate::CatalogColumns).
 //!
-//! * **CSV**: commas; the first line that does not start with `#` names the columns; later lines with `#` and empty lines are
-//!   skipped; values may be quoted.
-//! * **FITS**: the first binary table that has the columns, each of one number (any integer or float type) a row.
+//! * **Text**: fields separated by commas (values may be quoted), tabs or blanks. The first line that does not start with `#` names the
+//!   columns, or, when it is a row of numbers, the last comment ahead of it; SExtractor's `ASCII_HEAD` is known too. Later
+//!   lines with `#` and empty lines are skipped.
+//! * **FITS**: the binary table that has the columns, each of one number (any integer or float type) a row, such as
+//!   `LDAC_OBJECTS` of a `FITS_LDAC` catalogue; where several have them, one must be chosen.
 //!
 //! A catalogue from Python:
 //!
@@ -27,13 +30,15 @@ use std::path::Path;
 
 use psf_types::{PointSource, Position};
 
-use crate::IoError;
 use crate::columns::Table;
-use crate::csv_in::read_csv_columns;
 use crate::error::invalid;
-use crate::structure::{FitsStructure, Magic, magic};
+use crate::number_columns::{Gaps, NumberColumns};
+use crate::structure::FitsStructure;
+use crate::table_file::TableFile;
+use crate::{CatalogOptions, IoError, read_positions_with};
 
-/// Reads a catalogue of point sources: the columns x, y and flux.
+/// Reads a catalogue of point sources: the columns x, y and flux. Others are not looked at: [`read_catalog_with`](crate::read_catalog_with)
+/// knows galaxies too.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -62,12 +67,10 @@ pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError>
 /// # Errors
 /// As [`read_catalog`].
 pub fn read_positions(path: impl AsRef<Path>) -> Result<Vec<Position>, IoError> {
-    let path = path.as_ref();
-    let [x, y] = read_columns(path, ["x", "y"])?;
-    positions(path, x, y)
+    read_positions_with(path, &CatalogOptions::new())
 }
 
-/// Reads columns of finite numbers, by name, from a CSV file or the first binary table of a FITS file that has them all.
+/// Reads columns of finite numbers, by name, from a text table or the binary table of a FITS file that has them all.
 ///
 /// # Errors
 /// As [`read_catalog`].
@@ -76,36 +79,32 @@ pub fn read_columns<const N: usize>(
     names: [&str; N],
 ) -> Result<[Vec<f64>; N], IoError> {
     let path = path.as_ref();
-    if magic(path)? != Magic::Fits {
-        return read_csv_columns(path, names);
-    }
-    let structure = FitsStructure::scan(path)?;
-    let Some(table) = table_with(&structure, &names)? else {
-        return Err(structure.missing(&format!("binary table (columns needed: {})", names.join(", "))));
-    };
-    let mut columns = [const { Vec::new() }; N];
-    for (column, name) in columns.iter_mut().zip(names) {
-        *column = table.read(name, 1)?;
-    }
-    Ok(columns)
+    let file = TableFile::open(path)?;
+    let ((), table) = file.pick(None, &names.join(", "), |found| {
+        let missing = names
+            .iter()
+            .find(|name| !found.iter().any(|f| f.eq_ignore_ascii_case(name)));
+        match missing {
+            None => Ok(()),
+            Some(name) => Err(IoError::MissingColumn {
+                path: path.to_owned(),
+                column: (*name).to_owned(),
+                found: found.iter().map(|name| format!("{name:?}")).collect(),
+            }),
+        }
+    })?;
+    let columns = table
+        .read(&names, Gaps::Refused)
+        .map(NumberColumns::into_values)?;
+    Ok(columns.try_into().expect("a column for each name"))
 }
 
 /// Whether a file has a binary table with the columns x and y.
 pub(crate) fn has_points(structure: &FitsStructure) -> bool {
-    matches!(table_with(structure, &["x", "y"]), Ok(Some(table)) if ["x", "y"].iter().all(|name| table.column(name).is_ok()))
-}
-
-/// The first binary table with these columns; failing that, the first at all, whose columns an error can list.
-fn table_with<'a>(structure: &'a FitsStructure, names: &[&str]) -> Result<Option<Table<'a>>, IoError> {
-    let mut first = None;
-    for hdu in structure.tables() {
-        let table = Table::new(structure, hdu)?;
-        if names.iter().all(|name| table.column(name).is_ok()) {
-            return Ok(Some(table));
-        }
-        first.get_or_insert(table);
-    }
-    Ok(first)
+    let has = |hdu, names: [&str; 2]| {
+        Table::new(structure, hdu).is_ok_and(|table| names.iter().all(|name| table.column(name).is_ok()))
+    };
+    structure.tables().any(|hdu| has(hdu, ["x", "y"]))
 }
 
 fn positions(path: &Path, x: Vec<f64>, y: Vec<f64>) -> Result<Vec<Position>, IoError> {

@@ -14,8 +14,8 @@
 //! * **The field** is piecewise constant: at each position the layer of the nearest pixel (or row) of the map applies. Such a node
 //!   of the map lies at `field_centre + offset / pixel_scale` in pixels of the frame; x and y of the frame grow with those of the map,
 //!   which must not be rotated. Celestial projections are taken as linear, as ScopeSim does.
-//! * **Stamps** have `pixel_scale / CDELT1` pixels per frame pixel. Their values are those of the file times the square of that, so
-//!   that a kernel of unit sum holds unit flux. ScopeSim itself scales every kernel to unit sum (after it has set negative
+//! * **Stamps** have `pixel_scale / CDELT1` pixels per frame pixel, a whole number where that is one but for the header's digits.
+//!   Their values are those of the file times the square of that, so that a kernel of unit sum holds unit flux. ScopeSim itself scales every kernel to unit sum (after it has set negative
 //!   values to zero, which is not done here): scale to unit flux for the same.
 //! * **The centre** is the middle of the stamp, `(n - 1) / 2`, as ScopeSim has it where it rescales kernels; it does not look at `CRPIX1` of
 //!   the PSFs, and neither is that done here.
@@ -86,6 +86,19 @@ pub(crate) fn is_scopesim(structure: &FitsStructure) -> bool {
     kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("FVPSF"))
 }
 
+/// A ratio this near a whole number is meant to be one: headers hold arcseconds in degrees, with as many digits as their writers
+/// chose. (ScopeSim itself rounds to five decimals.)
+const NEAR_WHOLE: f64 = 1e-6;
+
+fn near_whole(ratio: f64) -> f64 {
+    let whole = ratio.round();
+    if whole >= 1.0 && (ratio - whole).abs() <= NEAR_WHOLE {
+        whole
+    } else {
+        ratio
+    }
+}
+
 /// Reads a field-varying PSF of ScopeSim; see the [layout](self).
 ///
 /// ```no_run
@@ -144,7 +157,7 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
                 .expect("every layer of the map is listed")
         })
         .collect();
-    let oversampling = options.pixel_scale_arcsec() / kernels.pixel_arcsec();
+    let oversampling = near_whole(options.pixel_scale_arcsec() / kernels.pixel_arcsec());
     let grid = StampGrid::new(nx, ny)
         .and_then(|grid| grid.with_centre(middle(nx), middle(ny)))
         .and_then(|grid| grid.with_oversampling(oversampling))

@@ -50,11 +50,12 @@ use layout::Layout;
 const OVERSAMPLING: f64 = 4.0;
 const COUNT_EXPECTED: &str = "the number of PSFs along an axis of the grid, a whole number above 0";
 
-/// Whether a file is such a library: its cube says how many PSFs lie along each axis.
+/// Whether a file is such a library: its cube says how many PSFs lie along an axis. (That both are needed, the reader says
+/// best.)
 pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
     structure
         .first_image()
-        .is_ok_and(|hdu| ["NXPSFS", "NYPSFS"].iter().all(|keyword| has_card(hdu, keyword)))
+        .is_ok_and(|hdu| ["NXPSFS", "NYPSFS"].iter().any(|keyword| has_card(hdu, keyword)))
 }
 
 /// Reads an STDPSF library; see the [layout](self). `detector` chooses among several.

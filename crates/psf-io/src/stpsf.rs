@@ -27,7 +27,7 @@
 //! WebbPSF up to 1.2.1 stores the planes as its cards say, x being the slower coordinate. Since 2023-12-11 (WebbPSF 1.3, STPSF) the
 //! planes are stored sorted by y, then x, while the cards have stayed as they were; a reader that goes by the cards exchanges x and
 //! y of the field. photutils up to 3.0 exchanges the coordinates of the cards, which is right for the later files on square grids
-//! and wrong for the earlier ones; photutils since 3.1 goes by the cards, which is right for the earlier files alone. [`PlaneOrder`]
+//! and wrong for the earlier ones; later photutils goes by the cards, which is right for the earlier files alone. [`PlaneOrder`]
 //! decides here.
 
 mod order;
@@ -55,11 +55,11 @@ const POSITION_EXPECTED: &str =
     "a text \"(y, x)\" with the detector position of a plane in pixels, such as '(0.0, 682.0)'";
 const OVERSAMPLING_EXPECTED: &str = "stamp pixels per detector pixel, a whole number above 0";
 
-/// Whether a file is such a library: its cube has positions and an oversampling.
+/// Whether a file is such a library: its cube has positions. (What else must be there, the reader says best.)
 pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
-    structure.first_image().is_ok_and(|hdu| {
-        hdu.header.get("OVERSAMP").is_some() && hdu.header.iter().any(|card| position_number(card).is_some())
-    })
+    structure
+        .first_image()
+        .is_ok_and(|hdu| hdu.header.iter().any(|card| position_number(card).is_some()))
 }
 
 /// Reads a gridded PSF library of STPSF or WebbPSF; see the [layout](self).

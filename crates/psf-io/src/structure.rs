@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::card::{RECORD, Record};
 use crate::hdu::{Hdu, HduKind};
-use crate::{CardValue, HeaderCards, IoError};
+use crate::{Card, CardValue, HduChoice, HeaderCards, IoError};
 
 /// FITS files are made of blocks of this many bytes.
 const BLOCK: u64 = 2880;
@@ -57,10 +57,7 @@ impl FitsStructure {
 
     /// The first image that has pixels.
     pub(crate) fn first_image(&self) -> Result<&Hdu, IoError> {
-        let has_pixels = |hdu: &&Hdu| {
-            hdu.kind == HduKind::Image && !hdu.axes.is_empty() && hdu.axes.iter().all(|&n| n > 0)
-        };
-        if let Some(hdu) = self.hdus.iter().find(has_pixels) {
+        if let Some(hdu) = self.hdus.iter().find(|hdu| hdu.has_pixels()) {
             return Ok(hdu);
         }
         if self.hdus.iter().any(|hdu| hdu.logical("ZIMAGE") == Some(true)) {
@@ -75,10 +72,74 @@ impl FitsStructure {
 
     /// The first binary table of this name (upper or lower case).
     pub(crate) fn table(&self, name: &str) -> Option<&Hdu> {
-        self.tables().find(|hdu| {
-            hdu.text("EXTNAME")
-                .is_some_and(|n| n.trim().eq_ignore_ascii_case(name))
-        })
+        self.tables()
+            .find(|hdu| hdu.name().is_some_and(|n| n.eq_ignore_ascii_case(name)))
+    }
+
+    /// The HDU chosen.
+    fn chosen(&self, choice: &HduChoice) -> Option<&Hdu> {
+        self.hdus.iter().find(|hdu| choice.matches(hdu))
+    }
+
+    /// The image with pixels that is chosen. Without a choice the primary HDU's, where it has pixels, and else the only one: which of
+    /// several is the science image, and which its mask or weight, is not guessed.
+    pub(crate) fn image(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
+        if let Some(choice) = choice {
+            return match self.chosen(choice) {
+                Some(hdu) if hdu.has_pixels() => Ok(hdu),
+                _ => Err(self.no_such(choice, "images with pixels", Hdu::has_pixels)),
+            };
+        }
+        let first = self.first_image()?;
+        let images: Vec<&Hdu> = self.hdus.iter().filter(|hdu| hdu.has_pixels()).collect();
+        if first.index == 0 || images.len() == 1 {
+            Ok(first)
+        } else {
+            Err(self.several("images", images.into_iter()))
+        }
+    }
+
+    /// The cards of an image for files of another structure. An image in an extension inherits those of an empty primary HDU,
+    /// unless `INHERIT = F` says otherwise.
+    pub(crate) fn cards(&self, hdu: &Hdu) -> HeaderCards {
+        let primary = &self.hdus[0];
+        if hdu.index == 0 || primary.has_pixels() || hdu.logical("INHERIT") == Some(false) {
+            return hdu.header.carried();
+        }
+        hdu.header.carried().inheriting(&primary.header.carried())
+    }
+
+    /// The binary table chosen.
+    pub(crate) fn chosen_table(&self, choice: &HduChoice) -> Result<&Hdu, IoError> {
+        let is_table = |hdu: &Hdu| hdu.kind == HduKind::BinaryTable;
+        match self.chosen(choice) {
+            Some(hdu) if is_table(hdu) => Ok(hdu),
+            _ => Err(self.no_such(choice, "binary tables", is_table)),
+        }
+    }
+
+    fn no_such(&self, choice: &HduChoice, what: &'static str, fits: impl Fn(&Hdu) -> bool) -> IoError {
+        IoError::NoSuchHdu {
+            path: self.path.clone(),
+            wanted: choice.clone(),
+            what,
+            found: self
+                .hdus
+                .iter()
+                .filter(|hdu| fits(hdu))
+                .map(Hdu::described)
+                .collect(),
+        }
+    }
+
+    /// The error for HDUs of which one must be chosen.
+    pub(crate) fn several<'a>(&self, what: &'static str, hdus: impl Iterator<Item = &'a Hdu>) -> IoError {
+        IoError::SeveralHdus {
+            path: self.path.clone(),
+            what,
+            option: "--extension N|NAME",
+            found: hdus.map(Hdu::described).collect(),
+        }
     }
 
     /// The binary tables.
@@ -224,6 +285,40 @@ impl<'a> Scanner<'a> {
 }
 
 impl Hdu {
+    /// Whether this is an image that has pixels.
+    pub(crate) fn has_pixels(&self) -> bool {
+        self.kind == HduKind::Image && !self.axes.is_empty() && self.axes.iter().all(|&n| n > 0)
+    }
+
+    /// The EXTNAME.
+    pub(crate) fn name(&self) -> Option<String> {
+        self.text("EXTNAME").map(|name| name.trim().to_owned())
+    }
+
+    /// The EXTVER.
+    pub(crate) fn version(&self) -> i64 {
+        match self.header.get("EXTVER").and_then(Card::value) {
+            Some(CardValue::Integer(version)) => version,
+            _ => 1,
+        }
+    }
+
+    /// Number, name and size, for a list to choose from.
+    pub(crate) fn described(&self) -> String {
+        let mut text = self.index.to_string();
+        if let Some(name) = self.name() {
+            text = format!("{text} {name:?}");
+            if self.header.get("EXTVER").is_some() {
+                text = format!("{text},{}", self.version());
+            }
+        }
+        let sizes: Vec<String> = self.axes.iter().map(ToString::to_string).collect();
+        match self.kind {
+            HduKind::BinaryTable => format!("{text} ({} rows)", self.axes.get(1).unwrap_or(&0)),
+            _ => format!("{text} ({})", sizes.join(" x ")),
+        }
+    }
+
     /// A logical keyword, if it is there and is one.
     pub(crate) fn logical(&self, keyword: &str) -> Option<bool> {
         match self.header.get(keyword)?.value()? {

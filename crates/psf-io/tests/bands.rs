@@ -84,7 +84,6 @@ fn bands_in_are_the_image_whatever_the_file_holds() {
     let doubles: Vec<f64> = values::<f64>(nx, ny).iter().copied().collect();
     let mut extension = image(SIMPLE, 8, &[], &["EXTEND  = T"], &[]);
     extension.extend(image(IMAGE, -32, &[nx, ny], &["EXTNAME = 'SCI'"], &f32s(&floats)));
-    extension.extend(image(IMAGE, 16, &[nx, ny], &[], &i16s(&shorts)));
     let bytes: Vec<u8> = (0..count).map(|v| v as u8).collect();
     let files = [
         ("f32", image(SIMPLE, -32, &[nx, ny], &cards, &f32s(&floats))),

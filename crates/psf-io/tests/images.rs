@@ -3,7 +3,10 @@
 mod support;
 
 use ndarray::{Array2, array};
-use psf_io::{Card, IoError, read_cube, read_header, read_image};
+use psf_io::{
+    Card, HduChoice, HeaderCards, IoError, read_cube, read_header, read_header_hdu, read_image,
+    read_image_hdu,
+};
 use support::{IMAGE, SIMPLE, Scratch, chain, f32s, f64s, hdu, i16s, i32s, i64s, image, names};
 
 fn pixels(path: &std::path::Path) -> Result<Array2<f64>, IoError> {
@@ -64,19 +67,102 @@ fn trailing_axes_of_length_one_do_not_count() {
     );
 }
 
+/// An empty primary, an image without pixels, SCI, its mask, and a second SCI.
+fn mosaic(primary: &[&str]) -> Vec<u8> {
+    let mut bytes = image(SIMPLE, 8, &[], primary, &[]);
+    bytes.extend(image(IMAGE, 8, &[0, 5], &[], &[]));
+    for (cards, values) in [
+        (&["EXTNAME = 'SCI'", "GAIN    = 2.0"][..], [1, 2]),
+        (&["EXTNAME = 'MASK'", "INHERIT = F"], [3, 4]),
+        (&["EXTNAME = 'sci'", "EXTVER  = 2"], [5, 6]),
+    ] {
+        bytes.extend(image(IMAGE, 16, &[2, 1], cards, &i16s(&values)));
+    }
+    bytes
+}
+
 #[test]
-fn the_first_image_with_pixels_counts() {
+fn the_only_image_with_pixels_is_taken() {
     let scratch = Scratch::new();
     let mut bytes = image(SIMPLE, 8, &[], &["EXTEND  = T"], &[]);
     bytes.extend(image(IMAGE, 8, &[0, 5], &[], &[]));
     bytes.extend(image(IMAGE, 16, &[2, 1], &["EXTNAME = 'SCI'"], &i16s(&[1, 2])));
-    bytes.extend(image(IMAGE, 16, &[2, 1], &[], &i16s(&[3, 4])));
     let path = scratch.put("a.fits", &bytes);
     assert_eq!(pixels(&path).unwrap(), array![[1.0, 2.0]]);
     assert_eq!(
         read_header(&path).unwrap().get("EXTNAME").and_then(Card::value),
         Some("SCI".into())
     );
+}
+
+#[test]
+fn the_primary_image_goes_before_extensions() {
+    let scratch = Scratch::new();
+    let mut bytes = image(SIMPLE, 16, &[2, 1], &[], &i16s(&[7, 8]));
+    bytes.extend(image(IMAGE, 16, &[2, 1], &["EXTNAME = 'MASK'"], &i16s(&[1, 0])));
+    let path = scratch.put("a.fits", &bytes);
+    assert_eq!(pixels(&path).unwrap(), array![[7.0, 8.0]]);
+}
+
+#[test]
+fn one_of_several_images_must_be_chosen() {
+    let scratch = Scratch::new();
+    let path = scratch.put("a.fits", &mosaic(&[]));
+    let error = pixels(&path).unwrap_err();
+    assert!(
+        matches!(&error, IoError::SeveralHdus { found, .. } if found.len() == 3),
+        "{error}"
+    );
+    let text = error.to_string();
+    assert!(
+        text.contains("2 \"SCI\" (2 x 1)")
+            && text.contains("4 \"sci\",2 (2 x 1)")
+            && text.contains("--extension"),
+        "{text}"
+    );
+    let of = |choice: &str| {
+        let choice: HduChoice = choice.parse().unwrap();
+        read_image_hdu::<f64>(&path, Some(&choice)).map(|read| read.into_parts().0.into_pixels())
+    };
+    for (choice, expected) in [
+        ("2", 1.0),
+        ("3", 3.0),
+        ("SCI", 1.0),
+        ("mask", 3.0),
+        ("sci,1", 1.0),
+        ("SCI,2", 5.0),
+    ] {
+        assert_eq!(of(choice).unwrap()[[0, 0]], expected, "{choice}");
+    }
+    for choice in ["0", "1", "5", "WHT", "SCI,3", "MASK,2"] {
+        let error = of(choice).unwrap_err();
+        assert!(
+            matches!(&error, IoError::NoSuchHdu { found, .. } if found.len() == 3),
+            "{error}"
+        );
+        assert!(
+            names(&error, &path) && error.to_string().contains("\"MASK\""),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn cards_of_the_exposure_are_inherited() {
+    let scratch = Scratch::new();
+    let primary = [
+        "EXPTIME = 30.0",
+        "GAIN    = 1.0",
+        "EXTEND  = T",
+        "HISTORY taken",
+        "ORIGIN  = 'here'",
+    ];
+    let path = scratch.put("a.fits", &mosaic(&primary));
+    let of = |choice: &str| read_header_hdu(&path, Some(&choice.parse().unwrap())).unwrap();
+    let keywords = |cards: &HeaderCards| cards.iter().map(Card::keyword).collect::<Vec<_>>();
+    assert_eq!(keywords(&of("2")), ["EXPTIME", "ORIGIN", "EXTNAME", "GAIN"]);
+    assert_eq!(of("2").get("GAIN").and_then(Card::value), Some(2.0.into()));
+    assert_eq!(keywords(&of("MASK")), ["EXTNAME"]);
 }
 
 #[test]

@@ -120,8 +120,13 @@ fn angles_are_degrees_unless_the_file_says_otherwise() {
     let kernels = replaced(&kernels, "CUNIT2", "COMMENT").bytes;
     let kernels = with_value(&kernels, "CDELT1", "-1.0E-5").bytes;
     let kernels = with_value(&kernels, "CDELT2", "1.0E-5").bytes;
-    let file = [scopesim_primary(), scopesim_map([0.0; 6]), kernels].concat();
+    let file = [scopesim_primary(), scopesim_map([0.0; 6]), kernels.clone()].concat();
     assert!((oversampling(&file) - 0.25 / 0.036).abs() < 1e-12);
+    // A twelfth of the frame's pixel, as far as the digits go.
+    let kernels = with_value(&kernels, "CDELT1", "5.7870370E-6").bytes;
+    let kernels = with_value(&kernels, "CDELT2", "5.7870370E-6").bytes;
+    let file = [scopesim_primary(), scopesim_map([0.0; 6]), kernels].concat();
+    assert_eq!(oversampling(&file), 12.0);
 }
 
 #[test]

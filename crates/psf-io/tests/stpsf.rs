@@ -180,6 +180,16 @@ fn errors_name_the_card() {
 }
 
 #[test]
+fn a_library_without_one_of_its_cards_is_told_for_what_it_is() {
+    let bytes = without(&stpsf(&[]), &["OVERSAMP"]).remove(0).bytes;
+    assert_eq!(
+        detect(Scratch::new().put("a.fits", &bytes)).unwrap(),
+        FileKind::Stpsf
+    );
+    assert!(chain(&read(&bytes, PlaneOrder::Auto).unwrap_err()).contains("OVERSAMP"));
+}
+
+#[test]
 fn planes_without_light_are_named() {
     let mut dark = stpsf(&[]);
     let data = dark.len() - (6 * SIZE * SIZE * 8_usize).next_multiple_of(2880);

@@ -187,6 +187,16 @@ pub enum DataError {
         /// Its flux.
         flux: f64,
     },
+    /// A galaxy whose profile is not one that can be drawn.
+    #[error("{parameter} must be {allowed}, got {got}")]
+    Galaxy {
+        /// The parameter.
+        parameter: &'static str,
+        /// What is allowed, in words.
+        allowed: &'static str,
+        /// What was given.
+        got: f64,
+    },
     /// A frame that reaches beyond the scene.
     #[error("the frame (first pixel {x0}, {y0}; {shape} pixels) reaches beyond the scene of {scene} pixels")]
     FrameOutsideScene {

@@ -31,6 +31,7 @@ mod real;
 mod sample_coefficients;
 mod sample_positions;
 mod scene;
+mod sersic_source;
 mod stamp;
 
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation};
@@ -50,4 +51,5 @@ pub use real::Real;
 pub use sample_coefficients::SampleCoefficients;
 pub use sample_positions::SamplePositions;
 pub use scene::Scene;
+pub use sersic_source::{SersicProfile, SersicSource};
 pub use stamp::{Stamp, StampGrid};

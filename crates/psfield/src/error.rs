@@ -51,6 +51,19 @@ pub enum PsfieldError {
     /// A measurement failed that everything else needs.
     #[error(transparent)]
     Metrics(#[from] metrics::MetricsError),
+    /// The stars of a frame gave no samples.
+    #[error(transparent)]
+    Stars(Box<psf_stars::StarError>),
+    /// No star can be measured in a frame and its simulation.
+    #[error(
+        "none of the {stars} stars could be measured in both frames in windows of {window} pixels: try another window (--window)"
+    )]
+    NothingMeasured {
+        /// Stars that became samples.
+        stars: usize,
+        /// Pixels along each side of the window.
+        window: usize,
+    },
     /// The frame is larger than the field over which the PSF is known.
     #[error(
         "the frame is {frame} pixels, but the PSF is known over a field of {field} pixels: cut the scene to the field \

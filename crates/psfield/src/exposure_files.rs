@@ -79,7 +79,9 @@ impl ExposureFiles {
         added: &[Card],
     ) -> Result<(), PsfieldError> {
         let mut header = header.clone();
-        KEYWORDS.into_iter().for_each(|keyword| header.remove(keyword));
+        for keyword in KEYWORDS {
+            header.remove(keyword);
+        }
         if let Some(path) = &self.truth {
             let cards = [added, &truth_cards(detector)?].concat();
             psf_io::write_image(path, &detector.truth(light)?, &header, &cards, self.overwrite)?;

@@ -42,13 +42,17 @@ mod measure;
 mod method;
 mod pixel_picker;
 mod psf_input;
+mod round_trip;
 mod simulation;
 mod simulation_options;
 mod simulation_plan;
 mod spot_check;
 mod system_memory;
 
-pub use {coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_types};
+pub use {
+    coeff_field, conv_core, detector, metrics, psf_basis, psf_io, psf_optics, psf_sample, psf_stars,
+    psf_types, sersic,
+};
 
 pub use error::PsfieldError;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
@@ -58,6 +62,9 @@ pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use method::Method;
 pub use pixel_picker::{PickedPixel, PixelPicker};
 pub use psf_input::{FitChoices, OpenedPsf, PsfFileOptions, PsfInput, check_stack, record_of_psfex};
+pub use round_trip::{
+    Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport, RoundTripRow,
+};
 pub use simulation::{SceneParts, Simulation};
 pub use simulation_options::SimulationOptions;
 pub use simulation_plan::SimulationPlan;

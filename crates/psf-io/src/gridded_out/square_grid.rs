@@ -1,6 +1,6 @@
 //! A grid with the same values in x and in y.
 
-use ndarray::{Array3, s};
+use ndarray::Array2;
 use psf_types::{Position, PsfSamples};
 
 use crate::GriddedError;
@@ -108,28 +108,25 @@ impl SquareGrid {
         (0..self.planes()).map(move |place| place % side * side + place / side)
     }
 
-    /// The planes `[plane, y, x]`.
-    pub(super) fn stamps(&self, samples: &PsfSamples) -> Array3<f64> {
-        let stamps = samples.stamps();
-        let (_, ny, nx) = stamps.dim();
-        let mut planes = Array3::zeros((self.planes(), ny, nx));
-        for (plane, mut target) in planes.outer_iter_mut().enumerate() {
-            let (x, y) = self.position(plane);
-            let (x, y) = (between(&self.xs, x), between(&self.ys, y));
-            let corners = [
-                (x.below, y.below, (1.0 - x.weight) * (1.0 - y.weight)),
-                (x.above, y.below, x.weight * (1.0 - y.weight)),
-                (x.below, y.above, (1.0 - x.weight) * y.weight),
-                (x.above, y.above, x.weight * y.weight),
-            ];
-            for (i, j, weight) in corners {
-                if weight != 0.0 {
-                    let sample = self.sample_at[j * self.xs.len() + i];
-                    target.scaled_add(weight, &stamps.slice(s![sample, .., ..]));
-                }
+    /// The stamp `[y, x]` of a plane.
+    pub(super) fn stamp(&self, samples: &PsfSamples, plane: usize) -> Array2<f64> {
+        let mut stamp = Array2::zeros(samples.grid().dim());
+        let (x, y) = self.position(plane);
+        let (x, y) = (between(&self.xs, x), between(&self.ys, y));
+        let corners = [
+            (x.below, y.below, (1.0 - x.weight) * (1.0 - y.weight)),
+            (x.above, y.below, x.weight * (1.0 - y.weight)),
+            (x.below, y.above, (1.0 - x.weight) * y.weight),
+            (x.above, y.above, x.weight * y.weight),
+        ];
+        for (i, j, weight) in corners {
+            // A sample itself stays as it is, bit by bit.
+            if weight != 0.0 {
+                let sample = self.sample_at[j * self.xs.len() + i];
+                stamp.scaled_add(weight, &samples.stamp(sample));
             }
         }
-        planes
+        stamp
     }
 }
 

@@ -77,7 +77,7 @@ fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Re
     if all.is_empty() {
         return Err(structure.missing("binary table PSF_DATA with the column PSF_MASK of a PSFEx model"));
     }
-    let labels = |hdus: &[&Hdu]| hdus.iter().map(|hdu| hdu.label()).collect();
+    let labels = |hdus: &[&Hdu]| hdus.iter().map(|hdu| hdu.described()).collect();
     let meant: Vec<&Hdu> = all
         .iter()
         .copied()

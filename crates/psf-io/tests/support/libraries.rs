@@ -19,7 +19,7 @@ fn cube(planes: usize) -> Vec<f64> {
 /// An STPSF library of 2 x 3 PSFs (columns x rows), its cards x-slow as WebbPSF writes them: `(y, x)` of 0, 10, 20 and 0, 100.
 pub(crate) fn stpsf(more: &[&str]) -> Vec<u8> {
     let positions = (0..6).map(|i| {
-        let text = format!("({:?}, {:?})", (i % 3 * 10) as f64, (i / 3 * 100) as f64);
+        let text = format!("({}.0, {}.0)", i % 3 * 10, i / 3 * 100);
         format!("{:<8}= '{text}'", format!("DET_YX{i}"))
     });
     let mut cards = vec![

@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use super::UsageError;
 use super::context::{Context, signature};
-use super::fit_args::FitArgs;
+use super::fit_args::PsfArgs;
 use super::values::{Pair, Precision};
 
 /// Turn a PSF file of any kind into another
@@ -43,7 +43,7 @@ pub(crate) struct ConvertArgs {
     #[arg(long, value_enum)]
     precision: Option<Precision>,
     #[command(flatten)]
-    fit: FitArgs,
+    fit: PsfArgs,
 }
 
 /// What to write.

@@ -7,7 +7,7 @@ use psfield::{EvaluateOptions, OutputGrid, evaluate};
 use serde::Serialize;
 
 use super::context::{Context, signature};
-use super::fit_args::FitArgs;
+use super::fit_args::PsfArgs;
 use super::values::{Precision, stamp_size};
 
 /// Write the PSF of a model at given positions
@@ -38,7 +38,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
     #[command(flatten)]
-    fit: FitArgs,
+    fit: PsfArgs,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]

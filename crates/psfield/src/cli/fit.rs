@@ -7,7 +7,7 @@ use psf_io::FileKind;
 use psfield::{FitReport, OpenedPsf, PsfInput, fit};
 
 use super::context::{Context, signature};
-use super::fit_args::FitArgs;
+use super::fit_args::PsfArgs;
 
 /// Fit a PSF model (basis and coefficient fields) to samples
 #[derive(Debug, clap::Args)]
@@ -23,7 +23,7 @@ pub(crate) struct FitCommandArgs {
     #[arg(long)]
     overwrite: bool,
     #[command(flatten)]
-    fit: FitArgs,
+    fit: PsfArgs,
 }
 
 impl FitCommandArgs {

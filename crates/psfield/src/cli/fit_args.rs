@@ -5,7 +5,7 @@ use std::path::Path;
 use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::HduChoice;
 use psf_types::{Interpolation, Normalisation, OutsidePolicy};
-use psfield::{FitChoices, OpenedPsf, PsfInput, PsfieldError};
+use psfield::{FitChoices, FitOptions, OpenedPsf, PsfInput, PsfieldError};
 
 use super::UsageError;
 use super::context::Context;
@@ -13,7 +13,7 @@ use super::psf_file_args::PsfFileArgs;
 use super::values::at_least_zero;
 
 /// How samples become a model.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Fit options (models take --outside and --normalise alone)")]
 pub(crate) struct FitArgs {
     /// Components to keep: auto, elbow, full, a number, energy=0.999 or error=1e-3. auto: at least the elbow, and as many
@@ -36,6 +36,13 @@ pub(crate) struct FitArgs {
     /// Scale every PSF to unit flux, or keep the values as they are [default: unit; models as they say, STPSF and STDPSF: keep]
     #[arg(long, value_name = "unit|keep")]
     normalise: Option<Normalisation>,
+}
+
+/// A PSF file: how it is read, and how it becomes a model where it holds samples.
+#[derive(Debug, Clone, clap::Args)]
+pub(crate) struct PsfArgs {
+    #[command(flatten)]
+    fit: FitArgs,
     #[command(flatten)]
     file: PsfFileArgs,
 }
@@ -53,6 +60,18 @@ impl FitArgs {
         }
     }
 
+    /// The same with the defaults of samples for the rest.
+    pub(crate) fn options(&self) -> FitOptions {
+        self.choices().or(FitOptions::default())
+    }
+}
+
+impl PsfArgs {
+    /// What is chosen of the fit.
+    pub(crate) fn choices(&self) -> FitChoices {
+        self.fit.choices()
+    }
+
     /// Which of several models of a PSFEx file.
     pub(crate) fn extension(&self) -> Option<&HduChoice> {
         self.file.extension()
@@ -60,7 +79,7 @@ impl FitArgs {
 
     /// Opens any PSF file and tells how it was read.
     pub(crate) fn opened(&self, path: &Path, context: &Context) -> anyhow::Result<OpenedPsf> {
-        let opened = PsfInput::open_with(path, &self.file.options()?, &self.choices()).map_err(as_usage)?;
+        let opened = PsfInput::open_with(path, &self.file.options()?, &self.fit.choices()).map_err(as_usage)?;
         for note in &opened.notes {
             context.note(&format!("{}: {note}", path.display()));
         }

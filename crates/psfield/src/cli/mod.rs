@@ -13,8 +13,10 @@ mod measure;
 mod preview;
 mod progress;
 mod psf_file_args;
+mod round_trip;
 mod sample;
 mod simulate;
+mod star_args;
 mod values;
 
 use clap::{Parser, Subcommand};
@@ -52,7 +54,7 @@ pub(crate) struct GlobalArgs {
 #[derive(Debug, Subcommand)]
 enum Command {
     Demo(demo::DemoArgs),
-    Sample(sample::SampleArgs),
+    Sample(Box<sample::SampleArgs>),
     Fit(fit::FitCommandArgs),
     Simulate(Box<simulate::SimulateArgs>),
     Evaluate(evaluate::EvaluateArgs),
@@ -61,6 +63,8 @@ enum Command {
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
     Bench(bench::BenchArgs),
+    #[command(name = "roundtrip")]
+    RoundTrip(Box<round_trip::RoundTripArgs>),
 }
 
 impl Cli {
@@ -77,6 +81,7 @@ impl Cli {
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
             Command::Bench(_) => "bench",
+            Command::RoundTrip(_) => "roundtrip",
         }
     }
 
@@ -99,6 +104,7 @@ impl Cli {
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),
+            Command::RoundTrip(args) => args.run(&context),
         }
     }
 }

@@ -10,7 +10,7 @@ use psfield::PsfFileOptions;
 use super::values::above_zero;
 
 /// What a PSF file does not say of itself, or leaves to be chosen.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "PSF file options")]
 pub(crate) struct PsfFileArgs {
     /// PSFEx: which of several models, by the number of its HDU (1 for the first extension) or its EXTNAME

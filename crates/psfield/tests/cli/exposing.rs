@@ -1,6 +1,6 @@
 //! `psfield expose`.
 
-use psfield::psf_io::CardValue;
+use psfield::psf_io::{Card, CardValue};
 
 use crate::desk::{Desk, NX, NY, assert_keys, points};
 
@@ -34,14 +34,14 @@ fn with_detector() -> Desk {
 }
 
 fn text(desk: &Desk, file: &str, keyword: &str) -> String {
-    match desk.header(file).get(keyword).and_then(|card| card.value()) {
+    match desk.header(file).get(keyword).and_then(Card::value) {
         Some(CardValue::Text(text)) => text,
         other => panic!("{keyword} of {file}: {other:?}"),
     }
 }
 
 fn number(desk: &Desk, file: &str, keyword: &str) -> f64 {
-    match desk.header(file).get(keyword).and_then(|card| card.value()) {
+    match desk.header(file).get(keyword).and_then(Card::value) {
         Some(CardValue::Real(value)) => value,
         Some(CardValue::Integer(value)) => value as f64,
         other => panic!("{keyword} of {file}: {other:?}"),
@@ -187,11 +187,11 @@ fn the_header_is_enough_to_repeat_an_exposure() {
         ("DETHOTD", "hot_dark_e_per_s", true),
         ("DETBCOL", "bad_column_fraction", true),
     ] {
-        let value = header.get(keyword).and_then(|card| card.value()).unwrap();
+        let value = header.get(keyword).and_then(Card::value).unwrap();
         let line = format!("{key} = {value}\n");
         if table { &mut bad } else { &mut settings }.push_str(&line);
     }
-    assert_eq!(header.get("DETPHOT").and_then(|c| c.value()), Some(true.into()));
+    assert_eq!(header.get("DETPHOT").and_then(Card::value), Some(true.into()));
     let seed = text(&desk, "raw.fits", "DETSEED");
     let pattern = text(&desk, "raw.fits", "DETPSEED");
     desk.write(

@@ -17,7 +17,7 @@ use psfield::{
 
 use super::UsageError;
 use super::context::{CHECK_KEYWORDS, Context, check_cards, signature};
-use super::fit_args::FitArgs;
+use super::fit_args::PsfArgs;
 use super::values::{Frame, Pair, Precision, bytes, stamp_size, tolerance};
 use banded::FitsRows;
 use report::{PlanReport, Report, Seconds, TilesReport};
@@ -91,7 +91,7 @@ pub(crate) struct SimulateArgs {
     #[arg(long, default_value_t = 0)]
     seed: u64,
     #[command(flatten)]
-    fit: FitArgs,
+    fit: PsfArgs,
 }
 
 /// More pixels than that are a slip.

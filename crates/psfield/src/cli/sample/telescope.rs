@@ -1,6 +1,6 @@
-//! `psfield sample`.
+//! `psfield sample TELESCOPE.toml`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use psf_optics::Telescope;
@@ -11,42 +11,30 @@ use psf_sample::{
 use psf_types::PsfSource;
 use serde::Serialize;
 
-use super::UsageError;
-use super::context::{Context, signature};
-use super::values::{Pair, above_zero};
+use crate::cli::UsageError;
+use crate::cli::context::{Context, signature};
+use crate::cli::values::Pair;
 
-/// Sample the PSF of a telescope over its field
-///
-/// Non-uniform by default: refined where the PSF varies, until the criterion holds everywhere. Corners and edges are always covered.
+/// Options for telescopes.
 #[derive(Debug, clap::Args)]
-pub(crate) struct SampleArgs {
-    /// The telescope: aperture, wavefront over the field, seeing, detector
-    #[arg(value_name = "TELESCOPE.toml", required_unless_present = "preset")]
-    telescope: Option<PathBuf>,
+#[command(next_help_heading = "Telescopes")]
+pub(super) struct TelescopeArgs {
     /// A telescope that comes with the program
-    #[arg(long, value_enum, conflicts_with = "telescope")]
-    preset: Option<Preset>,
-    /// The samples to write
-    #[arg(short, long, value_name = "SAMPLES.fits")]
-    output: PathBuf,
-    /// Replace the output if it exists
-    #[arg(long)]
-    overwrite: bool,
+    #[arg(long, value_enum, conflicts_with = "input")]
+    pub(super) preset: Option<Preset>,
     /// What must stay below the threshold: the difference of neighbouring samples, or the error of interpolating between them
-    #[arg(long, default_value = "neighbours", value_enum)]
-    criterion: Criterion,
-    /// The threshold, relative
-    #[arg(long, value_name = "X", default_value_t = NeighbourDifference::DEFAULT_THRESHOLD, value_parser = above_zero, allow_negative_numbers = true)]
-    threshold: f64,
-    /// The norm in which PSFs are compared
-    #[arg(long, default_value = "l2", value_enum)]
-    measure: Measure,
-    /// Samples along each axis of the coarse grid that refinement starts from
-    #[arg(long, value_name = "NX,NY", default_value = "5,5", allow_hyphen_values = true)]
-    start: Pair,
-    /// Stop with an error when the criterion needs more samples
-    #[arg(long, value_name = "N", default_value_t = AdaptiveSampling::DEFAULT_MAX_SAMPLES)]
-    max_samples: usize,
+    /// [default: neighbours]
+    #[arg(long, value_enum)]
+    criterion: Option<Criterion>,
+    /// The norm in which PSFs are compared [default: l2]
+    #[arg(long, value_enum)]
+    measure: Option<Measure>,
+    /// Samples along each axis of the coarse grid that refinement starts from [default: 5,5]
+    #[arg(long, value_name = "NX,NY", allow_hyphen_values = true)]
+    start: Option<Pair>,
+    /// Stop with an error when the criterion needs more samples [default: 20000]
+    #[arg(long, value_name = "N")]
+    max_samples: Option<usize>,
     /// Write the samples drawn so far when that happens, with a warning
     #[arg(long)]
     accept_cap: bool,
@@ -56,7 +44,7 @@ pub(crate) struct SampleArgs {
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Preset {
+pub(super) enum Preset {
     /// 2 m off-axis survey telescope, 0.074 arcsec per pixel, 9232 x 9216
     #[value(name = "survey-2m")]
     Survey2m,
@@ -89,26 +77,50 @@ struct Report {
     outcome: &'static str,
 }
 
-impl SampleArgs {
-    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        psf_io::check_output(&self.output, self.overwrite)?;
-        let telescope = match (&self.telescope, self.preset) {
+/// What is asked for.
+pub(super) struct TelescopeSampling<'a> {
+    /// None for a preset.
+    pub(super) path: Option<&'a Path>,
+    pub(super) threshold: Option<f64>,
+    pub(super) output: PathBuf,
+    pub(super) overwrite: bool,
+}
+
+impl TelescopeArgs {
+    /// The first option given that only telescopes have.
+    pub(super) fn given(&self) -> Option<&'static str> {
+        [
+            ("--preset", self.preset.is_some()),
+            ("--criterion", self.criterion.is_some()),
+            ("--measure", self.measure.is_some()),
+            ("--start", self.start.is_some()),
+            ("--max-samples", self.max_samples.is_some()),
+            ("--accept-cap", self.accept_cap),
+            ("--uniform", self.uniform.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(name, given)| given.then_some(name))
+    }
+
+    pub(super) fn run(&self, asked: TelescopeSampling<'_>, context: &Context) -> anyhow::Result<()> {
+        let telescope = match (asked.path, self.preset) {
             (Some(path), _) => Telescope::from_toml_file(path)?,
             (None, Some(Preset::WideFieldLens)) => Telescope::wide_field_lens(),
             (None, _) => Telescope::survey_2m(),
         };
-        let sampling = self.draw(&telescope, context)?;
+        let threshold = asked.threshold.unwrap_or(NeighbourDifference::DEFAULT_THRESHOLD);
+        let sampling = self.draw(&telescope, threshold, context)?;
         let cards = signature();
         psf_io::write_samples(
-            &self.output,
+            &asked.output,
             &sampling.samples,
             &cards,
             psf_io::Precision::Single,
-            self.overwrite,
+            asked.overwrite,
         )?;
         let found = &sampling.report;
         let report = Report {
-            output: self.output,
+            output: asked.output,
             samples: sampling.samples.len(),
             draws: found.draws,
             cells: found.cells,
@@ -146,10 +158,10 @@ impl SampleArgs {
         })
     }
 
-    fn draw(&self, telescope: &Telescope, context: &Context) -> anyhow::Result<Sampling> {
+    fn draw(&self, telescope: &Telescope, threshold: f64, context: &Context) -> anyhow::Result<Sampling> {
         let measure = match self.measure {
-            Measure::L1 => DifferenceMeasure::L1,
-            Measure::L2 => DifferenceMeasure::L2,
+            Some(Measure::L1) => DifferenceMeasure::L1,
+            Some(Measure::L2) | None => DifferenceMeasure::L2,
         };
         let bar = context.bar("sampling");
         if let Some(Pair(nx, ny)) = self.uniform {
@@ -160,16 +172,17 @@ impl SampleArgs {
                 .sample(telescope, &bar)?);
         }
         let criterion: Arc<dyn RefinementCriterion> = match self.criterion {
-            Criterion::Neighbours => Arc::new(NeighbourDifference::new(self.threshold, measure)?),
-            Criterion::Interpolation => Arc::new(InterpolationError::new(self.threshold, measure)?),
+            Some(Criterion::Neighbours) | None => Arc::new(NeighbourDifference::new(threshold, measure)?),
+            Some(Criterion::Interpolation) => Arc::new(InterpolationError::new(threshold, measure)?),
         };
-        let Pair(nx, ny) = self.start;
+        let Pair(nx, ny) = self.start.unwrap_or(Pair(5, 5));
+        let max_samples = self.max_samples.unwrap_or(AdaptiveSampling::DEFAULT_MAX_SAMPLES);
         let sampling = AdaptiveSampling::new(criterion)
             .with_start(nx, ny)
             .map_err(|e| UsageError(format!("--start: {e}")))?
-            .with_max_samples(self.max_samples);
-        if self.max_samples < nx * ny {
-            let (max, start) = (self.max_samples, nx * ny);
+            .with_max_samples(max_samples);
+        if max_samples < nx * ny {
+            let (max, start) = (max_samples, nx * ny);
             let what = format!(
                 "--max-samples {max} is less than the {start} samples of the starting grid (--start {nx},{ny})"
             );

@@ -1,0 +1,231 @@
+//! Catalogues with columns by name, stars and galaxies.
+
+mod support;
+
+use psf_io::{Catalog, CatalogOptions, IoError, Row, read_catalog_with, read_columns, read_positions_with};
+use support::{SIMPLE, Scratch, chain, f32s, f64s, i16s, i32s, image, names, table};
+
+fn options(columns: &str) -> CatalogOptions {
+    CatalogOptions::new().with_columns(columns.parse().unwrap())
+}
+
+fn read(text: &str, options: &CatalogOptions) -> Result<Catalog, IoError> {
+    let scratch = Scratch::new();
+    read_catalog_with(scratch.put("a.csv", text.as_bytes()), options)
+}
+
+fn fits(tables: &[Vec<u8>]) -> Vec<u8> {
+    let mut bytes = image(SIMPLE, 8, &[], &[], &[]);
+    for table in tables {
+        bytes.extend(table);
+    }
+    bytes
+}
+
+/// The tables of SExtractor's FITS_LDAC: the header of the frame as one cell, then the objects.
+fn ldac(objects: Vec<u8>) -> Vec<u8> {
+    let cell = [b' '; 160];
+    let header = table("LDAC_IMHEAD", &[("Field Header Card", "160A")], 1, &[], &cell);
+    fits(&[header, objects])
+}
+
+#[test]
+fn sextractor_catalogues_are_read_in_both_forms() {
+    let scratch = Scratch::new();
+    let ascii = "#   1 NUMBER          Running object number\n\
+                 #   2 FLUX_APER       Flux vector within fixed circular aperture(s)  [count]\n\
+                 #   4 FLUX_AUTO       Flux within a Kron-like elliptical aperture    [count]\n\
+                 #   5 X_IMAGE         Object position along x                        [pixel]\n\
+                 #   6 Y_IMAGE         Object position along y                        [pixel]\n\
+                 \x20        1     10.5     11.5     1234.5     1.0000    20.2500\n\
+                 \x20        2     10.5     11.5      -3e-1   512.5000     7.0000\n";
+    let row = |number: i32, flux: f32, x: f64, y: f64| {
+        [i32s(&[number]), f32s(&[0.0, 0.0, flux]), f64s(&[x, y])].concat()
+    };
+    let columns = [
+        ("NUMBER", "1J"),
+        ("FLUX_APER", "2E"),
+        ("FLUX_AUTO", "1E"),
+        ("X_IMAGE", "1D"),
+        ("Y_IMAGE", "1D"),
+    ];
+    let rows = [row(1, 1234.5, 1.0, 20.25), row(2, -0.3, 512.5, 7.0)].concat();
+    let objects = table("LDAC_OBJECTS", &columns, 2, &[], &rows);
+    let options = options("x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO").with_one_based(true);
+    for bytes in [ascii.as_bytes().to_vec(), ldac(objects)] {
+        let path = scratch.put("sex.cat", &bytes);
+        let catalog = read_catalog_with(&path, &options).unwrap();
+        let stars: Vec<_> = catalog
+            .stars()
+            .iter()
+            .map(|s| (s.position().x(), s.position().y(), s.flux() as f32))
+            .collect();
+        assert_eq!(stars, [(0.0, 19.25, 1234.5), (511.5, 6.0, -0.3)]);
+        let positions = read_positions_with(&path, &options).unwrap();
+        assert_eq!(positions[1], catalog.stars()[1].position());
+        assert_eq!(read_columns(&path, ["number"]).unwrap(), [[1.0, 2.0]]);
+        // The error lists the columns of the objects, not those of the frame's header.
+        let error = read_catalog_with(&path, &CatalogOptions::new()).unwrap_err();
+        assert!(
+            names(&error, &path) && error.to_string().contains("X_IMAGE"),
+            "{error}"
+        );
+    }
+}
+
+#[test]
+fn magnitudes_need_a_zero_point() {
+    let text = "x,y,mag\n1,2,20\n1,2,27.5\n";
+    let error = read(text, &CatalogOptions::new()).unwrap_err();
+    assert!(
+        matches!(&error, IoError::ZeroPoint { column, .. } if column == "mag"),
+        "{error}"
+    );
+    assert!(error.to_string().contains("--zero-point"));
+    let with = CatalogOptions::new().with_zero_point(25.0).unwrap();
+    let stars = read(text, &with).unwrap().into_parts().0;
+    assert!((stars[0].flux() - 100.0).abs() < 1e-10 && (stars[1].flux() - 0.1).abs() < 1e-13);
+    assert!(CatalogOptions::new().with_zero_point(f64::NAN).is_err());
+    // A flux goes before a magnitude.
+    assert_eq!(
+        read("x,y,mag,flux\n1,2,20,7\n", &CatalogOptions::new())
+            .unwrap()
+            .stars()[0]
+            .flux(),
+        7.0
+    );
+}
+
+#[test]
+fn rows_without_a_profile_are_stars() {
+    let text = "x,y,flux,re,n,q,angle\n1,2,3,2.5,4,0.5,30\n1,2,3,0,4,0.5,30\n1,2,3,,4,,\n1,2,3,2,nan,1,0\n1,2,3,2,0,9,9\n";
+    let catalog = read(text, &CatalogOptions::new()).unwrap();
+    assert_eq!(
+        (
+            catalog.stars().len(),
+            catalog.galaxies().len(),
+            catalog.invalid_rows()
+        ),
+        (4, 1, 0)
+    );
+    let profile = catalog.galaxies()[0].profile();
+    assert_eq!(
+        (
+            profile.half_light_radius_px(),
+            profile.index(),
+            profile.axis_ratio(),
+            profile.angle_deg()
+        ),
+        (2.5, 4.0, 0.5, 30.0)
+    );
+    let round = read("x y flux r sersic\n1 2 3 4 1\n", &options("re=r,n=sersic")).unwrap();
+    let profile = round.galaxies()[0].profile();
+    assert_eq!((profile.axis_ratio(), profile.angle_deg()), (1.0, 0.0));
+    let error = read("x,y,flux,re\n1,2,3,4\n", &CatalogOptions::new()).unwrap_err();
+    assert!(
+        matches!(&error, IoError::MissingColumn { column, .. } if column == "n"),
+        "{error}"
+    );
+}
+
+#[test]
+fn bad_rows_are_named_or_counted() {
+    let head = "x,y,flux,re,n,q,angle\n1,2,3,4,1,1,0\n";
+    let cases = [
+        ("nan,2,3,4,1,1,0", "x is"),
+        ("1,,3,4,1,1,0", "y is"),
+        ("1,2,,4,1,1,0", "flux is"),
+        ("1,2,inf,4,1,1,0", "flux is"),
+        ("1,2,3,-4,1,1,0", "re must be"),
+        ("1,2,3,4,9,1,0", "n must be from 0.3 to 8"),
+        ("1,2,3,4,0.2,1,0", "n must be"),
+        ("1,2,3,4,1,1.5,0", "q must be"),
+        ("1,2,3,4,1,,0", "q must be"),
+        ("1,2,3,4,1,0.5,", "angle"),
+    ];
+    for (bad, problem) in cases {
+        let text = format!("{head}{bad}\n5,6,7,0,0,0,0\n");
+        let error = read(&text, &CatalogOptions::new()).unwrap_err();
+        let told = chain(&error);
+        assert!(told.contains("line 3") && told.contains(problem), "{bad}: {told}");
+        let catalog = read(&text, &CatalogOptions::new().with_invalid_skipped(true)).unwrap();
+        assert_eq!(
+            (
+                catalog.stars().len(),
+                catalog.galaxies().len(),
+                catalog.invalid_rows()
+            ),
+            (1, 1, 1),
+            "{bad}"
+        );
+    }
+    // Text that is no number is not an invalid source but a broken table.
+    let text = format!("{head}1,2,3px,4,1,1,0\n");
+    assert!(matches!(
+        read(&text, &CatalogOptions::new().with_invalid_skipped(true)),
+        Err(IoError::Value {
+            row: Row::Line(3),
+            ..
+        })
+    ));
+}
+
+#[test]
+fn undefined_values_of_fits_tables_name_row_and_column() {
+    let scratch = Scratch::new();
+    let columns = [("X", "I"), ("Y", "I"), ("FLUX", "I")];
+    let bytes = fits(&[table(
+        "T",
+        &columns,
+        2,
+        &["TNULL2  = -9"],
+        &i16s(&[1, 2, 3, 4, -9, 6]),
+    )]);
+    let path = scratch.put("a.fits", &bytes);
+    match read_catalog_with(&path, &CatalogOptions::new()) {
+        Err(IoError::Value { row, column, .. }) => assert_eq!((row, column.as_str()), (Row::Index(1), "y")),
+        other => panic!("{other:?}"),
+    }
+    let skipping = CatalogOptions::new().with_invalid_skipped(true);
+    assert_eq!(read_catalog_with(&path, &skipping).unwrap().invalid_rows(), 1);
+    assert!(
+        read_positions_with(&path, &skipping).is_err(),
+        "a position stands for its row"
+    );
+}
+
+#[test]
+fn one_of_several_tables_must_be_chosen() {
+    let scratch = Scratch::new();
+    let objects = |name: &str, x: f64| {
+        table(
+            name,
+            &[("x", "D"), ("y", "D"), ("flux", "D")],
+            1,
+            &[],
+            &f64s(&[x, 2.0, 3.0]),
+        )
+    };
+    let path = scratch.put("a.fits", &fits(&[objects("CHIP1", 1.0), objects("CHIP2", 9.0)]));
+    let error = read_catalog_with(&path, &CatalogOptions::new()).unwrap_err();
+    assert!(
+        matches!(&error, IoError::SeveralHdus { found, .. } if found[1].contains("\"CHIP2\" (1 rows)")),
+        "{error}"
+    );
+    let of =
+        |choice: &str| read_catalog_with(&path, &CatalogOptions::new().with_table(choice.parse().unwrap()));
+    assert_eq!(of("chip2").unwrap().stars()[0].position().x(), 9.0);
+    assert_eq!(of("1").unwrap().stars()[0].position().x(), 1.0);
+    for choice in ["0", "3", "CHIP3"] {
+        assert!(matches!(of(choice), Err(IoError::NoSuchHdu { .. })), "{choice}");
+    }
+}
+
+#[test]
+fn sky_coordinates_need_world_coordinates() {
+    let error = read("ra,dec,flux\n10,20,3\n", &CatalogOptions::new()).unwrap_err();
+    assert!(
+        matches!(&error, IoError::NoWorldCoordinates { ra, .. } if ra == "ra"),
+        "{error}"
+    );
+}

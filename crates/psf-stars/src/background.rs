@@ -1,0 +1,304 @@
+//! The background of a frame and its noise.
+
+use ndarray::{Array2, ArrayView2, s};
+use rayon::prelude::*;
+
+use crate::StarError;
+use crate::error::check;
+use crate::spline::Spline;
+
+/// Estimates the background on a mesh, as SExtractor does (Bertin and Arnouts 1996, section 7.1).
+///
+/// In each cell of the mesh, values are clipped at 3 sigma about their median until nothing changes. The background is the mode,
+/// `2.5 median - 1.5 mean`, or the median where the two differ by more than 0.3 sigma (crowded cells); its noise is the standard
+/// deviation of what is left. Both maps pass a median filter over the mesh, against cells that a bright object fills, and go over
+/// to pixels by bicubic spline between the centres of the cells, constant beyond the outermost ones.
+///
+/// ```
+/// use ndarray::Array2;
+/// use psf_stars::BackgroundMesh;
+/// let frame = Array2::from_shape_fn((128, 128), |(y, x)| 100.0 + f64::from((7 * x as u32 + 13 * y as u32) % 5));
+/// let background = BackgroundMesh::new(32)?.estimate(frame.view())?;
+/// assert!((background.level()[[60, 60]] - 102.0).abs() < 0.2);
+/// # Ok::<(), psf_stars::StarError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BackgroundMesh {
+    cell: usize,
+    filter: usize,
+}
+
+impl BackgroundMesh {
+    /// Pixels along each side of a cell unless told otherwise.
+    pub const DEFAULT_CELL: usize = 64;
+    const SMALLEST_CELL: usize = 8;
+
+    /// Cells of `cell` x `cell` pixels (the last of a row or column may be larger), and a median filter over 3 x 3 cells. Cells
+    /// should be several times wider than the stars, and narrower than the changes of the sky.
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] for cells below 8 pixels.
+    pub fn new(cell: usize) -> Result<Self, StarError> {
+        check(
+            cell >= Self::SMALLEST_CELL,
+            "the background mesh",
+            "at least 8 pixels",
+            cell as f64,
+        )?;
+        Ok(Self { cell, filter: 3 })
+    }
+
+    /// The median filter over `filter` x `filter` cells; 1 for none.
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] unless it is odd.
+    pub fn with_filter(self, filter: usize) -> Result<Self, StarError> {
+        check(
+            filter % 2 == 1,
+            "the background filter",
+            "an odd number of cells",
+            filter as f64,
+        )?;
+        Ok(Self { filter, ..self })
+    }
+
+    /// The background of `pixels` `[y, x]`.
+    ///
+    /// # Errors
+    /// [`StarError::NoNoise`] when more than half of the cells have no noise.
+    pub fn estimate(&self, pixels: ArrayView2<'_, f64>) -> Result<Background, StarError> {
+        let (ny, nx) = pixels.dim();
+        let (rows, columns) = ((ny / self.cell).max(1), (nx / self.cell).max(1));
+        let cut = |k: usize, count: usize, n: usize| k * n / count..(k + 1) * n / count;
+        let cells: Vec<(f64, f64)> = (0..rows * columns)
+            .into_par_iter()
+            .map(|k| {
+                let (y, x) = (cut(k / columns, rows, ny), cut(k % columns, columns, nx));
+                clipped(pixels.slice(s![y, x]).iter().copied().collect())
+            })
+            .collect();
+        let map = |of: fn(&(f64, f64)) -> f64| {
+            let values = cells.iter().map(of).collect();
+            let map = Array2::from_shape_vec((rows, columns), values).expect("one value a cell");
+            median_filtered(&map, self.filter)
+        };
+        let (level, rms) = (map(|c| c.0), map(|c| c.1));
+        let typical_rms = median(&mut rms.iter().copied().collect::<Vec<_>>());
+        if typical_rms <= 0.0 {
+            return Err(StarError::NoNoise);
+        }
+        // A spline may swing below what it passes through; noise may not.
+        let least = rms
+            .iter()
+            .copied()
+            .filter(|&v| v > 0.0)
+            .fold(typical_rms, f64::min);
+        let level = interpolated(&level, (ny, nx));
+        let mut rms = interpolated(&rms, (ny, nx));
+        rms.mapv_inplace(|v| v.max(least));
+        let typical_level = median(&mut cells.iter().map(|c| c.0).collect::<Vec<_>>());
+        Ok(Background {
+            level,
+            rms,
+            typical_level,
+            typical_rms,
+        })
+    }
+}
+
+impl Default for BackgroundMesh {
+    fn default() -> Self {
+        Self {
+            cell: Self::DEFAULT_CELL,
+            filter: 3,
+        }
+    }
+}
+
+/// The background of a frame, in units of the frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Background {
+    level: Array2<f64>,
+    rms: Array2<f64>,
+    typical_level: f64,
+    typical_rms: f64,
+}
+
+impl Background {
+    /// The background of every pixel `[y, x]`.
+    pub fn level(&self) -> ArrayView2<'_, f64> {
+        self.level.view()
+    }
+
+    /// The standard deviation of its noise `[y, x]`, above 0.
+    pub fn rms(&self) -> ArrayView2<'_, f64> {
+        self.rms.view()
+    }
+
+    /// The median level over the cells of the mesh.
+    pub fn typical_level(&self) -> f64 {
+        self.typical_level
+    }
+
+    /// The median noise over the cells of the mesh.
+    pub fn typical_rms(&self) -> f64 {
+        self.typical_rms
+    }
+}
+
+/// The median, for which the values are sorted; NaN for none.
+pub(crate) fn median(values: &mut [f64]) -> f64 {
+    values.sort_unstable_by(f64::total_cmp);
+    match values.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => values[n / 2],
+        n => f64::midpoint(values[n / 2 - 1], values[n / 2]),
+    }
+}
+
+/// Values farther from the median than so many standard deviations are no background.
+const CLIP: f64 = 3.0;
+const MOST_CLIPS: usize = 50;
+/// Mean and median that differ by more standard deviations than this tell of a crowded cell (SExtractor's value).
+const CROWDED: f64 = 0.3;
+
+/// Mode and standard deviation of clipped values.
+fn clipped(mut values: Vec<f64>) -> (f64, f64) {
+    values.sort_unstable_by(f64::total_cmp);
+    let mut kept = values.as_slice();
+    let mut found = moments(kept);
+    for _ in 0..MOST_CLIPS {
+        let (_, median, sigma) = found;
+        let first = kept.partition_point(|&v| v < median - CLIP * sigma);
+        let end = kept.partition_point(|&v| v <= median + CLIP * sigma);
+        if (first, end) == (0, kept.len()) || first >= end {
+            break;
+        }
+        kept = &kept[first..end];
+        found = moments(kept);
+    }
+    let (mean, median, sigma) = found;
+    let mode = if (mean - median).abs() < CROWDED * sigma {
+        2.5 * median - 1.5 * mean
+    } else {
+        median
+    };
+    (mode, sigma)
+}
+
+/// Mean, median and standard deviation of sorted values.
+fn moments(sorted: &[f64]) -> (f64, f64, f64) {
+    let n = sorted.len();
+    let median = f64::midpoint(sorted[(n - 1) / 2], sorted[n / 2]);
+    // About the median, so that nothing cancels on a high background.
+    let (mut first, mut second) = (0.0, 0.0);
+    for v in sorted {
+        first += v - median;
+        second += (v - median).powi(2);
+    }
+    let shift = first / n as f64;
+    let variance = (second / n as f64 - shift * shift).max(0.0);
+    (median + shift, median, variance.sqrt())
+}
+
+fn median_filtered(map: &Array2<f64>, size: usize) -> Array2<f64> {
+    let (rows, columns) = map.dim();
+    let reach = size / 2;
+    Array2::from_shape_fn((rows, columns), |(j, i)| {
+        let about = |k: usize, n: usize| k.saturating_sub(reach)..(k + reach + 1).min(n);
+        median(
+            &mut map
+                .slice(s![about(j, rows), about(i, columns)])
+                .iter()
+                .copied()
+                .collect::<Vec<_>>(),
+        )
+    })
+}
+
+/// From the centres of cells to pixels.
+fn interpolated(map: &Array2<f64>, (ny, nx): (usize, usize)) -> Array2<f64> {
+    let (rows, columns) = map.dim();
+    let spline = Spline::through(map.view());
+    let coordinate =
+        |pixel: usize, cells: usize, n: usize| (pixel as f64 + 0.5) * cells as f64 / n as f64 - 0.5;
+    let mut pixels = Array2::zeros((ny, nx));
+    pixels
+        .as_slice_mut()
+        .expect("new arrays are row-major")
+        .par_chunks_mut(nx)
+        .enumerate()
+        .for_each(|(y, row)| {
+            for (x, value) in row.iter_mut().enumerate() {
+                *value = spline.at(coordinate(x, columns, nx), coordinate(y, rows, ny));
+            }
+        });
+    pixels
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::SeedableRng;
+    use rand_chacha::ChaCha8Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    fn sky(slope: f64, sigma: f64) -> Array2<f64> {
+        let mut rng = ChaCha8Rng::seed_from_u64(5);
+        Array2::from_shape_fn((256, 320), |(y, x)| {
+            let noise: f64 = StandardNormal.sample(&mut rng);
+            1000.0 + slope * (x as f64 + 0.5 * y as f64) + sigma * noise
+        })
+    }
+
+    /// The mode of a cell of 4096 values is known to 2.5 sigma / 64 at worst, and a 3-sigma clip takes 1.4 % off sigma.
+    const LEVEL: f64 = 0.1;
+    const RMS: f64 = 0.03;
+
+    #[test]
+    fn a_sloping_sky_under_stars() {
+        let (slope, sigma) = (0.05, 4.0);
+        let mut frame = sky(slope, sigma);
+        for k in 0..60usize {
+            let (y, x) = (3 + (k * 37) % 250, 3 + (k * 71) % 314);
+            frame
+                .slice_mut(s![y - 1..y + 2, x - 1..x + 2])
+                .mapv_inplace(|v| v + 800.0);
+        }
+        let found = BackgroundMesh::default().estimate(frame.view()).unwrap();
+        for (y, x) in [(128, 160), (60, 100), (200, 250)] {
+            let truth = 1000.0 + slope * (x as f64 + 0.5 * y as f64);
+            let off = (found.level()[[y, x]] - truth).abs() / sigma;
+            assert!(off < 2.0 * LEVEL, "{off} sigma at {x}, {y}");
+        }
+        // The slope within a cell adds to the noise: 64 pixels x 0.05 / sqrt(12).
+        let within = (sigma * sigma + 1.25 * (64.0 * slope).powi(2) / 12.0).sqrt();
+        assert!(
+            (found.typical_rms() / within - 1.0).abs() < RMS,
+            "{}",
+            found.typical_rms()
+        );
+    }
+
+    #[test]
+    fn a_flat_frame_has_no_noise() {
+        let flat = Array2::from_elem((100, 100), 7.0);
+        assert_eq!(
+            BackgroundMesh::default().estimate(flat.view()),
+            Err(StarError::NoNoise)
+        );
+        assert!(BackgroundMesh::new(4).is_err() && BackgroundMesh::default().with_filter(2).is_err());
+    }
+
+    #[test]
+    fn a_frame_smaller_than_a_cell_is_one_cell() {
+        let frame = sky(0.0, 1.0).slice(s![..20, ..30]).to_owned();
+        let found = BackgroundMesh::default().estimate(frame.view()).unwrap();
+        assert!(
+            found
+                .level()
+                .iter()
+                .all(|v| (v - found.typical_level()).abs() < 1e-9)
+        );
+    }
+}

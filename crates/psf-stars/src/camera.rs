@@ -1,0 +1,195 @@
+//! What is known of the camera.
+
+use ndarray::ArrayView2;
+use serde::Serialize;
+
+use crate::StarError;
+use crate::error::check;
+
+/// What is known of the camera: gain, read noise, saturation. All may be unknown.
+///
+/// With a gain `g` (electrons per unit of the frame) the signal-to-noise ratio of a star is that of the CCD equation (Howell 1989,
+/// PASP 101, 616), `SNR = N / sqrt(N + n_pix (N_sky + N_dark + N_read^2))`, `N = g F` with `F` the flux over the background in an aperture
+/// of `n_pix` pixels. The bracket is the noise of the background as measured in the frame, `(g sigma)^2`, which holds sky, dark
+/// current and read noise; a read noise that is given is its lower limit. Without a gain the photons of the star itself cannot
+/// be counted: `SNR = F / (sigma sqrt(n_pix))`.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Camera {
+    gain: Option<f64>,
+    read_noise: f64,
+    saturation: Option<f64>,
+}
+
+impl Camera {
+    /// Nothing known.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Electrons per unit of the frame.
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] unless it is above 0.
+    pub fn with_gain(self, gain: f64) -> Result<Self, StarError> {
+        check(
+            gain.is_finite() && gain > 0.0,
+            "the gain",
+            "a number of electrons per unit, above 0",
+            gain,
+        )?;
+        Ok(Self {
+            gain: Some(gain),
+            ..self
+        })
+    }
+
+    /// Read noise in electrons. It counts only beside a gain.
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] unless it is 0 or above.
+    pub fn with_read_noise(self, read_noise: f64) -> Result<Self, StarError> {
+        check(
+            read_noise.is_finite() && read_noise >= 0.0,
+            "the read noise",
+            "a number of electrons, 0 or above",
+            read_noise,
+        )?;
+        Ok(Self { read_noise, ..self })
+    }
+
+    /// The value at and above which pixels are saturated, background included.
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] unless it is finite.
+    pub fn with_saturation(self, level: f64) -> Result<Self, StarError> {
+        check(
+            level.is_finite(),
+            "the saturation level",
+            "a finite number",
+            level,
+        )?;
+        Ok(Self {
+            saturation: Some(level),
+            ..self
+        })
+    }
+
+    /// Electrons per unit of the frame, if known.
+    pub fn gain(&self) -> Option<f64> {
+        self.gain
+    }
+
+    /// The signal-to-noise ratio of `flux` above the background in `pixels` pixels of background noise `rms`.
+    pub fn snr(&self, flux: f64, pixels: f64, rms: f64) -> f64 {
+        match self.gain {
+            Some(gain) => {
+                let electrons = gain * flux;
+                let background = (gain * rms).powi(2).max(self.read_noise.powi(2));
+                electrons / (electrons.max(0.0) + pixels * background).sqrt()
+            }
+            None => flux / (pixels.sqrt() * rms),
+        }
+    }
+
+    /// The variance of a pixel with `signal` above a background of noise `rms`, in units of the frame.
+    pub(crate) fn variance(&self, signal: f64, rms: f64) -> f64 {
+        match self.gain {
+            Some(gain) => rms.powi(2).max((self.read_noise / gain).powi(2)) + signal.max(0.0) / gain,
+            None => rms * rms,
+        }
+    }
+
+    /// The saturation level given, or the frame's largest value where several pixels pile up at it.
+    pub(crate) fn saturation_of(&self, frame: ArrayView2<'_, f64>) -> Saturation {
+        if let Some(level) = self.saturation {
+            return Saturation {
+                level: Some(level),
+                origin: SaturationOrigin::Given,
+            };
+        }
+        let largest = frame.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let at_largest = frame.iter().filter(|&&v| v == largest).count();
+        if at_largest >= PILE {
+            Saturation {
+                level: Some(largest),
+                origin: SaturationOrigin::PileUp,
+            }
+        } else {
+            Saturation {
+                level: None,
+                origin: SaturationOrigin::Unknown,
+            }
+        }
+    }
+}
+
+/// So many pixels at one largest value are no chance: they are saturated.
+const PILE: usize = 2;
+
+/// The level at and above which pixels count as saturated.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Saturation {
+    /// The level, none where nothing tells of saturation.
+    pub level: Option<f64>,
+    /// Where it comes from.
+    pub origin: SaturationOrigin,
+}
+
+/// Where a saturation level comes from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum SaturationOrigin {
+    /// It was given.
+    Given,
+    /// Two pixels or more have the frame's largest value.
+    PileUp,
+    /// Nothing was given, and the frame's largest value occurs once.
+    Unknown,
+}
+
+impl Saturation {
+    pub(crate) fn reached_by(self, value: f64) -> bool {
+        self.level.is_some_and(|level| value >= level)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    #[test]
+    fn the_ccd_equation() {
+        let camera = Camera::new().with_gain(2.0).unwrap();
+        // 200 electrons, 10 pixels of 8^2 electrons^2 each: 200 / sqrt(200 + 640).
+        assert!((camera.snr(100.0, 10.0, 4.0) - 200.0 / 840f64.sqrt()).abs() < 1e-12);
+        let noisy = camera.with_read_noise(20.0).unwrap();
+        assert!((noisy.snr(100.0, 10.0, 4.0) - 200.0 / 4200f64.sqrt()).abs() < 1e-12);
+        assert!((Camera::new().snr(100.0, 25.0, 4.0) - 5.0).abs() < 1e-12);
+        assert!(camera.snr(-100.0, 10.0, 4.0) < 0.0);
+    }
+
+    #[test]
+    fn saturation_is_given_or_piles_up_or_is_unknown() {
+        let piled = array![[1.0, 9.0], [9.0, 2.0]];
+        let found = Camera::new().saturation_of(piled.view());
+        assert_eq!((found.level, found.origin), (Some(9.0), SaturationOrigin::PileUp));
+        assert!(found.reached_by(9.0) && !found.reached_by(8.9));
+        let single = Camera::new().saturation_of(array![[1.0, 9.0]].view());
+        assert_eq!(single.origin, SaturationOrigin::Unknown);
+        assert!(!single.reached_by(1e9));
+        let given = Camera::new()
+            .with_saturation(5.0)
+            .unwrap()
+            .saturation_of(piled.view());
+        assert_eq!((given.level, given.origin), (Some(5.0), SaturationOrigin::Given));
+    }
+
+    #[test]
+    fn settings_out_of_range_are_refused() {
+        assert!(Camera::new().with_gain(0.0).is_err() && Camera::new().with_read_noise(-1.0).is_err());
+        assert!(Camera::new().with_saturation(f64::NAN).is_err());
+    }
+}

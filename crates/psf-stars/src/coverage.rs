@@ -1,0 +1,264 @@
+//! Where the field is covered by samples.
+
+use ndarray::{Array2, ArrayView2};
+use psf_types::{FrameShape, Position};
+use serde::Serialize;
+
+/// How samples cover the field: their number and the distance to the nearest of them, cell by cell, and their convex hull.
+///
+/// Cells are as square as the frame allows, 16 along its longer side. Outside the hull a PSF model extrapolates.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CoverageMap {
+    counts: Array2<f64>,
+    distances_px: Array2<f64>,
+    inside: Array2<f64>,
+    frame: FrameShape,
+    report: CoverageReport,
+}
+
+/// The figures of a [`CoverageMap`].
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct CoverageReport {
+    /// Number of samples.
+    pub samples: usize,
+    /// The mean distance that as many evenly spread samples would have, `sqrt(area / samples)`, pixels.
+    pub mean_spacing_px: f64,
+    /// Part of the frame's area outside the convex hull of the samples.
+    pub outside_hull: f64,
+    /// Part of the frame's area (by centres of cells) farther than twice the mean spacing from any sample.
+    pub empty: f64,
+    /// The largest distance from the centre of a cell to the nearest sample, pixels.
+    pub largest_gap_px: f64,
+    /// The centre of that cell, (x, y).
+    pub largest_gap_at: (f64, f64),
+    /// Distance from each corner to the nearest sample, pixels: (0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1).
+    pub corner_distances_px: [f64; 4],
+}
+
+/// Cells along the frame's longer side.
+const ACROSS: usize = 16;
+/// Farther than so many mean spacings from any sample the field counts as empty.
+const EMPTY: f64 = 2.0;
+/// More area than this outside the hull, or empty, is worth a warning.
+const WARNED_AREA: f64 = 0.1;
+
+impl CoverageMap {
+    /// The coverage of a frame by samples at `positions`.
+    pub fn new(positions: &[Position], frame: FrameShape) -> Self {
+        let (nx, ny) = (frame.nx() as f64, frame.ny() as f64);
+        let side = (nx.max(ny) / ACROSS as f64).max(1.0);
+        let (columns, rows) = (
+            ((nx / side).round() as usize).max(1),
+            ((ny / side).round() as usize).max(1),
+        );
+        let centre = |k: usize, cells: usize, n: f64| (k as f64 + 0.5) * n / cells as f64 - 0.5;
+        let nearest = |x: f64, y: f64| {
+            positions
+                .iter()
+                .map(|p| (p.x() - x).hypot(p.y() - y))
+                .fold(f64::INFINITY, f64::min)
+        };
+        let mut counts = Array2::zeros((rows, columns));
+        for p in positions {
+            let cell = |v: f64, n: f64, cells: usize| {
+                (((v + 0.5) / n * cells as f64).floor().max(0.0) as usize).min(cells - 1)
+            };
+            counts[[cell(p.y(), ny, rows), cell(p.x(), nx, columns)]] += 1.0;
+        }
+        let hull = convex_hull(positions);
+        let at = |(j, i): (usize, usize)| (centre(i, columns, nx), centre(j, rows, ny));
+        let distances_px = Array2::from_shape_fn((rows, columns), |cell| {
+            let (x, y) = at(cell);
+            nearest(x, y)
+        });
+        let inside = Array2::from_shape_fn((rows, columns), |cell| {
+            let (x, y) = at(cell);
+            f64::from(u8::from(contains(&hull, x, y)))
+        });
+        let mean_spacing_px = (nx * ny / positions.len() as f64).sqrt();
+        let (worst, largest_gap_px) =
+            distances_px.indexed_iter().fold(
+                ((0, 0), 0.0),
+                |best, (cell, &d)| {
+                    if d > best.1 { (cell, d) } else { best }
+                },
+            );
+        let empty = distances_px
+            .iter()
+            .filter(|&&d| d > EMPTY * mean_spacing_px)
+            .count();
+        let (last_x, last_y) = (nx - 1.0, ny - 1.0);
+        let report = CoverageReport {
+            samples: positions.len(),
+            mean_spacing_px,
+            outside_hull: (1.0 - area(&hull) / (nx * ny)).max(0.0),
+            empty: empty as f64 / distances_px.len() as f64,
+            largest_gap_px,
+            largest_gap_at: at(worst),
+            corner_distances_px: [(0.0, 0.0), (last_x, 0.0), (0.0, last_y), (last_x, last_y)]
+                .map(|(x, y)| nearest(x, y)),
+        };
+        Self {
+            counts,
+            distances_px,
+            inside,
+            frame,
+            report,
+        }
+    }
+
+    /// Number of samples in each cell `[y, x]`.
+    pub fn counts(&self) -> ArrayView2<'_, f64> {
+        self.counts.view()
+    }
+
+    /// Distance from the centre of each cell to the nearest sample `[y, x]`, pixels of the frame.
+    pub fn distances_px(&self) -> ArrayView2<'_, f64> {
+        self.distances_px.view()
+    }
+
+    /// 1 where the centre of a cell lies inside the convex hull of the samples, else 0 `[y, x]`.
+    pub fn inside_hull(&self) -> ArrayView2<'_, f64> {
+        self.inside.view()
+    }
+
+    /// Width and height of a cell in pixels of the frame.
+    pub fn cell_px(&self) -> (f64, f64) {
+        let (rows, columns) = self.counts.dim();
+        (
+            self.frame.nx() as f64 / columns as f64,
+            self.frame.ny() as f64 / rows as f64,
+        )
+    }
+
+    /// The figures.
+    pub fn report(&self) -> &CoverageReport {
+        &self.report
+    }
+
+    /// What a user must know before relying on the samples everywhere, in plain words; nothing where they cover the field well.
+    pub fn warnings(&self) -> Vec<String> {
+        let report = &self.report;
+        let mut said = Vec::new();
+        if report.outside_hull > WARNED_AREA {
+            said.push(format!(
+                "{:.0} % of the field lies outside the outermost samples: there the PSF is extrapolated",
+                100.0 * report.outside_hull
+            ));
+        }
+        if report.empty > WARNED_AREA {
+            said.push(format!(
+                "{:.0} % of the field is farther than {:.0} pixels from any sample; the largest gap, {:.0} pixels, is at ({:.0}, {:.0})",
+                100.0 * report.empty,
+                EMPTY * report.mean_spacing_px,
+                report.largest_gap_px,
+                report.largest_gap_at.0,
+                report.largest_gap_at.1
+            ));
+        }
+        let names = ["lower left", "lower right", "upper left", "upper right"];
+        let bare: Vec<String> = names
+            .iter()
+            .zip(report.corner_distances_px)
+            .filter(|(_, d)| *d > EMPTY * report.mean_spacing_px)
+            .map(|(name, d)| format!("{name} ({d:.0} pixels to the nearest)"))
+            .collect();
+        if !bare.is_empty() {
+            said.push(format!("corners without samples: {}", bare.join(", ")));
+        }
+        said
+    }
+}
+
+/// Corners of the convex hull, counter-clockwise (Andrew 1979).
+fn convex_hull(positions: &[Position]) -> Vec<(f64, f64)> {
+    let mut points: Vec<(f64, f64)> = positions.iter().map(|p| (p.x(), p.y())).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    points.dedup();
+    if points.len() < 3 {
+        return points;
+    }
+    let half = |points: &mut dyn Iterator<Item = (f64, f64)>| {
+        let mut chain: Vec<(f64, f64)> = Vec::new();
+        for p in points {
+            while chain.len() >= 2 && turn(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0 {
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain.pop();
+        chain
+    };
+    let mut hull = half(&mut points.iter().copied());
+    hull.extend(half(&mut points.iter().rev().copied()));
+    hull
+}
+
+/// Twice the area of the triangle `a b c`, positive for a turn to the left.
+fn turn(a: (f64, f64), b: (f64, f64), c: (f64, f64)) -> f64 {
+    (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0)
+}
+
+fn edges(hull: &[(f64, f64)]) -> impl Iterator<Item = ((f64, f64), (f64, f64))> + '_ {
+    (0..hull.len()).map(|k| (hull[k], hull[(k + 1) % hull.len()]))
+}
+
+fn area(hull: &[(f64, f64)]) -> f64 {
+    edges(hull).map(|(a, b)| a.0 * b.1 - a.1 * b.0).sum::<f64>() / 2.0
+}
+
+fn contains(hull: &[(f64, f64)], x: f64, y: f64) -> bool {
+    hull.len() >= 3 && edges(hull).all(|(a, b)| turn(a, b, (x, y)) >= 0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: f64, y: f64) -> Position {
+        Position::new(x, y).unwrap()
+    }
+
+    #[test]
+    fn a_full_grid_leaves_only_its_margin() {
+        let frame = FrameShape::new(100, 80).unwrap();
+        let positions: Vec<_> = (0..80)
+            .map(|k| at(5.0 + 10.0 * f64::from(k % 10), 5.0 + 10.0 * f64::from(k / 10)))
+            .collect();
+        let map = CoverageMap::new(&positions, frame);
+        let report = map.report();
+        assert!((report.outside_hull - (1.0 - 90.0 * 70.0 / 8000.0)).abs() < 1e-12);
+        assert_eq!(report.empty, 0.0);
+        assert!((report.mean_spacing_px - 10.0).abs() < 1e-12);
+        assert_eq!(map.counts().sum(), 80.0);
+        assert!((report.corner_distances_px[0] - 50f64.sqrt()).abs() < 1e-12);
+        assert_eq!(map.inside_hull()[[5, 8]], 1.0);
+        assert_eq!(map.inside_hull()[[0, 0]], 0.0);
+    }
+
+    #[test]
+    fn samples_in_one_half_are_warned_of() {
+        let frame = FrameShape::new(128, 128).unwrap();
+        let positions: Vec<_> = (0..64)
+            .map(|k| at(2.0 + 6.0 * f64::from(k % 8), 4.0 + 17.0 * f64::from(k / 8)))
+            .collect();
+        let map = CoverageMap::new(&positions, frame);
+        assert!(map.report().outside_hull > 0.5 && map.report().largest_gap_px > 60.0);
+        let said = map.warnings().join("; ");
+        assert!(
+            said.contains("outside the outermost samples") && said.contains("lower right"),
+            "{said}"
+        );
+        assert!(!said.contains("lower left"), "{said}");
+        let (gap_x, _) = map.report().largest_gap_at;
+        assert!(gap_x > 110.0);
+    }
+
+    #[test]
+    fn one_sample_has_no_hull() {
+        let map = CoverageMap::new(&[at(3.0, 4.0)], FrameShape::new(10, 10).unwrap());
+        assert_eq!(map.report().outside_hull, 1.0);
+        assert_eq!(map.inside_hull().sum(), 0.0);
+    }
+}

@@ -1,0 +1,202 @@
+//! How stars become stamps on one grid.
+
+use std::str::FromStr;
+
+use serde::Serialize;
+
+use crate::StarError;
+use crate::error::check;
+
+/// How stars become stamps that share a centre and a grid.
+///
+/// Where stars are well sampled, a star's own pixels say what its PSF is between them. Where they are not (FWHM below 2 pixels), a single
+/// star does not hold that information: interpolating it smears it. Many stars at different pixel phases do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[serde(rename_all = "lowercase")]
+#[non_exhaustive]
+pub enum RegistrationMethod {
+    /// [`Epsf`](Self::Epsf) for FWHM below 2 pixels and enough stars, else [`Stamps`](Self::Stamps).
+    #[default]
+    Auto,
+    /// One oversampled PSF that varies over the field as a polynomial, fitted to the pixels of all stars together; a sample is its value
+    /// at a star. The approach of the effective PSF (Anderson and King 2000, PASP 112, 1360) with the polynomial variation and the
+    /// regularised pixel basis of PSFEx (Bertin 2011, ASPC 442, 435). Samples are nearly free of noise.
+    Epsf,
+    /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the star's noise.
+    Stamps,
+}
+
+impl std::fmt::Display for RegistrationMethod {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Auto => "auto",
+            Self::Epsf => "epsf",
+            Self::Stamps => "stamps",
+        })
+    }
+}
+
+impl FromStr for RegistrationMethod {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "auto" => Ok(Self::Auto),
+            "epsf" => Ok(Self::Epsf),
+            "stamps" => Ok(Self::Stamps),
+            _ => Err(format!("auto, epsf or stamps is needed, got {text}")),
+        }
+    }
+}
+
+/// Method, stamp size and oversampling. Sizes that are not given follow from the stars' FWHM.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Registration {
+    method: RegistrationMethod,
+    stamp_size: Option<usize>,
+    oversampling: Option<usize>,
+}
+
+impl Registration {
+    /// The smallest number of stars for an oversampled PSF, at any oversampling.
+    pub const LEAST_FOR_EPSF: usize = 12;
+    const LARGEST_STAMP: usize = 512;
+    const LARGEST_OVERSAMPLING: usize = 8;
+    /// Below this FWHM in pixels, stars are undersampled.
+    const UNDERSAMPLED_PX: f64 = 2.0;
+    /// Stamp pixels that a FWHM should have, so that a cubic spline represents it to some 1e-3 of the peak.
+    const PIXELS_PER_FWHM: f64 = 3.0;
+    /// By default a stamp reaches so many FWHM from the centre.
+    const REACH_FWHM: f64 = 3.0;
+    const LEAST_REACH: usize = 5;
+
+    /// By this method.
+    #[must_use]
+    pub fn with_method(self, method: RegistrationMethod) -> Self {
+        Self { method, ..self }
+    }
+
+    /// Stamps of about this many pixels of the frame along each side (the next odd number); by default 3 FWHM each way, at least 11.
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] unless it is from 5 to 512.
+    pub fn with_stamp_size(self, stamp_size: usize) -> Result<Self, StarError> {
+        check(
+            (5..=Self::LARGEST_STAMP).contains(&stamp_size),
+            "the stamp size",
+            "from 5 to 512 pixels",
+            stamp_size as f64,
+        )?;
+        Ok(Self {
+            stamp_size: Some(stamp_size),
+            ..self
+        })
+    }
+
+    /// Stamp pixels for each pixel of the frame; by default as many as give a FWHM three of them.
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] unless it is from 1 to 8.
+    pub fn with_oversampling(self, oversampling: usize) -> Result<Self, StarError> {
+        check(
+            (1..=Self::LARGEST_OVERSAMPLING).contains(&oversampling),
+            "the oversampling",
+            "a whole number from 1 to 8",
+            oversampling as f64,
+        )?;
+        Ok(Self {
+            oversampling: Some(oversampling),
+            ..self
+        })
+    }
+
+    /// Pixels of the frame from a stamp's centre to its edge, for stars of this FWHM.
+    pub(crate) fn reach(&self, fwhm_px: f64) -> usize {
+        self.stamp_size.map_or_else(
+            || {
+                ((Self::REACH_FWHM * fwhm_px).ceil() as usize)
+                    .clamp(Self::LEAST_REACH, Self::LARGEST_STAMP / 2)
+            },
+            |size| size / 2,
+        )
+    }
+
+    /// The grid, for stars of this FWHM.
+    pub(crate) fn grid(&self, fwhm_px: f64) -> FineGrid {
+        let scale = self.oversampling.unwrap_or_else(|| {
+            ((Self::PIXELS_PER_FWHM / fwhm_px).ceil() as usize).clamp(1, Self::LARGEST_OVERSAMPLING)
+        });
+        FineGrid {
+            reach: self.reach(fwhm_px),
+            scale,
+        }
+    }
+
+    /// Stars needed for an oversampled PSF: several for each phase of the fine grid.
+    pub(crate) fn needed_for_epsf(scale: usize) -> usize {
+        Self::LEAST_FOR_EPSF.max(3 * scale * scale)
+    }
+
+    /// The method in force.
+    pub(crate) fn resolve(
+        &self,
+        fwhm_px: f64,
+        stars: usize,
+        scale: usize,
+    ) -> Result<RegistrationMethod, StarError> {
+        let need = Self::needed_for_epsf(scale);
+        match self.method {
+            RegistrationMethod::Epsf if stars < need => Err(StarError::TooFewForEpsf {
+                got: stars,
+                need,
+                oversampling: scale,
+            }),
+            RegistrationMethod::Auto if fwhm_px < Self::UNDERSAMPLED_PX && stars >= need => {
+                Ok(RegistrationMethod::Epsf)
+            }
+            RegistrationMethod::Auto => Ok(RegistrationMethod::Stamps),
+            method => Ok(method),
+        }
+    }
+
+    /// Whether stars of this FWHM are undersampled.
+    pub(crate) fn is_undersampled(fwhm_px: f64) -> bool {
+        fwhm_px < Self::UNDERSAMPLED_PX
+    }
+}
+
+/// The nodes of a stamp: `2 reach scale + 1` each way, the middle one at the star.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct FineGrid {
+    /// Pixels of the frame from the centre to the edge.
+    pub(crate) reach: usize,
+    /// Nodes for each pixel of the frame.
+    pub(crate) scale: usize,
+}
+
+impl FineGrid {
+    pub(crate) fn middle(self) -> usize {
+        self.reach * self.scale
+    }
+
+    pub(crate) fn side(self) -> usize {
+        2 * self.middle() + 1
+    }
+}
+
+/// How the samples were made.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct RegistrationReport {
+    /// The method in force.
+    pub method: RegistrationMethod,
+    /// Stamp pixels for each pixel of the frame.
+    pub oversampling: usize,
+    /// Stamp pixels along each side.
+    pub stamp_pixels: usize,
+    /// Whether the stars are undersampled (FWHM below 2 pixels).
+    pub undersampled: bool,
+    /// Degree of the polynomial over the field, for an oversampled PSF.
+    pub field_degree: Option<usize>,
+    /// Median over the stars of the root of the reduced chi squared, for an oversampled PSF; 1 where the noise explains all that is left.
+    pub median_chi: Option<f64>,
+}

@@ -1,0 +1,238 @@
+//! The surface brightness of one galaxy, and how fast it changes.
+
+use std::sync::OnceLock;
+
+use psf_types::SersicSource;
+use statrs::function::gamma::{gamma_ur, ln_gamma};
+
+use crate::radial_table::RadialTable;
+
+/// Fraction of a galaxy's flux that lies outside the radius at which drawing stops.
+pub const FLUX_LEFT_OUT: f64 = 1e-9;
+
+/// A galaxy smaller than this is drawn at this size: even for `n = 8` next to nothing of the light then leaves its pixel.
+const SMALLEST_RADIUS_PX: f64 = 1e-9;
+/// The m-th derivative along a line is at most about `I ((k + this) / r)^m` for the orders used here (up to 8), where
+/// `k = -d ln I / d ln r`: derivatives of a power `r^-k` have the factors `k, k + 1 ... k + 7`.
+const DERIVATIVE_OFFSET: f64 = 3.0;
+
+/// Radii of the table of brightness, in steps of a pixel; nearer and farther ones are computed.
+const TABLE_RADII: [f64; 2] = [0.1, 2000.0];
+
+/// `I(r) = central * exp(-b (r / re)^(1/n))`, where `r = |(u, v)|` and (u, v) are the pixel offsets turned to the major axis, those
+/// across it divided by the axis ratio.
+#[derive(Debug)]
+pub(crate) struct Profile {
+    /// The galaxy's centre, in pixels of the scene.
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    /// Brightness at the centre, per pixel, of the profile of flux 1.
+    central: f64,
+    pub(crate) flux: f64,
+    b: f64,
+    /// `1 / (2n)`, the exponent of `r^2`.
+    half_exponent: f64,
+    inverse_index: f64,
+    inverse_radius_squared: f64,
+    inverse_axis_ratio_squared: f64,
+    /// (u, v) of a step of one pixel in x, and in y.
+    step_x: [f64; 2],
+    step_y: [f64; 2],
+    /// The longest step that a step of one pixel along an axis makes in (u, v).
+    longest_step: f64,
+    /// Radius of the circle in (u, v) around a pixel.
+    pixel_reach: f64,
+    /// Radius in (u, v) beyond which [`FLUX_LEFT_OUT`] of the light lies.
+    pub(crate) last_radius: f64,
+    /// Made when first needed: far galaxies do without.
+    table: OnceLock<RadialTable>,
+}
+
+/// How a square lies to the profile.
+pub(crate) struct Nearness {
+    /// The square's size over the length on which the profile changes at its nearest point.
+    pub(crate) relative_size: f64,
+    /// Radius of its nearest point.
+    pub(crate) radius: f64,
+}
+
+impl Profile {
+    pub(crate) fn new(galaxy: &SersicSource) -> Self {
+        let shape = galaxy.profile();
+        let (n, q) = (shape.index(), shape.axis_ratio());
+        let re = shape.half_light_radius_px().max(SMALLEST_RADIUS_PX);
+        let b = half_light_constant(n);
+        let (sin, cos) = shape.angle_deg().to_radians().sin_cos();
+        let step_x = [cos, -sin / q];
+        let step_y = [sin, cos / q];
+        let length = |[u, v]: [f64; 2]| u.hypot(v);
+        let diagonal = |sign: f64| length([step_x[0] + sign * step_y[0], step_x[1] + sign * step_y[1]]);
+        let total =
+            (std::f64::consts::TAU * n * q).ln() + 2.0 * re.ln() - 2.0 * n * b.ln() + ln_gamma(2.0 * n);
+        Self {
+            x: galaxy.position().x(),
+            y: galaxy.position().y(),
+            central: (-total).exp(),
+            flux: galaxy.flux(),
+            b,
+            half_exponent: 0.5 / n,
+            inverse_index: 1.0 / n,
+            inverse_radius_squared: re.recip().powi(2),
+            inverse_axis_ratio_squared: q.recip().powi(2),
+            step_x,
+            step_y,
+            longest_step: length(step_x).max(length(step_y)),
+            pixel_reach: 0.5 * diagonal(1.0).max(diagonal(-1.0)),
+            last_radius: re * (argument_with_outside(n, FLUX_LEFT_OUT) / b).powf(n),
+            table: OnceLock::new(),
+        }
+    }
+
+    /// (u, v) of an offset from the centre in pixels.
+    fn turned(&self, dx: f64, dy: f64) -> (f64, f64) {
+        (
+            dx * self.step_x[0] + dy * self.step_y[0],
+            dx * self.step_x[1] + dy * self.step_y[1],
+        )
+    }
+
+    /// `b (r / re)^(1/n)`.
+    fn exponent(&self, r_squared: f64) -> f64 {
+        self.b * ((r_squared * self.inverse_radius_squared).ln() * self.half_exponent).exp()
+    }
+
+    /// Brightness per pixel at an offset from the centre, for a flux of 1.
+    pub(crate) fn brightness(&self, dx: f64, dy: f64) -> f64 {
+        let (u, v) = self.turned(dx, dy);
+        let r_squared = u * u + v * v;
+        match self.table().value(r_squared) {
+            Some(brightness) => brightness,
+            None => self.computed(r_squared),
+        }
+    }
+
+    /// The same at a radius in (u, v).
+    pub(crate) fn brightness_at(&self, radius: f64) -> f64 {
+        self.computed(radius * radius)
+    }
+
+    fn computed(&self, r_squared: f64) -> f64 {
+        self.central * (-self.exponent(r_squared)).exp()
+    }
+
+    fn table(&self) -> &RadialTable {
+        self.table.get_or_init(|| {
+            let [low, high] = TABLE_RADII.map(|radius| radius * self.longest_step);
+            RadialTable::new(low * low, high.min(self.last_radius).powi(2), |r_squared| {
+                let [brightness, slope, _] = self.derivatives(r_squared);
+                (brightness, slope)
+            })
+        })
+    }
+
+    /// Flux in a pixel far from the centre, to second order: `I + (I_xx + I_yy) / 24`, for a flux of 1.
+    pub(crate) fn pixel_flux(&self, dx: f64, dy: f64) -> f64 {
+        let (u, v) = self.turned(dx, dy);
+        let (u2, v2) = (u * u, v * v);
+        let r_squared = u2 + v2;
+        let [brightness, first, second] = match self.table().derivatives(r_squared) {
+            Some(derivatives) => derivatives,
+            None => self.derivatives(r_squared),
+        };
+        // By the squared radius w: I_uu = 2 I_w + 4 u^2 I_ww, and I_vv likewise.
+        let across = self.inverse_axis_ratio_squared;
+        brightness + (2.0 * (1.0 + across) * first + 4.0 * (u2 + across * v2) * second) / 24.0
+    }
+
+    /// The brightness and its first two derivatives by the squared radius.
+    fn derivatives(&self, r_squared: f64) -> [f64; 3] {
+        let exponent = self.exponent(r_squared);
+        let brightness = self.central * (-exponent).exp();
+        let slope = self.half_exponent * exponent;
+        [
+            brightness,
+            -slope * brightness / r_squared,
+            slope * (slope + 1.0 - self.half_exponent) * brightness / (r_squared * r_squared),
+        ]
+    }
+
+    /// How a square of `size` pixels around an offset from the centre lies to the profile.
+    pub(crate) fn nearness(&self, dx: f64, dy: f64, size: f64) -> Nearness {
+        let (u, v) = self.turned(dx, dy);
+        let (middle, reach) = (u.hypot(v), self.pixel_reach * size);
+        let radius = (middle - reach).max(0.0);
+        let slope = self.exponent((middle + reach).powi(2)) * self.inverse_index;
+        Nearness {
+            relative_size: size * self.longest_step * (slope + DERIVATIVE_OFFSET) / radius,
+            radius,
+        }
+    }
+}
+
+/// `b` with `P(2n, b) = 1/2`.
+fn half_light_constant(n: f64) -> f64 {
+    solve_decreasing(|b| gamma_ur(2.0 * n, b) - 0.5, 40.0)
+}
+
+/// `x` with `Q(2n, x) = outside`: the exponent at the radius that has this fraction of the light outside.
+fn argument_with_outside(n: f64, outside: f64) -> f64 {
+    solve_decreasing(|x| gamma_ur(2.0 * n, x).ln() - outside.ln(), 200.0)
+}
+
+/// The zero of a decreasing function between 0 and a limit, by bisection down to the last bit.
+fn solve_decreasing(function: impl Fn(f64) -> f64, limit: f64) -> f64 {
+    let (mut low, mut high) = (0.0, limit);
+    loop {
+        let middle = f64::midpoint(low, high);
+        if middle <= low || middle >= high {
+            return middle;
+        }
+        if function(middle) > 0.0 {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use psf_types::{Position, SersicProfile};
+    use statrs::function::gamma::gamma_lr;
+
+    use super::*;
+
+    #[test]
+    fn half_of_the_light_lies_within_the_half_light_radius() {
+        // Known values: n = 0.5 is a Gaussian, b = ln 2; n = 1 and 4 from Graham and Driver (2005).
+        for (n, b, within) in [
+            (0.5, std::f64::consts::LN_2, 1e-14),
+            (1.0, 1.678_346_990_016_66, 1e-13),
+            (4.0, 7.669_249_442_500_8, 1e-12),
+        ] {
+            assert!(
+                (half_light_constant(n) - b).abs() < within,
+                "n = {n}: {}",
+                half_light_constant(n)
+            );
+        }
+        for n in [0.3, 0.7, 2.5, 8.0] {
+            assert!((gamma_lr(2.0 * n, half_light_constant(n)) - 0.5).abs() < 1e-13);
+        }
+    }
+
+    #[test]
+    fn curvature_is_that_of_the_brightness() {
+        let profile = SersicProfile::new(5.0, 2.3, 0.4, 25.0).unwrap();
+        let galaxy = SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap();
+        let profile = Profile::new(&galaxy);
+        let (x, y, h) = (17.0, -9.0, 1e-2);
+        let at = |dx: f64, dy: f64| profile.brightness(x + dx, y + dy);
+        let laplacian = (at(h, 0.0) + at(-h, 0.0) + at(0.0, h) + at(0.0, -h) - 4.0 * at(0.0, 0.0)) / (h * h);
+        let curvature = (profile.pixel_flux(x, y) - at(0.0, 0.0)) * 24.0;
+        assert!(
+            (curvature / laplacian - 1.0).abs() < 1e-4,
+            "{curvature} {laplacian}"
+        );
+    }
+}

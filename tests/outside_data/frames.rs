@@ -1,0 +1,111 @@
+//! Stars of real frames against the lists of sep and photutils.
+
+use libtest_mimic::{Failed, Trial};
+use psfield::psf_io;
+use psfield::psf_stars::{StarSamples, StarSampling};
+
+use crate::data::{ensure, file, trial};
+
+/// A source is the same in two lists within this distance, pixels.
+const SAME_PX: f64 = 0.5;
+/// Sources with a neighbour closer than this are not asked for, pixels.
+const LONELY_PX: f64 = 8.0;
+/// Brighter peaks, as parts of the frame's largest value, may be saturated.
+const UNSATURATED: f64 = 0.95;
+/// The part of the sources asked for that must be found.
+const FOUND: f64 = 0.95;
+
+const FRAMES: [&str; 2] = ["tetra3_Alt60_Azi135", "sep_ngc_256"];
+
+pub(crate) fn trials() -> Vec<Trial> {
+    FRAMES
+        .into_iter()
+        .map(|name| {
+            trial(
+                format!("{name}: sources that sep and photutils agree on"),
+                move || agreed_sources(name),
+            )
+        })
+        .collect()
+}
+
+fn sampled(name: &str) -> Result<(Vec<f64>, usize, StarSamples), Failed> {
+    let image = psf_io::read_image::<f64>(file(&format!("frames/{name}.fits")))?
+        .into_parts()
+        .0;
+    let found = StarSampling::default().run(&image)?;
+    Ok((
+        image.pixels().iter().copied().collect(),
+        image.shape().nx(),
+        found,
+    ))
+}
+
+fn list(name: &str, x: &str, y: &str) -> Result<Vec<(f64, f64)>, Failed> {
+    let [x, y] = psf_io::read_columns(file(&format!("frames/{name}.csv")), [x, y])?;
+    Ok(x.into_iter().zip(y).collect())
+}
+
+fn nearest(at: (f64, f64), others: &[(f64, f64)]) -> f64 {
+    let distance = |p: &(f64, f64)| (p.0 - at.0).hypot(p.1 - at.1);
+    others
+        .iter()
+        .map(distance)
+        .filter(|d| *d > 0.0)
+        .fold(f64::INFINITY, f64::min)
+}
+
+fn agreed_sources(name: &str) -> Result<(), Failed> {
+    let sep = list(&format!("{name}_sep"), "x", "y")?;
+    let daofind = list(&format!("{name}_daofind"), "x_centroid", "y_centroid")?;
+    let (pixels, nx, found) = sampled(name)?;
+    let ny = pixels.len() / nx;
+    let largest = pixels.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let peak = |(x, y): (f64, f64)| {
+        let about = |v: f64, n: usize| {
+            let centre = v.round() as usize;
+            centre.saturating_sub(1)..(centre + 2).min(n)
+        };
+        about(y, ny)
+            .flat_map(|row| about(x, nx).map(move |column| (row, column)))
+            .map(|(row, column)| pixels[row * nx + column])
+            .fold(f64::NEG_INFINITY, f64::max)
+    };
+    let asked: Vec<(f64, f64)> = sep
+        .iter()
+        .copied()
+        .filter(|&at| {
+            let others = daofind
+                .iter()
+                .copied()
+                .filter(|p| (p.0 - at.0).hypot(p.1 - at.1) > SAME_PX);
+            nearest(at, &daofind) <= SAME_PX
+                && peak(at) < UNSATURATED * largest
+                && nearest(at, &sep) > LONELY_PX
+                && nearest(at, &others.collect::<Vec<_>>()) > LONELY_PX
+        })
+        .collect();
+    let ours: Vec<(f64, f64)> = found.sources.iter().map(|s| (s.x, s.y)).collect();
+    let distances: Vec<f64> = asked.iter().map(|&at| nearest(at, &ours)).collect();
+    let hits = distances.iter().filter(|d| **d <= SAME_PX).count();
+    println!(
+        "{name}: {hits} of {} agreed sources found within {SAME_PX} pixel; {} sources in all, {} PSF samples",
+        asked.len(),
+        found.sources.len(),
+        found.samples.len()
+    );
+    ensure(asked.len() >= 20, || {
+        format!("only {} sources are agreed on", asked.len())
+    })?;
+    ensure(hits as f64 >= FOUND * asked.len() as f64, || {
+        let missed: Vec<_> = asked
+            .iter()
+            .zip(&distances)
+            .filter(|(_, d)| **d > SAME_PX)
+            .collect();
+        format!(
+            "{hits} of {} found; missed (position, distance): {missed:?}",
+            asked.len()
+        )
+    })
+}
