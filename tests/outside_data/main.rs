@@ -4,6 +4,7 @@
 //! there, these tests show as ignored.
 
 mod data;
+mod doors;
 mod dynamic_range;
 mod evaluation;
 mod flux;
@@ -52,6 +53,7 @@ fn main() {
         tolerance_fields::trials(),
         tolerance_checks::trials(),
         psfex::trials(),
+        doors::trials(),
         stdpsf::trials(),
         stpsf::trials(),
     ];
