@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use detector::{BadPixelMask, Detector, Exposure};
+use detector::{BadPixelMask, Detector, Exposure, ExposureReport};
 use psf_io::{Card, CardError, HeaderCards, IntegerKind};
 use psf_types::{Image, Real};
 
@@ -94,7 +94,7 @@ impl ExposureFiles {
             let kind = IntegerKind::Unsigned8;
             psf_io::write_integers(path, exposure.flags(), kind, &header, &cards, self.overwrite)?;
         }
-        let cards = [added, &exposure_cards(detector, exposure)?].concat();
+        let cards = [added, &exposure_cards(detector, exposure.report())?].concat();
         let counts = exposure.counts();
         if let Some(bits) = detector.params().bits {
             let whole = counts.pixels().mapv(|count| count.as_f64() as i32);
@@ -134,8 +134,8 @@ pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, Psfie
 ///
 /// # Errors
 /// None for a checked detector: every value is finite.
-pub fn exposure_cards<T: Real>(detector: &Detector, exposure: &Exposure<T>) -> Result<Vec<Card>, CardError> {
-    let (params, report) = (detector.params(), exposure.report());
+pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Vec<Card>, CardError> {
+    let params = detector.params();
     let mut cards = level_cards(detector)?;
     cards.extend([
         Card::new("DETSEED", report.seed.to_string(), "seed of the noise")?,
