@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use conv_core::{ConvReal, RowStream};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2};
-use psf_io::{Card, IoError, ImageReader, ImageWriter};
+use psf_io::{Card, ImageReader, ImageWriter, IoError};
 use psf_types::{Anchor, Scene};
 use psfield::{PixelPicker, PsfieldError, SceneParts, Simulation, SpotCheck};
 

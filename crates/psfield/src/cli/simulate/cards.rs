@@ -4,8 +4,8 @@ use conv_core::ConvReal;
 use psf_io::{Card, HeaderCards};
 use psf_types::{PsfModel, Scene};
 
-use super::SimulateArgs;
 use super::super::context::{CHECK_KEYWORDS, signature};
+use super::SimulateArgs;
 
 impl SimulateArgs {
     /// What is needed to repeat the result.

@@ -48,7 +48,9 @@ impl ExposureArgs {
         let inputs = inputs.iter().copied().chain([self.detector.as_ref()]);
         let inputs: Vec<&Path> = inputs.flatten().map(PathBuf::as_path).collect();
         files.check(&inputs)?;
-        let Some(path) = &self.detector else { return Ok(None) };
+        let Some(path) = &self.detector else {
+            return Ok(None);
+        };
         Ok(Some(Exposing {
             detector: Detector::from_toml_file(path)?,
             files,
@@ -66,7 +68,8 @@ impl Exposing {
         cards: &[Card],
     ) -> anyhow::Result<ExposureReport> {
         let exposure = self.detector.expose(image, self.seed)?;
-        self.files.write(&exposure, image, &self.detector, header, cards)?;
+        self.files
+            .write(&exposure, image, &self.detector, header, cards)?;
         Ok(exposure.report().clone())
     }
 }

@@ -122,7 +122,11 @@ impl SimulateArgs {
     /// The whole run, with what earlier runs prepared where it fits.
     ///
     /// A failed spot check is in the report ([`Report::verdict`]): the image is written all the same.
-    pub(crate) fn simulate(&self, preparations: &mut Preparations, context: &Context) -> anyhow::Result<Report> {
+    pub(crate) fn simulate(
+        &self,
+        preparations: &mut Preparations,
+        context: &Context,
+    ) -> anyhow::Result<Report> {
         if let Some(what) = self.misused()? {
             return Err(UsageError(what).into());
         }
@@ -157,7 +161,9 @@ impl SimulateArgs {
                 "--stream and --detector do not go together: expose the image afterwards (psfield expose)",
             ),
         ];
-        let first = what.into_iter().find_map(|(wrong, what)| wrong.then(|| what.to_owned()));
+        let first = what
+            .into_iter()
+            .find_map(|(wrong, what)| wrong.then(|| what.to_owned()));
         Ok(self.scene.missing().or(first))
     }
 
@@ -166,8 +172,14 @@ impl SimulateArgs {
         preparations: &mut Preparations,
         context: &Context,
     ) -> anyhow::Result<Report> {
-        let inputs = [self.scene.scene.as_ref(), self.scene.catalog.as_ref(), Some(&self.psf)];
-        let exposing = self.exposure.exposing(&self.output, self.overwrite, self.seed, &inputs)?;
+        let inputs = [
+            self.scene.scene.as_ref(),
+            self.scene.catalog.as_ref(),
+            Some(&self.psf),
+        ];
+        let exposing = self
+            .exposure
+            .exposing(&self.output, self.overwrite, self.seed, &inputs)?;
         let outcome = match self.streamed::<T>()? {
             Some(path) => self.by_bands::<T>(&path, preparations, context)?,
             None => self.in_memory::<T>(exposing.as_ref(), preparations, context)?,
@@ -266,11 +278,8 @@ impl SimulateArgs {
 
     /// The scene's file, if its rows are to be streamed.
     fn streamed<T: ConvReal>(&self) -> anyhow::Result<Option<PathBuf>> {
-        let (Some(path), Some(_), None) = (
-            &self.scene.scene,
-            self.plan_options()?,
-            &self.exposure.detector,
-        ) else {
+        let (Some(path), Some(_), None) = (&self.scene.scene, self.plan_options()?, &self.exposure.detector)
+        else {
             return Ok(None);
         };
         if self.stream {

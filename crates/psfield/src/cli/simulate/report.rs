@@ -105,7 +105,11 @@ impl TilesReport {
 impl Report {
     /// An error if the image failed its spot check.
     pub(crate) fn verdict(&self) -> anyhow::Result<()> {
-        if self.spot_check.as_ref().is_some_and(|check| check.passed == Some(false)) {
+        if self
+            .spot_check
+            .as_ref()
+            .is_some_and(|check| check.passed == Some(false))
+        {
             anyhow::bail!(
                 "{} was written, but it failed its spot check: it differs from the direct sum by more than the method promises",
                 self.output.display()

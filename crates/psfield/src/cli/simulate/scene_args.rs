@@ -5,9 +5,7 @@ use std::path::{Path, PathBuf};
 use conv_core::ConvReal;
 use ndarray::ArrayViewMut2;
 use psf_io::{Catalog, HduChoice, HeaderCards, ImageReader};
-use psf_types::{
-    FrameShape, Image, PixelRegion, PointSource, Position, Scene, SersicProfile, SersicSource,
-};
+use psf_types::{FrameShape, Image, PixelRegion, PointSource, Position, Scene, SersicProfile, SersicSource};
 use psfield::SimulationOptions;
 
 use super::super::UsageError;
@@ -28,7 +26,12 @@ pub(super) struct SceneArgs {
     #[arg(long, value_name = "CATALOG")]
     pub(super) catalog: Option<PathBuf>,
     /// Columns and rows of a scene without an image
-    #[arg(long, value_name = "NX,NY", conflicts_with = "scene", allow_hyphen_values = true)]
+    #[arg(
+        long,
+        value_name = "NX,NY",
+        conflicts_with = "scene",
+        allow_hyphen_values = true
+    )]
     pub(super) shape: Option<Pair>,
     /// The part of the scene that the result shows: first column and row, columns and rows
     #[arg(long, value_name = "X0,Y0,NX,NY", allow_hyphen_values = true)]
@@ -139,7 +142,11 @@ impl SceneArgs {
             Some(Frame(frame)) => {
                 let shape = FrameShape::new(frame.shape().nx() * s, frame.shape().ny() * s)?;
                 scene = scene
-                    .with_frame(PixelRegion::new(frame.x0() * s as i64, frame.y0() * s as i64, shape))
+                    .with_frame(PixelRegion::new(
+                        frame.x0() * s as i64,
+                        frame.y0() * s as i64,
+                        shape,
+                    ))
                     .map_err(|e| UsageError(format!("--frame: {e}")))?;
             }
             None if shape.nx() % s != 0 || shape.ny() % s != 0 => anyhow::bail!(
