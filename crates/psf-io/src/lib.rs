@@ -21,6 +21,12 @@
 //! file, the HDU or row, and what to do. Headers are checked against the length of the file before memory is taken for the
 //! data; no content of a file makes this crate panic. Nothing is repaired silently: a NaN pixel is an error.
 //!
+//! # Compressed files
+//! FITS files compressed as a whole by gzip (`.gz`) and images compressed by tiles (`.fz`: `RICE_1`, `GZIP_1`, `GZIP_2`, `PLIO_1`,
+//! quantised floats) are read wherever plain ones are, told by content. A gzip file is unpacked to a temporary file, which goes when
+//! it is no longer needed; it may unpack to 1 GiB and 100 times its own size. An image in tiles may take 64 MiB and 4096 times the bytes of
+//! its tiles. What claims or holds more is refused before it takes disk or memory.
+//!
 //! # Outputs
 //! Every file appears whole or not at all, and replaces another only when told to ([`write_atomically`]), also one that is
 //! written by bands. The same input gives the same bytes: no dates are written.
@@ -43,7 +49,10 @@ mod cfitsio;
 mod columns;
 mod csv_out;
 mod detect;
+mod distortion;
 mod error;
+mod fits_source;
+mod gzip;
 mod hdu;
 mod hdu_choice;
 mod header_cards;
@@ -55,13 +64,17 @@ mod new_fits;
 mod number_columns;
 mod pending_file;
 mod pixels;
+mod plio;
 pub mod points;
 mod row;
 pub mod samples;
+mod scanner;
+mod sky_coordinates;
 mod structure;
 mod table_file;
 mod text_header;
 mod text_table;
+mod tiled;
 
 pub use atomic::{check_output, write_atomically};
 pub use card::Card;
@@ -84,3 +97,4 @@ pub use model::{ModelFile, read_model, read_model_file, write_model};
 pub use points::{read_catalog, read_columns, read_positions};
 pub use row::Row;
 pub use samples::{Precision, read_samples, write_samples};
+pub use sky_coordinates::{SkyCoordinates, WorldCoordinatesError};
