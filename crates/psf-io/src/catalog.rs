@@ -7,7 +7,7 @@ use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 use crate::catalog_columns::{LightColumn, PositionColumns, ShapeColumns, SourceColumns};
 use crate::number_columns::{Gaps, NumberColumns};
 use crate::table_file::TableFile;
-use crate::{CatalogOptions, IoError};
+use crate::{CatalogOptions, IoError, SkyCoordinates};
 
 /// The sources of a catalogue, in the order of its rows.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -15,6 +15,7 @@ pub struct Catalog {
     stars: Vec<PointSource>,
     galaxies: Vec<SersicSource>,
     invalid_rows: usize,
+    rows_off_projection: usize,
 }
 
 impl Catalog {
@@ -38,6 +39,11 @@ impl Catalog {
     pub fn invalid_rows(&self) -> usize {
         self.invalid_rows
     }
+
+    /// Rows left out because the frame's projection does not show their place on the sky: they lie far off the frame.
+    pub fn rows_off_projection(&self) -> usize {
+        self.rows_off_projection
+    }
 }
 
 /// Reads a catalogue of stars and galaxies: see [`CatalogColumns`](crate::CatalogColumns) for its columns and
@@ -60,7 +66,7 @@ impl Catalog {
 /// # Errors
 /// [`IoError::MissingColumn`]; [`IoError::Value`] with the row and column of a position or brightness that is missing or not finite;
 /// [`IoError::Source`] with the row of a galaxy that is out of range; [`IoError::ZeroPoint`] for magnitudes without one;
-/// [`IoError::NoWorldCoordinates`] for sky coordinates; [`IoError::SeveralHdus`] when more than one table of a FITS file has the columns; and the
+/// [`IoError::NoWorldCoordinates`] for sky coordinates without [`with_sky`](CatalogOptions::with_sky); [`IoError::SeveralHdus`] when more than one table of a FITS file has the columns; and the
 /// errors of any FITS or text table.
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let path = path.as_ref();
@@ -77,8 +83,9 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
     let mut catalog = Catalog::default();
     for row in 0..rows.numbers.rows() {
         match rows.source(row) {
-            Ok(Source::Star(star)) => catalog.stars.push(star),
-            Ok(Source::Galaxy(galaxy)) => catalog.galaxies.push(galaxy),
+            Ok(Some(Source::Star(star))) => catalog.stars.push(star),
+            Ok(Some(Source::Galaxy(galaxy))) => catalog.galaxies.push(galaxy),
+            Ok(None) => catalog.rows_off_projection += 1,
             Err(_) if options.skip_invalid => catalog.invalid_rows += 1,
             Err(error) => return Err(error),
         }
@@ -89,7 +96,7 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 /// Reads the positions of a catalogue, one for each row.
 ///
 /// # Errors
-/// As [`read_catalog_with`]; no row may be invalid, whatever the options say.
+/// As [`read_catalog_with`]; no row may be invalid, whatever the options say, nor off the projection ([`IoError::OffProjection`]).
 pub fn read_positions_with(
     path: impl AsRef<Path>,
     options: &CatalogOptions,
@@ -109,7 +116,13 @@ pub fn read_positions_with(
         numbers: table.read(&layout.names(), Gaps::Kept)?,
         layout,
     };
-    (0..rows.numbers.rows()).map(|row| rows.position(row)).collect()
+    let position = |row| {
+        rows.position(row)?.ok_or_else(|| IoError::OffProjection {
+            path: path.to_owned(),
+            row: rows.numbers.place(row),
+        })
+    };
+    (0..rows.numbers.rows()).map(position).collect()
 }
 
 /// What the columns to be read mean: those of the place come first, then that of the light, then those of the shape.
@@ -122,8 +135,15 @@ struct Layout<'a> {
 /// How a position is made from two columns.
 struct Place<'a> {
     columns: [&'a str; 2],
-    /// The pixel number of the first pixel.
-    first: f64,
+    kind: PlaceKind<'a>,
+}
+
+enum PlaceKind<'a> {
+    /// Pixels, the first of which has this number.
+    Pixels {
+        first: f64,
+    },
+    Sky(&'a SkyCoordinates),
 }
 
 /// How a flux is made from a column.
@@ -134,13 +154,18 @@ struct Light<'a> {
 }
 
 impl<'a> Place<'a> {
-    fn new(path: &Path, options: &CatalogOptions, columns: &'a PositionColumns) -> Result<Self, IoError> {
-        match columns {
-            PositionColumns::Pixels { x, y } => Ok(Self {
+    fn new(path: &Path, options: &'a CatalogOptions, columns: &'a PositionColumns) -> Result<Self, IoError> {
+        let first = if options.one_based { 1.0 } else { 0.0 };
+        match (columns, &options.sky) {
+            (PositionColumns::Pixels { x, y }, _) => Ok(Self {
                 columns: [x, y],
-                first: if options.one_based { 1.0 } else { 0.0 },
+                kind: PlaceKind::Pixels { first },
             }),
-            PositionColumns::Sky { ra, dec } => Err(IoError::NoWorldCoordinates {
+            (PositionColumns::Sky { ra, dec }, Some(sky)) => Ok(Self {
+                columns: [ra, dec],
+                kind: PlaceKind::Sky(sky),
+            }),
+            (PositionColumns::Sky { ra, dec }, None) => Err(IoError::NoWorldCoordinates {
                 path: path.to_owned(),
                 ra: ra.clone(),
                 dec: dec.clone(),
@@ -150,7 +175,7 @@ impl<'a> Place<'a> {
 }
 
 impl<'a> Layout<'a> {
-    fn new(path: &Path, options: &CatalogOptions, columns: &'a SourceColumns) -> Result<Self, IoError> {
+    fn new(path: &Path, options: &'a CatalogOptions, columns: &'a SourceColumns) -> Result<Self, IoError> {
         let light = match (&columns.light, options.zero_point) {
             (LightColumn::Flux(column), _) => Light {
                 column,
@@ -204,7 +229,8 @@ struct Rows<'a> {
 }
 
 impl Rows<'_> {
-    fn source(&self, row: usize) -> Result<Source, IoError> {
+    /// `None` off the projection.
+    fn source(&self, row: usize) -> Result<Option<Source>, IoError> {
         let position = self.position(row)?;
         let invalid = |source| self.invalid(row, source);
         let light = self
@@ -217,21 +243,36 @@ impl Rows<'_> {
             None => value,
             Some(zero_point) => 10.0_f64.powf(-0.4 * (value - zero_point)),
         };
-        match self.profile(row)? {
-            None => PointSource::new(position, flux)
-                .map(Source::Star)
-                .map_err(invalid),
-            Some(profile) => SersicSource::new(position, flux, profile)
-                .map(Source::Galaxy)
-                .map_err(invalid),
-        }
+        let profile = self.profile(row)?;
+        let Some(position) = position else {
+            return Ok(None);
+        };
+        let source = match profile {
+            None => PointSource::new(position, flux).map(Source::Star),
+            Some(profile) => SersicSource::new(position, flux, profile).map(Source::Galaxy),
+        };
+        source.map(Some).map_err(invalid)
     }
 
-    fn position(&self, row: usize) -> Result<Position, IoError> {
+    /// `None` off the projection.
+    fn position(&self, row: usize) -> Result<Option<Position>, IoError> {
         let place = &self.layout.place;
         let x = self.finite(row, 0, place.columns[0])?;
         let y = self.finite(row, 1, place.columns[1])?;
-        Position::new(x - place.first, y - place.first).map_err(|source| self.invalid(row, source))
+        match place.kind {
+            PlaceKind::Pixels { first } => Position::new(x - first, y - first)
+                .map(Some)
+                .map_err(|source| self.invalid(row, source)),
+            PlaceKind::Sky(_) if !(-90.0..=90.0).contains(&y) => Err(self.invalid(
+                row,
+                DataError::Setting {
+                    name: "the declination",
+                    allowed: "-90 to 90 degrees",
+                    got: y.to_string(),
+                },
+            )),
+            PlaceKind::Sky(sky) => Ok(sky.pixel(x, y)),
+        }
     }
 
     /// The profile of a galaxy; `None` for a star.
@@ -267,9 +308,14 @@ impl Rows<'_> {
     fn finite(&self, row: usize, column: usize, name: &str) -> Result<f64, IoError> {
         let value = self.value(row, column);
         if value.is_finite() {
-            return Ok(value);
+            Ok(value)
+        } else {
+            Err(self.refused(row, name, value))
         }
-        Err(IoError::Value {
+    }
+
+    fn refused(&self, row: usize, name: &str, value: f64) -> IoError {
+        IoError::Value {
             path: self.path.to_owned(),
             row: self.numbers.place(row),
             column: name.to_owned(),
@@ -278,7 +324,7 @@ impl Rows<'_> {
             } else {
                 value.to_string()
             },
-        })
+        }
     }
 
     fn invalid(&self, row: usize, source: DataError) -> IoError {

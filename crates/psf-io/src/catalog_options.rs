@@ -2,7 +2,7 @@
 
 use psf_types::DataError;
 
-use crate::{CatalogColumns, HduChoice};
+use crate::{CatalogColumns, HduChoice, SkyCoordinates};
 
 /// How a catalogue is to be understood: its columns, the origin of its pixels, its magnitudes, its table.
 ///
@@ -23,10 +23,11 @@ pub struct CatalogOptions {
     pub(crate) zero_point: Option<f64>,
     pub(crate) skip_invalid: bool,
     pub(crate) table: Option<HduChoice>,
+    pub(crate) sky: Option<SkyCoordinates>,
 }
 
 impl CatalogOptions {
-    /// The default columns, 0-based pixels, no zero point, every row needed, the only table that fits.
+    /// The default columns, 0-based pixels, no zero point, no world coordinates, every row needed, the only table that fits.
     pub fn new() -> Self {
         Self::default()
     }
@@ -59,6 +60,15 @@ impl CatalogOptions {
             zero_point: Some(zero_point),
             ..self
         })
+    }
+
+    /// With the world coordinates of the frame, for catalogues of positions on the sky.
+    #[must_use]
+    pub fn with_sky(self, sky: SkyCoordinates) -> Self {
+        Self {
+            sky: Some(sky),
+            ..self
+        }
     }
 
     /// Whether rows that make no source (a position or flux that is missing or not finite, a galaxy out of range) are left out and counted

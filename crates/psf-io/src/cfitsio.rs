@@ -19,6 +19,7 @@ use fitsio::sys;
 use psf_types::Real;
 
 use crate::IoError;
+use crate::fits_source::FitsSource;
 
 /// The longest file name, without the closing NUL.
 const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;
@@ -33,12 +34,15 @@ pub(crate) struct Fits {
     path: PathBuf,
     /// Whether the HDU in hand is an image that this handle writes.
     writes_image: bool,
+    /// Keeps an unpacked copy there for as long as it is open.
+    source: Option<FitsSource>,
 }
 
 impl Fits {
     /// Opens an existing file for reading.
-    pub(crate) fn open(path: &Path) -> Result<Self, IoError> {
-        let name = c_name(path, path)?;
+    pub(crate) fn open(source: &FitsSource) -> Result<Self, IoError> {
+        let path = source.path();
+        let name = c_name(source.file(), path)?;
         let (mut handle, mut status) = (ptr::null_mut(), 0);
         // SAFETY: `handle` and `status` are valid for writes, `name` is a NUL-terminated string within CFITSIO's limit.
         unsafe {
@@ -49,7 +53,9 @@ impl Fits {
                 &raw mut status,
             )
         };
-        Self::new(handle, path, status, "opening the file")
+        let mut fits = Self::new(handle, path, status, "opening the file")?;
+        fits.source = Some(source.clone());
+        Ok(fits)
     }
 
     /// Creates the file `at`, which must not exist; errors name `path`.
@@ -72,6 +78,7 @@ impl Fits {
             handle,
             path: path.to_owned(),
             writes_image: false,
+            source: None,
         };
         check(path, status, doing)?;
         Ok(fits)
@@ -80,6 +87,7 @@ impl Fits {
     /// Writes out what is buffered and closes the file.
     pub(crate) fn close(mut self) -> Result<(), IoError> {
         let path = std::mem::take(&mut self.path);
+        self.source = None;
         // What is left in `self` owns no memory, and the handle must not be closed twice.
         let this = std::mem::ManuallyDrop::new(self);
         let mut status = 0;
@@ -275,7 +283,7 @@ mod tests {
         let long = PathBuf::from(format!("/{}", "d/".repeat(NAME_LIMIT)));
         for bad in [Path::new("a\0b.fits"), &long] {
             assert!(
-                matches!(Fits::open(bad), Err(IoError::FileName { .. })),
+                matches!(Fits::open(&FitsSource::plain(bad)), Err(IoError::FileName { .. })),
                 "{}",
                 bad.display()
             );

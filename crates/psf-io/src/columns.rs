@@ -16,7 +16,7 @@ pub(crate) struct Column {
     /// Values in a row.
     repeat: usize,
     /// The type letter of TFORM.
-    code: u8,
+    pub(crate) code: u8,
 }
 
 /// A binary table whose columns fill its rows exactly, so that its row count is bounded by the file's length.
@@ -33,30 +33,7 @@ impl<'a> Table<'a> {
         let &[row_bytes, rows] = hdu.axes.as_slice() else {
             return Err(hdu.header_error("NAXIS", "a table has 2 axes"));
         };
-        let count = hdu.structural("TFIELDS", None)?;
-        if !(0..=999).contains(&count) {
-            return Err(hdu.header_error("TFIELDS", "must be 0 to 999"));
-        }
-        let mut width = 0_usize;
-        let mut columns = Vec::new();
-        for number in 1..=count as usize {
-            let keyword = format!("TFORM{number}");
-            let form = hdu
-                .text(&keyword)
-                .ok_or_else(|| hdu.header_error(&keyword, "must be a text"))?;
-            let column = Column::new(
-                number,
-                hdu.text(&format!("TTYPE{number}")).unwrap_or_default(),
-                form,
-            );
-            let column = column.ok_or_else(|| hdu.header_error(&keyword, "is no column format"))?;
-            let bytes = column.bytes().and_then(|bytes| width.checked_add(bytes));
-            width = bytes.ok_or_else(|| hdu.header_error(&keyword, "the column is wider than any table"))?;
-            columns.push(column);
-        }
-        if width != row_bytes {
-            return Err(hdu.header_error("NAXIS1", "the columns do not add up to the length of a row"));
-        }
+        let columns = columns(hdu, row_bytes)?;
         Ok(Self {
             structure,
             hdu,
@@ -118,7 +95,7 @@ impl<'a> Table<'a> {
             });
         }
         let mut values = vec![0.0; self.rows * repeat];
-        let mut fits = Fits::open(&self.structure.path)?;
+        let mut fits = Fits::open(self.hdu.source())?;
         fits.move_to(self.hdu.index)?;
         let null = !b"ED".contains(&column.code)
             && self.hdu.header.get(&format!("TNULL{}", column.number)).is_some();
@@ -136,6 +113,35 @@ impl<'a> Table<'a> {
             }),
         }
     }
+}
+
+/// The columns of a binary table, which fill its rows.
+pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoError> {
+    let count = hdu.structural("TFIELDS", None)?;
+    if !(0..=999).contains(&count) {
+        return Err(hdu.header_error("TFIELDS", "must be 0 to 999"));
+    }
+    let mut width = 0_usize;
+    let mut columns = Vec::new();
+    for number in 1..=count as usize {
+        let keyword = format!("TFORM{number}");
+        let form = hdu
+            .text(&keyword)
+            .ok_or_else(|| hdu.header_error(&keyword, "must be a text"))?;
+        let column = Column::new(
+            number,
+            hdu.text(&format!("TTYPE{number}")).unwrap_or_default(),
+            form,
+        );
+        let column = column.ok_or_else(|| hdu.header_error(&keyword, "is no column format"))?;
+        let bytes = column.bytes().and_then(|bytes| width.checked_add(bytes));
+        width = bytes.ok_or_else(|| hdu.header_error(&keyword, "the column is wider than any table"))?;
+        columns.push(column);
+    }
+    if width != row_bytes {
+        return Err(hdu.header_error("NAXIS1", "the columns do not add up to the length of a row"));
+    }
+    Ok(columns)
 }
 
 impl Column {
@@ -160,7 +166,7 @@ impl Column {
     }
 
     /// Bytes in a row.
-    fn bytes(&self) -> Option<usize> {
+    pub(crate) fn bytes(&self) -> Option<usize> {
         let size = match self.code {
             b'X' => return Some(self.repeat.div_ceil(8)),
             b'I' => 2,

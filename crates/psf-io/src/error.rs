@@ -71,7 +71,7 @@ pub enum IoError {
         /// The file.
         path: PathBuf,
     },
-    /// A compressed file, or a tile-compressed image.
+    /// A file compressed in a way that is not read.
     #[error("{}: {what}: {remedy}", path.display())]
     Compressed {
         /// The file.
@@ -80,6 +80,47 @@ pub enum IoError {
         what: &'static str,
         /// What undoes it.
         remedy: &'static str,
+    },
+    /// A tile of a compressed image that does not hold what its lengths say.
+    #[error("{}: HDU {hdu}: tile {tile} (0-based) of the compressed image is damaged: fetch or write it again", path.display())]
+    Tile {
+        /// The file.
+        path: PathBuf,
+        /// The HDU.
+        hdu: usize,
+        /// The tile, a row of the table.
+        tile: usize,
+    },
+    /// Data compressed by gzip that cannot be unpacked.
+    #[error("{}: the gzip data are damaged or cut short after {at} bytes of the FITS file: fetch or write it again", path.display())]
+    Gzip {
+        /// The file.
+        path: PathBuf,
+        /// Bytes unpacked up to there.
+        at: u64,
+        /// What is wrong.
+        source: std::io::Error,
+    },
+    /// A gzip file that would unpack to more than its size lets expect.
+    #[error(
+        "{}: {length} bytes of gzip data would unpack to more than {allowed}: if this is right, run gunzip first",
+        path.display()
+    )]
+    UnpacksTooLarge {
+        /// The file.
+        path: PathBuf,
+        /// Its bytes.
+        length: u64,
+        /// What it may unpack to.
+        allowed: u64,
+    },
+    /// The temporary copy of an unpacked file cannot be written.
+    #[error("{}: cannot unpack to the folder for temporary files: set TMPDIR to one with room", path.display())]
+    Unpacking {
+        /// The compressed file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
     },
     /// A file that ends before its data do.
     #[error(
@@ -361,6 +402,14 @@ pub enum IoError {
         /// The column of declinations.
         dec: String,
     },
+    /// A position that the frame's projection does not show.
+    #[error("{}: {row} is a place on the sky that the projection of the frame does not show: remove the row", path.display())]
+    OffProjection {
+        /// The file.
+        path: PathBuf,
+        /// Where.
+        row: Row,
+    },
     /// A text table that is not well formed, or a row that cannot be written.
     #[error("{}: not a well-formed CSV table", path.display())]
     Csv {
@@ -419,6 +468,10 @@ impl IoError {
             | Self::FileName { path, .. }
             | Self::NotFits { path }
             | Self::Compressed { path, .. }
+            | Self::Tile { path, .. }
+            | Self::Gzip { path, .. }
+            | Self::UnpacksTooLarge { path, .. }
+            | Self::Unpacking { path, .. }
             | Self::Truncated { path, .. }
             | Self::Header { path, .. }
             | Self::MissingHdu { path, .. }
@@ -427,6 +480,7 @@ impl IoError {
             | Self::Source { path, .. }
             | Self::ZeroPoint { path, .. }
             | Self::NoWorldCoordinates { path, .. }
+            | Self::OffProjection { path, .. }
             | Self::MissingKeyword { path, .. }
             | Self::Keyword { path, .. }
             | Self::Version { path, .. }

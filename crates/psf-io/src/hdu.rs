@@ -1,10 +1,11 @@
 //! One HDU: what its mandatory keywords say.
 
-use std::path::{Path, PathBuf};
-
 use psf_types::{FrameShape, StampGrid};
 
 use crate::error::invalid;
+use crate::fits_source::FitsSource;
+use crate::scanner::BLOCK;
+use crate::tiled::TiledImage;
 use crate::{Card, CardValue, HeaderCards, IoError};
 
 /// What an HDU holds.
@@ -18,27 +19,30 @@ pub(crate) enum HduKind {
 /// An HDU whose mandatory keywords are sound.
 #[derive(Debug)]
 pub(crate) struct Hdu {
-    path: PathBuf,
+    source: FitsSource,
     /// Counted from 0.
     pub(crate) index: usize,
     pub(crate) kind: HduKind,
     pub(crate) header: HeaderCards,
     pub(crate) bitpix: i64,
-    /// `NAXIS1` first.
+    /// `NAXIS1` first; of a compressed image, its own.
     pub(crate) axes: Vec<usize>,
+    /// The first byte of the data in the file.
+    pub(crate) data_start: u64,
     /// Bytes, without the padding to whole blocks.
     pub(crate) data_length: u64,
 }
 
 impl Hdu {
-    pub(crate) fn new(path: &Path, index: usize, header: HeaderCards) -> Result<Self, IoError> {
+    pub(crate) fn new(source: &FitsSource, index: usize, header: HeaderCards) -> Result<Self, IoError> {
         let mut hdu = Self {
-            path: path.to_owned(),
+            source: source.clone(),
             index,
             kind: HduKind::Other,
             header,
             bitpix: 8,
             axes: Vec::new(),
+            data_start: 0,
             data_length: 0,
         };
         hdu.kind = match (index, hdu.text("XTENSION").as_deref()) {
@@ -64,7 +68,30 @@ impl Hdu {
         hdu.data_length = hdu
             .checked_length()?
             .ok_or_else(|| hdu.header_error("NAXIS", "the data would be larger than any file"))?;
+        if hdu.is_tiled() {
+            let TiledImage { bitpix, axes } = TiledImage::of(&hdu)?;
+            (hdu.kind, hdu.bitpix, hdu.axes) = (HduKind::Image, bitpix, axes);
+        }
         Ok(hdu)
+    }
+
+    /// Where the file is to be opened.
+    pub(crate) fn source(&self) -> &FitsSource {
+        &self.source
+    }
+
+    /// Whether a binary table holds the tiles of a compressed image; it counts as the image.
+    pub(crate) fn is_tiled(&self) -> bool {
+        self.index > 0
+            && self.logical("ZIMAGE") == Some(true)
+            && self.text("XTENSION").as_deref() == Some("BINTABLE")
+    }
+
+    /// Bytes of the data with the padding to whole blocks.
+    pub(crate) fn padded_length(&self) -> Result<u64, IoError> {
+        self.data_length
+            .checked_next_multiple_of(BLOCK)
+            .ok_or_else(|| self.header_error("NAXIS", "the data would be larger than any file"))
     }
 
     /// Bytes of the data; `None` where they cannot be counted.
@@ -94,7 +121,7 @@ impl Hdu {
 
     pub(crate) fn header_error(&self, keyword: &str, problem: &'static str) -> IoError {
         IoError::Header {
-            path: self.path.clone(),
+            path: self.source.path().to_owned(),
             hdu: self.index,
             keyword: keyword.to_owned(),
             problem,
@@ -118,7 +145,7 @@ impl Hdu {
 
     pub(crate) fn axes_error(&self, expected: &'static str) -> IoError {
         IoError::Axes {
-            path: self.path.clone(),
+            path: self.source.path().to_owned(),
             hdu: self.index,
             expected,
             got: self.shape(),
@@ -132,7 +159,7 @@ impl Hdu {
             None => card.map_or_else(String::new, |card| card.to_string().trim_end().to_owned()),
         };
         IoError::Keyword {
-            path: self.path.clone(),
+            path: self.source.path().to_owned(),
             hdu: self.index,
             keyword,
             expected,
@@ -217,7 +244,7 @@ impl Hdu {
         expected: &'static str,
     ) -> Result<Option<T>, IoError> {
         self.optional_text(keyword, expected)?
-            .map(|text| text.parse().map_err(invalid(&self.path)))
+            .map(|text| text.parse().map_err(invalid(self.source.path())))
             .transpose()
     }
 
@@ -233,7 +260,7 @@ impl Hdu {
 
     pub(crate) fn missing_keyword(&self, keyword: &'static str, expected: &'static str) -> IoError {
         IoError::MissingKeyword {
-            path: self.path.clone(),
+            path: self.source.path().to_owned(),
             hdu: self.index,
             keyword,
             expected,
@@ -242,7 +269,7 @@ impl Hdu {
 
     /// The grid of `nx` by `ny` stamps: `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and `STAMPINT`.
     pub(crate) fn stamp_grid(&self, nx: usize, ny: usize) -> Result<StampGrid, IoError> {
-        let data = |result: Result<StampGrid, _>| result.map_err(invalid(&self.path));
+        let data = |result: Result<StampGrid, _>| result.map_err(invalid(self.source.path()));
         let grid = data(StampGrid::new(nx, ny))?;
         let centre_x = self.optional_real("CENX")?.unwrap_or(grid.centre_x());
         let centre_y = self.optional_real("CENY")?.unwrap_or(grid.centre_y());
@@ -271,7 +298,7 @@ impl Hdu {
         };
         FrameShape::new(count("FIELDNX")?, count("FIELDNY")?)
             .map(Some)
-            .map_err(invalid(&self.path))
+            .map_err(invalid(self.source.path()))
     }
 }
 

@@ -18,6 +18,12 @@ const STRUCTURE: &[&str] = &[
 const NUMBERED_STRUCTURE: &[&str] = &[
     "NAXIS", "ZNAXIS", "ZTILE", "ZNAME", "ZVAL", "PTYPE", "PSCAL", "PZERO",
 ];
+/// Keywords of the table of a compressed image, with a number after them.
+const NUMBERED_TABLE: &[&str] = &[
+    "TTYPE", "TFORM", "TUNIT", "TNULL", "TSCAL", "TZERO", "TDISP", "TDIM",
+];
+/// The name that the table of a compressed image gets when the image has none.
+pub(crate) const TILED_NAME: &str = "COMPRESSED_IMAGE";
 /// What names or numbers one HDU and is of no meaning for another.
 const OWN: &[&str] = &["EXTNAME", "EXTVER", "EXTLEVEL", "HDUNAME", "HDUVER", "INHERIT"];
 /// World coordinates: keywords, and stems that a number follows.
@@ -166,6 +172,12 @@ impl HeaderCards {
 
     /// The cards that go over to a file of another structure. A card whose keyword FITS does not allow becomes a comment.
     pub(crate) fn carried(&self) -> Self {
+        let tiled = self.get("ZIMAGE").is_some();
+        let of_table = |card: &Card, numbered: &dyn Fn(&str) -> bool| {
+            tiled
+                && (NUMBERED_TABLE.iter().any(|stem| numbered(stem))
+                    || (card.has_keyword("EXTNAME") && card.value() == Some(TILED_NAME.into())))
+        };
         let kept = |card: &&Card| {
             let keyword = card.keyword();
             let numbered = |stem: &str| {
@@ -177,6 +189,7 @@ impl HeaderCards {
             !standard
                 && !STRUCTURE.contains(&keyword.as_str())
                 && !NUMBERED_STRUCTURE.iter().any(|stem| numbered(stem))
+                && !of_table(card, &numbered)
         };
         let legal = |card: &Card| {
             if card.is_foreign() {
@@ -312,6 +325,24 @@ mod tests {
         assert_eq!(value("LTV1"), (-13.0).into());
         assert!(cut.get("LTV2").is_none());
         assert_eq!(wcs.shifted_origin(0, 0), wcs);
+    }
+
+    #[test]
+    fn the_table_of_a_compressed_image_stays_behind() {
+        let lines = [
+            "TTYPE1  = 'COMPRESSED_DATA'",
+            "TFORM1  = '1PB(7)  '",
+            "EXTNAME = 'COMPRESSED_IMAGE'",
+            "TELESCOP= 'here    '",
+        ];
+        let keywords = |cards: HeaderCards| cards.carried().iter().map(Card::keyword).collect::<Vec<_>>();
+        assert_eq!(keywords(header(&lines)).len(), 4);
+        let tiled = [
+            &lines[..],
+            &["ZIMAGE  =                    T", "ZNAME1  = 'BLOCKSIZE'"],
+        ]
+        .concat();
+        assert_eq!(keywords(header(&tiled)), ["TELESCOP"]);
     }
 
     #[test]

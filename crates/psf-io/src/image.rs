@@ -10,7 +10,7 @@
 //! | header | every card but those about the file's structure; an extension inherits those of an empty primary HDU, unless `INHERIT = F` | the same, then the caller's |
 //!
 //! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`; world coordinates, which count in
-//! FITS pixels, go over as they are. Files compressed by gzip or fpack must be unpacked first.
+//! FITS pixels, go over as they are. Files compressed by gzip or fpack are read as they are.
 //!
 //! An image that does not fit into memory is read and written by bands of rows: [`ImageReader`] and [`ImageWriter`].
 //!

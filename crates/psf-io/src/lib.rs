@@ -27,6 +27,12 @@
 //! file, the HDU or row, and what to do. Headers are checked against the length of the file before memory is taken for the
 //! data; no content of a file makes this crate panic. Nothing is repaired silently: a NaN pixel is an error.
 //!
+//! # Compressed files
+//! FITS files compressed as a whole by gzip (`.gz`) and images compressed by tiles (`.fz`: `RICE_1`, `GZIP_1`, `GZIP_2`, `PLIO_1`,
+//! quantised floats) are read wherever plain ones are, told by content. A gzip file is unpacked to a temporary file, which goes when
+//! it is no longer needed; it may unpack to 1 GiB and 100 times its own size. An image in tiles may take 64 MiB and 4096 times the bytes of
+//! its tiles. What claims or holds more is refused before it takes disk or memory.
+//!
 //! # Outputs
 //! Every file appears whole or not at all, and replaces another only when told to ([`write_atomically`]), also one that is
 //! written by bands. The same input gives the same bytes: no dates are written.
@@ -50,10 +56,13 @@ mod columns;
 mod csv_out;
 mod cube_out;
 mod detect;
+mod distortion;
 mod error;
 mod gridded_error;
 mod gridded_out;
 mod gridded_psf;
+mod fits_source;
+mod gzip;
 mod hdu;
 mod hdu_choice;
 mod header_cards;
@@ -67,6 +76,7 @@ mod new_fits;
 mod number_columns;
 mod pending_file;
 mod pixels;
+mod plio;
 pub mod points;
 pub mod psfex;
 mod row;
@@ -75,10 +85,13 @@ pub mod scopesim;
 mod stamp_cube;
 pub mod stdpsf;
 pub mod stpsf;
+mod scanner;
+mod sky_coordinates;
 mod structure;
 mod table_file;
 mod text_header;
 mod text_table;
+mod tiled;
 
 pub use atomic::{check_output, write_atomically};
 pub use card::Card;
@@ -111,3 +124,4 @@ pub use scopesim::{ScopesimOptions, ScopesimPsf, read_scopesim};
 pub use stamp_cube::{StampCubeOptions, read_stamp_cube};
 pub use stdpsf::read_stdpsf;
 pub use stpsf::{PlaneOrder, read_stpsf};
+pub use sky_coordinates::{SkyCoordinates, WorldCoordinatesError};

@@ -7,6 +7,7 @@ use psf_types::Real;
 use crate::IoError;
 use crate::cfitsio::Fits;
 use crate::hdu::Hdu;
+use crate::plio;
 
 /// Values looked at together in the search for NaN, few enough to stay in cache.
 const CHUNK: usize = 4096;
@@ -26,15 +27,17 @@ pub(crate) struct Pixels {
 impl Pixels {
     /// The HDU comes from a [`FitsStructure`](crate::structure::FitsStructure), which has checked that the file holds its data.
     pub(crate) fn open(path: &Path, hdu: &Hdu) -> Result<Self, IoError> {
-        let mut fits = Fits::open(path)?;
+        plio::check(hdu)?;
+        let mut fits = Fits::open(hdu.source())?;
         fits.move_to(hdu.index)?;
         Ok(Self {
             fits,
             path: path.to_owned(),
             hdu: hdu.index,
             shape: hdu.shape(),
-            // For floats CFITSIO must not look for undefined values: it would flush subnormal numbers to zero.
-            blank: hdu.bitpix > 0 && hdu.header.get("BLANK").is_some(),
+            // For floats CFITSIO must not look for undefined values: it would flush subnormal numbers to zero. But in compressed
+            // images NaN may be a number that only CFITSIO knows, and would else return as if it were a value.
+            blank: hdu.is_tiled() || (hdu.bitpix > 0 && hdu.header.get("BLANK").is_some()),
         })
     }
 

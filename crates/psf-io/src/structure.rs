@@ -1,21 +1,19 @@
 //! The HDUs of a FITS file, found and checked against the file's length before anything is allocated for their data.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::card::{RECORD, Record};
+use crate::fits_source::FitsSource;
+use crate::gzip;
 use crate::hdu::{Hdu, HduKind};
+use crate::header_cards::TILED_NAME;
+use crate::scanner::Scanner;
 use crate::{Card, CardValue, HduChoice, HeaderCards, IoError};
 
-/// FITS files are made of blocks of this many bytes.
-const BLOCK: u64 = 2880;
-/// A header longer than this many blocks (20 MB) has lost its END.
-const HEADER_BLOCK_LIMIT: usize = 7000;
 const MAGIC: &[u8] = b"SIMPLE  =";
-/// First bytes of compressed files, and what they are.
+/// First bytes of files that are compressed in ways not read here, and what they are.
 const COMPRESSED: &[(&[u8], &str, &str)] = &[
-    (b"\x1f\x8b", "compressed by gzip", "run gunzip first"),
     (b"BZh", "compressed by bzip2", "run bunzip2 first"),
     (b"\x1f\x9d", "compressed by compress", "run uncompress first"),
     (b"\xfd7zXZ", "compressed by xz", "run unxz first"),
@@ -37,14 +35,20 @@ pub(crate) struct FitsStructure {
 }
 
 impl FitsStructure {
-    /// Reads every header and checks that the file is long enough for every HDU.
+    /// Reads every header and checks that the file is long enough for every HDU. What gzip has compressed is unpacked to a temporary file
+    /// for as long as the structure or anything opened through it lives.
     pub(crate) fn scan(path: &Path) -> Result<Self, IoError> {
         if magic(path)? != Magic::Fits {
             return Err(IoError::NotFits {
                 path: path.to_owned(),
             });
         }
-        let mut scanner = Scanner::open(path)?;
+        let source = if start_of(path)?.starts_with(gzip::GZIP) {
+            FitsSource::unpacked(path, gzip::unpack(path)?)
+        } else {
+            FitsSource::plain(path)
+        };
+        let mut scanner = Scanner::open(&source)?;
         let mut hdus = Vec::new();
         while scanner.next_hdu_starts(hdus.len())? {
             hdus.push(scanner.read_hdu(hdus.len())?);
@@ -59,13 +63,6 @@ impl FitsStructure {
     pub(crate) fn first_image(&self) -> Result<&Hdu, IoError> {
         if let Some(hdu) = self.hdus.iter().find(|hdu| hdu.has_pixels()) {
             return Ok(hdu);
-        }
-        if self.hdus.iter().any(|hdu| hdu.logical("ZIMAGE") == Some(true)) {
-            return Err(IoError::Compressed {
-                path: self.path.clone(),
-                what: "a tile-compressed image (fpack)",
-                remedy: "run funpack first",
-            });
         }
         Err(self.missing("image with pixels"))
     }
@@ -155,8 +152,32 @@ impl FitsStructure {
     }
 }
 
-/// Reads the first bytes of a file; a compressed file is an error.
+/// Tells a FITS file, also one compressed by gzip, from others by its first bytes; what is compressed otherwise is an error.
 pub(crate) fn magic(path: &Path) -> Result<Magic, IoError> {
+    let start = start_of(path)?;
+    let refused = |what, remedy| IoError::Compressed {
+        path: path.to_owned(),
+        what,
+        remedy,
+    };
+    if let Some(&(_, what, remedy)) = COMPRESSED.iter().find(|(bytes, ..)| start.starts_with(bytes)) {
+        return Err(refused(what, remedy));
+    }
+    if start.starts_with(gzip::GZIP) {
+        return if gzip::first_bytes(path, MAGIC.len())? == MAGIC {
+            Ok(Magic::Fits)
+        } else {
+            Err(refused(
+                "compressed by gzip, and not a FITS file",
+                "run gunzip first",
+            ))
+        };
+    }
+    Ok(if start == MAGIC { Magic::Fits } else { Magic::Other })
+}
+
+/// The first bytes of a file.
+fn start_of(path: &Path) -> Result<Vec<u8>, IoError> {
     let failed = |source| IoError::Read {
         path: path.to_owned(),
         source,
@@ -171,117 +192,7 @@ pub(crate) fn magic(path: &Path) -> Result<Magic, IoError> {
     file.take(MAGIC.len() as u64)
         .read_to_end(&mut start)
         .map_err(failed)?;
-    if let Some(&(_, what, remedy)) = COMPRESSED.iter().find(|(bytes, ..)| start.starts_with(bytes)) {
-        return Err(IoError::Compressed {
-            path: path.to_owned(),
-            what,
-            remedy,
-        });
-    }
-    Ok(if start == MAGIC { Magic::Fits } else { Magic::Other })
-}
-
-/// Walks over a file, header by header.
-struct Scanner<'a> {
-    path: &'a Path,
-    file: File,
-    length: u64,
-    offset: u64,
-}
-
-impl<'a> Scanner<'a> {
-    fn open(path: &'a Path) -> Result<Self, IoError> {
-        let failed = |source| IoError::Read {
-            path: path.to_owned(),
-            source,
-        };
-        let file = File::open(path).map_err(failed)?;
-        let length = file.metadata().map_err(failed)?.len();
-        Ok(Self {
-            path,
-            file,
-            length,
-            offset: 0,
-        })
-    }
-
-    fn failed(&self, source: std::io::Error) -> IoError {
-        IoError::Read {
-            path: self.path.to_owned(),
-            source,
-        }
-    }
-
-    /// Whether another HDU starts here; what is not one (padding, records of old) is left alone.
-    fn next_hdu_starts(&mut self, hdu: usize) -> Result<bool, IoError> {
-        if hdu == 0 {
-            return Ok(true);
-        }
-        if self.offset >= self.length {
-            return Ok(false);
-        }
-        let mut start = Vec::new();
-        self.file
-            .seek(SeekFrom::Start(self.offset))
-            .map_err(|e| self.failed(e))?;
-        (&self.file)
-            .take(8)
-            .read_to_end(&mut start)
-            .map_err(|e| self.failed(e))?;
-        Ok(b"XTENSION".starts_with(&start))
-    }
-
-    /// Reads the header at the offset and moves the offset behind the data.
-    fn read_hdu(&mut self, index: usize) -> Result<Hdu, IoError> {
-        let header = self.read_header(index)?;
-        let hdu = Hdu::new(self.path, index, header)?;
-        let needed = self
-            .offset
-            .checked_add(hdu.data_length)
-            .and_then(|end| end.checked_next_multiple_of(BLOCK))
-            .ok_or_else(|| hdu.header_error("NAXIS", "the data would be larger than any file"))?;
-        if needed > self.length {
-            return Err(self.truncated(index, needed));
-        }
-        self.offset = needed;
-        Ok(hdu)
-    }
-
-    fn read_header(&mut self, index: usize) -> Result<HeaderCards, IoError> {
-        self.file
-            .seek(SeekFrom::Start(self.offset))
-            .map_err(|e| self.failed(e))?;
-        let mut records: Vec<Record> = Vec::new();
-        let mut block = [0; BLOCK as usize];
-        for _ in 0..HEADER_BLOCK_LIMIT {
-            if self.offset + BLOCK > self.length {
-                return Err(self.truncated(index, self.offset + BLOCK));
-            }
-            self.file.read_exact(&mut block).map_err(|e| self.failed(e))?;
-            self.offset += BLOCK;
-            for record in block.chunks_exact(RECORD) {
-                if record.starts_with(b"END     ") {
-                    return Ok(HeaderCards::from_records(records));
-                }
-                records.push(record.try_into().expect("80 bytes"));
-            }
-        }
-        Err(IoError::Header {
-            path: self.path.to_owned(),
-            hdu: index,
-            keyword: "END".to_owned(),
-            problem: "the header does not end",
-        })
-    }
-
-    fn truncated(&self, hdu: usize, needed: u64) -> IoError {
-        IoError::Truncated {
-            path: self.path.to_owned(),
-            hdu,
-            needed,
-            length: self.length,
-        }
-    }
+    Ok(start)
 }
 
 impl Hdu {
@@ -292,7 +203,9 @@ impl Hdu {
 
     /// The EXTNAME.
     pub(crate) fn name(&self) -> Option<String> {
-        self.text("EXTNAME").map(|name| name.trim().to_owned())
+        self.text("EXTNAME")
+            .map(|name| name.trim().to_owned())
+            .filter(|name| !(self.is_tiled() && name == TILED_NAME))
     }
 
     /// The EXTVER.

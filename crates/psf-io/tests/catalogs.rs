@@ -2,7 +2,10 @@
 
 mod support;
 
-use psf_io::{Catalog, CatalogOptions, IoError, Row, read_catalog_with, read_columns, read_positions_with};
+use psf_io::{
+    Card, Catalog, CatalogOptions, HeaderCards, IoError, Row, SkyCoordinates, read_catalog_with,
+    read_columns, read_positions_with,
+};
 use support::{SIMPLE, Scratch, chain, f32s, f64s, i16s, i32s, image, names, table};
 
 fn options(columns: &str) -> CatalogOptions {
@@ -221,11 +224,50 @@ fn one_of_several_tables_must_be_chosen() {
     }
 }
 
+/// A frame of a tenth of an arc second a pixel around (150, 2) degrees.
+fn sky() -> SkyCoordinates {
+    let mut header = HeaderCards::new();
+    for (keyword, value) in [
+        ("CRPIX1", 1.0),
+        ("CRPIX2", 1.0),
+        ("CRVAL1", 150.0),
+        ("CRVAL2", 2.0),
+        ("CDELT1", -0.1 / 3600.0),
+        ("CDELT2", 0.1 / 3600.0),
+    ] {
+        header.push(Card::new(keyword, value, "").unwrap());
+    }
+    header.push(Card::new("CTYPE1", "RA---TAN", "").unwrap());
+    header.push(Card::new("CTYPE2", "DEC--TAN", "").unwrap());
+    SkyCoordinates::from_header(&header).unwrap()
+}
+
 #[test]
-fn sky_coordinates_need_world_coordinates() {
-    let error = read("ra,dec,flux\n10,20,3\n", &CatalogOptions::new()).unwrap_err();
+fn sky_coordinates_go_through_the_frames_world_coordinates() {
+    let text = "ra,dec,flux\n150,2,3\n330,-2,1\n150,2.001,4\n";
+    let error = read(text, &CatalogOptions::new()).unwrap_err();
     assert!(
         matches!(&error, IoError::NoWorldCoordinates { ra, .. } if ra == "ra"),
         "{error}"
     );
+    // Counting from 1 is about pixels, which the sky has none of.
+    let options = CatalogOptions::new().with_sky(sky()).with_one_based(true);
+    let catalog = read(text, &options).unwrap();
+    assert_eq!((catalog.stars().len(), catalog.rows_off_projection()), (2, 1));
+    let second = catalog.stars()[1].position();
+    assert!(
+        second.x().abs() < 1e-9 && (second.y() - 36.0).abs() < 1e-6,
+        "{second}"
+    );
+    let scratch = Scratch::new();
+    let path = scratch.put("a.csv", text.as_bytes());
+    assert!(matches!(
+        read_positions_with(&path, &options),
+        Err(IoError::OffProjection {
+            row: Row::Line(3),
+            ..
+        })
+    ));
+    let error = read("ra,dec,flux\n1,91,3\n", &options).unwrap_err();
+    assert!(chain(&error).contains("declination"), "{error}");
 }

@@ -4,6 +4,9 @@ mod support;
 
 use std::path::Path;
 
+use fitsio::FitsFile;
+use fitsio::images::{ImageDescription, ImageType};
+
 use ndarray::{Array2, Array3, array};
 use psf_io::{
     Card, HeaderCards, IoError, PlaneOrder, Precision, PsfexAxis, PsfexModel, PsfexPolynomial,
@@ -76,6 +79,9 @@ fn files(scratch: &Scratch) -> Vec<Vec<u8>> {
     let psfex = PsfexModel::new(Array3::from_elem((3, 4, 4), 0.1), 0.5, Some(polynomial)).unwrap();
     write_psfex(&path, &psfex, &[], true).unwrap();
     files.push(std::fs::read(&path).unwrap());
+    for (how, scale) in [("R", 1.0), ("G", 1.0), ("GZ2", 1.0), ("P", 1.0), ("R; q 16", 1.3)] {
+        files.push(tiled(scratch, how, scale));
+    }
     files.push(b"# stars\nx,y,flux\n1,2,3\n4,\"5\",6e3\n".to_vec());
     files
 }
@@ -83,6 +89,27 @@ fn files(scratch: &Scratch) -> Vec<Vec<u8>> {
 fn scopesim_options() -> ScopesimOptions {
     let options = ScopesimOptions::new(0.25, Position::of_pixel(5, 5)).unwrap();
     options.with_wavelength_um(1.5).unwrap()
+}
+
+/// An image in tiles, of whole numbers unless the scale makes them others.
+fn tiled(scratch: &Scratch, how: &str, scale: f32) -> Vec<u8> {
+    let path = scratch.path(&format!("{how}.fits"));
+    std::fs::remove_file(&path).ok();
+    let name = format!("{}[compress {how}]", path.display());
+    let whole = scale.fract() == 0.0;
+    let description = ImageDescription {
+        data_type: if whole { ImageType::Long } else { ImageType::Float },
+        dimensions: &[10, 12],
+    };
+    let mut file = FitsFile::create(name)
+        .with_custom_primary(&description)
+        .open()
+        .unwrap();
+    let hdu = file.hdu(1).unwrap();
+    let values: Vec<f32> = (0..120).map(|i| ((i * i) % 97) as f32 * scale).collect();
+    hdu.write_image(&mut file, &values).unwrap();
+    drop(file);
+    std::fs::read(path).unwrap()
 }
 
 /// Reads a file in every way; returns how many succeeded. Errors must have a text and name the file.

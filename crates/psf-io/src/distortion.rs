@@ -1,0 +1,177 @@
+//! Distortions of world coordinates: SIP in pixels, TPV on the projection.
+
+use crate::HeaderCards;
+use crate::sky_coordinates::{World, WorldCoordinatesError, product, unsupported};
+
+/// The highest order of SIP that is read; the convention allows 9.
+const LARGEST_SIP_ORDER: usize = 9;
+/// Terms of TPV: orders 1 to 7, those of odd order with one in the radius.
+const TPV_TERMS: usize = 40;
+/// The inverse is sought until a step is smaller than this fraction of the offset (plus one unit), or for so many steps.
+const INVERSE_ACCURACY: f64 = 1e-13;
+const INVERSE_STEPS: usize = 50;
+/// An inverse whose image is farther off than this fraction is none: the distortion folds the plane there.
+const INVERSE_TOLERANCE: f64 = 1e-9;
+
+/// What comes on top of the projection.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Distortion {
+    None,
+    /// Offsets in pixels `(u, v)` get `A(u, v)` and `B(u, v)` added: coefficient and powers (Shupe et al. 2005).
+    Sip([Vec<(f64, i32, i32)>; 2]),
+    /// Coordinates on the projection in degrees become polynomials of themselves: `PV1_m` and `PV2_m`.
+    Tpv(Box<[[f64; TPV_TERMS]; 2]>),
+}
+
+impl Distortion {
+    /// `axes` are the numbers of the axes of longitude and latitude.
+    pub(crate) fn from_header(
+        header: &HeaderCards,
+        ctype: &str,
+        axes: [&str; 2],
+    ) -> Result<Self, WorldCoordinatesError> {
+        let world = World { header };
+        if ctype.ends_with("-SIP") {
+            return Ok(Self::Sip([sip(&world, "A")?, sip(&world, "B")?]));
+        }
+        let is = |name| ctype.get(5..8) == Some(name);
+        // SCAMP's headers say TAN; terms of latitude have no other meaning there, nor have those from 5 on of longitude.
+        let has = |axis: &str, from: usize| {
+            (from..TPV_TERMS).any(|m| header.get(&format!("PV{axis}_{m}")).is_some())
+        };
+        if !is("TPV") && !(is("TAN") && (has(axes[1], 0) || has(axes[0], 5))) {
+            return Ok(Self::None);
+        }
+        let mut terms = Box::new([[0.0; TPV_TERMS]; 2]);
+        for (axis, terms) in axes.iter().zip(terms.iter_mut()) {
+            terms[1] = 1.0;
+            for (m, term) in terms.iter_mut().enumerate() {
+                if let Some(value) = world.number(&format!("PV{axis}_{m}"))? {
+                    *term = value;
+                }
+            }
+        }
+        Ok(Self::Tpv(terms))
+    }
+
+    /// What offsets in pixels become.
+    pub(crate) fn in_pixels(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        match self {
+            Self::Sip([a, b]) => {
+                let sum = |terms: &[(f64, i32, i32)]| {
+                    terms
+                        .iter()
+                        .map(|&(c, p, q)| c * u.powi(p) * v.powi(q))
+                        .sum::<f64>()
+                };
+                [u + sum(a), v + sum(b)]
+            }
+            _ => [u, v],
+        }
+    }
+
+    /// What coordinates on the projection become.
+    pub(crate) fn in_plane(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        match self {
+            Self::Tpv(terms) => [tpv(&terms[0], x, y), tpv(&terms[1], y, x)],
+            _ => [x, y],
+        }
+    }
+
+    /// The offset in pixels that becomes this one.
+    pub(crate) fn undo_in_pixels(&self, to: [f64; 2]) -> Option<[f64; 2]> {
+        match self {
+            Self::Sip(_) => inverse(|from| self.in_pixels(from), to),
+            _ => Some(to),
+        }
+    }
+
+    /// The coordinates on the projection that become these.
+    pub(crate) fn undo_in_plane(&self, to: [f64; 2]) -> Option<[f64; 2]> {
+        match self {
+            Self::Tpv(_) => inverse(|from| self.in_plane(from), to),
+            _ => Some(to),
+        }
+    }
+}
+
+/// The terms `A_p_q` up to `A_ORDER`.
+fn sip(world: &World<'_>, name: &str) -> Result<Vec<(f64, i32, i32)>, WorldCoordinatesError> {
+    let keyword = format!("{name}_ORDER");
+    let order = world.needed(
+        &keyword,
+        "the order of the distortion that CTYPE1 announces with -SIP",
+    )?;
+    if order.fract() != 0.0 || !(0.0..=LARGEST_SIP_ORDER as f64).contains(&order) {
+        return Err(unsupported(
+            &keyword,
+            "a whole number from 0 to 9",
+            &order.to_string(),
+        ));
+    }
+    let order = order as usize;
+    let mut terms = Vec::new();
+    for p in 0..=order {
+        for q in 0..=order - p {
+            if let Some(value) = world.number(&format!("{name}_{p}_{q}"))? {
+                terms.push((value, p as i32, q as i32));
+            }
+        }
+    }
+    Ok(terms)
+}
+
+/// `PV_0 + PV_1 x + PV_2 y + PV_3 r + PV_4 x^2 + PV_5 xy + PV_6 y^2 + PV_7 x^3 ...`: orders up to 7, the odd ones with a power of r last.
+fn tpv(terms: &[f64; TPV_TERMS], x: f64, y: f64) -> f64 {
+    let r = x.hypot(y);
+    let mut terms = terms.iter();
+    let mut sum = *terms.next().expect("40 terms");
+    for order in 1..=7 {
+        for q in 0..=order {
+            sum += terms.next().expect("40 terms") * x.powi(order - q) * y.powi(q);
+        }
+        if order % 2 == 1 {
+            sum += terms.next().expect("40 terms") * r.powi(order);
+        }
+    }
+    sum
+}
+
+/// What a mapping near the identity takes to a point: Newton's method with differences for derivatives.
+fn inverse(mapping: impl Fn([f64; 2]) -> [f64; 2], to: [f64; 2]) -> Option<[f64; 2]> {
+    let mut at = to;
+    let size = 1e-6 + to[0].abs().max(to[1].abs());
+    let step = 1e-6 * size;
+    let error_at = |at| {
+        let value = mapping(at);
+        [to[0] - value[0], to[1] - value[1]]
+    };
+    for _ in 0..INVERSE_STEPS {
+        let error = error_at(at);
+        let along_x = error_at([at[0] + step, at[1]]);
+        let along_y = error_at([at[0], at[1] + step]);
+        // Of the mapping, so with the opposite sign of the error's.
+        let slope = |moved: [f64; 2], i: usize| (error[i] - moved[i]) / step;
+        let (xx, yx, xy, yy) = (
+            slope(along_x, 0),
+            slope(along_x, 1),
+            slope(along_y, 0),
+            slope(along_y, 1),
+        );
+        let determinant = xx * yy - xy * yx;
+        let inverse = [
+            [yy / determinant, -xy / determinant],
+            [-yx / determinant, xx / determinant],
+        ];
+        let move_by = product(&inverse, error);
+        at = [at[0] + move_by[0], at[1] + move_by[1]];
+        if !at[0].is_finite() || !at[1].is_finite() {
+            return None;
+        }
+        if move_by[0].abs().max(move_by[1].abs()) <= INVERSE_ACCURACY * size {
+            break;
+        }
+    }
+    let left = error_at(at);
+    (left[0].abs().max(left[1].abs()) <= INVERSE_TOLERANCE * size).then_some(at)
+}
