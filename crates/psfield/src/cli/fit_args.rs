@@ -79,7 +79,8 @@ impl PsfArgs {
 
     /// Opens any PSF file and tells how it was read.
     pub(crate) fn opened(&self, path: &Path, context: &Context) -> anyhow::Result<OpenedPsf> {
-        let opened = PsfInput::open_with(path, &self.file.options()?, &self.fit.choices()).map_err(as_usage)?;
+        let opened =
+            PsfInput::open_with(path, &self.file.options()?, &self.fit.choices()).map_err(as_usage)?;
         for note in &opened.notes {
             context.note(&format!("{}: {note}", path.display()));
         }
