@@ -247,12 +247,11 @@ impl ConvertArgs {
     }
 
     fn write_psfex(&self, opened: OpenedPsf, degree: Option<usize>) -> anyhow::Result<Written> {
-        let (model, max_error, notes) = match self.planes_as_they_are(&opened, degree)? {
-            Some(model) => (model, 0.0, Vec::new()),
-            None => {
-                let converted = to_psfex(opened.input, degree)?;
-                (converted.model, converted.max_error, converted.notes)
-            }
+        let (model, max_error, notes) = if let Some(model) = self.planes_as_they_are(&opened, degree)? {
+            (model, 0.0, Vec::new())
+        } else {
+            let converted = to_psfex(opened.input, degree)?;
+            (converted.model, converted.max_error, converted.notes)
         };
         psf_io::write_psfex(&self.output, &model, &signature(), self.overwrite)?;
         Ok(Written {

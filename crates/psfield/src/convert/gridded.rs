@@ -139,9 +139,7 @@ fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples,
              Lanczos kernel"
                 .to_owned(),
         );
-        let grid = grid.with_interpolation(StampInterpolation::CubicSpline);
-        let (stamps, positions) = (samples.stamps().to_owned(), samples.positions().clone());
-        return Ok(PsfSamples::new(stamps, positions, grid)?);
+        return by_spline(&samples);
     }
     let ratio = whole / grid.oversampling();
     let reach = |centre: f64, n: usize| (centre.max((n - 1) as f64 - centre) * ratio).floor() as usize;
@@ -149,14 +147,22 @@ fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples,
         reach(grid.centre_x(), grid.nx()),
         reach(grid.centre_y(), grid.ny()),
     );
+    // A pixel response that is missing stays so: the writer refuses it, at any sampling alike.
     let target = StampGrid::new(2 * rx + 1, 2 * ry + 1)?
         .with_oversampling(whole)?
-        .with_interpolation(StampInterpolation::CubicSpline);
+        .with_pixel_response_included(grid.pixel_response_included());
     notes.push(format!(
         "stamps resampled from {:.6} to {whole} pixels a frame pixel: libraries hold whole numbers",
         grid.oversampling()
     ));
-    Ok(resample_samples(&samples, target)?)
+    by_spline(&resample_samples(&samples, target)?)
+}
+
+/// The same stamps, told to continue by a cubic spline.
+fn by_spline(samples: &PsfSamples) -> Result<PsfSamples, PsfieldError> {
+    let grid = samples.grid().with_interpolation(StampInterpolation::CubicSpline);
+    let (stamps, positions) = (samples.stamps().to_owned(), samples.positions().clone());
+    Ok(PsfSamples::new(stamps, positions, grid)?)
 }
 
 /// Whether the centre is the middle, be it between pixels.

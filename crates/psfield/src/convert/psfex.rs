@@ -156,7 +156,7 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     let mut design = DMatrix::from_row_iterator(count, terms, rows.flat_map(|&p| polynomial.terms(p)));
     // High powers of numbers below 1/2 are small; columns of norm 1 tell what the samples leave open from what is merely small.
     let norms: Vec<f64> = design.column_iter().map(|column| column.norm()).collect();
-    if norms.iter().any(|&norm| norm == 0.0) {
+    if norms.contains(&0.0) {
         return Err(undetermined);
     }
     for (mut column, norm) in design.column_iter_mut().zip(&norms) {

@@ -186,12 +186,12 @@ fn one_of_several_psfex_models_is_chosen() {
     desk.refused(
         "convert both.psf -o out.fits --to psf-model",
         1,
-        &["both.psf", "--psf-extension", "1 (PSF_DATA)", "2 (PSF_DATA)"],
+        &["both.psf", "--psf-extension", "1 \"PSF_DATA\"", "2 \"PSF_DATA\""],
     );
     desk.refused(
         "convert both.psf -o out.fits --to psf-model --psf-extension 3",
         1,
-        &["both.psf", "HDU 3", "2 (PSF_DATA)"],
+        &["both.psf", "HDU 3", "2 \"PSF_DATA\""],
     );
     for (extension, size) in [(1, 9), (2, 11)] {
         let report = desk
