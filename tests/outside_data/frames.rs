@@ -1,8 +1,10 @@
-//! Stars of real frames against the lists of sep and photutils.
+//! Stars of real frames against the lists of sep and photutils, and frames simulated from their own stars.
 
 use libtest_mimic::{Failed, Trial};
 use psfield::psf_io;
-use psfield::psf_stars::{StarSamples, StarSampling};
+use psfield::psf_stars::{Rejection, StarSamples, StarSampling};
+use psfield::psf_types::Image;
+use psfield::{RoundTrip, RoundTripOptions, psf_io};
 
 use crate::data::{ensure, file, trial};
 
@@ -14,25 +16,97 @@ const LONELY_PX: f64 = 8.0;
 const UNSATURATED: f64 = 0.95;
 /// The part of the sources asked for that must be found.
 const FOUND: f64 = 0.95;
+/// Medians of the FWHM in a frame and in its simulation agree within this part.
+const MEDIAN: f64 = 0.03;
+/// Kolmogorov-Smirnov distance of the two distributions of the FWHM.
+const KS: f64 = 0.1;
 
 const FRAMES: [&str; 2] = ["tetra3_Alt60_Azi135", "sep_ngc_256"];
 
 pub(crate) fn trials() -> Vec<Trial> {
-    FRAMES
-        .into_iter()
-        .map(|name| {
-            trial(
-                format!("{name}: sources that sep and photutils agree on"),
-                move || agreed_sources(name),
-            )
-        })
-        .collect()
+    let agreed = FRAMES.into_iter().map(|name| {
+        trial(
+            format!("{name}: sources that sep and photutils agree on"),
+            move || agreed_sources(name),
+        )
+    });
+    let trips = FRAMES.into_iter().map(|name| {
+        trial(
+            format!("{name}: the round trip keeps the stars' FWHM"),
+            move || round_trip(name),
+        )
+    });
+    let scene = trial(
+        "m51_512: an extended scene gives its stars".to_owned(),
+        extended_scene,
+    );
+    agreed.chain(trips).chain([scene]).collect()
+}
+
+fn frame(name: &str) -> Result<Image<f64>, Failed> {
+    Ok(psf_io::read_image::<f64>(file(&format!("frames/{name}.fits")))?
+        .into_parts()
+        .0)
+}
+
+/// Several seeds, lest a lucky one decides.
+fn round_trip(name: &str) -> Result<(), Failed> {
+    let frame = frame(name)?;
+    for seed in 1..=3 {
+        let options = RoundTripOptions {
+            seed,
+            ..RoundTripOptions::default()
+        };
+        let trip = RoundTrip::run(&frame, &options)?;
+        let (fwhm, ellipticity) = (&trip.report.fwhm_px, &trip.report.ellipticity);
+        println!(
+            "{name}, seed {seed}: {} of {} stars measured ({}), FWHM median {:.3} against {:.3} pixels (ratio {:.4}), KS {:.3}; \
+             ellipticity KS {:.3}",
+            trip.report.measured,
+            trip.report.stars,
+            trip.stars.registration.method,
+            fwhm.simulated.median,
+            fwhm.frame.median,
+            fwhm.median_ratio,
+            fwhm.ks_distance,
+            ellipticity.ks_distance
+        );
+        ensure(trip.report.measured >= 20, || {
+            format!("only {} stars were measured", trip.report.measured)
+        })?;
+        ensure(
+            (fwhm.median_ratio - 1.0).abs() <= MEDIAN && fwhm.ks_distance <= KS,
+            || format!("seed {seed}: {fwhm:?}"),
+        )?;
+    }
+    Ok(())
+}
+
+/// Its nebulae and clusters are not taken for stars.
+fn extended_scene() -> Result<(), Failed> {
+    let found = StarSampling::default().run(&frame("m51_512")?)?;
+    let broad = found
+        .sources
+        .iter()
+        .filter(|s| s.rejected.contains(Rejection::TooBroad))
+        .count();
+    println!(
+        "m51_512: {} samples of {} sources, FWHM {:.2} pixels, {broad} too broad",
+        found.samples.len(),
+        found.sources.len(),
+        found.fwhm_px
+    );
+    // The isolated bright stars of the frame have 2.56 to 2.65 pixels.
+    ensure((2.5..2.7).contains(&found.fwhm_px), || {
+        format!("FWHM {}", found.fwhm_px)
+    })?;
+    ensure(broad > found.samples.len(), || {
+        format!("{broad} too broad, {} samples", found.samples.len())
+    })
 }
 
 fn sampled(name: &str) -> Result<(Vec<f64>, usize, StarSamples), Failed> {
-    let image = psf_io::read_image::<f64>(file(&format!("frames/{name}.fits")))?
-        .into_parts()
-        .0;
+    let image = frame(name)?;
     let found = StarSampling::default().run(&image)?;
     Ok((
         image.pixels().iter().copied().collect(),

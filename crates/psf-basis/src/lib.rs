@@ -12,7 +12,8 @@
 //!   than a factor 1000 from one to the next within the first half of the curve.
 //! * **Noise**: `L x P` samples (pixels by samples) with white pixel noise sigma have noise modes with singular values up
 //!   to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated ([`PixelNoise`]); neither the elbow nor
-//!   `auto` keeps modes that noise alone would reach in 99 % of cases.
+//!   `auto` keeps modes that noise alone would reach in 99 % of cases. Where the level differs from sample to sample, as between bright and
+//!   faint stars, the edge is that of the uneven noise.
 //!
 //! # Normalisation
 //! Stamps are taken as they are. Of samples of unit flux, mean-centred, every component has zero flux, so that any
@@ -26,6 +27,7 @@ mod noise;
 mod rank_selection;
 mod spectrum;
 mod svd;
+mod uneven_noise;
 
 pub use basis_fit::{BasisFit, BasisMethod};
 pub use error::BasisError;

@@ -6,7 +6,7 @@ use crate::BasisError;
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum PixelNoise {
-    /// Look for a floor of white noise in the singular values; there may be none.
+    /// Look for white noise, of one level or of a level of each sample's own (bright and faint stars); there may be none.
     #[default]
     Estimate,
     /// White noise of this standard deviation, in the units of the stamps. 0 for none.
@@ -67,7 +67,7 @@ pub(crate) fn noise_floor(
     }
 }
 
-fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> Option<NoiseFloor> {
+pub(crate) fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> Option<NoiseFloor> {
     let count = rows.min(columns).min(singular_values.len());
     let (small, large) = (rows.min(columns), rows.max(columns));
     let law = MarchenkoPastur::new(small as f64 / large as f64);

@@ -11,6 +11,7 @@ use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, concatenate};
 use psf_types::{PsfBasis, PsfSamples};
 
 use crate::noise::noise_floor;
+use crate::uneven_noise::{by_sample, uneven_floor};
 use crate::{BasisError, BasisFit, BasisMethod, PixelNoise, RankSelection, Spectrum};
 
 /// Whether the mean stamp is taken out before the decomposition.
@@ -141,7 +142,13 @@ impl Svd {
         let (singular_values, vectors) = decompose(rows.view())?;
         let freedom = count - usize::from(mean.is_some());
         let rounding = ROUNDING_UNITS * f64::EPSILON * frobenius;
-        let floor = noise_floor(self.noise, &singular_values, pixels, freedom)?;
+        let mut floor = noise_floor(self.noise, &singular_values, pixels, freedom)?;
+        if self.noise == PixelNoise::Estimate {
+            floor = match floor {
+                Some(even) => Some(by_sample(rows.view(), &vectors, &singular_values, even)),
+                None => uneven_floor(rows.view(), &singular_values, freedom),
+            };
+        }
         let spectrum = Spectrum::new(singular_values, rounding, floor);
 
         // The samples come first in the stack.
@@ -179,7 +186,7 @@ impl BasisMethod for Svd {
 }
 
 /// Singular values and vectors `[pixel, k]` on the pixels' side, of samples `[sample, pixel]`.
-fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), BasisError> {
+pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), BasisError> {
     let (samples, pixels) = rows.dim();
     let failed = BasisError::NoConvergence { samples, pixels };
     let size = samples.min(pixels);

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{normal, samples, with_singular_values};
+use common::{normal, orthonormal_rows, samples};
 use ndarray::{Array3, Axis};
 use psf_basis::{BasisError, BasisMethod, Centring, GivenStamps, PixelNoise, RankSelection, Svd};
 use psf_types::PsfSamples;
@@ -13,6 +13,23 @@ const SINGULAR_VALUE_TOLERANCE: f64 = 1e-10;
 const ORTHONORMALITY: f64 = 1e-12;
 
 const SIX: [f64; 6] = [5.0, 3.0, 2.0, 1.0, 0.5, 0.02];
+
+/// A matrix of `count` samples with exactly these singular values once the mean is taken out, on a bright mean stamp.
+fn with_singular_values(values: &[f64], count: usize, side: usize, noise: f64) -> PsfSamples {
+    let pixels = side * side;
+    let stamps = orthonormal_rows(values.len(), pixels, 1);
+    let coefficients = orthonormal_rows(values.len(), count, 2);
+    let mut stack = normal(count, pixels, 3) * noise;
+    for (k, &value) in values.iter().enumerate() {
+        for j in 0..count {
+            stack
+                .row_mut(j)
+                .scaled_add(value * coefficients[[k, j]], &stamps.row(k));
+        }
+    }
+    stack += &ndarray::Array1::from_elem(pixels, 2.0).insert_axis(Axis(0));
+    samples(stack.into_shape_with_order((count, side, side)).unwrap())
+}
 
 fn positive_noise(count: usize, ny: usize, nx: usize) -> PsfSamples {
     let stack = normal(count, ny * nx, 7).mapv(|v| v + 3.0);

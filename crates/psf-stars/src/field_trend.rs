@@ -54,11 +54,15 @@ fn legendre(t: f64, degree: usize) -> Vec<f64> {
     values
 }
 
-/// Points `(x, y, value, weight)`; the weighted least-squares polynomial through them.
+/// Points `(x, y, value, weight)`; the weighted least-squares polynomial through them, if there are any.
 pub(crate) fn trend(points: &[(f64, f64, f64, f64)], terms: FieldTerms) -> Option<Trend> {
-    let count = terms.count();
-    let rows = DMatrix::from_fn(points.len(), count, |_, _| 0.0);
-    let (mut rows, mut right) = (rows, DVector::zeros(points.len()));
+    if points.is_empty() {
+        return None;
+    }
+    let (mut rows, mut right) = (
+        DMatrix::zeros(points.len(), terms.count()),
+        DVector::zeros(points.len()),
+    );
     for (k, &(x, y, value, weight)) in points.iter().enumerate() {
         let root = weight.sqrt();
         for (j, term) in terms.at(x, y).into_iter().enumerate() {

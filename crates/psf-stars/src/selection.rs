@@ -162,6 +162,9 @@ impl Selection {
             .filter(|(_, c)| c.rejected.is_empty())
             .filter_map(|(index, c)| Shape::of(index, c))
             .collect();
+        if shapes.is_empty() {
+            return;
+        }
         let mut kept: Vec<bool> = shapes
             .iter()
             .map(|s| (s.values[0] - mode).abs() <= FIRST_GUESS)
@@ -387,6 +390,14 @@ mod tests {
         assert_eq!(reasons(101), "neighbour");
         // (100, 100) has a neighbour of 21 % of its flux.
         assert_eq!(reasons(44), "neighbour");
+    }
+
+    #[test]
+    fn sources_that_are_all_rejected_stay_so() {
+        let mut sources = field();
+        let strict = Selection::default().with_snr(1e6).unwrap();
+        strict.apply(&mut sources, FrameShape::new(220, 220).unwrap(), 7, 1.8);
+        assert!(sources.iter().all(|c| c.rejected.contains(Rejection::LowSnr)));
     }
 
     #[test]

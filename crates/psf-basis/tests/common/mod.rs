@@ -1,6 +1,6 @@
 //! Samples with known content.
 
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3};
 use psf_types::{Position, PsfSamples, SamplePositions, StampGrid};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -39,21 +39,4 @@ pub(crate) fn samples(stack: Array3<f64>) -> PsfSamples {
         StampGrid::new(nx, ny).unwrap(),
     )
     .unwrap()
-}
-
-/// A matrix of `count` samples with exactly these singular values once the mean is taken out, on a bright mean stamp.
-pub(crate) fn with_singular_values(values: &[f64], count: usize, side: usize, noise: f64) -> PsfSamples {
-    let pixels = side * side;
-    let stamps = orthonormal_rows(values.len(), pixels, 1);
-    let coefficients = orthonormal_rows(values.len(), count, 2);
-    let mut stack = normal(count, pixels, 3) * noise;
-    for (k, &value) in values.iter().enumerate() {
-        for j in 0..count {
-            stack
-                .row_mut(j)
-                .scaled_add(value * coefficients[[k, j]], &stamps.row(k));
-        }
-    }
-    stack += &ndarray::Array1::from_elem(pixels, 2.0).insert_axis(Axis(0));
-    samples(stack.into_shape_with_order((count, side, side)).unwrap())
 }

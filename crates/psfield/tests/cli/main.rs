@@ -10,4 +10,5 @@ mod measuring;
 mod sampling;
 mod simulation;
 mod simulation_input;
+mod stars;
 mod usage;

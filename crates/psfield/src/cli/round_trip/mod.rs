@@ -95,7 +95,7 @@ impl RoundTripArgs {
         std::fs::create_dir_all(&self.report)
             .with_context(|| format!("{}: the report folder cannot be made", self.report.display()))?;
         for name in FILES {
-            psf_io::check_output(&self.report.join(name), self.overwrite)?;
+            psf_io::check_output(self.report.join(name), self.overwrite)?;
         }
         let trip =
             RoundTrip::run(&frame, &options).with_context(|| format!("in {}", self.frame.display()))?;

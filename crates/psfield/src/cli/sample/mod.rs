@@ -73,14 +73,13 @@ impl SampleArgs {
 /// Whether a file holds an image rather than text.
 fn is_frame(path: &Path) -> anyhow::Result<bool> {
     match psf_io::detect(path) {
-        Ok(FileKind::NotFits) => Ok(false),
         Ok(FileKind::Image) => Ok(true),
+        // What cannot be read the reader of telescopes tells of, as it does of any text file.
+        Ok(FileKind::NotFits) | Err(psf_io::IoError::Read { .. }) => Ok(false),
         Ok(kind) => anyhow::bail!(
             "{} is {kind}: a frame is a single image [y, x] with stars",
             path.display()
         ),
-        // What cannot be read the reader of telescopes tells of, as it does of any text file.
-        Err(psf_io::IoError::Read { .. }) => Ok(false),
         Err(error) => Err(error.into()),
     }
 }
