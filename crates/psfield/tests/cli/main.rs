@@ -2,6 +2,7 @@
 
 mod bad_input;
 mod bench;
+mod catalogs;
 mod converting;
 mod desk;
 mod evaluation;
