@@ -19,7 +19,7 @@ fn stars_on_pixels_measure_as_their_psfs() {
     let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(stars);
     let simulation = Simulation::new(psf, &scene, SimulationOptions::default()).unwrap();
     let image = simulation
-        .run(&scene, Method::Auto, PlanOptions::default())
+        .run(&scene, Method::Auto, PlanOptions::new(0.0).unwrap())
         .unwrap();
 
     let positions = places.map(|(x, y)| Position::of_pixel(x, y));

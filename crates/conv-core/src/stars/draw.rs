@@ -38,7 +38,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
         first_row: i64,
     ) {
         let [columns, axis] = self.axes;
-        let s = columns.oversampling();
+        let taps = columns.tap_count();
         let from = stars.iter().map(|star| star.rows.from).min().unwrap_or(0);
         let to = stars.iter().map(|star| star.rows.to).max().unwrap_or(0);
         // Sums of a row by residues, then a row of the image; both with room for whole vectors.
@@ -53,25 +53,22 @@ impl<T: ConvReal> BlockDraw<'_, T> {
                 }
                 let kept = star.rows.first_of(j, axis.oversampling());
                 let values = &self.values[kept * self.kernels * self.layout.kernel..];
-                let taps = columns.tap_count();
-                let (first, _) = star.columns.tap(0, s);
-                // The residues that the star takes: all, or up to the last and again from the first.
-                let used = taps.min(s);
-                let end = (first + used).min(s);
-                for span in [first..end, 0..(first + used).saturating_sub(s)] {
-                    let start = span.start * self.layout.residue;
-                    let sums = &mut sums[start..span.end * self.layout.residue];
-                    combine(simd, sums, values, (self.layout.kernel, start), &star.weights);
+                for span in &star.spans {
+                    let sums = &mut sums[span.clone()];
+                    combine(
+                        simd,
+                        sums,
+                        values,
+                        (self.layout.kernel, span.start),
+                        &star.weights,
+                    );
                 }
                 let length = (star.columns.to - star.columns.from) as usize;
                 for at in (0..length).step_by(S::LANES) {
                     let mut sum = simd.splat(T::zero());
-                    for tap in 0..taps {
-                        let (residue, q) = star.columns.tap(tap, s);
-                        let start = residue * self.layout.residue + q + at;
-                        let v: &[S::V] = cast_slice(&sums[start..start + S::LANES]);
-                        let w = simd.splat(T::nearest(star.columns.weights[tap]));
-                        sum = simd.mul_add(w, v[0], sum);
+                    for &(start, weight) in &star.taps[..taps] {
+                        let v: &[S::V] = cast_slice(&sums[start + at..start + at + S::LANES]);
+                        sum = simd.mul_add(simd.splat(weight), v[0], sum);
                     }
                     cast_slice_mut::<T, S::V>(&mut line[at..at + S::LANES])[0] = sum;
                 }
@@ -105,17 +102,24 @@ fn combine<T: ConvReal, S: Lanes<T>>(
     let mut groups = sums.chunks_exact_mut(AT_ONCE);
     let mut at = first;
     for group in &mut groups {
-        let mut held: [S::V; AT_ONCE] = [simd.splat(T::zero()); AT_ONCE];
+        let zero = simd.splat(T::zero());
+        // By name, so that they stay in registers.
+        let (mut a, mut b, mut c, mut d) = (zero, zero, zero, zero);
+        let (mut e, mut f, mut g, mut h) = (zero, zero, zero, zero);
         for (i, &weight) in weights.iter().enumerate() {
             let start = i * stride + at;
             let v: &[S::V] = cast_slice(&values[start..start + AT_ONCE * S::LANES]);
-            let v: &[S::V; AT_ONCE] = v.try_into().expect("as many vectors");
             let w = simd.splat(weight);
-            for (sum, v) in held.iter_mut().zip(v) {
-                *sum = simd.mul_add(w, *v, *sum);
-            }
+            a = simd.mul_add(w, v[0], a);
+            b = simd.mul_add(w, v[1], b);
+            c = simd.mul_add(w, v[2], c);
+            d = simd.mul_add(w, v[3], d);
+            e = simd.mul_add(w, v[4], e);
+            f = simd.mul_add(w, v[5], f);
+            g = simd.mul_add(w, v[6], g);
+            h = simd.mul_add(w, v[7], h);
         }
-        group.copy_from_slice(&held);
+        group.copy_from_slice(&[a, b, c, d, e, f, g, h]);
         at += AT_ONCE * S::LANES;
     }
     for sum in groups.into_remainder() {

@@ -3,6 +3,9 @@
 use psf_types::{PixelRegion, PointSource};
 
 use super::phases::{Phase, PhasedAxis};
+use super::star_block::RowLayout;
+use crate::ConvReal;
+use crate::stamp_interpolator::MOST_TAPS;
 
 /// Where a star lies and which pixels it lights.
 #[derive(Debug, Clone, Copy)]
@@ -33,6 +36,41 @@ pub(super) struct PreparedStar<T> {
     pub(super) rows: Phase,
     /// For each tap of the rows, those of the kernels, times the star's flux.
     pub(super) weights: Vec<T>,
+    /// Where the residues lie that the star takes: up to the last, and again from the first.
+    pub(super) spans: [std::ops::Range<usize>; 2],
+    /// The columns' taps: the first sum that each takes, and its weight.
+    pub(super) taps: [(usize, T); MOST_TAPS],
+}
+
+impl<T: ConvReal> PreparedStar<T> {
+    /// A star from its place and the weights of rows and kernels.
+    pub(super) fn new(
+        pixel: (i64, i64),
+        [columns, rows]: [Phase; 2],
+        weights: Vec<T>,
+        axis: &PhasedAxis,
+        layout: RowLayout,
+    ) -> Self {
+        let s = axis.oversampling();
+        let (first, _) = columns.tap(0, s);
+        let used = axis.tap_count().min(s);
+        let span = |from: usize, to: usize| from * layout.residue..to * layout.residue;
+        let taps = std::array::from_fn(|tap| {
+            let (residue, q) = columns.tap(tap, s);
+            (residue * layout.residue + q, T::nearest(columns.weights[tap]))
+        });
+        Self {
+            pixel,
+            columns,
+            rows,
+            weights,
+            spans: [
+                span(first, (first + used).min(s)),
+                span(0, (first + used).saturating_sub(s)),
+            ],
+            taps,
+        }
+    }
 }
 
 impl Star {

@@ -169,7 +169,9 @@ impl<T: ConvReal> StarPlan<T> {
             .filter(|star| star.reaches(self.window, image.ncols(), rows.clone()))
             .map(|star| (block_of(star.pixel), star))
             .collect();
+        let t0 = std::time::Instant::now();
         stars.par_sort_by_key(|&(block, star)| (block, star.index));
+        eprintln!("sort {:?}", t0.elapsed());
         let mut missed = Vec::new();
         for stars in stars.chunks(AT_ONCE) {
             missed.extend(self.draw(phased, stars, first_row, image)?);
@@ -187,18 +189,28 @@ impl<T: ConvReal> StarPlan<T> {
         first_row: usize,
         image: &mut Array2<T>,
     ) -> Result<Vec<usize>, ConvError> {
+        let t0 = std::time::Instant::now();
         let groups: Vec<&[(BlockKey, Star)]> = stars.chunk_by(|a, b| a.0 == b.0).collect();
         let prepared: Vec<(Group<T>, Vec<usize>)> = groups
             .into_par_iter()
             .map(|stars| self.prepare(phased, stars))
             .collect::<Result<_, _>>()?;
         let (groups, missed): (Vec<Group<T>>, Vec<Vec<usize>>) = prepared.into_iter().unzip();
+        eprintln!(
+            "prepare {:?} missed {} kernels {:.2} groups {}",
+            t0.elapsed(),
+            missed.iter().map(Vec::len).sum::<usize>(),
+            groups.iter().map(|g| g.block.kernel_count()).sum::<usize>() as f64 / groups.len() as f64,
+            groups.len()
+        );
+        let t0 = std::time::Instant::now();
         T::dispatch(Draw {
             phased,
             groups: &groups,
             image: image.view_mut(),
             first_row,
         });
+        eprintln!("draw {:?}", t0.elapsed());
         Ok(missed.into_iter().flatten().collect())
     }
 
@@ -238,12 +250,13 @@ impl<T: ConvReal> StarPlan<T> {
                 .iter()
                 .flat_map(|tap| weights.iter().map(move |c| T::nearest(tap * c * scale)))
                 .collect();
-            prepared.push(PreparedStar {
-                pixel: star.pixel,
-                columns,
-                rows,
+            prepared.push(PreparedStar::new(
+                star.pixel,
+                [columns, rows],
                 weights,
-            });
+                &phased.axes[0],
+                phased.layout,
+            ));
         }
         let group = Group {
             block,

@@ -344,7 +344,7 @@ fn a_detector_behind_the_image() {
     desk.done("expose image.fits --detector ccd.toml --seed 5 -o exposed.fits");
     assert_eq!(desk.image("raw.fits"), desk.image("exposed.fits"));
     let (image, truth) = (desk.image("image.fits"), desk.image("truth.fits"));
-    let expected = image.mapv(|v| (v + 50.0) / 2.0 + 100.0);
+    let expected = image.mapv(|v| 0.5 * (v + 50.0) + 100.0);
     assert!(difference(&truth, &expected) < 1e-6);
     let noise = (&desk.image("raw.fits") - &truth)
         .mapv(|v| v * v)

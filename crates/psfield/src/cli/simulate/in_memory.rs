@@ -3,7 +3,6 @@
 use std::time::Instant;
 
 use conv_core::ConvReal;
-use psf_types::Scene;
 use psfield::{SceneParts, SpotCheck};
 
 use super::super::context::{Context, check_cards};
@@ -62,18 +61,16 @@ impl SimulateArgs {
             cards.extend(check_cards(check)?);
         }
         let header = self.carried(&header, &scene);
-        let exposure = match exposing {
-            Some(exposing) => Some(exposing.write(&image, &header, &cards)?),
-            None => {
-                psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
-                None
-            }
+        let exposure = if let Some(exposing) = exposing {
+            Some(exposing.write(&image, &header, &cards)?)
+        } else {
+            psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
+            None
         };
         seconds.write = clock.elapsed().as_secs_f64();
-        let stars = Scene::sources(&scene).len();
         Ok(Outcome {
             image_shape: image.shape(),
-            sources: stars,
+            sources: scene.sources().len(),
             galaxies: sources.galaxies.len(),
             invalid_rows: sources.invalid_rows,
             rows_off_projection: sources.rows_off_projection,

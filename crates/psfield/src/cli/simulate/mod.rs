@@ -264,9 +264,12 @@ impl SimulateArgs {
         drop(spinner);
         let _spinner = context.spinner("planning");
         let (plan, planning) = timed(|| {
-            let plan = self.plan_options()?.map(|options| match parts.image {
-                true => simulation.plan_for_images(scene, options),
-                false => simulation.plan(scene, options),
+            let plan = self.plan_options()?.map(|options| {
+                if parts.image {
+                    simulation.plan_for_images(scene, options)
+                } else {
+                    simulation.plan(scene, options)
+                }
             });
             Ok(plan.transpose()?)
         })?;

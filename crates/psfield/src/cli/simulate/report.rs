@@ -144,17 +144,21 @@ impl Report {
                 check.pixels, check.max_abs, check.rms,
             )
         });
-        let mut sources = String::new();
-        if self.sources + self.galaxies + self.invalid_rows + self.rows_off_projection > 0 {
-            sources = format!("catalogue: {} stars, {} galaxies", self.sources, self.galaxies);
-            if self.invalid_rows > 0 {
-                sources += &format!(", {} rows left out", self.invalid_rows);
-            }
-            if self.rows_off_projection > 0 {
-                sources += &format!(", {} rows on another side of the sky", self.rows_off_projection);
-            }
-            sources.push('\n');
-        }
+        let sources: Vec<String> = [
+            (self.sources, "stars"),
+            (self.galaxies, "galaxies"),
+            (self.invalid_rows, "rows left out"),
+            (self.rows_off_projection, "rows on another side of the sky"),
+        ]
+        .into_iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, what)| format!("{count} {what}"))
+        .collect();
+        let sources = if sources.is_empty() {
+            String::new()
+        } else {
+            format!("catalogue: {}\n", sources.join(", "))
+        };
         let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
             format!(
                 "detector: sky {} e, dark {} e, seed {}; {} pixels saturated, {} bad, {} below 0 before noise\n",

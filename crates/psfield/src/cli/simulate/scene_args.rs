@@ -162,7 +162,7 @@ impl SceneArgs {
                     ))
                     .map_err(|e| UsageError(format!("--frame: {e}")))?;
             }
-            None if shape.nx() % s != 0 || shape.ny() % s != 0 => anyhow::bail!(
+            None if !(shape.nx().is_multiple_of(s) && shape.ny().is_multiple_of(s)) => anyhow::bail!(
                 "the scene is {shape} pixels, which is no multiple of --oversample {s}: cut it, or choose a part of it with --frame"
             ),
             None => {}
