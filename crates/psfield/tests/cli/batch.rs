@@ -461,8 +461,8 @@ fn files_that_cannot_be_understood() {
         ("output,seed\na.fits,1\nb.fits\n", vec!["jobs.csv"]),
         ("output,\na.fits,1\n", vec!["column 2"]),
         (
-            "output,seed\na.fits,1\n\nb.fits,x\n",
-            vec!["job 2 (line 4)", "--seed"],
+            "output,seed\r\na.fits,1\r\n\r\n# the other\r\nb.fits,x\r\n",
+            vec!["job 2 (line 5)", "--seed"],
         ),
         (
             "output,output\na.fits,b.fits\n",

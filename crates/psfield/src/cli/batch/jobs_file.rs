@@ -101,7 +101,7 @@ impl JobsFile {
         let mut jobs = Vec::new();
         for (k, row) in reader.records().enumerate() {
             let row = row.map_err(|e| e.to_string())?;
-            let line = row.position().map_or(0, csv::Position::line);
+            let line = row.position().map_or(0, |position| line_of(bytes, position));
             let place = format!("job {} (line {line})", k + 1);
             let mut options = Settings::default();
             for (name, value) in names.iter().zip(&row).filter(|(_, value)| !value.is_empty()) {
@@ -117,6 +117,15 @@ impl JobsFile {
             jobs,
         })
     }
+}
+
+/// The line of a record, whose position is that of the blank lines and comments before it.
+fn line_of(bytes: &[u8], position: &csv::Position) -> u64 {
+    let rest = &bytes[position.byte() as usize..];
+    let skipped = rest
+        .split(|&byte| byte == b'\n')
+        .take_while(|line| matches!(line, [] | [b'\r'] | [b'#', ..]));
+    position.line() + skipped.count() as u64
 }
 
 /// The options of a table.
