@@ -19,7 +19,7 @@ pub(crate) fn told(error: &anyhow::Error) -> String {
     let mut all = last.clone();
     for cause in error.chain().skip(1).map(ToString::to_string) {
         if !last.contains(&cause) {
-            all += &format!(": {cause}");
+            all = format!("{all}: {cause}");
             last = cause;
         }
     }

@@ -162,9 +162,10 @@ fn neither_order_nor_threads_nor_company_matter() {
     ];
     let first: Vec<Vec<u8>> = files.iter().map(|file| desk.bytes(file)).collect();
     let (defaults, jobs) = NIGHT.split_once("[[job]]").unwrap();
-    let reversed: Vec<&str> = jobs.split("[[job]]").collect();
-    let reversed: String = reversed.iter().rev().map(|job| format!("[[job]]{job}")).collect();
-    desk.write("night.toml", format!("{defaults}{reversed}"));
+    let mut tables: Vec<&str> = jobs.split("[[job]]").collect();
+    tables.reverse();
+    let reversed = tables.join("[[job]]");
+    desk.write("night.toml", format!("{defaults}[[job]]{reversed}"));
     desk.done("batch night.toml --threads 3 --keep 1 --overwrite");
     for (file, before) in files.iter().zip(&first) {
         assert!(desk.bytes(file) == *before, "{file}");
@@ -376,7 +377,7 @@ fn one_job_may_go_on_from_another() {
 }
 
 #[test]
-fn files_that_cannot_be_understood() {
+fn toml_that_cannot_be_understood() {
     let desk = Desk::new();
     let good = "[[job]]\nscene = 'scene.fits'\npsf = 'samples.fits'\noutput = 'a.fits'\n";
     let other = good.replace("a.fits", "b.fits");
@@ -455,6 +456,11 @@ fn files_that_cannot_be_understood() {
         desk.write("jobs.toml", content);
         desk.refused("batch jobs.toml", 2, &needles);
     }
+}
+
+#[test]
+fn csv_and_options_that_cannot_be_understood() {
+    let desk = Desk::new();
     let to = "batch jobs.csv --set psf=samples.fits --set scene=scene.fits";
     for (content, needles) in [
         ("output\n", vec!["no job"]),
