@@ -1,7 +1,6 @@
 //! Stars of real frames against the lists of sep and photutils, and frames simulated from their own stars.
 
 use libtest_mimic::{Failed, Trial};
-use psfield::psf_io;
 use psfield::psf_stars::{Rejection, StarSamples, StarSampling};
 use psfield::psf_types::Image;
 use psfield::{RoundTrip, RoundTripOptions, psf_io};

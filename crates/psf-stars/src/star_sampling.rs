@@ -21,7 +21,7 @@ use crate::{
 ///
 /// The steps, each with its own settings: background and its noise ([`BackgroundMesh`]); sources ([`Detection`], a second time with a
 /// wider kernel where the stars turn out wide); centre and shape of each by a Gaussian fit; signal-to-noise and saturation
-/// ([`Camera`]); cuts ([`Selection`]); registration on a common grid ([`Registration`]); coverage ([`CoverageMap`]). The
+/// ([`Camera`]); cuts ([`Selection`]); registration on a common grid ([`Registration`]); coverage ([`CoverageMap`](crate::CoverageMap)). The
 /// result does not depend on the number of threads.
 ///
 /// ```

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use metrics::{Comparison, MetricsError, Summary};
 use ndarray::{Array3, Axis};
-use psf_io::FileKind;
+use psf_io::{FileKind, HduChoice};
 use serde::Serialize;
 
 use super::context::Context;
@@ -22,6 +22,12 @@ pub(crate) struct CompareArgs {
     /// The reference T
     #[arg(value_name = "REFERENCE.fits")]
     reference: PathBuf,
+    /// Which image of the result's file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
+    /// Which image of the reference's file
+    #[arg(long, value_name = "N|NAME")]
+    reference_extension: Option<HduChoice>,
 }
 
 /// The measures of one image. Those that do not exist (a reference of zeros) are null.
@@ -45,8 +51,8 @@ struct CubeReport {
 
 impl CompareArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        let (result, result_is_cube) = read(&self.result)?;
-        let (reference, reference_is_cube) = read(&self.reference)?;
+        let (result, result_is_cube) = read(&self.result, self.extension.as_ref())?;
+        let (reference, reference_is_cube) = read(&self.reference, self.reference_extension.as_ref())?;
         let planes = Comparison::by_plane(result.view(), reference.view()).with_context(|| {
             format!(
                 "comparing {} with {}",
@@ -76,15 +82,15 @@ impl CompareArgs {
 }
 
 /// An image as a cube of one plane, or a cube; and which of the two it is.
-fn read(path: &Path) -> anyhow::Result<(Array3<f64>, bool)> {
+fn read(path: &Path, extension: Option<&HduChoice>) -> anyhow::Result<(Array3<f64>, bool)> {
     Ok(match psf_io::detect(path)? {
         FileKind::PsfModel => anyhow::bail!(
             "{} is a PSF model: compare its PSFs at chosen positions (psfield evaluate)",
             path.display()
         ),
-        FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube::<f64>(path)?, true),
+        FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube_hdu::<f64>(path, extension)?, true),
         _ => (
-            psf_io::read_image::<f64>(path)?
+            psf_io::read_image_hdu::<f64>(path, extension)?
                 .into_parts()
                 .0
                 .into_pixels()

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use detector::{CountUnit, Detector, DetectorParams, ExposureReport};
+use psf_io::HduChoice;
 use psf_types::Real;
 use psfield::{ExposureFiles, read_bad_pixel_mask};
 use serde::Serialize;
@@ -23,6 +24,9 @@ pub(crate) struct ExposeArgs {
     /// The noise-free image
     #[arg(value_name = "IMAGE.fits")]
     image: PathBuf,
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
     /// The exposure to write: whole numbers if it is digitised
     #[arg(short, long, value_name = "RAW.fits")]
     output: PathBuf,
@@ -148,7 +152,7 @@ impl ExposeArgs {
 
         let spinner = context.spinner("exposing");
         let clock = Instant::now();
-        let (light, header) = psf_io::read_image::<T>(&self.image)?.into_parts();
+        let (light, header) = psf_io::read_image_hdu::<T>(&self.image, self.extension.as_ref())?.into_parts();
         let mask = self.mask.as_ref().map(read_bad_pixel_mask).transpose()?;
         let read = clock.elapsed().as_secs_f64();
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use ndarray::Axis;
-use psf_io::FileKind;
+use psf_io::{FileKind, HduChoice};
 use psfield::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 use serde::Serialize;
 
@@ -21,6 +21,9 @@ pub(crate) struct MeasureArgs {
     /// PSF samples, a cube of stamps, an image with --at, or an image that is a single stamp
     #[arg(value_name = "IMAGE.fits|STAMPS.fits")]
     input: PathBuf,
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
     /// Where in an image: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
@@ -88,9 +91,14 @@ impl MeasureArgs {
                 let samples = psf_io::read_samples(path)?;
                 options.cube(samples.stamps(), Some(samples.positions().as_slice()))
             }
-            FileKind::Cube => options.cube(psf_io::read_cube::<f64>(path)?.view(), None),
+            FileKind::Cube => options.cube(
+                psf_io::read_cube_hdu::<f64>(path, self.extension.as_ref())?.view(),
+                None,
+            ),
             _ => {
-                let image = psf_io::read_image::<f64>(path)?.into_parts().0;
+                let image = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref())?
+                    .into_parts()
+                    .0;
                 match &self.at {
                     Some(at) => options.image(image.pixels(), &psf_io::read_positions(at)?),
                     None => options.cube(image.pixels().insert_axis(Axis(0)), None),

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use psf_io::{Card, CardValue};
+use psf_io::{Card, CardValue, HduChoice};
 use psf_stars::{
     BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
 };
@@ -15,6 +15,9 @@ use super::values::{above_zero, at_least_zero};
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Stars of a frame")]
 pub(crate) struct StarArgs {
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
     /// Stars must exceed this signal-to-noise ratio [default: 10]
     #[arg(long, value_name = "X", value_parser = at_least_zero, allow_negative_numbers = true)]
     snr: Option<f64>,
@@ -52,6 +55,7 @@ impl StarArgs {
     /// The first option given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         [
+            ("--extension", self.extension.is_some()),
             ("--snr", self.snr.is_some()),
             ("--saturation", self.saturation.is_some()),
             ("--gain", self.gain.is_some()),
@@ -78,7 +82,7 @@ impl StarArgs {
         path: &Path,
         threshold: Option<f64>,
     ) -> anyhow::Result<(Image<f64>, StarSampling)> {
-        let (frame, header) = psf_io::read_image::<f64>(path)?.into_parts();
+        let (frame, header) = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref())?.into_parts();
         let in_header = match header.get("SATURATE").and_then(Card::value) {
             Some(CardValue::Real(level)) => Some(level),
             Some(CardValue::Integer(level)) => Some(level as f64),

@@ -6,6 +6,8 @@ use psfield::psf_io;
 use crate::desk::{Desk, assert_keys};
 
 const SIDE: usize = 192;
+/// A centroid at signal-to-noise 100 and more.
+const PLACE_PX: f64 = 0.05;
 
 /// Stars of a FWHM of 2.8 pixels at known places on a noisy background, bright enough to be measured well.
 fn stars() -> Vec<(f64, f64, f64)> {
@@ -68,8 +70,6 @@ fn the_stars_of_a_frame_become_samples() {
     assert!((report["fwhm_px"].as_f64().unwrap() / (2.3548 * 1.2) - 1.0).abs() < 0.02);
     assert_eq!(report["registration"]["method"], "stamps");
     let samples = desk.samples("samples.fits");
-    // A centroid at signal-to-noise 100 and more.
-    const PLACE_PX: f64 = 0.05;
     for (x, y, _) in stars() {
         let near = |p: &&psfield::psf_types::Position| (p.x() - x).hypot(p.y() - y) < PLACE_PX;
         assert_eq!(samples.positions().as_slice().iter().filter(near).count(), 1);

@@ -100,7 +100,7 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome<T>> {
         let reader = self.scene.open(path)?;
         let header = reader.header().clone();
-        let sources = self.scene.sources::<T>(reader.shape())?;
+        let sources = self.scene.sources::<T>(reader.shape(), &header)?;
         let scene = &sources.scene;
         let parts = SceneParts {
             image: true,
@@ -176,6 +176,7 @@ impl SimulateArgs {
             sources: scene.sources().len(),
             galaxies: sources.galaxies.len(),
             invalid_rows: sources.invalid_rows,
+            rows_off_projection: sources.rows_off_projection,
             seconds,
             plan,
             spot_check,

@@ -66,9 +66,13 @@ impl SimulateArgs {
 
     /// The scene's cards as the image carries them.
     pub(super) fn carried<T: ConvReal>(&self, header: &HeaderCards, scene: &Scene<T>) -> HeaderCards {
-        let mut header = header
-            .shifted_origin(scene.frame().x0(), scene.frame().y0())
-            .binned(self.scene.finer());
+        let (x0, y0, finer) = (scene.frame().x0(), scene.frame().y0(), self.scene.finer());
+        // A scene's header counts its own pixels, one given beside it those of the image.
+        let mut header = if self.scene.scene.is_some() {
+            header.shifted_origin(x0, y0).binned(finer)
+        } else {
+            header.shifted_origin(x0 / finer as i64, y0 / finer as i64)
+        };
         // A scene that is itself a result must not lend its own check and job to this one.
         for keyword in CHECK_KEYWORDS.into_iter().chain([JOB_KEYWORD]) {
             header.remove(keyword);

@@ -76,6 +76,7 @@ impl SimulateArgs {
             sources: stars,
             galaxies: sources.galaxies.len(),
             invalid_rows: sources.invalid_rows,
+            rows_off_projection: sources.rows_off_projection,
             seconds,
             plan,
             spot_check,

@@ -28,6 +28,8 @@ pub(crate) struct Report {
     pub(super) galaxies: usize,
     /// Rows of the catalogue that were left out.
     pub(super) invalid_rows: usize,
+    /// Rows of the catalogue on a part of the sky that the projection does not show.
+    pub(super) rows_off_projection: usize,
     /// Whether the scene came and the image went by bands of rows.
     pub(super) streamed: bool,
     pub(super) plan: Option<PlanReport>,
@@ -143,10 +145,13 @@ impl Report {
             )
         });
         let mut sources = String::new();
-        if self.sources + self.galaxies + self.invalid_rows > 0 {
+        if self.sources + self.galaxies + self.invalid_rows + self.rows_off_projection > 0 {
             sources = format!("catalogue: {} stars, {} galaxies", self.sources, self.galaxies);
             if self.invalid_rows > 0 {
                 sources += &format!(", {} rows left out", self.invalid_rows);
+            }
+            if self.rows_off_projection > 0 {
+                sources += &format!(", {} rows on another side of the sky", self.rows_off_projection);
             }
             sources.push('\n');
         }

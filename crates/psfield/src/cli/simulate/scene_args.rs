@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
 use ndarray::ArrayViewMut2;
-use psf_io::{Catalog, HduChoice, HeaderCards, ImageReader};
+use psf_io::{Catalog, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
 use psf_types::{FrameShape, Image, PixelRegion, PointSource, Position, Scene, SersicProfile, SersicSource};
 use psfield::SimulationOptions;
 
@@ -40,6 +40,10 @@ pub(super) struct SceneArgs {
     /// the image all the same, and the response of its pixels is applied once
     #[arg(long, value_name = "S", value_parser = clap::value_parser!(u16).range(1..=SimulationOptions::MAX_OVERSAMPLE as i64))]
     oversample: Option<u16>,
+    /// World coordinates of a scene without an image: those of the header of this FITS file. The result gets its cards, and catalogues may
+    /// give ra and dec in degrees
+    #[arg(long, value_name = "FILE.fits", conflicts_with = "scene")]
+    wcs: Option<PathBuf>,
     #[command(flatten)]
     columns: CatalogArgs,
 }
@@ -53,6 +57,8 @@ pub(super) struct Sources<T> {
     pub(super) galaxies: Vec<SersicSource>,
     /// Rows of the catalogue that make no source.
     pub(super) invalid_rows: usize,
+    /// Rows of the catalogue that lie on a part of the sky that the projection does not show.
+    pub(super) rows_off_projection: usize,
 }
 
 impl SceneArgs {
@@ -88,13 +94,16 @@ impl SceneArgs {
                 let (image, header) = read.into_parts();
                 (Some(image), header)
             }
-            None => (None, HeaderCards::new()),
+            None => match &self.wcs {
+                Some(path) => (None, psf_io::read_header(path)?),
+                None => (None, HeaderCards::new()),
+            },
         };
         let shape = match &image {
             Some(image) => image.shape(),
             None => self.dark_shape()?,
         };
-        let sources = self.sources(shape)?;
+        let sources = self.sources(shape, &header)?;
         let image = match image {
             None if sources.galaxies.is_empty() => None,
             None => Some(Image::zeros(shape)),
@@ -128,13 +137,17 @@ impl SceneArgs {
         Ok(FrameShape::new(nx * s, ny * s).map_err(|e| UsageError(format!("--shape: {e}")))?)
     }
 
-    /// The catalogue's sources on a scene of a shape, seen through the frame.
-    pub(super) fn sources<T: ConvReal>(&self, shape: FrameShape) -> anyhow::Result<Sources<T>> {
+    /// The catalogue's sources on a scene of a shape and header, seen through the frame.
+    pub(super) fn sources<T: ConvReal>(
+        &self,
+        shape: FrameShape,
+        header: &HeaderCards,
+    ) -> anyhow::Result<Sources<T>> {
         let catalog = match &self.catalog {
-            Some(path) => psf_io::read_catalog_with(path, &self.columns.options()?)?,
+            Some(path) => self.read_catalog(path, header)?,
             None => Catalog::default(),
         };
-        let invalid_rows = catalog.invalid_rows();
+        let (invalid_rows, rows_off_projection) = (catalog.invalid_rows(), catalog.rows_off_projection());
         let (stars, galaxies) = self.in_scene_pixels(catalog)?;
         let mut scene = Scene::dark(shape).with_sources(stars);
         let s = self.finer();
@@ -158,7 +171,34 @@ impl SceneArgs {
             scene,
             galaxies,
             invalid_rows,
+            rows_off_projection,
         })
+    }
+
+    /// The catalogue, in pixels of the image.
+    fn read_catalog(&self, path: &Path, header: &HeaderCards) -> anyhow::Result<Catalog> {
+        // A scene's header counts its own pixels, that of --wcs the image's.
+        let sky = match self.scene {
+            Some(_) => SkyCoordinates::from_header(&header.binned(self.finer())),
+            None => SkyCoordinates::from_header(header),
+        };
+        let mut options = self.columns.options()?;
+        let unusable = match sky {
+            Ok(sky) => {
+                options = options.with_sky(sky);
+                None
+            }
+            Err(error) => Some(error),
+        };
+        match (psf_io::read_catalog_with(path, &options), unusable) {
+            // Only now does it matter.
+            (Err(error @ IoError::NoWorldCoordinates { .. }), Some(why)) if !header.is_empty() => {
+                let file = self.scene.as_ref().or(self.wcs.as_ref());
+                let file = file.map_or_else(String::new, |file| format!("{}: ", file.display()));
+                Err(anyhow::anyhow!("{file}{why}").context(error))
+            }
+            (result, _) => Ok(result?),
+        }
     }
 
     /// Everything in a scene is in its own pixels.

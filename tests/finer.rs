@@ -1,0 +1,202 @@
+//! Scenes finer than the frame, and the pixel response: once and only once.
+
+use ndarray::{Array2, Array3};
+use psfield::conv_core::{Direct, PlanOptions};
+use psfield::psf_types::{
+    Anchor, FrameShape, Image, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfSamples,
+    SamplePositions, Scene, StampGrid,
+};
+use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions};
+
+const FRAME: usize = 40;
+
+/// Gaussians that widen and move over the field, seen by pixels of no size, `s` samples to a frame pixel.
+fn sampled(s: usize, response: bool) -> PsfInput {
+    let n = 24 * s + 1;
+    let grid = StampGrid::new(n, n)
+        .and_then(|g| g.with_oversampling(s as f64))
+        .unwrap()
+        .with_pixel_response_included(response);
+    let last = FRAME as i64 - 1;
+    let places = [(0, 0), (last, 0), (0, last), (last, last)];
+    let positions = places.map(|(x, y)| Position::of_pixel(x, y)).to_vec();
+    let field = Some(FrameShape::new(FRAME, FRAME).unwrap());
+    let stamps = Array3::from_shape_fn((4, n, n), |(j, y, x)| {
+        let sigma = 1.2 + 0.15 * j as f64;
+        let at = |i: usize| (i as f64 - (n / 2) as f64) / s as f64;
+        let (dx, dy) = (at(x) - 0.1 * j as f64, at(y));
+        if response {
+            averaged(dx, sigma) * averaged(dy, sigma)
+        } else {
+            gauss(dx, sigma) * gauss(dy, sigma)
+        }
+    });
+    let samples = PsfSamples::new(stamps, SamplePositions::new(positions, field).unwrap(), grid).unwrap();
+    let options = FitOptions {
+        normalisation: Normalisation::Keep,
+        ..FitOptions::default()
+    };
+    PsfInput::Samples(samples, options)
+}
+
+fn gauss(d: f64, sigma: f64) -> f64 {
+    (-d * d / (2.0 * sigma * sigma)).exp() / (sigma * (2.0 * std::f64::consts::PI).sqrt())
+}
+
+/// Over a frame pixel, by a fine sum.
+fn averaged(d: f64, sigma: f64) -> f64 {
+    (0..64)
+        .map(|k| gauss(d + (f64::from(k) + 0.5) / 64.0 - 0.5, sigma))
+        .sum::<f64>()
+        / 64.0
+}
+
+fn largest_difference(a: &Image<f64>, b: &Image<f64>) -> f64 {
+    let peak = b.pixels().fold(0.0f64, |m, v| m.max(v.abs()));
+    assert!(peak > 0.0, "the test must see light");
+    (&a.pixels() - &b.pixels()).fold(0.0f64, |m, v| m.max(v.abs())) / peak
+}
+
+fn stars() -> Vec<PointSource> {
+    [
+        (10.0, 12.0, 100.0),
+        (30.25, 20.5, 50.0),
+        (-2.0, 8.75, 80.0),
+        (33.0, 39.4, 60.0),
+    ]
+    .map(|(x, y, flux)| PointSource::new(Position::new(x, y).unwrap(), flux).unwrap())
+    .to_vec()
+}
+
+fn run(psf: PsfInput, scene: &Scene<f64>, options: SimulationOptions) -> Image<f64> {
+    let simulation = Simulation::new(psf, scene, options).unwrap();
+    let plan = PlanOptions::new(0.0).unwrap().with_anchor(options.anchor());
+    let image = simulation.run(scene, Method::Auto, plan).unwrap();
+    let direct = simulation.run(scene, Method::Direct, plan).unwrap();
+    assert!(
+        largest_difference(&image, &direct) < 1e-11,
+        "the engine and the direct sum"
+    );
+    let pixels = [(3, 4), (20, 17), (10, 12), (30, 21)];
+    let exact = simulation.exact_at(scene, options.anchor(), &pixels).unwrap();
+    for (&(x, y), exact) in pixels.iter().zip(exact) {
+        assert!((direct.pixels()[[y, x]] - exact).abs() < 1e-9, "{x}, {y}");
+    }
+    image
+}
+
+fn finer(s: usize, anchor: Anchor) -> SimulationOptions {
+    SimulationOptions::default()
+        .with_oversample(s)
+        .unwrap()
+        .with_anchor(anchor)
+}
+
+/// A star in a pixel of a finer scene is a star at that pixel's centre, for odd and even scales.
+#[test]
+fn light_in_fine_pixels_is_stars_at_their_centres() {
+    for s in [2, 3, 4] {
+        let shape = FrameShape::new(FRAME * s, FRAME * s).unwrap();
+        let mut light = Array2::zeros((FRAME * s, FRAME * s));
+        let mut stars = Vec::new();
+        for (x, y, flux) in [(50, 60, 7.0), (51, 33, 3.0), (2 * s, 3, 5.0), (79, 79, 2.0)] {
+            light[[y, x]] = flux;
+            let of_frame = |v: usize| (v as f64 - (s as f64 - 1.0) / 2.0) / s as f64;
+            stars.push(PointSource::new(Position::new(of_frame(x), of_frame(y)).unwrap(), flux).unwrap());
+        }
+        let fine = Scene::from_image(Image::new(light).unwrap());
+        assert_eq!(fine.shape(), shape);
+        let image = run(sampled(4, true), &fine, finer(s, Anchor::Source));
+        assert_eq!(image.shape(), FrameShape::new(FRAME, FRAME).unwrap());
+        let dark = Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(stars);
+        let expected = run(sampled(4, true), &dark, SimulationOptions::default());
+        // Where the scene's pixels are not a multiple of the stamps', both interpolate by the same spline.
+        let largest = largest_difference(&image, &expected);
+        assert!(largest < 1e-9, "{s}: {largest}");
+    }
+}
+
+/// Output-anchored, the PSF is that of the frame pixel's own centre, for even scales too.
+#[test]
+fn output_anchored_images_of_finer_scenes() {
+    for s in [2, 3] {
+        let mut light = Array2::zeros((FRAME * s, FRAME * s));
+        light[[21 * s, 20 * s + 1]] = 7.0;
+        let fine = Scene::from_image(Image::new(light).unwrap());
+        let image = run(sampled(4, true), &fine, finer(s, Anchor::Output));
+        let of_frame = |v: usize| (v as f64 - (s as f64 - 1.0) / 2.0) / s as f64;
+        let star = PointSource::new(
+            Position::new(of_frame(20 * s + 1), of_frame(21 * s)).unwrap(),
+            7.0,
+        );
+        let dark =
+            Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(vec![star.unwrap()]);
+        let options = SimulationOptions::default().with_anchor(Anchor::Output);
+        let expected = run(sampled(4, true), &dark, options);
+        assert!(largest_difference(&image, &expected) < 1e-9, "{s}");
+    }
+}
+
+/// Stamps without the response give the image of those with it: for stars, images and finer scenes.
+#[test]
+fn the_pixel_response_is_applied_once() {
+    let mut light = Array2::zeros((FRAME, FRAME));
+    (light[[10, 20]], light[[30, 31]]) = (5.0, 8.0);
+    let image = Scene::from_image(Image::new(light).unwrap()).with_sources(stars());
+    let dark = Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(stars());
+    let mut fine = Array2::zeros((2 * FRAME, 2 * FRAME));
+    fine[[33, 44]] = 3.0;
+    let fine = Scene::from_image(Image::new(fine).unwrap());
+    for (scene, s) in [(&image, 1), (&dark, 1), (&fine, 2)] {
+        let with = run(sampled(4, true), scene, finer(s, Anchor::Source));
+        let without = run(sampled(4, false), scene, finer(s, Anchor::Source));
+        let largest = largest_difference(&without, &with);
+        // A cubic spline through four samples a pixel of a sigma of 1.2 pixels.
+        assert!(largest < 5e-5, "{largest}");
+        // Twice would be seen: the variance of a pixel is 1/12.
+        let once_more = match sampled(4, true) {
+            PsfInput::Samples(samples, options) => {
+                let grid = samples.grid().with_pixel_response_included(false);
+                let again =
+                    PsfSamples::new(samples.stamps().to_owned(), samples.positions().clone(), grid).unwrap();
+                PsfInput::Samples(again, options)
+            }
+            PsfInput::Model(_) => unreachable!("samples"),
+        };
+        let twice = run(once_more, scene, finer(s, Anchor::Source));
+        assert!(largest_difference(&twice, &with) > 1e-2);
+    }
+}
+
+/// A frame within a finer scene, in whole pixels of its own.
+#[test]
+fn frames_of_finer_scenes() {
+    let s = 2;
+    let mut light = Array2::zeros((FRAME * s, FRAME * s));
+    light[[33, 44]] = 3.0;
+    light[[2, 5]] = 30.0;
+    let whole = Scene::from_image(Image::new(light).unwrap());
+    let psf = || match sampled(4, true) {
+        // The same PSF everywhere, so that a cut is a cut.
+        PsfInput::Samples(samples, options) => {
+            let one = samples.stamps().slice(ndarray::s![..1, .., ..]).to_owned();
+            let positions = SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap();
+            PsfInput::Samples(PsfSamples::new(one, positions, samples.grid()).unwrap(), options)
+        }
+        PsfInput::Model(_) => unreachable!("samples"),
+    };
+    let all = run(psf(), &whole, finer(s, Anchor::Source));
+    let frame = |x0, y0, nx, ny| PixelRegion::new(x0, y0, FrameShape::new(nx, ny).unwrap());
+    let cut = whole.clone().with_frame(frame(4, 2, 70, 64)).unwrap();
+    let simulation = Simulation::new(psf(), &cut, finer(s, Anchor::Source)).unwrap();
+    let image = simulation
+        .run(&cut, Method::Auto, PlanOptions::new(0.0).unwrap())
+        .unwrap();
+    let expected = all.pixels().slice(ndarray::s![1..33, 2..37]).to_owned();
+    assert!(largest_difference(&image, &Image::new(expected).unwrap()) < 1e-12);
+    let odd = whole.with_frame(frame(3, 2, 70, 64)).unwrap();
+    let refused = Simulation::new(psf(), &odd, finer(s, Anchor::Source))
+        .unwrap()
+        .run_with(&odd, &Direct::default(), Anchor::Source, &NoProgress);
+    assert!(refused.unwrap_err().to_string().contains("multiples of 2"));
+}
