@@ -28,15 +28,6 @@ fn main() -> ExitCode {
     {
         return ExitCode::SUCCESS;
     }
-    // Errors that show their cause themselves repeat it in the chain; say everything once.
-    let mut said = error.to_string();
-    eprint!("psfield: error: {said}");
-    for cause in error.chain().skip(1).map(ToString::to_string) {
-        if !said.contains(&cause) {
-            eprint!(": {cause}");
-            said = cause;
-        }
-    }
-    eprintln!();
+    eprintln!("psfield: error: {}", cli::told(&error));
     ExitCode::FAILURE
 }

@@ -13,16 +13,48 @@ use super::progress::Bar;
 #[error("{0}")]
 pub(crate) struct UsageError(pub(crate) String);
 
+/// An error with its causes, in one line. Errors that show their cause themselves repeat it in the chain; everything is said once.
+pub(crate) fn told(error: &anyhow::Error) -> String {
+    let mut last = error.to_string();
+    let mut all = last.clone();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !last.contains(&cause) {
+            all = format!("{all}: {cause}");
+            last = cause;
+        }
+    }
+    all
+}
+
 /// How a command speaks.
 #[derive(Debug)]
 pub(crate) struct Context {
     json: bool,
     quiet: bool,
+    /// Which part of the work speaks; empty for the whole.
+    part: String,
 }
 
 impl Context {
     pub(crate) fn new(json: bool, quiet: bool) -> Self {
-        Self { json, quiet }
+        Self {
+            json,
+            quiet,
+            part: String::new(),
+        }
+    }
+
+    /// For one of several pieces of work: it says which it is, and leaves the bars to the whole.
+    pub(crate) fn for_part(&self, name: &str) -> Self {
+        Self {
+            part: format!("{name}: "),
+            ..*self
+        }
+    }
+
+    /// Whether only errors are to be printed.
+    pub(crate) fn errors_only(&self) -> bool {
+        self.quiet && !self.json
     }
 
     /// Prints the object under `--json`, else the text unless `--quiet`.
@@ -45,25 +77,25 @@ impl Context {
     /// A line on standard error that a user must see, unless `--quiet`.
     pub(crate) fn warn(&self, text: &str) {
         if !self.quiet {
-            eprintln!("psfield: warning: {text}");
+            eprintln!("psfield: warning: {}{text}", self.part);
         }
     }
 
     /// A line on standard error about what was done, unless `--quiet`.
     pub(crate) fn note(&self, text: &str) {
         if !self.quiet {
-            eprintln!("psfield: note: {text}");
+            eprintln!("psfield: note: {}{text}", self.part);
         }
     }
 
     /// A progress bar; drawn on a terminal only.
     pub(crate) fn bar(&self, what: &'static str) -> Bar {
-        Bar::counting(what, self.quiet)
+        Bar::counting(what, self.quiet || !self.part.is_empty())
     }
 
     /// A spinner for work without steps; drawn on a terminal only.
     pub(crate) fn spinner(&self, what: &'static str) -> Bar {
-        Bar::spinning(what, self.quiet)
+        Bar::spinning(what, self.quiet || !self.part.is_empty())
     }
 }
 
@@ -75,7 +107,12 @@ pub(crate) fn signature() -> Vec<Card> {
         .skip(1)
         .map(|arg| arg.to_string_lossy().into_owned())
         .collect();
-    let command: Vec<String> = matters(&arguments).map(quoted).collect();
+    signature_of(&arguments)
+}
+
+/// The same for any command line.
+pub(crate) fn signature_of(arguments: &[String]) -> Vec<Card> {
+    let command: Vec<String> = matters(arguments).map(quoted).collect();
     vec![
         Card::new(
             "PSFIELD",
@@ -112,15 +149,27 @@ fn quoted(arg: impl AsRef<str>) -> String {
 }
 
 /// The keywords of [`check_cards`].
-pub(crate) const CHECK_KEYWORDS: [&str; 4] = ["PSFCHKN", "PSFCHKS", "PSFCHKM", "PSFCHKR"];
+pub(crate) const CHECK_KEYWORDS: [&str; 5] = ["PSFCHKN", "PSFCHKS", "PSFCHKM", "PSFCHKR", CHECK_VERDICT];
+
+/// The keyword of what a spot check concluded.
+pub(crate) const CHECK_VERDICT: &str = "PSFCHKV";
+
+/// Its value in an image that differs by more than its method promises.
+pub(crate) const CHECK_FAILED: &str = "failed";
 
 /// What a spot check found, for headers.
-pub(crate) fn check_cards(check: &SpotCheck) -> anyhow::Result<[Card; 4]> {
-    let [count, seed, largest, rms] = CHECK_KEYWORDS;
+pub(crate) fn check_cards(check: &SpotCheck) -> anyhow::Result<[Card; 5]> {
+    let [count, seed, largest, rms, verdict] = CHECK_KEYWORDS;
+    let found = match check.passed {
+        Some(true) => "passed",
+        Some(false) => CHECK_FAILED,
+        None => "none",
+    };
     Ok([
         Card::new(count, check.pixels, "pixels checked against the direct sum")?,
         Card::new(seed, check.seed.to_string(), "seed that chose them")?,
         Card::new(largest, check.max_abs, "largest difference found")?,
         Card::new(rms, check.rms, "r.m.s. difference found")?,
+        Card::new(verdict, found, "against what the method promises")?,
     ])
 }

@@ -1,5 +1,6 @@
 //! The command line: arguments in, files and reports out. All that computes is in the library.
 
+mod batch;
 mod bench;
 mod catalog_args;
 mod compare;
@@ -23,7 +24,7 @@ mod values;
 use clap::{Parser, Subcommand};
 
 use context::Context;
-pub(crate) use context::UsageError;
+pub(crate) use context::{UsageError, told};
 
 /// Astronomical images with a point spread function that varies over the field.
 ///
@@ -58,6 +59,7 @@ enum Command {
     Sample(Box<sample::SampleArgs>),
     Fit(fit::FitCommandArgs),
     Simulate(Box<simulate::SimulateArgs>),
+    Batch(batch::BatchArgs),
     Evaluate(evaluate::EvaluateArgs),
     Expose(Box<expose::ExposeArgs>),
     Convert(convert::ConvertArgs),
@@ -76,6 +78,7 @@ impl Cli {
             Command::Sample(_) => "sample",
             Command::Fit(_) => "fit",
             Command::Simulate(_) => "simulate",
+            Command::Batch(_) => "batch",
             Command::Evaluate(_) => "evaluate",
             Command::Expose(_) => "expose",
             Command::Convert(_) => "convert",
@@ -99,6 +102,7 @@ impl Cli {
             Command::Sample(args) => args.run(&context),
             Command::Fit(args) => args.run(&context),
             Command::Simulate(args) => args.run(&context),
+            Command::Batch(args) => args.run(&context),
             Command::Evaluate(args) => args.run(&context),
             Command::Expose(args) => args.run(&context),
             Command::Convert(args) => args.run(&context),

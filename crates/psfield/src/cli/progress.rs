@@ -38,6 +38,13 @@ impl Bar {
     }
 }
 
+impl Bar {
+    /// Does something that prints, with the bar out of the way.
+    pub(crate) fn aside<R>(&self, print: impl FnOnce() -> R) -> R {
+        self.0.suspend(print)
+    }
+}
+
 impl Progress for Bar {
     fn start(&self, total: u64) {
         self.0.set_length(total);

@@ -1,6 +1,7 @@
 //! The command line, run as a user runs it: as a process in a folder of files.
 
 mod bad_input;
+mod batch;
 mod bench;
 mod catalogs;
 mod converting;

@@ -173,7 +173,8 @@ fn help_and_version() {
     let version = desk.done("--version").stdout;
     assert_eq!(version.trim(), format!("psfield {}", env!("CARGO_PKG_VERSION")));
     for command in [
-        "demo", "sample", "fit", "simulate", "evaluate", "convert", "expose", "measure", "compare", "bench",
+        "demo", "sample", "fit", "simulate", "batch", "evaluate", "convert", "expose", "measure", "compare",
+        "bench",
     ] {
         assert!(desk.done("--help").stdout.contains(&format!("  {command} ")));
         let help = desk.done(&format!("{command} --help")).stdout;

@@ -4,13 +4,37 @@ use conv_core::ConvReal;
 use psf_io::{Card, HeaderCards};
 use psf_types::{PsfModel, Scene};
 
-use super::super::context::{CHECK_KEYWORDS, signature};
+use super::super::context::{CHECK_KEYWORDS, signature, signature_of};
 use super::SimulateArgs;
+
+/// The keyword of [`JobMark::digest`].
+pub(crate) const JOB_KEYWORD: &str = "PSFJOB";
+
+/// What made the files of a job.
+#[derive(Debug, Clone)]
+pub(crate) struct JobMark {
+    /// The command line that does the same.
+    pub(crate) arguments: Vec<String>,
+    /// Tells the options of one job from those of another.
+    pub(crate) digest: String,
+}
 
 impl SimulateArgs {
     /// What is needed to repeat the result.
     pub(super) fn cards<T: ConvReal>(&self, model: &PsfModel) -> anyhow::Result<Vec<Card>> {
-        let mut cards = signature();
+        let mut cards = match &self.job {
+            Some(mark) => {
+                let mut cards = signature_of(&mark.arguments);
+                let digest = mark.digest.as_str();
+                cards.push(Card::new(
+                    JOB_KEYWORD,
+                    digest,
+                    "digest of the options of the job",
+                )?);
+                cards
+            }
+            None => signature(),
+        };
         cards.extend([
             Card::new("PSFMETH", self.method.to_string(), "convolution method")?,
             Card::new(
@@ -49,8 +73,8 @@ impl SimulateArgs {
         } else {
             header.shifted_origin(x0 / finer as i64, y0 / finer as i64)
         };
-        // A scene that is itself a result must not lend its own check to this one.
-        for keyword in CHECK_KEYWORDS {
+        // A scene that is itself a result must not lend its own check and job to this one.
+        for keyword in CHECK_KEYWORDS.into_iter().chain([JOB_KEYWORD]) {
             header.remove(keyword);
         }
         header

@@ -28,6 +28,7 @@ use prepared::{Prepared, timed};
 use report::{PlanReport, Seconds, TilesReport};
 use scene_args::SceneArgs;
 
+pub(crate) use cards::{JOB_KEYWORD, JobMark};
 pub(crate) use prepared::Preparations;
 pub(crate) use report::Report;
 
@@ -84,6 +85,9 @@ pub(crate) struct SimulateArgs {
     exposure: ExposureArgs,
     #[command(flatten)]
     fit: PsfArgs,
+    /// The job of a batch that this is.
+    #[arg(skip)]
+    job: Option<JobMark>,
 }
 
 /// More pixels than that are a slip.
@@ -137,8 +141,17 @@ impl SimulateArgs {
         }
     }
 
+    /// The same as a job of a batch, which its files bear the mark of.
+    pub(crate) fn for_job(&self, mark: JobMark, overwrite: bool) -> Self {
+        Self {
+            job: Some(mark),
+            overwrite,
+            ..self.clone()
+        }
+    }
+
     /// What is wrong with the options given, if anything.
-    fn misused(&self) -> anyhow::Result<Option<String>> {
+    pub(crate) fn misused(&self) -> anyhow::Result<Option<String>> {
         let planned = self.plan_options()?.is_some();
         let what = [
             (

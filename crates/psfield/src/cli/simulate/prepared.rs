@@ -44,15 +44,22 @@ pub(crate) struct Preparations {
     kept: Vec<(String, Arc<dyn Any + Send + Sync>)>,
     /// How many; none are kept for a single scene.
     most: usize,
+    /// How many were made.
+    made: usize,
 }
 
 impl Preparations {
     /// A keeper of at most so many.
     pub(crate) fn keeping(most: usize) -> Self {
         Self {
-            kept: Vec::new(),
             most,
+            ..Self::default()
         }
+    }
+
+    /// How many were made, in place of found.
+    pub(crate) fn made(&self) -> usize {
+        self.made
     }
 
     /// The preparation that `key` describes in full, kept or made, and whether it was made.
@@ -70,6 +77,7 @@ impl Preparations {
         }
         self.kept.truncate(self.most.saturating_sub(1));
         let prepared = Arc::new(make()?);
+        self.made += 1;
         if self.most > 0 {
             let any: Arc<dyn Any + Send + Sync> = Arc::<Prepared<T>>::clone(&prepared);
             self.kept.insert(0, (key.to_owned(), any));

@@ -1,0 +1,249 @@
+//! `psfield batch`.
+
+mod job;
+mod job_report;
+mod jobs_file;
+mod line_writer;
+mod settings;
+mod standing;
+
+use std::path::PathBuf;
+use std::time::Instant;
+
+use psf_types::Progress;
+
+use super::context::{Context, told};
+use super::simulate::Preparations;
+use job::Job;
+use job_report::{JobReport, Status};
+use jobs_file::JobsFile;
+use line_writer::LineWriter;
+use settings::{Assignment, Settings};
+use standing::Standing;
+
+/// Simulate many scenes, with what those of one kind share prepared once
+///
+/// A job is a set of options of simulate by their long names, with `scene` for the scene itself, and perhaps a `name`. Relative paths in
+/// the jobs file count from its folder. All jobs are checked before the first one runs. Each one ends with a line of JSON on
+/// standard output; a job that fails does not stop the rest, and the exit status is 1.
+///
+/// Run again, a batch goes on where it was interrupted: a job whose files exist is skipped. Images bear a digest of the options that
+/// made them (PSFJOB), and a job whose options have changed since then fails until --overwrite is given. Whether the content of its
+/// inputs has changed is not looked at.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = SAMPLE)]
+pub(crate) struct BatchArgs {
+    /// The jobs: TOML (`[[job]]` tables, `[defaults]` for all) or CSV (a line of option names, a row a job; an empty field: not given)
+    #[arg(value_name = "JOBS.toml|csv")]
+    jobs: PathBuf,
+    /// An option for all jobs that do not set it themselves, before `[defaults]`; may be repeated. Relative paths count from the
+    /// working directory
+    #[arg(long, value_name = "OPTION=VALUE")]
+    set: Vec<Assignment>,
+    /// Run all jobs, and replace outputs that exist
+    #[arg(long)]
+    overwrite: bool,
+    /// Also append the lines of all jobs to this file
+    #[arg(long, value_name = "LOG.jsonl")]
+    log: Option<PathBuf>,
+    /// Keep the models and plans of the N latest kinds of job for jobs to come; each takes the memory of its PSF and plan (--memory)
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    keep: u16,
+}
+
+/// The end of the long help.
+const SAMPLE: &str = r#"A jobs file in TOML:
+
+  [defaults]
+  psf = "telescope.fits"
+  shape = [1024, 1024]
+  tolerance = 1e-4
+
+  [[job]]
+  catalog = "field1.csv"
+  output = "field1.fits"
+
+  [[job]]
+  name = "second field, as the camera sees it"
+  catalog = "field2.csv"
+  columns = { x = "X_IMAGE", y = "Y_IMAGE", flux = "FLUX_AUTO" }
+  one-based = true
+  detector = "camera.toml"
+  truth = "field2_truth.fits"
+  output = "field2.fits"
+  seed = 2
+
+and one in CSV, with --set psf=telescope.fits --set shape=1024,1024 for what all have in common:
+
+  output,catalog,seed,detector
+  field1.fits,field1.csv,,
+  field2.fits,field2.csv,2,camera.toml
+
+A job's line has the keys job (counted from 1), name, output, status (done, skipped or failed), error, reused (whether model and plan
+were those of an earlier job), seconds, and report (what simulate --json prints)."#;
+
+impl BatchArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let mut from_command_line = Settings::default();
+        for assignment in self.set {
+            from_command_line.add(assignment)?;
+        }
+        let jobs = Job::all(
+            JobsFile::read(&self.jobs)?,
+            &from_command_line,
+            self.log.as_deref(),
+        )?;
+        let mut lines = LineWriter::new(self.log.as_deref(), context)?;
+        let mut preparations = Preparations::keeping(usize::from(self.keep));
+        let mut failed = Vec::new();
+        let bar = context.bar("jobs");
+        bar.start(jobs.len() as u64);
+        for job in &jobs {
+            let report = report_of(job, self.overwrite, &mut preparations, context);
+            bar.aside(|| lines.write(&report))?;
+            bar.advance(1);
+            if report.status == Status::Failed {
+                failed.push(format!("{} ({})", job.number, job.name));
+            }
+        }
+        drop(bar);
+        if failed.is_empty() {
+            return Ok(());
+        }
+        let more = match failed.len().checked_sub(MOST_NAMED) {
+            Some(more @ 1..) => format!(" and {more} more"),
+            _ => String::new(),
+        };
+        anyhow::bail!(
+            "{} of {} jobs failed: {}{more}",
+            failed.len(),
+            jobs.len(),
+            failed[..failed.len().min(MOST_NAMED)].join(", ")
+        )
+    }
+}
+
+/// Failed jobs that are named at the end.
+const MOST_NAMED: usize = 10;
+
+/// Runs a job, unless its files are there.
+fn report_of<'a>(
+    job: &'a Job,
+    overwrite: bool,
+    preparations: &mut Preparations,
+    context: &Context,
+) -> JobReport<'a> {
+    let clock = Instant::now();
+    let mut report = JobReport::of(job);
+    let replace = if overwrite {
+        true
+    } else {
+        match Standing::of(job) {
+            Standing::Missing => false,
+            Standing::Partial => true,
+            Standing::Done => {
+                report.status = Status::Skipped;
+                report.seconds = clock.elapsed().as_secs_f64();
+                return report;
+            }
+            Standing::Refused(why) => {
+                report.error = Some(why);
+                report.seconds = clock.elapsed().as_secs_f64();
+                return report;
+            }
+        }
+    };
+    let context = context.for_part(&format!("job {} ({})", job.number, job.name));
+    let made = preparations.made();
+    match job.marked(replace).simulate(preparations, &context) {
+        Ok(simulated) => {
+            match simulated.verdict() {
+                Ok(()) => report.status = Status::Done,
+                Err(error) => report.error = Some(told(&error)),
+            }
+            report.reused = Some(preparations.made() == made);
+            report.report = Some(simulated);
+        }
+        Err(error) => report.error = Some(told(&error)),
+    }
+    report.seconds = clock.elapsed().as_secs_f64();
+    report
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    /// The two files of the help, as they would be written.
+    fn samples() -> [String; 2] {
+        let blocks = |from: &str, to: &str| {
+            let start = SAMPLE.find(from).unwrap();
+            let end = SAMPLE.find(to).unwrap();
+            SAMPLE[start..end]
+                .lines()
+                .map(str::trim)
+                .collect::<Vec<_>>()
+                .join("\n")
+        };
+        [
+            blocks("[defaults]", "and one in CSV"),
+            blocks("output,catalog", "A job's line"),
+        ]
+    }
+
+    #[test]
+    fn the_samples_of_the_help_are_understood() {
+        let [toml, csv] = samples();
+        let folder = Path::new("night");
+        let toml = JobsFile::from_toml(&toml, folder).unwrap();
+        let jobs = Job::all(toml, &Settings::default(), None).unwrap();
+        assert_eq!(jobs.len(), 2);
+        assert_eq!(jobs[0].name, "field1.fits");
+        assert_eq!(jobs[1].output, folder.join("field2.fits"));
+        assert_eq!(jobs[1].files.len(), 2);
+
+        let mut common = Settings::default();
+        for text in ["psf=telescope.fits", "shape=1024,1024"] {
+            common.add(text.parse().unwrap()).unwrap();
+        }
+        let csv = JobsFile::from_csv(csv.as_bytes(), folder).unwrap();
+        let jobs = Job::all(csv, &common, None).unwrap();
+        assert_eq!(jobs.len(), 2);
+        assert_eq!(jobs[1].output, folder.join("field2.fits"));
+    }
+
+    #[test]
+    fn a_digest_tells_options_apart_and_nothing_else() {
+        let digest = |text: &str| {
+            let text = format!("[defaults]\nseed = 1\n[[job]]\npsf = 'p.fits'\nscene = 's.fits'\n{text}");
+            let file = JobsFile::from_toml(&text, Path::new("")).unwrap();
+            Job::all(file, &Settings::default(), None).unwrap()[0]
+                .digest
+                .clone()
+        };
+        let plain = digest("output = 'a.fits'");
+        assert_eq!(plain.len(), 16);
+        for same in [
+            "output = 'b.fits'\nname = 'b'",
+            "output = 'a.fits'\nseed = 1",
+            "output = 'a.fits'\nstream = true\none-based = false",
+        ] {
+            assert_eq!(digest(same), plain, "{same}");
+        }
+        for other in [
+            "seed = 2",
+            "tolerance = 1e-4",
+            "extension = 1",
+            "detector = 'd.toml'",
+        ] {
+            assert_ne!(digest(&format!("output = 'a.fits'\n{other}")), plain, "{other}");
+        }
+        // The same texts in another place.
+        assert_ne!(
+            digest("output = 'a.fits'\nanchor = 'source'\nprecision = 'f64'"),
+            digest("output = 'a.fits'\nanchor = 'output'\nprecision = 'f64'")
+        );
+    }
+}
