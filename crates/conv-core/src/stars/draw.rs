@@ -7,6 +7,7 @@ use super::phases::PhasedAxis;
 use super::star::PreparedStar;
 use super::star_block::RowLayout;
 use crate::ConvReal;
+use crate::lowrank::internals::Aligned;
 use crate::simd::Lanes;
 
 /// Draws stars of one block into some rows of an image.
@@ -42,7 +43,8 @@ impl<T: ConvReal> BlockDraw<'_, T> {
         let from = stars.iter().map(|star| star.rows.from).min().unwrap_or(0);
         let to = stars.iter().map(|star| star.rows.to).max().unwrap_or(0);
         // Sums of a row by residues, then a row of the image; both with room for whole vectors.
-        let mut sums = vec![T::zero(); self.layout.kernel + 2 * MOST_LANES];
+        let mut sums = Aligned::zeros(self.layout.kernel + 2 * MOST_LANES);
+        let sums = sums.get_mut();
         let mut line = vec![T::zero(); self.layout.residue + 2 * MOST_LANES];
         let (height, width) = (rows.nrows() as i64, rows.ncols() as i64);
         for j in from..to {

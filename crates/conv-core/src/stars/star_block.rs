@@ -5,7 +5,7 @@ use psf_types::{PixelRegion, PsfModel, StampGrid};
 
 use super::phases::PhasedAxis;
 use crate::ConvReal;
-use crate::lowrank::internals::{LocalModes, PsfSpace, RegionRuns};
+use crate::lowrank::internals::{Aligned, LocalModes, PsfSpace, RegionRuns};
 use crate::stamp_interpolator::Kernel;
 
 /// The local basis of a block as interpolation coefficients, by phases.
@@ -13,7 +13,7 @@ use crate::stamp_interpolator::Kernel;
 pub(super) struct StarBlock<T> {
     modes: LocalModes,
     /// `[row, kernel, residue, q]`, rows and `q` in the order of the coefficients kept.
-    values: Vec<T>,
+    values: Aligned<T>,
 }
 
 /// How the coefficients of a kernel's row lie.
@@ -54,7 +54,8 @@ impl<T: ConvReal> StarBlock<T> {
         let modes = LocalModes::new(space, &runs, tolerance);
         let layout = RowLayout::new::<T>(columns);
         let count = modes.rank() + usize::from(modes.reference().is_some());
-        let mut values = vec![T::zero(); rows.kept() * count * layout.kernel];
+        let mut aligned = Aligned::zeros(rows.kept() * count * layout.kernel);
+        let values = aligned.get_mut();
         let modes_alone = modes.modes();
         let directions = modes.reference().into_iter().chain(modes_alone.outer_iter());
         for (kernel, direction) in directions.enumerate() {
@@ -70,7 +71,10 @@ impl<T: ConvReal> StarBlock<T> {
                 }
             }
         }
-        Self { modes, values }
+        Self {
+            modes,
+            values: aligned,
+        }
     }
 
     pub(super) fn kernel_count(&self) -> usize {
@@ -78,11 +82,11 @@ impl<T: ConvReal> StarBlock<T> {
     }
 
     pub(super) fn bytes(&self) -> usize {
-        size_of_val(&self.values[..])
+        size_of_val(self.values.get())
     }
 
     pub(super) fn values(&self) -> &[T] {
-        &self.values
+        self.values.get()
     }
 
     /// The kernels' coefficients for the PSF that `psf` stands for, which becomes what they leave of it.

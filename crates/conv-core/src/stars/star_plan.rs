@@ -81,8 +81,9 @@ struct Phased<T> {
     blocks: BlockCache<T>,
 }
 
-/// Columns and rows of the field that share a local basis.
-const BLOCK: i64 = 64;
+/// Columns and rows of the field that share a local basis: smaller ones need fewer kernels, but the values of all of them pass through the
+/// caches once a catalogue.
+const BLOCK: i64 = 128;
 /// Stars that are prepared at a time.
 const AT_ONCE: usize = 1 << 15;
 /// Rows of the image that one task draws.
@@ -169,9 +170,7 @@ impl<T: ConvReal> StarPlan<T> {
             .filter(|star| star.reaches(self.window, image.ncols(), rows.clone()))
             .map(|star| (block_of(star.pixel), star))
             .collect();
-        let t0 = std::time::Instant::now();
         stars.par_sort_by_key(|&(block, star)| (block, star.index));
-        eprintln!("sort {:?}", t0.elapsed());
         let mut missed = Vec::new();
         for stars in stars.chunks(AT_ONCE) {
             missed.extend(self.draw(phased, stars, first_row, image)?);
@@ -189,28 +188,18 @@ impl<T: ConvReal> StarPlan<T> {
         first_row: usize,
         image: &mut Array2<T>,
     ) -> Result<Vec<usize>, ConvError> {
-        let t0 = std::time::Instant::now();
         let groups: Vec<&[(BlockKey, Star)]> = stars.chunk_by(|a, b| a.0 == b.0).collect();
         let prepared: Vec<(Group<T>, Vec<usize>)> = groups
             .into_par_iter()
             .map(|stars| self.prepare(phased, stars))
             .collect::<Result<_, _>>()?;
         let (groups, missed): (Vec<Group<T>>, Vec<Vec<usize>>) = prepared.into_iter().unzip();
-        eprintln!(
-            "prepare {:?} missed {} kernels {:.2} groups {}",
-            t0.elapsed(),
-            missed.iter().map(Vec::len).sum::<usize>(),
-            groups.iter().map(|g| g.block.kernel_count()).sum::<usize>() as f64 / groups.len() as f64,
-            groups.len()
-        );
-        let t0 = std::time::Instant::now();
         T::dispatch(Draw {
             phased,
             groups: &groups,
             image: image.view_mut(),
             first_row,
         });
-        eprintln!("draw {:?}", t0.elapsed());
         Ok(missed.into_iter().flatten().collect())
     }
 
