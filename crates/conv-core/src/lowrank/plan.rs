@@ -1,5 +1,7 @@
 //! Plans: everything about a convolution that does not depend on the light.
 
+use std::sync::OnceLock;
+
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, FrameShape, Image, NoProgress, PixelRegion, Progress, PsfModel, Scene};
 use rayon::prelude::*;
@@ -90,7 +92,8 @@ pub struct Plan<T: ConvReal> {
     pub(super) light: [std::ops::Range<usize>; 2],
     ramp: Vec<T>,
     pool: Pool<T>,
-    pub(super) stars: StarPlan<T>,
+    /// Made when the first star comes.
+    stars: OnceLock<StarPlan<T>>,
 }
 
 /// Blocks whose stamps are made by one product of matrices.
@@ -141,7 +144,7 @@ impl<T: ConvReal> Plan<T> {
             model: model.clone(),
             light: [columns, rows],
             pool: Pool::new(),
-            stars: StarPlan::new(model, options, None)?,
+            stars: OnceLock::new(),
             space,
             geometry,
             options,
@@ -229,7 +232,9 @@ impl<T: ConvReal> Plan<T> {
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
         let counts = self.add_extended_to(scene, image, progress)?;
-        self.stars.add_to(scene, image)?;
+        if !scene.sources().is_empty() {
+            self.stars()?.add_to(scene, image)?;
+        }
         Ok(counts)
     }
 
@@ -319,6 +324,15 @@ impl<T: ConvReal> Plan<T> {
         } else {
             (transforms, false)
         }
+    }
+
+    /// The plan for stars through the same model.
+    pub(super) fn stars(&self) -> Result<&StarPlan<T>, ConvError> {
+        if let Some(stars) = self.stars.get() {
+            return Ok(stars);
+        }
+        let stars = StarPlan::new(&self.model, self.options, None)?;
+        Ok(self.stars.get_or_init(|| stars))
     }
 
     pub(super) fn block(&self, column: usize, row: usize) -> &Block<T> {

@@ -84,9 +84,10 @@ impl<T: ConvReal> Plan<T> {
             pending = image.slice(s![next - written.., ..]).to_owned();
             if next > written {
                 let mut finished = image.slice_move(s![..next - written, ..]);
-                stars
-                    .unwrap_or(&self.stars)
-                    .add_to_rows(scene, written, &mut finished)?;
+                if !scene.sources().is_empty() {
+                    let stars = stars.map_or_else(|| self.stars(), Ok)?;
+                    stars.add_to_rows(scene, written, &mut finished)?;
+                }
                 let finished = Image::new(finished).map_err(ConvError::Result)?;
                 stream.write(finished.pixels())?;
             }

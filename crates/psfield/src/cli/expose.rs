@@ -95,6 +95,22 @@ struct Settings {
     bits: Option<u32>,
 }
 
+/// Refuses a detector that changes nothing, where that is all there is, and warns of one without photon noise.
+pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context) -> anyhow::Result<()> {
+    if detector.is_perfect() && alone {
+        return Err(UsageError(
+            "there is nothing to add: give a detector (--detector DETECTOR.toml) with settings, or to expose options such as \
+             --photon-noise --sky 100 --read-noise 5, or --photons-only"
+                .to_owned(),
+        )
+        .into());
+    }
+    if !detector.params().photon_noise {
+        context.warn("the light has no photon noise: ask for it by photon_noise = true in the detector's file (expose: --photon-noise)");
+    }
+    Ok(())
+}
+
 /// What `--json` prints.
 #[derive(Debug, Serialize)]
 struct Report<'a> {
@@ -122,17 +138,7 @@ struct Seconds {
 impl ExposeArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let detector = self.detector()?;
-        if detector.is_perfect() && self.mask.is_none() {
-            return Err(UsageError(
-                "there is nothing to add: give a detector (--detector DETECTOR.toml), settings such as --photon-noise --sky 100 \
-                 --read-noise 5, or --photons-only"
-                    .to_owned(),
-            )
-            .into());
-        }
-        if !detector.params().photon_noise {
-            context.warn("the light has no photon noise: ask for it by --photon-noise, or photon_noise = true in the file");
-        }
+        check_detector(&detector, self.mask.is_none(), context)?;
         match self.precision {
             Precision::F32 => self.run_in::<f32>(&detector, context),
             Precision::F64 => self.run_in::<f64>(&detector, context),

@@ -84,7 +84,7 @@ impl Job {
             .try_get_matches_from_mut(&arguments)
             .map_err(|e| in_one_line(&e))?;
         let path = |matches: &ArgMatches, id: &str| matches.get_one::<PathBuf>(id).cloned();
-        let files = OUTPUTS.iter().filter_map(|id| path(&matches, id)).collect();
+        let mut files: Vec<PathBuf> = OUTPUTS.iter().filter_map(|id| path(&matches, id)).collect();
         let inputs = command
             .get_arguments()
             .filter(|arg| is_path(arg) && !OUTPUTS.contains(&arg.get_id().as_str()))
@@ -92,6 +92,7 @@ impl Job {
             .collect();
         let output = path(&matches, OUTPUTS[0]).ok_or("output is missing")?;
         let args = SimulateArgs::from_arg_matches_mut(&mut matches).map_err(|e| in_one_line(&e))?;
+        files.extend(args.truth_beside().filter(|truth| !files.contains(truth)));
         match args.misused() {
             Ok(None) => {}
             Ok(Some(what)) => return Err(what),

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Instant;
 
 use conv_core::{ConvReal, RowStream};
-use ndarray::{Array2, ArrayView2, ArrayViewMut2};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_io::{Card, ImageReader, ImageWriter, IoError};
 use psf_types::{Anchor, Scene};
 use psfield::{PixelPicker, PsfieldError, SceneParts, Simulation, SpotCheck};
@@ -24,7 +24,23 @@ struct SceneRows<'a, T: ConvReal> {
 
 impl<T: ConvReal> SceneRows<'_, T> {
     fn read_into(&mut self, first: usize, mut light: ArrayViewMut2<'_, T>) -> Result<(), IoError> {
-        self.reader.read_rows_into(first, light.view_mut())?;
+        let p = self.sources.padding;
+        if p == 0 {
+            self.reader.read_rows_into(first, light.view_mut())?;
+        } else {
+            light.fill(T::zero());
+            let shape = self.reader.shape();
+            // Rows of the file among those asked for.
+            let from = first.max(p);
+            let to = (first + light.nrows()).min(p + shape.ny());
+            if from < to {
+                let rows = self.reader.read_rows::<T>(from - p..to - p)?;
+                let columns = p..p + shape.nx();
+                light
+                    .slice_mut(s![from - first..to - first, columns])
+                    .assign(&rows);
+            }
+        }
         self.sources.add_galaxies(light, first);
         Ok(())
     }
@@ -100,22 +116,24 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome<T>> {
         let reader = self.scene.open(path)?;
         let header = reader.header().clone();
-        let sources = self.scene.sources::<T>(reader.shape(), &header)?;
+        let mut seconds = Seconds::default();
+        let reach = self.reach(&*self.psf(preparations, &mut seconds, context)?);
+        let sources = self.scene.sources::<T>(reader.shape(), &header, reach)?;
         let scene = &sources.scene;
         let parts = SceneParts {
             image: true,
             ..SceneParts::of(scene)
         };
-        let mut seconds = Seconds::default();
         let prepared = self.prepared(parts, scene, preparations, &mut seconds, context)?;
         prepared.warn_of_coarse_stamps(scene.sources(), context);
+        self.warn_of_small_galaxies(&sources, context);
         let simulation = &prepared.simulation;
         let plan = prepared
             .plan
             .as_ref()
             .ok_or_else(|| anyhow::anyhow!("only methods with a plan stream"))?;
         let shape = self.shown(scene)?;
-        let header = self.carried(&header, scene);
+        let header = self.carried(&header, &sources);
         let cards = self.cards::<T>(simulation.model())?;
         // None without a check, so that the header is as long as that of an image written as a whole.
         let late = if self.spot_check > 0 {

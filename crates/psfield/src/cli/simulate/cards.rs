@@ -2,10 +2,11 @@
 
 use conv_core::ConvReal;
 use psf_io::{Card, HeaderCards};
-use psf_types::{PsfModel, Scene};
+use psf_types::PsfModel;
 
 use super::super::context::{CHECK_KEYWORDS, signature, signature_of};
 use super::SimulateArgs;
+use super::scene_args::Sources;
 
 /// The keyword of [`JobMark::digest`].
 pub(crate) const JOB_KEYWORD: &str = "PSFJOB";
@@ -65,8 +66,9 @@ impl SimulateArgs {
     }
 
     /// The scene's cards as the image carries them.
-    pub(super) fn carried<T: ConvReal>(&self, header: &HeaderCards, scene: &Scene<T>) -> HeaderCards {
-        let (x0, y0, finer) = (scene.frame().x0(), scene.frame().y0(), self.scene.finer());
+    pub(super) fn carried<T: ConvReal>(&self, header: &HeaderCards, sources: &Sources<T>) -> HeaderCards {
+        let (frame, padding) = (sources.scene.frame(), sources.padding as i64);
+        let (x0, y0, finer) = (frame.x0() - padding, frame.y0() - padding, self.scene.finer());
         // A scene's header counts its own pixels, one given beside it those of the image.
         let mut header = if self.scene.scene.is_some() {
             header.shifted_origin(x0, y0).binned(finer)

@@ -7,6 +7,9 @@ use psf_io::{Card, HeaderCards};
 use psf_types::{Image, Real};
 use psfield::ExposureFiles;
 
+use super::super::context::Context;
+use super::super::expose::check_detector;
+
 /// A detector behind the image.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Detector")]
@@ -15,9 +18,12 @@ pub(super) struct ExposureArgs {
     /// Noise follows --seed
     #[arg(long, value_name = "DETECTOR.toml")]
     pub(super) detector: Option<PathBuf>,
-    /// Also write the noise-free image, in the detector's unit and with its sky
+    /// Where the noise-free image goes, in the detector's unit and with its sky [default: beside the image, IMAGE_truth.fits]
     #[arg(long, value_name = "TRUTH.fits", requires = "detector")]
     truth: Option<PathBuf>,
+    /// Do not keep the noise-free image
+    #[arg(long, requires = "detector", conflicts_with = "truth")]
+    no_truth: bool,
     /// Also write what is wrong with each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
     #[arg(long, value_name = "QUALITY.fits", requires = "detector")]
     quality: Option<PathBuf>,
@@ -31,6 +37,17 @@ pub(super) struct Exposing {
 }
 
 impl ExposureArgs {
+    /// The file of the noise-free image, where one is written beside `output`.
+    pub(crate) fn truth(&self, output: &Path) -> Option<PathBuf> {
+        if self.detector.is_none() || self.no_truth {
+            return None;
+        }
+        Some(self.truth.clone().unwrap_or_else(|| {
+            let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+            output.with_file_name(format!("{stem}_truth.fits"))
+        }))
+    }
+
     /// What is to be done, with everything checked that can be before the work.
     pub(super) fn exposing(
         &self,
@@ -38,10 +55,11 @@ impl ExposureArgs {
         overwrite: bool,
         seed: u64,
         inputs: &[Option<&PathBuf>],
+        context: &Context,
     ) -> anyhow::Result<Option<Exposing>> {
         let files = ExposureFiles {
             raw: output.to_owned(),
-            truth: self.truth.clone(),
+            truth: self.truth(output),
             quality: self.quality.clone(),
             overwrite,
         };
@@ -51,8 +69,10 @@ impl ExposureArgs {
         let Some(path) = &self.detector else {
             return Ok(None);
         };
+        let detector = Detector::from_toml_file(path)?;
+        check_detector(&detector, true, context)?;
         Ok(Some(Exposing {
-            detector: Detector::from_toml_file(path)?,
+            detector,
             files,
             seed,
         }))

@@ -3,6 +3,7 @@
 use std::time::Instant;
 
 use conv_core::ConvReal;
+use psf_io::Card;
 use psfield::{SceneParts, SpotCheck};
 
 use super::super::context::{Context, check_cards};
@@ -20,8 +21,9 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome<T>> {
         let spinner = context.spinner("reading");
         let mut seconds = Seconds::default();
-        let ((scene, sources, header), read) = timed(|| self.scene.read::<T>())?;
-        seconds.read = read;
+        let reach = self.reach(&*self.psf(preparations, &mut seconds, context)?);
+        let ((scene, sources, header), read) = timed(|| self.scene.read::<T>(reach))?;
+        seconds.read += read;
         drop(spinner);
         // A plan serves images with stars and without.
         let parts = SceneParts {
@@ -30,6 +32,7 @@ impl SimulateArgs {
         };
         let prepared = self.prepared(parts, &scene, preparations, &mut seconds, context)?;
         prepared.warn_of_coarse_stamps(scene.sources(), context);
+        self.warn_of_small_galaxies(&sources, context);
         let simulation = &prepared.simulation;
 
         let bar = context.bar("convolving");
@@ -59,8 +62,13 @@ impl SimulateArgs {
         let mut cards = self.cards::<T>(simulation.model())?;
         if let Some(check) = &spot_check {
             cards.extend(check_cards(check)?);
+            if exposing.is_some() {
+                cards.push(Card::comment(
+                    "PSFCHK...: of the noise-free image, before the detector",
+                ));
+            }
         }
-        let header = self.carried(&header, &scene);
+        let header = self.carried(&header, &sources);
         let exposure = if let Some(exposing) = exposing {
             Some(exposing.write(&image, &header, &cards)?)
         } else {

@@ -14,9 +14,10 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use conv_core::{ConvReal, PlanOptions, PlanSummary, TileCounts};
 use detector::ExposureReport;
-use psf_types::{Anchor, FrameShape, Scene};
+use psf_types::{Anchor, FrameShape, Scene, SersicSource};
 use psfield::{
-    Method, SceneParts, Simulation, SimulationOptions, SpotCheck, available_memory_bytes, peak_memory_bytes,
+    Method, PsfInput, SceneParts, Simulation, SimulationOptions, SpotCheck, available_memory_bytes,
+    peak_memory_bytes,
 };
 
 use super::UsageError;
@@ -38,8 +39,6 @@ pub(crate) use report::Report;
 /// first pixel of the image that is written.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct SimulateArgs {
-    #[command(flatten)]
-    scene: SceneArgs,
     /// The PSF: a model, samples to be fitted, or any PSF file that convert reads
     #[arg(long, value_name = "PSF")]
     psf: PathBuf,
@@ -71,7 +70,8 @@ pub(crate) struct SimulateArgs {
     /// Working precision and that of the result
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
-    /// Cut or pad the stamps to N x N pixels of the image, centred at N / 2; stars are cut to as many
+    /// Cut or pad the stamps to N x N pixels of the image, centred at N / 2 (images: before PSFs are scaled to unit flux); stars are cut to
+    /// as many about the pixel that each lies on, and the light beyond is lost
     #[arg(long, value_name = "N", value_parser = stamp_size)]
     stamp_size: Option<usize>,
     /// Check N random pixels, half of them where the image is bright, against the direct sum in double precision. A difference
@@ -81,6 +81,9 @@ pub(crate) struct SimulateArgs {
     /// Chooses the pixels of the spot check, and the detector's noise
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    // The groups come last: their headings hold for what follows.
+    #[command(flatten)]
+    scene: SceneArgs,
     #[command(flatten)]
     exposure: ExposureArgs,
     #[command(flatten)]
@@ -95,6 +98,9 @@ const MAX_SPOT_CHECK: i64 = 10_000_000;
 
 /// Scene and image may fill this part of the free memory; larger ones are streamed.
 const IN_MEMORY: f64 = 0.7;
+
+/// Galaxies smaller than this are blurred by the pixels on which they are drawn.
+const RESOLVED_PX: f64 = 2.0;
 
 /// Relative r.m.s. errors of images by transforms: a few 1e-7 and 1e-15, and more where a scene's light varies by decades.
 const ROUNDING_F32: f64 = 1e-5;
@@ -150,6 +156,11 @@ impl SimulateArgs {
         }
     }
 
+    /// The noise-free image that is written beside the output, if one is.
+    pub(crate) fn truth_beside(&self) -> Option<PathBuf> {
+        self.exposure.truth(&self.output)
+    }
+
     /// What is wrong with the options given, if anything.
     pub(crate) fn misused(&self) -> anyhow::Result<Option<String>> {
         let planned = self.plan_options()?.is_some();
@@ -189,11 +200,12 @@ impl SimulateArgs {
         let inputs = [
             self.scene.scene.as_ref(),
             self.scene.catalog.as_ref(),
+            self.scene.wcs.as_ref(),
             Some(&self.psf),
         ];
         let exposing = self
             .exposure
-            .exposing(&self.output, self.overwrite, self.seed, &inputs)?;
+            .exposing(&self.output, self.overwrite, self.seed, &inputs, context)?;
         let outcome = match self.streamed::<T>()? {
             Some(path) => self.by_bands::<T>(&path, preparations, context)?,
             None => self.in_memory::<T>(exposing.as_ref(), preparations, context)?,
@@ -243,24 +255,46 @@ impl SimulateArgs {
                 (options, self.method, self.plan_options()?, T::NAME),
             )
         );
-        let (prepared, new) = preparations.get(&key, || self.prepare(parts, scene, seconds, context))?;
+        let psf = self.psf(preparations, seconds, context)?;
+        preparations.forget_single_psf();
+        let own = || Arc::try_unwrap(psf).unwrap_or_else(|kept| (*kept).clone());
+        let (prepared, new) = preparations.get(&key, || self.prepare(parts, scene, own(), context))?;
         if new {
             [seconds.fit, seconds.plan] = prepared.seconds;
         }
         Ok(prepared)
     }
 
+    /// The PSF of the file, kept or read.
+    fn psf(
+        &self,
+        preparations: &mut Preparations,
+        seconds: &mut Seconds,
+        context: &Context,
+    ) -> anyhow::Result<Arc<PsfInput>> {
+        let key = format!("{:?}", (&self.psf, &self.fit));
+        preparations.psf(&key, || {
+            let _spinner = context.spinner("reading the PSF");
+            let (psf, read) = timed(|| self.fit.open(&self.psf, context))?;
+            seconds.read += read;
+            Ok(psf)
+        })
+    }
+
+    /// Pixels of the image as far as which light beyond the frame comes in.
+    fn reach(&self, psf: &PsfInput) -> usize {
+        let grid = psf.grid();
+        let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
+        self.stamp_size.unwrap_or(own.ceil() as usize) + 1
+    }
+
     fn prepare<T: ConvReal>(
         &self,
         parts: SceneParts,
         scene: &Scene<T>,
-        seconds: &mut Seconds,
+        psf: PsfInput,
         context: &Context,
     ) -> anyhow::Result<Prepared<T>> {
-        let spinner = context.spinner("reading the PSF");
-        let (psf, read) = timed(|| self.fit.open(&self.psf, context))?;
-        seconds.read += read;
-        drop(spinner);
         let options = self.simulation_options()?;
         let oversampling = psf.grid().oversampling();
         if parts.image && options.oversample() == 1 && !psf.native_is_exact(self.stamp_size)? {
@@ -290,8 +324,21 @@ impl SimulateArgs {
             simulation,
             plan,
             oversampling,
+            finer: self.scene.finer(),
             seconds: [fit, planning],
         })
+    }
+
+    /// Says where galaxies are blurred by the scene's own pixels, which nothing here can check.
+    fn warn_of_small_galaxies<T: ConvReal>(&self, sources: &scene_args::Sources<T>, context: &Context) {
+        let small = |galaxy: &&SersicSource| galaxy.profile().half_light_radius_px() < RESOLVED_PX;
+        let count = sources.galaxies.iter().filter(small).count();
+        if count > 0 {
+            context.warn(&format!(
+                "{count} galaxies have a half-light radius below {RESOLVED_PX} pixels of the scene, whose own size then blurs them (by percents): \
+                 --oversample S draws them on finer pixels"
+            ));
+        }
     }
 
     /// The scene's file, if its rows are to be streamed.

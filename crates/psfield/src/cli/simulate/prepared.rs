@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use conv_core::ConvReal;
 use psf_types::PointSource;
-use psfield::{Simulation, SimulationPlan};
+use psfield::{PsfInput, Simulation, SimulationPlan};
 
 use super::super::context::Context;
 
@@ -17,21 +17,28 @@ pub(super) struct Prepared<T: ConvReal> {
     pub(super) plan: Option<SimulationPlan<T>>,
     /// Pixels of the PSF file's stamps along each side of an image pixel.
     pub(super) oversampling: f64,
+    /// Pixels of the scene along each side of an image pixel.
+    pub(super) finer: usize,
     /// How long the model took, and the plan.
     pub(super) seconds: [f64; 2],
 }
 
 /// Stamps with fewer pixels a frame pixel than this may be too coarse to be interpolated.
 const FINE_ENOUGH: f64 = 2.0;
+/// A star this close to the centre of a pixel is on it.
+const ON_PIXEL: f64 = 1e-9;
 
 impl<T: ConvReal> Prepared<T> {
     /// Says where stars are interpolated between the pixels of coarse stamps, which nothing here can check.
     pub(super) fn warn_of_coarse_stamps(&self, sources: &[PointSource], context: &Context) {
-        let between_pixels =
-            |s: &PointSource| s.position().x().fract() != 0.0 || s.position().y().fract() != 0.0;
+        let s = self.finer as f64;
+        // Positions are in pixels of the scene.
+        let of_image = |v: f64| (v - (s - 1.0) / 2.0) / s;
+        let off = |v: f64| (of_image(v) - of_image(v).round()).abs() > ON_PIXEL;
+        let between_pixels = |s: &PointSource| off(s.position().x()) || off(s.position().y());
         if self.oversampling < FINE_ENOUGH && sources.iter().any(between_pixels) {
             context.warn(
-                "stars lie between pixels, and the PSF stamps are hardly oversampled: they are interpolated, which is wrong by \
+                "stars lie between pixels, and the PSF stamps are not oversampled (or less than twice): they are interpolated, which is wrong by \
                  percents where the PSF is under-sampled; the spot check does not see that",
             );
         }
@@ -46,6 +53,8 @@ pub(crate) struct Preparations {
     most: usize,
     /// How many were made.
     made: usize,
+    /// The last PSF that was read.
+    psf: Option<(String, Arc<PsfInput>)>,
 }
 
 impl Preparations {
@@ -60,6 +69,29 @@ impl Preparations {
     /// How many were made, in place of found.
     pub(crate) fn made(&self) -> usize {
         self.made
+    }
+
+    /// The PSF that `key` describes, the last one or read.
+    pub(super) fn psf(
+        &mut self,
+        key: &str,
+        read: impl FnOnce() -> anyhow::Result<PsfInput>,
+    ) -> anyhow::Result<Arc<PsfInput>> {
+        match &self.psf {
+            Some((kept, psf)) if kept == key => Ok(Arc::clone(psf)),
+            _ => {
+                let psf = Arc::new(read()?);
+                self.psf = Some((key.to_owned(), Arc::clone(&psf)));
+                Ok(psf)
+            }
+        }
+    }
+
+    /// Where nothing is kept, the PSF need not be there twice.
+    pub(super) fn forget_single_psf(&mut self) {
+        if self.most == 0 {
+            self.psf = None;
+        }
     }
 
     /// The preparation that `key` describes in full, kept or made, and whether it was made.

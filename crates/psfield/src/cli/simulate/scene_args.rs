@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
-use ndarray::ArrayViewMut2;
+use ndarray::{Array2, ArrayViewMut2, s};
 use psf_io::{Catalog, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
 use psf_types::{FrameShape, Image, PixelRegion, PointSource, Position, Scene, SersicProfile, SersicSource};
 use psfield::SimulationOptions;
@@ -18,8 +18,8 @@ pub(super) struct SceneArgs {
     /// The scene: a FITS image, flux in each pixel. Without one: --catalog and --shape
     #[arg(value_name = "SCENE.fits")]
     pub(super) scene: Option<PathBuf>,
-    /// Which image of the scene's file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
-    #[arg(long, value_name = "N|NAME", requires = "scene")]
+    /// Which image of the file of the scene (or of --wcs): a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
     pub(super) extension: Option<HduChoice>,
     /// Stars and galaxies: a CSV, text or FITS table with the columns x, y (pixels of the image, 0-based; also off it) and flux; with re, n,
     /// q and angle: galaxies with Sersic profiles. See --columns
@@ -43,7 +43,7 @@ pub(super) struct SceneArgs {
     /// World coordinates of a scene without an image: those of the header of this FITS file. The result gets its cards, and catalogues may
     /// give ra and dec in degrees
     #[arg(long, value_name = "FILE.fits", conflicts_with = "scene")]
-    wcs: Option<PathBuf>,
+    pub(super) wcs: Option<PathBuf>,
     #[command(flatten)]
     columns: CatalogArgs,
 }
@@ -59,11 +59,16 @@ pub(super) struct Sources<T> {
     pub(super) invalid_rows: usize,
     /// Rows of the catalogue that lie on a part of the sky that the projection does not show.
     pub(super) rows_off_projection: usize,
+    /// Dark pixels put around the scene, into which galaxies at its edges reach; `scene` has them.
+    pub(super) padding: usize,
 }
 
 impl SceneArgs {
     /// What is wrong with the options given, if anything.
     pub(super) fn missing(&self) -> Option<String> {
+        if self.extension.is_some() && self.scene.is_none() && self.wcs.is_none() {
+            return Some("--extension is of the file of the scene or of --wcs: there is none".to_owned());
+        }
         match (&self.scene, &self.catalog, self.shape) {
             (None, None, _) => Some(
                 "there is nothing to convolve: give a scene (SCENE.fits), sources (--catalog STARS.csv --shape NX,NY), or both \
@@ -86,8 +91,12 @@ impl SceneArgs {
         self.oversample.map_or(1, usize::from)
     }
 
-    /// The whole scene in memory, and the header of its image.
-    pub(super) fn read<T: ConvReal>(&self) -> anyhow::Result<(Scene<T>, Sources<T>, HeaderCards)> {
+    /// The whole scene in memory, and the header of its image. Light from as far as `reach` pixels of the image beyond the scene comes
+    /// in.
+    pub(super) fn read<T: ConvReal>(
+        &self,
+        reach: usize,
+    ) -> anyhow::Result<(Scene<T>, Sources<T>, HeaderCards)> {
         let (image, header) = match &self.scene {
             Some(path) => {
                 let read = psf_io::read_image_hdu::<T>(path, self.extension.as_ref())?;
@@ -95,7 +104,7 @@ impl SceneArgs {
                 (Some(image), header)
             }
             None => match &self.wcs {
-                Some(path) => (None, psf_io::read_header(path)?),
+                Some(path) => (None, psf_io::read_header_hdu(path, self.extension.as_ref())?),
                 None => (None, HeaderCards::new()),
             },
         };
@@ -103,7 +112,7 @@ impl SceneArgs {
             Some(image) => image.shape(),
             None => self.dark_shape()?,
         };
-        let sources = self.sources(shape, &header)?;
+        let sources = self.sources(shape, &header, reach)?;
         let image = match image {
             None if sources.galaxies.is_empty() => None,
             None => Some(Image::zeros(shape)),
@@ -113,6 +122,13 @@ impl SceneArgs {
             return Ok((sources.scene.clone(), sources, header));
         };
         let mut light = image.into_pixels();
+        if sources.padding > 0 {
+            let (p, shape) = (sources.padding, sources.scene.shape());
+            let mut padded = Array2::zeros((shape.ny(), shape.nx()));
+            let (ny, nx) = light.dim();
+            padded.slice_mut(s![p..p + ny, p..p + nx]).assign(&light);
+            light = padded;
+        }
         sources.add_galaxies(light.view_mut(), 0);
         let scene = Scene::from_image(Image::new(light)?)
             .with_sources(sources.scene.sources().to_vec())
@@ -142,25 +158,34 @@ impl SceneArgs {
         &self,
         shape: FrameShape,
         header: &HeaderCards,
+        reach: usize,
     ) -> anyhow::Result<Sources<T>> {
         let catalog = match &self.catalog {
             Some(path) => self.read_catalog(path, header)?,
             None => Catalog::default(),
         };
         let (invalid_rows, rows_off_projection) = (catalog.invalid_rows(), catalog.rows_off_projection());
-        let (stars, galaxies) = self.in_scene_pixels(catalog)?;
-        let mut scene = Scene::dark(shape).with_sources(stars);
         let s = self.finer();
+        let padding = if catalog.galaxies().is_empty() {
+            0
+        } else {
+            reach * s
+        };
+        let (stars, galaxies) = self.in_scene_pixels::<T>(catalog, padding as f64)?;
+        let padded = FrameShape::new(shape.nx() + 2 * padding, shape.ny() + 2 * padding)?;
+        let seen = |frame: PixelRegion| {
+            // Judged on the scene as it is, before it is padded.
+            Scene::<T>::dark(shape)
+                .with_frame(frame)
+                .map_err(|e| UsageError(format!("--frame: {e}")))?;
+            let p = padding as i64;
+            let frame = PixelRegion::new(frame.x0() + p, frame.y0() + p, frame.shape());
+            Ok::<_, anyhow::Error>(Scene::dark(padded).with_frame(frame)?)
+        };
+        let mut scene = seen(shape.region())?;
         match self.frame {
             Some(Frame(frame)) => {
-                let shape = FrameShape::new(frame.shape().nx() * s, frame.shape().ny() * s)?;
-                scene = scene
-                    .with_frame(PixelRegion::new(
-                        frame.x0() * s as i64,
-                        frame.y0() * s as i64,
-                        shape,
-                    ))
-                    .map_err(|e| UsageError(format!("--frame: {e}")))?;
+                scene = seen(finer_frame(frame, s)?)?;
             }
             None if !(shape.nx().is_multiple_of(s) && shape.ny().is_multiple_of(s)) => anyhow::bail!(
                 "the scene is {shape} pixels, which is no multiple of --oversample {s}: cut it, or choose a part of it with --frame"
@@ -168,7 +193,8 @@ impl SceneArgs {
             None => {}
         }
         Ok(Sources {
-            scene,
+            scene: scene.with_sources(stars),
+            padding,
             galaxies,
             invalid_rows,
             rows_off_projection,
@@ -202,14 +228,28 @@ impl SceneArgs {
     }
 
     /// Everything in a scene is in its own pixels.
-    fn in_scene_pixels(&self, catalog: Catalog) -> anyhow::Result<(Vec<PointSource>, Vec<SersicSource>)> {
+    fn in_scene_pixels<T: ConvReal>(
+        &self,
+        catalog: Catalog,
+        padding: f64,
+    ) -> anyhow::Result<(Vec<PointSource>, Vec<SersicSource>)> {
         let (stars, galaxies) = catalog.into_parts();
-        if self.finer() == 1 {
-            return Ok((stars, galaxies));
+        let fluxes = stars
+            .iter()
+            .map(|s| s.flux())
+            .chain(galaxies.iter().map(|g| g.flux()));
+        if let Some(flux) = fluxes
+            .into_iter()
+            .find(|&flux| !T::nearest(flux).as_f64().is_finite())
+        {
+            anyhow::bail!(
+                "{}: a flux of {flux:e} is beyond single precision: choose --precision f64",
+                self.catalog.as_deref().unwrap_or(Path::new("")).display()
+            );
         }
         let s = self.finer() as f64;
         let place = |p: Position| {
-            let of_scene = |v: f64| v * s + (s - 1.0) / 2.0;
+            let of_scene = |v: f64| v * s + (s - 1.0) / 2.0 + padding;
             Position::new(of_scene(p.x()), of_scene(p.y()))
         };
         let stars = stars
@@ -230,8 +270,24 @@ impl SceneArgs {
 }
 
 impl<T: ConvReal> Sources<T> {
-    /// Adds the galaxies' light to rows of the scene, the first of which is row `first_row`.
+    /// Adds the galaxies' light to rows of the padded scene, the first of which is row `first_row`.
     pub(super) fn add_galaxies(&self, rows: ArrayViewMut2<'_, T>, first_row: usize) {
         sersic::add_galaxies(rows, (0, first_row as i64), &self.galaxies);
+    }
+}
+
+/// A frame in pixels of a finer scene.
+fn finer_frame(frame: PixelRegion, finer: usize) -> anyhow::Result<PixelRegion> {
+    let place = |v: i64| v.checked_mul(finer as i64);
+    let length = |n: usize| n.checked_mul(finer);
+    let (nx, ny) = (frame.shape().nx(), frame.shape().ny());
+    match (place(frame.x0()), place(frame.y0()), length(nx), length(ny)) {
+        (Some(x0), Some(y0), Some(nx), Some(ny)) => Ok(PixelRegion::new(x0, y0, FrameShape::new(nx, ny)?)),
+        _ => Err(UsageError(format!(
+            "--frame: {nx} x {ny} pixels at ({}, {}) lie off any scene",
+            frame.x0(),
+            frame.y0()
+        ))
+        .into()),
     }
 }
