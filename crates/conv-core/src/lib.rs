@@ -16,8 +16,8 @@
 //! | [`PatchConvolution`] | one PSF a patch | one transform of each lit patch | the PSF jumps from patch to patch |
 //!
 //! All but [`Plan`] are [`ConvolutionMethod`]s over a [`psf_types::PsfModel`] and a [`psf_types::Scene`]. Outside the scene there is no
-//! light. Point sources are drawn one by one, with the PSF of their own position shifted to it by [`StampInterpolator`], by every
-//! method alike.
+//! light. Point sources are drawn with the PSF of their own position, shifted to it by [`StampInterpolator`]: one by one from all
+//! components ([`StarPainter`]), or many at once within a tolerance ([`StarPlan`], as plans do).
 //!
 //! # Normalisation
 //! The image holds the scene's flux times the flux of the PSFs, which the model decides ([`psf_types::Normalisation`]); nothing
