@@ -5,7 +5,7 @@ use std::str::FromStr;
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::matmul::matmul;
-use faer::linalg::svd::{ComputeSvdVectors, svd, svd_scratch};
+use faer::linalg::svd::{ComputeSvdVectors, SvdParams, svd, svd_scratch};
 use faer::{Accum, Mat, MatMut, MatRef, Par, Spec};
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, concatenate};
 use psf_types::{PsfBasis, PsfSamples};
@@ -75,7 +75,10 @@ pub struct Svd {
 const SPLIT: usize = 8;
 
 /// Singular values below this many units of rounding of the samples' Frobenius norm are zero to rounding.
-const ROUNDING_UNITS: f64 = 16.0;
+pub(crate) const ROUNDING_UNITS: f64 = 16.0;
+
+/// The squares of the singular values add up to those of the samples, but for rounding.
+const SQUARES_AGREE: f64 = 1e-10;
 
 impl Svd {
     /// Mean-centred, rank `auto`, noise estimated.
@@ -185,10 +188,37 @@ impl BasisMethod for Svd {
     }
 }
 
-/// Singular values and vectors `[pixel, k]` on the pixels' side, of samples `[sample, pixel]`.
+/// Singular values in descending order, and vectors `[pixel, k]` on the pixels' side, of samples `[sample, pixel]`.
+///
+/// faer loses singular values of some matrices whose rows repeat, without a word. Then the same is tried with a QR decomposition
+/// first, and then without divide and conquer.
 pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), BasisError> {
+    let usual: SvdParams = *Spec::<SvdParams, f64>::default();
+    let qr_first = SvdParams {
+        qr_ratio_threshold: 0.0,
+        ..usual
+    };
+    let undivided = SvdParams {
+        recursion_threshold: usize::MAX,
+        ..qr_first
+    };
+    let whole: f64 = rows.iter().map(|v| v * v).sum();
+    [usual, qr_first, undivided]
+        .into_iter()
+        .filter_map(|params| decompose_by(rows, params))
+        .find(|(values, _)| {
+            let held: f64 = values.iter().map(|s| s * s).sum();
+            (held - whole).abs() <= SQUARES_AGREE * whole
+        })
+        .map(|(values, vectors)| descending(values, vectors))
+        .ok_or(BasisError::NoConvergence {
+            samples: rows.nrows(),
+            pixels: rows.ncols(),
+        })
+}
+
+fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64>, Mat<f64>)> {
     let (samples, pixels) = rows.dim();
-    let failed = BasisError::NoConvergence { samples, pixels };
     let size = samples.min(pixels);
     // Rows of samples are columns of the pixels x samples matrix in faer's column-major order.
     let matrix = MatRef::from_column_major_slice(rows.as_slice().expect("row-major"), pixels, samples);
@@ -199,10 +229,9 @@ pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>
         ComputeSvdVectors::Thin,
         ComputeSvdVectors::No,
         par,
-        Spec::default(),
+        params.into(),
     );
-    let mut memory =
-        MemBuffer::try_new(scratch).map_err(|_| BasisError::NoConvergence { samples, pixels })?;
+    let mut memory = MemBuffer::try_new(scratch).ok()?;
     let mut values = Diag::<f64>::zeros(size);
     let mut vectors = Mat::<f64>::zeros(pixels, size);
     svd(
@@ -212,10 +241,22 @@ pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>
         None,
         par,
         MemStack::new(&mut memory),
-        Spec::default(),
+        params.into(),
     )
-    .map_err(|_| failed)?;
-    Ok((values.column_vector().iter().copied().collect(), vectors))
+    .ok()?;
+    Some((values.column_vector().iter().copied().collect(), vectors))
+}
+
+/// faer promises descending order, but does not keep it where samples repeat: there, the second singular value may stand behind
+/// hundreds of zeros.
+fn descending(values: Vec<f64>, vectors: Mat<f64>) -> (Vec<f64>, Mat<f64>) {
+    if values.is_sorted_by(|a, b| a >= b) {
+        return (values, vectors);
+    }
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
+    let sorted = Mat::from_fn(vectors.nrows(), order.len(), |u, k| vectors[(u, order[k])]);
+    (order.iter().map(|&k| values[k]).collect(), sorted)
 }
 
 /// Coefficients `[sample, k]` of the first `count` components.
@@ -274,7 +315,7 @@ fn max_errors_by_rank(
 }
 
 /// The value of largest magnitude in each component becomes positive.
-fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<f64>) {
+pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<f64>) {
     for (mut component, mut column) in components
         .outer_iter_mut()
         .zip(coefficients.axis_iter_mut(Axis(1)))
@@ -286,6 +327,48 @@ fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<f64>) {
         if peak < 0.0 {
             component.mapv_inplace(|v| -v);
             column.mapv_inplace(|v| -v);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Every way to decompose is right where its squares add up: its vectors are orthonormal and go with its values.
+    #[test]
+    fn repeated_rows_have_few_singular_values() {
+        for (rows, columns) in [
+            (300, 289),
+            (440, 289),
+            (500, 289),
+            (289, 289),
+            (289, 440),
+            (200, 289),
+        ] {
+            for distinct in [1, 2, 3, 5, 9] {
+                let matrix = Array2::from_shape_fn((rows, columns), |(j, u)| {
+                    let width = 4.0 + 0.6 * (j % distinct) as f64;
+                    (-((u as f64 - 140.0) / width).powi(2)).exp() / width
+                });
+                let (values, vectors) = decompose(matrix.view()).unwrap();
+                let top = values[0];
+                assert!(values.is_sorted_by(|a, b| a >= b));
+                assert!(values[distinct..].iter().all(|s| *s < 1e-13 * top));
+                let gram = vectors.transpose() * &vectors;
+                let image = project(matrix.view(), &vectors, values.len());
+                for (k, column) in image.axis_iter(Axis(1)).enumerate() {
+                    let norm = column.dot(&column).sqrt();
+                    assert!(
+                        (norm - values[k]).abs() < 1e-12 * top,
+                        "{rows}, {columns}, {distinct}: {k}"
+                    );
+                    for i in 0..values.len() {
+                        let off = gram[(i, k)] - f64::from(u8::from(i == k));
+                        assert!(off.abs() < 1e-12, "{rows}, {columns}, {distinct}: {i}, {k}");
+                    }
+                }
+            }
         }
     }
 }

@@ -68,6 +68,53 @@ fn singular_values_agree_with_nalgebra_also_where_they_are_small() {
     }
 }
 
+/// The decomposition of more samples than pixels that are nearly square used to come out of order.
+#[test]
+fn repeated_samples_lose_no_component() {
+    let side = 17;
+    let stamp = |kind: usize, y: usize, x: usize| {
+        let (dx, dy, sigma) = (x as f64 - 8.0, y as f64 - 8.0, 2.0 + 0.3 * kind as f64);
+        let squeeze = 1.0 + 0.1 * (kind * kind) as f64;
+        (-(dx * dx + squeeze * dy * dy) / (2.0 * sigma * sigma)).exp() / (sigma * sigma)
+    };
+    for (count, distinct) in [(300, 3), (360, 5), (440, 5), (300, 2), (320, 1)] {
+        let samples = samples(Array3::from_shape_fn((count, side, side), |(j, y, x)| {
+            stamp(j % distinct, y, x)
+        }));
+        let fit = Svd::new()
+            .with_centring(Centring::None)
+            .with_rank(RankSelection::Full)
+            .fit(&samples)
+            .unwrap();
+        assert_eq!(fit.rank(), distinct, "{count} samples");
+        assert!(
+            fit.max_error() < 1e-13,
+            "{count}, {distinct}: {}",
+            fit.max_error()
+        );
+        let rows = samples.stamps().to_owned();
+        let matrix = nalgebra::DMatrix::from_row_slice(count, side * side, rows.as_slice().unwrap());
+        let mut reference: Vec<f64> = matrix.singular_values().iter().copied().collect();
+        reference.sort_by(|a, b| b.total_cmp(a));
+        for (a, b) in fit.spectrum().unwrap().singular_values.iter().zip(&reference) {
+            assert!(
+                (a - b).abs() <= SINGULAR_VALUE_TOLERANCE * reference[0],
+                "{count}, {distinct}: {a} against {b}"
+            );
+        }
+        let flat = fit
+            .basis()
+            .components()
+            .into_shape_with_order((distinct, side * side))
+            .unwrap();
+        for ((i, j), product) in flat.dot(&flat.t()).indexed_iter() {
+            assert!((product - f64::from(u8::from(i == j))).abs() <= ORTHONORMALITY);
+        }
+        let centred = Svd::new().with_rank(RankSelection::Full).fit(&samples).unwrap();
+        assert!(centred.rank() >= distinct - 1 && centred.max_error() < 1e-12);
+    }
+}
+
 #[test]
 fn the_basis_is_orthonormal_and_full_rank_reproduces_the_samples() {
     for (count, ny, nx) in [(30, 8, 9), (200, 6, 7), (1, 5, 5), (17, 1, 13)] {

@@ -7,8 +7,7 @@ mod psfex_record;
 mod resampled;
 mod scopesim_record;
 
-use ndarray::{Array3, s};
-use psf_types::{DataError, PsfModel, PsfModelRecord, PsfSamples, SamplePositions, StampGrid};
+use psf_types::{PsfModel, PsfModelRecord, PsfSamples, SamplePositions, StampGrid};
 
 use crate::{FitOptions, PsfieldError, fit, model_of};
 
@@ -76,28 +75,4 @@ pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
         });
     }
     Ok(())
-}
-
-/// The samples as a model represents them, before any scaling to unit flux.
-///
-/// # Errors
-/// [`DataError`] when the truncated basis leaves a sample without flux.
-pub(crate) fn samples_of(record: &PsfModelRecord) -> Result<PsfSamples, DataError> {
-    let (basis, coefficients) = (record.basis(), record.coefficients());
-    let (ny, nx) = basis.grid().dim();
-    let components = basis
-        .components()
-        .into_shape_with_order((basis.rank(), ny * nx))
-        .expect("row-major");
-    let stamps = coefficients.values().dot(&components);
-    let count = coefficients.positions().len();
-    let mut stamps: Array3<f64> = stamps
-        .as_standard_layout()
-        .into_owned()
-        .into_shape_with_order((count, ny, nx))
-        .expect("row-major");
-    if let Some(mean) = basis.mean() {
-        stamps += &mean.slice(s![.., ..]);
-    }
-    PsfSamples::new(stamps, coefficients.positions().clone(), basis.grid())
 }
