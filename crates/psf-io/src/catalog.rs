@@ -49,7 +49,7 @@ impl Catalog {
 /// Reads a catalogue of stars and galaxies: see [`CatalogColumns`](crate::CatalogColumns) for its columns and
 /// [`points`](crate::points) for the kinds of files.
 ///
-/// In a catalogue with galaxies a row is a star where `re` or `n` is 0, empty or NaN.
+/// In a catalogue with galaxies a row is a star where `re` is 0, empty or NaN; a galaxy that lacks its `n` is an invalid row.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -66,6 +66,7 @@ impl Catalog {
 /// # Errors
 /// [`IoError::MissingColumn`]; [`IoError::Value`] with the row and column of a position or brightness that is missing or not finite;
 /// [`IoError::Source`] with the row of a galaxy that is out of range; [`IoError::ZeroPoint`] for magnitudes without one;
+/// [`IoError::UnusedZeroPoint`] for one without magnitudes; [`IoError::OneBasedSky`] for sky coordinates counted from 1;
 /// [`IoError::NoWorldCoordinates`] for sky coordinates without [`with_sky`](CatalogOptions::with_sky); [`IoError::SeveralHdus`] when more than one table of a FITS file has the columns; and the
 /// errors of any FITS or text table.
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
@@ -161,6 +162,11 @@ impl<'a> Place<'a> {
                 columns: [x, y],
                 kind: PlaceKind::Pixels { first },
             }),
+            (PositionColumns::Sky { ra, dec }, _) if options.one_based => Err(IoError::OneBasedSky {
+                path: path.to_owned(),
+                ra: ra.clone(),
+                dec: dec.clone(),
+            }),
             (PositionColumns::Sky { ra, dec }, Some(sky)) => Ok(Self {
                 columns: [ra, dec],
                 kind: PlaceKind::Sky(sky),
@@ -177,10 +183,16 @@ impl<'a> Place<'a> {
 impl<'a> Layout<'a> {
     fn new(path: &Path, options: &'a CatalogOptions, columns: &'a SourceColumns) -> Result<Self, IoError> {
         let light = match (&columns.light, options.zero_point) {
-            (LightColumn::Flux(column), _) => Light {
+            (LightColumn::Flux(column), None) => Light {
                 column,
                 zero_point: None,
             },
+            (LightColumn::Flux(column), Some(_)) => {
+                return Err(IoError::UnusedZeroPoint {
+                    path: path.to_owned(),
+                    column: column.clone(),
+                });
+            }
             (LightColumn::Magnitude(column), Some(zero_point)) => Light {
                 column,
                 zero_point: Some(zero_point),
@@ -281,8 +293,7 @@ impl Rows<'_> {
             return Ok(None);
         };
         let (re, n) = (self.value(row, 3), self.value(row, 4));
-        let none = |value: f64| value == 0.0 || value.is_nan();
-        if none(re) || none(n) {
+        if re == 0.0 || re.is_nan() {
             return Ok(None);
         }
         let q = if shape.q.is_some() {

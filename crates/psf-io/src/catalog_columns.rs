@@ -5,6 +5,7 @@ use std::path::Path;
 use psf_types::DataError;
 
 use crate::IoError;
+use crate::text_table::listed;
 
 /// The columns of a catalogue by what they mean: the default names, or others.
 ///
@@ -20,7 +21,8 @@ use crate::IoError;
 /// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 where there is no such column |
 ///
 /// A role that is given a column uses that one; the others use the column of their own name where there is one. Positions in
-/// pixels go before those on the sky, flux before magnitude. A catalogue has galaxies when it has the column of `re`, and then needs that
+/// pixels go before those on the sky, flux before magnitude (unless a zero point is given, which
+/// fluxes have no use for: then the columns must be chosen). A catalogue has galaxies when it has the column of `re`, and then needs that
 /// of `n`. Upper and lower case are the same.
 ///
 /// As text: `role=COLUMN`, separated by commas.
@@ -184,7 +186,7 @@ impl Found<'_> {
         Err(IoError::MissingColumn {
             path: self.path.to_owned(),
             column: self.column(role).to_owned(),
-            found: self.names.iter().map(|name| format!("{name:?}")).collect(),
+            found: listed(self.names),
         })
     }
 

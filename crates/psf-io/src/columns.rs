@@ -4,6 +4,7 @@ use crate::cfitsio::Fits;
 use crate::hdu::Hdu;
 use crate::number_columns::Gaps;
 use crate::structure::FitsStructure;
+use crate::text_table::listed;
 use crate::{IoError, Row};
 
 /// A column of a binary table.
@@ -64,11 +65,7 @@ impl<'a> Table<'a> {
             (None, _) => Err(IoError::MissingColumn {
                 path: path.clone(),
                 column: name.to_owned(),
-                found: self
-                    .columns
-                    .iter()
-                    .map(|column| format!("{:?}", column.name))
-                    .collect(),
+                found: listed(self.columns.iter().map(|column| &column.name)),
             }),
             (Some(_), Some(_)) => Err(IoError::AmbiguousColumn {
                 path: path.clone(),

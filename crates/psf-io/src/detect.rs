@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::structure::{FitsStructure, Magic, magic};
-use crate::{IoError, model, points, psfex, samples, scopesim, stdpsf, stpsf};
+use crate::{HduChoice, IoError, model, points, psfex, samples, scopesim, stdpsf, stpsf};
 
 /// What a file holds, told from its content, never from its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,13 +73,29 @@ const TESTS: &[Test] = &[
 /// # Errors
 /// [`IoError::Read`], [`IoError::NotAFile`], [`IoError::Truncated`], [`IoError::Compressed`] or [`IoError::Header`].
 pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
+    detect_hdu(path, None)
+}
+
+/// The same where an image is chosen: whether that one is an image or a cube.
+///
+/// # Errors
+/// As [`detect`]; [`IoError::NoSuchHdu`] where images are all there is, and the choice is none of them.
+pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<FileKind, IoError> {
     let path = path.as_ref();
     if magic(path)? != Magic::Fits {
         return Ok(FileKind::NotFits);
     }
     let structure = FitsStructure::scan(path)?;
     let kind = TESTS.iter().find(|(_, test)| test(&structure));
-    Ok(kind.map_or(FileKind::OtherFits, |&(kind, _)| kind))
+    let kind = kind.map_or(FileKind::OtherFits, |&(kind, _)| kind);
+    if choice.is_none() || !matches!(kind, FileKind::Image | FileKind::Cube) {
+        return Ok(kind);
+    }
+    Ok(match crate::image::squeezed(structure.image(choice)?).len() {
+        2 => FileKind::Image,
+        3 => FileKind::Cube,
+        _ => FileKind::OtherFits,
+    })
 }
 
 /// Axes of the first image, those of length 1 beyond two left out.

@@ -1,7 +1,7 @@
 //! Distortions of world coordinates: SIP in pixels, TPV on the projection.
 
-use crate::HeaderCards;
 use crate::sky_coordinates::{World, WorldCoordinatesError, product, unsupported};
+use crate::{Card, HeaderCards};
 
 /// The highest order of SIP that is read; the convention allows 9.
 const LARGEST_SIP_ORDER: usize = 9;
@@ -31,15 +31,36 @@ impl Distortion {
         axes: [&str; 2],
     ) -> Result<Self, WorldCoordinatesError> {
         let world = World { header };
-        if ctype.ends_with("-SIP") {
+        refuse_tables(header)?;
+        let is = |name| ctype.get(5..8) == Some(name);
+        let suffix = ctype.get(8..).unwrap_or_default().trim_end();
+        if !["", "-SIP"].contains(&suffix) {
+            return Err(unsupported(
+                &format!("CTYPE{}", if ctype.starts_with("RA") { axes[0] } else { axes[1] }),
+                "without a distortion after the projection, or with -SIP",
+                ctype,
+            ));
+        }
+        // Headers that went through several programs hold SIP and do not say so; astropy applies it, and so leaves terms of SCAMP out.
+        let order = ["A_ORDER", "B_ORDER"]
+            .into_iter()
+            .find(|keyword| header.get(keyword).is_some());
+        if let Some(keyword) = order.filter(|_| is("TPV")) {
+            return Err(unsupported(
+                keyword,
+                "absent: CTYPE1 says TPV",
+                "both distortions",
+            ));
+        }
+        if suffix == "-SIP" || order.is_some() {
             return Ok(Self::Sip([sip(&world, "A")?, sip(&world, "B")?]));
         }
-        let is = |name| ctype.get(5..8) == Some(name);
         // SCAMP's headers say TAN; terms of latitude have no other meaning there, nor have those from 5 on of longitude.
         let has = |axis: &str, from: usize| {
             (from..TPV_TERMS).any(|m| header.get(&format!("PV{axis}_{m}")).is_some())
         };
         if !is("TPV") && !(is("TAN") && (has(axes[1], 0) || has(axes[0], 5))) {
+            refuse_moved_reference(&world, axes[0])?;
             return Ok(Self::None);
         }
         let mut terms = Box::new([[0.0; TPV_TERMS]; 2]);
@@ -95,12 +116,50 @@ impl Distortion {
     }
 }
 
+/// Refuses distortions by tables of pixels (Calabretta et al. 2004), which an image's header alone does not hold.
+fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
+    const STEMS: [&str; 4] = ["CPDIS", "CQDIS", "D2IMDIS", "D2IMARR"];
+    let of_table = |card: &&Card| {
+        let keyword = card.keyword();
+        let rest = STEMS.iter().find_map(|stem| keyword.strip_prefix(stem));
+        rest.is_some_and(|rest| rest.bytes().all(|byte| byte.is_ascii_digit()))
+    };
+    match header.iter().find(of_table) {
+        None => Ok(()),
+        Some(card) => Err(unsupported(
+            &card.keyword(),
+            "absent: distortions by tables are not read (give a header with SIP or TPV, or positions in pixels)",
+            &card.value().map_or_else(String::new, |value| value.to_string()),
+        )),
+    }
+}
+
+/// Refuses `PVi_0` to `PVi_4` of the longitude where they move the reference point or the pole (Calabretta and Greisen 2002, section 2.5).
+fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoordinatesError> {
+    let pole = world.number("LONPOLE")?;
+    // The reference point lies at the pole of a zenithal projection: at latitude 90, where that of the celestial pole does not count.
+    for (m, usual) in [(0, 0.0), (1, 0.0), (2, 90.0), (3, pole.unwrap_or(0.0))] {
+        let keyword = format!("PV{axis}_{m}");
+        if let Some(value) = world
+            .number(&keyword)?
+            .filter(|&value| value != 0.0 && value != usual)
+        {
+            return Err(unsupported(
+                &keyword,
+                "0 or absent (a pole is read as LONPOLE)",
+                &value.to_string(),
+            ));
+        }
+    }
+    Ok(())
+}
+
 /// The terms `A_p_q` up to `A_ORDER`.
 fn sip(world: &World<'_>, name: &str) -> Result<Vec<(f64, i32, i32)>, WorldCoordinatesError> {
     let keyword = format!("{name}_ORDER");
     let order = world.needed(
         &keyword,
-        "the order of the distortion that CTYPE1 announces with -SIP",
+        "the order of the distortion SIP, which needs A_ORDER and B_ORDER",
     )?;
     if order.fract() != 0.0 || !(0.0..=LARGEST_SIP_ORDER as f64).contains(&order) {
         return Err(unsupported(

@@ -184,6 +184,18 @@ pub enum IoError {
         /// Number and name of each HDU that there is.
         found: Vec<String>,
     },
+    /// A FITS table of text.
+    #[error(
+        "{}: HDU {hdu} is an ASCII table (XTENSION = 'TABLE'), which is not read: write it as a binary table or as CSV, as astropy's \
+         Table.read(FILE).write(OTHER) does",
+        path.display()
+    )]
+    AsciiTable {
+        /// The file.
+        path: PathBuf,
+        /// The HDU.
+        hdu: usize,
+    },
     /// A keyword that must be there.
     #[error("{}: HDU {hdu} has no keyword {keyword} ({expected})", path.display())]
     MissingKeyword {
@@ -388,6 +400,32 @@ pub enum IoError {
         /// The column.
         column: String,
     },
+    /// The magnitude of flux 1 where fluxes are read.
+    #[error(
+        "{}: the column {column:?} holds fluxes, for which --zero-point has no meaning: leave it out, or name the column of magnitudes \
+         with --columns mag=COLUMN",
+        path.display()
+    )]
+    UnusedZeroPoint {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: String,
+    },
+    /// Positions counted from 1 where they are on the sky.
+    #[error(
+        "{}: the columns {ra:?} and {dec:?} are sky coordinates, for which --one-based has no meaning: leave it out, or name columns of \
+         pixels with --columns x=COLUMN,y=COLUMN",
+        path.display()
+    )]
+    OneBasedSky {
+        /// The file.
+        path: PathBuf,
+        /// The column of right ascensions.
+        ra: String,
+        /// The column of declinations.
+        dec: String,
+    },
     /// Sky coordinates without the world coordinates of the frame.
     #[error(
         "{}: the columns {ra:?} and {dec:?} are sky coordinates, and no world coordinates of the frame are given: give a scene whose \
@@ -491,6 +529,9 @@ impl IoError {
             | Self::Incomplete { path, .. }
             | Self::NotWhole { path, .. }
             | Self::Overflow { path }
+            | Self::AsciiTable { path, .. }
+            | Self::UnusedZeroPoint { path, .. }
+            | Self::OneBasedSky { path, .. }
             | Self::MissingColumn { path, .. }
             | Self::AmbiguousColumn { path, .. }
             | Self::ColumnFormat { path, .. }

@@ -131,6 +131,32 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
     Ok(structure.cards(structure.image(choice)?))
 }
 
+/// Reads the header cards that describe a frame, such as its world coordinates, from an HDU that need not have pixels.
+///
+/// Without a choice they are those of the image, as in [`read_header_hdu`]; in a file without pixels those of the first HDU with world
+/// coordinates (`CTYPE1`), or else of the primary.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("frame.fits");
+/// let mut header = String::new();
+/// for card in ["SIMPLE  = T", "BITPIX  = 8", "NAXIS   = 0", "CTYPE1  = 'RA---TAN'", "END"] {
+///     header.push_str(&format!("{card:<80}"));
+/// }
+/// std::fs::write(&path, format!("{header:<2880}"))?;
+/// let cards = psf_io::read_cards(&path, None)?;
+/// assert_eq!(cards.get("CTYPE1").and_then(|card| card.value()), Some("RA---TAN".into()));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::SeveralHdus`] where a choice among images with pixels is needed, [`IoError::NoSuchHdu`] for a choice that is no image, and the errors of
+/// any FITS file.
+pub fn read_cards(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
+    let structure = FitsStructure::scan(path.as_ref())?;
+    Ok(structure.cards(structure.header_of_frame(choice)?))
+}
+
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.
 ///
 /// `header` are cards carried over from an input (cut frames: [`HeaderCards::shifted_origin`]); `added` follow, each in the place

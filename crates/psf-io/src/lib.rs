@@ -101,7 +101,7 @@ pub use catalog_columns::CatalogColumns;
 pub use catalog_options::CatalogOptions;
 pub use csv_out::write_csv;
 pub use cube_out::write_cube;
-pub use detect::{FileKind, detect};
+pub use detect::{FileKind, detect, detect_hdu};
 pub use error::IoError;
 pub use gridded_error::GriddedError;
 pub use gridded_out::write_gridded;
@@ -109,8 +109,8 @@ pub use gridded_psf::GriddedPsf;
 pub use hdu_choice::HduChoice;
 pub use header_cards::HeaderCards;
 pub use image::{
-    FitsImage, read_cube, read_cube_hdu, read_header, read_header_hdu, read_image, read_image_hdu,
-    write_image,
+    FitsImage, read_cards, read_cube, read_cube_hdu, read_header, read_header_hdu, read_image,
+    read_image_hdu, write_image,
 };
 pub use image_reader::ImageReader;
 pub use image_writer::ImageWriter;
@@ -122,6 +122,6 @@ pub use row::Row;
 pub use samples::{Precision, read_samples, write_samples};
 pub use scopesim::{ScopesimOptions, ScopesimPsf, read_scopesim};
 pub use sky_coordinates::{SkyCoordinates, WorldCoordinatesError};
-pub use stamp_cube::{StampCubeOptions, read_stamp_cube};
-pub use stdpsf::read_stdpsf;
-pub use stpsf::{PlaneOrder, read_stpsf};
+pub use stamp_cube::{StampCubeOptions, read_stamp_cube, read_stamp_header};
+pub use stdpsf::{read_stdpsf, read_stdpsf_hdu};
+pub use stpsf::{PlaneOrder, read_stpsf, read_stpsf_hdu};

@@ -35,6 +35,7 @@ use crate::error::invalid;
 use crate::number_columns::{Gaps, NumberColumns};
 use crate::structure::FitsStructure;
 use crate::table_file::TableFile;
+use crate::text_table::listed;
 use crate::{CatalogOptions, IoError, read_positions_with};
 
 /// Reads a catalogue of point sources: the columns x, y and flux. Others are not looked at: [`read_catalog_with`](crate::read_catalog_with)
@@ -89,7 +90,7 @@ pub fn read_columns<const N: usize>(
             Some(name) => Err(IoError::MissingColumn {
                 path: path.to_owned(),
                 column: (*name).to_owned(),
-                found: found.iter().map(|name| format!("{name:?}")).collect(),
+                found: listed(found),
             }),
         }
     })?;

@@ -16,8 +16,9 @@ const USUAL_POLE_LONGITUDE: f64 = 180.0;
 /// The world coordinates of a frame: positions on the sky to pixels and back.
 ///
 /// The projections `TAN`, `SIN`, `ZEA`, `ARC` and `STG` with `CDi_j`, `PCi_j` and `CDELTi`, or `CDELTi` and `CROTA2`
-/// (Calabretta and Greisen 2002, A&A 395, 1077); distortions `SIP` (`TAN-SIP` and the like, `A_p_q` and `B_p_q`; the inverse is solved
-/// for, `AP_p_q` are not used) and `TPV` (also as `TAN` with `PVi_m`, as SCAMP writes it). Coordinates are in degrees, in the system
+/// (Calabretta and Greisen 2002, A&A 395, 1077); distortions `SIP` (`A_p_q` and `B_p_q`, also where `CTYPEi` do not say `-SIP`, as
+/// astropy has it; the inverse is solved for, `AP_p_q` are not used) and `TPV` (also as `TAN` with `PVi_m`, as SCAMP writes it). Other distortions (`CPDISn`, `CQDISn`,
+/// `D2IMDISn`) and reference points moved by `PVi_m` are errors, never left out. Coordinates are in degrees, in the system
 /// of the header (`RADESYS`): none are converted.
 ///
 /// ```

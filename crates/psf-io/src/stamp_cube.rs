@@ -9,7 +9,7 @@ use crate::error::{invalid, unsuitable};
 use crate::gridded_psf::cube_shape;
 use crate::pixels::read_pixels;
 use crate::structure::FitsStructure;
-use crate::{GriddedError, IoError};
+use crate::{GriddedError, HduChoice, HeaderCards, IoError};
 
 /// What the file of a [plain cube of stamps](read_stamp_cube) does not say, or says wrongly: what is given here goes before its
 /// header.
@@ -25,6 +25,7 @@ pub struct StampCubeOptions {
     oversampling: Option<f64>,
     centre: Option<(f64, f64)>,
     pixel_response_included: Option<bool>,
+    extension: Option<HduChoice>,
 }
 
 impl StampCubeOptions {
@@ -55,6 +56,15 @@ impl StampCubeOptions {
         }
     }
 
+    /// The image to read, of several.
+    #[must_use]
+    pub fn with_extension(self, extension: HduChoice) -> Self {
+        Self {
+            extension: Some(extension),
+            ..self
+        }
+    }
+
     /// Whether the response of a frame pixel is in the stamps.
     #[must_use]
     pub fn with_pixel_response_included(self, included: bool) -> Self {
@@ -65,7 +75,7 @@ impl StampCubeOptions {
     }
 }
 
-/// Reads plain stamps as PSF samples: the first image with pixels, a cube `[plane, y, x]` or an image `[y, x]`.
+/// Reads plain stamps as PSF samples: the image chosen, or the only one with pixels, a cube `[plane, y, x]` or an image `[y, x]`.
 ///
 /// Keywords of the [`psf-samples` layout](crate::samples) are understood where they are there, and have the same defaults; `options`
 /// go before them. A single stamp needs no position: as the only sample it holds everywhere, and lies at (0, 0).
@@ -83,13 +93,13 @@ impl StampCubeOptions {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Library`] for several planes without positions; [`IoError::Data`] where there is not one position a plane, two are equal, a
+/// [`IoError::SeveralHdus`] when more than one image has pixels and none is chosen; [`IoError::Library`] for several planes without positions; [`IoError::Data`] where there is not one position a plane, two are equal, a
 /// stamp has no flux, or oversampling or centre are out of range; [`IoError::Axes`], [`IoError::NonFinitePixels`]; and the errors of any
 /// FITS file.
 pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Result<PsfSamples, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
-    let hdu = structure.first_image()?;
+    let hdu = structure.stamps(options.extension.as_ref())?;
     let shape = cube_shape(hdu)?;
     let positions = match &options.positions {
         Some(positions) if positions.len() != shape.0 => {
@@ -121,4 +131,16 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
     let stamps =
         Array3::from_shape_vec(shape, read_pixels(path, hdu)?).expect("as many pixels as the axes say");
     PsfSamples::new(stamps, positions, grid).map_err(invalid(path))
+}
+
+/// Reads the header cards of the image that [`read_stamp_cube`] takes.
+///
+/// # Errors
+/// [`IoError::SeveralHdus`], [`IoError::NoSuchHdu`], and the errors of any FITS file; the pixels are not read.
+pub fn read_stamp_header(
+    path: impl AsRef<Path>,
+    extension: Option<&HduChoice>,
+) -> Result<HeaderCards, IoError> {
+    let structure = FitsStructure::scan(path.as_ref())?;
+    Ok(structure.cards(structure.stamps(extension)?))
 }

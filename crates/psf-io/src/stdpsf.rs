@@ -42,7 +42,7 @@ use crate::gridded_psf::{Planes, cube_shape};
 use crate::library_cards::{LibraryCards, has_card};
 use crate::pixels::read_pixels;
 use crate::structure::FitsStructure;
-use crate::{GriddedError, GriddedPsf, IoError};
+use crate::{GriddedError, GriddedPsf, HduChoice, IoError};
 
 use layout::Layout;
 
@@ -72,13 +72,25 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Library`] with the card in question where one is missing or malformed, where the number of planes is not that of the
+/// [`IoError::SeveralHdus`] when more than one image has pixels; [`IoError::Library`] with the card in question where one is missing or malformed, where the number of planes is not that of the
 /// grid, where two lines of the grid are equal, where a plane has no flux, or where there are several detectors and none of
 /// them is chosen; [`IoError::NonFinitePixels`]; and the errors of any FITS file.
 pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<GriddedPsf, IoError> {
+    read_stdpsf_hdu(path, None, detector)
+}
+
+/// The same of the HDU chosen.
+///
+/// # Errors
+/// As [`read_stdpsf`]; [`IoError::NoSuchHdu`].
+pub fn read_stdpsf_hdu(
+    path: impl AsRef<Path>,
+    choice: Option<&HduChoice>,
+    detector: Option<usize>,
+) -> Result<GriddedPsf, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
-    let hdu = structure.first_image()?;
+    let hdu = structure.stamps(choice)?;
     let cards = &LibraryCards::new(path, hdu);
     let (planes, ny, nx) = cube_shape(hdu)?;
     let columns = cards.required_count("NXPSFS", 1, COUNT_EXPECTED)?;

@@ -44,7 +44,7 @@ use crate::hdu::Hdu;
 use crate::library_cards::LibraryCards;
 use crate::pixels::read_pixels;
 use crate::structure::FitsStructure;
-use crate::{CardValue, GriddedError, GriddedPsf, IoError};
+use crate::{CardValue, GriddedError, GriddedPsf, HduChoice, IoError};
 
 pub(crate) use order::PLANE_ORDER;
 pub use order::PlaneOrder;
@@ -75,13 +75,25 @@ pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Library`] with the card in question where one is missing, malformed or there twice, where the number of planes is not
+/// [`IoError::SeveralHdus`] when more than one image has pixels; [`IoError::Library`] with the card in question where one is missing, malformed or there twice, where the number of planes is not
 /// that of the cards, where a plane has no flux, or where [`PlaneOrder::Auto`] cannot tell the order; [`IoError::Data`] for two planes at
 /// one position; [`IoError::NonFinitePixels`]; and the errors of any FITS file.
 pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPsf, IoError> {
+    read_stpsf_hdu(path, None, order)
+}
+
+/// The same of the HDU chosen.
+///
+/// # Errors
+/// As [`read_stpsf`]; [`IoError::NoSuchHdu`].
+pub fn read_stpsf_hdu(
+    path: impl AsRef<Path>,
+    choice: Option<&HduChoice>,
+    order: PlaneOrder,
+) -> Result<GriddedPsf, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
-    let hdu = structure.first_image()?;
+    let hdu = structure.stamps(choice)?;
     let cards = &LibraryCards::new(path, hdu);
     let shape = cube_shape(hdu)?;
     let positions = positions(path, hdu, cards, shape.0)?;

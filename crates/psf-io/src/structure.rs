@@ -96,6 +96,23 @@ impl FitsStructure {
         }
     }
 
+    /// The HDU whose header describes the frame: an image, with pixels or without. Without a choice the image with pixels, as
+    /// [`image`](Self::image) has it; where there is none the first HDU with world coordinates, or else the primary.
+    pub(crate) fn header_of_frame(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
+        let is_image = |hdu: &Hdu| hdu.kind == HduKind::Image;
+        if let Some(choice) = choice {
+            return match self.chosen(choice) {
+                Some(hdu) if is_image(hdu) => Ok(hdu),
+                _ => Err(self.no_such(choice, "images or headers of images", is_image)),
+            };
+        }
+        if self.first_image().is_ok() {
+            return self.image(None);
+        }
+        let describes = |hdu: &&Hdu| is_image(hdu) && hdu.header.get("CTYPE1").is_some();
+        Ok(self.hdus.iter().find(describes).unwrap_or(&self.hdus[0]))
+    }
+
     /// The cards of an image for files of another structure. An image in an extension inherits those of an empty primary HDU,
     /// unless `INHERIT = F` says otherwise.
     pub(crate) fn cards(&self, hdu: &Hdu) -> HeaderCards {
@@ -111,7 +128,23 @@ impl FitsStructure {
         let is_table = |hdu: &Hdu| hdu.kind == HduKind::BinaryTable;
         match self.chosen(choice) {
             Some(hdu) if is_table(hdu) => Ok(hdu),
+            Some(hdu) if hdu.is_ascii_table() => Err(self.ascii_table(hdu)),
             _ => Err(self.no_such(choice, "binary tables", is_table)),
+        }
+    }
+
+    /// The error for a file that holds no binary table.
+    pub(crate) fn no_table(&self, needed: &str) -> IoError {
+        match self.hdus.iter().find(|hdu| hdu.is_ascii_table()) {
+            Some(hdu) => self.ascii_table(hdu),
+            None => self.missing(&format!("binary table (columns needed: {needed})")),
+        }
+    }
+
+    fn ascii_table(&self, hdu: &Hdu) -> IoError {
+        IoError::AsciiTable {
+            path: self.path.clone(),
+            hdu: hdu.index,
         }
     }
 
@@ -129,12 +162,34 @@ impl FitsStructure {
         }
     }
 
+    /// The image with PSF stamps that is chosen; without a choice the only one with pixels.
+    pub(crate) fn stamps(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
+        if choice.is_some() {
+            return self.image(choice);
+        }
+        let first = self.first_image()?;
+        let images = self.hdus.iter().filter(|hdu| hdu.has_pixels());
+        match images.clone().nth(1) {
+            None => Ok(first),
+            Some(_) => Err(self.several_of("images", "--psf-extension N|NAME", images)),
+        }
+    }
+
     /// The error for HDUs of which one must be chosen.
     pub(crate) fn several<'a>(&self, what: &'static str, hdus: impl Iterator<Item = &'a Hdu>) -> IoError {
+        self.several_of(what, "--extension N|NAME", hdus)
+    }
+
+    fn several_of<'a>(
+        &self,
+        what: &'static str,
+        option: &'static str,
+        hdus: impl Iterator<Item = &'a Hdu>,
+    ) -> IoError {
         IoError::SeveralHdus {
             path: self.path.clone(),
             what,
-            option: "--extension N|NAME",
+            option,
             found: hdus.map(Hdu::described).collect(),
         }
     }
@@ -199,6 +254,11 @@ impl Hdu {
     /// Whether this is an image that has pixels.
     pub(crate) fn has_pixels(&self) -> bool {
         self.kind == HduKind::Image && !self.axes.is_empty() && self.axes.iter().all(|&n| n > 0)
+    }
+
+    /// Whether this is a table of text.
+    fn is_ascii_table(&self) -> bool {
+        self.text("XTENSION").as_deref() == Some("TABLE")
     }
 
     /// The EXTNAME.

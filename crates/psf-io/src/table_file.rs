@@ -70,7 +70,7 @@ impl TableFile {
         match (taken.pop(), refused) {
             (Some((_, result, table)), _) => Ok((result, AnyTable::Fits(table))),
             (None, Some((_, error))) => Err(error),
-            (None, None) => Err(structure.missing(&format!("binary table (columns needed: {needed})"))),
+            (None, None) => Err(structure.no_table(needed)),
         }
     }
 }

@@ -1,5 +1,8 @@
 //! The column names of text tables.
 
+/// The highest number of a column where no row tells how many there are.
+const MOST_WITHOUT_ROWS: usize = 10_000;
+
 /// What stands between the fields of a text table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Separator {
@@ -21,7 +24,7 @@ pub(crate) struct TextHeader {
 }
 
 impl TextHeader {
-    /// Finds the names: in SExtractor's way, `# number NAME ...` a line, where there are such lines; else in the first line that is
+    /// Finds the names: in SExtractor's way, `# number NAME ...` a line, where the comments are such lines; else in the first line that is
     /// no comment (`#`); or, when that line holds nothing but numbers, in the last comment ahead of it if it has as many fields.
     ///
     /// Fields are separated by commas, tabs or blanks, whichever the first line that is no comment has, in this order.
@@ -47,8 +50,7 @@ impl TextHeader {
             rows_from: start,
             first_line: number,
         };
-        let numbered = sextractor_names(&comments);
-        if !numbered.is_empty() {
+        if let Some(numbered) = sextractor_names(&comments, line) {
             return rows_here(numbered, Separator::Blanks);
         }
         let fields = separator.fields(line);
@@ -108,24 +110,38 @@ pub(crate) fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, usize)> {
         })
 }
 
-/// The names in lines `# number NAME ...`; columns between two numbers belong to a vector and have no name.
-fn sextractor_names(comments: &[&[u8]]) -> Vec<String> {
-    let mut names: Vec<String> = Vec::new();
-    for comment in comments {
-        let mut words = comment
-            .split(u8::is_ascii_whitespace)
-            .filter(|word| !word.is_empty());
-        let number = words
-            .next()
-            .and_then(|word| std::str::from_utf8(word).ok()?.parse::<usize>().ok());
-        let (Some(number), Some(name)) = (number, words.next()) else {
-            continue;
-        };
-        // A number far beyond the last is none of a column.
-        if number > names.len() && number <= names.len() + 10_000 {
-            names.resize(number - 1, String::new());
-            names.push(String::from_utf8_lossy(name).into_owned());
-        }
+/// The names in lines `# number NAME ...`, as many as the first row has fields; columns that no line names belong to a vector and have
+/// no name.
+///
+/// Comments may begin with a number too: the numbers of columns start at 1 and rise up to the last comment, and the row has nothing but
+/// numbers, at least as many.
+fn sextractor_names(comments: &[&[u8]], row: &[u8]) -> Option<Vec<String>> {
+    let is_number = |field: &[u8]| std::str::from_utf8(field).is_ok_and(|text| text.parse::<f64>().is_ok());
+    let fields: Vec<&[u8]> = blank_separated(row).collect();
+    if !fields.iter().all(|field| is_number(field)) {
+        return None;
     }
-    names
+    let of_column = |comment: &&[u8]| {
+        let mut words = blank_separated(comment);
+        let number: usize = std::str::from_utf8(words.next()?).ok()?.parse().ok()?;
+        Some((number, String::from_utf8_lossy(words.next()?).into_owned()))
+    };
+    of_column(comments.last()?)?;
+    let columns: Vec<(usize, String)> = comments.iter().filter_map(of_column).collect();
+    let rises = columns.windows(2).all(|pair| pair[0].0 < pair[1].0);
+    let last = columns[columns.len() - 1].0;
+    // A catalogue may have no row.
+    let most = if row.is_empty() {
+        MOST_WITHOUT_ROWS
+    } else {
+        fields.len()
+    };
+    if columns[0].0 != 1 || !rises || last > most {
+        return None;
+    }
+    let mut names = vec![String::new(); last.max(fields.len())];
+    for (number, name) in columns {
+        names[number - 1] = name;
+    }
+    Some(names)
 }

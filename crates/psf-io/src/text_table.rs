@@ -119,11 +119,7 @@ impl TextTable {
             (None, _) => Err(IoError::MissingColumn {
                 path: self.path.clone(),
                 column: name.to_owned(),
-                found: names
-                    .iter()
-                    .take(LISTED)
-                    .map(|name| format!("{:?}", shown(name.as_bytes())))
-                    .collect(),
+                found: listed(names),
             }),
             (Some(_), Some(_)) => Err(IoError::AmbiguousColumn {
                 path: self.path.clone(),
@@ -155,6 +151,18 @@ fn line_of(text: &[u8], position: Option<&Position>) -> u64 {
         .take_while(|line| line.starts_with(b"#") || line.is_empty() || *line == b"\r")
         .count();
     line + skipped as u64
+}
+
+/// Column names for errors: the first of those that are not empty.
+pub(crate) fn listed<'a>(names: impl IntoIterator<Item = &'a String>) -> Vec<String> {
+    let mut named = names.into_iter().filter(|name| !name.is_empty());
+    let quoted = |name: &String| format!("{:?}", shown(name.as_bytes()));
+    let mut list: Vec<String> = named.by_ref().take(LISTED).map(quoted).collect();
+    match named.count() {
+        0 => {}
+        more => list.push(format!("and {more} more")),
+    }
+    list
 }
 
 fn shown(field: &[u8]) -> String {
@@ -234,6 +242,13 @@ mod tests {
             "# made by hand\n# x,y\n1,2\n3,4\n",
             "# x y\r\n1 2\r\n3 4\r\n",
             "#x y\n1 2\n3 4\n",
+            // The last column of SExtractor's may be a vector.
+            "# 1 X\n# 2 Y\n# 3 FLUX_APER\n1 2 7 8 9\n3 4 7 8 9\n",
+            // Comments that begin with a number are none of it.
+            "# 2916 stars of the field\nx,y\n1,2\n3,4\n",
+            "# 1 star left out\n# x y\n1 2\n3 4\n",
+            "# 1 star left out\nx y\n1 2\n3 4\n",
+            "# 2 stars of the field\n# x y\n1 2\n3 4\n",
             // SExtractor's ASCII_HEAD; columns 2 and 3 are one vector
             "#   1 X          Object position along x      [pixel]\n#   2 FLUX_APER  Flux vector  [count]\n\
              #   4 Y          Object position along y  [pixel]\n    1.0  9 9  2.0\n    3.0  9 9   4.0\n",
@@ -248,7 +263,7 @@ mod tests {
             ("# x y\n1 2\n\n3\n", 4, 2, 1),
             ("x y\n1 2 3\n", 2, 2, 3),
             ("# 1 X\n# 2 Y\n1 2\n1 2 3\n", 4, 2, 3),
-            ("# 1 X\n# 3 Y\n1 2\n", 3, 3, 2),
+            ("# 1 X\n# 2 Y\n1 2 7\n1 2\n", 4, 3, 2),
         ] {
             match read(text.as_bytes()) {
                 Err(IoError::RowLength {
@@ -266,6 +281,19 @@ mod tests {
             Err(IoError::Value { row, got, .. }) => assert_eq!((row, got.as_str()), (Row::Line(3), "a")),
             other => panic!("{other:?}"),
         }
+    }
+
+    #[test]
+    fn columns_without_a_name_are_not_listed() {
+        let error = read(b"# 1 A\n# 9 B\n1 2 3 4 5 6 7 8 9\n").unwrap_err();
+        assert!(
+            matches!(&error, IoError::MissingColumn { found, .. } if *found == ["\"A\"", "\"B\""]),
+            "{error}"
+        );
+        assert_eq!(read(b"# 1 X\n# 2 Y\n").unwrap(), [[0.0; 0]; 2]);
+        let names: Vec<String> = (0..300).map(|k| k.to_string()).collect();
+        let list = listed(&names);
+        assert_eq!((list.len(), list[LISTED].as_str()), (LISTED + 1, "and 280 more"));
     }
 
     #[test]

@@ -9,6 +9,8 @@ const ALWAYS_ALLOWED: u64 = 64 << 20;
 const ALLOWED_PER_BYTE: u64 = 4096;
 /// The algorithms that are read. CFITSIO also knows `HCOMPRESS_1`, but writes beyond its memory when such data are damaged.
 const ALGORITHMS: &[&str] = &["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", PLIO];
+/// Parameters of an algorithm are looked for up to this number of `ZNAMEi`.
+const MOST_PARAMETERS: usize = 9;
 /// Masks as lists of runs.
 pub(crate) const PLIO: &str = "PLIO_1";
 
@@ -34,24 +36,11 @@ impl TiledImage {
             ));
         }
         // CFITSIO takes these as they come, and looks up or divides by them.
-        let check = |keyword, default, sound: fn(i64) -> bool, problem| {
-            if sound(table.structural(keyword, Some(default))?) {
-                Ok(())
-            } else {
-                Err(table.header_error(keyword, problem))
-            }
-        };
-        check(
-            "ZDITHER0",
-            1,
-            |seed| (1..=10_000).contains(&seed),
-            "must be 1 to 10000",
-        )?;
+        if !(1..=10_000).contains(&table.structural("ZDITHER0", Some(1))?) {
+            return Err(table.header_error("ZDITHER0", "must be 1 to 10000"));
+        }
         if algorithm.is_some_and(|name| name.trim().starts_with("RICE")) {
-            let block = |pixels: i64| (1..=1024).contains(&pixels);
-            check("ZVAL1", 32, block, "a block of RICE_1 has 1 to 1024 pixels")?;
-            let width = |bytes: i64| [1, 2, 4, 8].contains(&bytes);
-            check("ZVAL2", 4, width, "pixels of RICE_1 have 1, 2, 4 or 8 bytes")?;
+            check_rice(table)?;
         }
         let bitpix = table.structural("ZBITPIX", None)?;
         if ![8, 16, 32, 64, -32, -64].contains(&bitpix) {
@@ -101,4 +90,43 @@ impl TiledImage {
         }
         Ok(Self { bitpix, axes })
     }
+}
+
+/// Checks the block size and the bytes of a pixel that CFITSIO takes for RICE_1: it goes by the place of `ZVALi`, and by `ZNAMEi` hardly.
+fn check_rice(table: &Hdu) -> Result<(), IoError> {
+    let name = |number: usize| table.text(&format!("ZNAME{number}"));
+    // Of old files, whose pixels have 4 bytes.
+    let old = name(2).is_some_and(|name| name.trim() == "NOISEBIT");
+    let first = table.structural("ZVAL1", Some(32))?;
+    let second = if old {
+        4
+    } else {
+        table.structural("ZVAL2", Some(4))?
+    };
+    let ((block_key, block), (width_key, width)) = if first < 16 && second > 8 {
+        (("ZVAL2", second), ("ZVAL1", first))
+    } else {
+        (("ZVAL1", first), ("ZVAL2", second))
+    };
+    if !(1..=1024).contains(&block) {
+        return Err(table.header_error(block_key, "a block of RICE_1 has 1 to 1024 pixels"));
+    }
+    if ![1, 2, 4, 8].contains(&width) {
+        return Err(table.header_error(width_key, "pixels of RICE_1 have 1, 2, 4 or 8 bytes"));
+    }
+    for number in 1..=MOST_PARAMETERS {
+        let taken = match name(number).as_deref().map(str::trim) {
+            Some("BLOCKSIZE") => block,
+            Some("BYTEPIX") => width,
+            _ => continue,
+        };
+        let value = format!("ZVAL{number}");
+        if table.structural(&value, None)? != taken {
+            return Err(table.header_error(
+                &value,
+                "BLOCKSIZE must be the first parameter and BYTEPIX the second: run funpack first",
+            ));
+        }
+    }
+    Ok(())
 }

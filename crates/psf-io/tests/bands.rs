@@ -79,7 +79,9 @@ fn bands_in_are_the_image_whatever_the_file_holds() {
         "OBJECT  = 'sky'",
     ];
     let shorts: Vec<i16> = (0..count as i16).map(|v| 37 * v - 4000).collect();
-    let longs: Vec<i32> = (0..count as i32).map(|v| 7_654_321 * v - 1_000_000_000).collect();
+    let longs: Vec<i32> = (0..count as i32)
+        .map(|v| v.wrapping_mul(7_654_321).wrapping_sub(1_000_000_000))
+        .collect();
     let floats: Vec<f32> = values::<f32>(nx, ny).iter().copied().collect();
     let doubles: Vec<f64> = values::<f64>(nx, ny).iter().copied().collect();
     let mut extension = image(SIMPLE, 8, &[], &["EXTEND  = T"], &[]);

@@ -89,6 +89,17 @@ fn magnitudes_need_a_zero_point() {
     let stars = read(text, &with).unwrap().into_parts().0;
     assert!((stars[0].flux() - 100.0).abs() < 1e-10 && (stars[1].flux() - 0.1).abs() < 1e-13);
     assert!(CatalogOptions::new().with_zero_point(f64::NAN).is_err());
+    // Fluxes have no use for one, and which column is meant is not guessed.
+    for text in ["x,y,flux\n1,2,20\n", "x,y,mag,flux\n1,2,20,7\n"] {
+        let error = read(text, &with).unwrap_err();
+        assert!(
+            matches!(&error, IoError::UnusedZeroPoint { column, .. } if column == "flux"),
+            "{error}"
+        );
+    }
+    let chosen = with.clone().with_columns("mag=mag".parse().unwrap());
+    let star = read("x,y,mag,flux\n1,2,20,7\n", &chosen).unwrap().stars()[0];
+    assert!((star.flux() - 100.0).abs() < 1e-10);
     // A flux goes before a magnitude.
     assert_eq!(
         read("x,y,mag,flux\n1,2,20,7\n", &CatalogOptions::new())
@@ -100,8 +111,18 @@ fn magnitudes_need_a_zero_point() {
 }
 
 #[test]
+fn sky_coordinates_are_not_counted_from_one() {
+    let options = CatalogOptions::new().with_sky(sky()).with_one_based(true);
+    let error = read("ra,dec,flux\n150,2,3\n", &options).unwrap_err();
+    assert!(
+        matches!(&error, IoError::OneBasedSky { ra, dec, .. } if ra == "ra" && dec == "dec"),
+        "{error}"
+    );
+}
+
+#[test]
 fn rows_without_a_profile_are_stars() {
-    let text = "x,y,flux,re,n,q,angle\n1,2,3,2.5,4,0.5,30\n1,2,3,0,4,0.5,30\n1,2,3,,4,,\n1,2,3,2,nan,1,0\n1,2,3,2,0,9,9\n";
+    let text = "x,y,flux,re,n,q,angle\n1,2,3,2.5,4,0.5,30\n1,2,3,0,4,0.5,30\n1,2,3,,4,,\n1,2,3,nan,nan,1,0\n1,2,3,0,0,9,9\n";
     let catalog = read(text, &CatalogOptions::new()).unwrap();
     assert_eq!(
         (
@@ -140,6 +161,9 @@ fn bad_rows_are_named_or_counted() {
         ("1,2,,4,1,1,0", "flux is"),
         ("1,2,inf,4,1,1,0", "flux is"),
         ("1,2,3,-4,1,1,0", "re must be"),
+        ("1,2,3,4,,1,0", "n must be"),
+        ("1,2,3,4,nan,1,0", "n must be"),
+        ("1,2,3,4,0,1,0", "n must be"),
         ("1,2,3,4,9,1,0", "n must be from 0.3 to 8"),
         ("1,2,3,4,0.2,1,0", "n must be"),
         ("1,2,3,4,1,1.5,0", "q must be"),
@@ -250,8 +274,7 @@ fn sky_coordinates_go_through_the_frames_world_coordinates() {
         matches!(&error, IoError::NoWorldCoordinates { ra, .. } if ra == "ra"),
         "{error}"
     );
-    // Counting from 1 is about pixels, which the sky has none of.
-    let options = CatalogOptions::new().with_sky(sky()).with_one_based(true);
+    let options = CatalogOptions::new().with_sky(sky());
     let catalog = read(text, &options).unwrap();
     assert_eq!((catalog.stars().len(), catalog.rows_off_projection()), (2, 1));
     let second = catalog.stars()[1].position();

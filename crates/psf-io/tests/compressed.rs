@@ -179,6 +179,27 @@ fn broken_tiles_are_errors() {
             "{keyword} = {to}: {error}"
         );
     }
+    // A parameter that stands where CFITSIO takes it for another.
+    assert!(
+        matches!(forged("'BYTEPIX '", "'BLOCKSIZE'"), IoError::Header { keyword, .. } if keyword == "ZVAL2")
+    );
+    // Parameters in the other order are told apart by their sizes.
+    let mut bytes = good.clone();
+    for (from, to) in [
+        (number("ZVAL1", "32"), number("ZVAL1", "4")),
+        (number("ZVAL2", "4"), number("ZVAL2", "32")),
+        ("'BLOCKSIZE'".to_owned(), "'BYTEPIX  '".to_owned()),
+    ] {
+        let at = bytes.windows(from.len()).position(|w| w == from.as_bytes());
+        let at = at.expect(&from);
+        bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+    }
+    let at = bytes.windows(8).position(|w| w == b"ZNAME2  ").unwrap();
+    bytes[at..at + 21].copy_from_slice(b"ZNAME2  = 'BLOCKSIZE'");
+    assert_eq!(
+        pixels(&scratch.put("swapped.fits", &bytes)).unwrap(),
+        pixels(&path).unwrap()
+    );
     assert!(
         matches!(forged("'RICE_1  '", "'MAGIC_1 '"), IoError::Header { keyword, .. } if keyword == "ZCMPTYPE")
     );

@@ -7,12 +7,14 @@ use std::path::Path;
 
 use ndarray::{Array3, s};
 use psf_io::{
-    Card, CardValue, FileKind, IoError, PlaneOrder, StampCubeOptions, detect, read_cube, read_header,
-    read_stamp_cube, read_stpsf, write_gridded,
+    Card, CardValue, FileKind, HduChoice, IoError, PlaneOrder, StampCubeOptions, detect, detect_hdu,
+    read_cube, read_header, read_stamp_cube, read_stamp_header, read_stdpsf, read_stdpsf_hdu, read_stpsf,
+    read_stpsf_hdu, write_gridded,
 };
 use psf_types::{Position, PsfSamples, SamplePositions, StampGrid, StampInterpolation};
+use support::libraries::{stdpsf, stpsf};
 use support::mutations::{assert_refused, cut, huge_sizes, not_finite, wrong_types};
-use support::{SIMPLE, Scratch, chain, f32s, image};
+use support::{IMAGE, SIMPLE, Scratch, chain, f32s, image};
 
 /// Bilinear sums of a few terms in double precision.
 const ROUNDING: f64 = 1e-13;
@@ -216,6 +218,54 @@ fn plain_stamps_need_positions_unless_there_is_one() {
     }
     let wrong = StampCubeOptions::default().with_oversampling(0.0);
     assert!(chain(&read_stamp_cube(&one, &wrong).unwrap_err()).contains("oversampling"));
+}
+
+#[test]
+fn of_several_images_one_must_be_chosen() {
+    let scratch = Scratch::new();
+    let values: Vec<f32> = (1..=32).map(|v| v as f32).collect();
+    let stamp = |first, values: &[f32]| image(first, -32, &[4, 4], &["OVERSAMP= 3"], &f32s(values));
+    let cube = |first| image(first, -32, &[4, 4, 2], &["OVERSAMP= 3"], &f32s(&values));
+    let one_hdu = [cube(SIMPLE), stpsf(&[]), stdpsf(3, 2)];
+    let second = stamp(IMAGE, &values[16..]);
+    let files = one_hdu.map(|bytes| [bytes, second.clone()].concat());
+    let several = |result: Result<(), IoError>| {
+        let error = result.unwrap_err();
+        assert!(
+            matches!(&error, IoError::SeveralHdus { found, .. } if found.len() == 2),
+            "{error}"
+        );
+        assert!(error.to_string().contains("--psf-extension"), "{error}");
+    };
+    let [cubes, grids, libraries] = [0, 1, 2].map(|i| scratch.put(&format!("{i}.fits"), &files[i]));
+    let choice = |number| HduChoice::Number(number);
+    several(read_stamp_cube(&cubes, &StampCubeOptions::default()).map(drop));
+    several(read_stamp_header(&cubes, None).map(drop));
+    several(read_stpsf(&grids, PlaneOrder::Auto).map(drop));
+    several(read_stdpsf(&libraries, None).map(drop));
+    let options = StampCubeOptions::default().with_extension(choice(1));
+    let read = read_stamp_cube(&cubes, &options).unwrap();
+    assert_eq!((read.len(), read.stamp(0)[[0, 0]]), (1, 17.0));
+    assert_eq!(detect(&cubes).unwrap(), FileKind::Cube);
+    assert_eq!(detect_hdu(&cubes, Some(&choice(1))).unwrap(), FileKind::Image);
+    assert_eq!(
+        read_stpsf_hdu(&grids, Some(&choice(0)), PlaneOrder::Auto)
+            .unwrap()
+            .samples()
+            .len(),
+        6
+    );
+    assert_eq!(
+        read_stdpsf_hdu(&libraries, Some(&choice(0)), None)
+            .unwrap()
+            .samples()
+            .len(),
+        6
+    );
+    assert!(matches!(
+        read_stpsf_hdu(&grids, Some(&choice(2)), PlaneOrder::Auto),
+        Err(IoError::NoSuchHdu { .. })
+    ));
 }
 
 #[test]

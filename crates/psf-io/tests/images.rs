@@ -4,7 +4,7 @@ mod support;
 
 use ndarray::{Array2, array};
 use psf_io::{
-    Card, HduChoice, HeaderCards, IoError, read_cube, read_header, read_header_hdu, read_image,
+    Card, HduChoice, HeaderCards, IoError, read_cards, read_cube, read_header, read_header_hdu, read_image,
     read_image_hdu,
 };
 use support::{IMAGE, SIMPLE, Scratch, chain, f32s, f64s, hdu, i16s, i32s, i64s, image, names};
@@ -163,6 +163,37 @@ fn cards_of_the_exposure_are_inherited() {
     assert_eq!(keywords(&of("2")), ["EXPTIME", "ORIGIN", "EXTNAME", "GAIN"]);
     assert_eq!(of("2").get("GAIN").and_then(Card::value), Some(2.0.into()));
     assert_eq!(keywords(&of("MASK")), ["EXTNAME"]);
+}
+
+#[test]
+fn a_header_needs_no_pixels() {
+    let scratch = Scratch::new();
+    let empty = |first, cards: &[&str]| image(first, 8, &[], cards, &[]);
+    let primary = empty(SIMPLE, &["ORIGIN  = 'here'"]);
+    let frame = empty(IMAGE, &["EXTNAME = 'FRAME'", "CTYPE1  = 'RA---TAN'"]);
+    let pixels = image(IMAGE, 8, &[2, 2], &["EXTNAME = 'SCI'"], &[0; 4]);
+    let has = |name: &str, bytes: &[u8], choice: Option<&str>, keyword: &str| {
+        let choice = choice.map(|choice| choice.parse().unwrap());
+        let cards = read_cards(scratch.put(name, bytes), choice.as_ref()).unwrap();
+        cards.get(keyword).is_some()
+    };
+    assert!(has("a.fits", &primary, None, "ORIGIN"));
+    let both = [primary.clone(), frame.clone()].concat();
+    assert!(has("b.fits", &both, None, "CTYPE1") && has("b.fits", &both, Some("FRAME"), "CTYPE1"));
+    assert!(!has("b.fits", &both, Some("0"), "CTYPE1"));
+    // The image goes before headers without pixels, unless one of them is chosen.
+    let all = [primary, frame, pixels].concat();
+    assert!(!has("c.fits", &all, None, "CTYPE1") && has("c.fits", &all, Some("1"), "CTYPE1"));
+    let error = read_cards(scratch.path("c.fits"), Some(&"3".parse().unwrap())).unwrap_err();
+    assert!(
+        matches!(&error, IoError::NoSuchHdu { found, .. } if found.len() == 3),
+        "{error}"
+    );
+    let two = [&all[..], &image(IMAGE, 8, &[2, 2], &[], &[0; 4])].concat();
+    assert!(matches!(
+        read_cards(scratch.put("d.fits", &two), None),
+        Err(IoError::SeveralHdus { .. })
+    ));
 }
 
 #[test]

@@ -133,6 +133,63 @@ fn headers_that_are_not_understood_name_the_keyword() {
 }
 
 #[test]
+fn no_distortion_is_left_out() {
+    let cases = cases();
+    let plain = header(&cases[0]);
+    let with = |header: &HeaderCards, keyword: &str, value: CardValue| {
+        let mut header = header.clone();
+        header.set(Card::new(keyword, value, "").unwrap());
+        SkyCoordinates::from_header(&header)
+    };
+    for (keyword, value) in [
+        ("CPDIS1", "LOOKUP".into()),
+        ("CQDIS2", "Lookup".into()),
+        ("D2IMDIS1", "LOOKUP".into()),
+        ("D2IMARR", 1.into()),
+        ("PV1_0", 1.into()),
+        ("PV1_1", 0.5.into()),
+        ("PV1_2", 45.0.into()),
+        ("PV1_3", 12.0.into()),
+        ("CTYPE1", "RA---TAN-TPD".into()),
+    ] {
+        let error = with(&plain, keyword, value).unwrap_err();
+        assert!(
+            matches!(&error, WorldCoordinatesError::Unsupported { keyword: named, .. } if named == keyword),
+            "{keyword}: {error}"
+        );
+    }
+    for keyword in ["PV1_0", "PV1_3"] {
+        with(&plain, keyword, 0.0.into()).unwrap();
+    }
+    with(&plain, "PV1_2", 90.0.into()).unwrap();
+    assert!(matches!(
+        with(&plain, "A_ORDER", 2.into()),
+        Err(WorldCoordinatesError::Missing { keyword, .. }) if keyword == "B_ORDER"
+    ));
+    // SIP is applied whether CTYPE says so or not.
+    let mut compared = 0;
+    for case in &cases {
+        let whole = header(case);
+        let mut unsaid = whole.clone();
+        for keyword in ["CTYPE1", "CTYPE2"] {
+            let Some(CardValue::Text(ctype)) = whole.get(keyword).and_then(Card::value) else {
+                panic!("{keyword} is a text");
+            };
+            unsaid.set(Card::new(keyword, ctype.trim_end_matches("-SIP"), "").unwrap());
+        }
+        if unsaid != whole {
+            compared += 1;
+            let found = SkyCoordinates::from_header(&unsaid).unwrap();
+            for ([x, y], [longitude, latitude]) in pairs(case) {
+                let pixel = found.pixel(longitude, latitude).unwrap();
+                assert!((pixel.x() - x).abs() < PIXEL_ERROR && (pixel.y() - y).abs() < PIXEL_ERROR);
+            }
+        }
+    }
+    assert!(compared > 0);
+}
+
+#[test]
 fn extremes_are_no_pixels() {
     for case in cases() {
         let sky = SkyCoordinates::from_header(&header(&case)).unwrap();

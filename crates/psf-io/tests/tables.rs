@@ -2,8 +2,11 @@
 
 mod support;
 
-use psf_io::{FileKind, IoError, detect, read_catalog, read_columns, read_positions, write_csv};
-use support::{SIMPLE, Scratch, chain, f32s, f64s, i16s, i32s, image, names, table};
+use psf_io::{
+    CatalogOptions, FileKind, IoError, detect, read_catalog, read_columns, read_positions,
+    read_positions_with, write_csv,
+};
+use support::{SIMPLE, Scratch, chain, f32s, f64s, hdu, i16s, i32s, image, names, table};
 
 fn fits(tables: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = image(SIMPLE, 8, &[], &[], &[]);
@@ -35,6 +38,37 @@ fn the_first_table_with_the_columns_counts_whatever_their_types() {
     );
     assert_eq!(read_positions(&path).unwrap()[1].x(), -0.5);
     assert_eq!(detect(&path).unwrap(), FileKind::PointTable);
+}
+
+#[test]
+fn ascii_tables_are_named_with_the_remedy() {
+    let ascii = hdu(
+        &[
+            "XTENSION= 'TABLE   '",
+            "BITPIX  = 8",
+            "NAXIS   = 2",
+            "NAXIS1  = 10",
+            "NAXIS2  = 1",
+            "PCOUNT  = 0",
+            "GCOUNT  = 1",
+            "TFIELDS = 2",
+            "TTYPE1  = 'x'",
+            "TBCOL1  = 1",
+            "TFORM1  = 'F4.1'",
+            "TTYPE2  = 'y'",
+            "TBCOL2  = 6",
+            "TFORM2  = 'F4.1'",
+        ],
+        b" 1.0  2.0 ",
+    );
+    let scratch = Scratch::new();
+    let path = scratch.put("a.fits", &fits(&[ascii]));
+    let chosen = CatalogOptions::new().with_table("1".parse().unwrap());
+    for result in [read_positions(&path), read_positions_with(&path, &chosen)] {
+        let error = result.unwrap_err();
+        assert!(matches!(error, IoError::AsciiTable { hdu: 1, .. }), "{error}");
+        assert!(names(&error, &path) && error.to_string().contains("binary table"));
+    }
 }
 
 #[test]

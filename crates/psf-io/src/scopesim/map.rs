@@ -82,7 +82,7 @@ fn layer(
         hdu: hdu.index,
         index: index(),
         got: value,
-        last: layer_count - 1,
+        last: layer_count.saturating_sub(1),
     }))
 }
 
