@@ -18,6 +18,7 @@ pub struct Camera {
     gain: Option<f64>,
     read_noise: f64,
     saturation: Option<f64>,
+    header_saturation: Option<f64>,
 }
 
 impl Camera {
@@ -74,6 +75,24 @@ impl Camera {
         })
     }
 
+    /// The level that the frame's header states (`SATURATE`); it counts where no other is given. At or below the background it cannot
+    /// be true, and is ignored ([`Saturation::ignored`]).
+    ///
+    /// # Errors
+    /// [`StarError::Setting`] unless it is finite.
+    pub fn with_header_saturation(self, level: f64) -> Result<Self, StarError> {
+        check(
+            level.is_finite(),
+            "the saturation level of the header",
+            "a finite number",
+            level,
+        )?;
+        Ok(Self {
+            header_saturation: Some(level),
+            ..self
+        })
+    }
+
     /// Electrons per unit of the frame, if known.
     pub fn gain(&self) -> Option<f64> {
         self.gain
@@ -99,12 +118,24 @@ impl Camera {
         }
     }
 
-    /// The saturation level given, or the frame's largest value where several pixels pile up at it.
-    pub(crate) fn saturation_of(&self, frame: ArrayView2<'_, f64>) -> Saturation {
+    /// The saturation level given, or the header's, or the frame's largest value where several pixels pile up at it.
+    pub(crate) fn saturation_of(&self, frame: ArrayView2<'_, f64>, background: f64) -> Saturation {
         if let Some(level) = self.saturation {
             return Saturation {
                 level: Some(level),
                 origin: SaturationOrigin::Given,
+                ignored: None,
+            };
+        }
+        let (believed, ignored) = match self.header_saturation {
+            Some(level) if level > background => (Some(level), None),
+            other => (None, other),
+        };
+        if believed.is_some() {
+            return Saturation {
+                level: believed,
+                origin: SaturationOrigin::Header,
+                ignored: None,
             };
         }
         let largest = frame.iter().copied().fold(f64::NEG_INFINITY, f64::max);
@@ -113,11 +144,13 @@ impl Camera {
             Saturation {
                 level: Some(largest),
                 origin: SaturationOrigin::PileUp,
+                ignored,
             }
         } else {
             Saturation {
                 level: None,
                 origin: SaturationOrigin::Unknown,
+                ignored,
             }
         }
     }
@@ -134,6 +167,8 @@ pub struct Saturation {
     pub level: Option<f64>,
     /// Where it comes from.
     pub origin: SaturationOrigin,
+    /// A level of the header at or below the background, which was not believed.
+    pub ignored: Option<f64>,
 }
 
 /// Where a saturation level comes from.
@@ -143,10 +178,27 @@ pub struct Saturation {
 pub enum SaturationOrigin {
     /// It was given.
     Given,
+    /// The frame's header states it (`SATURATE`).
+    Header,
     /// Two pixels or more have the frame's largest value.
     PileUp,
     /// Nothing was given, and the frame's largest value occurs once.
     Unknown,
+}
+
+impl std::fmt::Display for Saturation {
+    /// The level and where it comes from.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Some(level) = self.level else {
+            return f.write_str("not known");
+        };
+        let origin = match self.origin {
+            SaturationOrigin::Header => "SATURATE of the header",
+            SaturationOrigin::PileUp => "the frame's largest value",
+            SaturationOrigin::Given | SaturationOrigin::Unknown => "given",
+        };
+        write!(f, "{level} ({origin})")
+    }
 }
 
 impl Saturation {
@@ -174,17 +226,33 @@ mod tests {
     #[test]
     fn saturation_is_given_or_piles_up_or_is_unknown() {
         let piled = array![[1.0, 9.0], [9.0, 2.0]];
-        let found = Camera::new().saturation_of(piled.view());
+        let found = Camera::new().saturation_of(piled.view(), 0.0);
         assert_eq!((found.level, found.origin), (Some(9.0), SaturationOrigin::PileUp));
         assert!(found.reached_by(9.0) && !found.reached_by(8.9));
-        let single = Camera::new().saturation_of(array![[1.0, 9.0]].view());
+        let single = Camera::new().saturation_of(array![[1.0, 9.0]].view(), 0.0);
         assert_eq!(single.origin, SaturationOrigin::Unknown);
         assert!(!single.reached_by(1e9));
         let given = Camera::new()
             .with_saturation(5.0)
             .unwrap()
-            .saturation_of(piled.view());
+            .saturation_of(piled.view(), 0.0);
         assert_eq!((given.level, given.origin), (Some(5.0), SaturationOrigin::Given));
+    }
+
+    #[test]
+    fn a_level_of_the_header_counts_unless_the_sky_is_above_it() {
+        let frame = array![[3.0, 9.0], [9.0, 2.0]];
+        let camera = Camera::new().with_header_saturation(5.0).unwrap();
+        let found = camera.saturation_of(frame.view(), 2.0);
+        assert_eq!((found.level, found.origin), (Some(5.0), SaturationOrigin::Header));
+        assert!(found.to_string().contains("SATURATE"));
+        let found = camera.saturation_of(frame.view(), 5.0);
+        assert_eq!((found.level, found.ignored), (Some(9.0), Some(5.0)));
+        let both = camera
+            .with_saturation(4.0)
+            .unwrap()
+            .saturation_of(frame.view(), 5.0);
+        assert_eq!((both.level, both.origin), (Some(4.0), SaturationOrigin::Given));
     }
 
     #[test]

@@ -34,7 +34,10 @@ impl FrameView {
             let counts = rejection_counts(&sources);
             let reasons: Vec<String> = counts
                 .iter()
-                .map(|(reason, n)| format!("{n} {}", reason.name()))
+                .map(|(reason, n)| match reason {
+                    Rejection::Saturated => format!("{n} {} at {}", reason.name(), self.saturation),
+                    _ => format!("{n} {}", reason.name()),
+                })
                 .collect();
             return Err(StarError::NoStars {
                 detected: sources.len(),

@@ -100,19 +100,29 @@ impl Epsf {
         }
     }
 
-    /// The PSF at a star, of unit flux, and the star's flux; nothing where there is no light.
-    pub(crate) fn sample(&self, star: &Star) -> Option<(Array2<f64>, f64)> {
+    /// The PSF at a star, of unit flux, and the star's flux; nothing where there is no light. With `own_shape` the star's own pixels bend
+    /// the PSF of the field.
+    pub(crate) fn sample(&self, star: &Star, own_shape: bool) -> Option<(Array2<f64>, f64)> {
         let smooth = combined(&self.planes, &self.terms.at(star.x, star.y));
+        let coefficients = if own_shape {
+            self.bent(smooth, star)
+        } else {
+            smooth
+        };
+        let flux = self.surface.flux(&coefficients);
+        (flux > 0.0 && star.flux > 0.0)
+            .then(|| (self.surface.at_nodes(&coefficients) / flux, star.flux * flux))
+    }
+
+    /// The PSF of the field, `smooth`, fitted to the pixels of one star.
+    fn bent(&self, smooth: Vec<f64>, star: &Star) -> Vec<f64> {
         let constant = FieldTerms::new(0, self.terms.frame());
         let own = Prior::local(smooth);
         let alone = std::slice::from_ref(star);
         let mut planes = solve(alone, &own, self.surface, constant, |star, model, rms| {
             weight(star, model, rms, &self.camera)
         });
-        let coefficients = planes.swap_remove(0);
-        let flux = self.surface.flux(&coefficients);
-        (flux > 0.0 && star.flux > 0.0)
-            .then(|| (self.surface.at_nodes(&coefficients) / flux, star.flux * flux))
+        planes.swap_remove(0)
     }
 }
 

@@ -58,6 +58,16 @@ pub enum StarError {
         /// The oversampling.
         oversampling: usize,
     },
+    /// A distance from the frame's edge at which a stamp does not fit into the frame.
+    #[error(
+        "stars may be {edge_px} pixels from the frame's edge, but their stamps reach {half_stamp} pixels: ask for at least {half_stamp}, or for smaller stamps"
+    )]
+    EdgeInsideStamp {
+        /// The distance asked for.
+        edge_px: f64,
+        /// Pixels from a stamp's centre to its edge.
+        half_stamp: usize,
+    },
     /// Data that break an invariant.
     #[error(transparent)]
     Data(#[from] DataError),

@@ -20,9 +20,12 @@ pub enum RegistrationMethod {
     Auto,
     /// One oversampled PSF that varies over the field as a polynomial, fitted to the pixels of all stars together; a sample is its value
     /// at a star. The approach of the effective PSF (Anderson and King 2000, PASP 112, 1360) with the polynomial variation and the
-    /// regularised pixel basis of PSFEx (Bertin 2011, ASPC 442, 435). Samples are nearly free of noise.
+    /// regularised pixel basis of PSFEx (Bertin 2011, ASPC 442, 435). Samples are nearly free of noise, and there are no more different
+    /// shapes among them than the polynomial has terms; with [`Registration::with_own_shapes`] each star's pixels, and their noise, bend it.
     Epsf,
-    /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the star's noise.
+    /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the star's noise. At one stamp pixel a
+    /// pixel of the frame it stays nearly white, so that a fit can tell it from the PSF; on a finer grid neighbouring values share the noise of
+    /// few pixels, a fit finds no white noise, and keeps it all.
     Stamps,
 }
 
@@ -54,6 +57,7 @@ pub struct Registration {
     method: RegistrationMethod,
     stamp_size: Option<usize>,
     oversampling: Option<usize>,
+    own_shapes: bool,
 }
 
 impl Registration {
@@ -68,6 +72,8 @@ impl Registration {
     /// By default a stamp reaches so many FWHM from the centre.
     const REACH_FWHM: f64 = 3.0;
     const LEAST_REACH: usize = 5;
+    /// With fewer stars their noise and their own shapes cannot be told apart, and a finer grid loses less of either.
+    const ENOUGH_FOR_FRAME_PIXELS: usize = 64;
 
     /// By this method.
     #[must_use]
@@ -92,7 +98,8 @@ impl Registration {
         })
     }
 
-    /// Stamp pixels for each pixel of the frame; by default as many as give a FWHM three of them.
+    /// Stamp pixels for each pixel of the frame; by default one for [`Stamps`](RegistrationMethod::Stamps) of 64 stars or more with a FWHM of 2
+    /// pixels or more, else as many as give a FWHM three of them.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is from 1 to 8.
@@ -109,6 +116,16 @@ impl Registration {
         })
     }
 
+    /// Whether each star's own pixels bend the oversampled PSF (colour, local distortion); by default not, as they bring their noise.
+    #[must_use]
+    pub fn with_own_shapes(self, own_shapes: bool) -> Self {
+        Self { own_shapes, ..self }
+    }
+
+    pub(crate) fn own_shapes(&self) -> bool {
+        self.own_shapes
+    }
+
     /// Pixels of the frame from a stamp's centre to its edge, for stars of this FWHM.
     pub(crate) fn reach(&self, fwhm_px: f64) -> usize {
         self.stamp_size.map_or_else(
@@ -120,10 +137,17 @@ impl Registration {
         )
     }
 
-    /// The grid, for stars of this FWHM.
-    pub(crate) fn grid(&self, fwhm_px: f64) -> FineGrid {
+    /// The grid, for so many stars of this FWHM.
+    pub(crate) fn grid(&self, fwhm_px: f64, stars: usize) -> FineGrid {
+        let frame_pixels = self.method != RegistrationMethod::Epsf
+            && !Self::is_undersampled(fwhm_px)
+            && stars >= Self::ENOUGH_FOR_FRAME_PIXELS;
         let scale = self.oversampling.unwrap_or_else(|| {
-            ((Self::PIXELS_PER_FWHM / fwhm_px).ceil() as usize).clamp(1, Self::LARGEST_OVERSAMPLING)
+            if frame_pixels {
+                1
+            } else {
+                ((Self::PIXELS_PER_FWHM / fwhm_px).ceil() as usize).clamp(1, Self::LARGEST_OVERSAMPLING)
+            }
         });
         FineGrid {
             reach: self.reach(fwhm_px),

@@ -48,7 +48,7 @@ impl Selection {
         Ok(Self { snr, ..self })
     }
 
-    /// The smallest distance of a star from the frame's edge in pixels; by default half a stamp.
+    /// The smallest distance of a star from the frame's edge in pixels; by default half a stamp, and not below it: a stamp has to fit.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is 0 or above.
@@ -118,6 +118,16 @@ impl Selection {
         self.snr
     }
 
+    /// Refuses a distance from the edge at which no stamp has room.
+    pub(crate) fn check_edge(&self, half_stamp: usize) -> Result<(), StarError> {
+        match self.edge_px {
+            Some(edge_px) if edge_px < half_stamp as f64 => {
+                Err(StarError::EdgeInsideStamp { edge_px, half_stamp })
+            }
+            _ => Ok(()),
+        }
+    }
+
     /// Flags what can be told of each source and its neighbours, then the shapes that do not belong.
     pub(crate) fn apply(
         &self,
@@ -127,7 +137,7 @@ impl Selection {
         fwhm_px: f64,
     ) {
         let reach = half_stamp as f64;
-        let edge = self.edge_px.unwrap_or(reach).max(reach);
+        let edge = self.edge_px.unwrap_or(reach);
         let isolation = self.isolation_px.unwrap_or(ISOLATION_FWHM * fwhm_px);
         let inside = |v: f64, n: usize| (edge..=(n - 1) as f64 - edge).contains(&v);
         let neighbours = Neighbours::new(candidates.iter().map(|c| (c.x, c.y)));

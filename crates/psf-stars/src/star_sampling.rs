@@ -105,7 +105,9 @@ impl StarSampling {
         let background = self.background.estimate(pixels.view())?;
         let excess = &pixels - &background.level();
         let view = FrameView {
-            saturation: self.camera.saturation_of(pixels.view()),
+            saturation: self
+                .camera
+                .saturation_of(pixels.view(), background.typical_level()),
             pixels,
             excess,
             background,
@@ -124,8 +126,10 @@ impl StarSampling {
         fwhm_px = self.typical_fwhm(&candidates, fwhm_px);
 
         let reach = self.registration.reach(fwhm_px);
+        self.selection.check_edge(reach)?;
         self.selection.apply(&mut candidates, shape, reach, fwhm_px);
-        let grid = self.registration.grid(fwhm_px);
+        let accepted = candidates.iter().filter(|c| c.rejected.is_empty()).count();
+        let grid = self.registration.grid(fwhm_px, accepted);
         let registered = self.register(&view, &mut candidates, grid, fwhm_px)?;
         view.collected(&candidates, registered, fwhm_px)
     }
@@ -168,7 +172,12 @@ impl StarSampling {
             for &source in &epsf.mismatched {
                 candidates[source].rejected.insert(Rejection::PsfMismatch);
             }
-            let stamps = epsf.stars.par_iter().map(|star| epsf.sample(star)).collect();
+            let own_shapes = self.registration.own_shapes();
+            let stamps = epsf
+                .stars
+                .par_iter()
+                .map(|star| epsf.sample(star, own_shapes))
+                .collect();
             (epsf.stars, stamps)
         } else {
             let stamps = stars

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use psf_io::{Card, CardValue, HduChoice};
+use psf_io::{Card, CardValue, HduChoice, HeaderCards};
 use psf_stars::{
     BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
 };
@@ -33,13 +33,14 @@ pub(crate) struct StarArgs {
     /// No source with more than a fifth of a star's flux may be within so many pixels [default: 2.5 FWHM]
     #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true)]
     isolation: Option<f64>,
-    /// The least distance from the frame's edge in pixels [default: half a stamp]
+    /// The least distance from the frame's edge in pixels [default, and at least: half a stamp]
     #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true)]
     edge: Option<f64>,
     /// Pixels of the frame along each side of a sample's stamp [default: 3 FWHM each way, at least 11]
     #[arg(long, value_name = "N")]
     stamp_size: Option<usize>,
-    /// Stamp pixels for each pixel of the frame [default: as many as give a FWHM three]
+    /// Stamp pixels for each pixel of the frame [default: 1 for the own pixels of 64 stars or more with a FWHM of 2 pixels or
+    /// more, else as many as give a FWHM three]
     #[arg(long, value_name = "N")]
     oversampling: Option<usize>,
     /// epsf: one oversampled PSF over the field, from all stars; stamps: each star's own pixels; auto: epsf for a FWHM below 2
@@ -71,17 +72,22 @@ impl StarArgs {
         .find_map(|(name, given)| given.then_some(name))
     }
 
+    /// Whether an image of the file was chosen.
+    pub(crate) fn chooses_extension(&self) -> bool {
+        self.extension.is_some()
+    }
+
     /// The camera's gain.
     pub(crate) fn gain(&self) -> Option<f64> {
         self.gain
     }
 
-    /// Reads a frame and puts the settings together; the frame's header may hold the saturation level.
+    /// Reads a frame with its own header and puts the settings together; the header may hold the saturation level.
     pub(crate) fn open(
         &self,
         path: &Path,
         threshold: Option<f64>,
-    ) -> anyhow::Result<(Image<f64>, StarSampling)> {
+    ) -> anyhow::Result<(Image<f64>, HeaderCards, StarSampling)> {
         let (frame, header) = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref())?.into_parts();
         let in_header = match header.get("SATURATE").and_then(Card::value) {
             Some(CardValue::Real(level)) => Some(level),
@@ -89,12 +95,12 @@ impl StarArgs {
             _ => None,
         };
         let sampling = self
-            .sampling(threshold, self.saturation.or(in_header))
+            .sampling(threshold, in_header)
             .map_err(|e| UsageError(e.to_string()))?;
-        Ok((frame, sampling))
+        Ok((frame, header, sampling))
     }
 
-    fn sampling(&self, threshold: Option<f64>, saturation: Option<f64>) -> Result<StarSampling, StarError> {
+    fn sampling(&self, threshold: Option<f64>, in_header: Option<f64>) -> Result<StarSampling, StarError> {
         let detection = threshold.map_or_else(|| Ok(Detection::default()), Detection::new)?;
         let background = self
             .background_mesh
@@ -102,7 +108,8 @@ impl StarArgs {
         let camera = Camera::new();
         let camera = apply(camera, self.gain, Camera::with_gain)?;
         let camera = apply(camera, self.read_noise, Camera::with_read_noise)?;
-        let camera = apply(camera, saturation, Camera::with_saturation)?;
+        let camera = apply(camera, self.saturation, Camera::with_saturation)?;
+        let camera = apply(camera, in_header, Camera::with_header_saturation)?;
         let selection = Selection::default();
         let selection = apply(selection, self.snr, Selection::with_snr)?;
         let selection = apply(selection, self.isolation, Selection::with_isolation_px)?;

@@ -82,7 +82,7 @@ struct Report<'a> {
 impl RoundTripArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let spinner = context.spinner("round trip");
-        let (frame, sampling) = self.stars.open(&self.frame, self.threshold)?;
+        let (frame, header, sampling) = self.stars.open(&self.frame, self.threshold)?;
         let options = RoundTripOptions {
             sampling,
             fit: self.fit.options(),
@@ -107,13 +107,13 @@ impl RoundTripArgs {
             registration: &trip.stars.registration,
             figures: &trip.report,
         };
-        self.write(&trip, &report)?;
+        self.write(&trip, &header, &report)?;
         drop(spinner);
         warn_of(&trip.stars, context);
         context.report(&report, || text(&report))
     }
 
-    fn write(&self, trip: &RoundTrip, report: &Report<'_>) -> anyhow::Result<()> {
+    fn write(&self, trip: &RoundTrip, header: &HeaderCards, report: &Report<'_>) -> anyhow::Result<()> {
         let at = |name: &str| self.report.join(name);
         let cards = signature();
         let overwrite = self.overwrite;
@@ -133,13 +133,12 @@ impl RoundTripArgs {
             &cards,
             overwrite,
         )?;
-        let header = psf_io::read_header(&self.frame)?;
         let image = |name: &str, image: &Image<f64>, header: &HeaderCards| -> anyhow::Result<()> {
             let single = Image::new(image.pixels().mapv(|v| v as f32))?;
             Ok(psf_io::write_image(at(name), &single, header, &cards, overwrite)?)
         };
-        image("simulated.fits", &trip.simulated, &header)?;
-        image("residual.fits", &trip.residual, &header)?;
+        image("simulated.fits", &trip.simulated, header)?;
+        image("residual.fits", &trip.residual, header)?;
         psf_io::write_csv(at("stars.csv"), &ROUND_TRIP_COLUMNS, &trip.rows, overwrite)?;
         self.write_text("distributions.svg", &plotted(trip)?)?;
         self.write_text("summary.json", &serde_json::to_string_pretty(report)?)

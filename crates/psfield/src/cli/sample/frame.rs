@@ -64,7 +64,7 @@ impl FrameArgs {
             psf_io::check_output(path, asked.overwrite)?;
         }
         let spinner = context.spinner("finding stars");
-        let (frame, sampling) = stars.open(asked.path, asked.threshold)?;
+        let (frame, _, sampling) = stars.open(asked.path, asked.threshold)?;
         let found = sampling
             .run(&frame)
             .with_context(|| format!("in {}", asked.path.display()))?;
@@ -109,6 +109,12 @@ pub(crate) fn warn_of(found: &StarSamples, context: &Context) {
     for warning in found.coverage.warnings() {
         context.warn(&warning);
     }
+    if let Some(level) = found.saturation.ignored {
+        context.warn(&format!(
+            "SATURATE of the header, {level}, is not above the background ({:.2}): it is ignored; give the true level (--saturation)",
+            found.background.typical_level()
+        ));
+    }
     let registration = &found.registration;
     if registration.undersampled && registration.field_degree.is_none() {
         context.warn(&format!(
@@ -144,10 +150,10 @@ fn text(report: &Report<'_>) -> String {
         .iter()
         .map(|(name, count)| format!("{count} {name}"))
         .collect();
-    let saturation = report.saturation.level.map_or_else(
-        || "not known (--saturation)".to_owned(),
-        |level| format!("{level}"),
-    );
+    let saturation = match report.saturation.level {
+        Some(_) => report.saturation.to_string(),
+        None => "not known (--saturation)".to_owned(),
+    };
     let registration = report.registration;
     let degree = registration.field_degree.map_or_else(String::new, |degree| {
         format!(", polynomial of degree {degree} over the field")

@@ -46,7 +46,7 @@ impl SampleArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         psf_io::check_output(&self.output, self.overwrite)?;
         match &self.input {
-            Some(path) if is_frame(path)? => {
+            Some(path) if is_frame(path, self.stars.chooses_extension())? => {
                 refuse(self.telescope.given(), "a frame", "telescopes")?;
                 let asked = FrameSampling {
                     path,
@@ -70,12 +70,13 @@ impl SampleArgs {
     }
 }
 
-/// Whether a file holds an image rather than text.
-fn is_frame(path: &Path) -> anyhow::Result<bool> {
+/// Whether a file holds an image rather than text. Where an HDU was `chosen`, the others do not matter.
+fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     match psf_io::detect(path) {
         Ok(FileKind::Image) => Ok(true),
         // What cannot be read the reader of telescopes tells of, as it does of any text file.
         Ok(FileKind::NotFits) | Err(psf_io::IoError::Read { .. }) => Ok(false),
+        Ok(_) if chosen => Ok(true),
         Ok(kind) => anyhow::bail!(
             "{} is {kind}: a frame is a single image [y, x] with stars",
             path.display()
