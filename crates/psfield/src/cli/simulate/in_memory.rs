@@ -32,7 +32,7 @@ impl SimulateArgs {
         };
         let prepared = self.prepared(parts, &scene, preparations, &mut seconds, context)?;
         prepared.warn_of_coarse_stamps(scene.sources(), context);
-        self.warn_of_small_galaxies(&sources, context);
+        sources.warn_of_small_galaxies(context);
         let simulation = &prepared.simulation;
 
         let bar = context.bar("convolving");

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use anyhow::Context as _;
 use conv_core::{ConvReal, PlanOptions, PlanSummary, TileCounts};
 use detector::ExposureReport;
-use psf_types::{Anchor, FrameShape, Scene, SersicSource};
+use psf_types::{Anchor, FrameShape, Scene};
 use psfield::{
     Method, PsfInput, SceneParts, Simulation, SimulationOptions, SpotCheck, available_memory_bytes,
     peak_memory_bytes,
@@ -98,9 +98,6 @@ const MAX_SPOT_CHECK: i64 = 10_000_000;
 
 /// Scene and image may fill this part of the free memory; larger ones are streamed.
 const IN_MEMORY: f64 = 0.7;
-
-/// Galaxies smaller than this are blurred by the pixels on which they are drawn.
-const RESOLVED_PX: f64 = 2.0;
 
 /// Relative r.m.s. errors of images by transforms: a few 1e-7 and 1e-15, and more where a scene's light varies by decades.
 const ROUNDING_F32: f64 = 1e-5;
@@ -327,18 +324,6 @@ impl SimulateArgs {
             finer: self.scene.finer(),
             seconds: [fit, planning],
         })
-    }
-
-    /// Says where galaxies are blurred by the scene's own pixels, which nothing here can check.
-    fn warn_of_small_galaxies<T: ConvReal>(&self, sources: &scene_args::Sources<T>, context: &Context) {
-        let small = |galaxy: &&SersicSource| galaxy.profile().half_light_radius_px() < RESOLVED_PX;
-        let count = sources.galaxies.iter().filter(small).count();
-        if count > 0 {
-            context.warn(&format!(
-                "{count} galaxies have a half-light radius below {RESOLVED_PX} pixels of the scene, whose own size then blurs them (by percents): \
-                 --oversample S draws them on finer pixels"
-            ));
-        }
     }
 
     /// The scene's file, if its rows are to be streamed.

@@ -10,6 +10,7 @@ use psfield::SimulationOptions;
 
 use super::super::UsageError;
 use super::super::catalog_args::CatalogArgs;
+use super::super::context::Context;
 use super::super::values::{Frame, Pair};
 
 /// The scene: an image, a catalogue, or both.
@@ -104,7 +105,7 @@ impl SceneArgs {
                 (Some(image), header)
             }
             None => match &self.wcs {
-                Some(path) => (None, psf_io::read_header_hdu(path, self.extension.as_ref())?),
+                Some(path) => (None, psf_io::read_cards(path, self.extension.as_ref())?),
                 None => (None, HeaderCards::new()),
             },
         };
@@ -269,7 +270,22 @@ impl SceneArgs {
     }
 }
 
+/// Galaxies smaller than this are blurred by the pixels on which they are drawn.
+const RESOLVED_PX: f64 = 2.0;
+
 impl<T: ConvReal> Sources<T> {
+    /// Says where galaxies are blurred by the scene's own pixels, which nothing here can check.
+    pub(super) fn warn_of_small_galaxies(&self, context: &Context) {
+        let small = |galaxy: &&SersicSource| galaxy.profile().half_light_radius_px() < RESOLVED_PX;
+        let count = self.galaxies.iter().filter(small).count();
+        if count > 0 {
+            context.warn(&format!(
+                "{count} galaxies have a half-light radius below {RESOLVED_PX} pixels of the scene, whose own size then blurs them (by \
+                 percents): --oversample S draws them on finer pixels"
+            ));
+        }
+    }
+
     /// Adds the galaxies' light to rows of the padded scene, the first of which is row `first_row`.
     pub(super) fn add_galaxies(&self, rows: ArrayViewMut2<'_, T>, first_row: usize) {
         sersic::add_galaxies(rows, (0, first_row as i64), &self.galaxies);
