@@ -6,7 +6,7 @@ use detector::{BadPixelMask, Detector, Exposure, ExposureReport};
 use psf_io::{Card, CardError, HeaderCards, IntegerKind};
 use psf_types::{Image, Real};
 
-use crate::PsfieldError;
+use crate::{PsfieldError, check_outputs};
 
 /// Keywords of [`exposure_cards`] that an input must not lend to its exposure.
 const KEYWORDS: [&str; 24] = [
@@ -49,20 +49,11 @@ impl ExposureFiles {
     /// Whether all of them can be written, as far as can be told before the work is done.
     ///
     /// # Errors
-    /// [`PsfieldError::SameFile`] when two are one file, or one is among `inputs`, which are never replaced; and those of
-    /// [`check_output`](psf_io::check_output).
+    /// As [`check_outputs`].
     pub fn check(&self, inputs: &[&Path]) -> Result<(), PsfieldError> {
         let outputs = [Some(&self.raw), self.truth.as_ref(), self.quality.as_ref()];
-        let mut taken: Vec<PathBuf> = inputs.iter().map(|path| resolved(path)).collect();
-        for path in outputs.into_iter().flatten() {
-            let place = resolved(path);
-            if taken.contains(&place) {
-                return Err(PsfieldError::SameFile { path: path.clone() });
-            }
-            psf_io::check_output(path, self.overwrite)?;
-            taken.push(place);
-        }
-        Ok(())
+        let outputs: Vec<&Path> = outputs.into_iter().flatten().map(PathBuf::as_path).collect();
+        check_outputs(inputs, &outputs, self.overwrite)
     }
 
     /// Writes an exposure of `light`. `header` are the cards of the image that was exposed, `added` follow, then
@@ -235,19 +226,4 @@ fn level_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
         cards.push(Card::new("DETBIAS", bias, "[adu] level of no charge")?);
     }
     Ok(cards)
-}
-
-/// One name for a file, whether it exists or not.
-fn resolved(path: &Path) -> PathBuf {
-    if let Ok(place) = path.canonicalize() {
-        return place;
-    }
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    match (folder.canonicalize(), path.file_name()) {
-        (Ok(folder), Some(name)) => folder.join(name),
-        _ => path.to_owned(),
-    }
 }

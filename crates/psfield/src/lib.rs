@@ -43,6 +43,7 @@ mod method;
 mod pixel_picker;
 mod psf_input;
 mod round_trip;
+mod same_file;
 mod simulation;
 mod simulation_options;
 mod simulation_plan;
@@ -65,6 +66,7 @@ pub use psf_input::{FitChoices, OpenedPsf, PsfFileOptions, PsfInput, check_stack
 pub use round_trip::{
     Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport, RoundTripRow,
 };
+pub use same_file::check_outputs;
 pub use simulation::{SceneParts, Simulation};
 pub use simulation_options::SimulationOptions;
 pub use simulation_plan::SimulationPlan;

@@ -6,8 +6,8 @@ use std::str::FromStr;
 use anyhow::Context as _;
 use psf_io::FileKind;
 use psf_types::FrameShape;
-use psfield::convert::{SamplesAt, to_gridded, to_psfex, to_samples};
-use psfield::{OpenedPsf, PsfInput, fit};
+use psfield::convert::{SamplesAt, is_bilinear, to_gridded, to_psfex, to_samples};
+use psfield::{OpenedPsf, PsfInput, check_outputs, fit};
 use serde::Serialize;
 
 use super::UsageError;
@@ -111,7 +111,9 @@ impl ConvertArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let target = self.target()?;
         self.check_usage(target)?;
-        psf_io::check_output(&self.output, self.overwrite)?;
+        let mut inputs = self.fit.files(&self.input);
+        inputs.extend(self.at.as_deref());
+        check_outputs(&inputs, &[&self.output], self.overwrite)?;
         let at = match (self.grid, &self.at) {
             (Some(Pair(nx, ny)), _) => {
                 FrameShape::new(nx, ny).map_err(|e| UsageError(format!("--grid: {e}")))?;
@@ -185,6 +187,10 @@ impl ConvertArgs {
         let given = choices.needs_fit() || choices.outside.is_some();
         let is_model = matches!(opened.input, PsfInput::Model(_));
         let what = match target {
+            Target::Gridded if given && *at == SamplesAt::Own && !is_model && is_bilinear(&opened.input) => {
+                "samples on a grid at their own positions are not fitted: of the fit options only --normalise applies (and all of them \
+                 with --grid or --at)"
+            }
             Target::PsfSamples if given && *at == SamplesAt::Own && !is_model => {
                 "samples at their own positions are not fitted: of the fit options only --normalise applies"
             }

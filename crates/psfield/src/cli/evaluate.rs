@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use psfield::{EvaluateOptions, OutputGrid, evaluate};
+use psfield::{EvaluateOptions, OutputGrid, check_outputs, evaluate};
 use serde::Serialize;
 
 use super::context::{Context, signature};
@@ -59,7 +59,9 @@ struct Report {
 
 impl EvaluateArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        psf_io::check_output(&self.output, self.overwrite)?;
+        let mut inputs = self.fit.files(&self.psf);
+        inputs.push(&self.at);
+        check_outputs(&inputs, &[&self.output], self.overwrite)?;
         if self.sub_pixel && matches!(self.grid, Grid::Model) {
             return Err(super::UsageError("--sub-pixel needs --grid native".to_owned()).into());
         }

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::FileKind;
-use psfield::{FitReport, OpenedPsf, PsfInput, fit};
+use psfield::{FitReport, OpenedPsf, PsfInput, check_outputs, fit};
 
 use super::context::{Context, signature};
 use super::fit_args::PsfArgs;
@@ -28,7 +28,7 @@ pub(crate) struct FitCommandArgs {
 
 impl FitCommandArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        psf_io::check_output(&self.output, self.overwrite)?;
+        check_outputs(&self.fit.files(&self.samples), &[&self.output], self.overwrite)?;
         let spinner = context.spinner("fitting");
         let OpenedPsf { input, kind, .. } = self.fit.opened(&self.samples, context)?;
         let (samples, options) = match input {

@@ -77,6 +77,11 @@ impl PsfArgs {
         self.file.extension()
     }
 
+    /// The files that are read for the PSF of a file.
+    pub(crate) fn files<'a>(&'a self, psf: &'a Path) -> Vec<&'a Path> {
+        std::iter::once(psf).chain(self.file.positions_file()).collect()
+    }
+
     /// Opens any PSF file and tells how it was read.
     pub(crate) fn opened(&self, path: &Path, context: &Context) -> anyhow::Result<OpenedPsf> {
         let opened =

@@ -1,6 +1,6 @@
 //! The options that say what a PSF file does not say of itself.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
 use psf_io::{HduChoice, PlaneOrder};
@@ -13,7 +13,8 @@ use super::values::above_zero;
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "PSF file options")]
 pub(crate) struct PsfFileArgs {
-    /// PSFEx: which of several models, by the number of its HDU (1 for the first extension) or its EXTNAME
+    /// PSFEx: which of several models; STPSF, STDPSF and plain stamps: which of several images; by the number of the HDU (0 for the
+    /// primary, 1 for the first extension) or its EXTNAME
     #[arg(long, value_name = "N|NAME")]
     psf_extension: Option<HduChoice>,
     /// STDPSF: which of several detectors
@@ -38,6 +39,10 @@ pub(crate) struct PsfFileArgs {
     /// Cube or single stamp without positions: stamp pixels per frame pixel
     #[arg(long, value_name = "S", value_parser = above_zero, allow_negative_numbers = true)]
     psf_oversampling: Option<f64>,
+    /// Cube or single stamp without positions: the pixel of a stamp where the PSF's centre lies, 0-based [default: as the file says
+    /// (CENX, CENY), or NX / 2, NY / 2 rounded down]
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    psf_centre: Option<Point>,
     /// Whether the response of a frame pixel is in the stamps [default: as the file says, or its format]
     #[arg(long, value_name = "included|missing", value_enum)]
     pixel_response: Option<PixelResponse>,
@@ -72,6 +77,11 @@ fn detector(text: &str) -> Result<usize, String> {
 }
 
 impl PsfFileArgs {
+    /// The file of the positions.
+    pub(crate) fn positions_file(&self) -> Option<&Path> {
+        self.psf_positions.as_deref()
+    }
+
     /// Which of several models of a PSFEx file.
     pub(crate) fn extension(&self) -> Option<&HduChoice> {
         self.psf_extension.as_ref()
@@ -92,6 +102,7 @@ impl PsfFileArgs {
                 .map(psf_io::read_positions)
                 .transpose()?,
             oversampling: self.psf_oversampling,
+            centre: self.psf_centre.map(|point| point.0),
             pixel_response_included: self
                 .pixel_response
                 .map(|response| matches!(response, PixelResponse::Included)),

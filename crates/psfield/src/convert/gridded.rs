@@ -73,8 +73,8 @@ pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, 
     })
 }
 
-/// Whether the PSF is interpolated bilinearly between samples on a grid.
-fn is_bilinear(input: &PsfInput) -> bool {
+/// Whether the PSF is interpolated bilinearly between samples on a grid: [`to_gridded`] leaves it as it is at its own positions.
+pub fn is_bilinear(input: &PsfInput) -> bool {
     let interpolation = match input {
         PsfInput::Samples(_, options) => options.interpolation,
         PsfInput::Model(record) => record.interpolation(),

@@ -7,7 +7,7 @@ use psf_types::Position;
 /// another format is an error.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PsfFileOptions {
-    /// Which of several models (PSFEx).
+    /// Which of several models (PSFEx) or images (STPSF, STDPSF, a cube or a single stamp).
     pub extension: Option<HduChoice>,
     /// Which of several detectors (STDPSF).
     pub detector: Option<usize>,
@@ -23,6 +23,8 @@ pub struct PsfFileOptions {
     pub positions: Option<Vec<Position>>,
     /// Stamp pixels per frame pixel, of a cube or a single stamp.
     pub oversampling: Option<f64>,
+    /// The stamps' reference point, a 0-based index that may be fractional, of a cube or a single stamp.
+    pub centre: Option<Position>,
     /// Whether the pixel response is in the stamps, whatever the file says.
     pub pixel_response_included: Option<bool>,
 }
@@ -32,12 +34,12 @@ impl PsfFileOptions {
     pub(crate) fn unknown_to(&self, kind: FileKind) -> Option<(&'static str, &'static str)> {
         use FileKind::{Cube, Image, Psfex, Scopesim, Stdpsf, Stpsf};
         const SCOPESIM: &str = "field-varying PSFs of ScopeSim";
-        let table: [(bool, &[FileKind], &str, &str); 8] = [
+        let table: [(bool, &[FileKind], &str, &str); 9] = [
             (
                 self.extension.is_some(),
-                &[Psfex],
+                &[Psfex, Stpsf, Stdpsf, Cube, Image],
                 "--psf-extension",
-                "PSFEx models",
+                "PSFEx models, STPSF and STDPSF libraries, and plain stamps",
             ),
             (
                 self.detector.is_some(),
@@ -74,6 +76,12 @@ impl PsfFileOptions {
                 &[Cube],
                 "--psf-positions",
                 "cubes without positions",
+            ),
+            (
+                self.centre.is_some(),
+                &[Cube, Image],
+                "--psf-centre",
+                "cubes and single stamps without a table POSITIONS",
             ),
             (
                 self.oversampling.is_some(),

@@ -49,10 +49,10 @@ impl PsfInput {
     /// | [PSF samples](psf_io::samples) | unit | all of `choices` |
     /// | [PSF model](psf_io::model) | as it says | `outside` and `normalisation` of `choices` |
     /// | [PSFEx model](psf_io::psfex) | unit | the same; `file.extension` |
-    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | as it is | all of `choices` (every component is kept); `file.plane_order`, `file.detector` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | as it is | all of `choices` (every component is kept); `file.plane_order`, `file.detector`, `file.extension` |
     /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
-    /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling` |
-    /// | single stamp: the same PSF everywhere | unit | `file.oversampling` |
+    /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
+    /// | single stamp: the same PSF everywhere | unit | `file.oversampling`, `file.centre`, `file.extension` |
     ///
     /// `file.pixel_response_included` applies to all.
     ///
@@ -117,7 +117,8 @@ fn defaults(kind: FileKind) -> FitOptions {
 }
 
 fn read(path: &Path, file: &PsfFileOptions) -> Result<(Content, FileKind, Vec<String>), PsfieldError> {
-    let kind = psf_io::detect(path)?;
+    let choice = file.extension.as_ref();
+    let kind = psf_io::detect_hdu(path, choice)?;
     if let Some((option, formats)) = file.unknown_to(kind) {
         return Err(PsfieldError::ForeignOption {
             path: path.to_owned(),
@@ -133,11 +134,15 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Content, FileKind, Vec<St
     let (content, notes) = match kind {
         FileKind::PsfModel => (Content::Model(psf_io::read_model(path)?), Vec::new()),
         FileKind::Psfex => {
-            let model = psf_io::read_psfex(path, file.extension.as_ref())?;
+            let model = psf_io::read_psfex(path, choice)?;
             (Content::Model(record_of_psfex(&model)?), Vec::new())
         }
-        FileKind::Stpsf => of_library(psf_io::read_stpsf(path, file.plane_order.unwrap_or_default())?),
-        FileKind::Stdpsf => of_library(psf_io::read_stdpsf(path, file.detector)?),
+        FileKind::Stpsf => of_library(psf_io::read_stpsf_hdu(
+            path,
+            choice,
+            file.plane_order.unwrap_or_default(),
+        )?),
+        FileKind::Stdpsf => of_library(psf_io::read_stdpsf_hdu(path, choice, file.detector)?),
         FileKind::Scopesim => {
             let psf = psf_io::read_scopesim(path, &scopesim_options(path, file)?)?;
             (Content::Model(record_of_scopesim(&psf)?), psf.notes().to_vec())
@@ -186,7 +191,8 @@ fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOption
 /// Stamps without a word about them.
 fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Content, Vec<String>), PsfieldError> {
     // An image may as well be a scene that was given by mistake: someone must say that it is a PSF.
-    if file.oversampling.is_none() && psf_io::read_header(path)?.get("OVERSAMP").is_none() {
+    let header = psf_io::read_stamp_header(path, file.extension.as_ref())?;
+    if file.oversampling.is_none() && header.get("OVERSAMP").is_none() {
         return Err(missing(
             path,
             kind,
@@ -201,8 +207,25 @@ fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Content,
     if let Some(oversampling) = file.oversampling {
         options = options.with_oversampling(oversampling);
     }
+    if let Some(centre) = file.centre {
+        options = options.with_centre(centre.x(), centre.y());
+    }
+    if let Some(extension) = &file.extension {
+        options = options.with_extension(extension.clone());
+    }
     let samples = psf_io::read_stamp_cube(path, &options)?;
     let mut notes = Vec::new();
+    let grid = samples.grid();
+    let says_centre = file.centre.is_some() || ["CENX", "CENY"].iter().all(|card| header.get(card).is_some());
+    if !says_centre && (grid.nx() % 2 == 0 || grid.ny() % 2 == 0) {
+        notes.push(format!(
+            "stamps of {} x {} pixels have no middle pixel: ({}, {}) is taken as their centre (0-based; --psf-centre X,Y for another)",
+            grid.nx(),
+            grid.ny(),
+            grid.centre_x(),
+            grid.centre_y()
+        ));
+    }
     if samples.len() == 1 {
         notes.push("one stamp, taken as the PSF of the whole field".to_owned());
     }

@@ -60,6 +60,7 @@ fn catalogues_that_do_not_suit() {
     desk.write("mags.csv", "x,y,mag\n1,2,20\n");
     desk.write("bad.csv", "x,y,flux\n1,2,3\n4,,5\n");
     desk.write("sky.csv", "ra,dec,flux\n10,20,3\n");
+    desk.write("lacks.csv", "x,y,flux,re,n\n1,2,3,4,\n");
     desk.write("galaxy.csv", "x,y,flux,re,n\n1,2,3,4,9\n");
     let simulate = |options: &str| format!("simulate --psf fine.fits {SHAPE} -o x.fits {options}");
     for (options, needles) in [
@@ -68,6 +69,11 @@ fn catalogues_that_do_not_suit() {
         ("--catalog sky.csv", &["sky.csv", "sky coordinates"]),
         ("--catalog galaxy.csv", &["galaxy.csv", "line 2", "index"]),
         ("--catalog stars.csv --columns x=XX,y=y", &["stars.csv", "XX"]),
+        (
+            "--catalog stars.csv --zero-point 25",
+            &["stars.csv", "flux", "--zero-point"],
+        ),
+        ("--catalog lacks.csv", &["lacks.csv", "line 2", "index"]),
     ] {
         desk.refused(&simulate(options), 1, needles);
     }

@@ -285,6 +285,59 @@ fn plain_stamps_need_a_word() {
 }
 
 #[test]
+fn even_stamps_tell_their_centre() {
+    let desk = Desk::new();
+    desk.write("at.csv", "x,y\n3,4\n");
+    desk.write_image("even.fits", Array2::from_elem((16, 14), 1.0));
+    desk.noted(
+        "evaluate even.fits --at at.csv -o middle.fits --psf-oversampling 1",
+        &["14 x 16", "(7, 8)", "--psf-centre"],
+    );
+    let run = desk.noted(
+        "evaluate even.fits --at at.csv -o between.fits --psf-oversampling 1 --psf-centre 6.5,7.5",
+        &["whole field"],
+    );
+    assert!(!run.stderr.contains("--psf-centre"), "{run:?}");
+    let centre = |name: &str| {
+        let grid = desk.samples(name).grid();
+        (grid.centre_x(), grid.centre_y())
+    };
+    assert_eq!(
+        (centre("middle.fits"), centre("between.fits")),
+        ((7.0, 8.0), (6.5, 7.5))
+    );
+    desk.refused(
+        "evaluate even.fits --at at.csv -o out.fits --psf-oversampling 1 --psf-centre 99,7",
+        1,
+        &["even.fits", "centre"],
+    );
+}
+
+#[test]
+fn of_several_images_one_must_be_chosen() {
+    let desk = Desk::new();
+    desk.write("at.csv", "x,y\n3,4\n");
+    // What WebbPSF writes for one place: the same PSF at several samplings.
+    put_stamps(&desk, "first.fits", 1);
+    desk.write_image("second.fits", Array2::from_elem((9, 9), 1.0));
+    let mut bytes = desk.bytes("second.fits");
+    bytes[..80].copy_from_slice(format!("{:<80}", "XTENSION= 'IMAGE   '").as_bytes());
+    desk.write("both.fits", [desk.bytes("first.fits"), bytes].concat());
+    desk.refused(
+        "evaluate both.fits --at at.csv -o out.fits --psf-oversampling 1",
+        1,
+        &["both.fits", "2 images", "--psf-extension"],
+    );
+    for (extension, side) in [(0, STAMP), (1, 9)] {
+        desk.noted(
+            &format!("evaluate both.fits --at at.csv -o {extension}.fits --psf-oversampling 1 --psf-extension {extension}"),
+            &["whole field"],
+        );
+        assert_eq!(desk.samples(&format!("{extension}.fits")).grid().nx(), side);
+    }
+}
+
+#[test]
 fn options_of_other_formats_are_bad_usage() {
     let desk = Desk::new();
     put_psfex(&desk, "field.psf", &psfex(9, 1.0));
@@ -293,6 +346,7 @@ fn options_of_other_formats_are_bad_usage() {
         ("samples.fits", "--psf-extension 1"),
         ("samples.fits", "--psf-detector 2"),
         ("samples.fits", "--psf-oversampling 2"),
+        ("samples.fits", "--psf-centre 7,7"),
         ("samples.fits", "--psf-positions at.csv"),
         ("field.psf", "--psf-order cards"),
         ("field.psf", "--psf-wavelength 2.2"),
@@ -310,6 +364,7 @@ fn options_of_other_formats_are_bad_usage() {
         "--psf-detector 0",
         "--psf-order backwards",
         "--field-centre 3",
+        "--psf-centre 3",
         "--pixel-scale -1",
         "--pixel-response perhaps",
         "--psf-extension ,2",
@@ -390,7 +445,27 @@ fn conversions_that_cannot_be() {
             &["scene.fits", "POSITIONS"],
         ),
         ("none.psf -o out.psf", 1, &["none.psf"]),
-        ("field.psf -o field.psf", 1, &["field.psf", "--overwrite"]),
+        ("field.psf -o field.psf", 1, &["field.psf", "another name"]),
+        (
+            "field.psf -o ./field.psf --overwrite",
+            1,
+            &["field.psf", "another name"],
+        ),
+        (
+            "field.psf -o at.csv --to psf-samples --at at.csv --overwrite",
+            1,
+            &["at.csv", "another name"],
+        ),
+        (
+            "samples.fits -o out.fits --to gridded --rank 3",
+            2,
+            &["--normalise", "--grid"],
+        ),
+        (
+            "samples.fits -o out.fits --to gridded --outside error",
+            2,
+            &["--normalise", "--grid"],
+        ),
         (
             "samples.fits -o out.fits --to gridded --at at.csv",
             1,
@@ -399,6 +474,15 @@ fn conversions_that_cannot_be() {
     ] {
         desk.refused(&format!("convert {arguments}"), code, needles);
     }
+    for command in [
+        "fit samples.fits -o samples.fits --overwrite",
+        "evaluate model.fits --at at.csv -o model.fits --overwrite",
+        "evaluate model.fits --at at.csv -o at.csv --overwrite",
+    ] {
+        desk.refused(command, 1, &["another name"]);
+    }
+    // The samples are fitted where they are wanted elsewhere.
+    desk.done("convert samples.fits -o elsewhere.fits --to gridded --rank 3 --grid 3,3");
     // One stamp and no field: no grid.
     put_stamps(&desk, "stamp.fits", 1);
     desk.refused(

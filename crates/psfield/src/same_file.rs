@@ -1,0 +1,40 @@
+//! Outputs that would replace an input, or each other.
+
+use std::path::{Path, PathBuf};
+
+use crate::PsfieldError;
+
+/// Whether all outputs of a run can be written, as far as can be told before the work is done.
+///
+/// # Errors
+/// [`PsfieldError::SameFile`] when two outputs are one file, or one is among `inputs`, which are never replaced, whatever `overwrite`
+/// says; and those of [`check_output`](psf_io::check_output).
+pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Result<(), PsfieldError> {
+    let mut taken: Vec<PathBuf> = inputs.iter().map(|path| resolved(path)).collect();
+    for path in outputs {
+        let place = resolved(path);
+        if taken.contains(&place) {
+            return Err(PsfieldError::SameFile {
+                path: path.to_path_buf(),
+            });
+        }
+        psf_io::check_output(path, overwrite)?;
+        taken.push(place);
+    }
+    Ok(())
+}
+
+/// One name for a file, whether it exists or not.
+fn resolved(path: &Path) -> PathBuf {
+    if let Ok(place) = path.canonicalize() {
+        return place;
+    }
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    match (folder.canonicalize(), path.file_name()) {
+        (Ok(folder), Some(name)) => folder.join(name),
+        _ => path.to_owned(),
+    }
+}
