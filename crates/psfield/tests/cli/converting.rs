@@ -445,17 +445,6 @@ fn conversions_that_cannot_be() {
             &["scene.fits", "POSITIONS"],
         ),
         ("none.psf -o out.psf", 1, &["none.psf"]),
-        ("field.psf -o field.psf", 1, &["field.psf", "another name"]),
-        (
-            "field.psf -o ./field.psf --overwrite",
-            1,
-            &["field.psf", "another name"],
-        ),
-        (
-            "field.psf -o at.csv --to psf-samples --at at.csv --overwrite",
-            1,
-            &["at.csv", "another name"],
-        ),
         (
             "samples.fits -o out.fits --to gridded --rank 3",
             2,
@@ -524,4 +513,21 @@ fn any_model_becomes_a_model_file() {
             Position::of_pixel(60, 50)
         )
     );
+}
+
+#[test]
+fn no_conversion_replaces_its_input() {
+    let desk = Desk::new();
+    put_psfex(&desk, "field.psf", &psfex(9, 1.0));
+    desk.write("at.csv", "x,y\n3,4\n5,6\n");
+    for (arguments, file) in [
+        ("field.psf -o field.psf", "field.psf"),
+        ("field.psf -o ./field.psf --overwrite", "field.psf"),
+        (
+            "field.psf -o at.csv --to psf-samples --at at.csv --overwrite",
+            "at.csv",
+        ),
+    ] {
+        desk.refused(&format!("convert {arguments}"), 1, &[file, "another name"]);
+    }
 }
