@@ -401,11 +401,6 @@ fn conversions_that_cannot_be() {
             &["samples.fits", "pixel response"],
         ),
         (
-            "samples.fits -o out.fits --to gridded --pixel-response missing",
-            1,
-            &["response"],
-        ),
-        (
             "samples.fits -o out.psf --to psfex=1 --rank 3",
             2,
             &["--normalise"],
@@ -445,21 +440,6 @@ fn conversions_that_cannot_be() {
             &["scene.fits", "POSITIONS"],
         ),
         ("none.psf -o out.psf", 1, &["none.psf"]),
-        (
-            "samples.fits -o out.fits --to gridded --rank 3",
-            2,
-            &["--normalise", "--grid"],
-        ),
-        (
-            "samples.fits -o out.fits --to gridded --outside error",
-            2,
-            &["--normalise", "--grid"],
-        ),
-        (
-            "samples.fits -o out.fits --to gridded --at at.csv",
-            1,
-            &["regular grid", "--grid"],
-        ),
     ] {
         desk.refused(&format!("convert {arguments}"), code, needles);
     }
@@ -529,5 +509,35 @@ fn no_conversion_replaces_its_input() {
         ),
     ] {
         desk.refused(&format!("convert {arguments}"), 1, &[file, "another name"]);
+    }
+}
+
+#[test]
+fn libraries_that_cannot_be() {
+    let desk = Desk::new();
+    desk.write("at.csv", "x,y\n3,4\n5,6\n");
+    for (arguments, code, needles) in [
+        (
+            "samples.fits -o out.fits --to gridded --pixel-response missing",
+            1,
+            &["response"][..],
+        ),
+        (
+            "samples.fits -o out.fits --to gridded --rank 3",
+            2,
+            &["--normalise", "--grid"],
+        ),
+        (
+            "samples.fits -o out.fits --to gridded --outside error",
+            2,
+            &["--normalise", "--grid"],
+        ),
+        (
+            "samples.fits -o out.fits --to gridded --at at.csv",
+            1,
+            &["regular grid", "--grid"],
+        ),
+    ] {
+        desk.refused(&format!("convert {arguments}"), code, needles);
     }
 }
