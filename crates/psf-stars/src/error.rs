@@ -60,7 +60,7 @@ pub enum StarError {
     },
     /// A distance from the frame's edge at which a stamp does not fit into the frame.
     #[error(
-        "stars may be {edge_px} pixels from the frame's edge, but their stamps reach {half_stamp} pixels: ask for at least {half_stamp}, or for smaller stamps"
+        "{edge_px} pixels from the frame's edge are less than half a stamp, {half_stamp} pixels: ask for at least as many, or for smaller stamps"
     )]
     EdgeInsideStamp {
         /// The distance asked for.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use psf_io::{Card, CardValue, HduChoice, HeaderCards};
+use psf_io::{Card, CardValue, HduChoice, HeaderCards, IoError};
 use psf_stars::{
     BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
 };
@@ -88,7 +88,15 @@ impl StarArgs {
         path: &Path,
         threshold: Option<f64>,
     ) -> anyhow::Result<(Image<f64>, HeaderCards, StarSampling)> {
-        let (frame, header) = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref())?.into_parts();
+        let read = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref());
+        let (frame, header) = read
+            .map_err(|error| match error {
+                IoError::NonFinitePixels { .. } => anyhow::Error::new(error).context(
+                    "bad pixels need a number: with one at or above the saturation level (SATURATE, --saturation) stars that have any are left out",
+                ),
+                other => other.into(),
+            })?
+            .into_parts();
         let in_header = match header.get("SATURATE").and_then(Card::value) {
             Some(CardValue::Real(level)) => Some(level),
             Some(CardValue::Integer(level)) => Some(level as f64),

@@ -146,3 +146,102 @@ fn options_of_the_other_input_and_frames_without_stars() {
     desk.write_image("flat.fits", Array2::from_elem((64, 64), 3.0));
     desk.refused("sample flat.fits -o out.fits", 1, &["flat.fits", "noise"]);
 }
+
+/// An image file as an extension of this name, with these cards.
+fn as_extension(image: &[u8], name: &str, cards: &[String]) -> Vec<u8> {
+    let end = (0..)
+        .find(|k| image[80 * k..].starts_with(b"END     "))
+        .expect("a header ends");
+    let mut header = format!("{:<80}", "XTENSION= 'IMAGE   '").into_bytes();
+    for k in 1..end {
+        let card = &image[80 * k..80 * (k + 1)];
+        if !card.starts_with(b"EXTEND") {
+            header.extend(card);
+        }
+        if card.starts_with(b"NAXIS2") {
+            header.extend(format!("{:<80}{:<80}", "PCOUNT  = 0", "GCOUNT  = 1").into_bytes());
+        }
+    }
+    for card in [format!("EXTNAME = '{name:<8}'")].iter().chain(cards) {
+        header.extend(format!("{card:<80}").into_bytes());
+    }
+    header.extend(format!("{:<80}", "END").into_bytes());
+    header.resize(header.len().next_multiple_of(2880), b' ');
+    header.extend(&image[(80 * (end + 1)).next_multiple_of(2880)..]);
+    header
+}
+
+/// The frame as extension `FRAME` behind a cube, with cards of its own.
+fn in_extension(desk: &Desk, cards: &[String]) {
+    psf_io::write_cube(
+        desk.path("cube.fits"),
+        ndarray::Array3::<f64>::zeros((3, 8, 8)).view(),
+        &[psf_io::Card::new("OBJECT", "cube", "").unwrap()],
+        true,
+    )
+    .unwrap();
+    let mut file = desk.bytes("cube.fits");
+    file.extend(as_extension(&desk.bytes("frame.fits"), "FRAME", cards));
+    desk.write("mef.fits", file);
+}
+
+#[test]
+fn a_frame_in_an_extension_keeps_its_own_header() {
+    let desk = desk();
+    in_extension(&desk, &["OBJECT  = 'stars   '".to_owned()]);
+    let run = desk.run("sample mef.fits --extension FRAME -o samples.fits --json");
+    assert_eq!(run.code, Some(0), "{run:?}");
+    assert_eq!(run.json()["samples"], 25, "{run:?}");
+    let run = desk.run("roundtrip mef.fits --extension FRAME --report trip --realisations 1");
+    assert_eq!(run.code, Some(0), "{run:?}");
+    let object = desk
+        .header("trip/simulated.fits")
+        .get("OBJECT")
+        .and_then(psf_io::Card::value);
+    assert_eq!(object, Some("stars".into()));
+    desk.refused("sample mef.fits --extension 0 -o out.fits", 1, &["mef.fits"]);
+}
+
+#[test]
+fn a_saturation_level_of_the_header_is_named_and_judged() {
+    let desk = desk();
+    in_extension(&desk, &["SATURATE= 550.0".to_owned()]);
+    desk.refused(
+        "sample mef.fits --extension FRAME -o out.fits",
+        1,
+        &["saturated", "550", "SATURATE of the header"],
+    );
+    let run = desk.run("sample mef.fits --extension FRAME --saturation 1e5 -o given.fits --json");
+    assert_eq!(run.json()["saturation"]["origin"], "given");
+    in_extension(&desk, &["SATURATE= 0.0".to_owned()]);
+    desk.warned("sample mef.fits --extension FRAME -o out.fits", "SATURATE");
+    assert_eq!(desk.samples("out.fits").len(), 25);
+}
+
+#[test]
+fn a_stamp_has_room_at_the_edge() {
+    let desk = desk();
+    desk.refused(
+        "sample frame.fits -o out.fits --edge 3",
+        1,
+        &["frame.fits", "3 pixels", "half a stamp"],
+    );
+    let run = desk.run("sample frame.fits -o out.fits --edge 9 --stamp-size 15");
+    assert_eq!(run.code, Some(0), "{run:?}");
+}
+
+#[test]
+fn pixels_without_a_value_are_told_of() {
+    let desk = desk();
+    let mut bytes = desk.bytes("frame.fits");
+    // The first pixel, in a double-precision image after a header of one block or more.
+    let end = (0..).find(|k| bytes[80 * k..].starts_with(b"END     ")).unwrap();
+    let data = (80 * (end + 1)).next_multiple_of(2880);
+    bytes[data..data + 8].fill(0xff);
+    desk.write("nan.fits", bytes);
+    desk.refused(
+        "sample nan.fits -o out.fits",
+        1,
+        &["nan.fits", "NaN", "--saturation"],
+    );
+}
