@@ -155,9 +155,8 @@ mod tests {
                             "{interpolation} {length} {s} {shift} {pixel}: {dense:?}"
                         );
                     }
-                    // A stamp of one pixel is there in its place alone.
-                    let alone = length == 1 && interpolation == StampInterpolation::CubicSpline;
-                    assert_eq!(phase.is_none(), alone && shift.abs() > ON_PIXEL);
+                    // None only where a stamp smaller than a pixel misses every centre, as the taps above say.
+                    assert!(phase.is_some() || length < s as usize || length == 1);
                     assert!(phase.is_none_or(|phase| {
                         axis.kept() >= phase.first_of(phase.to - 1, axis.oversampling()) + axis.tap_count()
                     }));
