@@ -60,7 +60,10 @@ fn main() {
     let trials = trials
         .into_iter()
         .flatten()
-        .map(|trial: Trial| trial.with_ignored_flag(!available))
+        .map(|trial: Trial| {
+            let on_demand = trial.has_ignored_flag();
+            trial.with_ignored_flag(on_demand || !available)
+        })
         .collect();
     libtest_mimic::run(&arguments, trials).exit();
 }
