@@ -66,7 +66,7 @@ pub use psf_input::{FitChoices, OpenedPsf, PsfFileOptions, PsfInput, check_stack
 pub use round_trip::{
     Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport, RoundTripRow,
 };
-pub use same_file::check_outputs;
+pub use same_file::{check_outputs, resolved};
 pub use simulation::{SceneParts, Simulation};
 pub use simulation_options::SimulationOptions;
 pub use simulation_plan::SimulationPlan;

@@ -24,8 +24,8 @@ pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Re
     Ok(())
 }
 
-/// One name for a file, whether it exists or not.
-fn resolved(path: &Path) -> PathBuf {
+/// One name for a file, whether it exists or not, however it is written.
+pub fn resolved(path: &Path) -> PathBuf {
     if let Ok(place) = path.canonicalize() {
         return place;
     }
@@ -35,6 +35,6 @@ fn resolved(path: &Path) -> PathBuf {
     };
     match (folder.canonicalize(), path.file_name()) {
         (Ok(folder), Some(name)) => folder.join(name),
-        _ => path.to_owned(),
+        _ => std::path::absolute(path).unwrap_or_else(|_| path.to_owned()),
     }
 }

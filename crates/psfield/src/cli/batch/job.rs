@@ -7,6 +7,7 @@ use std::hash::Hasher;
 use std::path::{Path, PathBuf};
 
 use clap::{ArgAction, ArgMatches, Args, Command, FromArgMatches};
+use psfield::resolved;
 
 use super::super::UsageError;
 use super::super::simulate::{JobMark, SimulateArgs};
@@ -234,19 +235,4 @@ fn in_one_line(error: &clap::Error) -> String {
     let words: Vec<&str> = text[..end].split_whitespace().collect();
     let line = words.join(" ");
     line.strip_prefix("error: ").unwrap_or(&line).to_owned()
-}
-
-/// One name for a file, whether it exists or not.
-fn resolved(path: &Path) -> PathBuf {
-    if let Ok(place) = path.canonicalize() {
-        return place;
-    }
-    let folder = match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() => folder,
-        _ => Path::new("."),
-    };
-    match (folder.canonicalize(), path.file_name()) {
-        (Ok(folder), Some(name)) => folder.join(name),
-        _ => std::path::absolute(path).unwrap_or_else(|_| path.to_owned()),
-    }
 }
