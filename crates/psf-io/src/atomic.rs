@@ -37,6 +37,20 @@ pub fn write_atomically<R, E: From<IoError>>(
     Ok(result)
 }
 
+/// Writes a text file, whole or not at all.
+///
+/// # Errors
+/// As [`write_atomically`].
+pub fn write_text(path: impl AsRef<Path>, content: &str, overwrite: bool) -> Result<(), IoError> {
+    let path = path.as_ref();
+    write_atomically(path, overwrite, |temporary| {
+        fs::write(temporary, content).map_err(|source| IoError::Write {
+            path: path.to_owned(),
+            source,
+        })
+    })
+}
+
 /// Whether `path` can be written, as far as can be told before the work is done: its directory exists, and it is not there
 /// yet, or is a regular file that may be replaced.
 ///

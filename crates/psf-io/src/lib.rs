@@ -93,7 +93,7 @@ mod text_header;
 mod text_table;
 mod tiled;
 
-pub use atomic::{check_output, write_atomically};
+pub use atomic::{check_output, write_atomically, write_text};
 pub use card::Card;
 pub use card_value::{CardError, CardValue};
 pub use catalog::{Catalog, read_catalog_with, read_positions_with};

@@ -16,12 +16,17 @@ const RESERVE_LIMIT: usize = 100_000;
 impl Fits {
     /// Adds an image HDU for values of type `T`; `shape` in array order (x last).
     pub(crate) fn create_image<T: Real>(&mut self, shape: &[usize]) -> Result<(), IoError> {
-        let mut axes: Vec<sys::LONGLONG> = shape.iter().rev().map(|&n| n as sys::LONGLONG).collect();
         let bitpix = if size_of::<T>() == size_of::<f32>() {
             sys::FLOAT_IMG
         } else {
             sys::DOUBLE_IMG
         };
+        self.create_image_of(shape, bitpix)
+    }
+
+    /// Adds an image HDU of one of CFITSIO's image types.
+    pub(super) fn create_image_of(&mut self, shape: &[usize], bitpix: c_int) -> Result<(), IoError> {
+        let mut axes: Vec<sys::LONGLONG> = shape.iter().rev().map(|&n| n as sys::LONGLONG).collect();
         let mut status = 0;
         // SAFETY: the handle is open and `axes` holds the number of values announced.
         unsafe {

@@ -11,25 +11,12 @@ use crate::integer_image::IntegerKind;
 impl Fits {
     /// Adds an image HDU for whole numbers; `shape` in array order (x last). CFITSIO writes the BZERO of unsigned ones.
     pub(crate) fn create_integer_image(&mut self, shape: &[usize], kind: IntegerKind) -> Result<(), IoError> {
-        let mut axes: Vec<sys::LONGLONG> = shape.iter().rev().map(|&n| n as sys::LONGLONG).collect();
         let bitpix = match kind {
             IntegerKind::Unsigned8 => sys::BYTE_IMG as c_int,
             IntegerKind::Unsigned16 => sys::USHORT_IMG as c_int,
             IntegerKind::Signed32 => sys::LONG_IMG as c_int,
         };
-        let mut status = 0;
-        // SAFETY: the handle is open and `axes` holds the number of values announced.
-        unsafe {
-            sys::ffcrimll(
-                self.handle.as_ptr(),
-                bitpix,
-                axes.len() as c_int,
-                axes.as_mut_ptr(),
-                &raw mut status,
-            )
-        };
-        self.writes_image = true;
-        self.check(status, "creating an image")
+        self.create_image_of(shape, bitpix)
     }
 
     /// Writes pixels of such an image, from pixel `first` (0-based) on.

@@ -12,7 +12,7 @@ use anyhow::Context as _;
 use clap::builder::{OsStringValueParser, TypedValueParser};
 use conv_core::ConvReal;
 use psf_basis::RankSelection;
-use psf_io::IoError;
+
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Anchor, FrameShape, Interpolation, PsfModelRecord, PsfSource as _, Scene};
@@ -332,13 +332,7 @@ impl BenchArgs {
     }
 
     fn write(&self, path: &Path, content: &str) -> anyhow::Result<()> {
-        psf_io::write_atomically(path, self.overwrite, |temporary| {
-            std::fs::write(temporary, content).map_err(|source| IoError::Write {
-                path: path.to_owned(),
-                source,
-            })
-        })?;
-        Ok(())
+        Ok(psf_io::write_text(path, content, self.overwrite)?)
     }
 }
 

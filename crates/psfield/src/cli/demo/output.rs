@@ -1,10 +1,10 @@
 //! What the demonstration writes.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use metrics::Summary;
-use psf_io::{Card, HeaderCards, IoError};
+use psf_io::{Card, HeaderCards};
 use psf_types::{FrameShape, Image, PointSource, Position, PsfModel, PsfSamples};
 use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, OutputGrid, evaluate};
 
@@ -57,14 +57,11 @@ impl Output {
     }
 
     pub(super) fn write(&self, name: &str, content: &str) -> anyhow::Result<()> {
-        let path = self.folder.join(name);
-        psf_io::write_atomically(&path, self.overwrite, |temporary: &Path| {
-            std::fs::write(temporary, content).map_err(|source| IoError::Write {
-                path: path.clone(),
-                source,
-            })
-        })?;
-        Ok(())
+        Ok(psf_io::write_text(
+            self.folder.join(name),
+            content,
+            self.overwrite,
+        )?)
     }
 
     pub(super) fn text(&mut self, name: &str, content: &str) -> anyhow::Result<()> {

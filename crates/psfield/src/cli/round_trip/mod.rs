@@ -5,7 +5,7 @@ mod plot;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use psf_io::{HeaderCards, IoError};
+use psf_io::HeaderCards;
 use psf_stars::SOURCE_COLUMNS;
 use psf_types::Image;
 use psfield::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport};
@@ -145,14 +145,11 @@ impl RoundTripArgs {
     }
 
     fn write_text(&self, name: &str, content: &str) -> anyhow::Result<()> {
-        let path = self.report.join(name);
-        psf_io::write_atomically(&path, self.overwrite, |temporary: &Path| {
-            std::fs::write(temporary, content).map_err(|source| IoError::Write {
-                path: path.clone(),
-                source,
-            })
-        })?;
-        Ok(())
+        Ok(psf_io::write_text(
+            self.report.join(name),
+            content,
+            self.overwrite,
+        )?)
     }
 }
 
