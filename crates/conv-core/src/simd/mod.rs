@@ -59,12 +59,16 @@ pub trait Lanes<T>: Isa {
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// `c - a b`.
     fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// The first values of a vector: at most as many as it has lanes, and zeros.
+    fn partial_load(self, from: &[T]) -> Self::V;
+    /// Stores a vector's first values: at most as many as it has lanes.
+    fn partial_store(self, into: &mut [T], values: Self::V);
     /// Transposes a square of as many complex vectors as each has lanes.
     fn transpose(self, from: &[Pair<Self::V>], into: &mut [Pair<Self::V>]);
 }
 
 macro_rules! lanes {
-    ($t:ty, $v:ident, $lanes:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident, $neg:ident, $transpose:ident) => {
+    ($t:ty, $v:ident, $lanes:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident, $neg:ident, $load:ident, $store:ident, $transpose:ident) => {
         impl<S: Isa> Lanes<$t> for S {
             type V = S::$v;
             const LANES: usize = S::$lanes;
@@ -93,6 +97,14 @@ macro_rules! lanes {
                 Simd::$neg(self, a, b, c)
             }
             #[inline(always)]
+            fn partial_load(self, from: &[$t]) -> S::$v {
+                Simd::$load(self, from)
+            }
+            #[inline(always)]
+            fn partial_store(self, into: &mut [$t], values: S::$v) {
+                Simd::$store(self, into, values);
+            }
+            #[inline(always)]
             fn transpose(self, from: &[Pair<S::$v>], into: &mut [Pair<S::$v>]) {
                 Isa::$transpose(self, from, into);
             }
@@ -110,6 +122,8 @@ lanes!(
     mul_f32s,
     mul_add_f32s,
     negate_mul_add_f32s,
+    partial_load_f32s,
+    partial_store_f32s,
     transpose_f32
 );
 lanes!(
@@ -122,6 +136,8 @@ lanes!(
     mul_f64s,
     mul_add_f64s,
     negate_mul_add_f64s,
+    partial_load_f64s,
+    partial_store_f64s,
     transpose_f64
 );
 

@@ -1,137 +1,126 @@
 //! Stars of one block, row by row.
 
-use ndarray::ArrayViewMut2;
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
 use super::phases::PhasedAxis;
 use super::star::PreparedStar;
-use super::star_block::RowLayout;
+use super::star_block::{CHUNK, RowLayout, StarBlock};
+use super::tile::Tile;
 use crate::ConvReal;
-use crate::lowrank::internals::Aligned;
 use crate::simd::Lanes;
 
-/// Draws stars of one block into some rows of an image.
+/// Draws stars of one block.
 pub(super) struct BlockDraw<'a, T> {
     pub(super) axes: &'a [PhasedAxis; 2],
     pub(super) layout: RowLayout,
-    pub(super) kernels: usize,
-    /// The block's values.
-    pub(super) values: &'a [T],
+    pub(super) block: &'a StarBlock<T>,
+    pub(super) stars: &'a [PreparedStar<T>],
+    /// The stars' weights.
+    pub(super) weights: &'a [T],
 }
 
-/// The longest vector, in values.
-const MOST_LANES: usize = 16;
-
-/// Sums that stay in registers at a time.
-const AT_ONCE: usize = 8;
-
 impl<T: ConvReal> BlockDraw<'_, T> {
-    /// Adds the stars to `rows`, the first of which is row `first_row` of the image. Row by row of the stamps, so that a row of all
-    /// kernels stays in the first cache while every star takes its part of it.
+    /// Adds the stars to a tile that holds all their columns. Row by row of the stamps, so that a row of all kernels stays in the first
+    /// cache while every star takes its part of it.
     ///
     /// What a pixel gets comes in an order that does not depend on which rows are at hand.
     #[inline(always)]
-    pub(super) fn draw<S: Lanes<T>>(
-        &self,
-        simd: S,
-        stars: &[&PreparedStar<T>],
-        rows: &mut ArrayViewMut2<'_, T>,
-        first_row: i64,
-    ) {
-        let [columns, axis] = self.axes;
-        let taps = columns.tap_count();
-        let from = stars.iter().map(|star| star.rows.from).min().unwrap_or(0);
-        let to = stars.iter().map(|star| star.rows.to).max().unwrap_or(0);
-        // Sums of a row by residues, then a row of the image; both with room for whole vectors.
-        let mut sums = Aligned::zeros(self.layout.kernel + 2 * MOST_LANES);
-        let sums = sums.get_mut();
-        let mut line = vec![T::zero(); self.layout.residue + 2 * MOST_LANES];
-        let (height, width) = (rows.nrows() as i64, rows.ncols() as i64);
-        for j in from..to {
-            for star in stars {
-                let row = star.pixel.1 + j - first_row;
-                if !(star.rows.from..star.rows.to).contains(&j) || !(0..height).contains(&row) {
+    pub(super) fn draw<S: Lanes<T>, const TAPS: usize>(&self, simd: S, tile: &mut Tile<T>) {
+        let axis = &self.axes[1];
+        let longest = self
+            .stars
+            .iter()
+            .map(|star| star.rows.end - star.rows.start)
+            .max();
+        let rows = tile.rows();
+        let row_of_kernels = self.block.kernel_count() * self.layout.kernel;
+        for j in 0..longest.unwrap_or(0) {
+            for star in self.stars {
+                let row = star.rows.start + j;
+                if row >= star.rows.end || !rows.contains(&row) {
                     continue;
                 }
-                let kept = star.rows.first_of(j, axis.oversampling());
-                let values = &self.values[kept * self.kernels * self.layout.kernel..];
-                for span in &star.spans {
-                    let sums = &mut sums[span.clone()];
-                    combine(
-                        simd,
-                        sums,
-                        values,
-                        (self.layout.kernel, span.start),
-                        &star.weights,
-                    );
+                let kept = star.first_row + j as usize * axis.oversampling();
+                let column = (star.columns.start - tile.origin.0) as usize;
+                let length = (star.columns.end - star.columns.start) as usize;
+                let first = (row - rows.start) as usize * tile.width + column;
+                StarRow {
+                    values: &self.block.values()[kept * row_of_kernels..],
+                    weights: &self.weights[star.weights.clone()],
+                    layout: self.layout,
+                    first: star.first_residue,
+                    taps: star.taps.first_chunk::<TAPS>().expect("taps of the kernel"),
                 }
-                let length = (star.columns.to - star.columns.from) as usize;
-                for at in (0..length).step_by(S::LANES) {
-                    let mut sum = simd.splat(T::zero());
-                    for &(start, weight) in &star.taps[..taps] {
-                        let v: &[S::V] = cast_slice(&sums[start + at..start + at + S::LANES]);
-                        sum = simd.mul_add(simd.splat(weight), v[0], sum);
-                    }
-                    cast_slice_mut::<T, S::V>(&mut line[at..at + S::LANES])[0] = sum;
-                }
-                let column = star.pixel.0 + star.columns.from;
-                let skip = (-column).clamp(0, length as i64);
-                let end = (width - column).clamp(skip, length as i64);
-                let mut target = rows.row_mut(row as usize);
-                let target = target.as_slice_mut().expect("images are row-major");
-                if skip < end {
-                    let target = &mut target[(column + skip) as usize..(column + end) as usize];
-                    for (t, v) in target.iter_mut().zip(&line[skip as usize..end as usize]) {
-                        *t += *v;
-                    }
-                }
+                .add_to(simd, &mut tile.values[first..first + length]);
             }
         }
     }
 }
 
-/// Sets `sums` to `sum_i w_i values_i`, where `values_i` starts at `first` of the i-th `stride` values. The number of sums is a
-/// multiple of every vector's length.
-#[inline(always)]
-fn combine<T: ConvReal, S: Lanes<T>>(
-    simd: S,
-    sums: &mut [T],
-    values: &[T],
-    (stride, first): (usize, usize),
-    weights: &[T],
-) {
-    let sums: &mut [S::V] = cast_slice_mut(sums);
-    let mut groups = sums.chunks_exact_mut(AT_ONCE);
-    let mut at = first;
-    for group in &mut groups {
-        let zero = simd.splat(T::zero());
-        // By name, so that they stay in registers.
-        let (mut a, mut b, mut c, mut d) = (zero, zero, zero, zero);
-        let (mut e, mut f, mut g, mut h) = (zero, zero, zero, zero);
-        for (i, &weight) in weights.iter().enumerate() {
-            let start = i * stride + at;
-            let v: &[S::V] = cast_slice(&values[start..start + AT_ONCE * S::LANES]);
-            let w = simd.splat(weight);
-            a = simd.mul_add(w, v[0], a);
-            b = simd.mul_add(w, v[1], b);
-            c = simd.mul_add(w, v[2], c);
-            d = simd.mul_add(w, v[3], d);
-            e = simd.mul_add(w, v[4], e);
-            f = simd.mul_add(w, v[5], f);
-            g = simd.mul_add(w, v[6], g);
-            h = simd.mul_add(w, v[7], h);
+/// One row of one star: rows of a block's kernels, added up.
+#[derive(Clone, Copy)]
+struct StarRow<'a, T, const TAPS: usize> {
+    /// `[row, kernel, chunk, residue, pixel]`, from the row of the first tap on.
+    values: &'a [T],
+    /// `[row, kernel]`.
+    weights: &'a [T],
+    layout: RowLayout,
+    /// The residue of the columns' first tap.
+    first: usize,
+    /// The columns' weights.
+    taps: &'a [T; TAPS],
+}
+
+impl<T: ConvReal, const TAPS: usize> StarRow<'_, T, TAPS> {
+    #[inline(always)]
+    fn add_to<S: Lanes<T>>(self, simd: S, target: &mut [T]) {
+        let mut pixel = 0;
+        let mut pairs = target.chunks_exact_mut(2 * S::LANES);
+        for pair in &mut pairs {
+            let sums = self.sums::<S, 2>(simd, pixel);
+            for (v, sum) in cast_slice_mut::<T, S::V>(pair).iter_mut().zip(sums) {
+                *v = simd.add(*v, sum);
+            }
+            pixel += 2 * S::LANES;
         }
-        group.copy_from_slice(&[a, b, c, d, e, f, g, h]);
-        at += AT_ONCE * S::LANES;
+        let rest = pairs.into_remainder();
+        if rest.len() > S::LANES {
+            let sums = self.sums::<S, 2>(simd, pixel);
+            for (chunk, sum) in rest.chunks_mut(S::LANES).zip(sums) {
+                simd.partial_store(chunk, simd.add(simd.partial_load(chunk), sum));
+            }
+        } else if !rest.is_empty() {
+            let [sum] = self.sums::<S, 1>(simd, pixel);
+            simd.partial_store(rest, simd.add(simd.partial_load(rest), sum));
+        }
     }
-    for sum in groups.into_remainder() {
-        let mut held = simd.splat(T::zero());
-        for (i, &weight) in weights.iter().enumerate() {
-            let start = i * stride + at;
-            let v: &[S::V] = cast_slice(&values[start..start + S::LANES]);
-            held = simd.mul_add(simd.splat(weight), v[0], held);
+
+    /// `N` vectors of the row, from a pixel on.
+    #[inline(always)]
+    fn sums<S: Lanes<T>, const N: usize>(self, simd: S, pixel: usize) -> [S::V; N] {
+        let zero = simd.splat(T::zero());
+        let mut starts = [0; N];
+        for (n, start) in starts.iter_mut().enumerate() {
+            *start = self.layout.index(self.first, pixel + n * S::LANES);
         }
-        *sum = held;
-        at += S::LANES;
+        let mut by_tap = [[zero; TAPS]; N];
+        for (i, &weight) in self.weights.iter().enumerate() {
+            let w = simd.splat(weight);
+            for (sums, &start) in by_tap.iter_mut().zip(&starts) {
+                let first = i * self.layout.kernel + start;
+                let taps = &self.values[first..first + (TAPS - 1) * CHUNK + S::LANES];
+                for (tap, sum) in sums.iter_mut().enumerate() {
+                    let v: &[S::V] = cast_slice(&taps[tap * CHUNK..tap * CHUNK + S::LANES]);
+                    *sum = simd.mul_add(w, v[0], *sum);
+                }
+            }
+        }
+        let mut all = [zero; N];
+        for (all, sums) in all.iter_mut().zip(&by_tap) {
+            for (&sum, &weight) in sums.iter().zip(self.taps) {
+                *all = simd.mul_add(simd.splat(weight), sum, *all);
+            }
+        }
+        all
     }
 }

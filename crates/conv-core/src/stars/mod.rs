@@ -7,10 +7,13 @@
 
 mod cache;
 mod draw;
+mod groups;
 mod phases;
 mod star;
 mod star_block;
 mod star_plan;
+mod star_vectors;
+mod tile;
 
 pub(crate) use star::Window;
 pub use star_plan::StarPlan;

@@ -2,6 +2,7 @@
 
 use psf_types::StampGrid;
 
+use super::star::Window;
 use crate::stamp_interpolator::Kernel;
 
 /// Coordinates this close to a pixel of the stamp are on it: rounding, not position.
@@ -16,8 +17,12 @@ pub(super) struct PhasedAxis {
     length: usize,
     centre: f64,
     oversampling: usize,
-    /// Coefficients kept before the first and after the last.
-    margins: (usize, usize),
+    /// The pixels about a star's own that it may light.
+    window: (i64, i64),
+    /// Where the first coefficient kept stands in the stamp, and how many there are: those that stars may take, no others, so that
+    /// vectors of the first residues start at cache lines.
+    first: i64,
+    kept: usize,
 }
 
 /// A star's place on an axis.
@@ -32,26 +37,32 @@ pub(super) struct Phase {
 }
 
 impl PhasedAxis {
-    /// The columns and the rows of a grid, if its oversampling is a whole number.
-    pub(super) fn both(grid: StampGrid) -> Option<[Self; 2]> {
+    /// The columns and the rows of a grid, for stars that light a window, if the oversampling is a whole number.
+    pub(super) fn both(grid: StampGrid, window: Window) -> Option<[Self; 2]> {
         let s = grid.oversampling();
         if s.fract() != 0.0 || s > f64::from(u16::MAX) {
             return None;
         }
         let kernel = Kernel::of(grid.interpolation());
-        let axis = |length: usize, centre: f64| {
+        let axis = |length: usize, centre: f64, window: (i64, i64)| {
             let domain = kernel.domain(length);
-            let before = -(domain.start().round() as i64 + kernel.first_tap());
-            let last = domain.end().round() as i64 + kernel.first_tap() + kernel.tap_count() as i64 - 1;
+            let reached = |pixel: i64, side: f64| centre + s * (pixel as f64 + side);
+            let first = reached(window.0, -0.5).max(*domain.start()).floor() as i64;
+            let last = reached(window.1 - 1, 0.5).min(*domain.end()).ceil() as i64;
             Self {
                 kernel,
                 length,
                 centre,
                 oversampling: s as usize,
-                margins: (before as usize, (last - (length as i64 - 1)) as usize),
+                window,
+                first: first + kernel.first_tap(),
+                kept: (last - first).max(0) as usize + kernel.tap_count(),
             }
         };
-        Some([axis(grid.nx(), grid.centre_x()), axis(grid.ny(), grid.centre_y())])
+        Some([
+            axis(grid.nx(), grid.centre_x(), window.columns),
+            axis(grid.ny(), grid.centre_y(), window.rows),
+        ])
     }
 
     pub(super) fn oversampling(&self) -> usize {
@@ -64,28 +75,42 @@ impl PhasedAxis {
 
     /// Coefficients kept.
     pub(super) fn kept(&self) -> usize {
-        self.margins.0 + self.length + self.margins.1
+        self.kept
     }
 
     /// Where the coefficient stands in the stamp that is kept at `kept`; none where there is nothing.
     pub(super) fn index(&self, kept: usize) -> Option<usize> {
-        self.kernel
-            .index(kept as i64 - self.margins.0 as i64, self.length)
+        self.kernel.index(kept as i64 + self.first, self.length)
     }
 
-    /// The place of a star `shift` frame pixels beyond the centre of its pixel, for pixels `from..to` about that; none where the stamp
-    /// reaches no pixel.
-    pub(super) fn phase(&self, shift: f64, from: i64, to: i64) -> Option<Phase> {
-        let s = self.oversampling as f64;
-        let mut at = self.centre - s * shift;
+    /// Which of the coefficients kept a star's own pixel takes first: stars of one number take the same everywhere.
+    pub(super) fn phase_number(&self, shift: f64) -> i64 {
+        self.first_of(self.at(shift))
+    }
+
+    /// The coordinate in the stamp that a star's own pixel takes.
+    fn at(&self, shift: f64) -> f64 {
+        let at = self.centre - self.oversampling as f64 * shift;
         if (at - at.round()).abs() < ON_PIXEL {
-            at = at.round();
+            at.round()
+        } else {
+            at
         }
+    }
+
+    fn first_of(&self, at: f64) -> i64 {
+        at.floor() as i64 + self.kernel.first_tap() - self.first
+    }
+
+    /// The place of a star `shift` frame pixels beyond the centre of its pixel; none where the stamp reaches no pixel of the window.
+    pub(super) fn phase(&self, shift: f64) -> Option<Phase> {
+        let (from, to) = self.window;
+        let (s, at) = (self.oversampling as f64, self.at(shift));
         let domain = self.kernel.domain(self.length);
         let from = from.max(((domain.start() - at) / s).ceil() as i64);
         let to = to.min(((domain.end() - at) / s).floor() as i64 + 1);
         (from < to).then(|| Phase {
-            first: at.floor() as i64 + self.kernel.first_tap() + self.margins.0 as i64,
+            first: self.first_of(at),
             from,
             to,
             weights: self.kernel.weights(at - at.floor()),
@@ -98,12 +123,6 @@ impl Phase {
     pub(super) fn first_of(&self, pixel: i64, oversampling: usize) -> usize {
         (self.first + pixel * oversampling as i64) as usize
     }
-
-    /// Residue and `q` of a tap, for the pixel `from`.
-    pub(super) fn tap(&self, tap: usize, oversampling: usize) -> (usize, usize) {
-        let p = self.first_of(self.from, oversampling) + tap;
-        (p % oversampling, p / oversampling)
-    }
 }
 
 #[cfg(test)]
@@ -111,6 +130,8 @@ mod tests {
     use super::*;
     use crate::stamp_interpolator::Taps;
     use psf_types::StampInterpolation;
+
+    const SHIFTS: [f64; 6] = [-0.5, -0.25, 0.0, 0.1, 0.37, 0.499_999_999_999];
 
     /// The same coefficients and weights as the general rule gives, pixel by pixel.
     #[test]
@@ -128,13 +149,22 @@ mod tests {
                     .and_then(|g| g.with_centre(centre, 1.0))
                     .unwrap()
                     .with_interpolation(interpolation);
-                let [axis, _] = PhasedAxis::both(grid).unwrap();
-                for shift in [-0.5, -0.25, 0.0, 0.1, 0.37, 0.499_999_999_999] {
-                    let window = -40..40;
+                for (shift, from) in [-40, -2, 0]
+                    .into_iter()
+                    .flat_map(|from| SHIFTS.map(|shift| (shift, from)))
+                {
+                    let window = from..40 + from / 2;
+                    let lit = (window.start, window.end);
+                    let lit = Window {
+                        columns: lit,
+                        rows: lit,
+                    };
+                    let [axis, _] = PhasedAxis::both(grid, lit).unwrap();
                     let taps = Taps::new(Kernel::of(interpolation), length, 0.0, 80, |i| {
-                        centre + f64::from(s) * ((i as f64 - 40.0) - shift)
+                        centre + f64::from(s) * ((i as f64 + from as f64) - shift)
                     });
-                    let phase = axis.phase(shift, window.start, window.end);
+                    let phase = axis.phase(shift);
+                    assert!(phase.is_none_or(|phase| phase.from >= window.start && phase.to <= window.end));
                     for pixel in window.clone() {
                         let mut dense = vec![0.0; length];
                         for &(index, weight) in taps.of((pixel - window.start) as usize) {
@@ -158,12 +188,20 @@ mod tests {
                     // None only where a stamp smaller than a pixel misses every centre, as the taps above say.
                     assert!(phase.is_some() || length < s as usize || length == 1);
                     assert!(phase.is_none_or(|phase| {
+                        phase.first_of(phase.from, axis.oversampling()) <= axis.oversampling()
+                            && phase.first_of(0, axis.oversampling()) as i64 == axis.phase_number(shift)
+                    }));
+                    assert!(phase.is_none_or(|phase| {
                         axis.kept() >= phase.first_of(phase.to - 1, axis.oversampling()) + axis.tap_count()
                     }));
                 }
             }
         }
         let fractional = StampGrid::new(9, 9).unwrap().with_oversampling(2.1).unwrap();
-        assert!(PhasedAxis::both(fractional).is_none());
+        let lit = Window {
+            columns: (-4, 5),
+            rows: (-4, 5),
+        };
+        assert!(PhasedAxis::both(fractional, lit).is_none());
     }
 }

@@ -1,9 +1,10 @@
 //! One star, ready to be drawn.
 
+use std::ops::Range;
+
 use psf_types::{PixelRegion, PointSource};
 
 use super::phases::{Phase, PhasedAxis};
-use super::star_block::RowLayout;
 use crate::ConvReal;
 use crate::stamp_interpolator::MOST_TAPS;
 
@@ -31,44 +32,34 @@ pub(crate) struct Window {
 /// A star with its phases and the coefficients of its block's kernels.
 #[derive(Debug)]
 pub(super) struct PreparedStar<T> {
-    pub(super) pixel: (i64, i64),
-    pub(super) columns: Phase,
-    pub(super) rows: Phase,
-    /// For each tap of the rows, those of the kernels, times the star's flux.
-    pub(super) weights: Vec<T>,
-    /// Where the residues lie that the star takes: up to the last, and again from the first.
-    pub(super) spans: [std::ops::Range<usize>; 2],
-    /// The columns' taps: the first sum that each takes, and its weight.
-    pub(super) taps: [(usize, T); MOST_TAPS],
+    /// The pixels that it lights.
+    pub(super) columns: Range<i64>,
+    pub(super) rows: Range<i64>,
+    /// The coefficients that its first pixel takes first: the row, and the residue of the column.
+    pub(super) first_row: usize,
+    pub(super) first_residue: usize,
+    /// Where its weights lie: for each tap of the rows, those of the kernels, times the star's flux.
+    pub(super) weights: Range<usize>,
+    /// The columns' weights.
+    pub(super) taps: [T; MOST_TAPS],
 }
 
 impl<T: ConvReal> PreparedStar<T> {
-    /// A star from its place and the weights of rows and kernels.
+    /// A star from its phases and where its weights are.
     pub(super) fn new(
-        pixel: (i64, i64),
+        star: &Star,
         [columns, rows]: [Phase; 2],
-        weights: Vec<T>,
-        axis: &PhasedAxis,
-        layout: RowLayout,
+        weights: Range<usize>,
+        oversampling: usize,
     ) -> Self {
-        let s = axis.oversampling();
-        let (first, _) = columns.tap(0, s);
-        let used = axis.tap_count().min(s);
-        let span = |from: usize, to: usize| from * layout.residue..to * layout.residue;
-        let taps = std::array::from_fn(|tap| {
-            let (residue, q) = columns.tap(tap, s);
-            (residue * layout.residue + q, T::nearest(columns.weights[tap]))
-        });
+        let (column, row) = star.pixel;
         Self {
-            pixel,
-            columns,
-            rows,
+            columns: column + columns.from..column + columns.to,
+            rows: row + rows.from..row + rows.to,
+            first_row: rows.first_of(rows.from, oversampling),
+            first_residue: columns.first_of(columns.from, oversampling),
             weights,
-            spans: [
-                span(first, (first + used).min(s)),
-                span(0, (first + used).saturating_sub(s)),
-            ],
-            taps,
+            taps: columns.weights.map(T::nearest),
         }
     }
 }
@@ -89,7 +80,7 @@ impl Star {
     }
 
     /// Whether it may light a row of `rows` and a column below `columns`.
-    pub(super) fn reaches(&self, window: Window, columns: usize, rows: std::ops::Range<i64>) -> bool {
+    pub(super) fn reaches(&self, window: Window, columns: usize, rows: Range<i64>) -> bool {
         let (column, row) = self.pixel;
         let on = |pixel: i64, (from, to): (i64, i64), start: i64, end: i64| {
             pixel.saturating_add(from) < end && pixel.saturating_add(to) > start
@@ -99,12 +90,16 @@ impl Star {
             && on(row, window.rows, rows.start, rows.end)
     }
 
+    /// Numbers of its phases.
+    pub(super) fn phase_numbers(&self, [columns, rows]: &[PhasedAxis; 2]) -> (i64, i64) {
+        (
+            rows.phase_number(self.shift.1),
+            columns.phase_number(self.shift.0),
+        )
+    }
+
     /// Columns and rows of its phases; none where no pixel is lit.
-    pub(super) fn phases(&self, axes: &[PhasedAxis; 2], window: Window) -> Option<[Phase; 2]> {
-        let [columns, rows] = axes;
-        Some([
-            columns.phase(self.shift.0, window.columns.0, window.columns.1)?,
-            rows.phase(self.shift.1, window.rows.0, window.rows.1)?,
-        ])
+    pub(super) fn phases(&self, [columns, rows]: &[PhasedAxis; 2]) -> Option<[Phase; 2]> {
+        Some([columns.phase(self.shift.0)?, rows.phase(self.shift.1)?])
     }
 }

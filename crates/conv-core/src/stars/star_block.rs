@@ -1,6 +1,6 @@
 //! A part of the field whose stars are drawn from one local basis.
 
-use ndarray::{Array1, ArrayView1, ArrayView2};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use psf_types::{PixelRegion, PsfModel, StampGrid};
 
 use super::phases::PhasedAxis;
@@ -12,32 +12,47 @@ use crate::stamp_interpolator::Kernel;
 #[derive(Debug)]
 pub(super) struct StarBlock<T> {
     modes: LocalModes,
-    /// `[row, kernel, residue, q]`, rows and `q` in the order of the coefficients kept.
+    /// `[row, kernel, chunk, residue, pixel]`, rows in the order of the coefficients kept.
     values: Aligned<T>,
 }
 
-/// How the coefficients of a kernel's row lie.
+/// Modes are chosen by a few rows of a block for this part of the tolerance, so that hardly a star between them misses it.
+const MARGIN: f64 = 0.5;
+
+/// How the coefficients of a kernel's row lie: `[chunk, residue, pixel]`, with the pixels of the frame in chunks. Coefficient
+/// `s q + residue` belongs to pixel `q`; residues go on beyond `s`, so that the taps of a star are neighbours wherever its first
+/// is.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RowLayout {
-    /// Values from one residue to the next: a whole number of cache lines.
-    pub(super) residue: usize,
+    residues: usize,
     /// Values of a row of one kernel.
     pub(super) kernel: usize,
 }
 
-const CACHE_LINE: usize = 64;
+/// Pixels of a chunk: a whole number of vectors of any instruction set.
+pub(super) const CHUNK: usize = 16;
 
 impl RowLayout {
-    pub(super) fn new<T>(columns: &PhasedAxis) -> Self {
-        let line = CACHE_LINE / size_of::<T>();
-        let residue = columns
-            .kept()
-            .div_ceil(columns.oversampling())
-            .next_multiple_of(line);
+    pub(super) fn new(columns: &PhasedAxis) -> Self {
+        // The first tap is at residue `s` at most.
+        let residues = columns.oversampling() + columns.tap_count();
+        let chunks = columns.kept().div_ceil(columns.oversampling()).div_ceil(CHUNK);
         Self {
-            residue,
-            kernel: residue * columns.oversampling(),
+            residues,
+            kernel: chunks * residues * CHUNK,
         }
+    }
+
+    /// The pixel and the residue of a value.
+    fn place(self, index: usize) -> (usize, usize) {
+        let (line, pixel) = (index / CHUNK, index % CHUNK);
+        (line / self.residues * CHUNK + pixel, line % self.residues)
+    }
+
+    /// Where the value of a residue and a pixel is in a row of one kernel. The next residue's is [`CHUNK`] further.
+    #[inline(always)]
+    pub(super) fn index(self, residue: usize, pixel: usize) -> usize {
+        (pixel / CHUNK * self.residues + residue) * CHUNK + pixel % CHUNK
     }
 }
 
@@ -51,30 +66,20 @@ impl<T: ConvReal> StarBlock<T> {
         tolerance: f64,
     ) -> Self {
         let runs = RegionRuns::sampled(model.field(), region);
-        let modes = LocalModes::new(space, &runs, tolerance);
-        let layout = RowLayout::new::<T>(columns);
-        let count = modes.rank() + usize::from(modes.reference().is_some());
-        let mut aligned = Aligned::zeros(rows.kept() * count * layout.kernel);
-        let values = aligned.get_mut();
+        let modes = LocalModes::new(space, &runs, MARGIN * tolerance);
         let modes_alone = modes.modes();
         let directions = modes.reference().into_iter().chain(modes_alone.outer_iter());
-        for (kernel, direction) in directions.enumerate() {
-            let coefficients = coefficients_of(space.stamps(), direction, model.grid());
-            for row in 0..rows.kept() {
-                let Some(j) = rows.index(row) else { continue };
-                let to = &mut values[(row * count + kernel) * layout.kernel..][..layout.kernel];
-                for column in 0..columns.kept() {
-                    if let Some(i) = columns.index(column) {
-                        let (q, residue) = (column / columns.oversampling(), column % columns.oversampling());
-                        to[residue * layout.residue + q] = T::nearest(coefficients[[j, i]]);
-                    }
-                }
-            }
-        }
+        let kernels: Vec<Array2<f64>> = directions
+            .map(|direction| coefficients_of(space.stamps(), direction, model.grid()))
+            .collect();
         Self {
+            values: by_phases(&kernels, columns, rows),
             modes,
-            values: aligned,
         }
+    }
+
+    pub(super) fn modes(&self) -> &LocalModes {
+        &self.modes
     }
 
     pub(super) fn kernel_count(&self) -> usize {
@@ -88,21 +93,24 @@ impl<T: ConvReal> StarBlock<T> {
     pub(super) fn values(&self) -> &[T] {
         self.values.get()
     }
+}
 
-    /// The kernels' coefficients for the PSF that `psf` stands for, which becomes what they leave of it.
-    pub(super) fn project(&self, flux: f64, psf: &mut Array1<f64>) -> Vec<f64> {
-        let mut coefficients = Vec::with_capacity(self.kernel_count());
-        if let Some(reference) = self.modes.reference() {
-            psf.scaled_add(-flux, &reference);
-            coefficients.push(flux);
+/// Coefficients of kernels in the order in which stars take them.
+fn by_phases<T: ConvReal>(kernels: &[Array2<f64>], columns: &PhasedAxis, rows: &PhasedAxis) -> Aligned<T> {
+    let layout = RowLayout::new(columns);
+    let mut aligned = Aligned::zeros(rows.kept() * kernels.len() * layout.kernel);
+    for (at, to) in aligned.get_mut().chunks_exact_mut(layout.kernel).enumerate() {
+        let (row, kernel) = (at / kernels.len(), at % kernels.len());
+        let Some(j) = rows.index(row) else { continue };
+        for (at, value) in to.iter_mut().enumerate() {
+            let (pixel, residue) = layout.place(at);
+            let column = pixel * columns.oversampling() + residue;
+            if let Some(i) = columns.index(column).filter(|_| column < columns.kept()) {
+                *value = T::nearest(kernels[kernel][[j, i]]);
+            }
         }
-        for mode in self.modes.modes().outer_iter() {
-            let c = mode.dot(psf);
-            psf.scaled_add(-c, &mode);
-            coefficients.push(c);
-        }
-        coefficients
     }
+    aligned
 }
 
 /// The interpolation coefficients of a combination of stamps.
@@ -110,7 +118,7 @@ fn coefficients_of(
     stamps: ArrayView2<'_, f64>,
     direction: ArrayView1<'_, f64>,
     grid: StampGrid,
-) -> ndarray::Array2<f64> {
+) -> Array2<f64> {
     let mut values = Array1::zeros(grid.pixel_count());
     for (&a, stamp) in direction.iter().zip(stamps.outer_iter()) {
         values.scaled_add(a, &stamp);

@@ -1,19 +1,17 @@
 //! Plans for stars.
 
-use std::sync::Arc;
-
-use ndarray::{Array2, ArrayViewMut2, Axis};
-use psf_types::{Anchor, FieldError, FrameShape, PixelRegion, Position, PsfModel, Scene};
+use ndarray::Array2;
+use psf_types::{Anchor, FrameShape, PixelRegion, Position, PsfModel, Scene};
 use rayon::prelude::*;
 
 use super::cache::{BlockCache, BlockKey};
-use super::draw::BlockDraw;
+use super::groups::{DrawGroups, Group, StarKey};
 use super::phases::PhasedAxis;
 use super::star::{PreparedStar, Star, Window};
 use super::star_block::{RowLayout, StarBlock};
+use super::star_vectors::StarVectors;
 use crate::lowrank::internals::{PsfSpace, rounding};
 use crate::point_sources::StarPainter;
-use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal, PlanOptions};
 
 /// The drawing of point sources through one model, prepared.
@@ -83,14 +81,13 @@ struct Phased<T> {
 
 /// Columns and rows of the field that share a local basis: smaller ones need fewer kernels, but the values of all of them pass through the
 /// caches once a catalogue.
-const BLOCK: i64 = 128;
-/// Stars that are prepared at a time.
-const AT_ONCE: usize = 1 << 15;
-/// Rows of the image that one task draws.
-const BAND: usize = 32;
-/// Modes are chosen by a few rows of a block for this part of the tolerance, so that hardly a star between them misses it.
-const MARGIN: f64 = 0.5;
-
+const BLOCK: i64 = 256;
+/// Stars that are prepared at a time, more or less.
+const MOST_AT_ONCE: usize = 1 << 15;
+/// Parts of the field that are drawn at a time.
+const TILES_AT_ONCE: usize = 64;
+/// Stars that are worth a task of their own.
+const LEAST_AT_ONCE: usize = 1 << 10;
 impl<T: ConvReal> StarPlan<T> {
     /// A plan for stars through a model, drawn on `size` by `size` pixels about the pixel that each lies on (its own at index
     /// `size / 2`) where given, else as far as the stamps reach. Light beyond these pixels is lost, not put elsewhere.
@@ -104,11 +101,12 @@ impl<T: ConvReal> StarPlan<T> {
             options.anchor(),
             size,
         )?;
-        let axes = PhasedAxis::both(model.grid()).filter(|_| options.anchor() != Anchor::Output);
+        let axes =
+            PhasedAxis::both(model.grid(), painter.window()).filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
             window: painter.window(),
             phased: axes.map(|axes| Phased {
-                layout: RowLayout::new::<T>(&axes[0]),
+                layout: RowLayout::new(&axes[0]),
                 axes,
                 space: PsfSpace::new(model),
                 tolerance: options.tolerance().max(rounding::<T>()),
@@ -155,47 +153,70 @@ impl<T: ConvReal> StarPlan<T> {
         first_row: usize,
         image: &mut Array2<T>,
     ) -> Result<(), ConvError> {
-        if scene.sources().is_empty() {
-            return Ok(());
-        }
         let Some(phased) = &self.phased else {
             return self.draw_exactly(scene, scene.sources(), first_row, image);
         };
         let rows = first_row as i64..(first_row + image.nrows()) as i64;
-        let mut stars: Vec<(BlockKey, Star)> = scene
+        let frame = scene.frame();
+        let mut stars: Vec<StarKey> = scene
             .sources()
             .par_iter()
             .enumerate()
-            .map(|(index, source)| Star::new(index, source, scene.frame()))
-            .filter(|star| star.reaches(self.window, image.ncols(), rows.clone()))
-            .map(|star| (block_of(star.pixel), star))
+            .with_min_len(LEAST_AT_ONCE)
+            .filter_map(|(index, source)| {
+                let star = Star::new(index, source, frame);
+                let lights = star.reaches(self.window, image.ncols(), rows.clone());
+                lights.then(|| StarKey {
+                    block: block_of(star.pixel),
+                    part: index / MOST_AT_ONCE,
+                    phases: star.phase_numbers(&phased.axes),
+                    index,
+                })
+            })
             .collect();
-        stars.par_sort_by_key(|&(block, star)| (block, star.index));
+        stars.par_sort_unstable();
+        let groups: Vec<&[StarKey]> = stars
+            .chunk_by(|a, b| (a.block, a.part) == (b.block, b.part))
+            .collect();
         let mut missed = Vec::new();
-        for stars in stars.chunks(AT_ONCE) {
-            missed.extend(self.draw(phased, stars, first_row, image)?);
+        let mut rest = &groups[..];
+        while !rest.is_empty() {
+            let mut stars = 0;
+            let count = rest
+                .iter()
+                .take(TILES_AT_ONCE)
+                .take_while(|group| {
+                    let fits = stars < MOST_AT_ONCE;
+                    stars += group.len();
+                    fits
+                })
+                .count();
+            let (now, later) = rest.split_at(count);
+            missed.extend(self.draw(phased, scene, now, first_row, image)?);
+            rest = later;
         }
         missed.sort_unstable();
         let missed: Vec<_> = missed.into_iter().map(|index| scene.sources()[index]).collect();
         self.draw_exactly(scene, &missed, first_row, image)
     }
 
-    /// Draws sorted stars, and tells which would miss the tolerance and were not drawn.
+    /// Draws groups of stars, and tells which would miss the tolerance and were not drawn.
     fn draw(
         &self,
         phased: &Phased<T>,
-        stars: &[(BlockKey, Star)],
+        scene: &Scene<T>,
+        groups: &[&[StarKey]],
         first_row: usize,
         image: &mut Array2<T>,
     ) -> Result<Vec<usize>, ConvError> {
-        let groups: Vec<&[(BlockKey, Star)]> = stars.chunk_by(|a, b| a.0 == b.0).collect();
         let prepared: Vec<(Group<T>, Vec<usize>)> = groups
-            .into_par_iter()
-            .map(|stars| self.prepare(phased, stars))
+            .par_iter()
+            .map(|stars| self.prepare(phased, scene, stars))
             .collect::<Result<_, _>>()?;
         let (groups, missed): (Vec<Group<T>>, Vec<Vec<usize>>) = prepared.into_iter().unzip();
-        T::dispatch(Draw {
-            phased,
+        T::dispatch(DrawGroups {
+            axes: &phased.axes,
+            layout: phased.layout,
             groups: &groups,
             image: image.view_mut(),
             first_row,
@@ -207,75 +228,51 @@ impl<T: ConvReal> StarPlan<T> {
     fn prepare(
         &self,
         phased: &Phased<T>,
-        stars: &[(BlockKey, Star)],
+        scene: &Scene<T>,
+        stars: &[StarKey],
     ) -> Result<(Group<T>, Vec<usize>), ConvError> {
-        let key = stars[0].0;
+        let key = stars[0].block;
         let block = phased.blocks.get(key, || {
             StarBlock::new(
                 &self.model,
                 &phased.space,
                 region_of(key),
                 &phased.axes,
-                MARGIN * phased.tolerance,
+                phased.tolerance,
             )
         });
-        let mut coefficients = vec![0.0; self.model.stamp_count()];
+        let mut vectors = StarVectors::new(&self.model, &phased.space);
+        let mut coefficients = Vec::with_capacity(block.kernel_count());
+        let taps = phased.axes[1].tap_count();
+        let mut weights = Vec::with_capacity(stars.len() * taps * block.kernel_count());
         let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
-        for (_, star) in stars {
-            let Some([columns, rows]) = star.phases(&phased.axes, self.window) else {
+        for &StarKey { index, .. } in stars {
+            let star = Star::new(index, &scene.sources()[index], scene.frame());
+            let Some([columns, rows]) = star.phases(&phased.axes) else {
                 continue;
             };
             let (x, y) = star.position;
             let position = Position::new(x, y).map_err(ConvError::Result)?;
-            let (mut psf, scale) = self.psf_of(phased, position, &mut coefficients)?;
-            let (flux, whole) = (psf.dot(&phased.space.fluxes()), psf.dot(&psf));
-            let weights = block.project(flux, &mut psf);
-            if psf.dot(&psf) > phased.tolerance.powi(2) * whole {
+            let scale = vectors.set(position)?;
+            let whole = vectors.norm();
+            vectors.project(block.modes(), &mut coefficients);
+            if vectors.norm() > phased.tolerance * whole {
                 missed.push(star.index);
                 continue;
             }
             let scale = scale * star.flux;
-            let weights = rows.weights[..phased.axes[1].tap_count()]
-                .iter()
-                .flat_map(|tap| weights.iter().map(move |c| T::nearest(tap * c * scale)))
-                .collect();
+            let first = weights.len();
+            for tap in &rows.weights[..taps] {
+                weights.extend(coefficients.iter().map(|c| T::nearest(tap * c * scale)));
+            }
             prepared.push(PreparedStar::new(
-                star.pixel,
+                &star,
                 [columns, rows],
-                weights,
-                &phased.axes[0],
-                phased.layout,
+                first..weights.len(),
+                phased.axes[0].oversampling(),
             ));
         }
-        let group = Group {
-            block,
-            stars: prepared,
-        };
-        Ok((group, missed))
-    }
-
-    /// The PSF at a position as a vector, before any scaling to unit flux, and that scale.
-    fn psf_of(
-        &self,
-        phased: &Phased<T>,
-        position: Position,
-        coefficients: &mut [f64],
-    ) -> Result<(ndarray::Array1<f64>, f64), ConvError> {
-        self.model.coefficients_into(position, coefficients)?;
-        let first = usize::from(self.model.is_mean_centred());
-        let mut psf = phased.space.mean().to_owned();
-        for (value, a) in psf.iter_mut().zip(&coefficients[first..]) {
-            *value += a;
-        }
-        if !self.model.needs_flux_scaling() {
-            return Ok((psf, 1.0));
-        }
-        let flux = psf.dot(&phased.space.fluxes());
-        if flux > 0.0 && flux.is_finite() {
-            Ok((psf, 1.0 / flux))
-        } else {
-            Err(FieldError::NonPositiveFlux { position, flux }.into())
-        }
+        Ok((Group::new(block, prepared, weights), missed))
     }
 
     fn draw_exactly(
@@ -285,56 +282,11 @@ impl<T: ConvReal> StarPlan<T> {
         first_row: usize,
         image: &mut Array2<T>,
     ) -> Result<(), ConvError> {
+        if sources.is_empty() {
+            return Ok(());
+        }
         let painter = StarPainter::new(&self.model, scene.frame(), self.options.anchor(), self.size)?;
         painter.add_to_rows(sources, first_row, image)
-    }
-}
-
-/// Stars of one block.
-struct Group<T> {
-    block: Arc<StarBlock<T>>,
-    stars: Vec<PreparedStar<T>>,
-}
-
-/// Groups into an image, by bands of rows.
-struct Draw<'a, T> {
-    phased: &'a Phased<T>,
-    groups: &'a [Group<T>],
-    image: ArrayViewMut2<'a, T>,
-    first_row: usize,
-}
-
-impl<T: ConvReal> WithIsa<T> for Draw<'_, T> {
-    type Output = ();
-    fn run<S: Lanes<T>>(self, simd: S) {
-        let (phased, groups, first_row) = (self.phased, self.groups, self.first_row);
-        let mut image = self.image;
-        image
-            .axis_chunks_iter_mut(Axis(0), BAND)
-            .into_par_iter()
-            .enumerate()
-            .for_each(|(band, mut rows)| {
-                let first = (first_row + band * BAND) as i64;
-                let end = first + rows.nrows() as i64;
-                for group in groups {
-                    let touches = |star: &&PreparedStar<T>| {
-                        star.pixel.1 + star.rows.from < end && star.pixel.1 + star.rows.to > first
-                    };
-                    let draw = BlockDraw {
-                        axes: &phased.axes,
-                        layout: phased.layout,
-                        kernels: group.block.kernel_count(),
-                        values: group.block.values(),
-                    };
-                    let stars: Vec<&PreparedStar<T>> = group.stars.iter().filter(touches).collect();
-                    if !stars.is_empty() {
-                        simd.vectorized(
-                            #[inline(always)]
-                            || draw.draw(simd, &stars, &mut rows, first),
-                        );
-                    }
-                }
-            });
     }
 }
 
