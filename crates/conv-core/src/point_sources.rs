@@ -1,5 +1,7 @@
 //! Point sources at sub-pixel positions.
 
+use std::sync::{Arc, OnceLock};
+
 use ndarray::{Array2, ArrayView2, Axis};
 use psf_types::{Anchor, NoProgress, PixelRegion, PointSource, Position, PsfModel, Scene, StampGrid};
 use rayon::prelude::*;
@@ -41,9 +43,25 @@ pub struct StarPainter<'a> {
     model: &'a PsfModel,
     frame: PixelRegion,
     /// Output-anchored: the spline of every stamp.
-    splines: Option<Vec<StampInterpolator>>,
+    splines: Option<StampSplines>,
     /// A grid at the frame's scale that holds the stamp wherever in its pixel the source lies.
     target: StampGrid,
+}
+
+/// The spline of every stamp, made when it is first needed; painters of one model share them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct StampSplines(Arc<OnceLock<Vec<StampInterpolator>>>);
+
+impl StampSplines {
+    fn of(&self, model: &PsfModel) -> &[StampInterpolator] {
+        self.0.get_or_init(|| {
+            let stamps = model.stamps();
+            let splines = stamps.axis_iter(Axis(0));
+            splines
+                .map(|stamp| StampInterpolator::new(stamp, model.grid()))
+                .collect()
+        })
+    }
 }
 
 impl<'a> StarPainter<'a> {
@@ -62,13 +80,7 @@ impl<'a> StarPainter<'a> {
         if !grid.pixel_response_included() {
             return Err(ConvError::PixelResponse);
         }
-        let splines = (anchor == Anchor::Output).then(|| {
-            model
-                .stamps()
-                .axis_iter(Axis(0))
-                .map(|stamp| StampInterpolator::new(stamp, grid))
-                .collect()
-        });
+        let splines = (anchor == Anchor::Output).then(StampSplines::default);
         let beyond = Kernel::of(grid.interpolation()).reach();
         let reach = |room: f64| ((room.max(0.0) + beyond) / grid.oversampling() + 0.5).ceil() as usize;
         let most = |size: usize| (size / 2, size - 1 - size / 2);
@@ -94,6 +106,16 @@ impl<'a> StarPainter<'a> {
             splines,
             target,
         })
+    }
+
+    /// Draws with the splines of another painter of the same model.
+    pub(crate) fn sharing(mut self, splines: &Option<StampSplines>) -> Self {
+        self.splines.clone_from(splines);
+        self
+    }
+
+    pub(crate) fn splines(&self) -> Option<StampSplines> {
+        self.splines.clone()
     }
 
     /// The pixels about a star's own that it may light.
@@ -227,8 +249,11 @@ impl<'a> StarPainter<'a> {
             }
             Some(splines) => {
                 let mut values = Array2::zeros((ny, nx));
-                let planes: Vec<Array2<f64>> =
-                    splines.iter().map(|s| s.resample(shift, self.target)).collect();
+                let planes: Vec<Array2<f64>> = splines
+                    .of(self.model)
+                    .iter()
+                    .map(|s| s.resample(shift, self.target))
+                    .collect();
                 let planes: Vec<ArrayView2<'_, f64>> = planes.iter().map(|p| p.view()).collect();
                 let mut coefficients = vec![0.0; planes.len()];
                 let shape = self.frame.shape();

@@ -11,7 +11,7 @@ use super::star::{PreparedStar, Star, Window};
 use super::star_block::{RowLayout, StarBlock};
 use super::star_vectors::StarVectors;
 use crate::lowrank::internals::{PsfSpace, rounding};
-use crate::point_sources::StarPainter;
+use crate::point_sources::{StampSplines, StarPainter};
 use crate::{ConvError, ConvReal, PlanOptions};
 
 /// The drawing of point sources through one model, prepared.
@@ -66,6 +66,7 @@ pub struct StarPlan<T> {
     options: PlanOptions,
     size: Option<usize>,
     window: Window,
+    splines: Option<StampSplines>,
     /// None where stars are drawn from all components.
     phased: Option<Phased<T>>,
 }
@@ -105,6 +106,7 @@ impl<T: ConvReal> StarPlan<T> {
             PhasedAxis::both(model.grid(), painter.window()).filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
             window: painter.window(),
+            splines: painter.splines(),
             phased: axes.map(|axes| Phased {
                 layout: RowLayout::new(&axes[0]),
                 axes,
@@ -286,7 +288,9 @@ impl<T: ConvReal> StarPlan<T> {
             return Ok(());
         }
         let painter = StarPainter::new(&self.model, scene.frame(), self.options.anchor(), self.size)?;
-        painter.add_to_rows(sources, first_row, image)
+        painter
+            .sharing(&self.splines)
+            .add_to_rows(sources, first_row, image)
     }
 }
 
