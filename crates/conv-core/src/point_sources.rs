@@ -109,8 +109,8 @@ impl<'a> StarPainter<'a> {
     }
 
     /// Draws with the splines of another painter of the same model.
-    pub(crate) fn sharing(mut self, splines: &Option<StampSplines>) -> Self {
-        self.splines.clone_from(splines);
+    pub(crate) fn sharing(mut self, splines: Option<StampSplines>) -> Self {
+        self.splines = splines;
         self
     }
 

@@ -289,7 +289,7 @@ impl<T: ConvReal> StarPlan<T> {
         }
         let painter = StarPainter::new(&self.model, scene.frame(), self.options.anchor(), self.size)?;
         painter
-            .sharing(&self.splines)
+            .sharing(self.splines.clone())
             .add_to_rows(sources, first_row, image)
     }
 }
