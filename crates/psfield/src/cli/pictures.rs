@@ -5,7 +5,6 @@ use std::path::Path;
 use image::{GrayImage, ImageFormat, Luma, Rgb, RgbImage};
 use metrics::Summary;
 use ndarray::{Array2, ArrayView2, ArrayView3};
-use psf_io::IoError;
 use psf_types::{FrameShape, Position};
 
 /// Faint and bright light in one picture: black at `low`, white at `high`, linear below `soft` and logarithmic above.
@@ -89,13 +88,8 @@ pub(crate) fn write_png<P>(
 where
     P: image::Pixel<Subpixel = u8> + image::PixelWithColorType,
 {
-    psf_io::write_atomically(path, overwrite, |temporary| {
-        picture
-            .save_with_format(temporary, ImageFormat::Png)
-            .map_err(|error| IoError::Write {
-                path: path.to_owned(),
-                source: std::io::Error::other(error),
-            })
-    })?;
-    Ok(())
+    // Not straight into the file, whose last bytes `image` would write without a look at what the system says.
+    let mut png = std::io::Cursor::new(Vec::new());
+    picture.write_to(&mut png, ImageFormat::Png)?;
+    Ok(psf_io::write_bytes(path, png.get_ref(), overwrite)?)
 }
