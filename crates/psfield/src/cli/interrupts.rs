@@ -44,7 +44,7 @@ pub(crate) fn remove_files_when_told_to_stop() -> std::io::Result<()> {
                 psf_io::remove_unfinished(|outputs| {
                     tell(signal, outputs);
                     std::process::exit(SIGNALLED + signal)
-                })
+                });
             }
         })?;
     Ok(())

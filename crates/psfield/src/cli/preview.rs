@@ -1,5 +1,6 @@
 //! `psfield preview`.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -129,16 +130,17 @@ impl Report {
         let mut text = format!("{}: {nx} x {ny} pixels", self.output.display());
         if self.binning > 1 {
             let [nx, ny] = self.image_size;
-            text += &format!(", means over {0} x {0} of {nx} x {ny}", self.binning);
+            let _ = write!(text, ", means over {0} x {0} of {nx} x {ny}", self.binning);
         }
-        text += &format!(
+        let _ = write!(
+            text,
             ", {} from {} to {}",
             self.stretch,
             rounded(self.limits.low()),
             rounded(self.limits.high())
         );
         if self.undefined_pixels > 0 {
-            text += &format!("; {} pixels have no value", self.undefined_pixels);
+            let _ = write!(text, "; {} pixels have no value", self.undefined_pixels);
         }
         text
     }

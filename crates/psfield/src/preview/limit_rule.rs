@@ -67,16 +67,15 @@ impl LimitRule {
         let mut sorted = finite.clone();
         sorted.sort_unstable_by(f64::total_cmp);
         let (lowest, highest) = (sorted[0], sorted[sorted.len() - 1]);
-        let (low, high, rule) = match self {
-            Self::Percentile(Percentiles { low, high }) => (
+        let (low, high, rule) = if let Self::Percentile(Percentiles { low, high }) = self {
+            (
                 percentile(&sorted, low),
                 percentile(&sorted, high),
                 format!("the range of the percentiles {low} and {high}"),
-            ),
-            _ => {
-                let (low, high) = zscale(&finite);
-                (low, high, "zscale".to_owned())
-            }
+            )
+        } else {
+            let (low, high) = zscale(&finite);
+            (low, high, "zscale".to_owned())
         };
         Limits::new(low, high).map_err(|_| {
             if lowest == highest {
@@ -155,7 +154,7 @@ mod tests {
             }
         });
         let limits = LimitRule::ZScale.limits(image.view()).unwrap();
-        agree(limits, 83.8455662305, 126.392201443);
+        agree(limits, 83.845_566_230_5, 126.392_201_443);
     }
 
     #[test]

@@ -119,13 +119,13 @@ mod tests {
             array![[0.0, f64::NAN, f64::NEG_INFINITY, f64::INFINITY]].view(),
             Colormap::Grey,
         );
-        let marked = Some(Colormap::Grey.undefined_colour());
+        let marked = Colormap::Grey.undefined_colour();
         assert_eq!(picture.colour_at([0, 0]), Some([0; 3]));
         for x in 1..4 {
-            assert_eq!(picture.colour_at([0, x]), marked);
+            assert_eq!(picture.colour_at([0, x]), Some(marked));
         }
         let png = image::load_from_memory(&picture.png()).unwrap();
-        assert_eq!(png.as_rgb8().unwrap().get_pixel(1, 0).0, marked.unwrap());
+        assert_eq!(png.as_rgb8().unwrap().get_pixel(1, 0).0, marked);
     }
 
     #[test]

@@ -71,9 +71,9 @@ mod tests {
     fn stretches_are_those_of_astropy() {
         for (stretch, expected) in [
             (Stretch::Linear, [0.0, 0.01, 0.3, 1.0]),
-            (Stretch::Sqrt, [0.0, 0.1, 0.547722557505, 1.0]),
-            (Stretch::Log, [0.0, 0.347080675085, 0.826069305837, 1.0]),
-            (Stretch::Asinh, [0.0, 0.0332977502188, 0.606508084748, 1.0]),
+            (Stretch::Sqrt, [0.0, 0.1, 0.547_722_557_505, 1.0]),
+            (Stretch::Log, [0.0, 0.347_080_675_085, 0.826_069_305_837, 1.0]),
+            (Stretch::Asinh, [0.0, 0.033_297_750_218_8, 0.606_508_084_748, 1.0]),
         ] {
             let got = [0.0, 0.01, 0.3, 1.0].map(|x| stretch.brightness(x));
             let near = got

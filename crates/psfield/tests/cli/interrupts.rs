@@ -10,15 +10,14 @@ use psfield::psf_types::{FrameShape, Position, PsfSamples, SamplePositions, Stam
 
 use crate::desk::{Desk, Run};
 
-/// A frame that takes a second or more to simulate: 36 MB in f32.
+/// A frame that takes a second or more to simulate: 72 MB.
 const SIDE: usize = 3000;
 /// What must be in the temporary file when the signal comes: more than headers, less than the frame.
 const BEGUN: u64 = 1 << 20;
 /// Longer than any run here takes.
 const PATIENCE: Duration = Duration::from_secs(300);
 const OLD: &str = "what was there before";
-const SIMULATE: &str =
-    "simulate scene.fits --psf samples.fits --stream --spot-check 0 --threads 1 -o out.fits --overwrite";
+const SIMULATE: &str = "simulate scene.fits --psf samples.fits --stream --spot-check 0 --threads 1 --precision f64 -o out.fits --overwrite";
 
 /// A large scene, and the PSFs of its field.
 fn desk() -> Desk {
@@ -122,8 +121,13 @@ fn signals_leave_the_old_file_and_nothing_else() {
 fn runs_of_one_output_leave_each_other_alone() {
     let desk = desk();
     let first = begun(&desk, &format!("exec \"$PSFIELD\" {SIMULATE}"));
-    // The temporary file of a run that goes on is no leftover.
+    // The temporary file of a run that goes on is no leftover; stopped, so that it does not end before the other.
+    send("STOP", &first);
+    let left = desk.temporaries();
     desk.done("preview scene.fits -o out.fits --overwrite -q --max-size 100");
+    assert_eq!(left.len(), 1);
+    assert_eq!(desk.temporaries(), left);
+    send("CONT", &first);
     let run = Run::of(first.wait_with_output().unwrap());
     assert_eq!(run.code, Some(0), "{run:?}");
     assert_eq!(desk.image("out.fits").dim(), (SIDE, SIDE));
