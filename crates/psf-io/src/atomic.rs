@@ -5,13 +5,15 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::IoError;
-use crate::pending_file::PendingFile;
+use crate::pending_file::{PendingFile, write_failed};
 
 /// Writes a file under a temporary name in its own directory and renames it when it is complete.
 ///
 /// `write` gets the temporary name, where an empty file stands that it may open, truncate or remove. The name ends like
 /// `path`, so that libraries which look at the extension do the right thing. When `write` fails, the temporary file is
-/// removed and what stood at `path` before is untouched. The new file has the permissions of any new file (umask). A symbolic
+/// removed and what stood at `path` before is untouched. The content reaches the disk (fsync) before the renaming, so that also a loss
+/// of power leaves the old file or the new one. What a process that was killed has left of the same output is removed, unless the file
+/// system knows no locks; [`remove_unfinished`](crate::remove_unfinished) is for programs that are told to stop. The new file has the permissions of any new file (umask). A symbolic
 /// link is followed: the file it points to is replaced.
 ///
 /// ```
@@ -42,12 +44,17 @@ pub fn write_atomically<R, E: From<IoError>>(
 /// # Errors
 /// As [`write_atomically`].
 pub fn write_text(path: impl AsRef<Path>, content: &str, overwrite: bool) -> Result<(), IoError> {
+    write_bytes(path, content.as_bytes(), overwrite)
+}
+
+/// Writes a file of any bytes, such as a picture, whole or not at all.
+///
+/// # Errors
+/// As [`write_atomically`].
+pub fn write_bytes(path: impl AsRef<Path>, content: &[u8], overwrite: bool) -> Result<(), IoError> {
     let path = path.as_ref();
     write_atomically(path, overwrite, |temporary| {
-        fs::write(temporary, content).map_err(|source| IoError::Write {
-            path: path.to_owned(),
-            source,
-        })
+        fs::write(temporary, content).map_err(|source| write_failed(path, source))
     })
 }
 

@@ -26,6 +26,9 @@ const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;
 /// CFITSIO's status for a value that the type asked for cannot hold.
 const NUM_OVERFLOW: c_int = 412;
 
+/// CFITSIO's statuses for a system call that failed while it wrote: creating, writing, closing, seeking (which writes what is buffered).
+const SYSTEM_FAILURES: [c_int; 4] = [105, 106, 110, 116];
+
 /// An open FITS file.
 #[derive(Debug)]
 pub(crate) struct Fits {
@@ -53,7 +56,7 @@ impl Fits {
                 &raw mut status,
             )
         };
-        let mut fits = Self::new(handle, path, status, "opening the file")?;
+        let mut fits = Self::new(handle, path, status, "opening the file", false)?;
         fits.source = Some(source.clone());
         Ok(fits)
     }
@@ -64,7 +67,7 @@ impl Fits {
         let (mut handle, mut status) = (ptr::null_mut(), 0);
         // SAFETY: as in `open`.
         unsafe { sys::ffdkinit(&raw mut handle, name.as_ptr(), &raw mut status) };
-        Self::new(handle, path, status, "creating the file")
+        Self::new(handle, path, status, "creating the file", true)
     }
 
     fn new(
@@ -72,28 +75,29 @@ impl Fits {
         path: &Path,
         status: c_int,
         doing: &'static str,
+        writes: bool,
     ) -> Result<Self, IoError> {
-        let handle = NonNull::new(handle).ok_or_else(|| failure(path, doing, status))?;
+        let handle = NonNull::new(handle).ok_or_else(|| failure(path, doing, status, writes))?;
         let fits = Self {
             handle,
             path: path.to_owned(),
             writes_image: false,
             source: None,
         };
-        check(path, status, doing)?;
+        check(path, status, doing, writes)?;
         Ok(fits)
     }
 
     /// Writes out what is buffered and closes the file.
     pub(crate) fn close(mut self) -> Result<(), IoError> {
         let path = std::mem::take(&mut self.path);
-        self.source = None;
+        let writes = self.source.take().is_none();
         // What is left in `self` owns no memory, and the handle must not be closed twice.
         let this = std::mem::ManuallyDrop::new(self);
         let mut status = 0;
         // SAFETY: the handle is open and not used again. CFITSIO frees it also on failure.
         unsafe { sys::ffclos(this.handle.as_ptr(), &raw mut status) };
-        check(&path, status, "closing the file")
+        check(&path, status, "closing the file", writes)
     }
 
     /// Goes to an HDU, counted from 0.
@@ -178,7 +182,8 @@ impl Fits {
     }
 
     fn check(&self, status: c_int, doing: &'static str) -> Result<(), IoError> {
-        check(&self.path, status, doing)
+        // Who reads has a source.
+        check(&self.path, status, doing, self.source.is_none())
     }
 }
 
@@ -207,16 +212,20 @@ impl Drop for Fits {
     }
 }
 
-fn check(path: &Path, status: c_int, doing: &'static str) -> Result<(), IoError> {
+fn check(path: &Path, status: c_int, doing: &'static str, writes: bool) -> Result<(), IoError> {
     if status == 0 {
         Ok(())
     } else {
-        Err(failure(path, doing, status))
+        Err(failure(path, doing, status, writes))
     }
 }
 
-/// The error for a status, with CFITSIO's text and the messages on its stack.
-fn failure(path: &Path, doing: &'static str, status: c_int) -> IoError {
+/// The error for a status, with CFITSIO's text and the messages on its stack; with the system's reason where a file that is written
+/// fails.
+fn failure(path: &Path, doing: &'static str, status: c_int, writes: bool) -> IoError {
+    // CFITSIO keeps no reason. It returns at once when the C library fails, so that `errno` is still that of the failure; nothing may
+    // come before this line.
+    let system = std::io::Error::last_os_error();
     let path = path.to_owned();
     let mut buffer = [0 as c_char; sys::FLEN_ERRMSG as usize];
     const { assert!(sys::FLEN_STATUS <= sys::FLEN_ERRMSG) };
@@ -226,6 +235,9 @@ fn failure(path: &Path, doing: &'static str, status: c_int) -> IoError {
     // SAFETY: the buffer is as long as any message (80 characters and NUL).
     while unsafe { sys::ffgmsg(buffer.as_mut_ptr()) } != 0 {
         text = text + "; " + &text_of(&buffer);
+    }
+    if writes && SYSTEM_FAILURES.contains(&status) && system.raw_os_error().is_some_and(|code| code != 0) {
+        return IoError::Write { path, source: system };
     }
     IoError::Cfitsio {
         path,

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use serde::Serialize;
 
+use crate::pending_file::write_failed;
 use crate::{IoError, write_atomically};
 
 /// Writes rows as a CSV file with a line of column names; the file appears whole or not at all.
@@ -30,9 +31,14 @@ pub fn write_csv<R: Serialize>(
     overwrite: bool,
 ) -> Result<(), IoError> {
     let path = path.as_ref();
-    let failed = |source| IoError::Csv {
-        path: path.to_owned(),
-        source,
+    let failed = |source: csv::Error| {
+        if source.is_io_error() {
+            return write_failed(path, source.into());
+        }
+        IoError::Csv {
+            path: path.to_owned(),
+            source,
+        }
     };
     write_atomically(path, overwrite, |temporary| {
         let mut writer = csv::WriterBuilder::new()
@@ -43,10 +49,7 @@ pub fn write_csv<R: Serialize>(
         for row in rows {
             writer.serialize(row).map_err(failed)?;
         }
-        writer.flush().map_err(|source| IoError::Write {
-            path: path.to_owned(),
-            source,
-        })
+        writer.flush().map_err(|source| write_failed(path, source))
     })
 }
 

@@ -280,6 +280,16 @@ pub enum IoError {
         /// Rows of the image.
         ny: usize,
     },
+    /// A plane that a cube does not have.
+    #[error("{}: there is no plane {plane}: the image has {planes}, counted from 0", path.display())]
+    Plane {
+        /// The file.
+        path: PathBuf,
+        /// The plane asked for.
+        plane: usize,
+        /// Planes of the cube.
+        planes: usize,
+    },
     /// A band of rows that is not as wide as the image.
     #[error("{}: a band of rows must be as wide as the image, {expected} columns, got {got}", path.display())]
     BandWidth {
@@ -525,6 +535,7 @@ impl IoError {
             | Self::Axes { path, .. }
             | Self::NonFinitePixels { path, .. }
             | Self::Rows { path, .. }
+            | Self::Plane { path, .. }
             | Self::BandWidth { path, .. }
             | Self::Incomplete { path, .. }
             | Self::NotWhole { path, .. }

@@ -3,13 +3,13 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use tempfile::TempPath;
+use crate::unfinished::Temporary;
 
 /// A FITS file that can be read at any place: the file itself, or an unpacked copy of it, which goes with the last of its users.
 #[derive(Debug, Clone)]
 pub(crate) struct FitsSource {
     path: PathBuf,
-    unpacked: Option<Arc<TempPath>>,
+    unpacked: Option<Arc<Temporary>>,
 }
 
 impl FitsSource {
@@ -22,7 +22,7 @@ impl FitsSource {
     }
 
     /// An unpacked copy of a file.
-    pub(crate) fn unpacked(path: &Path, copy: TempPath) -> Self {
+    pub(crate) fn unpacked(path: &Path, copy: Temporary) -> Self {
         Self {
             path: path.to_owned(),
             unpacked: Some(Arc::new(copy)),
@@ -36,6 +36,6 @@ impl FitsSource {
 
     /// The file to open.
     pub(crate) fn file(&self) -> &Path {
-        self.unpacked.as_ref().map_or(&self.path, |copy| &***copy)
+        self.unpacked.as_ref().map_or(&self.path, |copy| copy.path())
     }
 }

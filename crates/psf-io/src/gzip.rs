@@ -4,13 +4,12 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
-use flate2::read::MultiGzDecoder;
-use tempfile::TempPath;
-
 use crate::fits_source::FitsSource;
 use crate::hdu::Hdu;
 use crate::scanner::{BLOCK, HeaderRecords};
+use crate::unfinished::{Temporary, entries};
 use crate::{HeaderCards, IoError};
+use flate2::read::MultiGzDecoder;
 
 /// What every gzip file starts with.
 pub(crate) const GZIP: &[u8] = b"\x1f\x8b";
@@ -31,19 +30,22 @@ pub(crate) fn first_bytes(path: &Path, count: usize) -> Result<Vec<u8>, IoError>
 
 /// Unpacks a FITS file to a temporary one. Headers are read on the way: what would be larger than allowed, or holds less than its headers
 /// say, is refused before it fills the disk.
-pub(crate) fn unpack(path: &Path) -> Result<TempPath, IoError> {
+pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
     let source = FitsSource::plain(path);
     let failed = |source| IoError::Unpacking {
         path: path.to_owned(),
         source,
     };
     let mut unpacker = Unpacker::open(path)?;
+    let mut entries = entries();
     let copy = tempfile::Builder::new()
         .prefix("psfield-")
         .suffix(".fits")
         .tempfile()
         .map_err(failed)?;
     let (file, copy) = copy.into_parts();
+    let copy = entries.keep(copy, None);
+    drop(entries);
     let mut out = BufWriter::with_capacity(BUFFER, file);
     let mut buffer = vec![0; BUFFER];
     let mut index = 0;

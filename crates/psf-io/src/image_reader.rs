@@ -38,6 +38,8 @@ use crate::{HduChoice, HeaderCards, IoError};
 pub struct ImageReader {
     path: PathBuf,
     pixels: Pixels,
+    /// The number of the image's first pixel in its HDU, which may hold several images.
+    origin: usize,
     shape: FrameShape,
     header: HeaderCards,
 }
@@ -67,6 +69,41 @@ impl ImageReader {
         Ok(Self {
             path: path.to_owned(),
             pixels: Pixels::open(path, hdu)?,
+            origin: 0,
+            shape: FrameShape::new(nx, ny).map_err(invalid(path))?,
+            header: structure.cards(hdu),
+        })
+    }
+
+    /// Opens one plane, counted from 0, of a cube `[plane, y, x]`; an image is a cube of one plane.
+    ///
+    /// # Errors
+    /// As [`open_hdu`](Self::open_hdu); [`IoError::Axes`] for more than three axes, [`IoError::Plane`] for a plane that the cube does not
+    /// have.
+    pub fn open_plane(
+        path: impl AsRef<Path>,
+        choice: Option<&HduChoice>,
+        plane: usize,
+    ) -> Result<Self, IoError> {
+        let path = path.as_ref();
+        let structure = FitsStructure::scan(path)?;
+        let hdu = structure.image(choice)?;
+        let (planes, ny, nx) = match squeezed(hdu)[..] {
+            [ny, nx] => (1, ny, nx),
+            [planes, ny, nx] => (planes, ny, nx),
+            _ => return Err(hdu.axes_error("an image [y, x] or a cube [plane, y, x]")),
+        };
+        if plane >= planes {
+            return Err(IoError::Plane {
+                path: path.to_owned(),
+                plane,
+                planes,
+            });
+        }
+        Ok(Self {
+            path: path.to_owned(),
+            pixels: Pixels::open(path, hdu)?,
+            origin: plane * ny * nx,
             shape: FrameShape::new(nx, ny).map_err(invalid(path))?,
             header: structure.cards(hdu),
         })
@@ -120,7 +157,7 @@ impl ImageReader {
                 got: nx,
             });
         }
-        let first = first_row * nx;
+        let first = self.origin + first_row * nx;
         let clean = match band.as_slice_mut() {
             Some(values) => self.pixels.load(first, values)?,
             None => self.load_scattered(first, band)?,
@@ -130,6 +167,21 @@ impl ImageReader {
         } else {
             Err(self.pixels.defect(first, ny * nx))
         }
+    }
+
+    /// Reads rows as [`read_rows`](Self::read_rows) does, with what is not a number: NaN and infinities as they stand in the file, `BLANK`
+    /// pixels as NaN. For looking at an image; nothing may be computed from what this returns as if every pixel were measured.
+    ///
+    /// # Errors
+    /// [`IoError::Rows`] for rows that the image does not have, and what CFITSIO reports.
+    pub fn read_rows_with_undefined(&mut self, rows: Range<usize>) -> Result<Array2<f64>, IoError> {
+        self.check_rows(&rows)?;
+        let mut band = Array2::zeros((rows.len(), self.shape.nx()));
+        let first = self.origin + rows.start * self.shape.nx();
+        let values = band.as_slice_mut().expect("a new array is contiguous");
+        // Whether all are finite does not matter.
+        self.pixels.load(first, values)?;
+        Ok(band)
     }
 
     /// Reads into rows that are not one piece of memory.

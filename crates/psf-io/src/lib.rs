@@ -35,7 +35,8 @@
 //!
 //! # Outputs
 //! Every file appears whole or not at all, and replaces another only when told to ([`write_atomically`]), also one that is
-//! written by bands. The same input gives the same bytes: no dates are written.
+//! written by bands. That holds for a full disk, a killed process and a loss of power; a program that handles signals calls
+//! [`remove_unfinished`]. The same input gives the same bytes: no dates are written.
 //!
 //! # CFITSIO
 //! Pixels and columns pass through CFITSIO, which the build compiles (no system library needed). File names are taken
@@ -70,6 +71,7 @@ pub mod image;
 mod image_reader;
 mod image_writer;
 mod integer_image;
+mod leftovers;
 mod library_cards;
 pub mod model;
 mod new_fits;
@@ -92,8 +94,9 @@ mod table_file;
 mod text_header;
 mod text_table;
 mod tiled;
+mod unfinished;
 
-pub use atomic::{check_output, write_atomically, write_text};
+pub use atomic::{check_output, write_atomically, write_bytes, write_text};
 pub use card::Card;
 pub use card_value::{CardError, CardValue};
 pub use catalog::{Catalog, read_catalog_with, read_positions_with};
@@ -125,3 +128,4 @@ pub use sky_coordinates::{SkyCoordinates, WorldCoordinatesError};
 pub use stamp_cube::{StampCubeOptions, read_stamp_cube, read_stamp_header};
 pub use stdpsf::{read_stdpsf, read_stdpsf_hdu};
 pub use stpsf::{PlaneOrder, read_stpsf, read_stpsf_hdu};
+pub use unfinished::remove_unfinished;

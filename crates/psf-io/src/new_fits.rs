@@ -5,7 +5,7 @@ use std::path::Path;
 use psf_types::Real;
 
 use crate::cfitsio::Fits;
-use crate::pending_file::PendingFile;
+use crate::pending_file::{PendingFile, write_failed};
 use crate::{Card, HeaderCards, IoError};
 
 /// A FITS file under a temporary name: [`finish`](Self::finish) gives it its own, dropping it removes it.
@@ -18,13 +18,11 @@ pub(crate) struct NewFits {
 
 impl NewFits {
     pub(crate) fn create(path: &Path, overwrite: bool) -> Result<Self, IoError> {
-        let file = PendingFile::create(path, overwrite)?;
-        // CFITSIO creates the file itself.
-        std::fs::remove_file(file.temporary()).map_err(|source| IoError::Write {
-            path: path.to_owned(),
-            source,
+        let (file, fits) = PendingFile::create_with(path, overwrite, |temporary| {
+            // CFITSIO creates the file itself.
+            std::fs::remove_file(temporary).map_err(|source| write_failed(path, source))?;
+            Fits::create(temporary, path)
         })?;
-        let fits = Fits::create(file.temporary(), path)?;
         Ok(Self { fits, file })
     }
 

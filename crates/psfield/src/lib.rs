@@ -41,6 +41,7 @@ mod fit;
 mod measure;
 mod method;
 mod pixel_picker;
+pub mod preview;
 mod psf_input;
 mod round_trip;
 mod same_file;

@@ -2,6 +2,7 @@
 
 use std::io::Write;
 
+use anyhow::Context as _;
 use psf_io::Card;
 use psfield::SpotCheck;
 use serde::Serialize;
@@ -63,15 +64,17 @@ impl Context {
         object: &impl Serialize,
         text: impl FnOnce() -> String,
     ) -> anyhow::Result<()> {
+        let text = if self.json {
+            serde_json::to_string(object)?
+        } else if self.quiet {
+            return Ok(());
+        } else {
+            text()
+        };
         let mut out = std::io::stdout().lock();
-        if self.json {
-            serde_json::to_writer(&mut out, object)?;
-            writeln!(out)?;
-        } else if !self.quiet {
-            writeln!(out, "{}", text().trim_end())?;
-        }
-        out.flush()?;
-        Ok(())
+        writeln!(out, "{}", text.trim_end())
+            .and_then(|()| out.flush())
+            .context("cannot write to standard output")
     }
 
     /// A line on standard error that a user must see, unless `--quiet`.

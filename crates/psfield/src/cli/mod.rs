@@ -11,7 +11,10 @@ mod evaluate;
 mod expose;
 mod fit;
 mod fit_args;
+#[cfg(unix)]
+mod interrupts;
 mod measure;
+mod pictures;
 mod preview;
 mod progress;
 mod psf_file_args;
@@ -21,6 +24,7 @@ mod simulate;
 mod star_args;
 mod values;
 
+use anyhow::Context as _;
 use clap::{Parser, Subcommand};
 
 use context::Context;
@@ -29,7 +33,8 @@ pub(crate) use context::{UsageError, told};
 /// Astronomical images with a point spread function that varies over the field.
 ///
 /// Positions are 0-based pixels, an integer is the centre of a pixel. Existing files are kept unless --overwrite is given.
-/// Exit status: 0 done, 1 failed, 2 bad usage.
+/// Exit status: 0 done, 1 failed, 2 bad usage, 128 and the number of a signal that stopped it (130 after Ctrl-C); outputs are then as they
+/// were before.
 #[derive(Debug, Parser)]
 #[command(name = "psfield", version, max_term_width = 110)]
 pub(crate) struct Cli {
@@ -65,6 +70,7 @@ enum Command {
     Convert(convert::ConvertArgs),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
+    Preview(preview::PreviewArgs),
     Bench(bench::BenchArgs),
     #[command(name = "roundtrip")]
     RoundTrip(Box<round_trip::RoundTripArgs>),
@@ -84,6 +90,7 @@ impl Cli {
             Command::Convert(_) => "convert",
             Command::Measure(_) => "measure",
             Command::Compare(_) => "compare",
+            Command::Preview(_) => "preview",
             Command::Bench(_) => "bench",
             Command::RoundTrip(_) => "roundtrip",
         }
@@ -91,6 +98,8 @@ impl Cli {
 
     /// Runs the command.
     pub(crate) fn run(self) -> anyhow::Result<()> {
+        #[cfg(unix)]
+        interrupts::remove_files_when_told_to_stop().context("cannot watch for signals")?;
         if let Some(threads) = self.global.threads {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(usize::from(threads))
@@ -108,6 +117,7 @@ impl Cli {
             Command::Convert(args) => args.run(&context),
             Command::Measure(args) => args.run(&context),
             Command::Compare(args) => args.run(&context),
+            Command::Preview(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),
             Command::RoundTrip(args) => args.run(&context),
         }

@@ -1,101 +1,164 @@
-//! PNG pictures of images.
+//! `psfield preview`.
 
-use std::path::Path;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
 
-use image::{GrayImage, ImageFormat, Luma, Rgb, RgbImage};
-use metrics::Summary;
-use ndarray::{Array2, ArrayView2, ArrayView3};
-use psf_io::IoError;
-use psf_types::{FrameShape, Position};
+use anyhow::Context as _;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use psf_io::{HduChoice, ImageReader};
+use psfield::check_outputs;
+use psfield::preview::{BinnedImage, Colormap, LimitRule, Limits, Percentiles, Picture, Stretch};
+use serde::Serialize;
 
-/// Faint and bright light in one picture: black at `low`, white at `high`, linear below `soft` and logarithmic above.
-/// Row 0 is at the bottom, as FITS viewers show it.
-pub(crate) fn asinh_picture(image: ArrayView2<'_, f32>, low: f32, soft: f32, high: f32) -> GrayImage {
-    let (ny, nx) = image.dim();
-    let full = ((high - low) / soft).asinh();
-    GrayImage::from_fn(nx as u32, ny as u32, |x, y| {
-        let value = image[[ny - 1 - y as usize, x as usize]];
-        Luma([(255.0 * (((value - low) / soft).asinh() / full).clamp(0.0, 1.0)) as u8])
-    })
-}
+use super::context::Context;
 
-/// A difference: blue below 0, red above, white at 0; full colour at `scale`.
-pub(crate) fn difference_picture(image: ArrayView2<'_, f32>, scale: f32) -> RgbImage {
-    let (ny, nx) = image.dim();
-    RgbImage::from_fn(nx as u32, ny as u32, |x, y| {
-        let v = (image[[ny - 1 - y as usize, x as usize]] / scale).clamp(-1.0, 1.0);
-        let fade = (255.0 * (1.0 - v.abs())) as u8;
-        Rgb(if v < 0.0 {
-            [fade, fade, 255]
-        } else {
-            [255, fade, fade]
-        })
-    })
-}
-
-/// PSFs in a grid of `across` columns, the first at the bottom left, each enlarged `zoom` times; all share one scale.
-pub(crate) fn mosaic_picture(stamps: ArrayView3<'_, f64>, across: usize, zoom: usize) -> GrayImage {
-    let (count, ny, nx) = stamps.dim();
-    let (width, height) = (nx * zoom + 1, ny * zoom + 1);
-    let down = count.div_ceil(across);
-    // A grey line between neighbours.
-    let peak = stamps.iter().copied().fold(0.0, f64::max) as f32;
-    let mut whole = Array2::from_elem((down * height, across * width), peak * 0.02);
-    for (n, stamp) in stamps.outer_iter().enumerate() {
-        let (row, column) = (n / across * height, n % across * width);
-        for y in 0..ny * zoom {
-            for x in 0..nx * zoom {
-                whole[[row + y, column + x]] = stamp[[y / zoom, x / zoom]] as f32;
-            }
-        }
-    }
-    asinh_picture(whole.view(), 0.0, peak * 1e-3, peak)
-}
-
-/// Positions on the frame, `size` pixels wide: a dot each, the frame's edge in grey.
-pub(crate) fn positions_picture(positions: &[Position], frame: FrameShape, size: u32) -> GrayImage {
-    const MARGIN: u32 = 12;
-    let scale = f64::from(size) / frame.nx() as f64;
-    let height = (frame.ny() as f64 * scale).round() as u32;
-    let mut picture = GrayImage::from_fn(size + 2 * MARGIN, height + 2 * MARGIN, |x, y| {
-        let inside = (MARGIN..MARGIN + size).contains(&x) && (MARGIN..MARGIN + height).contains(&y);
-        Luma([if inside { 255 } else { 200 }])
-    });
-    for p in positions {
-        let x = f64::from(MARGIN) + (p.x() + 0.5) * scale;
-        let y = f64::from(MARGIN + height) - (p.y() + 0.5) * scale;
-        for dy in -2i32..=2 {
-            for dx in -2i32..=2 {
-                if dx * dx + dy * dy <= 5 {
-                    picture.put_pixel((x as i32 + dx) as u32, (y as i32 + dy) as u32, Luma([0]));
-                }
-            }
-        }
-    }
-    picture
-}
-
-/// The value below which the fraction `q` of all values lies.
-pub(crate) fn quantile(image: ArrayView2<'_, f32>, q: f64) -> anyhow::Result<f32> {
-    Ok(Summary::of(image.iter().map(|&v| f64::from(v)))?.quantile(q)? as f32)
-}
-
-/// Writes a picture as PNG; whole or not at all.
-pub(crate) fn write_png<P>(
-    path: &Path,
-    picture: &image::ImageBuffer<P, Vec<u8>>,
+/// Show a FITS image as a PNG picture
+///
+/// Any image that psfield reads, one plane of a cube, plain or compressed (.gz, .fz). y points upwards: row 0 is at the bottom, as in ds9.
+/// Images that are too large are binned by means; limits are those of the binned image. Pixels without a value (NaN, infinite, BLANK) are
+/// magenta in grey, viridis and cividis, cyan in the other colours; a bin is the mean of its pixels that have one.
+#[derive(Debug, clap::Args)]
+pub(crate) struct PreviewArgs {
+    /// The image
+    #[arg(value_name = "IMAGE.fits")]
+    image: PathBuf,
+    /// The picture [default: the image's name, with .png for .fits, beside it]
+    #[arg(short, long, value_name = "IMAGE.png")]
+    output: Option<PathBuf>,
+    /// Replace the picture if it exists
+    #[arg(long)]
     overwrite: bool,
-) -> anyhow::Result<()>
-where
-    P: image::Pixel<Subpixel = u8> + image::PixelWithColorType,
-{
-    psf_io::write_atomically(path, overwrite, |temporary| {
-        picture
-            .save_with_format(temporary, ImageFormat::Png)
-            .map_err(|error| IoError::Write {
-                path: path.to_owned(),
-                source: std::io::Error::other(error),
-            })
-    })?;
-    Ok(())
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
+    /// Which plane of a cube, counted from 0
+    #[arg(long, value_name = "N")]
+    plane: Option<usize>,
+    /// How brightness grows between the limits; those of astropy
+    #[arg(long, default_value = "asinh", value_parser = PossibleValuesParser::new(Stretch::ALL.map(Stretch::name))
+        .try_map(|name| name.parse::<Stretch>()))]
+    stretch: Stretch,
+    /// Black and white at these percentiles of the pixels
+    #[arg(long, value_name = "LO,HI", default_value = "0.5,99.8", conflicts_with_all = ["range", "zscale"])]
+    percentile: Percentiles,
+    /// Black and white at these values
+    #[arg(
+        long,
+        value_name = "LO,HI",
+        allow_hyphen_values = true,
+        conflicts_with = "zscale"
+    )]
+    range: Option<Limits>,
+    /// Black and white as IRAF, ds9 and astropy find them: about the sky, stars left out
+    #[arg(long)]
+    zscale: bool,
+    /// Colours that colour-blind people can read as well
+    #[arg(long, default_value = "grey", value_parser = PossibleValuesParser::new(Colormap::ALL.map(Colormap::name))
+        .try_map(|name| name.parse::<Colormap>()))]
+    colormap: Colormap,
+    /// The most pixels of the picture along an axis
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=32768))]
+    max_size: u32,
+}
+
+#[derive(Debug, Serialize)]
+struct Report {
+    output: PathBuf,
+    /// Columns and rows of the image.
+    image_size: [usize; 2],
+    /// Columns and rows of the picture.
+    picture_size: [usize; 2],
+    /// Pixels of the image along the side of a pixel of the picture.
+    binning: usize,
+    stretch: &'static str,
+    colormap: &'static str,
+    limits: Limits,
+    /// Pixels of the image that are NaN or infinite.
+    undefined_pixels: usize,
+}
+
+impl PreviewArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let output = self.output.clone().unwrap_or_else(|| picture_of(&self.image));
+        check_outputs(&[&self.image], &[&output], self.overwrite)?;
+        let mut reader = match self.plane {
+            Some(plane) => ImageReader::open_plane(&self.image, self.extension.as_ref(), plane),
+            None => ImageReader::open_hdu(&self.image, self.extension.as_ref()),
+        }
+        .map_err(|error| match error {
+            psf_io::IoError::Axes { got, .. } if self.plane.is_none() && got.len() == 3 => anyhow::anyhow!(
+                "{} is a cube of {} planes: choose one with --plane N, counted from 0",
+                self.image.display(),
+                got[0]
+            ),
+            other => other.into(),
+        })?;
+        let image = {
+            let _spinner = context.spinner("reading");
+            BinnedImage::read(&mut reader, self.max_size as usize)?
+        };
+        let named = || format!("{} cannot be shown", self.image.display());
+        let limits = self.rule().limits(image.pixels()).with_context(named)?;
+        let picture =
+            Picture::new(image.pixels(), limits, self.stretch, self.colormap).with_context(named)?;
+        psf_io::write_bytes(&output, &picture.png(), self.overwrite)?;
+        let report = Report {
+            output,
+            image_size: [reader.shape().nx(), reader.shape().ny()],
+            picture_size: [picture.width(), picture.height()],
+            binning: image.factor(),
+            stretch: self.stretch.name(),
+            colormap: self.colormap.name(),
+            limits,
+            undefined_pixels: image.undefined_pixels(),
+        };
+        context.report(&report, || report.text())
+    }
+
+    fn rule(&self) -> LimitRule {
+        match self.range {
+            Some(limits) => LimitRule::Range(limits),
+            None if self.zscale => LimitRule::ZScale,
+            None => LimitRule::Percentile(self.percentile),
+        }
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        let [nx, ny] = self.picture_size;
+        let mut text = format!("{}: {nx} x {ny} pixels", self.output.display());
+        if self.binning > 1 {
+            let [nx, ny] = self.image_size;
+            let _ = write!(text, ", means over {0} x {0} of {nx} x {ny}", self.binning);
+        }
+        let _ = write!(
+            text,
+            ", {} from {} to {}",
+            self.stretch,
+            rounded(self.limits.low()),
+            rounded(self.limits.high())
+        );
+        if self.undefined_pixels > 0 {
+            let _ = write!(text, "; {} pixels have no value", self.undefined_pixels);
+        }
+        text
+    }
+}
+
+/// To six figures, as one reads them.
+fn rounded(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
+}
+
+/// The picture's name, beside the image: `a/b.fits.gz` gives `a/b.png`.
+fn picture_of(image: &Path) -> PathBuf {
+    let packed = image
+        .extension()
+        .is_some_and(|extension| extension == "gz" || extension == "fz");
+    if packed {
+        image.with_extension("").with_extension("png")
+    } else {
+        image.with_extension("png")
+    }
 }

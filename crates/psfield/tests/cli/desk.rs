@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
-use std::process::Command;
+use std::process::{Command, Output};
 
 use ndarray::{Array2, Array3};
 use psfield::psf_io::{self, Card, HeaderCards, Precision};
@@ -28,6 +28,14 @@ pub(crate) struct Run {
 }
 
 impl Run {
+    pub(crate) fn of(output: Output) -> Self {
+        Self {
+            code: output.status.code(),
+            stdout: String::from_utf8(output.stdout).unwrap(),
+            stderr: String::from_utf8(output.stderr).unwrap(),
+        }
+    }
+
     /// The object of `--json`, alone on standard output.
     pub(crate) fn json(&self) -> Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e} in {self:?}"))
@@ -86,6 +94,35 @@ impl Desk {
         psf_io::read_samples(self.path(name)).unwrap()
     }
 
+    /// The names in the folder that begin like a temporary file's.
+    pub(crate) fn temporaries(&self) -> Vec<PathBuf> {
+        let found = std::fs::read_dir(self.0.path()).unwrap();
+        found
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| {
+                path.file_name()
+                    .unwrap()
+                    .to_str()
+                    .unwrap()
+                    .starts_with(".psfield-")
+            })
+            .collect()
+    }
+
+    /// Runs a line of a shell in the folder, in which `$PSFIELD` is the program.
+    pub(crate) fn shell(&self, line: &str) -> Run {
+        Run::of(self.shell_command(line).output().unwrap())
+    }
+
+    pub(crate) fn shell_command(&self, line: &str) -> Command {
+        let mut shell = Command::new("sh");
+        shell
+            .args(["-c", line])
+            .env("PSFIELD", env!("CARGO_BIN_EXE_psfield"))
+            .current_dir(self.0.path());
+        shell
+    }
+
     /// All files with their content.
     pub(crate) fn content(&self) -> BTreeMap<PathBuf, Vec<u8>> {
         let mut found = BTreeMap::new();
@@ -111,11 +148,7 @@ impl Desk {
             .current_dir(self.0.path())
             .output()
             .unwrap();
-        Run {
-            code: output.status.code(),
-            stdout: String::from_utf8(output.stdout).unwrap(),
-            stderr: String::from_utf8(output.stderr).unwrap(),
-        }
+        Run::of(output)
     }
 
     /// Runs `psfield`, which must do its work and have nothing to complain of.

@@ -8,7 +8,11 @@ mod converting;
 mod desk;
 mod evaluation;
 mod exposing;
+mod full_disk;
+#[cfg(unix)]
+mod interrupts;
 mod measuring;
+mod preview;
 mod sampling;
 mod simulation;
 mod simulation_input;

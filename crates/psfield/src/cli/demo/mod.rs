@@ -18,7 +18,7 @@ use psfield::conv_core::PlanOptions;
 use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions, SpotCheck, fit};
 
 use super::context::{Context, check_cards, signature};
-use super::preview;
+use super::pictures;
 use output::{FILES, Output};
 use report::{Report, Seconds};
 use sky::{GALAXIES, Sky};
@@ -68,7 +68,7 @@ impl DemoArgs {
         let positions = samples.positions().as_slice().to_vec();
         out.picture(
             "sampling.png",
-            &preview::positions_picture(&positions, frame, 768),
+            &pictures::positions_picture(&positions, frame, 768),
         )?;
 
         let spinner = context.spinner("fitting");

@@ -10,7 +10,7 @@ use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, OutputGrid, 
 
 use super::sky::Sky;
 use crate::cli::context::signature;
-use crate::cli::preview;
+use crate::cli::pictures;
 
 /// Sky of the previews' stretch, flux a pixel.
 const SOFT: f32 = 30.0;
@@ -114,7 +114,7 @@ impl Output {
         P: image::Pixel<Subpixel = u8> + image::PixelWithColorType,
     {
         let path = self.path(name);
-        preview::write_png(&path, picture, self.overwrite)
+        pictures::write_png(&path, picture, self.overwrite)
     }
 
     /// The PSFs on a grid over the frame, as a picture and as a table of measurements: their widths and ellipticities.
@@ -135,7 +135,7 @@ impl Output {
         let stamps = evaluate(model, positions?, on_pixels)?;
         self.picture(
             "psf_field.png",
-            &preview::mosaic_picture(stamps.stamps(), ACROSS, 2),
+            &pictures::mosaic_picture(stamps.stamps(), ACROSS, 2),
         )?;
         let rows = MeasureOptions::default().cube(stamps.stamps(), Some(stamps.positions().as_slice()));
         let path = self.path("psf_measurements.csv");
@@ -152,15 +152,15 @@ impl Output {
         by_patches: &Image<f32>,
     ) -> anyhow::Result<()> {
         // One stretch for both, so that they can be compared.
-        let high = preview::quantile(image.pixels(), 0.9995)?.max(SOFT);
-        let stretch = |pixels: ndarray::ArrayView2<'_, f32>| preview::asinh_picture(pixels, 0.0, SOFT, high);
+        let high = pictures::quantile(image.pixels(), 0.9995)?.max(SOFT);
+        let stretch = |pixels: ndarray::ArrayView2<'_, f32>| pictures::asinh_picture(pixels, 0.0, SOFT, high);
         self.picture("scene.png", &stretch(sky.sharp().view()))?;
         self.picture("image.png", &stretch(image.pixels()))?;
         let difference = &by_patches.pixels() - &image.pixels();
-        let scale = preview::quantile(difference.mapv(f32::abs).view(), 0.995)?.max(f32::MIN_POSITIVE);
+        let scale = pictures::quantile(difference.mapv(f32::abs).view(), 0.995)?.max(f32::MIN_POSITIVE);
         self.picture(
             "patch_error.png",
-            &preview::difference_picture(difference.view(), scale),
+            &pictures::difference_picture(difference.view(), scale),
         )
     }
 }
