@@ -135,6 +135,31 @@ mod tests {
         assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
     }
 
+    #[cfg(unix)]
+    #[test]
+    fn what_a_killed_process_has_left_goes() {
+        let directory = tempfile::tempdir().unwrap();
+        let left = directory.path().join(".psfield-99-abcdef-a.png");
+        fs::write(&left, "half").unwrap();
+        put(&directory.path().join("b.png"), "b", false).unwrap();
+        assert!(left.exists());
+        put(&directory.path().join("a.png"), "a", false).unwrap();
+        assert!(!left.exists());
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn what_cannot_be_renamed_goes() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a");
+        let failed = write_atomically(&path, true, |_| {
+            fs::create_dir(&path).unwrap();
+            Ok::<(), IoError>(())
+        });
+        assert!(matches!(failed, Err(IoError::Write { .. })));
+        assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
+    }
+
     #[test]
     fn files_are_replaced_only_when_allowed() {
         let directory = tempfile::tempdir().unwrap();

@@ -4,12 +4,13 @@ use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::Path;
 
+use flate2::read::MultiGzDecoder;
+
 use crate::fits_source::FitsSource;
 use crate::hdu::Hdu;
 use crate::scanner::{BLOCK, HeaderRecords};
 use crate::unfinished::{Temporary, entries};
 use crate::{HeaderCards, IoError};
-use flate2::read::MultiGzDecoder;
 
 /// What every gzip file starts with.
 pub(crate) const GZIP: &[u8] = b"\x1f\x8b";

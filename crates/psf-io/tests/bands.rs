@@ -492,3 +492,44 @@ fn bands_go_from_one_file_to_another_while_both_are_open() {
     assert_eq!(std::fs::read(&from).unwrap(), std::fs::read(&to).unwrap());
     assert_eq!(&read_header(&to).unwrap(), reader.header());
 }
+
+#[test]
+fn planes_of_a_cube_are_images() {
+    let scratch = Scratch::new();
+    let path = scratch.path("cube.fits");
+    let cube = ndarray::Array3::from_shape_fn((3, 5, 4), |(k, y, x)| (100 * k + 10 * y + x) as f64);
+    psf_io::write_cube(&path, cube.view(), &[], false).unwrap();
+    for (k, plane) in cube.outer_iter().enumerate() {
+        let mut reader = ImageReader::open_plane(&path, None, k).unwrap();
+        assert_eq!(reader.shape(), FrameShape::new(4, 5).unwrap());
+        assert_eq!(reader.read_rows::<f64>(2..5).unwrap(), plane.slice(s![2.., ..]));
+        assert_eq!(reader.read_rows_with_undefined(0..5).unwrap(), plane);
+    }
+    assert!(matches!(
+        ImageReader::open_plane(&path, None, 3),
+        Err(IoError::Plane {
+            plane: 3,
+            planes: 3,
+            ..
+        })
+    ));
+}
+
+#[test]
+fn undefined_pixels_are_seen_only_by_who_asks() {
+    let scratch = Scratch::new();
+    let values = [1.0, f32::NAN, 3.0, f32::INFINITY];
+    let path = scratch.put("a.fits", &image(SIMPLE, -32, &[2, 2], &[], &f32s(&values)));
+    let mut reader = ImageReader::open(&path).unwrap();
+    assert!(matches!(
+        reader.read_rows::<f64>(0..2),
+        Err(IoError::NonFinitePixels { count: 2, .. })
+    ));
+    let seen = reader.read_rows_with_undefined(0..2).unwrap();
+    assert!(seen[[0, 1]].is_nan());
+    assert_eq!(
+        (seen[[0, 0]], seen[[1, 0]], seen[[1, 1]]),
+        (1.0, 3.0, f64::INFINITY)
+    );
+    assert!(reader.read_rows_with_undefined(1..3).is_err());
+}

@@ -4,7 +4,6 @@ use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::flag;
@@ -14,8 +13,9 @@ use signal_hook::low_level::signal_name;
 /// A process that a signal ends has this exit status and the signal's number, as shells tell it.
 const SIGNALLED: i32 = 128;
 
-/// Ends the process on SIGINT, SIGTERM or SIGHUP with status 130, 143 or 129, after it has removed the temporary files; a second signal
-/// ends it at once. Signals that whoever started the process wants ignored (`nohup`, jobs in the background of a script) stay ignored.
+/// Ends the process on SIGINT, SIGTERM or SIGHUP with status 130, 143 or 129, after it has removed the temporary files. More signals on the
+/// way there change nothing: `timeout` and others send two at once. Signals that whoever started the process wants ignored (`nohup`, jobs
+/// in the background of a script) stay ignored.
 ///
 /// A limit on the size of files (`ulimit -f`) becomes an error like that of a full disk, for the same sake.
 ///
@@ -27,12 +27,6 @@ pub(crate) fn remove_files_when_told_to_stop() -> std::io::Result<()> {
         .into_iter()
         .filter(|&signal| ignored & (1 << (signal - 1)) == 0)
         .collect();
-    let told = Arc::new(AtomicBool::new(false));
-    for &signal in &wanted {
-        // In this order: the first signal finds the flag unset.
-        flag::register_conditional_shutdown(signal, SIGNALLED + signal, Arc::clone(&told))?;
-        flag::register(signal, Arc::clone(&told))?;
-    }
     // A signal with a handler lets the write fail; the flag itself says nothing.
     flag::register(SIGXFSZ, Arc::default())?;
     let mut signals = Signals::new(&wanted)?;

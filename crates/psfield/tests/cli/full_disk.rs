@@ -42,7 +42,7 @@ fn files_that_may_not_grow() {
         let line = command.replace("OUT", "out");
         let run = desk.shell(&format!("ulimit -f 1; exec \"$PSFIELD\" {line}"));
         assert_eq!(run.code, Some(1), "{command}: {run:?}");
-        for needle in ["psfield: error: out: ", "File too large"] {
+        for needle in ["psfield: error: ", "out: cannot write the file: File too large"] {
             assert!(run.stderr.contains(needle), "{command}: {run:?}");
         }
         assert_eq!(desk.bytes("out"), OLD.as_bytes(), "{command}");

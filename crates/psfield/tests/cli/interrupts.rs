@@ -69,7 +69,11 @@ fn begun(desk: &Desk, line: &str) -> Child {
 
 fn send(signal: &str, child: &Child) {
     let sent = std::process::Command::new("sh")
-        .args(["-c", &format!("kill -{signal} {}", child.id())])
+        // Twice, as `timeout` does.
+        .args([
+            "-c",
+            &format!("kill -{signal} {0} && kill -{signal} {0}", child.id()),
+        ])
         .status();
     assert!(sent.unwrap().success());
 }
