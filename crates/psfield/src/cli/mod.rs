@@ -15,10 +15,13 @@ mod measure;
 mod preview;
 mod progress;
 mod psf_file_args;
+mod report_folder;
+mod reproduce;
 mod round_trip;
 mod sample;
 mod simulate;
 mod star_args;
+mod validate;
 mod values;
 
 use clap::{Parser, Subcommand};
@@ -68,6 +71,8 @@ enum Command {
     Bench(bench::BenchArgs),
     #[command(name = "roundtrip")]
     RoundTrip(Box<round_trip::RoundTripArgs>),
+    Validate(Box<validate::ValidateArgs>),
+    Reproduce(reproduce::ReproduceArgs),
 }
 
 impl Cli {
@@ -86,6 +91,8 @@ impl Cli {
             Command::Compare(_) => "compare",
             Command::Bench(_) => "bench",
             Command::RoundTrip(_) => "roundtrip",
+            Command::Validate(_) => "validate",
+            Command::Reproduce(_) => "reproduce",
         }
     }
 
@@ -110,6 +117,8 @@ impl Cli {
             Command::Compare(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),
             Command::RoundTrip(args) => args.run(&context),
+            Command::Validate(args) => args.run(&context),
+            Command::Reproduce(args) => args.run(&context),
         }
     }
 }

@@ -9,6 +9,7 @@ mod desk;
 mod evaluation;
 mod exposing;
 mod measuring;
+mod reports;
 mod sampling;
 mod simulation;
 mod simulation_input;
