@@ -223,4 +223,41 @@ pub enum PsfieldError {
     /// A plan without an image asked to stream one.
     #[error("only scenes that are images can be streamed: this plan is for stars alone")]
     NothingToStream,
+    /// A figure that could not be drawn.
+    #[error(transparent)]
+    Plot(#[from] crate::plot::PlotError),
+    /// Sampling a PSF over its field failed.
+    #[error(transparent)]
+    Sampling(Box<psf_sample::SampleError>),
+    /// A source has no PSF at a position.
+    #[error(transparent)]
+    Source(#[from] psf_types::SourceError),
+    /// A telescope that cannot be.
+    #[error(transparent)]
+    Optics(#[from] psf_optics::OpticsError),
+    /// Objects that would overlap.
+    #[error(
+        "{across} x {across} objects do not fit onto a frame of {frame} pixels: neighbours must be {least_apart} pixels apart; ask for \
+         fewer objects or a larger frame"
+    )]
+    ObjectsTooClose {
+        /// The frame.
+        frame: FrameShape,
+        /// Objects along each axis.
+        across: usize,
+        /// Pixels that neighbours need.
+        least_apart: usize,
+    },
+    /// A model and true PSFs on pixels that cannot be compared.
+    #[error(
+        "the true PSFs are without the response of a pixel and the model's are with it: they cannot be compared; sample the model from PSFs \
+         without it (PIXCONV)"
+    )]
+    TruthWithoutPixels,
+}
+
+impl From<psf_sample::SampleError> for PsfieldError {
+    fn from(error: psf_sample::SampleError) -> Self {
+        Self::Sampling(Box::new(error))
+    }
 }

@@ -105,12 +105,21 @@ impl Context {
 /// The program's version and the command line as it was given, for headers. Options that change no result stay out
 /// ([`matters`]): the same input, options and seed give the same bytes.
 pub(crate) fn signature() -> Vec<Card> {
+    signature_of(&given_arguments())
+}
+
+/// The command line as one would type it again, with all its options.
+pub(crate) fn command_text() -> String {
+    let arguments: Vec<String> = given_arguments().iter().map(quoted).collect();
+    format!("psfield {}", arguments.join(" "))
+}
+
+fn given_arguments() -> Vec<String> {
     // Not `args`, which panics on a name that is not UTF-8.
-    let arguments: Vec<String> = std::env::args_os()
+    std::env::args_os()
         .skip(1)
         .map(|arg| arg.to_string_lossy().into_owned())
-        .collect();
-    signature_of(&arguments)
+        .collect()
 }
 
 /// The same for any command line.

@@ -18,10 +18,13 @@ mod pictures;
 mod preview;
 mod progress;
 mod psf_file_args;
+mod report_folder;
+mod reproduce;
 mod round_trip;
 mod sample;
 mod simulate;
 mod star_args;
+mod validate;
 mod values;
 
 use anyhow::Context as _;
@@ -74,6 +77,8 @@ enum Command {
     Bench(bench::BenchArgs),
     #[command(name = "roundtrip")]
     RoundTrip(Box<round_trip::RoundTripArgs>),
+    Validate(Box<validate::ValidateArgs>),
+    Reproduce(reproduce::ReproduceArgs),
 }
 
 impl Cli {
@@ -93,6 +98,8 @@ impl Cli {
             Command::Preview(_) => "preview",
             Command::Bench(_) => "bench",
             Command::RoundTrip(_) => "roundtrip",
+            Command::Validate(_) => "validate",
+            Command::Reproduce(_) => "reproduce",
         }
     }
 
@@ -120,6 +127,8 @@ impl Cli {
             Command::Preview(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),
             Command::RoundTrip(args) => args.run(&context),
+            Command::Validate(args) => args.run(&context),
+            Command::Reproduce(args) => args.run(&context),
         }
     }
 }

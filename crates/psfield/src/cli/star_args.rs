@@ -12,7 +12,7 @@ use super::UsageError;
 use super::values::{above_zero, at_least_zero};
 
 /// How stars are found and chosen.
-#[derive(Debug, clap::Args)]
+#[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Stars of a frame")]
 pub(crate) struct StarArgs {
     /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION

@@ -13,6 +13,7 @@ mod full_disk;
 mod interrupts;
 mod measuring;
 mod preview;
+mod reports;
 mod sampling;
 mod simulation;
 mod simulation_input;

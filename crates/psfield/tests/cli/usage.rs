@@ -173,8 +173,19 @@ fn help_and_version() {
     let version = desk.done("--version").stdout;
     assert_eq!(version.trim(), format!("psfield {}", env!("CARGO_PKG_VERSION")));
     for command in [
-        "demo", "sample", "fit", "simulate", "batch", "evaluate", "convert", "expose", "measure", "compare",
+        "demo",
+        "sample",
+        "fit",
+        "simulate",
+        "batch",
+        "evaluate",
+        "convert",
+        "expose",
+        "measure",
+        "compare",
         "bench",
+        "reproduce",
+        "validate",
     ] {
         assert!(desk.done("--help").stdout.contains(&format!("  {command} ")));
         let help = desk.done(&format!("{command} --help")).stdout;

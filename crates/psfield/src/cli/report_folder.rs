@@ -1,0 +1,88 @@
+//! The folder that a report goes to.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use psfield::report::{Document, OBJECT_COLUMNS, ObjectRow};
+use serde::Serialize;
+
+/// Where a report is written.
+#[derive(Debug, clap::Args)]
+pub(super) struct ReportFolder {
+    /// The folder to write report.html, report.json, tables and figures (SVG and PNG) to; made if it does not exist
+    #[arg(long, value_name = "DIR")]
+    report: PathBuf,
+    /// Replace files that exist there
+    #[arg(long)]
+    overwrite: bool,
+}
+
+const PAGE: &str = "report.html";
+const NUMBERS: &str = "report.json";
+
+/// The numbers of a report, beside what made them.
+#[derive(Debug, Serialize)]
+struct Numbers<'a, T> {
+    software: &'a psfield::report::Software,
+    inputs: std::collections::BTreeMap<&'a str, &'a str>,
+    #[serde(flatten)]
+    measured: &'a T,
+}
+
+impl ReportFolder {
+    pub(super) fn path(&self) -> &Path {
+        &self.report
+    }
+
+    /// Makes the folder, and refuses before any work where the page or the numbers are there already.
+    pub(super) fn prepare(&self) -> anyhow::Result<()> {
+        std::fs::create_dir_all(&self.report)
+            .with_context(|| format!("{}: the report folder cannot be made", self.report.display()))?;
+        for name in [PAGE, NUMBERS] {
+            psf_io::check_output(self.report.join(name), self.overwrite)?;
+        }
+        Ok(())
+    }
+
+    /// Writes everything; the page last, so that a page has all its files.
+    pub(super) fn write(
+        &self,
+        document: &Document,
+        measured: &impl Serialize,
+        tables: &[(&str, &[ObjectRow])],
+    ) -> anyhow::Result<Vec<String>> {
+        let mut files = Vec::new();
+        let mut at = |name: String| {
+            let path = self.report.join(&name);
+            files.push(name);
+            path
+        };
+        for (name, rows) in tables {
+            psf_io::write_csv(at((*name).to_owned()), &OBJECT_COLUMNS, *rows, self.overwrite)?;
+        }
+        for shown in document.figures() {
+            let name = shown.name;
+            psf_io::write_text(at(format!("{name}.svg")), shown.figure.svg(), self.overwrite)?;
+            let png = shown.figure.png()?;
+            psf_io::write_atomically(at(format!("{name}.png")), self.overwrite, |temporary| {
+                std::fs::write(temporary, &png).map_err(|source| psf_io::IoError::Write {
+                    path: temporary.to_owned(),
+                    source,
+                })
+            })?;
+        }
+        let numbers = Numbers {
+            software: &document.software,
+            inputs: document
+                .inputs
+                .iter()
+                .map(|(name, value)| (name.as_str(), value.as_str()))
+                .collect(),
+            measured,
+        };
+        let numbers = serde_json::to_string_pretty(&numbers)?;
+        psf_io::write_text(at(NUMBERS.to_owned()), &numbers, self.overwrite)?;
+        psf_io::write_text(at(PAGE.to_owned()), &document.to_html(), self.overwrite)?;
+        Ok(files)
+    }
+}

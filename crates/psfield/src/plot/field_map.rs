@@ -1,0 +1,151 @@
+//! A value at every object, over the field.
+
+use image::{Rgb, RgbImage};
+use plotters::chart::ChartBuilder;
+use plotters::prelude::{Circle, RGBColor};
+use plotters::style::Color;
+use psf_types::{FrameShape, Position};
+
+use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes};
+use super::colour_bar::{BAR_AREA, colour_bar, plain};
+use super::colours::ColourMap;
+use super::figure::{Figure, Overlay, PlotError};
+
+/// A value at every position of a field, as colours. Maps of differences are white at 0.
+#[derive(Debug, Clone)]
+pub struct FieldMap<'a> {
+    /// Heading.
+    pub title: &'a str,
+    /// The quantity, with its unit, beside the bar.
+    pub quantity: &'a str,
+    /// The field.
+    pub frame: FrameShape,
+    /// Positions and values; an object without a value is left out.
+    pub values: &'a [(Position, Option<f64>)],
+    /// Columns of a grid, where the positions are one, ordered by y, then x; none: dots.
+    pub grid_columns: Option<usize>,
+    /// Colours of the smallest and the largest value; those beyond have the colour of the nearer end.
+    pub range: (f64, f64),
+    /// The colours.
+    pub colours: ColourMap,
+    /// The values are drawn by their decimal logarithm, `range` in powers of ten as well.
+    pub logarithmic: bool,
+}
+
+const WIDTH: u32 = 620;
+const TITLE_ROOM: u32 = 34;
+const MISSING: RGBColor = RGBColor(128, 128, 128);
+
+impl FieldMap<'_> {
+    /// Draws the map.
+    ///
+    /// # Errors
+    /// [`PlotError`] when the drawing fails.
+    pub fn figure(&self) -> Result<Figure, PlotError> {
+        let (nx, ny) = (self.frame.nx() as f64, self.frame.ny() as f64);
+        let plot = f64::from(WIDTH - BAR_AREA - LABEL_ROOM_Y - 2 * MARGIN);
+        let height = (plot * (ny / nx).clamp(0.3, 2.0)) as u32 + LABEL_ROOM_X + 2 * MARGIN + TITLE_ROOM;
+        Figure::draw((WIDTH, height), |root| {
+            let (left, right) = root.split_horizontally(WIDTH - BAR_AREA);
+            let mut chart = ChartBuilder::on(&left)
+                .margin(MARGIN)
+                .caption(self.title, ("sans-serif", TITLE))
+                .x_label_area_size(LABEL_ROOM_X)
+                .y_label_area_size(LABEL_ROOM_Y)
+                .build_cartesian_2d(-0.5..nx - 0.5, -0.5..ny - 0.5)?;
+            draw_axes(&mut chart, "x, pixels", "y, pixels")?;
+            let (px, py) = chart.plotting_area().get_pixel_range();
+            let mut overlays = Vec::new();
+            if let Some(columns) = self.grid_columns.filter(|&c| c > 0) {
+                overlays.push(Overlay {
+                    left: px.start,
+                    top: py.start,
+                    width: (px.end - px.start) as u32,
+                    height: (py.end - py.start) as u32,
+                    pixels: self.cells(columns),
+                });
+            } else {
+                let area = f64::from((px.end - px.start) * (py.end - py.start));
+                let radius = (0.35 * (area / self.values.len().max(1) as f64).sqrt()).clamp(2.0, 9.0) as i32;
+                chart.draw_series(self.values.iter().map(|(at, value)| {
+                    let colour = value.map_or(MISSING, |v| {
+                        let [r, g, b] = self.colour(v);
+                        RGBColor(r, g, b)
+                    });
+                    Circle::new((at.x(), at.y()), radius, colour.filled())
+                }))?;
+            }
+            let shown: &dyn Fn(f64) -> String = if self.logarithmic {
+                &|v| format!("1e{}", (v * 10.0).round() / 10.0)
+            } else {
+                &plain
+            };
+            let bottom = LABEL_ROOM_X + MARGIN;
+            let top = py.start as u32;
+            overlays.push(colour_bar(
+                &right,
+                (top, bottom),
+                self.colours,
+                self.range,
+                self.quantity,
+                shown,
+            )?);
+            Ok(overlays)
+        })
+    }
+
+    fn colour(&self, value: f64) -> [u8; 3] {
+        let value = if self.logarithmic {
+            value.max(f64::MIN_POSITIVE).log10()
+        } else {
+            value
+        };
+        let (low, high) = self.range;
+        self.colours
+            .at((value - low) / (high - low).max(f64::MIN_POSITIVE))
+    }
+
+    /// One pixel a value, the first row at the bottom.
+    fn cells(&self, columns: usize) -> RgbImage {
+        let rows = self.values.len().div_ceil(columns);
+        RgbImage::from_fn(columns as u32, rows as u32, |x, y| {
+            let row = rows - 1 - y as usize;
+            let value = self.values.get(row * columns + x as usize).and_then(|v| v.1);
+            Rgb(value.map_or([128; 3], |v| self.colour(v)))
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_value_is_at_the_bottom_left_and_zero_is_white() {
+        let values: Vec<_> = [-1.0, 0.0, 1.0, 5.0]
+            .into_iter()
+            .enumerate()
+            .map(|(k, v)| (Position::of_pixel((k % 2) as i64, (k / 2) as i64), Some(v)))
+            .collect();
+        let map = FieldMap {
+            title: "t",
+            quantity: "q",
+            frame: FrameShape::new(2, 2).unwrap(),
+            values: &values,
+            grid_columns: Some(2),
+            range: (-1.0, 1.0),
+            colours: ColourMap::BlueWhiteRed,
+            logarithmic: false,
+        };
+        let cells = map.cells(2);
+        assert_eq!(cells.get_pixel(0, 1).0, ColourMap::BlueWhiteRed.at(0.0));
+        assert_eq!(cells.get_pixel(1, 1).0, [255; 3]);
+        assert_eq!(cells.get_pixel(1, 0).0, ColourMap::BlueWhiteRed.at(1.0));
+        assert!(map.figure().unwrap().svg().contains("<image"));
+        let dots = FieldMap {
+            grid_columns: None,
+            ..map
+        };
+        assert_eq!(dots.figure().unwrap().svg().matches("<circle").count(), 4);
+    }
+}

@@ -1,0 +1,159 @@
+//! The page of a report.
+
+use std::fmt::Write;
+
+use super::{Document, Section, Table};
+
+const STYLE: &str = "
+:root { color-scheme: light dark; --ink: #1a1a1a; --paper: #ffffff; --faint: #5b6470; --line: #d5dae0; --shade: #f4f6f8; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e8eb; --paper: #16191d; --faint: #a4adb8; --line: #3a414a; --shade: #20252b; } }
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper); max-width: 1120px; margin: 0 auto; padding: 1.5rem; }
+h1 { line-height: 1.2; } h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line); }
+p { max-width: 48rem; }
+table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; font-size: 0.9rem; }
+caption { text-align: left; color: var(--faint); padding-bottom: 0.3rem; max-width: 60rem; }
+th, td { padding: 0.25rem 0.7rem; border-bottom: 1px solid var(--line); text-align: right; vertical-align: top; }
+th { background: var(--shade); } th:first-child, td:first-child { text-align: left; }
+table.inputs td { text-align: left; } .wide { overflow-x: auto; }
+figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; background: #ffffff; border-radius: 6px; }
+figcaption { color: var(--faint); max-width: 60rem; font-size: 0.95rem; }
+code { background: var(--shade); padding: 0.1rem 0.3rem; border-radius: 4px; overflow-wrap: anywhere; }
+@media print {
+  :root { --ink: #000000; --paper: #ffffff; --faint: #333333; --line: #bbbbbb; --shade: #f0f0f0; }
+  body { max-width: none; padding: 0; font-size: 10pt; } figure, table { break-inside: avoid; } h2 { break-after: avoid; }
+}
+";
+
+pub(super) fn page(document: &Document) -> String {
+    let title = escaped(&document.title);
+    let mut page = format!(
+        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
+         <style>{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n"
+    );
+    let software = &document.software;
+    let _ = writeln!(
+        page,
+        "<p>psfield {}, {}, {} threads. Made by <code>{}</code></p>",
+        escaped(software.psfield),
+        escaped(&software.machine),
+        software.threads,
+        escaped(&software.command)
+    );
+    page.push_str("<div class=\"wide\"><table class=\"inputs\"><caption>Inputs</caption>\n");
+    for (name, value) in &document.inputs {
+        let _ = writeln!(
+            page,
+            "<tr><td>{}</td><td>{}</td></tr>",
+            escaped(name),
+            escaped(value)
+        );
+    }
+    page.push_str("</table></div>\n");
+    for part in &document.sections {
+        section(&mut page, part);
+    }
+    page.push_str("</body>\n</html>\n");
+    page
+}
+
+fn section(page: &mut String, section: &Section) {
+    let _ = writeln!(page, "<section>\n<h2>{}</h2>", escaped(&section.title));
+    for paragraph in &section.paragraphs {
+        let _ = writeln!(page, "<p>{}</p>", escaped(paragraph));
+    }
+    for part in &section.tables {
+        table(page, part);
+    }
+    for shown in &section.figures {
+        let caption = escaped(&shown.caption);
+        let (width, height) = shown.figure.size();
+        let _ = writeln!(
+            page,
+            "<figure><img width=\"{width}\" height=\"{height}\" alt=\"{caption}\" src=\"{}\">\n<figcaption>{caption}</figcaption></figure>",
+            shown.figure.data_uri()
+        );
+    }
+    page.push_str("</section>\n");
+}
+
+fn table(page: &mut String, table: &Table) {
+    let _ = write!(
+        page,
+        "<div class=\"wide\"><table><caption>{}</caption>\n<thead><tr>",
+        escaped(&table.caption)
+    );
+    for name in &table.columns {
+        let _ = write!(page, "<th scope=\"col\">{}</th>", escaped(name));
+    }
+    page.push_str("</tr></thead>\n<tbody>\n");
+    for row in &table.rows {
+        page.push_str("<tr>");
+        for cell in row {
+            let _ = write!(page, "<td>{}</td>", escaped(cell));
+        }
+        page.push_str("</tr>\n");
+    }
+    page.push_str("</tbody></table></div>\n");
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;")
+        .replace('<', "&lt;")
+        .replace('>', "&gt;")
+        .replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::plot::{Axis, Curve, Curves};
+    use crate::report::{NamedFigure, Software};
+
+    #[test]
+    fn a_page_holds_all_it_shows_and_no_text_becomes_markup() {
+        let curves = Curves {
+            x: Axis::linear("x"),
+            y: Axis::linear("y"),
+            curves: vec![Curve {
+                name: "c".to_owned(),
+                points: vec![(0.0, 1.0), (1.0, 2.0)],
+            }],
+            marks: Vec::new(),
+        };
+        let mut table = Table::new("numbers", &["a", "b"]);
+        table.rows.push(vec!["1".to_owned(), "<b>".to_owned()]);
+        let document = Document {
+            title: "A & B".to_owned(),
+            software: Software::of_command("psfield reproduce --report '<dir>'".to_owned()),
+            inputs: vec![("file".to_owned(), "\"quoted\"".to_owned())],
+            sections: vec![Section {
+                title: "first".to_owned(),
+                paragraphs: vec!["one < two".to_owned()],
+                tables: vec![table],
+                figures: vec![NamedFigure {
+                    name: "line",
+                    caption: "a line".to_owned(),
+                    figure: curves.figure().unwrap(),
+                }],
+            }],
+        };
+        let page = document.to_html();
+        for text in [
+            "A &amp; B",
+            "&lt;dir&gt;",
+            "one &lt; two",
+            "&lt;b&gt;",
+            "&quot;quoted&quot;",
+            "a line",
+        ] {
+            assert!(page.contains(text), "{text}");
+        }
+        assert!(
+            page.contains("src=\"data:image/svg+xml;base64,") && page.contains("prefers-color-scheme: dark")
+        );
+        for outside in ["http", "url(", "@import", "<script", "<link"] {
+            assert!(!page.contains(outside), "{outside}");
+        }
+    }
+}

@@ -1,0 +1,306 @@
+//! The paper's figures, remade.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use conv_core::PlanOptions;
+use ndarray::Array2;
+use psf_optics::Telescope;
+use psf_sample::{
+    AdaptiveSampling, DifferenceMeasure, InterpolationError, SampleError, SamplingMethod, UniformSampling,
+};
+use psf_types::{
+    FrameShape, Interpolation, NoProgress, Position, Progress, PsfSource, SersicProfile, SersicSource,
+};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::extended_truth::{true_galaxy, true_psf};
+use super::object_grid::{object_pixels, positions_of};
+use super::transform_images::draw_by_transforms;
+use super::{
+    ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, PatchComparison, ReproductionOptions,
+    Target,
+};
+use crate::{FitOptions, PsfieldError, fit};
+
+/// Everything that the paper shows, measured on psfield's own survey telescope.
+///
+/// The optics ([`Telescope::survey_2m`]) are sampled on a regular grid, a model is fitted with the default settings, and objects are drawn
+/// on the whole frame by transforms alone: stars as single lit pixels, and small galaxies. Each is compared with its true image, computed
+/// from the optics at its own position; the model has no part in the truth.
+///
+/// ```no_run
+/// use psfield::psf_types::NoProgress;
+/// use psfield::report::{Reproduction, ReproductionOptions};
+/// let reproduction = Reproduction::run(&ReproductionOptions::quick(), &NoProgress)?;
+/// for target in &reproduction.targets {
+///     println!("{}: {:?}, should be below {}", target.what, target.measured, target.limit);
+/// }
+/// # Ok::<(), psfield::PsfieldError>(())
+/// ```
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct Reproduction {
+    /// The telescope's name.
+    pub telescope: String,
+    /// Columns and rows of the frame.
+    pub frame: FrameShape,
+    /// Columns and rows of a stamp.
+    pub stamp: [usize; 2],
+    /// Uniform samples.
+    pub samples: usize,
+    /// Objects of each kind.
+    pub objects: usize,
+    /// The galaxies: half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
+    pub galaxy: [f64; 4],
+    /// The tolerance of the figures: the default.
+    pub tolerance: f64,
+    /// The basis.
+    pub basis: BasisFigures,
+    /// Samples of the non-uniform sampling shown, and its threshold (relative L2 of the interpolation).
+    pub adaptive_samples: usize,
+    /// Its threshold.
+    pub adaptive_threshold: f64,
+    /// What should hold at the default tolerance, and whether it does.
+    pub targets: Vec<Target>,
+    /// Errors at several tolerances, by kind of object.
+    pub tolerances: Vec<ToleranceRow>,
+    /// Errors of the model alone, by interpolator.
+    pub interpolations: Vec<InterpolationRow>,
+    /// Stars at the default tolerance.
+    pub stars: Evaluation,
+    /// Galaxies at the default tolerance.
+    pub galaxies: Evaluation,
+    /// Table 1.
+    pub table_1: PatchComparison,
+    /// A large galaxy, with the seams of patches.
+    pub large_galaxy: GalaxyComparison,
+    /// Seconds in all.
+    pub seconds: f64,
+    /// Where the uniform samples lie.
+    #[serde(skip)]
+    pub sample_positions: Vec<Position>,
+    /// Where the non-uniform samples lie.
+    #[serde(skip)]
+    pub adaptive_positions: Vec<Position>,
+}
+
+/// What the decomposition of the samples says.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct BasisFigures {
+    /// Components kept, the mean not counted.
+    pub rank: usize,
+    /// Components at the elbow.
+    pub elbow: Option<usize>,
+    /// Largest truncation error over the samples, relative L2.
+    pub max_error: f64,
+    /// Median leave-one-out error of the samples, relative L2: the interpolation over twice the distance of the samples.
+    pub leave_one_out_median: Option<f64>,
+    /// The interpolator.
+    pub interpolation: Interpolation,
+    /// All singular values.
+    pub singular_values: Vec<f64>,
+    /// Their cumulative weights.
+    pub cumulative_weights: Vec<f64>,
+}
+
+/// What is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ObjectKind {
+    /// A single lit pixel.
+    Point,
+    /// A small galaxy.
+    Extended,
+}
+
+/// Errors of the objects of a kind at a tolerance.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ToleranceRow {
+    /// The engine's tolerance.
+    pub tolerance: f64,
+    /// What was drawn.
+    pub kind: ObjectKind,
+    /// How far it is from the truth.
+    pub summary: ErrorSummary,
+    /// Seconds of the image of the whole frame.
+    pub seconds: f64,
+}
+
+/// Half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
+const GALAXY: [f64; 4] = [3.0, 1.0, 0.7, 30.0];
+/// Pixels along each side of a galaxy's light; truth and scene hold the same light.
+const GALAXY_SIDE: usize = 32;
+/// Interpolators beside the default one.
+const OTHER_INTERPOLATIONS: [Interpolation; 2] = [
+    Interpolation::NaturalNeighbour,
+    Interpolation::Polynomial { degree: 16 },
+];
+/// Patches of the large galaxy over its side.
+const PATCHES_ACROSS: usize = 8;
+
+impl Reproduction {
+    /// Measures everything.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] of any stage; [`PsfieldError::ObjectsTooClose`] when a small frame has no room for the objects.
+    pub fn run(options: &ReproductionOptions, progress: &dyn Progress) -> Result<Self, PsfieldError> {
+        let start = Instant::now();
+        let mut tolerances = options.tolerances.clone();
+        let default = PlanOptions::DEFAULT_TOLERANCE;
+        if !tolerances.contains(&default) {
+            tolerances.push(default);
+        }
+        progress.start(7 + tolerances.len() as u64);
+        let telescope = telescope_on(options.frame)?;
+        let frame = telescope.field();
+        let grid = telescope.grid();
+        let margin = grid.nx().max(grid.ny());
+        let pixels = object_pixels(frame, options.objects_across, margin, margin + GALAXY_SIDE)?;
+        let positions = positions_of(&pixels);
+
+        let across = options.samples_across;
+        let samples = UniformSampling::new(across, across)?
+            .sample(&telescope, &NoProgress)?
+            .samples;
+        let sample_positions = samples.positions().as_slice().to_vec();
+        progress.advance(1);
+        let adaptive_positions = adaptive_positions(&telescope, options.adaptive_threshold)?;
+        progress.advance(1);
+
+        let fitted = fit(samples, &FitOptions::default())?;
+        let report = fitted.report()?;
+        let record = fitted.record().clone();
+        let model = fitted.into_model()?;
+        progress.advance(1);
+
+        let star_truth: Vec<Array2<f64>> = positions
+            .par_iter()
+            .map(|&at| true_psf(&telescope, at))
+            .collect::<Result<_, _>>()?;
+        let galaxy = galaxy_light()?;
+        let galaxy_truth: Vec<Array2<f64>> = pixels
+            .par_iter()
+            .map(|&at| true_galaxy(&telescope, at, galaxy.view()))
+            .collect::<Result<_, _>>()?;
+        progress.advance(1);
+
+        let star = Array2::from_elem((1, 1), 1.0);
+        let columns = Some(options.objects_across);
+        let mut tolerance_rows = Vec::new();
+        let mut shown = None;
+        for &tolerance in &tolerances {
+            let kinds = [star.view(), galaxy.view()];
+            let (mut drawn, _) = draw_by_transforms(&model, frame, &pixels, &kinds, tolerance)?;
+            let galaxies = drawn.pop().expect("two kinds");
+            let stars = drawn.pop().expect("two kinds");
+            let measure =
+                |windows, truth| Evaluation::measure(&positions, windows, truth, Some(frame), columns);
+            let of_stars = measure(&stars.windows, &star_truth);
+            let of_galaxies = measure(&galaxies.windows, &galaxy_truth);
+            for (kind, evaluation, seconds) in [
+                (ObjectKind::Point, &of_stars, stars.seconds),
+                (ObjectKind::Extended, &of_galaxies, galaxies.seconds),
+            ] {
+                tolerance_rows.push(ToleranceRow {
+                    tolerance,
+                    kind,
+                    summary: evaluation.summary.clone(),
+                    seconds,
+                });
+            }
+            if tolerance == default {
+                shown = Some((of_stars, of_galaxies));
+            }
+            progress.advance(1);
+        }
+        let (stars, galaxies) = shown.expect("the default tolerance is among them");
+
+        let interpolations = [record.interpolation()]
+            .into_iter()
+            .chain(OTHER_INTERPOLATIONS)
+            .map(|interpolation| InterpolationRow::measure(&record, interpolation, &positions, &star_truth))
+            .collect::<Result<_, _>>()?;
+        progress.advance(1);
+        let table_1 = PatchComparison::measure(
+            &record,
+            &options.image_sides,
+            &options.patches,
+            options.repeat,
+            options.seed,
+        )?;
+        progress.advance(1);
+        let patch = (options.galaxy_side / PATCHES_ACROSS).max(1);
+        let large_galaxy = GalaxyComparison::measure(&record, options.galaxy_side, patch)?;
+        progress.advance(1);
+
+        let mut targets = Target::of("stars", &stars.summary);
+        targets.extend(Target::of("galaxies", &galaxies.summary));
+        Ok(Self {
+            telescope: telescope.params().name.clone(),
+            frame,
+            stamp: [grid.nx(), grid.ny()],
+            samples: sample_positions.len(),
+            objects: positions.len(),
+            galaxy: GALAXY,
+            tolerance: default,
+            basis: BasisFigures {
+                rank: report.rank,
+                elbow: report.elbow,
+                max_error: report.max_error,
+                leave_one_out_median: report.leave_one_out.median,
+                interpolation: report.interpolation,
+                singular_values: report.singular_values,
+                cumulative_weights: report.cumulative_weights,
+            },
+            adaptive_samples: adaptive_positions.len(),
+            adaptive_threshold: options.adaptive_threshold,
+            targets,
+            tolerances: tolerance_rows,
+            interpolations,
+            stars,
+            galaxies,
+            table_1,
+            large_galaxy,
+            seconds: start.elapsed().as_secs_f64(),
+            sample_positions,
+            adaptive_positions,
+        })
+    }
+}
+
+/// The survey telescope on a frame of another size: the field of view shrinks to it with all its aberrations.
+fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, PsfieldError> {
+    let telescope = Telescope::survey_2m();
+    let Some(frame) = frame else { return Ok(telescope) };
+    let mut params = telescope.params().clone();
+    (params.frame.nx, params.frame.ny) = (frame.nx(), frame.ny());
+    Ok(Telescope::new(params)?)
+}
+
+fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Position>, PsfieldError> {
+    let criterion = InterpolationError::new(threshold, DifferenceMeasure::L2)?;
+    let sampling = match AdaptiveSampling::new(Arc::new(criterion)).sample(source, &NoProgress) {
+        Err(SampleError::CapReached(cap)) => cap.into_sampling(),
+        other => other?,
+    };
+    Ok(sampling.samples.positions().as_slice().to_vec())
+}
+
+/// A galaxy of unit flux on its pixels; what lies beyond is left out of scene and truth alike.
+fn galaxy_light() -> Result<Array2<f64>, PsfieldError> {
+    let [radius, index, axis_ratio, angle] = GALAXY;
+    let profile = SersicProfile::new(radius, index, axis_ratio, angle)?;
+    let middle = Position::of_pixel((GALAXY_SIDE / 2) as i64, (GALAXY_SIDE / 2) as i64);
+    let mut light = Array2::<f64>::zeros((GALAXY_SIDE, GALAXY_SIDE));
+    sersic::add_galaxies(
+        light.view_mut(),
+        (0, 0),
+        &[SersicSource::new(middle, 1.0, profile)?],
+    );
+    let sum = light.sum();
+    Ok(light / sum)
+}
