@@ -9,6 +9,7 @@ use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::planes::{coefficient_planes, flux_plane};
 use crate::point_sources::add_point_sources;
+use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// `K` whole-image convolutions by FFT, exact up to rounding, and their exact adjoint.
@@ -80,10 +81,12 @@ impl BasisConvolution {
         }
         let whole = scene.shape().region();
         let plane = Plane::new(model, scene, true, &NoProgress)?;
-        let pixels = match self.anchor {
-            Anchor::Output => plane.weight_then_convolve(frame, image.pixels(), whole)?,
-            _ => plane.convolve_then_weight(frame, image.pixels(), whole)?,
+        let (light, back) = Rescaling::of_pixels(image.pixels());
+        let mut pixels = match self.anchor {
+            Anchor::Output => plane.weight_then_convolve(frame, light.view(), whole)?,
+            _ => plane.convolve_then_weight(frame, light.view(), whole)?,
         };
+        take_back(&mut pixels, back);
         Image::new(pixels).map_err(ConvError::Result)
     }
 }
@@ -102,13 +105,16 @@ impl<T: ConvReal> ConvolutionMethod<T> for BasisConvolution {
         let frame = scene.frame();
         let mut pixels = if scene.image().is_some() {
             let scene = within_reach(scene, Reach::of(model.grid())?);
-            let light = scene.pixels().expect("it had an image");
+            let (light, back) = Rescaling::of_pixels(scene.pixels().expect("it had an image"));
+            let light = light.view();
             let (whole, frame) = (scene.shape().region(), scene.frame());
             let plane = Plane::new(model, &scene, false, progress)?;
-            match self.anchor {
+            let mut pixels = match self.anchor {
                 Anchor::Output => plane.convolve_then_weight(whole, light, frame)?,
                 _ => plane.weight_then_convolve(whole, light, frame)?,
-            }
+            };
+            take_back(&mut pixels, back);
+            pixels
         } else {
             Array2::zeros((frame.shape().ny(), frame.shape().nx()))
         };

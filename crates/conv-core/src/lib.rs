@@ -50,6 +50,7 @@ mod simd;
 mod stamp_interpolator;
 mod stars;
 mod transform;
+mod working_range;
 
 pub use basis_convolution::BasisConvolution;
 pub use direct::Direct;

@@ -8,6 +8,7 @@ use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::overlap::{Piece, add_in_order, overlap};
 use crate::point_sources::add_point_sources;
+use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// The frame is cut into square patches, and each is convolved with the PSF of its own centre, padded and overlap-added
@@ -67,7 +68,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
         if scene.image().is_some() {
             let reach = Reach::of(model.grid())?;
             let scene = within_reach(scene, reach);
-            let light = scene.pixels().expect("it had an image");
+            let (light, back) = Rescaling::of_pixels(scene.pixels().expect("it had an image"));
             let frame = scene.frame();
             let patch = self.size.min(scene.shape().nx().max(scene.shape().ny()));
             let (height, width) = model.grid().dim();
@@ -76,7 +77,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
                 model,
                 reach,
                 fft,
-                light,
+                light: light.view(),
                 field: scene.field_region(),
                 frame,
             };
@@ -99,6 +100,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
                 }
                 Ok::<_, ConvError>(pieces)
             })?;
+            take_back(&mut result, back);
         }
         add_point_sources(model, scene, self.anchor, &mut result)?;
         Image::new(result).map_err(ConvError::Result)

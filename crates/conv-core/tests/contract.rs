@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use common::{Constant, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene};
 use conv_core::{
-    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, PlanOptions,
+    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, Plan,
+    PlanOptions,
 };
 use ndarray::{Array2, Array3};
 use psf_types::{Anchor, Image, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid};
@@ -463,5 +464,56 @@ fn only_light_that_reaches_the_frame_needs_a_psf() {
             ),
             "{method:?}"
         );
+    }
+}
+
+/// Light at either end of what f32 holds: sums over it would overflow, products with kernels would lose their bits.
+#[test]
+fn light_at_the_ends_of_the_range_is_convolved_like_light_near_one() {
+    let model = model_with(Arc::new(Waves), (16, 9), (8, 4), true, Normalisation::Unit);
+    let scene = scene(67, 53, 5);
+    let scaled = |power: i32| {
+        let light = scene.pixels().unwrap().mapv(|v| (v * 2_f64.powi(power)) as f32);
+        Scene::from_image(Image::new(light).unwrap())
+    };
+    for anchor in ANCHORS {
+        let truth = double_sum(&model, &scene, anchor);
+        let options = PlanOptions::new(0.0).unwrap().with_anchor(anchor);
+        let methods: [Box<dyn ConvolutionMethod<f32>>; 4] = [
+            Box::new(BasisConvolution::new(anchor)),
+            Box::new(PatchConvolution::new(1, anchor).unwrap()),
+            Box::new(LowRank::new(options)),
+            Box::new(LowRank::new(options.with_paths(Paths::Transforms))),
+        ];
+        // The brightest pixel is about 1; 2^127 is the last power of f32.
+        for power in [-115, -85, 0, 85, 123] {
+            for method in &methods {
+                let image = method.convolve(&model, &scaled(power)).unwrap();
+                let back = image.pixels().mapv(|v| f64::from(v) * 2_f64.powi(-power));
+                assert!(
+                    largest_difference(&back, &truth) <= FFT_F32 * peak(&truth),
+                    "{method:?}, 2^{power}: {:e}",
+                    largest_difference(&back, &truth)
+                );
+            }
+            let adjoint = |scene: &Scene<f32>| {
+                let image = scene.image().unwrap();
+                let whole = BasisConvolution::new(anchor)
+                    .adjoint(&model, image, scene)
+                    .unwrap();
+                let tiles = Plan::for_scene(&model, scene, options)
+                    .unwrap()
+                    .adjoint(image)
+                    .unwrap();
+                [whole, tiles].map(|image| image.pixels().mapv(f64::from))
+            };
+            for (near_one, far) in adjoint(&scaled(0)).iter().zip(adjoint(&scaled(power))) {
+                let back = far.mapv(|v| v * 2_f64.powi(-power));
+                assert!(
+                    largest_difference(&back, near_one) <= FFT_F32 * peak(near_one),
+                    "the adjoint, 2^{power}"
+                );
+            }
+        }
     }
 }

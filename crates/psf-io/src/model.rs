@@ -35,7 +35,7 @@
 
 use std::path::Path;
 
-use ndarray::{Array2, Array3, Axis};
+use ndarray::{Array2, Array3, Axis, s};
 use psf_types::{PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions};
 
 use crate::columns::Table;
@@ -152,9 +152,10 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 
     let planes =
         Array3::from_shape_vec(shape, read_pixels(path, hdu)?).expect("as many pixels as the axes say");
-    let (mean, components) = planes.view().split_at(Axis(0), usize::from(centred));
-    let mean = centred.then(|| mean.index_axis(Axis(0), 0).to_owned());
-    let basis = PsfBasis::new(mean, components.to_owned(), grid).map_err(invalid(path))?;
+    let mean = centred.then(|| planes.index_axis(Axis(0), 0).to_owned());
+    // Not a copy of a part: ndarray's debug assertions refuse to copy a part without planes.
+    let components = planes.slice_move(s![usize::from(centred).., .., ..]);
+    let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
     let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
         .map_err(invalid(path))?;
     let singular_values = match structure.table(SINGULAR_VALUES) {

@@ -1,6 +1,6 @@
 //! From the other side to the weighted one.
 
-use ndarray::{ArrayViewMut2, s};
+use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::FieldError;
 use rayon::prelude::*;
 
@@ -11,7 +11,7 @@ use super::light::look;
 use super::prepared::Prepared;
 use super::split::split;
 use super::tile_engine::{TileEngine, TilePart};
-use super::treatment::{Whole, treat};
+use super::treatment::{Whole, rescale, treat};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -121,7 +121,7 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
         let workspace = &mut *self.workspace;
         let pitch = plan.fft.pitch();
         let around = engine.around(part.size);
-        let seen = simd.vectorized(
+        let mut seen = simd.vectorized(
             #[inline(always)]
             || {
                 let reach = plan.geometry.reach_from(x, y);
@@ -144,20 +144,35 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
         })?;
         let kernels = self.prepared.kernel_count();
         let draw = plan.cost.draw_gathered(engine.stamp, kernels);
-        let treatment = treat(plan, seen, around, part.size, kernels, draw, workspace);
+        let back = rescale(&mut seen, workspace.light.get_mut());
+        let mut treatment = treat(plan, seen, around, part.size, kernels, draw, workspace);
+        if let Some(back) = back {
+            treatment.take_back(back);
+        }
         self.counts.count(&treatment, kernels);
         if treatment.whole == Some(Whole::ByTransforms) {
             self.prepared.kernels(simd, &engine, workspace);
         }
         let local = self.prepared.local(part);
         if let Some(whole) = treatment.whole {
-            simd.vectorized(
-                #[inline(always)]
-                || match whole {
-                    Whole::Directly => engine.gather_directly(simd, local, workspace, &mut output),
-                    Whole::ByTransforms => engine.gather(simd, local, workspace, &mut output),
-                },
-            );
+            let gather = |workspace: &mut Workspace<T>, output: &mut ArrayViewMut2<'_, T>| {
+                simd.vectorized(
+                    #[inline(always)]
+                    || match whole {
+                        Whole::Directly => engine.gather_directly(simd, local, workspace, output),
+                        Whole::ByTransforms => engine.gather(simd, local, workspace, output),
+                    },
+                );
+            };
+            match back {
+                None => gather(workspace, &mut output),
+                // What is in the output already has its own light.
+                Some(back) => {
+                    let mut near_one = Array2::zeros(output.dim());
+                    gather(workspace, &mut near_one.view_mut());
+                    output.zip_mut_with(&near_one, |value, &v| *value += v * back);
+                }
+            }
         }
         if !treatment.drawn.is_empty() {
             let row = &mut workspace.row;

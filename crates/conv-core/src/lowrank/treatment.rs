@@ -5,6 +5,7 @@ use super::options::Paths;
 use super::plan::Plan;
 use super::workspace::Workspace;
 use crate::ConvReal;
+use crate::working_range::Rescaling;
 
 /// How a tile is treated.
 #[derive(Debug)]
@@ -20,6 +21,27 @@ pub(crate) struct Treatment<T> {
 pub(crate) enum Whole {
     Directly,
     ByTransforms,
+}
+
+/// Brings a tile's light near 1, in place, where transforms would carry it out of the working precision's range; returns the power of
+/// two that takes the result back.
+pub(crate) fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
+    let scale = Rescaling::<T>::for_largest(light.largest)?;
+    for value in plane {
+        *value *= scale.down;
+    }
+    light.largest *= scale.down.as_f64();
+    light.total *= scale.down.as_f64();
+    Some(scale.back)
+}
+
+impl<T: ConvReal> Treatment<T> {
+    /// Gives single pixels their own light back: a stamp needs no sums that could leave the range.
+    pub(crate) fn take_back(&mut self, back: T) {
+        for (_, _, value) in &mut self.drawn {
+            *value *= back;
+        }
+    }
 }
 
 /// Decides on the light in `workspace.light`, `lit_size` columns and rows; single pixels are taken out of it. `draw` is the

@@ -1,0 +1,91 @@
+//! Light brought near 1 where a transform would leave the range of its precision.
+
+use ndarray::{Array2, ArrayView2, CowArray, Ix2};
+
+use crate::ConvReal;
+
+/// A power of two that brings light near 1, and the one that takes the result back. Multiplying by them is exact but for values so small
+/// that they do not count beside the largest, and for results beyond the range themselves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Rescaling<T> {
+    pub(crate) down: T,
+    pub(crate) back: T,
+}
+
+/// The part of the exponents in which sums over a whole frame of light and products with kernels neither overflow nor lose bits that
+/// count: f32 holds 2^-126 to 2^128, so that this leaves 46 bits at each end.
+const EXPONENTS_OF_F32: i32 = 80;
+/// The same in f64, which holds 2^-1022 to 2^1024.
+const EXPONENTS_OF_F64: i32 = 900;
+
+impl<T: ConvReal> Rescaling<T> {
+    /// Nothing where light of this largest absolute value is safe as it is, or dark.
+    pub(crate) fn for_largest(largest: f64) -> Option<Self> {
+        let (safe, most) = if size_of::<T>() == size_of::<f32>() {
+            (EXPONENTS_OF_F32, 126)
+        } else {
+            (EXPONENTS_OF_F64, 1022)
+        };
+        let bound = 2_f64.powi(safe);
+        if largest == 0.0 || (1.0 / bound..=bound).contains(&largest) || !largest.is_finite() {
+            return None;
+        }
+        // Both powers are normal numbers, so that they are exact.
+        let exponent = (largest.log2().floor() as i32).clamp(-most, most);
+        Some(Self {
+            down: T::nearest(2_f64.powi(-exponent)),
+            back: T::nearest(2_f64.powi(exponent)),
+        })
+    }
+
+    /// Light brought near 1, and the power that takes its image back; the light itself where it is safe.
+    pub(crate) fn of_pixels(light: ArrayView2<'_, T>) -> (CowArray<'_, T, Ix2>, Option<T>) {
+        let largest = light.iter().fold(T::zero(), |m, v| m.max(v.abs()));
+        match Self::for_largest(largest.as_f64()) {
+            None => (light.into(), None),
+            Some(scale) => (light.mapv(|v| v * scale.down).into(), Some(scale.back)),
+        }
+    }
+}
+
+/// Takes an image back where its scene was scaled.
+pub(crate) fn take_back<T: ConvReal>(image: &mut Array2<T>, back: Option<T>) {
+    if let Some(back) = back {
+        image.mapv_inplace(|v| v * back);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ordinary_light_is_left_alone_and_the_rest_is_scaled_exactly() {
+        for largest in [0.0, 1e-24, 1.0, 1e8, 1e24] {
+            assert_eq!(Rescaling::<f32>::for_largest(largest), None, "{largest}");
+        }
+        for largest in [1e-270, 1e270] {
+            assert_eq!(Rescaling::<f64>::for_largest(largest), None, "{largest}");
+        }
+        for largest in [f32::from_bits(1), 1e-38, 1e-30, 1e30, f32::MAX] {
+            let scale = Rescaling::<f32>::for_largest(f64::from(largest)).unwrap();
+            assert!(scale.down * scale.back == 1.0 && scale.down.is_normal() && scale.back.is_normal());
+            let near_one = largest * scale.down;
+            // The smallest subnormal lies 23 bits below the smallest normal number.
+            assert!(
+                (2_f32.powi(-23)..4.0).contains(&near_one),
+                "{largest:e}: {near_one}"
+            );
+            assert_eq!(near_one * scale.back, largest);
+        }
+        for largest in [f64::from_bits(1), 1e-308, 1e-300, 1e300, f64::MAX] {
+            let scale = Rescaling::<f64>::for_largest(largest).unwrap();
+            let near_one = largest * scale.down;
+            assert!(
+                (2_f64.powi(-52)..4.0).contains(&near_one),
+                "{largest:e}: {near_one}"
+            );
+            assert_eq!(near_one * scale.back, largest);
+        }
+    }
+}
