@@ -115,9 +115,6 @@ impl<'a> Table<'a> {
 /// The columns of a binary table, which fill its rows.
 pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoError> {
     let count = hdu.structural("TFIELDS", None)?;
-    if !(0..=999).contains(&count) {
-        return Err(hdu.header_error("TFIELDS", "must be 0 to 999"));
-    }
     let mut width = 0_usize;
     let mut columns = Vec::new();
     for number in 1..=count as usize {

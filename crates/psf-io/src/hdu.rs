@@ -8,6 +8,9 @@ use crate::scanner::BLOCK;
 use crate::tiled::TiledImage;
 use crate::{Card, CardValue, HeaderCards, IoError};
 
+/// The most columns of a table (FITS standard 4.0, section 7.3.1).
+const MOST_COLUMNS: i64 = 999;
+
 /// What an HDU holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum HduKind {
@@ -68,6 +71,10 @@ impl Hdu {
         hdu.data_length = hdu
             .checked_length()?
             .ok_or_else(|| hdu.header_error("NAXIS", "the data would be larger than any file"))?;
+        // CFITSIO takes memory for so many columns when it passes the HDU, whatever is read.
+        if !(0..=MOST_COLUMNS).contains(&hdu.structural("TFIELDS", Some(0))?) {
+            return Err(hdu.header_error("TFIELDS", "must be 0 to 999"));
+        }
         if hdu.is_tiled() {
             let TiledImage { bitpix, axes } = TiledImage::of(&hdu)?;
             (hdu.kind, hdu.bitpix, hdu.axes) = (HduKind::Image, bitpix, axes);
@@ -106,6 +113,10 @@ impl Hdu {
         let (parameters, groups) = (count("PCOUNT", 0)?, count("GCOUNT", 1)?);
         // In random groups the first axis has length 0 and does not count.
         let random_groups = self.index == 0 && self.axes[0] == 0 && self.logical("GROUPS") == Some(true);
+        // Without a group there would be no data for the pixels that the axes promise.
+        if groups == 0 && !random_groups {
+            return Err(self.header_error("GCOUNT", "must be above 0"));
+        }
         let axes = if random_groups {
             &self.axes[1..]
         } else {

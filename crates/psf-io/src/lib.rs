@@ -30,7 +30,7 @@
 //! # Compressed files
 //! FITS files compressed as a whole by gzip (`.gz`) and images compressed by tiles (`.fz`: `RICE_1`, `GZIP_1`, `GZIP_2`, `PLIO_1`,
 //! quantised floats) are read wherever plain ones are, told by content. A gzip file is unpacked to a temporary file, which goes when
-//! it is no longer needed; it may unpack to 1 GiB and 100 times its own size. An image in tiles may take 64 MiB and 4096 times the bytes of
+//! it is no longer needed; it may unpack to 1 GiB and 100 times its own size. An image in tiles may take 16 MiB and 4096 times the bytes of
 //! its tiles. What claims or holds more is refused before it takes disk or memory.
 //!
 //! # Outputs
@@ -94,6 +94,7 @@ mod table_file;
 mod text_header;
 mod text_table;
 mod tiled;
+mod tiles;
 mod unfinished;
 
 pub use atomic::{check_output, write_atomically, write_bytes, write_text};

@@ -7,7 +7,7 @@ use psf_types::Real;
 use crate::IoError;
 use crate::cfitsio::Fits;
 use crate::hdu::Hdu;
-use crate::plio;
+use crate::tiles;
 
 /// Values looked at together in the search for NaN, few enough to stay in cache.
 const CHUNK: usize = 4096;
@@ -27,7 +27,7 @@ pub(crate) struct Pixels {
 impl Pixels {
     /// The HDU comes from a [`FitsStructure`](crate::structure::FitsStructure), which has checked that the file holds its data.
     pub(crate) fn open(path: &Path, hdu: &Hdu) -> Result<Self, IoError> {
-        plio::check(hdu)?;
+        tiles::check(hdu)?;
         let mut fits = Fits::open(hdu.source())?;
         fits.move_to(hdu.index)?;
         Ok(Self {
@@ -100,8 +100,9 @@ impl Pixels {
 /// The HDU comes from a [`FitsStructure`](crate::structure::FitsStructure), which has checked that the file holds its data:
 /// memory is bounded by the length of the file.
 pub(crate) fn read_pixels<T: Real>(path: &Path, hdu: &Hdu) -> Result<Vec<T>, IoError> {
-    let mut values = vec![T::zero(); hdu.axes.iter().product()];
+    // Opening checks tiles, before memory is taken for what they claim to hold.
     let mut pixels = Pixels::open(path, hdu)?;
+    let mut values = vec![T::zero(); hdu.axes.iter().product()];
     if pixels.load(0, &mut values)? {
         Ok(values)
     } else {

@@ -208,10 +208,12 @@ impl SkyCoordinates {
         let turned = [turned.x(), turned.y(), turned.z()];
         // The inverse of a rotation is its transpose.
         let [x, y, z] = [0, 1, 2].map(|i| dot(self.rotation.map(|row| row[i]), turned));
-        Some((
+        let place = (
             y.atan2(x).to_degrees().rem_euclid(360.0),
             z.atan2(x.hypot(y)).to_degrees(),
-        ))
+        );
+        // Far off the frame a distortion or a projection may overflow.
+        (place.0.is_finite() && place.1.is_finite()).then_some(place)
     }
 }
 

@@ -3,8 +3,8 @@
 use crate::IoError;
 use crate::hdu::Hdu;
 
-/// An image may have this many bytes whatever the size of its tiles (64 MiB) ...
-const ALWAYS_ALLOWED: u64 = 64 << 20;
+/// An image may have this many bytes whatever the size of its tiles (16 MiB) ...
+const ALWAYS_ALLOWED: u64 = 16 << 20;
 /// ... and so many more for each byte of the table: the best that PLIO makes of a mask of one value.
 const ALLOWED_PER_BYTE: u64 = 4096;
 /// The algorithms that are read. CFITSIO also knows `HCOMPRESS_1`, but writes beyond its memory when such data are damaged.
@@ -43,8 +43,13 @@ impl TiledImage {
             check_rice(table)?;
         }
         let bitpix = table.structural("ZBITPIX", None)?;
-        if ![8, 16, 32, 64, -32, -64].contains(&bitpix) {
-            return Err(table.header_error("ZBITPIX", "must be 8, 16, 32, 64, -32 or -64"));
+        // Whole numbers of 64 bits, which CFITSIO does not write, would leave its buffers as they are.
+        if ![8, 16, 32, -32, -64].contains(&bitpix) {
+            return Err(table.header_error("ZBITPIX", "must be 8, 16, 32, -32 or -64"));
+        }
+        // CFITSIO would take the bits of whole numbers for floats.
+        if bitpix > 0 && table.text("ZQUANTIZ").is_some_and(|how| how.trim() == "NONE") {
+            return Err(table.header_error("ZQUANTIZ", "must not be NONE where pixels are whole numbers"));
         }
         let count = table.structural("ZNAXIS", None)?;
         // CFITSIO's limit for compressed images.

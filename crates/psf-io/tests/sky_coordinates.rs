@@ -208,3 +208,14 @@ fn extremes_are_no_pixels() {
         assert!(sky.pixel(0.0, 91.0).is_none() && sky.pixel(f64::NAN, 0.0).is_none());
     }
 }
+
+#[test]
+fn places_too_far_off_to_be_numbers_are_none() {
+    let far = Position::new(1e15, 1e300).unwrap();
+    for case in cases() {
+        let sky = SkyCoordinates::from_header(&header(&case)).unwrap();
+        if let Some((longitude, latitude)) = sky.sky(far) {
+            assert!(longitude.is_finite() && latitude.is_finite(), "{}", case["name"]);
+        }
+    }
+}

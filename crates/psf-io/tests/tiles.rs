@@ -1,0 +1,181 @@
+//! Findings of fuzzing: files with which CFITSIO would take memory without bound, leave its buffers as they were in memory, or write beyond
+//! them.
+
+mod support;
+
+use std::io::Write;
+
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use psf_io::{IoError, read_image};
+use support::mutations::{assert_refused, replaced, with_value};
+use support::{IMAGE, SIMPLE, Scratch, f64s, hdu, i16s, i32s, image, table};
+
+/// Pixels of the images here: two tiles of 4.
+const NX: usize = 4;
+const NY: usize = 2;
+
+/// A compressed image: its own cards, the columns, the rows of descriptors, and the heap.
+fn tiled(bitpix: i32, algorithm: &str, columns: &[(&str, &str)], rows: &[u8], heap: &[u8]) -> Vec<u8> {
+    let mut cards = vec![
+        "XTENSION= 'BINTABLE'".to_owned(),
+        "BITPIX  = 8".to_owned(),
+        "NAXIS   = 2".to_owned(),
+        format!("NAXIS1  = {}", rows.len() / NY),
+        format!("NAXIS2  = {NY}"),
+        format!("PCOUNT  = {}", heap.len()),
+        "GCOUNT  = 1".to_owned(),
+        format!("TFIELDS = {}", columns.len()),
+    ];
+    for (i, (name, form)) in columns.iter().enumerate() {
+        cards.push(format!("TTYPE{}  = '{name}'", i + 1));
+        cards.push(format!("TFORM{}  = '{form}'", i + 1));
+    }
+    cards.extend([
+        "ZIMAGE  = T".to_owned(),
+        format!("ZBITPIX = {bitpix}"),
+        "ZNAXIS  = 2".to_owned(),
+        format!("ZNAXIS1 = {NX}"),
+        format!("ZNAXIS2 = {NY}"),
+        format!("ZTILE1  = {NX}"),
+        "ZTILE2  = 1".to_owned(),
+        format!("ZCMPTYPE= '{algorithm}'"),
+    ]);
+    let cards: Vec<&str> = cards.iter().map(String::as_str).collect();
+    let mut bytes = image(SIMPLE, 8, &[], &["EXTEND  = T"], &[]);
+    bytes.extend(hdu(&cards, &[rows, heap].concat()));
+    bytes
+}
+
+const COMPRESSED: (&str, &str) = ("COMPRESSED_DATA", "1PB");
+
+/// Tiles with the same content.
+fn twice(bitpix: i32, algorithm: &str, tile: &[u8], elements: usize) -> Vec<u8> {
+    let count = elements as i32;
+    let rows = i32s(&[count, 0, count, tile.len() as i32]);
+    tiled(bitpix, algorithm, &[COMPRESSED], &rows, &tile.repeat(2))
+}
+
+fn gzip(bytes: &[u8]) -> Vec<u8> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
+    encoder.write_all(bytes).unwrap();
+    encoder.finish().unwrap()
+}
+
+fn zipped(bitpix: i32, tile: &[u8]) -> Vec<u8> {
+    let tile = gzip(tile);
+    twice(bitpix, "GZIP_1", &tile, tile.len())
+}
+
+fn values(bytes: &[u8]) -> Result<Vec<f64>, IoError> {
+    let scratch = Scratch::new();
+    let read = read_image::<f64>(scratch.put("a.fits", bytes))?;
+    Ok(read.image().pixels().iter().copied().collect())
+}
+
+fn is_a_broken_tile(bytes: &[u8], which: usize) -> bool {
+    matches!(values(bytes), Err(IoError::Tile { hdu: 1, tile, .. }) if tile == which)
+}
+
+/// A list of `PLIO_1`: four pixels of 5.
+const FIVES: [i16; 9] = [0, 7, -100, 9, 0, 0, 0, 0x2004, 0x4004];
+
+#[test]
+fn the_makers_of_these_files_make_sound_ones() {
+    let pixels: Vec<f64> = [1.0, -2.0, 3.0, 4.0].repeat(NY);
+    assert_eq!(values(&zipped(32, &i32s(&[1, -2, 3, 4]))).unwrap(), pixels);
+    assert_eq!(values(&zipped(16, &i16s(&[1, -2, 3, 4]))).unwrap(), pixels);
+    assert_eq!(
+        values(&zipped(-64, &f64s(&[1.0, -2.0, 3.0, 4.0]))).unwrap(),
+        pixels
+    );
+    let list = with_value(
+        &twice(16, "PLIO_1", &i16s(&FIVES), FIVES.len()),
+        "TFORM1",
+        "'1PI'",
+    );
+    assert_eq!(values(&list.bytes).unwrap(), [5.0; NX * NY]);
+}
+
+#[test]
+fn tiles_that_unpack_to_other_than_their_pixels_are_refused() {
+    // Eight bytes a pixel of whole numbers would leave the pixels as they were in memory; the others would be other numbers.
+    for bytes in [
+        zipped(32, &i32s(&[1; 2 * NX])),
+        zipped(32, &i16s(&[1; NX])),
+        zipped(16, &i32s(&[1; NX])),
+        zipped(8, &i16s(&[1; NX])),
+        // Floats as they are, of half the length: CFITSIO would read as many doubles beyond its buffer.
+        zipped(-64, &i16s(&[1; NX])),
+        zipped(-32, &[1; NX]),
+        zipped(32, &vec![0; 1 << 20]),
+        twice(32, "GZIP_1", b"no gzip", 7),
+    ] {
+        assert!(is_a_broken_tile(&bytes, 0));
+    }
+}
+
+#[test]
+fn tiles_that_are_not_compressed_have_as_many_pixels_as_they_should() {
+    let columns = [COMPRESSED, ("UNCOMPRESSED_DATA", "1PD")];
+    let of = |count: i32| {
+        let rows = i32s(&[0, 0, 4, 0, 0, 0, count, 32]);
+        tiled(-64, "GZIP_1", &columns, &rows, &f64s(&[0.5; 1000]))
+    };
+    assert_eq!(values(&of(4)).unwrap(), [0.5; NX * NY]);
+    for count in [0, 3, 5, 900] {
+        assert!(is_a_broken_tile(&of(count), 1), "{count}");
+    }
+
+    let columns = [COMPRESSED, ("GZIP_COMPRESSED_DATA", "1PB")];
+    let of = |bitpix: i32, tile: &[u8]| {
+        let tile = gzip(tile);
+        let count = tile.len() as i32;
+        let rows = i32s(&[0, 0, count, 0, 0, 0, count, 0]);
+        tiled(bitpix, "GZIP_2", &columns, &rows, &tile)
+    };
+    assert_eq!(values(&of(-64, &f64s(&[0.5; NX]))).unwrap(), [0.5; NX * NY]);
+    // Half as long: CFITSIO would follow a null pointer.
+    assert!(is_a_broken_tile(&of(-64, &i32s(&[1; NX])), 0));
+    assert!(is_a_broken_tile(&of(32, &i32s(&[1; NX])), 0));
+}
+
+#[test]
+fn lists_and_blocks_without_pixels_are_refused() {
+    let empty = [0, 7, -100, 0, 0, 0, 0];
+    let list = twice(16, "PLIO_1", &i16s(&empty), empty.len());
+    assert!(is_a_broken_tile(&with_value(&list, "TFORM1", "'1PI'").bytes, 0));
+    // A byte of RICE_1 holds 2 blocks at most; these are quantised floats or none.
+    let block = twice(32, "RICE_1", &[0], 1);
+    let wide = with_value(&block, "ZNAXIS1", "1000").bytes;
+    assert!(is_a_broken_tile(&with_value(&wide, "ZTILE1", "1000").bytes, 0));
+    assert!(is_a_broken_tile(&twice(-32, "RICE_1", &[0; 40], 40), 0));
+    // Beyond the heap.
+    assert!(is_a_broken_tile(&twice(32, "RICE_1", &[0; 4], 1 << 30), 0));
+}
+
+#[test]
+fn headers_that_cfitsio_takes_on_trust_are_refused() {
+    let good = zipped(32, &i32s(&[1; NX]));
+    let mut mutations = vec![
+        with_value(&good, "ZBITPIX", "64"),
+        with_value(&good, "TFORM1", "'2PB'"),
+        with_value(&good, "TFORM1", "'8B'"),
+        with_value(&good, "TTYPE1", "'PIXELS'"),
+        // In place of cards that may be absent.
+        replaced(&good, "ZTILE2", "ZQUANTIZ= 'NONE'"),
+    ];
+    for count in ["16777216", "1000", "-1", "2"] {
+        mutations.push(with_value(&good, "TFIELDS", count));
+    }
+    // Columns of a table that only stands before the image.
+    let mut second = image(SIMPLE, 8, &[], &[], &[]);
+    second.extend(table("T", &[("x", "I")], 1, &[], &i16s(&[1])));
+    second.extend(image(IMAGE, 16, &[1], &[], &i16s(&[1])));
+    mutations.push(with_value(&second, "TFIELDS", "99999999"));
+    // An image whose axes promise what no group holds.
+    let mut none = image(SIMPLE, 8, &[], &[], &[]);
+    none.extend(image(IMAGE, 8, &[2_147_483_648, 21], &[], &[]));
+    mutations.push(with_value(&none, "GCOUNT", "0"));
+    assert_refused(mutations, |path| read_image::<f32>(path));
+}
