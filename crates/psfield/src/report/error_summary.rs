@@ -1,8 +1,12 @@
 //! What the objects say together.
 
+use ndarray::Array2;
+use psf_types::{Position, PsfModel};
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{ObjectRow, Spread};
+use crate::PsfieldError;
 
 /// The differences of simulated from true objects.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -31,6 +35,26 @@ pub struct ErrorSummary {
 }
 
 impl ErrorSummary {
+    /// Of a model's PSFs, by the exact sum over its components, beside the true ones.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] where the model has no PSF.
+    pub(super) fn of_model(
+        model: &PsfModel,
+        positions: &[Position],
+        truth: &[Array2<f64>],
+    ) -> Result<Self, PsfieldError> {
+        let rows: Vec<ObjectRow> = positions
+            .par_iter()
+            .zip(truth)
+            .map(|(&at, truth)| {
+                let psf = model.psf_at(at)?;
+                Ok(ObjectRow::measure(at, psf.values(), truth.view()))
+            })
+            .collect::<Result<_, PsfieldError>>()?;
+        Ok(Self::of(&rows))
+    }
+
     /// Of some objects.
     pub fn of(rows: &[ObjectRow]) -> Self {
         let spread = |of: fn(&ObjectRow) -> Option<f64>| Spread::of(rows.iter().filter_map(of));

@@ -14,13 +14,14 @@
 //! | FWHM along rows, columns | the same of the Gaussian summed along the other axis: `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
 //! | MAE, MSE | means of `abs(F - T)` and `(F - T)^2` over the window; MAE / mean divides by the mean of `T` |
 
+mod budget;
 mod document;
 mod error_summary;
 mod evaluation;
 mod extended_truth;
 mod histogram;
 mod html;
-mod model_errors;
+mod interpolation_row;
 mod object_figures;
 mod object_grid;
 mod object_row;
@@ -35,11 +36,12 @@ mod transform_images;
 mod validation;
 mod validation_document;
 
+pub use budget::BudgetRow;
 pub use document::{Document, NamedFigure, Section, Table};
 pub use error_summary::ErrorSummary;
 pub use evaluation::Evaluation;
 pub use histogram::Histogram;
-pub use model_errors::InterpolationRow;
+pub use interpolation_row::InterpolationRow;
 pub use object_row::{OBJECT_COLUMNS, ObjectRow};
 pub use patch_comparison::{GalaxyComparison, PatchComparison};
 pub use reproduction::{BasisFigures, ObjectKind, Reproduction, ToleranceRow};

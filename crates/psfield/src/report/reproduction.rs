@@ -19,8 +19,8 @@ use super::extended_truth::{true_galaxy, true_psf};
 use super::object_grid::{object_pixels, positions_of};
 use super::transform_images::draw_by_transforms;
 use super::{
-    ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, PatchComparison, ReproductionOptions,
-    Target,
+    BudgetRow, ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, PatchComparison,
+    ReproductionOptions, Target,
 };
 use crate::{FitOptions, PsfieldError, fit};
 
@@ -68,6 +68,8 @@ pub struct Reproduction {
     pub tolerances: Vec<ToleranceRow>,
     /// Errors of the model alone, by interpolator.
     pub interpolations: Vec<InterpolationRow>,
+    /// Errors of models with fewer components or samples.
+    pub budget: Vec<BudgetRow>,
     /// Stars at the default tolerance.
     pub stars: Evaluation,
     /// Galaxies at the default tolerance.
@@ -154,7 +156,7 @@ impl Reproduction {
         if !tolerances.contains(&default) {
             tolerances.push(default);
         }
-        progress.start(7 + tolerances.len() as u64);
+        progress.start(8 + tolerances.len() as u64);
         let telescope = telescope_on(options.frame)?;
         let frame = telescope.field();
         let grid = telescope.grid();
@@ -171,7 +173,7 @@ impl Reproduction {
         let adaptive_positions = adaptive_positions(&telescope, options.adaptive_threshold)?;
         progress.advance(1);
 
-        let fitted = fit(samples, &FitOptions::default())?;
+        let fitted = fit(samples.clone(), &FitOptions::default())?;
         let report = fitted.report()?;
         let record = fitted.record().clone();
         let model = fitted.into_model()?;
@@ -225,6 +227,8 @@ impl Reproduction {
             .map(|interpolation| InterpolationRow::measure(&record, interpolation, &positions, &star_truth))
             .collect::<Result<_, _>>()?;
         progress.advance(1);
+        let budget = BudgetRow::measure_all(&telescope, &samples, across, &positions, &star_truth)?;
+        progress.advance(1);
         let table_1 = PatchComparison::measure(
             &record,
             &options.image_sides,
@@ -261,6 +265,7 @@ impl Reproduction {
             targets,
             tolerances: tolerance_rows,
             interpolations,
+            budget,
             stars,
             galaxies,
             table_1,

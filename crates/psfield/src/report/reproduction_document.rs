@@ -107,6 +107,20 @@ impl Reproduction {
             cells.extend(error_cells(&row.summary));
             interpolations.rows.push(cells);
         }
+        let mut budget = error_table(
+            "Other models of the same telescope, each with its interpolator on its own regular grid of samples, by the exact sum.",
+            &["samples", "rank", "components", "truncation"],
+        );
+        for row in &self.budget {
+            let mut cells = vec![
+                format!("{0} x {0}", row.samples_across),
+                row.rank_selection.clone(),
+                row.rank.to_string(),
+                short(Some(row.truncation_error)),
+            ];
+            cells.extend(error_cells(&row.summary));
+            budget.rows.push(cells);
+        }
         Section {
             title: "Accuracy".to_owned(),
             paragraphs: vec![
@@ -117,7 +131,7 @@ impl Reproduction {
                  shows what remains without it."
                     .to_owned(),
             ],
-            tables: vec![targets, tolerances, interpolations],
+            tables: vec![targets, tolerances, interpolations, budget],
             figures: Vec::new(),
         }
     }

@@ -2,10 +2,9 @@
 
 use ndarray::Array2;
 use psf_types::{Interpolation, Position, PsfModelRecord};
-use rayon::prelude::*;
 use serde::Serialize;
 
-use super::{ErrorSummary, ObjectRow};
+use super::ErrorSummary;
 use crate::{PsfieldError, model_of};
 
 /// The model's PSFs, by the exact sum over its components, against the true ones, with one of the interpolators.
@@ -38,18 +37,10 @@ impl InterpolationRow {
             record.outside(),
             record.normalisation(),
         )?)?;
-        let rows: Vec<ObjectRow> = positions
-            .par_iter()
-            .zip(truth)
-            .map(|(&at, truth)| {
-                let psf = model.psf_at(at)?;
-                Ok(ObjectRow::measure(at, psf.values(), truth.view()))
-            })
-            .collect::<Result<_, PsfieldError>>()?;
         Ok(Self {
             interpolation,
             in_use: interpolation == record.interpolation(),
-            summary: ErrorSummary::of(&rows),
+            summary: ErrorSummary::of_model(&model, positions, truth)?,
         })
     }
 }
