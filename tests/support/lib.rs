@@ -1,4 +1,6 @@
-//! What the integration tests share: PSF sources with a known field, and figures of PSFs against them.
+//! What the integration tests share: PSF sources with a known field, figures of PSFs against them, and the cases of the stability suite.
+
+pub mod stability;
 
 use ndarray::{Array2, ArrayViewMut2};
 use psfield::metrics::{Comparison, Summary};

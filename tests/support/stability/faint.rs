@@ -1,0 +1,108 @@
+//! Faint light beside bright.
+
+use ndarray::Array2;
+use psfield::Method;
+
+use super::images::{Light, PRECISIONS, Precision, error_where};
+use super::models::{FRAME, SIDE, jumping, smooth};
+use super::scenes::{COLUMNS, METHODS, uneven_of};
+use super::{Case, Cell, Section};
+
+/// Where faint light must be right to so much of itself.
+const FAINT: f64 = 1e-5;
+/// By how much the bright light of the cases of faint light exceeds it.
+const CONTRAST: f64 = 1e12;
+
+/// Faint texture with five stars of 1e12 on it.
+pub(super) fn texture_and_stars() -> Array2<f64> {
+    let mut light = uneven_of(FRAME);
+    for (x, y) in STARS {
+        light[[y, x]] = CONTRAST;
+    }
+    light
+}
+
+const STARS: [(usize, usize); 5] = [(12, 10), (70, 15), (45, 40), (20, 66), (84, 61)];
+
+/// The same with a disc of bright pixels.
+pub(super) fn texture_and_disc() -> Array2<f64> {
+    let mut light = uneven_of(FRAME);
+    for ((y, x), value) in light.indexed_iter_mut() {
+        if x.abs_diff(48).pow(2) + y.abs_diff(40).pow(2) < 64 {
+            *value = CONTRAST;
+        }
+    }
+    light
+}
+
+/// Whether a stamp of any bright pixel reaches a pixel.
+fn reached(light: &Array2<f64>, x: usize, y: usize) -> bool {
+    let reach = SIDE / 2;
+    let rows = y.saturating_sub(reach)..(y + reach + 1).min(FRAME.1);
+    let columns = x.saturating_sub(reach)..(x + reach + 1).min(FRAME.0);
+    light
+        .slice(ndarray::s![rows, columns])
+        .iter()
+        .any(|&v| v > 1e-3 * CONTRAST)
+}
+
+pub(super) fn section() -> Section {
+    /// A scene and what transforms and the engine may leave of its faint light, in f64 and f32.
+    type Row = (&'static str, fn() -> Array2<f64>, [[f64; 2]; 2]);
+    // Noise of the bright light: its rounding times the contrast.
+    let noise = [1e-15 * CONTRAST, 1e-6 * CONTRAST];
+    let rows: [Row; 2] = [
+        (
+            "beside five stars of 1e12",
+            texture_and_stars,
+            [noise, [FAINT; 2]],
+        ),
+        (
+            "beside a disc of 200 pixels of 1e12",
+            texture_and_disc,
+            [noise, noise],
+        ),
+    ];
+    let cases = rows
+        .into_iter()
+        .flat_map(|(name, light, [by_transforms, by_auto])| {
+            PRECISIONS.map(move |precision| {
+                Case::new(format!("{name}, {}", precision.name()), move || {
+                    let index = usize::from(precision == Precision::F32);
+                    METHODS
+                        .map(|method| {
+                            let limit = match method {
+                                Method::Direct => FAINT,
+                                Method::Auto => by_auto[index],
+                                _ => by_transforms[index],
+                            };
+                            let light = Light::of(light()).scaled(1.0, precision);
+                            let model = if matches!(method, Method::Patch(_)) {
+                                jumping()
+                            } else {
+                                smooth()
+                            };
+                            let got = model.and_then(|model| {
+                                error_where(&model, &light, (method, precision), |x, y| {
+                                    !reached(&light.pixels, x, y)
+                                })
+                            });
+                            Cell::error(got, limit)
+                        })
+                        .to_vec()
+                })
+            })
+        })
+        .collect();
+    Section {
+        title: "Faint light beside bright",
+        story: "The largest difference where no bright light reaches, over the peak of the light there. **A limit that remains:** a transform \
+            spreads rounding noise of the brightest light in it over all of its pixels, 1e-7 of it in f32 and 1e-16 in f64, so that transforms \
+            alone (`basis`, `patch`, `lowrank`) cannot hold a range of 1e12 in f32. `auto` draws single bright pixels apart and holds it beside \
+            stars. Bright *extended* light would have to be drawn apart as well, which costs ordinary galaxies many times their transform, \
+            since nothing tells their own wings from faint light that matters: there f32 is good to 1e-6 of the brightest light nearby, \
+            below its photon noise up to 1e12 electrons; whoever needs more takes `--precision f64` or `--method direct`.",
+        columns: COLUMNS,
+        cases,
+    }
+}

@@ -1,0 +1,104 @@
+//! What came of a measurement.
+
+use psfield::PsfieldError;
+
+/// What was measured, beside what is allowed.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Outcome {
+    /// An error, and the largest allowed.
+    Error {
+        /// What was measured.
+        got: f64,
+        /// The limit.
+        limit: f64,
+    },
+    /// The program refused, and said this; what it had to say in any case.
+    Refused {
+        /// The whole message.
+        message: String,
+        /// The part that must be in it; none where it should not have refused.
+        expected: Option<&'static str>,
+    },
+    /// There is nothing to measure: the reason.
+    NotApplicable(&'static str),
+}
+
+/// An outcome in a column.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Cell(pub Outcome);
+
+impl Cell {
+    /// The error of something that must succeed.
+    pub(crate) fn error(got: Result<f64, PsfieldError>, limit: f64) -> Self {
+        Self(match got {
+            Ok(got) => Outcome::Error { got, limit },
+            Err(error) => Outcome::Refused {
+                message: whole_message(&error),
+                expected: None,
+            },
+        })
+    }
+
+    /// Something that must be refused with these words.
+    pub(crate) fn refusal(got: Result<f64, PsfieldError>, words: &'static str) -> Self {
+        Self(match got {
+            // No error is small enough where a refusal is due.
+            Ok(got) => Outcome::Error { got, limit: -1.0 },
+            Err(error) => Outcome::Refused {
+                message: whole_message(&error),
+                expected: Some(words),
+            },
+        })
+    }
+
+    /// Nothing to measure.
+    pub(crate) fn not_applicable(reason: &'static str) -> Self {
+        Self(Outcome::NotApplicable(reason))
+    }
+
+    /// What is wrong, if anything is. NaN is above every limit.
+    pub fn failure(&self) -> Option<String> {
+        match &self.0 {
+            Outcome::Error { got, limit } if *limit < 0.0 => {
+                Some(format!("it must be refused, but gave an error of {got:.1e}"))
+            }
+            Outcome::Error { got, limit } => {
+                (got > limit || got.is_nan()).then(|| format!("{got:.1e} is above the limit of {limit:.0e}"))
+            }
+            Outcome::Refused {
+                message,
+                expected: None,
+            } => Some(format!("refused: {message}")),
+            Outcome::Refused {
+                message,
+                expected: Some(words),
+            } => (!message.contains(words))
+                .then(|| format!("refused with other words than '{words}': {message}")),
+            Outcome::NotApplicable(_) => None,
+        }
+    }
+}
+
+/// An error and all its causes.
+fn whole_message(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(next) = cause {
+        text = format!("{text}: {next}");
+        cause = next.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nan_and_unwanted_success_fail() {
+        assert!(Cell::error(Ok(f64::NAN), 1.0).failure().is_some());
+        assert!(Cell::error(Ok(2.0), 1.0).failure().is_some());
+        assert!(Cell::error(Ok(1.0), 1.0).failure().is_none());
+        assert!(Cell::refusal(Ok(0.0), "words").failure().is_some());
+    }
+}

@@ -1,0 +1,142 @@
+//! The suite as a page of Markdown.
+
+use std::fmt::Write;
+
+use super::outcome::{Cell, Outcome};
+use super::{Section, sections};
+
+/// Between what was measured and its limit. What stands before it differs from machine to machine.
+const AT_MOST: &str = " ≤ ";
+
+const HEAD: &str = "# Numerical stability\n\n\
+    What extreme inputs do, measured: each figure stands before the limit that it must keep. Made by\n\n    \
+    cargo run --release -p integration-tests --bin stability > STABILITY.md\n\n\
+    and the same cases are tests: `cargo test --release -p integration-tests --test stability`. With `-- --check STABILITY.md` the program \
+    compares rows, limits and messages with this page instead (measured figures differ from machine to machine). No image holds NaN, \
+    nothing panics, and what is refused is refused with the words below the table.\n";
+
+/// Reasons and messages under a table, each once.
+#[derive(Default)]
+struct Notes(Vec<String>);
+
+impl Notes {
+    fn number(&mut self, text: &str) -> usize {
+        let known = self.0.iter().position(|n| n == text);
+        known.unwrap_or_else(|| {
+            self.0.push(text.to_owned());
+            self.0.len() - 1
+        }) + 1
+    }
+}
+
+/// Runs everything; the page, and what failed.
+pub fn render() -> (String, Vec<String>) {
+    let (mut page, mut failures) = (HEAD.to_owned(), Vec::new());
+    for section in sections() {
+        let (text, failed) = of_section(&section);
+        page += &text;
+        failures.extend(failed);
+    }
+    (page, failures)
+}
+
+fn of_section(section: &Section) -> (String, Vec<String>) {
+    let (mut text, mut notes, mut failures) = (String::new(), Notes::default(), Vec::new());
+    let columns = section.columns.join(" | ");
+    let rule = " --- |".repeat(section.columns.len() + 1);
+    write!(
+        text,
+        "\n## {}\n\n{}\n\n| case | {columns} |\n|{rule}\n",
+        section.title, section.story
+    )
+    .expect("a string takes everything");
+    for case in &section.cases {
+        let cells = (case.run)();
+        assert_eq!(
+            cells.len(),
+            section.columns.len(),
+            "{}: a cell for each column",
+            case.name
+        );
+        write!(text, "| {} |", case.name).expect("a string takes everything");
+        for (cell, column) in cells.iter().zip(section.columns) {
+            if let Some(failure) = cell.failure() {
+                failures.push(format!("{}: {}, {column}: {failure}", section.title, case.name));
+            }
+            write!(text, " {} |", of_cell(cell, &mut notes)).expect("a string takes everything");
+        }
+        text.push('\n');
+    }
+    if !notes.0.is_empty() {
+        text.push('\n');
+    }
+    for (n, note) in notes.0.iter().enumerate() {
+        writeln!(text, "{}. {note}", n + 1).expect("a string takes everything");
+    }
+    (text, failures)
+}
+
+fn of_cell(cell: &Cell, notes: &mut Notes) -> String {
+    let failed = if cell.failure().is_some() {
+        " **FAILS**"
+    } else {
+        ""
+    };
+    let text = match &cell.0 {
+        Outcome::Error { got, limit } => {
+            let got = if *got == 0.0 {
+                "0".to_owned()
+            } else {
+                format!("{got:.0e}")
+            };
+            format!("{got}{AT_MOST}{limit:.0e}")
+        }
+        Outcome::Refused { message, .. } => {
+            format!("refused ({})", notes.number(&format!("Refused: \"{message}\"")))
+        }
+        Outcome::NotApplicable(reason) => {
+            format!("n/a ({})", notes.number(&format!("Not measured: {reason}")))
+        }
+    };
+    text + failed
+}
+
+/// Lines that differ in anything but measured figures.
+pub fn differences(page: &str, expected: &str) -> Vec<String> {
+    let (a, b): (Vec<String>, Vec<String>) = (masked(page), masked(expected));
+    let longest = a.len().max(b.len());
+    let line = |lines: &[String], n: usize| lines.get(n).cloned().unwrap_or_default();
+    (0..longest)
+        .filter(|&n| line(&a, n) != line(&b, n))
+        .map(|n| format!("line {}: {} instead of {}", n + 1, line(&a, n), line(&b, n)))
+        .collect()
+}
+
+/// The lines of a page, without the figures before limits.
+fn masked(page: &str) -> Vec<String> {
+    let cell = |text: &str| match text.split_once(AT_MOST) {
+        Some((_, limit)) => format!("{AT_MOST}{limit}"),
+        None => text.to_owned(),
+    };
+    page.lines()
+        .map(|line| line.split('|').map(cell).collect::<Vec<_>>().join("|"))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_measured_figures_may_differ() {
+        let row = "| a case | 3e-16 ≤ 1e-12 | refused (1) |";
+        assert!(differences(row, &row.replace("3e-16", "5e-16")).is_empty());
+        for other in [
+            "| a case | 3e-16 ≤ 1e-11 | refused (1) |",
+            "| another | 3e-16 ≤ 1e-12 | refused (1) |",
+            "",
+        ] {
+            assert_eq!(differences(row, other).len(), 1, "{other}");
+        }
+    }
+}
