@@ -1,6 +1,7 @@
 //! What every method keeps, for any light: it is linear, follows a shift where the PSF is the same everywhere, keeps the flux of sources that
 //! the frame holds, and makes nothing negative from what is not.
 
+#[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
 
 use std::sync::Arc;

@@ -1,5 +1,4 @@
 //! A small model with a PSF that varies strongly, and the double sum written as plainly as can be.
-#![allow(dead_code, reason = "each test file uses a part")]
 
 use std::sync::Arc;
 
