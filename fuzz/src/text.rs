@@ -41,7 +41,7 @@ const MARKS: &[&str] = &[
 /// One mutation.
 pub(crate) fn mutate(data: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     match rng.random_range(0..9) {
-        0 | 1 | 2 => replace_number(data, rng),
+        0..=2 => replace_number(data, rng),
         3 => insert(data, pick(MARKS, rng).as_bytes(), rng),
         4 => insert(data, word(rng).as_bytes(), rng),
         5 => change_byte(data, rng),

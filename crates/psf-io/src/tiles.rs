@@ -14,7 +14,7 @@ use crate::tiled::PLIO;
 
 /// RICE_1 takes no fewer bits for a block of pixels.
 const RICE_BITS_PER_BLOCK: u64 = 3;
-const BUFFER: usize = 1 << 16;
+const BUFFER: usize = 1 << 13;
 
 /// Checks the tiles of an image in tiles; other images pass.
 pub(crate) fn check(hdu: &Hdu) -> Result<(), IoError> {
