@@ -106,17 +106,16 @@ impl ReproduceArgs {
 
 /// A line a target.
 pub(super) fn targets_text(targets: &[Target]) -> String {
-    targets
+    let lines: Vec<String> = targets
         .iter()
         .map(|target| {
             let measured = target
                 .measured
                 .map_or_else(|| "not measured".to_owned(), |m| format!("{m:.1e}"));
             let verdict = if target.met { "met" } else { "NOT met" };
-            format!(
-                "{}: {measured}, should be below {:e}: {verdict}\n",
-                target.what, target.limit
-            )
+            let (what, limit) = (&target.what, target.limit);
+            format!("{what}: {measured}, should be below {limit:e}: {verdict}\n")
         })
-        .collect()
+        .collect();
+    lines.concat()
 }

@@ -70,7 +70,7 @@ impl ValidateArgs {
                     }
                     Validation::of_samples(&model, &samples).with_context(of_truth)?
                 }
-                _ => anyhow::bail!(
+                PsfInput::Model(_) => anyhow::bail!(
                     "{}: this is a model; give true PSFs as samples (psfield evaluate writes those of a model)",
                     self.truth.display()
                 ),

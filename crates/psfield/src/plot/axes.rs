@@ -88,6 +88,15 @@ pub(super) fn number(value: f64) -> String {
     }
 }
 
+/// To two digits: a stretched bar has its ticks at odd values.
+pub(super) fn rounded(value: f64) -> f64 {
+    if value == 0.0 {
+        return 0.0;
+    }
+    let unit = 10f64.powf(value.abs().log10().floor() - 1.0);
+    (value / unit).round() * unit
+}
+
 /// The range of some values with room at both ends.
 pub(super) fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = values

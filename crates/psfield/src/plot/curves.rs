@@ -163,7 +163,9 @@ impl Curves {
             }
         }
         let style = |h, v| text_style(TEXT).pos(Pos::new(h, v));
+        let mut points_so_far = 0;
         for mark in &self.marks {
+            let mut lower = 0;
             let (line, at, text, style) = match mark {
                 Mark::Vertical(v, text) => (
                     [(*v, y.start), (*v, y.end)],
@@ -183,6 +185,9 @@ impl Curves {
                     style(HPos::Left, VPos::Bottom),
                 ),
                 Mark::Point(px, py, text) => {
+                    // Points near each other would write over each other's names.
+                    lower = points_so_far * (TEXT + 5);
+                    points_so_far += 1;
                     chart.draw_series([Circle::new((*px, *py), 5, BLACK.filled())])?;
                     (
                         [(*px, *py), (*px, *py)],
@@ -200,9 +205,8 @@ impl Curves {
             } else {
                 -4
             };
-            chart.draw_series([
-                plotters::element::EmptyElement::at(at) + Text::new(text.clone(), (shift, down), style)
-            ])?;
+            chart.draw_series([plotters::element::EmptyElement::at(at)
+                + Text::new(text.clone(), (shift, down + lower), style)])?;
         }
         if self.curves.len() > 1 {
             draw_key(&mut chart, SeriesLabelPosition::LowerRight)?;

@@ -6,7 +6,7 @@ use plotters::prelude::{Circle, RGBColor};
 use plotters::style::Color;
 use psf_types::{FrameShape, Position};
 
-use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes};
+use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes, rounded};
 use super::colour_bar::{BAR_AREA, colour_bar, plain};
 use super::colours::ColourMap;
 use super::figure::{Figure, Overlay, PlotError};
@@ -74,9 +74,15 @@ impl FieldMap<'_> {
                     });
                     Circle::new((at.x(), at.y()), radius, colour.filled())
                 }))?;
+                // White dots would not be seen on white.
+                chart.draw_series(
+                    self.values
+                        .iter()
+                        .map(|(at, _)| Circle::new((at.x(), at.y()), radius, MISSING.stroke_width(1))),
+                )?;
             }
             let shown: &dyn Fn(f64) -> String = if self.logarithmic {
-                &|v| format!("1e{}", (v * 10.0).round() / 10.0)
+                &|v| plain(rounded(10f64.powf(v)))
             } else {
                 &plain
             };
@@ -146,6 +152,6 @@ mod tests {
             grid_columns: None,
             ..map
         };
-        assert_eq!(dots.figure().unwrap().svg().matches("<circle").count(), 4);
+        assert_eq!(dots.figure().unwrap().svg().matches("<circle").count(), 8);
     }
 }

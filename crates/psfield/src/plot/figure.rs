@@ -140,12 +140,17 @@ impl Overlay {
             .map_err(|e| PlotError::Encoding(Box::new(e)))?;
         Ok(format!(
             "<image x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" preserveAspectRatio=\"none\" image-rendering=\"optimizeSpeed\" \
-             href=\"data:image/png;base64,{}\"/>\n",
+             href=\"data:image/png;base64,{}\"/>\n\
+             <rect x=\"{}\" y=\"{}\" width=\"{}\" height=\"{}\" fill=\"none\" stroke=\"#808080\"/>\n",
             self.left,
             self.top,
             self.width,
             self.height,
-            BASE64_STANDARD.encode(&png)
+            BASE64_STANDARD.encode(&png),
+            self.left,
+            self.top,
+            self.width,
+            self.height,
         ))
     }
 }

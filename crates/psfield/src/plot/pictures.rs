@@ -4,7 +4,7 @@ use image::{Rgb, RgbImage};
 use ndarray::ArrayView2;
 use plotters::chart::ChartBuilder;
 
-use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes};
+use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes, rounded};
 use super::colour_bar::{BAR_AREA, colour_bar, plain};
 use super::colours::ColourMap;
 use super::figure::{Figure, Overlay, PlotError};
@@ -125,15 +125,6 @@ pub fn pictures(pictures: &[Picture<'_>]) -> Result<Figure, PlotError> {
         }
         Ok(overlays)
     })
-}
-
-/// To two digits: a stretched bar has its ticks at odd values.
-fn rounded(value: f64) -> f64 {
-    if value == 0.0 {
-        return 0.0;
-    }
-    let unit = 10f64.powf(value.abs().log10().floor() - 1.0);
-    (value / unit).round() * unit
 }
 
 #[cfg(test)]

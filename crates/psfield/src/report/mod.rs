@@ -29,6 +29,7 @@ mod patch_comparison;
 mod reproduction;
 mod reproduction_document;
 mod reproduction_options;
+mod scenes;
 mod software;
 mod spread;
 mod targets;

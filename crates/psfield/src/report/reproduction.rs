@@ -4,25 +4,19 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use conv_core::PlanOptions;
-use ndarray::Array2;
 use psf_optics::Telescope;
 use psf_sample::{
     AdaptiveSampling, DifferenceMeasure, InterpolationError, SampleError, SamplingMethod, UniformSampling,
 };
-use psf_types::{
-    FrameShape, Interpolation, NoProgress, Position, Progress, PsfSource, SersicProfile, SersicSource,
-};
-use rayon::prelude::*;
+use psf_types::{FrameShape, Interpolation, NoProgress, Position, Progress, PsfSource};
 use serde::Serialize;
 
-use super::extended_truth::{true_galaxy, true_psf};
-use super::object_grid::{object_pixels, positions_of};
-use super::transform_images::draw_by_transforms;
+use super::scenes::{GALAXY, Scenes};
 use super::{
     BudgetRow, ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, PatchComparison,
     ReproductionOptions, Target,
 };
-use crate::{FitOptions, PsfieldError, fit};
+use crate::{FitOptions, FitReport, PsfieldError, fit};
 
 /// Everything that the paper shows, measured on psfield's own survey telescope.
 ///
@@ -132,10 +126,6 @@ pub struct ToleranceRow {
     pub seconds: f64,
 }
 
-/// Half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
-const GALAXY: [f64; 4] = [3.0, 1.0, 0.7, 30.0];
-/// Pixels along each side of a galaxy's light; truth and scene hold the same light.
-const GALAXY_SIDE: usize = 32;
 /// Interpolators beside the default one.
 const OTHER_INTERPOLATIONS: [Interpolation; 2] = [
     Interpolation::NaturalNeighbour,
@@ -160,10 +150,6 @@ impl Reproduction {
         let telescope = telescope_on(options.frame)?;
         let frame = telescope.field();
         let grid = telescope.grid();
-        let margin = grid.nx().max(grid.ny());
-        let pixels = object_pixels(frame, options.objects_across, margin, margin + GALAXY_SIDE)?;
-        let positions = positions_of(&pixels);
-
         let across = options.samples_across;
         let samples = UniformSampling::new(across, across)?
             .sample(&telescope, &NoProgress)?
@@ -179,52 +165,26 @@ impl Reproduction {
         let model = fitted.into_model()?;
         progress.advance(1);
 
-        let star_truth: Vec<Array2<f64>> = positions
-            .par_iter()
-            .map(|&at| true_psf(&telescope, at))
-            .collect::<Result<_, _>>()?;
-        let galaxy = galaxy_light()?;
-        let galaxy_truth: Vec<Array2<f64>> = pixels
-            .par_iter()
-            .map(|&at| true_galaxy(&telescope, at, galaxy.view()))
-            .collect::<Result<_, _>>()?;
+        let scene = Scenes::new(&telescope, options.objects_across)?;
         progress.advance(1);
 
-        let star = Array2::from_elem((1, 1), 1.0);
-        let columns = Some(options.objects_across);
         let mut tolerance_rows = Vec::new();
         let mut shown = None;
         for &tolerance in &tolerances {
-            let kinds = [star.view(), galaxy.view()];
-            let (mut drawn, _) = draw_by_transforms(&model, frame, &pixels, &kinds, tolerance)?;
-            let galaxies = drawn.pop().expect("two kinds");
-            let stars = drawn.pop().expect("two kinds");
-            let measure =
-                |windows, truth| Evaluation::measure(&positions, windows, truth, Some(frame), columns);
-            let of_stars = measure(&stars.windows, &star_truth);
-            let of_galaxies = measure(&galaxies.windows, &galaxy_truth);
-            for (kind, evaluation, seconds) in [
-                (ObjectKind::Point, &of_stars, stars.seconds),
-                (ObjectKind::Extended, &of_galaxies, galaxies.seconds),
-            ] {
-                tolerance_rows.push(ToleranceRow {
-                    tolerance,
-                    kind,
-                    summary: evaluation.summary.clone(),
-                    seconds,
-                });
-            }
+            let (stars, galaxies) = scene.drawn(&model, tolerance, &mut tolerance_rows)?;
             if tolerance == default {
-                shown = Some((of_stars, of_galaxies));
+                shown = Some((stars, galaxies));
             }
             progress.advance(1);
         }
         let (stars, galaxies) = shown.expect("the default tolerance is among them");
 
-        let interpolations = [record.interpolation()]
+        let interpolations: Vec<InterpolationRow> = [record.interpolation()]
             .into_iter()
             .chain(OTHER_INTERPOLATIONS)
-            .map(|interpolation| InterpolationRow::measure(&record, interpolation, &positions, &star_truth))
+            .map(|interpolation| {
+                InterpolationRow::measure(&record, interpolation, &scene.positions, &scene.star_truth)
+            })
             .collect::<Result<_, _>>()?;
         progress.advance(1);
         let budget = BudgetRow::measure_all(&telescope, &samples, across, &positions, &star_truth)?;
@@ -243,23 +203,19 @@ impl Reproduction {
 
         let mut targets = Target::of("stars", &stars.summary);
         targets.extend(Target::of("galaxies", &galaxies.summary));
+        for row in interpolations.iter().filter(|row| !row.in_use) {
+            let kind = format!("PSFs by the exact sum, {}", row.interpolation);
+            targets.extend(Target::of(&kind, &row.summary));
+        }
         Ok(Self {
             telescope: telescope.params().name.clone(),
             frame,
             stamp: [grid.nx(), grid.ny()],
             samples: sample_positions.len(),
-            objects: positions.len(),
+            objects: scene.positions.len(),
             galaxy: GALAXY,
             tolerance: default,
-            basis: BasisFigures {
-                rank: report.rank,
-                elbow: report.elbow,
-                max_error: report.max_error,
-                leave_one_out_median: report.leave_one_out.median,
-                interpolation: report.interpolation,
-                singular_values: report.singular_values,
-                cumulative_weights: report.cumulative_weights,
-            },
+            basis: BasisFigures::of(report),
             adaptive_samples: adaptive_positions.len(),
             adaptive_threshold: options.adaptive_threshold,
             targets,
@@ -274,6 +230,20 @@ impl Reproduction {
             sample_positions,
             adaptive_positions,
         })
+    }
+}
+
+impl BasisFigures {
+    fn of(report: FitReport) -> Self {
+        Self {
+            rank: report.rank,
+            elbow: report.elbow,
+            max_error: report.max_error,
+            leave_one_out_median: report.leave_one_out.median,
+            interpolation: report.interpolation,
+            singular_values: report.singular_values,
+            cumulative_weights: report.cumulative_weights,
+        }
     }
 }
 
@@ -293,19 +263,4 @@ fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Posi
         other => other?,
     };
     Ok(sampling.samples.positions().as_slice().to_vec())
-}
-
-/// A galaxy of unit flux on its pixels; what lies beyond is left out of scene and truth alike.
-fn galaxy_light() -> Result<Array2<f64>, PsfieldError> {
-    let [radius, index, axis_ratio, angle] = GALAXY;
-    let profile = SersicProfile::new(radius, index, axis_ratio, angle)?;
-    let middle = Position::of_pixel((GALAXY_SIDE / 2) as i64, (GALAXY_SIDE / 2) as i64);
-    let mut light = Array2::<f64>::zeros((GALAXY_SIDE, GALAXY_SIDE));
-    sersic::add_galaxies(
-        light.view_mut(),
-        (0, 0),
-        &[SersicSource::new(middle, 1.0, profile)?],
-    );
-    let sum = light.sum();
-    Ok(light / sum)
 }

@@ -26,14 +26,12 @@ pub(super) fn draw_by_transforms(
     pixels: &[(usize, usize)],
     kinds: &[ArrayView2<'_, f64>],
     tolerance: f64,
-) -> Result<(Vec<Drawn>, f64), PsfieldError> {
+) -> Result<Vec<Drawn>, PsfieldError> {
     let simulation = Simulation::with_model(model.clone());
     let options = PlanOptions::new(tolerance)?;
     let options = Method::LowRank.plan_options(options).unwrap_or(options);
-    let clock = Instant::now();
     let shape = Scene::<f32>::from_image(Image::zeros(frame));
     let plan = simulation.plan(&shape, options)?;
-    let plan_seconds = clock.elapsed().as_secs_f64();
     drop(shape);
     let mut drawn = Vec::with_capacity(kinds.len());
     for light in kinds {
@@ -55,7 +53,7 @@ pub(super) fn draw_by_transforms(
             .collect();
         drawn.push(Drawn { windows, seconds });
     }
-    Ok((drawn, plan_seconds))
+    Ok(drawn)
 }
 
 /// The same light about every pixel, its pixel `n / 2` along each axis on it.
