@@ -187,7 +187,8 @@ impl Reproduction {
             })
             .collect::<Result<_, _>>()?;
         progress.advance(1);
-        let budget = BudgetRow::measure_all(&telescope, &samples, across, &positions, &star_truth)?;
+        let budget =
+            BudgetRow::measure_all(&telescope, &samples, across, &scene.positions, &scene.star_truth)?;
         progress.advance(1);
         let table_1 = PatchComparison::measure(
             &record,
