@@ -186,7 +186,7 @@ impl Curves {
                 ),
                 Mark::Point(px, py, text) => {
                     // Points near each other would write over each other's names.
-                    lower = points_so_far * (TEXT + 5);
+                    lower = points_so_far * 2 * (TEXT + 5);
                     points_so_far += 1;
                     chart.draw_series([Circle::new((*px, *py), 5, BLACK.filled())])?;
                     (

@@ -126,11 +126,10 @@ pub struct ToleranceRow {
     pub seconds: f64,
 }
 
-/// Interpolators beside the default one.
-const OTHER_INTERPOLATIONS: [Interpolation; 2] = [
-    Interpolation::NaturalNeighbour,
-    Interpolation::Polynomial { degree: 16 },
-];
+/// The highest degree of the polynomial that is shown beside the default interpolation.
+const MAX_DEGREE: usize = 16;
+/// Samples for each term of the polynomial, so that they determine it well.
+const SAMPLES_A_TERM: usize = 4;
 /// Patches of the large galaxy over its side.
 const PATCHES_ACROSS: usize = 8;
 
@@ -181,7 +180,10 @@ impl Reproduction {
 
         let interpolations: Vec<InterpolationRow> = [record.interpolation()]
             .into_iter()
-            .chain(OTHER_INTERPOLATIONS)
+            .chain([
+                Interpolation::NaturalNeighbour,
+                polynomial_of(sample_positions.len()),
+            ])
             .map(|interpolation| {
                 InterpolationRow::measure(&record, interpolation, &scene.positions, &scene.star_truth)
             })
@@ -248,6 +250,13 @@ impl BasisFigures {
     }
 }
 
+/// The polynomial that so many samples determine well.
+fn polynomial_of(samples: usize) -> Interpolation {
+    let determined = |degree: &usize| (degree + 1) * (degree + 2) / 2 * SAMPLES_A_TERM <= samples;
+    let degree = (1..=MAX_DEGREE).rev().find(determined).unwrap_or(0);
+    Interpolation::Polynomial { degree }
+}
+
 /// The survey telescope on a frame of another size: the field of view shrinks to it with all its aberrations.
 fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, PsfieldError> {
     let telescope = Telescope::survey_2m();
@@ -264,4 +273,16 @@ fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Posi
         other => other?,
     };
     Ok(sampling.samples.positions().as_slice().to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn polynomials_do_not_outgrow_their_samples() {
+        for (samples, degree) in [(1, 0), (64, 4), (1296, 16), (5041, 16)] {
+            assert_eq!(polynomial_of(samples), Interpolation::Polynomial { degree });
+        }
+    }
 }

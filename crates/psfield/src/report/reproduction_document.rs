@@ -129,7 +129,7 @@ impl Reproduction {
                  interpolation between them, the components left out (at most 1e-4, relative L2, at a sample), and the engine's tolerance. \
                  Where a row of the first table hardly differs from the next, the engine is no longer the largest of them; the second table \
                  shows what remains without it: bilinear interpolation leaves the curvature of the PSF between samples, which a polynomial over the \
-                 whole field (--interpolation polynomial=16) follows where optics are as smooth as these."
+                 whole field (--interpolation polynomial=D) follows where optics are as smooth as these."
                     .to_owned(),
             ],
             tables: vec![targets, tolerances, interpolations, budget],
