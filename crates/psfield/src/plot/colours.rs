@@ -23,20 +23,7 @@ pub enum ColourMap {
     Grey,
 }
 
-/// Even steps of matplotlib's viridis (N. Smith and S. van der Walt, CC0).
-const VIRIDIS: [[u8; 3]; 9] = [
-    [68, 1, 84],
-    [71, 45, 123],
-    [59, 82, 139],
-    [44, 114, 142],
-    [33, 145, 140],
-    [40, 174, 128],
-    [94, 201, 98],
-    [173, 220, 48],
-    [253, 231, 37],
-];
-
-/// `RdBu` with 9 classes (C. Brewer, colorbrewer2.org), from blue, its middle pure white.
+/// `RdBu` with 9 classes (C. Brewer, colorbrewer2.org), from blue, its middle pure white, so that no difference looks like none.
 const BLUE_WHITE_RED: [[u8; 3]; 9] = [
     [33, 102, 172],
     [67, 147, 195],
@@ -55,7 +42,7 @@ impl ColourMap {
         let value = value.clamp(0.0, 1.0);
         match self {
             Self::Grey => [(value * 255.0).round() as u8; 3],
-            Self::Viridis => between(&VIRIDIS, value),
+            Self::Viridis => colorous::VIRIDIS.eval_continuous(value).into_array(),
             Self::BlueWhiteRed => between(&BLUE_WHITE_RED, value),
         }
     }

@@ -1,16 +1,15 @@
-//! What each setting of a model costs in accuracy.
+//! What fewer samples cost.
 
 use ndarray::Array2;
-use psf_basis::RankSelection;
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
-use psf_types::{NoProgress, Position, PsfSamples};
+use psf_types::{NoProgress, Position};
 use serde::Serialize;
 
 use super::ErrorSummary;
 use crate::{FitOptions, PsfieldError, fit};
 
-/// A model of some samples and some components against the truth, by the exact sum: no engine takes part.
+/// A model of fewer samples against the truth, by the exact sum: no engine takes part.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BudgetRow {
@@ -18,8 +17,6 @@ pub struct BudgetRow {
     pub samples_across: usize,
     /// Components kept, the mean not counted.
     pub rank: usize,
-    /// How the rank was chosen.
-    pub rank_selection: String,
     /// Largest truncation error over the samples, relative L2.
     pub truncation_error: f64,
     /// How far its PSFs are from the true ones.
@@ -27,48 +24,31 @@ pub struct BudgetRow {
 }
 
 impl BudgetRow {
-    /// Models of the telescope from fewer and fewer samples, and of `samples` with fewer components.
+    /// Models of the telescope with half the samples along each axis, a quarter, and so on.
     ///
     /// # Errors
     /// [`PsfieldError`] of sampling, fit and model.
     pub(super) fn measure_all(
         telescope: &Telescope,
-        samples: &PsfSamples,
-        samples_across: usize,
+        most_across: usize,
         positions: &[Position],
         truth: &[Array2<f64>],
     ) -> Result<Vec<Self>, PsfieldError> {
-        let measure = |samples: &PsfSamples, across: usize, rank: RankSelection| {
-            let options = FitOptions {
-                rank,
-                ..FitOptions::default()
-            };
-            let fitted = fit(samples.clone(), &options)?;
-            let report = fitted.report()?;
-            let model = fitted.into_model()?;
-            Ok::<_, PsfieldError>(Self {
-                samples_across: across,
-                rank: report.rank,
-                rank_selection: rank.to_string(),
-                truncation_error: report.max_error,
-                summary: ErrorSummary::of_model(&model, positions, truth)?,
-            })
-        };
         let mut rows = Vec::new();
-        for rank in [
-            RankSelection::Elbow,
-            RankSelection::Error(1e-2),
-            RankSelection::Error(1e-3),
-            RankSelection::Auto,
-        ] {
-            rows.push(measure(samples, samples_across, rank)?);
-        }
-        let mut across = samples_across.div_ceil(2);
+        let mut across = most_across.div_ceil(2);
         while across >= FEWEST_ACROSS {
-            let fewer = UniformSampling::new(across, across)?
+            let samples = UniformSampling::new(across, across)?
                 .sample(telescope, &NoProgress)?
                 .samples;
-            rows.push(measure(&fewer, across, RankSelection::Auto)?);
+            let fitted = fit(samples, &FitOptions::default())?;
+            let report = fitted.report()?;
+            let model = fitted.into_model()?;
+            rows.push(Self {
+                samples_across: across,
+                rank: report.rank,
+                truncation_error: report.max_error,
+                summary: ErrorSummary::of_model(&model, positions, truth)?,
+            });
             across = across.div_ceil(2);
         }
         Ok(rows)

@@ -3,7 +3,7 @@
 use psf_types::{FrameShape, Position};
 
 use super::document::{NamedFigure, Table, short};
-use super::{ErrorSummary, Evaluation, ObjectRow, Spread};
+use super::{ErrorSummary, Evaluation, ObjectRow, Spread, Target};
 use crate::plot::{Axis, ColourMap, Curve, Curves, FieldMap, HistogramPanel, Mark, PlotError, histograms};
 
 /// Part of the values that the colours of a map tell apart; the rest has the colour of the nearer end.
@@ -203,6 +203,20 @@ pub(super) fn error_cells(summary: &ErrorSummary) -> Vec<String> {
 pub(super) fn error_table(caption: &str, first: &[&str]) -> Table {
     let columns: Vec<&str> = first.iter().copied().chain(ERROR_COLUMNS).collect();
     Table::new(caption, &columns)
+}
+
+/// What should hold, and whether it does.
+pub(super) fn target_table(caption: &str, targets: &[Target]) -> Table {
+    let mut table = Table::new(caption, &["quantity", "should be below", "measured", "met"]);
+    for target in targets {
+        table.rows.push(vec![
+            target.what.clone(),
+            short(Some(target.limit)),
+            short(target.measured),
+            if target.met { "yes" } else { "no" }.to_owned(),
+        ]);
+    }
+    table
 }
 
 fn quantile(values: impl Iterator<Item = f64>, q: f64) -> Option<f64> {

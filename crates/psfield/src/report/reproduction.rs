@@ -62,7 +62,7 @@ pub struct Reproduction {
     pub tolerances: Vec<ToleranceRow>,
     /// Errors of the model alone, by interpolator.
     pub interpolations: Vec<InterpolationRow>,
-    /// Errors of models with fewer components or samples.
+    /// Errors of models with fewer samples.
     pub budget: Vec<BudgetRow>,
     /// Stars at the default tolerance.
     pub stars: Evaluation,
@@ -158,7 +158,7 @@ impl Reproduction {
         let adaptive_positions = adaptive_positions(&telescope, options.adaptive_threshold)?;
         progress.advance(1);
 
-        let fitted = fit(samples.clone(), &FitOptions::default())?;
+        let fitted = fit(samples, &FitOptions::default())?;
         let report = fitted.report()?;
         let record = fitted.record().clone();
         let model = fitted.into_model()?;
@@ -189,8 +189,7 @@ impl Reproduction {
             })
             .collect::<Result<_, _>>()?;
         progress.advance(1);
-        let budget =
-            BudgetRow::measure_all(&telescope, &samples, across, &scene.positions, &scene.star_truth)?;
+        let budget = BudgetRow::measure_all(&telescope, across, &scene.positions, &scene.star_truth)?;
         progress.advance(1);
         let table_1 = PatchComparison::measure(
             &record,

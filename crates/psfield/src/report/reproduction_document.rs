@@ -4,7 +4,7 @@ use metrics::Summary;
 use ndarray::Array2;
 
 use super::document::{Document, NamedFigure, Section, Table, short};
-use super::object_figures::{distributions, error_cells, error_table, maps, shape_histograms};
+use super::object_figures::{distributions, error_cells, error_table, maps, shape_histograms, target_table};
 use super::targets::PAPER_ELLIPTICITY_Q90;
 use super::{ObjectKind, Reproduction, Software};
 use crate::plot::{Axis, Curve, Curves, Mark, Picture, PlotError, Scale, pictures, positions_figure};
@@ -64,18 +64,10 @@ impl Reproduction {
     }
 
     fn accuracy_section(&self) -> Section {
-        let mut targets = Table::new(
+        let targets = target_table(
             "Targets, at the default tolerance. The paper reports 0.0901 for 90 % of its differences of ellipticity.",
-            &["quantity", "should be below", "measured", "met"],
+            &self.targets,
         );
-        for target in &self.targets {
-            targets.rows.push(vec![
-                target.what.clone(),
-                short(Some(target.limit)),
-                short(target.measured),
-                if target.met { "yes" } else { "no" }.to_owned(),
-            ]);
-        }
         let mut tolerances = error_table(
             "Objects drawn by transforms alone at several tolerances, against the optics' own images. Absolute differences.",
             &["objects", "tolerance", "seconds a frame"],
@@ -108,13 +100,12 @@ impl Reproduction {
             interpolations.rows.push(cells);
         }
         let mut budget = error_table(
-            "Other models of the same telescope, each with its interpolator on its own regular grid of samples, by the exact sum.",
-            &["samples", "rank", "components", "truncation"],
+            "Models of fewer samples on regular grids, default settings, by the exact sum.",
+            &["samples", "components", "truncation"],
         );
         for row in &self.budget {
             let mut cells = vec![
                 format!("{0} x {0}", row.samples_across),
-                row.rank_selection.clone(),
                 row.rank.to_string(),
                 short(Some(row.truncation_error)),
             ];

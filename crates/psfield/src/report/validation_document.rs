@@ -1,7 +1,7 @@
 //! The report of a validation.
 
-use super::document::{Document, Section, Table, short};
-use super::object_figures::{distributions, error_cells, error_table, maps, shape_histograms};
+use super::document::{Document, Section};
+use super::object_figures::{distributions, error_cells, error_table, maps, shape_histograms, target_table};
 use super::{Software, Validation, ValidationTruth};
 use crate::plot::PlotError;
 
@@ -45,19 +45,7 @@ impl Validation {
         errors.rows.push(cells);
         let mut tables = vec![errors];
         if !self.targets.is_empty() {
-            let mut targets = Table::new(
-                "Targets for PSFs without noise",
-                &["quantity", "should be below", "measured", "met"],
-            );
-            for target in &self.targets {
-                targets.rows.push(vec![
-                    target.what.clone(),
-                    short(Some(target.limit)),
-                    short(target.measured),
-                    if target.met { "yes" } else { "no" }.to_owned(),
-                ]);
-            }
-            tables.push(targets);
+            tables.push(target_table("Targets for PSFs without noise", &self.targets));
         }
         let mut figures = shape_histograms(&self.objects)?;
         figures.extend(distributions(&[(name, &self.objects)], None)?);
