@@ -30,6 +30,23 @@ pub struct EvaluateOptions {
     pub sub_pixel: bool,
 }
 
+/// Whether all positions lie on the model's field, where it has one.
+///
+/// # Errors
+/// [`PsfieldError::OutsideField`] for the first that does not.
+pub(crate) fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), PsfieldError> {
+    if let Some(field) = model.field_shape()
+        && let Some(index) = positions.iter().position(|&p| !field.contains(p))
+    {
+        return Err(PsfieldError::OutsideField {
+            index,
+            position: positions[index],
+            field,
+        });
+    }
+    Ok(())
+}
+
 /// The PSFs of a model at positions, as samples.
 ///
 /// # Errors
@@ -43,15 +60,7 @@ pub fn evaluate(
     if options.sub_pixel && options.grid != OutputGrid::Native {
         return Err(PsfieldError::SubPixelNeedsNative);
     }
-    if let Some(field) = model.field_shape()
-        && let Some(index) = positions.iter().position(|&p| !field.contains(p))
-    {
-        return Err(PsfieldError::OutsideField {
-            index,
-            position: positions[index],
-            field,
-        });
-    }
+    check_on_field(model, &positions)?;
     let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
         // As stamps to be written, not as samples.
         DataError::NoSamples => PsfieldError::NoPositions,

@@ -11,7 +11,7 @@ use super::light::look;
 use super::prepared::Prepared;
 use super::split::split;
 use super::tile_engine::{TileEngine, TilePart};
-use super::treatment::{Whole, rescale, treat};
+use super::treatment::{Whole, treat};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -121,7 +121,7 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
         let workspace = &mut *self.workspace;
         let pitch = plan.fft.pitch();
         let around = engine.around(part.size);
-        let mut seen = simd.vectorized(
+        let seen = simd.vectorized(
             #[inline(always)]
             || {
                 let reach = plan.geometry.reach_from(x, y);
@@ -144,11 +144,7 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
         })?;
         let kernels = self.prepared.kernel_count();
         let draw = plan.cost.draw_gathered(engine.stamp, kernels);
-        let back = rescale(&mut seen, workspace.light.get_mut());
-        let mut treatment = treat(plan, seen, around, part.size, kernels, draw, workspace);
-        if let Some(back) = back {
-            treatment.take_back(back);
-        }
+        let treatment = treat(plan, seen, around, part.size, kernels, draw, workspace);
         self.counts.count(&treatment, kernels);
         if treatment.whole == Some(Whole::ByTransforms) {
             self.prepared.kernels(simd, &engine, workspace);
@@ -164,7 +160,7 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
                     },
                 );
             };
-            match back {
+            match treatment.back {
                 None => gather(workspace, &mut output),
                 // What is in the output already has its own light.
                 Some(back) => {

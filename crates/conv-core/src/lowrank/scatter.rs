@@ -10,7 +10,7 @@ use super::light::look;
 use super::prepared::Prepared;
 use super::split::{colours, split};
 use super::tile_engine::{TileEngine, TilePart};
-use super::treatment::{Whole, rescale, treat};
+use super::treatment::{Whole, treat};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -163,7 +163,7 @@ impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
         let (simd, engine, plan) = (self.simd, self.engine, self.job.plan);
         let workspace = &mut *self.workspace;
         let pitch = plan.fft.pitch();
-        let mut seen = simd.vectorized(
+        let seen = simd.vectorized(
             #[inline(always)]
             || {
                 let corner = (x as i64, y as i64 - self.job.first_light as i64);
@@ -186,11 +186,7 @@ impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
         let kernels = self.prepared.kernel_count();
         let output = &mut self.task.output;
         let draw = plan.cost.draw(engine.stamp, kernels);
-        let back = rescale(&mut seen, workspace.light.get_mut());
-        let mut treatment = treat(plan, seen, part.size, part.size, kernels, draw, workspace);
-        if let Some(back) = back {
-            treatment.take_back(back);
-        }
+        let treatment = treat(plan, seen, part.size, part.size, kernels, draw, workspace);
         self.counts.count(&treatment, kernels);
         if treatment.whole == Some(Whole::ByTransforms) {
             self.prepared.kernels(simd, &engine, workspace);
@@ -205,7 +201,7 @@ impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
                         Whole::ByTransforms => engine.scatter(simd, local, workspace),
                     }
                     let size = engine.around(part.size);
-                    if let Some(back) = back {
+                    if let Some(back) = treatment.back {
                         for value in workspace.weighted.get_mut() {
                             *value *= back;
                         }

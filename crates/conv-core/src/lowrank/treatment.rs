@@ -14,6 +14,8 @@ pub(crate) struct Treatment<T> {
     pub(crate) whole: Option<Whole>,
     /// Pixels drawn stamp by stamp, which are not part of that light.
     pub(crate) drawn: Vec<LitPixel<T>>,
+    /// The power of two that takes what becomes of the whole back, where it was brought near 1.
+    pub(crate) back: Option<T>,
 }
 
 /// How the light of a tile is convolved at once.
@@ -25,7 +27,7 @@ pub(crate) enum Whole {
 
 /// Brings a tile's light near 1, in place, where transforms would carry it out of the working precision's range; returns the power of
 /// two that takes the result back.
-pub(crate) fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
+fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
     let scale = Rescaling::<T>::for_largest(light.largest)?;
     for value in plane {
         *value *= scale.down;
@@ -35,18 +37,30 @@ pub(crate) fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option
     Some(scale.back)
 }
 
-impl<T: ConvReal> Treatment<T> {
-    /// Gives single pixels their own light back: a stamp needs no sums that could leave the range.
-    pub(crate) fn take_back(&mut self, back: T) {
-        for (_, _, value) in &mut self.drawn {
-            *value *= back;
-        }
-    }
-}
-
 /// Decides on the light in `workspace.light`, `lit_size` columns and rows; single pixels are taken out of it. `draw` is the
 /// cost of drawing one.
 pub(crate) fn treat<T: ConvReal>(
+    plan: &Plan<T>,
+    mut light: Light,
+    lit_size: (usize, usize),
+    tile: (usize, usize),
+    kernels: usize,
+    draw: f64,
+    workspace: &mut Workspace<T>,
+) -> Treatment<T> {
+    let back = rescale(&mut light, workspace.light.get_mut());
+    let (whole, mut drawn) = choose(plan, light, lit_size, tile, kernels, draw, workspace);
+    if let Some(back) = back {
+        // Single pixels keep their own light: a stamp needs no sums that could leave the range.
+        for (_, _, value) in &mut drawn {
+            *value *= back;
+        }
+    }
+    Treatment { whole, drawn, back }
+}
+
+/// What is done at once, and the pixels that are drawn.
+fn choose<T: ConvReal>(
     plan: &Plan<T>,
     light: Light,
     lit_size: (usize, usize),
@@ -54,41 +68,26 @@ pub(crate) fn treat<T: ConvReal>(
     kernels: usize,
     draw: f64,
     workspace: &mut Workspace<T>,
-) -> Treatment<T> {
+) -> (Option<Whole>, Vec<LitPixel<T>>) {
     // No modes: the PSFs of the tile are zero.
     if kernels == 0 {
-        return Treatment {
-            whole: None,
-            drawn: Vec::new(),
-        };
+        return (None, Vec::new());
     }
     if plan.options.paths() == Paths::Transforms {
-        return Treatment {
-            whole: Some(Whole::ByTransforms),
-            drawn: Vec::new(),
-        };
+        return (Some(Whole::ByTransforms), Vec::new());
     }
     let pitch = plan.fft.pitch();
     let (seconds, direct) = plan.whole_tile(tile, kernels);
     if light.lit as f64 * draw <= seconds {
-        return Treatment {
-            whole: None,
-            drawn: lit_pixels(workspace.light.get(), pitch, lit_size.1, lit_size.0),
-        };
+        let drawn = lit_pixels(workspace.light.get(), pitch, lit_size.1, lit_size.0);
+        return (None, drawn);
     }
     // The direct sum spreads no noise.
-    let (whole, drawn) = if direct {
-        (Whole::Directly, Vec::new())
-    } else {
-        let most = (2.0 * seconds / draw) as usize;
-        let size = (lit_size.1, lit_size.0);
-        (
-            Whole::ByTransforms,
-            take_bright(workspace.light.get_mut(), pitch, size, light, most),
-        )
-    };
-    Treatment {
-        whole: Some(whole),
-        drawn,
+    if direct {
+        return (Some(Whole::Directly), Vec::new());
     }
+    let most = (2.0 * seconds / draw) as usize;
+    let size = (lit_size.1, lit_size.0);
+    let drawn = take_bright(workspace.light.get_mut(), pitch, size, light, most);
+    (Some(Whole::ByTransforms), drawn)
 }

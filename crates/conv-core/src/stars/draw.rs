@@ -2,7 +2,6 @@
 
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
-use super::phases::PhasedAxis;
 use super::star::PreparedStar;
 use super::star_block::{CHUNK, RowLayout, StarBlock};
 use super::tile::Tile;
@@ -11,7 +10,7 @@ use crate::simd::Lanes;
 
 /// Draws stars of one block.
 pub(super) struct BlockDraw<'a, T> {
-    pub(super) axes: &'a [PhasedAxis; 2],
+    pub(super) oversampling: usize,
     pub(super) layout: RowLayout,
     pub(super) block: &'a StarBlock<T>,
     pub(super) stars: &'a [PreparedStar<T>],
@@ -26,7 +25,6 @@ impl<T: ConvReal> BlockDraw<'_, T> {
     /// What a pixel gets comes in an order that does not depend on which rows are at hand.
     #[inline(always)]
     pub(super) fn draw<S: Lanes<T>, const TAPS: usize>(&self, simd: S, tile: &mut Tile<T>) {
-        let axis = &self.axes[1];
         let longest = self
             .stars
             .iter()
@@ -40,7 +38,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
                 if row >= star.rows.end || !rows.contains(&row) {
                     continue;
                 }
-                let kept = star.first_row + j as usize * axis.oversampling();
+                let kept = star.first_row + j as usize * self.oversampling;
                 let column = (star.columns.start - tile.origin.0) as usize;
                 let length = (star.columns.end - star.columns.start) as usize;
                 let first = (row - rows.start) as usize * tile.width + column;

@@ -76,7 +76,7 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
             let rows = group.rows.start.max(first_row)..group.rows.end.min(first_row + height);
             let mut tile = Tile::dark(group.columns.clone(), rows);
             let draw = BlockDraw {
-                axes,
+                oversampling: axes[0].oversampling(),
                 layout,
                 block: &group.block,
                 stars: &group.stars,

@@ -89,6 +89,7 @@ const MOST_AT_ONCE: usize = 1 << 15;
 const TILES_AT_ONCE: usize = 64;
 /// Stars that are worth a task of their own.
 const LEAST_AT_ONCE: usize = 1 << 10;
+
 impl<T: ConvReal> StarPlan<T> {
     /// A plan for stars through a model, drawn on `size` by `size` pixels about the pixel that each lies on (its own at index
     /// `size / 2`) where given, else as far as the stamps reach. Light beyond these pixels is lost, not put elsewhere.

@@ -64,12 +64,7 @@ impl ReportFolder {
             let name = shown.name;
             psf_io::write_text(at(format!("{name}.svg")), shown.figure.svg(), self.overwrite)?;
             let png = shown.figure.png()?;
-            psf_io::write_atomically(at(format!("{name}.png")), self.overwrite, |temporary| {
-                std::fs::write(temporary, &png).map_err(|source| psf_io::IoError::Write {
-                    path: temporary.to_owned(),
-                    source,
-                })
-            })?;
+            psf_io::write_bytes(at(format!("{name}.png")), &png, self.overwrite)?;
         }
         let numbers = Numbers {
             software: &document.software,

@@ -14,6 +14,7 @@ use crate::PsfieldError;
 pub(super) const GALAXY: [f64; 4] = [3.0, 1.0, 0.7, 30.0];
 /// Pixels along each side of a galaxy's light; truth and scene hold the same light.
 const GALAXY_SIDE: usize = 32;
+
 /// Objects and what they truly look like.
 #[derive(Debug)]
 pub(super) struct Scenes {

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use super::{Evaluation, Target};
 use crate::PsfieldError;
+use crate::evaluate::check_on_field;
 
 /// How far a model is from PSFs that are known.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -56,15 +57,7 @@ impl Validation {
         }
         let unit = model.normalisation() == Normalisation::Unit;
         let positions = truth.positions().as_slice();
-        if let Some(field) = model.field_shape()
-            && let Some(index) = positions.iter().position(|&p| !field.contains(p))
-        {
-            return Err(PsfieldError::OutsideField {
-                index,
-                position: positions[index],
-                field,
-            });
-        }
+        check_on_field(model, positions)?;
         let ours: Vec<Array2<f64>> = positions
             .par_iter()
             .map(|&at| {
