@@ -196,22 +196,26 @@ fn the_fast_engine_makes_awkward_scenes_exactly() {
 /// Where samples are 8 pixels apart, with nothing in common, tiles of that size take the fewest modes; stamps are of 24 pixels.
 #[test]
 fn the_fast_engine_is_exact_where_stamps_are_larger_than_tiles() {
-    let options = FitOptions {
-        rank: RankSelection::Full,
-        interpolation: Interpolation::Bilinear,
-        ..FitOptions::default()
-    };
-    let model = PsfInput::Samples(uniform_samples(&small_telescope(1), 21, 16), options)
-        .into_model()
-        .unwrap();
     let light = noisy(160, 120, 1);
-    let options = PlanOptions::new(0.0).unwrap().with_paths(Paths::Transforms);
-    let summary = Plan::for_scene(&model, &scene_of(light.clone()), options)
-        .unwrap()
-        .summary();
-    println!("{summary}");
-    assert!(summary.tile.0 < 24 && summary.tile.1 < 24, "{summary}");
-    assert_exact("small tiles", &model, &light);
+    for interpolation in [Interpolation::Bilinear, Interpolation::Bicubic] {
+        let options = FitOptions {
+            rank: RankSelection::Full,
+            interpolation,
+            ..FitOptions::default()
+        };
+        let model = PsfInput::Samples(uniform_samples(&small_telescope(1), 21, 16), options)
+            .into_model()
+            .unwrap();
+        let options = PlanOptions::new(0.0).unwrap().with_paths(Paths::Transforms);
+        let summary = Plan::for_scene(&model, &scene_of(light.clone()), options)
+            .unwrap()
+            .summary();
+        println!("{interpolation}: {summary}");
+        if interpolation == Interpolation::Bilinear {
+            assert!(summary.tile.0 < 24 && summary.tile.1 < 24, "{summary}");
+        }
+        assert_exact(&format!("small tiles, {interpolation}"), &model, &light);
+    }
 }
 
 /// Every interpolator that takes scattered samples.
@@ -223,10 +227,12 @@ const SCATTERED: [Interpolation; 5] = [
     Interpolation::Nearest,
 ];
 
+/// Every interpolator that takes samples on grids alone.
+const GRIDDED: [Interpolation; 2] = [Interpolation::Bilinear, Interpolation::Bicubic];
+
 /// A model from samples at random positions, which reach as far as 20 pixels from the left and right edges of the frame of
 /// 160 x 120 pixels, and 15 from the others.
 fn scattered(interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
-    let telescope = small_telescope(1);
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let mut at = vec![(20.0, 15.0), (140.0, 15.0), (20.0, 105.0), (140.0, 105.0)];
     at.extend((0..50).map(|_| (rng.random_range(20.0..140.0), rng.random_range(15.0..105.0))));
@@ -234,6 +240,20 @@ fn scattered(interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
         .into_iter()
         .map(|(x, y)| Position::new(x, y).unwrap())
         .collect();
+    sampled_at(at, interpolation, outside)
+}
+
+/// A model from samples on a grid whose lines lie between pixels, as far from the edges.
+fn gridded(interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
+    let at = (0..35).map(|i| {
+        let (column, row) = (f64::from(i % 7), f64::from(i / 7));
+        Position::new(20.3 + 19.9 * column, 15.0 + 22.6 * row).unwrap()
+    });
+    sampled_at(at.collect(), interpolation, outside)
+}
+
+fn sampled_at(at: Vec<Position>, interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
+    let telescope = small_telescope(1);
     let mut stamps = Array3::zeros((at.len(), 24, 24));
     for (&position, stamp) in at.iter().zip(stamps.outer_iter_mut()) {
         telescope.draw_into(position, stamp).unwrap();
@@ -256,8 +276,13 @@ fn the_fast_engine_takes_every_interpolator() {
     let pixels: Vec<(usize, usize)> = (0..300)
         .map(|_| (rng.random_range(0..160), rng.random_range(0..120)))
         .collect();
-    for interpolation in SCATTERED {
-        let model = scattered(interpolation, OutsidePolicy::Nearest);
+    let scattered =
+        SCATTERED.map(|interpolation| (interpolation, scattered(interpolation, OutsidePolicy::Nearest)));
+    let policies = [OutsidePolicy::Nearest, OutsidePolicy::Extend];
+    let gridded = GRIDDED
+        .iter()
+        .flat_map(|&interpolation| policies.map(|outside| (interpolation, gridded(interpolation, outside))));
+    for (interpolation, model) in scattered.into_iter().chain(gridded) {
         for anchor in ANCHORS {
             let exact = Direct::new(anchor).at_pixels(&model, &scene, &pixels).unwrap();
             let peak = exact.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
@@ -286,8 +311,10 @@ fn the_fast_engine_refuses_light_where_there_is_no_psf_and_only_there() {
     inside.slice_mut(s![45..75, 60..100]).assign(&noisy(40, 30, 1));
     let mut outside = inside.clone();
     outside[[2, 157]] = 1e-30;
-    for interpolation in SCATTERED {
-        let model = scattered(interpolation, OutsidePolicy::Error);
+    let scattered =
+        SCATTERED.map(|interpolation| (interpolation, scattered(interpolation, OutsidePolicy::Error)));
+    let gridded = GRIDDED.map(|interpolation| (interpolation, gridded(interpolation, OutsidePolicy::Error)));
+    for (interpolation, model) in scattered.into_iter().chain(gridded) {
         assert_exact(&format!("{interpolation}, dark outside"), &model, &inside);
         for anchor in ANCHORS {
             for paths in PATHS {

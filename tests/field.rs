@@ -14,8 +14,9 @@ fn options(interpolation: Interpolation) -> FitOptions {
     }
 }
 
-const ALL: [Interpolation; 6] = [
+const ALL: [Interpolation; 7] = [
     Interpolation::Bilinear,
+    Interpolation::Bicubic,
     Interpolation::Delaunay,
     Interpolation::NaturalNeighbour,
     Interpolation::InverseDistance { power: 2.0 },
@@ -46,6 +47,14 @@ fn errors_fall_with_the_sampling_as_theory_says() {
             Interpolation::Nearest => {
                 assert!(
                     (1.7..2.3).contains(&(coarse / fine)),
+                    "{interpolation}: {}",
+                    coarse / fine
+                );
+            }
+            // Between order 4 and, where its pieces are what is left, order 2 with 1/16 of the error of bilinear interpolation.
+            Interpolation::Bicubic => {
+                assert!(
+                    (4.5..16.5).contains(&(coarse / fine)),
                     "{interpolation}: {}",
                     coarse / fine
                 );

@@ -4,14 +4,14 @@ use psf_types::{Interpolation, OutsidePolicy, SampleCoefficients, SamplePosition
 
 use crate::leave_one_out::LeaveOneOut;
 use crate::{
-    Bilinear, CoeffFieldError, Delaunay, FieldInterpolation, FieldWeights, InverseDistance, NaturalNeighbour,
-    Nearest, Polynomial, RegularGrid,
+    Bicubic, Bilinear, CoeffFieldError, Delaunay, FieldInterpolation, FieldWeights, InverseDistance,
+    NaturalNeighbour, Nearest, Polynomial, RegularGrid,
 };
 
 /// What [`Interpolation::Auto`] stands for with samples at these positions; any other choice stands for itself.
 ///
-/// Bilinear where the samples form a regular grid of at least 2 x 2, nearest for a single sample, else natural neighbour
-/// (which interpolates along the line where samples are collinear).
+/// Where the samples form a regular grid of at least 2 x 2, bicubic, or bilinear if it has but 2 x 2; nearest for a single
+/// sample; else natural neighbour (which interpolates along the line where samples are collinear).
 ///
 /// ```
 /// use coeff_field::resolve;
@@ -31,7 +31,13 @@ pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolat
         return Interpolation::Nearest;
     }
     match RegularGrid::detect(positions) {
-        Ok(grid) if grid.xs().len() >= 2 && grid.ys().len() >= 2 => Interpolation::Bilinear,
+        Ok(grid) if grid.xs().len() >= 2 && grid.ys().len() >= 2 => {
+            if positions.len() == 4 {
+                Interpolation::Bilinear
+            } else {
+                Interpolation::Bicubic
+            }
+        }
         _ => Interpolation::NaturalNeighbour,
     }
 }
@@ -58,6 +64,7 @@ pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation
             Box::new(InverseDistance::new(power, InverseDistance::DEFAULT_NEIGHBOURS)?)
         }
         Interpolation::Bilinear => Box::new(Bilinear),
+        Interpolation::Bicubic => Box::new(Bicubic),
         Interpolation::Polynomial { degree } => Box::new(Polynomial::new(degree)?),
         Interpolation::Nearest => Box::new(Nearest),
         other => return Err(CoeffFieldError::UnknownInterpolation(other)),
@@ -105,6 +112,8 @@ mod tests {
         assert_eq!(choose(&[(0, 0), (5, 0)]), Interpolation::NaturalNeighbour);
         assert_eq!(choose(&[(0, 0), (5, 5), (9, 9)]), Interpolation::NaturalNeighbour);
         assert_eq!(choose(&[(0, 0), (5, 0), (0, 1), (5, 1)]), Interpolation::Bilinear);
+        let lines = [(0, 0), (5, 0), (9, 0), (0, 1), (5, 1), (9, 1)];
+        assert_eq!(choose(&lines), Interpolation::Bicubic);
     }
 
     #[test]
@@ -115,6 +124,7 @@ mod tests {
             ("natural-neighbour", "NaturalNeighbour"),
             ("idw=3", "InverseDistance { power: 3.0, neighbours: 6 }"),
             ("bilinear", "Bilinear"),
+            ("bicubic", "Bicubic"),
             ("polynomial=4", "Polynomial { degree: 4 }"),
             ("nearest", "Nearest"),
         ] {

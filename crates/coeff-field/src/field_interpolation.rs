@@ -113,7 +113,8 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// [`FieldError`] where there is no value.
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError>;
 
-    /// The x and the y coordinates of the lines between which all weights are bilinear or constant, where there are such cells.
+    /// The x and the y coordinates of the lines between which all weights are bilinear or constant, where there are such cells:
+    /// [`CoefficientField::grid_lines`](psf_types::CoefficientField::grid_lines).
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         None
     }

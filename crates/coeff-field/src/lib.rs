@@ -13,6 +13,7 @@
 //! | method | weights a position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
 //! | [`Bilinear`] | 4 | exact | 1, x, y, xy | continuous |
+//! | [`Bicubic`] | 16 | exact | 1, x, y, xy; x^i y^j up to 3 at the quarters of cells | continuous |
 //! | [`Delaunay`] | 3 | exact | 1, x, y | continuous |
 //! | [`NaturalNeighbour`] | about 6 | exact | 1, x, y | smooth but at the samples |
 //! | [`InverseDistance`] | about 12 | exact | 1 | continuous |
@@ -35,7 +36,7 @@
 //!
 //! # Rows of pixels
 //! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear, so that it costs by cells and
-//! not by pixels: a run for each cell ([`Bilinear`]), triangle ([`Delaunay`]), link of collinear samples, Voronoi cell
+//! not by pixels: a run for each cell ([`Bilinear`]), quarter of a cell ([`Bicubic`]), triangle ([`Delaunay`]), link of collinear samples, Voronoi cell
 //! ([`Nearest`]), or one alone (a [`Polynomial`] of degree 0 or 1). Other methods, and positions where weights are not linear
 //! (outside [`Delaunay`]'s samples under the policy extend, in slivers), go pixel by pixel.
 //!
@@ -64,6 +65,9 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod axis;
+mod axis_weights;
+mod bicubic;
 mod bilinear;
 mod boundary;
 mod choice;
@@ -72,6 +76,8 @@ mod error;
 mod field_interpolation;
 mod geometry;
 mod gradient;
+mod grid_leave_one_out;
+mod grid_weights;
 mod hints;
 mod hull;
 mod hull_leave_one_out;
@@ -92,6 +98,7 @@ mod row;
 mod search_tree;
 mod weight_list;
 
+pub use bicubic::Bicubic;
 pub use bilinear::Bilinear;
 pub use choice::{Auto, interpolation, resolve};
 pub use delaunay::Delaunay;

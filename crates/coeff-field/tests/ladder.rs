@@ -2,7 +2,7 @@
 
 mod common;
 
-use coeff_field::{Delaunay, FieldInterpolation, NaturalNeighbour, WeightList};
+use coeff_field::{Bicubic, Delaunay, FieldInterpolation, NaturalNeighbour, WeightList};
 use common::{at, field, methods, probes, samples_of, scattered, value};
 use psf_types::{OutsidePolicy, Position, SamplePositions};
 
@@ -39,7 +39,10 @@ fn parabolas_stay_within_the_bounds_of_theory() {
         // (h^2 2 + h^2 2) / 8, or r^2 2 / 2 with r = h / sqrt 2 the circumradius: both are h^2 / 2.
         let bound = |step: f64| 0.5 * step * step;
         match name {
-            "bilinear" | "auto" | "delaunay" | "natural-neighbour" => {
+            "bilinear" | "bicubic" | "auto" | "delaunay" | "natural-neighbour" => {
+                // Cubics are straight within quarters of cells.
+                let is_cubic = matches!(name, "bicubic" | "auto");
+                let bound = |step: f64| bound(if is_cubic { step / 4.0 } else { step });
                 assert!(
                     coarse <= bound(10.0) * (1.0 + ROUNDING) && fine <= bound(5.0) * (1.0 + ROUNDING),
                     "{name}: {coarse} {fine}"
@@ -57,6 +60,33 @@ fn parabolas_stay_within_the_bounds_of_theory() {
             }
             _ => {}
         }
+    }
+}
+
+#[test]
+fn cubics_stay_within_the_bound_of_theory() {
+    // Second derivatives up to k^2, fourth ones up to k^4.
+    let wave = |k: f64| move |p: Position, _: usize| (k * p.x()).sin() + (k * p.y() + 0.4).cos();
+    for k in [0.05, 0.1] {
+        let step = 10.0;
+        let positions = common::grid(21, 21, step, 0.0, 0.0);
+        let field = field(
+            &samples_of(&positions, 1, wave(k)),
+            &Bicubic,
+            OutsidePolicy::Nearest,
+        );
+        // Away from the edges, where polynomials lie to one side.
+        let inner = common::Extent {
+            low: (step, step),
+            high: (19.0 * step, 19.0 * step),
+        };
+        let errors = inner
+            .probes(20_000, 31, 0.0)
+            .into_iter()
+            .map(|p| (value(&field, p) - wave(k)(p, 0)).abs());
+        let error = errors.fold(0.0, f64::max);
+        let bound = 2.0 * ((step * k).powi(2) / 128.0 + 3.0 * (step * k).powi(4) / 128.0);
+        assert!(error <= bound && error > 0.3 * bound, "{k}: {error:e} {bound:e}");
     }
 }
 

@@ -5,8 +5,8 @@ mod common;
 use std::mem::discriminant;
 
 use coeff_field::{
-    Bilinear, CoeffFieldError, Delaunay, FieldInterpolation, FieldWeights, InterpolatedField, Nearest,
-    Polynomial, WeightList,
+    Bicubic, Bilinear, CoeffFieldError, Delaunay, FieldInterpolation, FieldWeights, InterpolatedField,
+    Nearest, Polynomial, WeightList,
 };
 use common::{Extent, at, field, grid, layouts, methods, rng, samples_of, scattered};
 use psf_types::{CoefficientField, FieldError, OutsidePolicy, Position, RowRun, SamplePositions};
@@ -290,6 +290,11 @@ fn bilinear_has_a_run_for_each_cell_and_each_side() {
     ] {
         let field = field(&samples, &Bilinear, outside);
         assert_eq!(check(&field, (x, y), length), Ok(expected), "{outside} {y}");
+    }
+    // Cubics are straight in quarters of cells.
+    for (outside, expected) in [(OutsidePolicy::Nearest, 282), (OutsidePolicy::Extend, 280)] {
+        let field = field(&samples, &Bicubic, outside);
+        assert_eq!(check(&field, (0, 100), 9216), Ok(expected), "{outside}");
     }
 }
 

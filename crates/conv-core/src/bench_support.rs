@@ -3,7 +3,7 @@
 use psf_types::{PixelRegion, PsfModel};
 
 use crate::ConvReal;
-use crate::lowrank::internals::{Aligned, CoefficientTable, FluxRole, LocalModes, PsfSpace, RegionRuns};
+use crate::lowrank::internals::{Aligned, CoefficientTable, FluxRole, LocalModes, PsfSpace, RegionCells};
 use crate::simd::{Lanes, WithIsa};
 use crate::transform::TileTransform;
 
@@ -103,7 +103,7 @@ pub struct BlockSteps<T: ConvReal> {
     space: PsfSpace,
     region: PixelRegion,
     tolerance: f64,
-    runs: RegionRuns,
+    cells: RegionCells,
     modes: LocalModes,
     role: FluxRole,
     table: CoefficientTable<T>,
@@ -114,17 +114,17 @@ impl<T: ConvReal> BlockSteps<T> {
     /// The steps for a region of a model's field, all of them done once.
     pub fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
         let space = PsfSpace::new(model);
-        let runs = RegionRuns::new(model.field(), region);
-        let modes = LocalModes::new(&space, &runs, tolerance);
-        let (role, _) = FluxRole::of(model, &modes, &runs);
+        let cells = RegionCells::new(model.field(), region);
+        let modes = LocalModes::new(&space, &cells, tolerance);
+        let (role, _) = FluxRole::of(model, &modes, &cells);
         Self {
-            table: CoefficientTable::new(region, role, &modes, &runs),
+            table: CoefficientTable::new(region, role, &modes, &cells),
             ramp: (0..region.shape().nx()).map(|i| T::nearest(i as f64)).collect(),
             model: model.clone(),
             space,
             region,
             tolerance,
-            runs,
+            cells,
             modes,
             role,
         }
@@ -132,17 +132,17 @@ impl<T: ConvReal> BlockSteps<T> {
 
     /// The weights of the field's nodes along the region's rows.
     pub fn weights_along_rows(&mut self) {
-        self.runs = RegionRuns::new(self.model.field(), self.region);
+        self.cells = RegionCells::new(self.model.field(), self.region);
     }
 
     /// The modes.
     pub fn local_modes(&mut self) {
-        self.modes = LocalModes::new(&self.space, &self.runs, self.tolerance);
+        self.modes = LocalModes::new(&self.space, &self.cells, self.tolerance);
     }
 
     /// Their coefficients over the region.
     pub fn coefficients(&mut self) {
-        self.table = CoefficientTable::new(self.region, self.role, &self.modes, &self.runs);
+        self.table = CoefficientTable::new(self.region, self.role, &self.modes, &self.cells);
     }
 
     /// The region's light `[y, x]` times the coefficient of the last mode.

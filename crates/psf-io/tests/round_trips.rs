@@ -69,13 +69,14 @@ fn samples() -> impl Strategy<Value = PsfSamples> {
 
 /// A model of single pixels as components, which are orthonormal.
 fn record() -> impl Strategy<Value = PsfModelRecord> {
-    const METHODS: [&str; 8] = [
+    const METHODS: [&str; 9] = [
         "auto",
         "delaunay",
         "natural-neighbour",
         "idw",
         "idw=3.7",
         "bilinear",
+        "bicubic",
         "polynomial=4",
         "nearest",
     ];

@@ -8,12 +8,12 @@ use crate::DataError;
 
 /// Which interpolator carries coefficients from the samples to the field.
 ///
-/// Written as `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `polynomial=DEGREE` or `nearest`.
+/// Written as `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Interpolation {
-    /// Bilinear where the samples form a regular grid, else natural neighbour.
+    /// Bicubic where the samples form a regular grid, else natural neighbour.
     #[default]
     Auto,
     /// Linear inside the triangles of the Delaunay triangulation.
@@ -27,6 +27,8 @@ pub enum Interpolation {
     },
     /// Bilinear inside the cells of a regular (rectilinear) grid.
     Bilinear,
+    /// Cubics through four columns and four rows of a regular (rectilinear) grid, in pieces that are bilinear.
+    Bicubic,
     /// One polynomial in x and y over the whole field, by least squares.
     Polynomial {
         /// The total degree.
@@ -52,6 +54,7 @@ impl std::fmt::Display for Interpolation {
             Self::InverseDistance { power } if *power == Self::DEFAULT_POWER => f.write_str("idw"),
             Self::InverseDistance { power } => write!(f, "idw={power}"),
             Self::Bilinear => f.write_str("bilinear"),
+            Self::Bicubic => f.write_str("bicubic"),
             Self::Polynomial { degree } => write!(f, "polynomial={degree}"),
             Self::Nearest => f.write_str("nearest"),
         }
@@ -63,7 +66,7 @@ impl FromStr for Interpolation {
     fn from_str(text: &str) -> Result<Self, DataError> {
         let refused = || DataError::Setting {
             name: "interpolation",
-            allowed: "auto, delaunay, natural-neighbour, idw, idw=POWER (above 0), bilinear, polynomial=DEGREE (0 to 20) or nearest",
+            allowed: "auto, delaunay, natural-neighbour, idw, idw=POWER (above 0), bilinear, bicubic, polynomial=DEGREE (0 to 20) or nearest",
             got: text.to_owned(),
         };
         match text.split_once('=') {
@@ -75,6 +78,7 @@ impl FromStr for Interpolation {
                     power: Self::DEFAULT_POWER,
                 }),
                 "bilinear" => Ok(Self::Bilinear),
+                "bicubic" => Ok(Self::Bicubic),
                 "nearest" => Ok(Self::Nearest),
                 _ => Err(refused()),
             },
@@ -91,7 +95,7 @@ impl FromStr for Interpolation {
     }
 }
 
-/// What an interpolator does outside the area that the samples cover (their convex hull; for bilinear, their grid).
+/// What an interpolator does outside the area that the samples cover (their convex hull; for bilinear and bicubic, their grid).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -204,6 +208,7 @@ mod tests {
             "idw",
             "idw=3.5",
             "bilinear",
+            "bicubic",
             "polynomial=3",
             "nearest",
         ] {

@@ -60,8 +60,9 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Cow::Owned(Array2::eye(self.component_count()))
     }
 
-    /// The x and the y coordinates of the lines between which the field is smooth (bilinear, or constant), where it has cells
-    /// of that kind, both ascending. Convolution may cut its tiles there; nothing else depends on it.
+    /// The x and the y coordinates of the lines between which every weight is bilinear (or constant), where the field has such cells, both
+    /// ascending. A pixel on a line belongs to the cell above it, and runs of the rows between two lines are those of both. Convolution
+    /// evaluates the weights of the first and the last row between two lines, and cuts its tiles at lines.
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         None
     }

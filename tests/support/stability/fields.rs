@@ -14,9 +14,10 @@ use super::scenes::uneven_of;
 use super::{Case, Cell, Section};
 
 /// Every interpolator; the polynomial as the simplest and as a high one.
-const INTERPOLATIONS: [Interpolation; 8] = [
+const INTERPOLATIONS: [Interpolation; 9] = [
     Interpolation::Auto,
     Interpolation::Bilinear,
+    Interpolation::Bicubic,
     Interpolation::Delaunay,
     Interpolation::NaturalNeighbour,
     Interpolation::InverseDistance { power: 2.0 },
@@ -41,7 +42,7 @@ const AT_MOST_SAMPLES: usize = 500;
 /// What an interpolator refuses at some positions, if it does.
 fn refusal(choice: Interpolation, of: &Positions) -> Option<&'static str> {
     match choice {
-        Interpolation::Bilinear => of.irregular,
+        Interpolation::Bilinear | Interpolation::Bicubic => of.irregular,
         Interpolation::Polynomial { degree } => {
             let terms = (degree + 1) * (degree + 2) / 2;
             if (of.at)().len() < terms {

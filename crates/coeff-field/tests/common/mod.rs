@@ -104,6 +104,7 @@ pub(crate) fn methods(positions: &SamplePositions) -> Vec<(&'static str, Box<dyn
         "idw",
         "idw=3.5",
         "bilinear",
+        "bicubic",
         "polynomial=0",
         "polynomial=2",
         "nearest",
@@ -114,7 +115,7 @@ pub(crate) fn methods(positions: &SamplePositions) -> Vec<(&'static str, Box<dyn
     .filter(|(name, method)| {
         let fits = method.prepare(positions, OutsidePolicy::Nearest).is_ok();
         assert!(
-            fits || matches!(*name, "bilinear" | "polynomial=2"),
+            fits || matches!(*name, "bilinear" | "bicubic" | "polynomial=2"),
             "{name} must take any samples"
         );
         fits
@@ -127,7 +128,10 @@ pub(crate) fn is_polynomial(name: &str) -> bool {
 }
 
 pub(crate) fn reproduces_slopes(name: &str) -> bool {
-    matches!(name, "delaunay" | "natural-neighbour" | "bilinear" | "auto")
+    matches!(
+        name,
+        "delaunay" | "natural-neighbour" | "bilinear" | "bicubic" | "auto"
+    )
 }
 
 /// The box of the samples.

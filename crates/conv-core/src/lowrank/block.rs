@@ -8,7 +8,7 @@ use psf_types::{PixelRegion, PsfModel};
 use super::coefficient_table::{CoefficientTable, FluxRole};
 use super::local_modes::LocalModes;
 use super::psf_space::PsfSpace;
-use super::region_runs::RegionRuns;
+use super::region_cells::RegionCells;
 use crate::ConvReal;
 
 /// The local basis of a block, and what a plan has room for.
@@ -49,10 +49,10 @@ impl<T: ConvReal> Block<T> {
         tolerance: f64,
         keep_table: bool,
     ) -> Self {
-        let runs = RegionRuns::new(model.field(), region);
-        let modes = LocalModes::new(space, &runs, tolerance);
-        let (role, flux) = FluxRole::of(model, &modes, &runs);
-        let table = keep_table.then(|| CoefficientTable::new(region, role, &modes, &runs));
+        let cells = RegionCells::new(model.field(), region);
+        let modes = LocalModes::new(space, &cells, tolerance);
+        let (role, flux) = FluxRole::of(model, &modes, &cells);
+        let table = keep_table.then(|| CoefficientTable::new(region, role, &modes, &cells));
         Self {
             region,
             modes,
@@ -96,8 +96,8 @@ impl<T: ConvReal> Block<T> {
         if let Some(table) = &self.table {
             return Table::Kept(table);
         }
-        let runs = RegionRuns::new(model.field(), self.region);
-        Table::New(CoefficientTable::new(self.region, self.role, &self.modes, &runs))
+        let cells = RegionCells::new(model.field(), self.region);
+        Table::New(CoefficientTable::new(self.region, self.role, &self.modes, &cells))
     }
 
     pub(crate) fn stamps(&self, space: &PsfSpace) -> Cow<'_, [T]> {

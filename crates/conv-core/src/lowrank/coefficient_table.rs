@@ -3,7 +3,7 @@
 use psf_types::{FieldError, PixelRegion, PsfModel};
 
 use super::local_modes::LocalModes;
-use super::region_runs::{RegionRuns, Run};
+use super::region_cells::{Band, CORNERS, Cell, RegionCells};
 use crate::ConvReal;
 
 /// What a PSF's flux does to the light.
@@ -49,7 +49,7 @@ const SAME_FLUX: f64 = 4e-16;
 
 impl FluxRole {
     /// The role in a region, and the flux where it is constant.
-    pub(crate) fn of(model: &PsfModel, modes: &LocalModes, runs: &RegionRuns) -> (Self, f64) {
+    pub(crate) fn of(model: &PsfModel, modes: &LocalModes, cells: &RegionCells) -> (Self, f64) {
         let scaled = model.needs_flux_scaling();
         if modes.reference().is_none() {
             return (Self::NoReference { scaled }, 1.0);
@@ -59,8 +59,8 @@ impl FluxRole {
         }
         let mut values = vec![0.0; 1 + modes.rank()];
         let mut range: Option<(f64, f64)> = None;
-        for end in runs.runs().iter().filter_map(|run| runs.ends(run)).flatten() {
-            modes.values_into(end, &mut values);
+        for corner in cells.all_corners().flatten() {
+            modes.values_into(corner, &mut values);
             let flux = values[0];
             range = Some(range.map_or((flux, flux), |(low, high)| (low.min(flux), high.max(flux))));
         }
@@ -95,7 +95,7 @@ impl FluxRole {
 }
 
 impl<T: ConvReal> CoefficientTable<T> {
-    pub(crate) fn new(region: PixelRegion, role: FluxRole, modes: &LocalModes, runs: &RegionRuns) -> Self {
+    pub(crate) fn new(region: PixelRegion, role: FluxRole, modes: &LocalModes, cells: &RegionCells) -> Self {
         let skip = usize::from(!role.has_flux_function());
         let functions = 1 + modes.rank() - skip;
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
@@ -106,32 +106,24 @@ impl<T: ConvReal> CoefficientTable<T> {
             divides: role.divides(),
             undefined: Vec::new(),
         };
-        let values = if runs.are_short() {
+        let values = if cells.are_short() {
             let mut dense = vec![T::zero(); functions * nx * ny];
-            for row in 0..ny {
-                for run in runs.row(row) {
-                    builder.each_piece(runs, run, row, |column, length, first, slope| {
-                        for f in 0..functions {
-                            for i in 0..length {
-                                dense[(f * ny + row) * nx + column + i] =
-                                    T::nearest(first[f] + i as f64 * slope(f));
-                            }
-                        }
-                    });
+            builder.each_piece(cells, |row, column, length, first, slope| {
+                for (f, &at_first) in first.iter().enumerate() {
+                    let start = (f * ny + row) * nx + column;
+                    for (i, value) in dense[start..start + length].iter_mut().enumerate() {
+                        *value = T::nearest(at_first + i as f64 * slope(f));
+                    }
                 }
-            }
+            });
             Values::Dense(dense)
         } else {
-            let (mut row_starts, mut pieces, mut ramps) = (vec![0], Vec::new(), Vec::new());
-            for row in 0..ny {
-                for run in runs.row(row) {
-                    builder.each_piece(runs, run, row, |column, length, first, slope| {
-                        pieces.push((column as u32, length as u32));
-                        ramps.extend((0..functions).map(|f| [T::nearest(first[f]), T::nearest(slope(f))]));
-                    });
-                }
-                row_starts.push(pieces.len() as u32);
-            }
+            let (mut row_starts, mut pieces, mut ramps) = (vec![0; ny + 1], Vec::new(), Vec::new());
+            builder.each_piece(cells, |row, column, length, first, slope| {
+                pieces.push((column as u32, length as u32));
+                ramps.extend((0..functions).map(|f| [T::nearest(first[f]), T::nearest(slope(f))]));
+                row_starts[row + 1] = pieces.len() as u32;
+            });
             Values::Linear {
                 row_starts,
                 runs: pieces,
@@ -315,44 +307,90 @@ struct Builder<'a> {
 }
 
 impl Builder<'_> {
-    /// Visits a run: first column, length, the functions' values there and their slopes. It is visited pixel by pixel where its
-    /// flux is not positive somewhere.
+    /// Visits the cells row by row: row, first column, length, the functions' values there and their slopes. It is visited pixel by
+    /// pixel where its flux is not positive somewhere.
     fn each_piece(
         &mut self,
-        runs: &RegionRuns,
-        run: &Run,
-        row: usize,
-        mut visit: impl FnMut(usize, usize, &[f64], &dyn Fn(usize) -> f64),
+        cells: &RegionCells,
+        mut visit: impl FnMut(usize, usize, usize, &[f64], &dyn Fn(usize) -> f64),
     ) {
-        let Some(ends) = runs.ends(run) else {
-            self.undefined(row, run.column, run.length);
-            // What is never lit may be multiplied by anything but 1 / 0.
-            self.ends[0].fill(0.0);
-            self.ends[0][0] = 1.0;
-            visit(run.column, run.length, &self.ends[0][self.skip..], &|_| 0.0);
-            return;
-        };
-        for (end, values) in ends.iter().zip(&mut self.ends) {
-            self.modes.values_into(end, values);
+        let functions = 1 + self.modes.rank();
+        let mut corners = Vec::new();
+        for band in cells.bands() {
+            self.corner_values(cells, band, &mut corners);
+            let steps = (band.rows.len() - 1).max(1) as f64;
+            for row in band.rows.clone() {
+                let part = (row - band.rows.start) as f64 / steps;
+                let values = corners.chunks_exact(CORNERS * functions);
+                for (cell, corners) in cells.cells_of(band).iter().zip(values) {
+                    if cells.corners(cell).is_none() {
+                        self.undefined(row, cell.column, cell.length);
+                        // What is never lit may be multiplied by anything but 1 / 0.
+                        self.ends[0].fill(0.0);
+                        self.ends[0][0] = 1.0;
+                        visit(row, cell.column, cell.length, &self.ends[0][self.skip..], &|_| {
+                            0.0
+                        });
+                        continue;
+                    }
+                    let (first_row, last_row) = corners.split_at(2 * functions);
+                    let pairs = first_row.iter().zip(last_row);
+                    for (value, (a, b)) in self.ends.iter_mut().flatten().zip(pairs) {
+                        *value = if part == 0.0 {
+                            *a
+                        } else {
+                            (1.0 - part) * a + part * b
+                        };
+                    }
+                    self.piece(row, cell, &mut visit);
+                }
+            }
         }
+    }
+
+    /// The functions at the corners of a band's cells, `[cell, corner, function]`.
+    fn corner_values(&self, cells: &RegionCells, band: &Band, values: &mut Vec<f64>) {
+        let functions = 1 + self.modes.rank();
+        let of_band = cells.cells_of(band);
+        values.clear();
+        values.resize(of_band.len() * CORNERS * functions, 0.0);
+        for (cell, values) in of_band.iter().zip(values.chunks_exact_mut(CORNERS * functions)) {
+            let Some(corners) = cells.corners(cell) else {
+                continue;
+            };
+            // Of a single row, only the first is looked at.
+            let rows = if band.rows.len() == 1 { 2 } else { CORNERS };
+            for (corner, values) in corners[..rows].iter().zip(values.chunks_exact_mut(functions)) {
+                self.modes.values_into(corner, values);
+            }
+        }
+    }
+
+    /// Visits a cell's part of a row, whose values at its ends are known.
+    fn piece(
+        &mut self,
+        row: usize,
+        cell: &Cell,
+        mut visit: impl FnMut(usize, usize, usize, &[f64], &dyn Fn(usize) -> f64),
+    ) {
         let [first, last] = &self.ends;
-        let steps = (run.length - 1).max(1) as f64;
+        let steps = (cell.length - 1).max(1) as f64;
         let slope = |f: usize| (last[f] - first[f]) / steps;
         if !self.divides || first[0].min(last[0]) > 0.0 {
-            visit(run.column, run.length, &first[self.skip..], &|f| {
+            visit(row, cell.column, cell.length, &first[self.skip..], &|f| {
                 slope(f + self.skip)
             });
             return;
         }
-        for i in 0..run.length {
+        for i in 0..cell.length {
             let mut values: Vec<f64> = (0..first.len()).map(|f| first[f] + i as f64 * slope(f)).collect();
             let positive = values[0] > 0.0 && values[0].is_finite();
             if !positive {
                 values.fill(0.0);
                 values[0] = 1.0;
-                self.undefined.push((row as u32, (run.column + i) as u32));
+                self.undefined.push((row as u32, (cell.column + i) as u32));
             }
-            visit(run.column + i, 1, &values[self.skip..], &|_| 0.0);
+            visit(row, cell.column + i, 1, &values[self.skip..], &|_| 0.0);
         }
     }
 

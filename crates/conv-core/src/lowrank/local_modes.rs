@@ -4,16 +4,16 @@ use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
 
 use super::psf_space::{PsfSpace, norm};
-use super::region_runs::RegionRuns;
+use super::region_cells::{CORNERS, RegionCells};
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with modes that hold no flux, so that the flux is kept
 /// however few of them there are.
 ///
 /// The modes are orthonormal and in the order of their weight, but that one which carries all flux comes first where there is no
 /// reference. How many are kept: the fewest that leave every PSF of the
-/// region within the tolerance, relative to its own norm. Along a run PSFs are linear in x, so it is enough to look at
-/// its ends: the norm of the residual is convex, and a PSF's norm is at least its projection on the region's mean, which
-/// is linear.
+/// region within the tolerance, relative to its own norm. In a cell PSFs are bilinear, so it is enough to look at its
+/// corners: along any row or column of it the norm of the residual is convex, and a PSF's norm is at least its projection on the
+/// region's mean, which is linear there.
 #[derive(Debug)]
 pub(crate) struct LocalModes {
     /// The PSF of unit flux, `[direction]`; none where the region's PSFs hold no flux to speak of.
@@ -26,10 +26,10 @@ pub(crate) struct LocalModes {
     node_values: Array2<f64>,
 }
 
-/// Rows of a region whose PSFs choose the directions of the modes. All rows decide how many are kept.
-const SUPPORT_ROWS: usize = 5;
-/// Runs of each of those rows.
-const SUPPORT_RUNS: usize = 16;
+/// Bands of a region whose PSFs choose the directions of the modes. All bands decide how many are kept.
+const SUPPORT_BANDS: usize = 5;
+/// Cells of each of those bands.
+const SUPPORT_CELLS: usize = 16;
 /// The region's mean is a reference for the flux where it holds at least this part of the flux that a vector of its norm can hold.
 const FLUX_TO_SPEAK_OF: f64 = 1e-3;
 /// What nodes without flux hold along the direction of flux, relative to their norms, is rounding up to this.
@@ -42,18 +42,18 @@ const MOSTLY_NEW: f64 = 0.5;
 
 impl LocalModes {
     /// The modes of a region, for a tolerance that is not below the rounding of double precision.
-    pub(crate) fn new(space: &PsfSpace, runs: &RegionRuns, tolerance: f64) -> Self {
+    pub(crate) fn new(space: &PsfSpace, cells: &RegionCells, tolerance: f64) -> Self {
         let dimension = space.dimension();
-        let mut nodes = Array2::zeros((runs.nodes().len(), dimension));
-        for (mut row, &node) in nodes.outer_iter_mut().zip(runs.nodes()) {
+        let mut nodes = Array2::zeros((cells.nodes().len(), dimension));
+        for (mut row, &node) in nodes.outer_iter_mut().zip(cells.nodes()) {
             row.assign(&space.node(node));
         }
         let mut offset = space.mean().to_owned();
-        if runs.is_partition_of_unity() {
+        if cells.is_partition_of_unity() {
             nodes += &offset;
             offset.fill(0.0);
         }
-        let support = Support::of(runs);
+        let support = Support::of(cells);
         let centre = support.mean_weights(nodes.nrows()).dot(&nodes) + &offset;
         // beta(x) = <h(x), centre> / |centre|, linear and not above |h(x)|.
         let along = &centre / norm(centre.view()).max(f64::MIN_POSITIVE);
@@ -108,7 +108,7 @@ impl LocalModes {
             }
         };
         let (nodes, offset) = (nodes.dot(&rotation), offset.dot(&rotation));
-        let rank = forced.max(needed(runs, nodes.view(), offset.view(), |end| {
+        let rank = forced.max(needed(cells, nodes.view(), offset.view(), |end| {
             let sum: f64 = end.iter().map(|&(n, w)| w * beta[n]).sum();
             tolerance * (sum + beta_offset).max(0.0)
         }));
@@ -139,7 +139,7 @@ impl LocalModes {
         self.modes.view()
     }
 
-    /// The flux and the coefficients at one end of a run.
+    /// The flux and the coefficients at one corner of a cell.
     pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
         values.copy_from_slice(self.offset.as_slice().expect("contiguous"));
         for &(node, weight) in end {
@@ -150,29 +150,31 @@ impl LocalModes {
     }
 }
 
-/// The weights of nodes at ends of runs, spread over a region.
+/// The weights of nodes at corners of cells, spread over a region.
 struct Support<'a>(Vec<&'a [(usize, f64)]>);
 
 impl<'a> Support<'a> {
-    fn of(runs: &'a RegionRuns) -> Self {
-        let rows = runs.row_count();
-        let count = SUPPORT_ROWS.min(rows);
+    fn of(cells: &'a RegionCells) -> Self {
+        let bands = cells.bands();
+        let count = SUPPORT_BANDS.min(bands.len());
         let mut ends = Vec::new();
         for i in 0..count {
-            let row = runs.row(i * (rows - 1) / (count - 1).max(1));
-            let step = row.len().div_ceil(SUPPORT_RUNS);
-            let chosen = row.iter().step_by(step).chain(row.last());
-            ends.extend(chosen.filter_map(|run| runs.ends(run)).flatten());
+            let band = &bands[i * (bands.len() - 1) / (count - 1).max(1)];
+            // The corners of a single row are there twice.
+            let corners = if band.rows.len() == 1 {
+                CORNERS / 2
+            } else {
+                CORNERS
+            };
+            let band = cells.cells_of(band);
+            let step = band.len().div_ceil(SUPPORT_CELLS);
+            let chosen = band.iter().step_by(step).chain(band.last());
+            let chosen = chosen.filter_map(|cell| cells.corners(cell));
+            ends.extend(chosen.flat_map(|of_cell| of_cell.into_iter().take(corners)));
         }
         if ends.is_empty() {
             // A region with values in few places.
-            ends.extend(
-                runs.runs()
-                    .iter()
-                    .find_map(|run| runs.ends(run))
-                    .into_iter()
-                    .flatten(),
-            );
+            ends.extend(cells.all_corners().next().into_iter().flatten());
         }
         Self(ends)
     }
@@ -277,20 +279,35 @@ fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
 
 /// The smallest number of leading coordinates that leaves every PSF within its limit.
 fn needed(
-    runs: &RegionRuns,
+    cells: &RegionCells,
     nodes: ArrayView2<'_, f64>,
     offset: ArrayView1<'_, f64>,
     limit: impl Fn(&[(usize, f64)]) -> f64,
 ) -> usize {
     let n = offset.len();
+    let (nodes, offset) = (nodes.as_standard_layout(), offset.as_standard_layout());
+    let nodes = nodes.as_slice().expect("row-major");
+    let offset = offset.as_slice().expect("contiguous");
     let mut value = vec![0.0; n];
     let mut needed = 0;
-    for ends in runs.runs().iter().filter_map(|run| runs.ends(run)) {
-        let least = limit(ends[0]).min(limit(ends[1])).powi(2);
-        for end in ends {
+    for corners in cells.all_corners() {
+        let least = corners
+            .iter()
+            .map(|corner| limit(corner))
+            .fold(f64::INFINITY, f64::min);
+        let least = least.powi(2);
+        for (i, corner) in corners.iter().enumerate() {
+            if corners[..i].iter().any(|before| std::ptr::eq(*before, *corner)) {
+                // Of a single row, or a single pixel of each.
+                continue;
+            }
             // Only coordinates beyond those needed already can raise the number.
-            for (i, v) in value.iter_mut().enumerate().skip(needed) {
-                *v = offset[i] + end.iter().map(|&(node, w)| w * nodes[[node, i]]).sum::<f64>();
+            value[needed..].copy_from_slice(&offset[needed..]);
+            for &(node, weight) in *corner {
+                let node = &nodes[node * n + needed..(node + 1) * n];
+                for (v, coordinate) in value[needed..].iter_mut().zip(node) {
+                    *v += weight * coordinate;
+                }
             }
             let mut tail = 0.0;
             for i in (needed..n).rev() {

@@ -1,7 +1,7 @@
 //! The fast engine: tiles, each with the few PSFs that its pixels need.
 //!
 //! A plan cuts the side to which PSFs belong into blocks ([`tiling`]), finds for each the few modes that make every PSF in it
-//! within the tolerance ([`local_modes`], from the weights of the field's nodes along rows, [`region_runs`]), and keeps stamps and
+//! within the tolerance ([`local_modes`], from the weights of the field's nodes along rows, [`region_cells`]), and keeps stamps and
 //! coefficients ([`coefficient_table`]). An execution goes through the blocks in an order that does not depend on the number of
 //! threads ([`scatter`], [`gather`]) and treats each tile by transforms, directly, stamp by stamp or not at all ([`tile_engine`]).
 
@@ -22,7 +22,7 @@ mod options;
 mod plan;
 mod prepared;
 mod psf_space;
-mod region_runs;
+mod region_cells;
 mod scatter;
 mod split;
 mod stream;
@@ -47,6 +47,6 @@ pub(crate) mod internals {
     pub(crate) use super::local_modes::LocalModes;
     pub(crate) use super::plan::rounding;
     pub(crate) use super::psf_space::PsfSpace;
-    pub(crate) use super::region_runs::RegionRuns;
+    pub(crate) use super::region_cells::RegionCells;
     pub(crate) use super::workspace::Aligned;
 }

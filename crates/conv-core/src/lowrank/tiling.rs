@@ -8,7 +8,7 @@ use super::cost_model::{CostModel, sizes, transform_size};
 use super::geometry::Geometry;
 use super::local_modes::LocalModes;
 use super::psf_space::PsfSpace;
-use super::region_runs::RegionRuns;
+use super::region_cells::RegionCells;
 
 /// Tiles along both axes and their transforms.
 #[derive(Debug, Clone)]
@@ -138,9 +138,9 @@ impl Tiling {
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
-                let runs = RegionRuns::sampled(model.field(), region);
-                short_runs |= runs.are_short();
-                LocalModes::new(space, &runs, tolerance).rank() + 1
+                let cells = RegionCells::sampled(model.field(), region);
+                short_runs |= cells.are_short();
+                LocalModes::new(space, &cells, tolerance).rank() + 1
             })
             .sum();
         if short_runs && count > blocks {

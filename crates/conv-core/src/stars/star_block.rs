@@ -5,7 +5,7 @@ use psf_types::{PixelRegion, PsfModel, StampGrid};
 
 use super::phases::PhasedAxis;
 use crate::ConvReal;
-use crate::lowrank::internals::{Aligned, LocalModes, PsfSpace, RegionRuns};
+use crate::lowrank::internals::{Aligned, LocalModes, PsfSpace, RegionCells};
 use crate::stamp_interpolator::Kernel;
 
 /// The local basis of a block as interpolation coefficients, by phases.
@@ -65,8 +65,8 @@ impl<T: ConvReal> StarBlock<T> {
         [columns, rows]: &[PhasedAxis; 2],
         tolerance: f64,
     ) -> Self {
-        let runs = RegionRuns::sampled(model.field(), region);
-        let modes = LocalModes::new(space, &runs, MARGIN * tolerance);
+        let cells = RegionCells::sampled(model.field(), region);
+        let modes = LocalModes::new(space, &cells, MARGIN * tolerance);
         let modes_alone = modes.modes();
         let directions = modes.reference().into_iter().chain(modes_alone.outer_iter());
         let kernels: Vec<Array2<f64>> = directions

@@ -6,7 +6,7 @@ use std::str::FromStr;
 use anyhow::Context as _;
 use psf_io::FileKind;
 use psf_types::FrameShape;
-use psfield::convert::{SamplesAt, is_bilinear, to_gridded, to_psfex, to_samples};
+use psfield::convert::{SamplesAt, is_on_grid, to_gridded, to_psfex, to_samples};
 use psfield::{OpenedPsf, PsfInput, check_outputs, fit};
 use serde::Serialize;
 
@@ -187,7 +187,7 @@ impl ConvertArgs {
         let given = choices.needs_fit() || choices.outside.is_some();
         let is_model = matches!(opened.input, PsfInput::Model(_));
         let what = match target {
-            Target::Gridded if given && *at == SamplesAt::Own && !is_model && is_bilinear(&opened.input) => {
+            Target::Gridded if given && *at == SamplesAt::Own && !is_model && is_on_grid(&opened.input) => {
                 "samples on a grid at their own positions are not fitted: of the fit options only --normalise applies (and all of them \
                  with --grid or --at)"
             }

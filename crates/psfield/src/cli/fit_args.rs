@@ -26,8 +26,8 @@ pub(crate) struct FitArgs {
     /// Standard deviation of the noise in the samples' pixels, after normalisation; 0 for none [default: estimated]
     #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, allow_negative_numbers = true)]
     noise: Option<f64>,
-    /// auto, delaunay, natural-neighbour, idw, idw=POWER, bilinear, polynomial=D or nearest. auto: bilinear on a regular grid,
-    /// else natural neighbour [default: auto]
+    /// auto, delaunay, natural-neighbour, idw, idw=POWER, bilinear, bicubic, polynomial=D or nearest. auto: bicubic on a regular
+    /// grid, else natural neighbour [default: auto; STPSF and STDPSF: bilinear]
     #[arg(long, value_name = "METHOD")]
     interpolation: Option<Interpolation>,
     /// Outside the samples: nearest, extend or error [default: nearest; models as they say, PSFEx: extend]

@@ -18,8 +18,8 @@ const NODES: usize = 11;
 pub struct GriddedConversion {
     /// The PSFs: a whole number of stamp pixels a frame pixel, centred in the middle, as [`psf_io::write_gridded`] wants them.
     pub samples: PsfSamples,
-    /// The largest relative L2 error of the bilinear interpolation at the middle of a cell; none where the source is itself
-    /// interpolated bilinearly between these nodes.
+    /// The largest relative L2 error of the bilinear interpolation of readers at the middle of a cell, against the source; none where
+    /// the source is itself interpolated bilinearly between these nodes.
     pub max_error: Option<f64>,
     /// What was done, in plain sentences.
     pub notes: Vec<String>,
@@ -28,8 +28,8 @@ pub struct GriddedConversion {
 /// PSFs on a regular grid of positions, as libraries of ePSFs hold them: photutils (`GriddedPSFModel`) and others interpolate
 /// bilinearly between the nodes.
 ///
-/// What lies on such a grid already, and is interpolated bilinearly, stays as it is. Anything else is evaluated on one: `at`, or
-/// a square grid of at least 11 x 11 nodes and as many as there are samples. A fractional oversampling is resampled to the
+/// What is interpolated between samples on such a grid already (bilinearly or bicubically) is given at its samples. Anything else is
+/// evaluated on a grid: `at`, or a square one of at least 11 x 11 nodes and as many as there are samples. A fractional oversampling is resampled to the
 /// next whole one.
 ///
 /// # Errors
@@ -37,9 +37,9 @@ pub struct GriddedConversion {
 /// [`to_samples`].
 pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, PsfieldError> {
     let mut notes = Vec::new();
-    let bilinear = is_bilinear(&input);
+    let on_grid = is_on_grid(&input);
     let nodes = match at {
-        SamplesAt::Own if !bilinear => {
+        SamplesAt::Own if !on_grid => {
             let n = (input.positions().len() as f64).sqrt().ceil() as usize;
             let n = n.max(NODES);
             notes.push(format!("evaluated on a grid of {n} x {n} positions"));
@@ -55,7 +55,7 @@ pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, 
             remedy: "choose a grid with --grid NX,NY",
         });
     }
-    let max_error = if bilinear && nodes == SamplesAt::Own {
+    let max_error = if interpolation_of(&input) == Interpolation::Bilinear && nodes == SamplesAt::Own {
         None
     } else {
         Some(midway_error(input, &samples)?)
@@ -73,19 +73,25 @@ pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, 
     })
 }
 
-/// Whether the PSF is interpolated bilinearly between samples on a grid: [`to_gridded`] leaves it as it is at its own positions.
-pub fn is_bilinear(input: &PsfInput) -> bool {
-    let interpolation = match input {
+/// Whether the PSF is interpolated between samples on a grid: [`to_gridded`] gives it at its own positions.
+pub fn is_on_grid(input: &PsfInput) -> bool {
+    input.positions().len() >= 4 && is_of_grids(interpolation_of(input))
+}
+
+fn interpolation_of(input: &PsfInput) -> Interpolation {
+    let choice = match input {
         PsfInput::Samples(_, options) => options.interpolation,
         PsfInput::Model(record) => record.interpolation(),
     };
-    input.positions().len() >= 4
-        && coeff_field::resolve(interpolation, input.positions()) == Interpolation::Bilinear
+    coeff_field::resolve(choice, input.positions())
+}
+
+fn is_of_grids(interpolation: Interpolation) -> bool {
+    matches!(interpolation, Interpolation::Bilinear | Interpolation::Bicubic)
 }
 
 fn is_grid(samples: &PsfSamples) -> bool {
-    samples.len() >= 4
-        && coeff_field::resolve(Interpolation::Auto, samples.positions()) == Interpolation::Bilinear
+    is_of_grids(coeff_field::resolve(Interpolation::Auto, samples.positions()))
 }
 
 /// The largest relative L2 error in the middle of the cells, of stamps at the source's own sampling.

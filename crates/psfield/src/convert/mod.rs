@@ -8,6 +8,6 @@ mod padding;
 mod psfex;
 mod samples;
 
-pub use gridded::{GriddedConversion, is_bilinear, to_gridded};
+pub use gridded::{GriddedConversion, is_on_grid, to_gridded};
 pub use psfex::{PsfexConversion, to_psfex};
 pub use samples::{SamplesAt, to_samples};

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use psf_basis::RankSelection;
 use psf_io::{FileKind, ScopesimOptions, StampCubeOptions};
-use psf_types::{Interpolation, Normalisation, PsfBasis, PsfModelRecord, PsfSamples};
+use psf_types::{Interpolation, Normalisation, PsfBasis, PsfModelRecord, PsfSamples, SamplePositions};
 
 use super::psfex_record::record_of_psfex;
 use super::scopesim_record::record_of_scopesim;
@@ -49,7 +49,7 @@ impl PsfInput {
     /// | [PSF samples](psf_io::samples) | unit | all of `choices` |
     /// | [PSF model](psf_io::model) | as it says | `outside` and `normalisation` of `choices` |
     /// | [PSFEx model](psf_io::psfex) | unit | the same; `file.extension` |
-    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | as it is | all of `choices` (every component is kept); `file.plane_order`, `file.detector`, `file.extension` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | as it is | all of `choices` (every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
     /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
     /// | single stamp: the same PSF everywhere | unit | `file.oversampling`, `file.centre`, `file.extension` |
@@ -79,7 +79,10 @@ impl PsfInput {
         let path = path.as_ref();
         let (content, kind, notes) = read(path, file)?;
         let input = match content {
-            Content::Samples(samples) => Self::Samples(samples, choices.or(defaults(kind))),
+            Content::Samples(samples) => {
+                let defaults = defaults(kind, samples.positions());
+                Self::Samples(samples, choices.or(defaults))
+            }
             Content::Model(_) if choices.needs_fit() => {
                 return Err(PsfieldError::FitOfModel {
                     path: path.to_owned(),
@@ -99,12 +102,17 @@ impl PsfInput {
 }
 
 /// The fit options of samples of a format where nothing is chosen.
-fn defaults(kind: FileKind) -> FitOptions {
+fn defaults(kind: FileKind, positions: &SamplePositions) -> FitOptions {
     match kind {
-        // The normalisation is part of a library's calibration, and its few planes are to come back as they are.
+        // The normalisation is part of a library's calibration, and its few planes are to come back as they are. Other readers
+        // interpolate bilinearly.
         FileKind::Stpsf | FileKind::Stdpsf => FitOptions {
             rank: RankSelection::Full,
             normalisation: Normalisation::Keep,
+            interpolation: match coeff_field::resolve(Interpolation::Auto, positions) {
+                Interpolation::Bicubic => Interpolation::Bilinear,
+                other => other,
+            },
             ..FitOptions::default()
         },
         // One PSF for the whole field has no others to interpolate between.

@@ -14,11 +14,11 @@
 //! | FWHM along rows, columns | the same of the Gaussian summed along the other axis: `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
 //! | MAE, MSE | means of `abs(F - T)` and `(F - T)^2` over the window; MAE / mean divides by the mean of `T` |
 
-mod budget;
 mod document;
 mod error_summary;
 mod evaluation;
 mod extended_truth;
+mod fewer_samples_row;
 mod histogram;
 mod html;
 mod interpolation_row;
@@ -37,10 +37,10 @@ mod transform_images;
 mod validation;
 mod validation_document;
 
-pub use budget::BudgetRow;
 pub use document::{Document, NamedFigure, Section, Table};
 pub use error_summary::ErrorSummary;
 pub use evaluation::Evaluation;
+pub use fewer_samples_row::FewerSamplesRow;
 pub use histogram::Histogram;
 pub use interpolation_row::InterpolationRow;
 pub use object_row::{OBJECT_COLUMNS, ObjectRow};

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::scenes::{GALAXY, Scenes};
 use super::{
-    BudgetRow, ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, PatchComparison,
+    ErrorSummary, Evaluation, FewerSamplesRow, GalaxyComparison, InterpolationRow, PatchComparison,
     ReproductionOptions, Target,
 };
 use crate::{FitOptions, FitReport, PsfieldError, fit};
@@ -63,7 +63,7 @@ pub struct Reproduction {
     /// Errors of the model alone, by interpolator.
     pub interpolations: Vec<InterpolationRow>,
     /// Errors of models with fewer samples.
-    pub budget: Vec<BudgetRow>,
+    pub fewer_samples: Vec<FewerSamplesRow>,
     /// Stars at the default tolerance.
     pub stars: Evaluation,
     /// Galaxies at the default tolerance.
@@ -181,6 +181,7 @@ impl Reproduction {
         let interpolations: Vec<InterpolationRow> = [record.interpolation()]
             .into_iter()
             .chain([
+                Interpolation::Bilinear,
                 Interpolation::NaturalNeighbour,
                 polynomial_of(sample_positions.len()),
             ])
@@ -189,7 +190,8 @@ impl Reproduction {
             })
             .collect::<Result<_, _>>()?;
         progress.advance(1);
-        let budget = BudgetRow::measure_all(&telescope, across, &scene.positions, &scene.star_truth)?;
+        let fewer_samples =
+            FewerSamplesRow::measure_all(&telescope, across, &scene.positions, &scene.star_truth)?;
         progress.advance(1);
         let table_1 = PatchComparison::measure(
             &record,
@@ -223,7 +225,7 @@ impl Reproduction {
             targets,
             tolerances: tolerance_rows,
             interpolations,
-            budget,
+            fewer_samples,
             stars,
             galaxies,
             table_1,

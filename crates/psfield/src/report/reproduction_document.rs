@@ -99,18 +99,18 @@ impl Reproduction {
             cells.extend(error_cells(&row.summary));
             interpolations.rows.push(cells);
         }
-        let mut budget = error_table(
+        let mut fewer_samples = error_table(
             "Models of fewer samples on regular grids, default settings, by the exact sum.",
             &["samples", "components", "truncation"],
         );
-        for row in &self.budget {
+        for row in &self.fewer_samples {
             let mut cells = vec![
                 format!("{0} x {0}", row.samples_across),
                 row.rank.to_string(),
                 short(Some(row.truncation_error)),
             ];
             cells.extend(error_cells(&row.summary));
-            budget.rows.push(cells);
+            fewer_samples.rows.push(cells);
         }
         Section {
             title: "Accuracy".to_owned(),
@@ -119,11 +119,11 @@ impl Reproduction {
                  image, for which the optics were evaluated at the object's own position. The error has three parts: the samples and the \
                  interpolation between them, the components left out (at most 1e-4, relative L2, at a sample), and the engine's tolerance. \
                  Where a row of the first table hardly differs from the next, the engine is no longer the largest of them; the second table \
-                 shows what remains without it: bilinear interpolation leaves the curvature of the PSF between samples, which a polynomial over the \
-                 whole field (--interpolation polynomial=D) follows where optics are as smooth as these."
+                 shows what remains without it: bilinear and natural neighbour interpolation leave the curvature of the PSF between samples, which \
+                 cubics follow, and a polynomial over the whole field (--interpolation polynomial=D) where optics are as smooth as these."
                     .to_owned(),
             ],
-            tables: vec![targets, tolerances, interpolations, budget],
+            tables: vec![targets, tolerances, interpolations, fewer_samples],
             figures: Vec::new(),
         }
     }

@@ -53,7 +53,7 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
         assert_eq!(report["targets"].as_array().unwrap().len(), 16);
         // Two kinds at four tolerances.
         assert_eq!(report["tolerances"].as_array().unwrap().len(), 8);
-        assert_eq!(report["interpolations"].as_array().unwrap().len(), 3);
+        assert_eq!(report["interpolations"].as_array().unwrap().len(), 4);
         // A single PSF, psfield at two tolerances, four sizes of patches.
         assert_eq!(report["table_1"]["sizes"][0]["rows"].as_array().unwrap().len(), 7);
         assert_eq!(report["basis"]["singular_values"].as_array().unwrap().len(), 64);

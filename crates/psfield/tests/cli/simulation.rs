@@ -37,7 +37,7 @@ fn fit_reports_its_figures() {
             "leave_one_out",
         ],
     );
-    assert_eq!(report["interpolation"], "bilinear");
+    assert_eq!(report["interpolation"], "bicubic");
     assert!(report["max_error"].as_f64().unwrap() < 1e-4);
     assert_eq!(report["errors"].as_array().unwrap().len(), 9);
     let text = desk.done("fit samples.fits -o again.fits --rank 2").stdout;

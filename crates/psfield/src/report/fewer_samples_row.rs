@@ -12,7 +12,7 @@ use crate::{FitOptions, PsfieldError, fit};
 /// A model of fewer samples against the truth, by the exact sum: no engine takes part.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
-pub struct BudgetRow {
+pub struct FewerSamplesRow {
     /// Uniform samples along each axis.
     pub samples_across: usize,
     /// Components kept, the mean not counted.
@@ -23,7 +23,7 @@ pub struct BudgetRow {
     pub summary: ErrorSummary,
 }
 
-impl BudgetRow {
+impl FewerSamplesRow {
     /// Models of the telescope with half the samples along each axis, a quarter, and so on.
     ///
     /// # Errors
