@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use ndarray::s;
 use serde::{Deserialize, Serialize};
 
 use crate::psf_model::check_components;
@@ -78,6 +79,28 @@ impl PsfModelRecord {
     /// Whether PSFs are scaled to unit flux.
     pub fn normalisation(&self) -> Normalisation {
         self.normalisation
+    }
+
+    /// The record with its first components alone, at most `rank` of them.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyBasis`] for rank 0 of a basis without a mean.
+    pub fn truncated(&self, rank: usize) -> Result<Self, DataError> {
+        let rank = rank.min(self.basis.rank());
+        let basis = PsfBasis::new(
+            self.basis.mean().map(|mean| mean.to_owned()),
+            self.basis.components().slice(s![..rank, .., ..]).to_owned(),
+            self.basis.grid(),
+        )?;
+        let values = self.coefficients.values().slice(s![.., ..rank]).to_owned();
+        let coefficients = SampleCoefficients::new(values, self.coefficients.positions().clone())?;
+        Self::new(
+            basis,
+            coefficients,
+            self.interpolation,
+            self.outside,
+            self.normalisation,
+        )
     }
 
     /// The model with its coefficient field; `field` is the caller's interpolation of [`Self::coefficients`].

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use coeff_field::{FieldInterpolation, InterpolatedField, LeftOut};
 use metrics::Summary;
-use ndarray::Array3;
+use ndarray::{Array3, s};
 use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd};
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, PsfModel, PsfModelRecord, PsfSamples, SampleCoefficients,
@@ -204,6 +204,32 @@ impl Fit {
         self.spectrum.as_ref().map_or(&[], |s| &s.singular_values)
     }
 
+    /// The same with its first components alone, at most `rank` of them: what the others held of a sample adds to its error.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyBasis`](psf_types::DataError::EmptyBasis) for rank 0 of a basis without a mean.
+    pub fn truncated(&self, rank: usize) -> Result<Self, PsfieldError> {
+        let record = self.record.truncated(rank)?;
+        let values = self.record.coefficients().values();
+        let left_out = values.slice_move(s![.., record.basis().rank()..]);
+        let tails = left_out.outer_iter().map(|tail| tail.dot(&tail).sqrt());
+        let errors = tails.zip(&self.norms).zip(&self.errors);
+        Ok(Self {
+            // Components are orthonormal.
+            errors: errors
+                .map(|((tail, norm), error)| error.hypot(tail / norm))
+                .collect(),
+            record,
+            spectrum: self.spectrum.clone(),
+            norms: self.norms.clone(),
+        })
+    }
+
+    /// The largest truncation error over the samples.
+    pub fn max_error(&self) -> f64 {
+        self.errors.iter().copied().fold(0.0, f64::max)
+    }
+
     /// The model.
     ///
     /// # Errors
@@ -229,7 +255,7 @@ impl Fit {
             interpolation: record.interpolation(),
             outside: record.outside(),
             normalise: record.normalisation(),
-            max_error: self.errors.iter().copied().fold(0.0, f64::max),
+            max_error: self.max_error(),
             rms_error: (self.errors.iter().map(|e| e * e).sum::<f64>() / self.errors.len() as f64).sqrt(),
             errors: self.errors.clone(),
             leave_one_out: LeaveOneOutReport::new(left_out.outcomes(), &self.norms, &self.errors),

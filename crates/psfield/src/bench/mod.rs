@@ -39,5 +39,5 @@ pub use bench_options::BenchOptions;
 pub use bench_row::{BenchOutcome, BenchRow, Skipped};
 pub use contender::Contender;
 pub use lit_scene::lit_scene;
-pub use models::{stretched, truncated};
+pub use models::stretched;
 pub use run::run;

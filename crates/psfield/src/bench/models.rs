@@ -3,36 +3,13 @@
 use std::sync::Arc;
 
 use coeff_field::{InterpolatedField, Nearest};
-use ndarray::{Array2, Axis, s};
+use ndarray::{Array2, Axis};
 use psf_types::{
     DataError, FrameShape, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModel, PsfModelRecord,
     SampleCoefficients, SamplePositions,
 };
 
 use crate::PsfieldError;
-
-/// The model with its first components alone, at most `rank` of them.
-///
-/// # Errors
-/// [`DataError::EmptyBasis`] for rank 0 of a model without a mean.
-pub fn truncated(record: &PsfModelRecord, rank: usize) -> Result<PsfModelRecord, DataError> {
-    let (basis, coefficients) = (record.basis(), record.coefficients());
-    let rank = rank.min(basis.rank());
-    let basis = PsfBasis::new(
-        basis.mean().map(|mean| mean.to_owned()),
-        basis.components().slice(s![..rank, .., ..]).to_owned(),
-        basis.grid(),
-    )?;
-    let values = coefficients.values().slice(s![.., ..rank]).to_owned();
-    let coefficients = SampleCoefficients::new(values, coefficients.positions().clone())?;
-    PsfModelRecord::new(
-        basis,
-        coefficients,
-        record.interpolation(),
-        record.outside(),
-        record.normalisation(),
-    )
-}
 
 /// The model with its samples' positions stretched to a frame: the outermost to pixel 0 and to the last pixel along each axis, so that the
 /// PSF varies over a frame of any size as over the whole field.
@@ -161,19 +138,5 @@ mod tests {
             let difference = &there.values() - &psf.values();
             assert!(difference.iter().all(|d| d.abs() < 1e-15));
         }
-    }
-
-    #[test]
-    fn truncation_keeps_the_first_components() {
-        let record = record();
-        let rank = record.basis().rank();
-        assert!(rank >= 2);
-        let one = truncated(&record, 1).unwrap();
-        assert_eq!(one.basis().rank(), 1);
-        assert_eq!(
-            one.basis().components().index_axis(Axis(0), 0),
-            record.basis().components().index_axis(Axis(0), 0)
-        );
-        assert_eq!(truncated(&record, 99).unwrap().basis().rank(), rank);
     }
 }

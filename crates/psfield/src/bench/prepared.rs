@@ -8,7 +8,7 @@ use conv_core::{
 use ndarray::Array2;
 use psf_types::{NoProgress, Position, PsfModel, Scene};
 
-use super::models::{constant, truncated};
+use super::models::constant;
 use super::{BenchCase, BenchOptions, Contender};
 use crate::{PsfieldError, model_of};
 
@@ -64,7 +64,7 @@ impl<T: ConvReal> Prepared<T> {
                 })
             }
             Contender::Basis { rank } => {
-                let model = model_of(truncated(case.record(), rank)?)?;
+                let model = model_of(case.record().truncated(rank)?)?;
                 Ok(Self {
                     modes: Some(model.stamp_count() as f64),
                     ..Self::whole(Box::new(BasisConvolution::new(anchor)), model)

@@ -13,10 +13,10 @@ use serde::Serialize;
 
 use super::scenes::{GALAXY, Scenes};
 use super::{
-    ErrorSummary, Evaluation, FewerSamplesRow, GalaxyComparison, InterpolationRow, PatchComparison,
+    ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow, PatchComparison,
     ReproductionOptions, Target,
 };
-use crate::{FitOptions, FitReport, PsfieldError, fit};
+use crate::{FitOptions, FitReport, PsfieldError, fit, model_of};
 
 /// Everything that the paper shows, measured on psfield's own survey telescope.
 ///
@@ -63,7 +63,9 @@ pub struct Reproduction {
     /// Errors of the model alone, by interpolator.
     pub interpolations: Vec<InterpolationRow>,
     /// Errors of models with fewer samples.
-    pub fewer_samples: Vec<FewerSamplesRow>,
+    pub fewer_samples: Vec<ModelRow>,
+    /// The same of all samples with fewer components.
+    pub fewer_components: Vec<ModelRow>,
     /// Stars at the default tolerance.
     pub stars: Evaluation,
     /// Galaxies at the default tolerance.
@@ -161,7 +163,7 @@ impl Reproduction {
         let fitted = fit(samples, &FitOptions::default())?;
         let report = fitted.report()?;
         let record = fitted.record().clone();
-        let model = fitted.into_model()?;
+        let model = model_of(record.clone())?;
         progress.advance(1);
 
         let scene = Scenes::new(&telescope, options.objects_across)?;
@@ -191,7 +193,9 @@ impl Reproduction {
             .collect::<Result<_, _>>()?;
         progress.advance(1);
         let fewer_samples =
-            FewerSamplesRow::measure_all(&telescope, across, &scene.positions, &scene.star_truth)?;
+            ModelRow::of_fewer_samples(&telescope, across, &scene.positions, &scene.star_truth)?;
+        let fewer_components =
+            ModelRow::of_fewer_components(&fitted, across, &scene.positions, &scene.star_truth)?;
         progress.advance(1);
         let table_1 = PatchComparison::measure(
             &record,
@@ -226,6 +230,7 @@ impl Reproduction {
             tolerances: tolerance_rows,
             interpolations,
             fewer_samples,
+            fewer_components,
             stars,
             galaxies,
             table_1,

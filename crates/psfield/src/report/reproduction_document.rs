@@ -6,7 +6,7 @@ use ndarray::Array2;
 use super::document::{Document, NamedFigure, Section, Table, short};
 use super::object_figures::{distributions, error_cells, error_table, maps, shape_histograms, target_table};
 use super::targets::PAPER_ELLIPTICITY_Q90;
-use super::{ObjectKind, Reproduction, Software};
+use super::{ModelRow, ObjectKind, Reproduction, Software};
 use crate::plot::{Axis, Curve, Curves, Mark, Picture, PlotError, Scale, pictures, positions_figure};
 
 impl Reproduction {
@@ -99,19 +99,14 @@ impl Reproduction {
             cells.extend(error_cells(&row.summary));
             interpolations.rows.push(cells);
         }
-        let mut fewer_samples = error_table(
+        let fewer_samples = ModelRow::table(
             "Models of fewer samples on regular grids, default settings, by the exact sum.",
-            &["samples", "components", "truncation"],
+            &self.fewer_samples,
         );
-        for row in &self.fewer_samples {
-            let mut cells = vec![
-                format!("{0} x {0}", row.samples_across),
-                row.rank.to_string(),
-                short(Some(row.truncation_error)),
-            ];
-            cells.extend(error_cells(&row.summary));
-            fewer_samples.rows.push(cells);
-        }
+        let fewer_components = ModelRow::table(
+            "The model with fewer components, by the exact sum.",
+            &self.fewer_components,
+        );
         Section {
             title: "Accuracy".to_owned(),
             paragraphs: vec![
@@ -123,7 +118,7 @@ impl Reproduction {
                  cubics follow, and a polynomial over the whole field (--interpolation polynomial=D) where optics are as smooth as these."
                     .to_owned(),
             ],
-            tables: vec![targets, tolerances, interpolations, fewer_samples],
+            tables: vec![targets, tolerances, interpolations, fewer_samples, fewer_components],
             figures: Vec::new(),
         }
     }

@@ -302,10 +302,10 @@ impl BenchArgs {
         Ok(match psf {
             PsfInput::Samples(samples, options) => {
                 let rank = self.rank.map_or(RANK, NonZeroUsize::get);
-                bench::truncated(fit(samples, &options)?.record(), rank)?
+                fit(samples, &options)?.record().truncated(rank)?
             }
             PsfInput::Model(record) => match self.rank {
-                Some(rank) => bench::truncated(&record, rank.get())?,
+                Some(rank) => record.truncated(rank.get())?,
                 None => record,
             },
         })
