@@ -1,7 +1,7 @@
 //! Interpolators over extreme positions: the fields themselves, and images through them.
 
 use ndarray::Array2;
-use psfield::coeff_field::{InterpolatedField, interpolation};
+use psfield::coeff_field::{InterpolatedField, interpolation, resolve};
 use psfield::psf_types::{
     CoefficientField, Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions,
 };
@@ -34,6 +34,8 @@ const LINEAR: f64 = 1e-10;
 const COORDINATES: f64 = 8.0 * f64::EPSILON;
 /// The terms of a polynomial of degree 8 outside the samples' middle are some ten times their values.
 const POLYNOMIAL: f64 = 1e-10;
+/// Between even lines the magnitudes of cubic weights add up to 13/8 in each coordinate at most, next to an edge of the grid.
+const CUBIC_BEYOND: f64 = 13.0 / 8.0 * 13.0 / 8.0 - 1.0;
 /// Positions that are looked at, beside the samples.
 const QUERIES: usize = 600;
 /// Samples that are looked at.
@@ -61,6 +63,8 @@ struct Figures {
     linear: f64,
     at_samples: f64,
     beyond: f64,
+    /// What `beyond` may be.
+    most_beyond: f64,
 }
 
 /// Larger of two, or NaN where any is.
@@ -80,6 +84,10 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
     });
     let all: Result<Vec<Position>, _> = at.iter().map(|&(x, y)| Position::new(x, y)).collect();
     let positions = SamplePositions::new(all?, None)?;
+    let most_beyond = match resolve(choice, &positions) {
+        Interpolation::Bicubic => CONSTANT + CUBIC_BEYOND,
+        _ => CONSTANT,
+    };
     let samples = SampleCoefficients::new(values.clone(), positions)?;
     let method = interpolation(choice)?;
     let field = InterpolatedField::new(&samples, method.as_ref(), OutsidePolicy::Nearest)?;
@@ -89,6 +97,7 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
         linear: 0.0,
         at_samples: 0.0,
         beyond: 0.0,
+        most_beyond,
     };
     let mut evaluate = |x: f64, y: f64, figures: &mut Figures| -> Result<[f64; 4], PsfieldError> {
         field.evaluate_into(Position::new(x, y)?, &mut found)?;
@@ -183,7 +192,7 @@ fn field_cells(choice: Interpolation, of: &Positions) -> Vec<Cell> {
         Cell::error(Ok(figures.constant), constant),
         linear,
         smooths(figures.at_samples, CONSTANT),
-        smooths(figures.beyond, CONSTANT),
+        smooths(figures.beyond, figures.most_beyond),
     ]
 }
 
@@ -206,7 +215,8 @@ pub(super) fn section() -> Section {
         title: "Interpolators",
         story: "Fields in f64 (there are no others). *Constant*: by how much a constant is missed anywhere, also 1e3 pixels outside the samples. \
             *Linear*: by how much a linear function of 0 to 1 over the samples is missed within their convex hull; the limit holds the rounding of coordinates over the samples' extent. *At samples*: by how much \
-            random values of -1 to 1 are missed at the samples. *Beyond*: by how much the field leaves -1 to 1.",
+            random values of -1 to 1 are missed at the samples. *Beyond*: by how much the field leaves -1 to 1; cubics (`bicubic`, and `auto` on a grid) have negative weights, whose bound is \
+            13/8 in each coordinate, so 1.64 here.",
         columns: &["constant", "linear", "at samples", "beyond"],
         cases: rows(field_cells),
     }

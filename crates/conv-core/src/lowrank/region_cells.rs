@@ -176,14 +176,17 @@ impl RegionCells {
     fn number_nodes(&mut self) {
         let mut nodes: Vec<usize> = Vec::new();
         let mut last = usize::MAX;
+        let mut room = ROOM_FOR_NODES;
         for &(node, _) in &self.weights {
             if node != last {
                 nodes.push(node);
                 last = node;
             }
-            if nodes.len() > 1 << 12 {
+            if nodes.len() > room {
                 nodes.sort_unstable();
                 nodes.dedup();
+                // As many again before the next time: there are regions with tens of thousands of nodes.
+                room = ROOM_FOR_NODES.max(2 * nodes.len());
             }
         }
         nodes.sort_unstable();
@@ -239,9 +242,65 @@ impl RegionCells {
     }
 }
 
+/// Nodes are listed with repetitions up to this number; it bounds the memory, not the nodes.
+const ROOM_FOR_NODES: usize = 1 << 12;
 /// Rows that stand for a region.
 const SAMPLED_ROWS: usize = 5;
 /// Runs shorter than this on average are not worth their bookkeeping.
 const SHORT_RUN: usize = 4;
 /// Weights of an interpolator add up to 1 up to this.
 const ROUNDING_OF_WEIGHTS: f64 = 1e-12;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use psf_types::{FieldError, FrameShape, Position, RowRun};
+
+    const SIDE: usize = 120;
+
+    /// Each pixel its own node and its right neighbour's, the last pixel first.
+    #[derive(Debug)]
+    struct NodesOfPixels;
+
+    impl NodesOfPixels {
+        fn weights(x: usize, y: usize) -> [(usize, f64); 2] {
+            let node = SIDE * SIDE - 1 - (y * SIDE + x);
+            [(node, 0.75), ((node + 1) % (SIDE * SIDE), 0.25)]
+        }
+    }
+
+    impl CoefficientField for NodesOfPixels {
+        fn component_count(&self) -> usize {
+            1
+        }
+        fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+            unreachable!("weights alone are asked for")
+        }
+        fn weights_along_row(
+            &self,
+            (x, y): (i64, i64),
+            length: usize,
+            visit: &mut dyn FnMut(RowRun<'_>),
+        ) -> Result<(), FieldError> {
+            for column in 0..length {
+                visit(RowRun::of_pixel(&Self::weights(x as usize + column, y as usize)));
+            }
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn more_nodes_than_there_is_room_for_keep_their_weights() {
+        let region = PixelRegion::new(0, 0, FrameShape::new(SIDE, SIDE).unwrap());
+        let cells = RegionCells::new(&NodesOfPixels, region);
+        let all: Vec<usize> = (0..SIDE * SIDE).collect();
+        assert!(all.len() > 2 * ROOM_FOR_NODES);
+        assert_eq!(cells.nodes(), all);
+        for band in cells.bands() {
+            for cell in cells.cells_of(band) {
+                let expected = NodesOfPixels::weights(cell.column, band.rows.start);
+                assert_eq!(cells.corners(cell).unwrap(), [&expected[..]; CORNERS]);
+            }
+        }
+    }
+}
