@@ -56,6 +56,8 @@ impl RegionCells {
                 rows.filter(|&row| row > 0.0 && row < ny as f64)
                     .map(|row| row as usize),
             );
+            // Whatever order a field gives them in.
+            starts.sort_unstable();
             starts.dedup();
         } else {
             starts.extend(1..ny);
