@@ -51,6 +51,7 @@ mod simulation;
 mod simulation_options;
 mod simulation_plan;
 mod spot_check;
+mod star_frame;
 mod system_memory;
 
 pub use {
