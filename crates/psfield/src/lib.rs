@@ -44,6 +44,7 @@ mod pixel_picker;
 pub mod plot;
 pub mod preview;
 mod psf_input;
+mod readable;
 pub mod report;
 mod round_trip;
 mod same_file;
