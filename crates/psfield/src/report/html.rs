@@ -23,7 +23,7 @@ code { background: var(--shade); padding: 0.1rem 0.3rem; border-radius: 4px; ove
   @page { margin: 14mm; }
   body { max-width: none; padding: 0; font-size: 10pt; } p { max-width: none; }
   .wide { overflow: visible; } table { font-size: 7pt; } th, td { padding: 0.15rem 0.25rem; } td:first-child { white-space: normal; }
-  .figures { display: block; } figure { width: auto !important; margin: 0.8rem 0; } figure, tr { break-inside: avoid; } h2, caption { break-after: avoid; } figure img { max-height: 235mm; width: auto; }
+  .figures { display: block; } figure { width: auto !important; margin: 0.8rem 0; } figure, tr { break-inside: avoid; } h2, caption, section > p { break-after: avoid; } figure img { max-height: 235mm; width: auto; }
 }
 ";
 
@@ -88,7 +88,11 @@ fn table(page: &mut String, table: &Table) {
         escaped(&table.caption)
     );
     for name in &table.columns {
-        let _ = write!(page, "<th scope=\"col\">{}</th>", escaped(name));
+        let _ = write!(
+            page,
+            "<th scope=\"col\">{}</th>",
+            escaped(name).replace(" %", "\u{a0}%")
+        );
     }
     page.push_str("</tr></thead>\n<tbody>\n");
     for row in &table.rows {

@@ -148,7 +148,7 @@ pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
                 .to_owned(),
             figure: map(
                 "mean squared error",
-                "MSE",
+                "MSE, squared flux a pixel",
                 &mse,
                 (low, high),
                 ColourMap::Viridis,

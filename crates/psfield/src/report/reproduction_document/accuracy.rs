@@ -55,6 +55,11 @@ impl Reproduction {
             cells.extend(error_cells(&row.summary));
             fewer_samples.rows.push(cells);
         }
+        let mut tables = vec![targets, tolerances, interpolations];
+        // Of few samples there are no fewer.
+        if !fewer_samples.rows.is_empty() {
+            tables.push(fewer_samples);
+        }
         Section {
             title: "Accuracy".to_owned(),
             paragraphs: vec![
@@ -66,7 +71,7 @@ impl Reproduction {
                  cubics follow, and a polynomial over the whole field (--interpolation polynomial=D) where optics are as smooth as these."
                     .to_owned(),
             ],
-            tables: vec![targets, tolerances, interpolations, fewer_samples],
+            tables,
             figures: Vec::new(),
         }
     }
