@@ -44,6 +44,7 @@ mod pixel_picker;
 pub mod plot;
 pub mod preview;
 mod psf_input;
+mod readable;
 pub mod report;
 mod round_trip;
 mod same_file;
@@ -51,6 +52,7 @@ mod simulation;
 mod simulation_options;
 mod simulation_plan;
 mod spot_check;
+mod star_frame;
 mod system_memory;
 
 pub use {

@@ -14,7 +14,6 @@ mod fit_args;
 #[cfg(unix)]
 mod interrupts;
 mod measure;
-mod pictures;
 mod preview;
 mod progress;
 mod psf_file_args;

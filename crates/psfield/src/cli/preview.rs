@@ -10,6 +10,7 @@ use psfield::check_outputs;
 use psfield::preview::{BinnedImage, Colormap, LimitRule, Limits, Percentiles, Picture, Stretch};
 use serde::Serialize;
 
+use super::UsageError;
 use super::context::Context;
 
 /// Show a FITS image as a PNG picture
@@ -39,7 +40,7 @@ pub(crate) struct PreviewArgs {
         .try_map(|name| name.parse::<Stretch>()))]
     stretch: Stretch,
     /// Black and white at these percentiles of the pixels
-    #[arg(long, value_name = "LO,HI", default_value = "0.5,99.8", conflicts_with_all = ["range", "zscale"])]
+    #[arg(long, value_name = "LO,HI", default_value = "0.5,99.8", allow_hyphen_values = true, conflicts_with_all = ["range", "zscale"])]
     percentile: Percentiles,
     /// Black and white at these values
     #[arg(
@@ -81,6 +82,16 @@ impl PreviewArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let output = self.output.clone().unwrap_or_else(|| picture_of(&self.image));
         check_outputs(&[&self.image], &[&output], self.overwrite)?;
+        if !output
+            .extension()
+            .is_some_and(|end| end.eq_ignore_ascii_case("png"))
+        {
+            let text = format!(
+                "{}: the picture is a PNG file: give a name that ends in .png",
+                output.display()
+            );
+            return Err(UsageError(text).into());
+        }
         let mut reader = match self.plane {
             Some(plane) => ImageReader::open_plane(&self.image, self.extension.as_ref(), plane),
             None => ImageReader::open_hdu(&self.image, self.extension.as_ref()),
@@ -132,23 +143,12 @@ impl Report {
             let [nx, ny] = self.image_size;
             let _ = write!(text, ", means over {0} x {0} of {nx} x {ny}", self.binning);
         }
-        let _ = write!(
-            text,
-            ", {} from {} to {}",
-            self.stretch,
-            rounded(self.limits.low()),
-            rounded(self.limits.high())
-        );
+        let _ = write!(text, ", {} from {}", self.stretch, self.limits);
         if self.undefined_pixels > 0 {
             let _ = write!(text, "; {} pixels have no value", self.undefined_pixels);
         }
         text
     }
-}
-
-/// To six figures, as one reads them.
-fn rounded(value: f64) -> f64 {
-    format!("{value:.5e}").parse().unwrap_or(value)
 }
 
 /// The picture's name, beside the image: `a/b.fits.gz` gives `a/b.png`.

@@ -9,7 +9,7 @@ use serde::Serialize;
 /// Where a report is written.
 #[derive(Debug, clap::Args)]
 pub(super) struct ReportFolder {
-    /// The folder to write report.html, report.json, tables and figures (SVG and PNG) to; made if it does not exist
+    /// The folder to write report.html, report.json, tables and figures (SVG and PNG) to; made if it does not exist, empty unless --overwrite is given
     #[arg(long, value_name = "DIR")]
     report: PathBuf,
     /// Replace files that exist there
@@ -34,13 +34,20 @@ impl ReportFolder {
         &self.report
     }
 
-    /// Makes the folder, and refuses before any work where the page or the numbers are there already.
-    pub(super) fn prepare(&self) -> anyhow::Result<()> {
-        std::fs::create_dir_all(&self.report)
-            .with_context(|| format!("{}: the report folder cannot be made", self.report.display()))?;
-        for name in [PAGE, NUMBERS] {
-            psf_io::check_output(self.report.join(name), self.overwrite)?;
-        }
+    /// Refuses before any work where the folder cannot be made or has files that may not be replaced. It is made when there is something to
+    /// write.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        check(&self.report, &[PAGE, NUMBERS], self.overwrite)?;
+        // Tables and figures, whose names are not known yet, are refused as early.
+        let held = match std::fs::read_dir(&self.report) {
+            Ok(mut found) => found.next().is_some(),
+            Err(_) => false,
+        };
+        anyhow::ensure!(
+            self.overwrite || !held,
+            "{}: the folder is not empty: choose another, or allow files there to be replaced (--overwrite)",
+            self.report.display()
+        );
         Ok(())
     }
 
@@ -51,6 +58,7 @@ impl ReportFolder {
         measured: &impl Serialize,
         tables: &[(&str, &[ObjectRow])],
     ) -> anyhow::Result<Vec<String>> {
+        make(&self.report)?;
         let mut files = Vec::new();
         let mut at = |name: String| {
             let path = self.report.join(&name);
@@ -80,4 +88,30 @@ impl ReportFolder {
         psf_io::write_text(at(PAGE.to_owned()), &document.to_html(), self.overwrite)?;
         Ok(files)
     }
+}
+
+/// Refuses where a folder cannot be made or has one of these files, which may not be replaced. Nothing is left behind.
+pub(super) fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
+    if folder.is_dir() {
+        for name in files {
+            psf_io::check_output(folder.join(name), overwrite)?;
+        }
+        return Ok(());
+    }
+    let missing: Vec<&Path> = folder
+        .ancestors()
+        .take_while(|part| !part.as_os_str().is_empty() && !part.exists())
+        .collect();
+    make(folder)?;
+    for part in missing {
+        // One that another process uses by now stays.
+        let _ = std::fs::remove_dir(part);
+    }
+    Ok(())
+}
+
+/// Makes a folder, if it is not there.
+pub(super) fn make(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("{}: the report folder cannot be made", folder.display()))
 }

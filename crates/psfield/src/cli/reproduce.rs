@@ -36,7 +36,7 @@ pub(crate) struct ReproduceArgs {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=2048), hide_short_help = true)]
     galaxy_side: Option<u16>,
     /// Interpolation error of the non-uniform sampling that is shown [default: 1e-3; --quick: 4e-3]
-    #[arg(long, value_name = "X", value_parser = super::values::above_zero, hide_short_help = true)]
+    #[arg(long, value_name = "X", value_parser = super::values::above_zero, allow_negative_numbers = true, hide_short_help = true)]
     adaptive_threshold: Option<f64>,
 }
 
@@ -50,7 +50,7 @@ struct Report<'a> {
 
 impl ReproduceArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        self.folder.prepare()?;
+        self.folder.check()?;
         let options = self.options()?;
         let bar = context.bar("reproducing");
         let measured = Reproduction::run(&options, &bar)?;

@@ -48,7 +48,7 @@ struct Report<'a> {
 
 impl ValidateArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        self.folder.prepare()?;
+        self.folder.check()?;
         let opened = self.fit.opened(&self.model, context)?;
         let spinner = context.spinner("validating");
         let model = opened

@@ -4,14 +4,17 @@ use std::ops::Range;
 
 use plotters::chart::ChartContext;
 use plotters::coord::ranged1d::{Ranged, ValueFormatter};
-use plotters::prelude::{Cartesian2d, IntoFont, RGBColor, SVGBackend, TextStyle, WHITE};
+use plotters::prelude::{Cartesian2d, IntoFont, RGBColor, SVGBackend, Text, TextStyle, WHITE};
+use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{BLACK, Color};
 
-use super::figure::PlotError;
+use super::figure::{Area, PlotError};
+use crate::readable::readable;
 
 /// Sizes of text, readable where a panel of 560 pixels takes half a page.
 pub(super) const TITLE: i32 = 17;
 pub(super) const TEXT: i32 = 15;
+pub(super) const SMALL: i32 = 12;
 pub(super) const LABEL_ROOM_X: u32 = 50;
 pub(super) const LABEL_ROOM_Y: u32 = 84;
 pub(super) const MARGIN: u32 = 14;
@@ -28,6 +31,7 @@ where
     X: Ranged<ValueType = f64> + ValueFormatter<f64>,
     Y: Ranged<ValueType = f64> + ValueFormatter<f64>,
 {
+    let (x, y) = (chart.x_range(), chart.y_range());
     chart
         .configure_mesh()
         .x_labels(6)
@@ -39,8 +43,8 @@ where
         .axis_desc_style(("sans-serif", TITLE))
         .x_desc(x_name)
         .y_desc(y_name)
-        .x_label_formatter(&|v| number(*v))
-        .y_label_formatter(&|v| number(*v))
+        .x_label_formatter(&|v| number(*v, (x.start, x.end)))
+        .y_label_formatter(&|v| number(*v, (y.start, y.end)))
         .draw()?;
     Ok(())
 }
@@ -69,32 +73,29 @@ pub(super) fn text_style(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&BLACK)
 }
 
-/// A number without needless digits.
-pub(super) fn number(value: f64) -> String {
-    let size = value.abs();
-    if size < 1e-12 {
-        "0".to_owned()
-    } else if (1e-3..1e5).contains(&size) {
-        let decimals = (3 - size.log10().floor() as i32).clamp(0, 6) as usize;
-        let text = format!("{value:.decimals$}");
-        if text.contains('.') {
-            text.trim_end_matches('0').trim_end_matches('.').to_owned()
-        } else {
-            text
-        }
-    } else {
-        let text = format!("{value:.1e}");
-        text.replace(".0e", "e")
-    }
+/// Room that a heading of so many lines takes.
+pub(super) fn title_room(title: &str) -> u32 {
+    (MARGIN as usize + title.lines().count() * (TITLE as usize + 5)) as u32
 }
 
-/// To two digits: a stretched bar has its ticks at odd values.
-pub(super) fn rounded(value: f64) -> f64 {
-    if value == 0.0 {
-        return 0.0;
+/// Writes a heading over the plot that the area is for, and gives what is left of the area.
+pub(super) fn under_title<'a>(area: &Area<'a>, title: &str) -> Result<Area<'a>, PlotError> {
+    let (head, rest) = area.split_vertically(title_room(title));
+    // The middle of the plot, beside which are numbers.
+    let middle = (area.dim_in_pixel().0 + LABEL_ROOM_Y) as i32 / 2;
+    let style = text_style(TITLE).pos(Pos::new(HPos::Center, VPos::Top));
+    for (row, line) in title.lines().enumerate() {
+        let y = MARGIN as i32 + row as i32 * (TITLE + 5);
+        head.draw(&Text::new(line.to_owned(), (middle, y), style.clone()))?;
     }
-    let unit = 10f64.powf(value.abs().log10().floor() - 1.0);
-    (value / unit).round() * unit
+    Ok(rest)
+}
+
+/// The number at a tick of an axis. What is 0 but for rounding is 0.
+pub(super) fn number(value: f64, (low, high): (f64, f64)) -> String {
+    const FIGURES: usize = 4;
+    let is_rounding = value.abs() < 1e-9 * (high - low).abs() && low <= 0.0;
+    readable(if is_rounding { 0.0 } else { value }, FIGURES)
 }
 
 /// The range of some values with room at both ends.
@@ -130,20 +131,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_short() {
-        for (value, text) in [
-            (0.0, "0"),
-            (0.1, "0.1"),
-            (1.5, "1.5"),
-            (0.001, "0.001"),
-            (1e-4, "1e-4"),
-            (2.5e-7, "2.5e-7"),
-            (9216.0, "9216"),
-            (-0.05, "-0.05"),
-            (1e6, "1e6"),
-        ] {
-            assert_eq!(number(value), text);
-        }
+    fn rounding_at_zero_is_not_shown() {
+        assert_eq!(number(2e-17, (-1.0, 1.0)), "0");
+        assert_eq!(number(2e-17, (-1e-16, 1e-16)), "2e-17");
+        assert_eq!(number(1e-20, (1e-20, 1.0)), "1e-20");
     }
 
     #[test]

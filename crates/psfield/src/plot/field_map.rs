@@ -6,10 +6,11 @@ use plotters::prelude::{Circle, RGBColor};
 use plotters::style::Color;
 use psf_types::{FrameShape, Position};
 
-use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes, rounded};
-use super::colour_bar::{BAR_AREA, colour_bar, plain};
+use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, draw_axes, title_room, under_title};
+use super::colour_bar::{BAR_AREA, ColourBar};
 use super::colours::ColourMap;
 use super::figure::{Figure, Overlay, PlotError};
+use super::ticks;
 
 /// A value at every position of a field, as colours. Maps of differences are white at 0.
 #[derive(Debug, Clone)]
@@ -28,12 +29,12 @@ pub struct FieldMap<'a> {
     pub range: (f64, f64),
     /// The colours.
     pub colours: ColourMap,
-    /// The values are drawn by their decimal logarithm, `range` in powers of ten as well.
+    /// The colours follow the values' logarithm; `range` is above 0 then.
     pub logarithmic: bool,
 }
 
-const WIDTH: u32 = 620;
-const TITLE_ROOM: u32 = 34;
+/// Two stand side by side on a report's page.
+const WIDTH: u32 = 550;
 const MISSING: RGBColor = RGBColor(128, 128, 128);
 
 impl FieldMap<'_> {
@@ -44,12 +45,13 @@ impl FieldMap<'_> {
     pub fn figure(&self) -> Result<Figure, PlotError> {
         let (nx, ny) = (self.frame.nx() as f64, self.frame.ny() as f64);
         let plot = f64::from(WIDTH - BAR_AREA - LABEL_ROOM_Y - 2 * MARGIN);
-        let height = (plot * (ny / nx).clamp(0.3, 2.0)) as u32 + LABEL_ROOM_X + 2 * MARGIN + TITLE_ROOM;
-        Figure::draw((WIDTH, height), |root| {
+        let height = (plot * (ny / nx).clamp(0.3, 2.0)) as u32 + LABEL_ROOM_X + 2 * MARGIN;
+        Figure::draw((WIDTH, height + title_room(self.title)), |root| {
             let (left, right) = root.split_horizontally(WIDTH - BAR_AREA);
+            let left = under_title(&left, self.title)?;
+            let (_, right) = right.split_vertically(title_room(self.title));
             let mut chart = ChartBuilder::on(&left)
                 .margin(MARGIN)
-                .caption(self.title, ("sans-serif", TITLE))
                 .x_label_area_size(LABEL_ROOM_X)
                 .y_label_area_size(LABEL_ROOM_Y)
                 .build_cartesian_2d(-0.5..nx - 0.5, -0.5..ny - 0.5)?;
@@ -81,34 +83,35 @@ impl FieldMap<'_> {
                         .map(|(at, _)| Circle::new((at.x(), at.y()), radius, MISSING.stroke_width(1))),
                 )?;
             }
-            let shown: &dyn Fn(f64) -> String = if self.logarithmic {
-                &|v| plain(rounded(10f64.powf(v)))
-            } else {
-                &plain
+            let (low, high) = self.range;
+            let bar = ColourBar {
+                map: self.colours,
+                range: self.range,
+                ticks: if self.logarithmic {
+                    ticks::logarithmic(low, high)
+                } else {
+                    ticks::even(low, high)
+                },
+                along: &|value| self.along(value),
+                name: self.quantity,
             };
-            let bottom = LABEL_ROOM_X + MARGIN;
-            let top = py.start as u32;
-            overlays.push(colour_bar(
-                &right,
-                (top, bottom),
-                self.colours,
-                self.range,
-                self.quantity,
-                shown,
-            )?);
+            overlays.push(bar.draw(&right)?);
             Ok(overlays)
         })
     }
 
-    fn colour(&self, value: f64) -> [u8; 3] {
-        let value = if self.logarithmic {
+    fn along(&self, value: f64) -> f64 {
+        if self.logarithmic {
             value.max(f64::MIN_POSITIVE).log10()
         } else {
             value
-        };
-        let (low, high) = self.range;
+        }
+    }
+
+    fn colour(&self, value: f64) -> [u8; 3] {
+        let (low, high) = (self.along(self.range.0), self.along(self.range.1));
         self.colours
-            .at((value - low) / (high - low).max(f64::MIN_POSITIVE))
+            .at((self.along(value) - low) / (high - low).max(f64::MIN_POSITIVE))
     }
 
     /// One pixel a value, the first row at the bottom.
@@ -153,5 +156,28 @@ mod tests {
             ..map
         };
         assert_eq!(dots.figure().unwrap().svg().matches("<circle").count(), 8);
+    }
+
+    #[test]
+    fn a_logarithmic_bar_has_whole_decades() {
+        let values: Vec<_> = [2e-12, 4e-11, 3e-10, 7e-10]
+            .into_iter()
+            .enumerate()
+            .map(|(k, v)| (Position::of_pixel((k % 2) as i64, (k / 2) as i64), Some(v)))
+            .collect();
+        let map = FieldMap {
+            title: "t",
+            quantity: "q",
+            frame: FrameShape::new(2, 2).unwrap(),
+            values: &values,
+            grid_columns: Some(2),
+            range: (2e-12, 7e-10),
+            colours: ColourMap::Viridis,
+            logarithmic: true,
+        };
+        let svg = map.figure().unwrap().svg().to_owned();
+        assert!(svg.contains("\n1e-11\n") && svg.contains("\n1e-10\n"), "{svg}");
+        assert_eq!(svg.matches("e-1").count(), 2);
+        assert_eq!(map.colour(2e-12), ColourMap::Viridis.at(0.0));
     }
 }

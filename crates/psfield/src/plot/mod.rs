@@ -6,17 +6,23 @@
 mod axes;
 mod colour_bar;
 mod colours;
+mod curve;
+mod curve_chart;
+mod curve_panels;
 mod curves;
 mod field_map;
 mod figure;
 mod histogram;
 mod pictures;
 mod positions;
+mod ticks;
 
 pub use colours::{ColourMap, SERIES};
-pub use curves::{Axis, Curve, Curves, Mark};
+pub use curve::{Curve, Marker};
+pub use curve_panels::curve_panels;
+pub use curves::{Axis, Curves, Mark};
 pub use field_map::FieldMap;
 pub use figure::{Figure, PlotError};
 pub use histogram::{HistogramPanel, histograms};
-pub use pictures::{Picture, Scale, pictures};
+pub use pictures::{Picture, PictureAxes, Scale, pictures};
 pub use positions::positions_figure;

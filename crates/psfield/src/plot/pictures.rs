@@ -1,13 +1,16 @@
 //! Images side by side, each with its colours explained.
 
+use std::ops::Range;
+
 use image::{Rgb, RgbImage};
 use ndarray::ArrayView2;
 use plotters::chart::ChartBuilder;
 
-use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes, rounded};
-use super::colour_bar::{BAR_AREA, colour_bar, plain};
+use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, draw_axes, title_room, under_title};
+use super::colour_bar::{BAR_AREA, ColourBar};
 use super::colours::ColourMap;
-use super::figure::{Figure, Overlay, PlotError};
+use super::figure::{Area, Figure, Overlay, PlotError};
+use super::ticks;
 
 /// Which value gets which colour. Pictures that are compared get the same.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,19 +45,34 @@ impl Scale {
         }
     }
 
-    fn back(self, along: f64) -> f64 {
-        match self {
-            Self::Asinh { soft, .. } => along.sinh() * soft,
-            Self::Difference { .. } => along,
-        }
-    }
-
     fn range(self) -> (f64, f64) {
         match self {
-            Self::Asinh { high, .. } => (0.0, self.along(high)),
+            Self::Asinh { high, .. } => (0.0, high),
             Self::Difference { most } => (-most, most),
         }
     }
+
+    fn ticks(self) -> Vec<f64> {
+        match self {
+            Self::Asinh { soft, high } => ticks::asinh(soft, high),
+            Self::Difference { most } => ticks::even(-most, most),
+        }
+    }
+
+    fn colour(self, value: f64) -> [u8; 3] {
+        let (low, high) = (self.along(self.range().0), self.along(self.range().1));
+        let part = (self.along(value) - low) / (high - low).max(f64::MIN_POSITIVE);
+        self.colours().at(part)
+    }
+}
+
+/// What the axes of a picture count.
+#[derive(Debug, Clone, PartialEq)]
+pub enum PictureAxes<'a> {
+    /// Pixels of the image.
+    Pixels,
+    /// Something else: name, with the unit, and the values at the outer edges of the first and the last pixel; x, then y.
+    Of([(&'a str, Range<f64>); 2]),
 }
 
 /// An image with a heading.
@@ -68,10 +86,16 @@ pub struct Picture<'a> {
     pub scale: Scale,
     /// What the colours mean, with the unit.
     pub quantity: &'a str,
+    /// What its axes count.
+    pub axes: PictureAxes<'a>,
 }
 
-const WIDTH: u32 = 560;
-const TITLE_ROOM: u32 = 34;
+/// Width of a picture that stands alone: in a PNG, an image of 1024 columns has a pixel of the picture for each of its own.
+const ALONE: u32 = 512;
+/// Width of each of several.
+const BESIDE: u32 = 298;
+/// What stands about a picture, across.
+const ABOUT: u32 = LABEL_ROOM_Y + 2 * MARGIN + BAR_AREA;
 
 /// Draws pictures, two in a row. Row 0 is at the bottom, as FITS viewers show it.
 ///
@@ -80,51 +104,63 @@ const TITLE_ROOM: u32 = 34;
 pub fn pictures(pictures: &[Picture<'_>]) -> Result<Figure, PlotError> {
     let across = pictures.len().clamp(1, 2);
     let down = pictures.len().div_ceil(across).max(1);
-    let plot = WIDTH - BAR_AREA - LABEL_ROOM_Y - 2 * MARGIN;
+    let plot = if pictures.len() > 1 { BESIDE } else { ALONE };
     let aspect = pictures
         .iter()
         .map(|p| p.pixels.nrows() as f64 / p.pixels.ncols().max(1) as f64)
         .fold(0.3, f64::max)
         .min(2.0);
-    let height = (f64::from(plot) * aspect) as u32 + LABEL_ROOM_X + 2 * MARGIN + TITLE_ROOM;
-    Figure::draw((across as u32 * WIDTH, down as u32 * height), |root| {
+    let head = pictures.iter().map(|p| title_room(p.title)).max().unwrap_or(0);
+    let height = head + (f64::from(plot) * aspect).round() as u32 + LABEL_ROOM_X + 2 * MARGIN;
+    let width = plot + ABOUT;
+    Figure::draw((across as u32 * width, down as u32 * height), |root| {
         let mut overlays = Vec::new();
         for (picture, area) in pictures.iter().zip(root.split_evenly((down, across))) {
-            let (left, right) = area.split_horizontally(WIDTH - BAR_AREA);
-            let (ny, nx) = picture.pixels.dim();
-            let mut chart = ChartBuilder::on(&left)
-                .margin(MARGIN)
-                .caption(picture.title, ("sans-serif", TITLE))
-                .x_label_area_size(LABEL_ROOM_X)
-                .y_label_area_size(LABEL_ROOM_Y)
-                .build_cartesian_2d(-0.5..nx as f64 - 0.5, -0.5..ny as f64 - 0.5)?;
-            draw_axes(&mut chart, "x, pixels", "y, pixels")?;
-            let (px, py) = chart.plotting_area().get_pixel_range();
-            let (low, high) = picture.scale.range();
-            overlays.push(Overlay {
-                left: px.start,
-                top: py.start,
-                width: (px.end - px.start) as u32,
-                height: (py.end - py.start) as u32,
-                pixels: RgbImage::from_fn(nx as u32, ny as u32, |x, y| {
-                    let value = picture.pixels[[ny - 1 - y as usize, x as usize]];
-                    let along = (picture.scale.along(value) - low) / (high - low).max(f64::MIN_POSITIVE);
-                    Rgb(picture.scale.colours().at(along))
-                }),
-            });
-            let area_top = area.get_pixel_range().1.start;
-            let bar = colour_bar(
-                &right,
-                ((py.start - area_top) as u32, LABEL_ROOM_X + MARGIN),
-                picture.scale.colours(),
-                (low, high),
-                picture.quantity,
-                &|v| plain(rounded(picture.scale.back(v))),
-            )?;
-            overlays.push(bar);
+            let (left, right) = area.split_horizontally(width - BAR_AREA);
+            let (_, right) = right.split_vertically(title_room(picture.title));
+            overlays.push(picture.draw(&under_title(&left, picture.title)?)?);
+            let bar = ColourBar {
+                map: picture.scale.colours(),
+                range: picture.scale.range(),
+                ticks: picture.scale.ticks(),
+                along: &|value| picture.scale.along(value),
+                name: picture.quantity,
+            };
+            overlays.push(bar.draw(&right)?);
         }
         Ok(overlays)
     })
+}
+
+impl Picture<'_> {
+    fn draw(&self, area: &Area<'_>) -> Result<Overlay, PlotError> {
+        let (ny, nx) = self.pixels.dim();
+        let [(x_name, x), (y_name, y)] = match &self.axes {
+            PictureAxes::Pixels => [
+                ("x, pixels", -0.5..nx as f64 - 0.5),
+                ("y, pixels", -0.5..ny as f64 - 0.5),
+            ],
+            PictureAxes::Of(axes) => axes.clone(),
+        };
+        let mut chart = ChartBuilder::on(area)
+            .margin(MARGIN)
+            .x_label_area_size(LABEL_ROOM_X)
+            .y_label_area_size(LABEL_ROOM_Y)
+            .build_cartesian_2d(x, y)?;
+        draw_axes(&mut chart, x_name, y_name)?;
+        let (px, py) = chart.plotting_area().get_pixel_range();
+        Ok(Overlay {
+            left: px.start,
+            top: py.start,
+            width: (px.end - px.start) as u32,
+            height: (py.end - py.start) as u32,
+            pixels: RgbImage::from_fn(nx as u32, ny as u32, |x, row| {
+                Rgb(self
+                    .scale
+                    .colour(self.pixels[[ny - 1 - row as usize, x as usize]]))
+            }),
+        })
+    }
 }
 
 #[cfg(test)]
@@ -140,6 +176,7 @@ mod tests {
             pixels: image.view(),
             scale,
             quantity: "counts",
+            axes: PictureAxes::Pixels,
         };
         let figure = pictures(&[
             picture("sky", Scale::Asinh { soft: 0.1, high: 3.0 }),
@@ -151,14 +188,35 @@ mod tests {
     }
 
     #[test]
-    fn a_stretch_goes_there_and_back() {
-        let scale = Scale::Asinh {
+    fn one_picture_alone_shows_every_pixel_of_1024() {
+        let image = ndarray::Array2::from_elem((512, 1024), 1.0);
+        let figure = pictures(&[Picture {
+            title: "two rows\nof heading",
+            pixels: image.view(),
+            scale: Scale::Asinh { soft: 0.1, high: 3.0 },
+            quantity: "counts",
+            axes: PictureAxes::Of([("x, mm", 0.0..20.0), ("y, mm", 0.0..10.0)]),
+        }])
+        .unwrap();
+        // Half of what PNGs have.
+        assert!(figure.svg().contains("width=\"512\" height=\"256\""));
+        for text in ["x, mm", "y, mm", "two rows", "of heading"] {
+            assert!(figure.svg().contains(text), "{text}");
+        }
+    }
+
+    #[test]
+    fn scales_end_in_their_end_colours() {
+        let sky = Scale::Asinh {
             soft: 0.1,
             high: 50.0,
         };
-        for v in [0.0, 0.03, 1.0, 50.0] {
-            assert!((scale.back(scale.along(v)) - v).abs() < 1e-12 * (1.0 + v));
-        }
-        assert!((rounded(0.012_345) - 0.012).abs() < 1e-15 && rounded(0.0) == 0.0);
+        assert_eq!(
+            [0.0, 50.0, 90.0].map(|v| sky.colour(v)),
+            [[0; 3], [255; 3], [255; 3]]
+        );
+        let difference = Scale::Difference { most: 2.0 };
+        assert_eq!(difference.colour(0.0), [255; 3]);
+        assert_eq!(difference.colour(-2.0), ColourMap::BlueWhiteRed.at(0.0));
     }
 }

@@ -5,11 +5,10 @@ use plotters::prelude::Circle;
 use plotters::style::{BLACK, Color};
 use psf_types::{FrameShape, Position};
 
-use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, TITLE, draw_axes};
+use super::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, draw_axes, title_room, under_title};
 use super::figure::{Figure, PlotError};
 
 const PANEL: u32 = 560;
-const TITLE_ROOM: u32 = 30;
 
 /// Positions over the field, panels side by side, each with a heading.
 ///
@@ -18,13 +17,17 @@ const TITLE_ROOM: u32 = 30;
 pub fn positions_figure(panels: &[(String, &[Position])], frame: FrameShape) -> Result<Figure, PlotError> {
     let (nx, ny) = (frame.nx() as f64, frame.ny() as f64);
     let plot = f64::from(PANEL - LABEL_ROOM_Y - 2 * MARGIN);
-    let height = (plot * (ny / nx).clamp(0.3, 2.0)) as u32 + LABEL_ROOM_X + 2 * MARGIN + TITLE_ROOM;
+    let height = (plot * (ny / nx).clamp(0.3, 2.0)) as u32 + LABEL_ROOM_X + 2 * MARGIN;
+    let head = panels
+        .iter()
+        .map(|(title, _)| title_room(title))
+        .max()
+        .unwrap_or(0);
     let count = panels.len().max(1);
-    Figure::draw((PANEL * count as u32, height), |root| {
+    Figure::draw((PANEL * count as u32, head + height), |root| {
         for ((title, positions), area) in panels.iter().zip(root.split_evenly((1, count))) {
-            let mut chart = ChartBuilder::on(&area)
+            let mut chart = ChartBuilder::on(&under_title(&area, title)?)
                 .margin(MARGIN)
-                .caption(title, ("sans-serif", TITLE))
                 .x_label_area_size(LABEL_ROOM_X)
                 .y_label_area_size(LABEL_ROOM_Y)
                 // Room for the dots on the edge.

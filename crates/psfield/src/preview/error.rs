@@ -2,6 +2,9 @@
 
 use thiserror::Error;
 
+use super::limits::FIGURES;
+use crate::readable::readable;
+
 /// Why there is no picture.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
@@ -40,15 +43,18 @@ pub enum PreviewError {
         pixels: usize,
     },
     /// An image of one value.
-    #[error("every pixel is {value}: there is no contrast to show; give limits about it (--range)")]
+    #[error("every pixel is {}: there is no contrast to show; give limits about it (--range)", readable(*value, FIGURES))]
     Constant {
         /// The value.
         value: f64,
     },
     /// Limits that a rule finds equal, though the image has contrast.
     #[error(
-        "{rule} puts both limits at {value}, while the pixels go from {lowest} to {highest}: most of them are that value; take wider \
-         percentiles (--percentile 0,100) or give limits (--range)"
+        "{rule} puts both limits at {}, while the pixels go from {} to {}: most of them are that value; take wider percentiles \
+         (--percentile 0,100) or give limits (--range)",
+        readable(*value, FIGURES),
+        readable(*lowest, FIGURES),
+        readable(*highest, FIGURES)
     )]
     EqualLimits {
         /// The rule, as in a sentence.

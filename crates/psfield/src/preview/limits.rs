@@ -1,10 +1,12 @@
 //! The values at the ends of the scale.
 
+use std::fmt;
 use std::str::FromStr;
 
 use serde::Serialize;
 
 use super::PreviewError;
+use crate::readable::readable;
 
 /// The value shown darkest and the one shown brightest: finite, the first below the second. What lies beyond is shown as the limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -56,6 +58,21 @@ impl Limits {
     }
 }
 
+/// Figures of a value that is shown to a reader.
+pub(super) const FIGURES: usize = 6;
+
+/// `LO to HI`, to six figures.
+impl fmt::Display for Limits {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{} to {}",
+            readable(self.low, FIGURES),
+            readable(self.high, FIGURES)
+        )
+    }
+}
+
 /// `LO,HI`.
 impl FromStr for Limits {
     type Err = PreviewError;
@@ -86,6 +103,13 @@ mod tests {
             assert_eq!(text.parse::<Limits>(), Err(PreviewError::NotTwoNumbers), "{text}");
         }
         assert_eq!("-1.5, 2e3".parse(), Limits::new(-1.5, 2e3));
+    }
+
+    #[test]
+    fn limits_are_read_without_rows_of_zeros() {
+        let shown = |low, high| Limits::new(low, high).unwrap().to_string();
+        assert_eq!(shown(-6.795_561_2e-16, 10.0), "-6.79556e-16 to 10");
+        assert_eq!(shown(0.0, 65_535.0), "0 to 65535");
     }
 
     #[test]

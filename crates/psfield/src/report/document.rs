@@ -73,13 +73,3 @@ impl Table {
         }
     }
 }
-
-/// A number for a table: two digits and an exponent where it is small.
-pub(super) fn short(value: Option<f64>) -> String {
-    match value {
-        None => "-".to_owned(),
-        Some(0.0) => "0".to_owned(),
-        Some(v) if (0.01..1e4).contains(&v.abs()) => format!("{v:.3}"),
-        Some(v) => format!("{v:.1e}"),
-    }
-}

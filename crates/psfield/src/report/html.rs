@@ -12,15 +12,18 @@ h1 { line-height: 1.2; } h2 { margin-top: 2.5rem; border-bottom: 1px solid var(-
 p { max-width: 48rem; }
 table { border-collapse: collapse; margin: 1rem 0; font-variant-numeric: tabular-nums; font-size: 0.9rem; }
 caption { text-align: left; color: var(--faint); padding-bottom: 0.3rem; max-width: 60rem; }
-th, td { padding: 0.25rem 0.7rem; border-bottom: 1px solid var(--line); text-align: right; vertical-align: top; }
-th { background: var(--shade); } th:first-child, td:first-child { text-align: left; }
-table.inputs td { text-align: left; } .wide { overflow-x: auto; }
-figure { margin: 1.2rem 0; } figure img { max-width: 100%; height: auto; background: #ffffff; border-radius: 6px; }
+th, td { padding: 0.25rem 0.5rem; border-bottom: 1px solid var(--line); text-align: right; vertical-align: top; }
+td { white-space: nowrap; } th { background: var(--shade); } th:first-child, td:first-child { text-align: left; }
+table.inputs td { text-align: left; white-space: normal; } .wide { overflow-x: auto; }
+.figures { display: flex; flex-wrap: wrap; gap: 1.2rem; } figure { margin: 0; max-width: 100%; } figure img { max-width: 100%; height: auto; background: #ffffff; border-radius: 6px; }
 figcaption { color: var(--faint); max-width: 60rem; font-size: 0.95rem; }
 code { background: var(--shade); padding: 0.1rem 0.3rem; border-radius: 4px; overflow-wrap: anywhere; }
 @media print {
   :root { --ink: #000000; --paper: #ffffff; --faint: #333333; --line: #bbbbbb; --shade: #f0f0f0; }
-  body { max-width: none; padding: 0; font-size: 10pt; } figure, table { break-inside: avoid; } h2 { break-after: avoid; }
+  @page { margin: 14mm; }
+  body { max-width: none; padding: 0; font-size: 10pt; } p { max-width: none; }
+  .wide { overflow: visible; } table { font-size: 7pt; } th, td { padding: 0.15rem 0.25rem; } td:first-child { white-space: normal; }
+  .figures { display: block; } figure { width: auto !important; margin: 0.8rem 0; } figure, tr { break-inside: avoid; } h2, caption, section > p { break-after: avoid; } figure img { max-height: 235mm; width: auto; }
 }
 ";
 
@@ -65,16 +68,17 @@ fn section(page: &mut String, section: &Section) {
     for part in &section.tables {
         table(page, part);
     }
+    page.push_str("<div class=\"figures\">\n");
     for shown in &section.figures {
         let caption = escaped(&shown.caption);
         let (width, height) = shown.figure.size();
         let _ = writeln!(
             page,
-            "<figure><img width=\"{width}\" height=\"{height}\" alt=\"{caption}\" src=\"{}\">\n<figcaption>{caption}</figcaption></figure>",
+            "<figure style=\"width:{width}px\"><img width=\"{width}\" height=\"{height}\" alt=\"{caption}\" src=\"{}\">\n<figcaption>{caption}</figcaption></figure>",
             shown.figure.data_uri()
         );
     }
-    page.push_str("</section>\n");
+    page.push_str("</div>\n</section>\n");
 }
 
 fn table(page: &mut String, table: &Table) {
@@ -84,7 +88,11 @@ fn table(page: &mut String, table: &Table) {
         escaped(&table.caption)
     );
     for name in &table.columns {
-        let _ = write!(page, "<th scope=\"col\">{}</th>", escaped(name));
+        let _ = write!(
+            page,
+            "<th scope=\"col\">{}</th>",
+            escaped(name).replace(" %", "\u{a0}%")
+        );
     }
     page.push_str("</tr></thead>\n<tbody>\n");
     for row in &table.rows {
@@ -115,10 +123,7 @@ mod tests {
         let curves = Curves {
             x: Axis::linear("x"),
             y: Axis::linear("y"),
-            curves: vec![Curve {
-                name: "c".to_owned(),
-                points: vec![(0.0, 1.0), (1.0, 2.0)],
-            }],
+            curves: vec![Curve::new("c", vec![(0.0, 1.0), (1.0, 2.0)])],
             marks: Vec::new(),
         };
         let mut table = Table::new("numbers", &["a", "b"]);

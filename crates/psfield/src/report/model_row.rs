@@ -7,8 +7,9 @@ use psf_types::{NoProgress, Position};
 use serde::Serialize;
 
 use super::ErrorSummary;
-use super::document::{Table, short};
+use super::document::Table;
 use super::object_figures::{error_cells, error_table};
+use crate::readable::short;
 use crate::{Fit, FitOptions, PsfieldError, fit};
 
 /// A model against the truth, by the exact sum: no engine takes part.

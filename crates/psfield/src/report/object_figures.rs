@@ -2,9 +2,10 @@
 
 use psf_types::{FrameShape, Position};
 
-use super::document::{NamedFigure, Table, short};
+use super::document::{NamedFigure, Table};
 use super::{ErrorSummary, Evaluation, ObjectRow, Spread, Target};
 use crate::plot::{Axis, ColourMap, Curve, Curves, FieldMap, HistogramPanel, Mark, PlotError, histograms};
+use crate::readable::short;
 
 /// Part of the values that the colours of a map tell apart; the rest has the colour of the nearer end.
 const SHOWN_PART: f64 = 0.99;
@@ -120,12 +121,9 @@ pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
     );
     let both = e1.iter().chain(&e2).filter_map(|v| v.1.map(f64::abs));
     let most = quantile(both, SHOWN_PART).filter(|&m| m > 0.0).unwrap_or(1e-12);
-    let logs = || {
-        let positive = mse.iter().filter_map(|v| v.1).filter(|&v| v > 0.0);
-        positive.map(f64::log10)
-    };
-    let low = quantile(logs(), 1.0 - SHOWN_PART).unwrap_or(-1.0);
-    let high = quantile(logs(), SHOWN_PART).unwrap_or(0.0).max(low + 0.1);
+    let positive = || mse.iter().filter_map(|v| v.1).filter(|&v| v > 0.0);
+    let low = quantile(positive(), 1.0 - SHOWN_PART).unwrap_or(0.1);
+    let high = quantile(positive(), SHOWN_PART).unwrap_or(1.0).max(1.25 * low);
     let map = |title, quantity, values: &[(Position, Option<f64>)], range, colours, logarithmic| {
         FieldMap {
             title,
@@ -141,14 +139,16 @@ pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
     };
     let blue_red = ColourMap::BlueWhiteRed;
     let range = (-most, most);
-    let saturated = "the 1 % of the values beyond the bar have the colour of its ends";
+    let saturated = "the 1 % of the values of both maps that are beyond the bar have the colours of its ends";
     Ok(vec![
         NamedFigure {
             name: "mse-map",
-            caption: format!("Mean squared error of each object's window over the field; {saturated}."),
+            caption: "Mean squared error of each object's window over the field; the 1 % of the values below the bar and the 1 % above it have \
+                      the colours of its ends."
+                .to_owned(),
             figure: map(
                 "mean squared error",
-                "MSE",
+                "MSE, squared flux a pixel",
                 &mse,
                 (low, high),
                 ColourMap::Viridis,
@@ -157,7 +157,7 @@ pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
         },
         NamedFigure {
             name: "e1-map",
-            caption: format!("Differences of e1 (distortion), simulated less true; {saturated}."),
+            caption: format!("Differences of e1 (distortion), simulated less true, on the scale of e2; {saturated}."),
             figure: map("difference of e1", "e1 difference", &e1, range, blue_red, false)?,
         },
         NamedFigure {

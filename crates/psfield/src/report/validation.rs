@@ -2,14 +2,15 @@
 
 use conv_core::{StampInterpolator, add_point_sources};
 use ndarray::{Array2, s};
-use psf_stars::{StarSamples, StarSampling};
-use psf_types::{Anchor, Image, Normalisation, PointSource, Position, PsfModel, PsfSamples, Scene};
+use psf_stars::StarSampling;
+use psf_types::{Anchor, Image, Normalisation, Position, PsfModel, PsfSamples, Scene};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::{Evaluation, Target};
 use crate::PsfieldError;
 use crate::evaluate::check_on_field;
+use crate::star_frame::{drawn_sources, measuring_window};
 
 /// How far a model is from PSFs that are known.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -38,10 +39,6 @@ pub enum ValidationTruth {
     /// Stars of a frame, with its noise.
     Frame,
 }
-
-/// The window of a star in FWHM, and at least so many pixels.
-const WINDOW_FWHM: f64 = 4.0;
-const LEAST_WINDOW: usize = 7;
 
 impl Validation {
     /// Compares the model's PSFs, by the exact sum over its components, with the samples at their positions and on their pixels. Both hold
@@ -111,10 +108,10 @@ impl Validation {
         }
         let stars = sampling.run(frame)?;
         let window = window
-            .unwrap_or_else(|| ((WINDOW_FWHM * stars.fwhm_px).ceil() as usize | 1).max(LEAST_WINDOW))
+            .unwrap_or_else(|| measuring_window(stars.fwhm_px))
             .min(shape.nx())
             .min(shape.ny());
-        let scene = Scene::<f64>::dark(shape).with_sources(sources(&stars)?);
+        let scene = Scene::<f64>::dark(shape).with_sources(drawn_sources(&stars)?);
         let mut simulated = Array2::zeros(frame.pixels().dim());
         add_point_sources(model, &scene, Anchor::Source, &mut simulated)?;
         let light = &frame.pixels() - &stars.background.level();
@@ -148,13 +145,4 @@ impl Validation {
             objects,
         })
     }
-}
-
-/// Every source with light on the frame.
-fn sources(stars: &StarSamples) -> Result<Vec<PointSource>, PsfieldError> {
-    let mut sources = Vec::with_capacity(stars.sources.len());
-    for source in stars.sources.iter().filter(|s| s.flux > 0.0) {
-        sources.push(PointSource::new(Position::new(source.x, source.y)?, source.flux)?);
-    }
-    Ok(sources)
 }

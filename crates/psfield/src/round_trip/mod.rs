@@ -7,8 +7,9 @@ mod sky_noise;
 use conv_core::add_point_sources;
 use ndarray::Array2;
 use psf_stars::{StarError, StarSamples, StarSampling};
-use psf_types::{Anchor, Image, PointSource, Position, PsfModelRecord, Scene};
+use psf_types::{Anchor, Image, Position, PsfModelRecord, Scene};
 
+use crate::star_frame::{drawn_sources, measuring_window};
 use crate::{FitOptions, MeasureOptions, Measurement, PsfieldError, fit, model_of};
 
 pub use report::{Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTripReport, RoundTripRow};
@@ -87,10 +88,6 @@ impl Default for RoundTripOptions {
     }
 }
 
-/// The window in FWHM, and at least so many pixels.
-const WINDOW_FWHM: f64 = 4.0;
-const LEAST_WINDOW: usize = 7;
-
 impl RoundTrip {
     /// Runs the round trip on a frame.
     ///
@@ -103,15 +100,13 @@ impl RoundTrip {
         let (record, singular_values) = (fitted.record().clone(), fitted.singular_values().to_vec());
         let model = model_of(record.clone())?;
 
-        let sources = drawn(&stars)?;
+        let sources = drawn_sources(&stars)?;
         let scene = Scene::<f64>::dark(frame.shape()).with_sources(sources.clone());
         let mut light = Array2::zeros(frame.pixels().dim());
         add_point_sources(&model, &scene, Anchor::Source, &mut light)?;
 
         let positions = compared(&stars)?;
-        let window = options
-            .window
-            .unwrap_or_else(|| ((WINDOW_FWHM * stars.fwhm_px).ceil() as usize | 1).max(LEAST_WINDOW));
+        let window = options.window.unwrap_or_else(|| measuring_window(stars.fwhm_px));
         let measuring = MeasureOptions {
             window: Some(window),
             background: true,
@@ -193,19 +188,6 @@ impl From<StarError> for PsfieldError {
 /// FWHM and ellipticity of a Gaussian fit.
 fn shape(measurement: &Measurement) -> Option<(f64, f64)> {
     measurement.fwhm_px.zip(measurement.ellipticity)
-}
-
-/// Every source with light on the frame.
-fn drawn(stars: &StarSamples) -> Result<Vec<PointSource>, PsfieldError> {
-    let field = stars.samples.positions().field();
-    let mut sources = Vec::with_capacity(stars.sources.len());
-    for source in &stars.sources {
-        let position = Position::new(source.x, source.y)?;
-        if source.flux > 0.0 && field.is_none_or(|field| field.contains(position)) {
-            sources.push(PointSource::new(position, source.flux)?);
-        }
-    }
-    Ok(sources)
 }
 
 /// The stars that became samples, in the order of the sources.

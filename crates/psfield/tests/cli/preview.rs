@@ -100,6 +100,9 @@ fn values_are_where_they_belong() {
     let picture = png(&desk, "b.png");
     let pixels: Vec<[u8; 3]> = picture.as_rgb8().unwrap().pixels().map(|p| p.0).collect();
     assert_eq!(pixels, [grey(0), magenta, grey(255)]);
+    // Tiny limits are read without rows of zeros.
+    let run = desk.done("preview a.fits --range -6.795561e-16,10 -o e.png");
+    assert!(run.stdout.contains("from -6.79556e-16 to 10;"), "{run:?}");
     // A negative limit is no option.
     desk.done("preview a.fits --range -1.5,10 -o c.png");
     desk.done("preview a.fits --range=-1.5,-1 -o d.png");
@@ -151,6 +154,7 @@ fn what_cannot_be_shown_is_said() {
         ("scene.fits --range 3", 2, ["--range", "LO,HI"]),
         ("scene.fits --range nan,3", 2, ["--range", "finite"]),
         ("scene.fits --percentile 50,101", 2, ["--percentile", "0 to 100"]),
+        ("scene.fits --percentile -1,99", 2, ["--percentile", "0 to 100"]),
         (
             "scene.fits --percentile 1,99 --zscale",
             2,
@@ -163,6 +167,7 @@ fn what_cannot_be_shown_is_said() {
     ] {
         desk.refused(&format!("preview {arguments} -o no.png"), code, &needles);
     }
+    desk.refused("preview scene.fits -o scene.jpg", 2, &["scene.jpg", ".png"]);
     // One value everywhere has a picture where the limits are given.
     desk.done("preview flat.fits --range 0,10");
     desk.done("preview star.fits --percentile 0,100");

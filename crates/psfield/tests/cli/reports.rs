@@ -1,5 +1,9 @@
 //! `reproduce` and `validate`.
 
+use std::fmt::Write;
+
+use ndarray::Array3;
+use psfield::psf_types::{FrameShape, Position, PsfSamples, SamplePositions, StampGrid};
 use serde_json::Value;
 
 use crate::desk::Desk;
@@ -28,6 +32,44 @@ fn number(value: &Value, pointer: &str) -> f64 {
         .unwrap_or_else(|| panic!("no number at {pointer}"))
 }
 
+/// A number as tables show it.
+fn cell(value: f64) -> String {
+    if (0.01..1e4).contains(&value) {
+        format!("<td>{value:.3}</td>")
+    } else {
+        format!("<td>{value:.1e}</td>")
+    }
+}
+
+/// The page and the JSON say the same.
+fn check_numbers(desk: &Desk, folder: &str, summaries: &[&str]) {
+    let page = String::from_utf8(desk.bytes(&format!("{folder}/report.html"))).unwrap();
+    let report: Value = serde_json::from_slice(&desk.bytes(&format!("{folder}/report.json"))).unwrap();
+    for target in report["targets"].as_array().unwrap() {
+        let row = format!(
+            "<td>{}</td>{}{}<td>{}</td>",
+            target["what"].as_str().unwrap(),
+            cell(number(target, "/limit")),
+            cell(number(target, "/measured")),
+            if target["met"] == true { "yes" } else { "no" }
+        );
+        assert!(page.contains(&row), "{row}");
+    }
+    for summary in summaries {
+        let mut row = String::new();
+        for value in [
+            "ellipticity/q90",
+            "ellipticity/largest",
+            "e1/q90",
+            "e2/q90",
+            "fwhm_px/q90",
+        ] {
+            row.push_str(&cell(number(&report, &format!("{summary}/{value}"))));
+        }
+        assert!(page.contains(&row), "{summary}: {row}");
+    }
+}
+
 /// The page holds all it shows.
 fn check_page(desk: &Desk, name: &str) {
     let page = String::from_utf8(desk.bytes(name)).unwrap();
@@ -50,7 +92,8 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
         assert_eq!(number(report, "/samples"), 64.0);
         assert_eq!(number(report, "/objects"), 9.0);
         assert_eq!(number(report, "/stars/summary/objects"), 9.0);
-        assert_eq!(report["targets"].as_array().unwrap().len(), 16);
+        // Four each: of stars, of galaxies, and of the three interpolators that are not in use.
+        assert_eq!(report["targets"].as_array().unwrap().len(), 20);
         // Two kinds at four tolerances.
         assert_eq!(report["tolerances"].as_array().unwrap().len(), 8);
         assert_eq!(report["interpolations"].as_array().unwrap().len(), 4);
@@ -95,6 +138,12 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
         );
     }
     check_page(&desk, "out/report.html");
+    let summaries: Vec<String> = (0..8).map(|k| format!("/tolerances/{k}/summary")).collect();
+    check_numbers(
+        &desk,
+        "out",
+        &summaries.iter().map(String::as_str).collect::<Vec<_>>(),
+    );
     let table = String::from_utf8(desk.bytes("out/stars.csv")).unwrap();
     assert_eq!(table.lines().count(), 10);
 
@@ -117,6 +166,7 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
     assert!(number(&same, "/objects/summary/mae_over_mean/largest") < 1e-5);
     assert!(number(&same, "/objects/summary/ellipticity/largest") < 1e-3);
     check_page(&desk, "same/report.html");
+    check_numbers(&desk, "same", &["/objects/summary"]);
 
     // A model of a single component cannot hold nine different PSFs.
     desk.run("fit samples.fits -o coarse.fits --rank 1");
@@ -126,4 +176,118 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
     let of_model = desk.run("validate model.fits --truth model.fits --report model");
     assert_eq!(of_model.code, Some(1));
     assert!(of_model.stderr.contains("psfield evaluate"), "{of_model:?}");
+}
+
+#[test]
+fn a_report_folder_is_there_when_the_report_is() {
+    let desk = Desk::new();
+    desk.done("fit samples.fits -o model.fits");
+    for (what, needles) in [
+        ("model.fits --truth missing.fits", &["missing.fits"][..]),
+        ("missing.fits --truth samples.fits", &["missing.fits"]),
+        ("model.fits --truth model.fits", &["psfield evaluate"]),
+    ] {
+        desk.refused(&format!("validate {what} --report deep/in/here"), 1, needles);
+        assert!(!desk.path("deep").exists(), "{what}");
+    }
+    desk.refused("roundtrip missing.fits --report trip", 1, &["missing.fits"]);
+    assert!(!desk.path("trip").exists());
+
+    // What stands in the way is said before the files are looked at.
+    desk.refused(
+        "validate missing.fits --truth missing.fits --report samples.fits/report",
+        1,
+        &["samples.fits", "cannot be made"],
+    );
+    std::fs::create_dir(desk.path("used")).unwrap();
+    desk.write("used/notes.txt", "keep me");
+    desk.refused(
+        "validate missing.fits --truth missing.fits --report used",
+        1,
+        &["used", "not empty", "--overwrite"],
+    );
+    desk.done("validate model.fits --truth samples.fits --report used --overwrite");
+    assert_eq!(desk.bytes("used/notes.txt"), b"keep me");
+}
+
+/// Pixels along each side of the frame with stars.
+const SIDE: usize = 192;
+/// Stars along each side of it.
+const STARS: usize = 5;
+/// A star of a signal-to-noise ratio of 150 has its FWHM of 3 pixels to 0.02 pixels; 90 % of 25 are within twice that.
+const NOISE_OF_FWHM_PX: f64 = 0.06;
+/// Noise and what fits of Gaussians to it leave, over the mean of the window: measured 0.03.
+const NOISE_OF_MAE: f64 = 0.08;
+
+/// Gaussians three times as fine as the frame, wider to the right and upwards; all `scale` times as wide.
+fn widening_psf(scale: f64) -> PsfSamples {
+    const FINE: usize = 3;
+    const STAMP: usize = 25 * FINE;
+    let at = |k: usize| (SIDE - 1) as f64 * k as f64 / 2.0;
+    let positions: Vec<Position> = (0..9)
+        .map(|k| Position::new(at(k % 3), at(k / 3)).unwrap())
+        .collect();
+    let stamps = Array3::from_shape_fn((9, STAMP, STAMP), |(k, y, x)| {
+        let offset = |n: usize| (n as f64 - (STAMP / 2) as f64) / FINE as f64;
+        let (u, v) = ((k % 3) as f64 / 2.0, (k / 3) as f64 / 2.0);
+        let (sigma_x, sigma_y) = (scale * (1.2 + 0.15 * u), scale * (1.25 + 0.1 * v));
+        (-0.5 * ((offset(x) / sigma_x).powi(2) + (offset(y) / sigma_y).powi(2))).exp()
+    });
+    let grid = StampGrid::new(STAMP, STAMP)
+        .unwrap()
+        .with_oversampling(FINE as f64)
+        .unwrap();
+    let field = FrameShape::new(SIDE, SIDE).unwrap();
+    let positions = SamplePositions::new(positions, Some(field)).unwrap();
+    PsfSamples::new(stamps, positions, grid).unwrap().into_unit_flux()
+}
+
+#[test]
+fn a_model_is_validated_by_the_stars_of_a_frame() {
+    let desk = Desk::empty();
+    let mut stars = "x,y,flux\n".to_owned();
+    for k in 0..STARS * STARS {
+        let along = |n: usize, part: usize| 24.0 + 36.0 * n as f64 + (k * part % 13) as f64 / 13.0;
+        let (x, y) = (along(k % STARS, 5), along(k / STARS, 7));
+        writeln!(stars, "{x},{y},{}", 3e4 + 4e3 * (k % 6) as f64).unwrap();
+    }
+    desk.write("stars.csv", stars);
+    for (scale, name) in [(1.0, "true"), (1.08, "wide")] {
+        desk.write_samples(&format!("{name}.fits"), &widening_psf(scale));
+        desk.done(&format!("fit {name}.fits -o {name}_model.fits --rank full"));
+    }
+    desk.done(&format!(
+        "simulate --psf true_model.fits --shape {SIDE},{SIDE} --catalog stars.csv -o sky.fits --precision f64"
+    ));
+    desk.done("expose sky.fits --photon-noise --sky 60 --read-noise 3 --seed 4 -o frame.fits");
+
+    let measured = |model: &str| {
+        let report = desk
+            .done(&format!(
+                "validate {model}_model.fits --truth frame.fits --report {model} --json"
+            ))
+            .json();
+        assert_eq!(report["truth"], "frame");
+        assert_eq!(
+            number(&report, "/objects/summary/objects"),
+            (STARS * STARS) as f64
+        );
+        assert_eq!(number(&report, "/objects/summary/failed"), 0.0);
+        // Targets are for PSFs without noise.
+        assert!(report["targets"].as_array().unwrap().is_empty());
+        check_page(&desk, &format!("{model}/report.html"));
+        check_numbers(&desk, model, &["/objects/summary"]);
+        [
+            number(&report, "/objects/summary/fwhm_px/q90"),
+            number(&report, "/objects/summary/mae_over_mean/median"),
+        ]
+    };
+    let [fwhm, mae] = measured("true");
+    assert!(fwhm < NOISE_OF_FWHM_PX && mae < NOISE_OF_MAE, "{fwhm} {mae}");
+    // 8 % of 3 pixels.
+    let [fwhm, mae] = measured("wide");
+    assert!(
+        fwhm > 2.0 * NOISE_OF_FWHM_PX && mae > NOISE_OF_MAE,
+        "{fwhm} {mae}"
+    );
 }

@@ -225,14 +225,9 @@ impl BenchArgs {
             self.write(path, &text)?;
         }
         if let Some(path) = &self.plot {
-            let titled: Vec<_> = report
-                .cases()
-                .into_iter()
-                .map(|rows| (report::heading(&rows[0]), rows))
-                .collect();
-            let drawn =
-                plot::plot(&titled).with_context(|| format!("{}: the plot failed", path.display()))?;
-            self.write(path, &drawn)?;
+            let drawn = plot::plot(&report.cases())
+                .with_context(|| format!("{}: the plot failed", path.display()))?;
+            self.write(path, drawn.svg())?;
         }
         context.report(&report, || report.text())
     }

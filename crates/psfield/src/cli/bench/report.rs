@@ -87,11 +87,24 @@ impl Report {
 }
 
 /// What the rows of a case share.
-pub(super) fn heading(row: &BenchRow) -> String {
+fn heading(row: &BenchRow) -> String {
+    format!("{}, {}", size_of(row), settings_of(row))
+}
+
+/// How large a case is.
+pub(super) fn size_of(row: &BenchRow) -> String {
+    format!(
+        "{} x {} pixels, {} PSF samples",
+        row.size[0], row.size[1], row.samples
+    )
+}
+
+/// How a case was run.
+pub(super) fn settings_of(row: &BenchRow) -> String {
     let threads = if row.threads == 1 { "thread" } else { "threads" };
     format!(
-        "{} x {} pixels, {} PSF samples, {}, {}-anchored, {} {threads}",
-        row.size[0], row.size[1], row.samples, row.precision, row.anchor, row.threads
+        "{}, {}-anchored, {} {threads}",
+        row.precision, row.anchor, row.threads
     )
 }
 

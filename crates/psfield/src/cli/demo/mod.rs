@@ -18,7 +18,6 @@ use psfield::conv_core::PlanOptions;
 use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions, SpotCheck, fit};
 
 use super::context::{Context, check_cards, signature};
-use super::pictures;
 use output::{FILES, Output};
 use report::{Report, Seconds};
 use sky::{GALAXIES, Sky};
@@ -66,10 +65,7 @@ impl DemoArgs {
         let sample_seconds = clock.elapsed().as_secs_f64();
         out.samples("samples.fits", &samples)?;
         let positions = samples.positions().as_slice().to_vec();
-        out.picture(
-            "sampling.png",
-            &pictures::positions_picture(&positions, frame, 768),
-        )?;
+        out.sampling(&positions, frame)?;
 
         let spinner = context.spinner("fitting");
         let clock = Instant::now();

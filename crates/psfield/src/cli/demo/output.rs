@@ -4,16 +4,19 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use metrics::Summary;
+use ndarray::{Array2, ArrayView2, ArrayView3, s};
 use psf_io::{Card, HeaderCards};
 use psf_types::{FrameShape, Image, PointSource, Position, PsfModel, PsfSamples};
+use psfield::plot::{Figure, Picture, PictureAxes, Scale, pictures, positions_figure};
 use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, OutputGrid, evaluate};
 
 use super::sky::Sky;
 use crate::cli::context::signature;
-use crate::cli::pictures;
 
-/// Sky of the previews' stretch, flux a pixel.
-const SOFT: f32 = 30.0;
+/// Flux a pixel above which pictures of the sky are logarithmic.
+const SOFT: f64 = 30.0;
+/// PSFs shown along each side of the field.
+const ACROSS: usize = 9;
 
 /// All that is written.
 pub(super) const FILES: [&str; 13] = [
@@ -105,16 +108,15 @@ impl Output {
         )?)
     }
 
-    pub(super) fn picture<P>(
-        &mut self,
-        name: &str,
-        picture: &image::ImageBuffer<P, Vec<u8>>,
-    ) -> anyhow::Result<()>
-    where
-        P: image::Pixel<Subpixel = u8> + image::PixelWithColorType,
-    {
+    fn figure(&mut self, name: &str, figure: &Figure) -> anyhow::Result<()> {
         let path = self.path(name);
-        pictures::write_png(&path, picture, self.overwrite)
+        Ok(psf_io::write_bytes(path, &figure.png()?, self.overwrite)?)
+    }
+
+    /// Where the PSF was sampled.
+    pub(super) fn sampling(&mut self, positions: &[Position], frame: FrameShape) -> anyhow::Result<()> {
+        let title = format!("{} samples of the PSF", positions.len());
+        self.figure("sampling.png", &positions_figure(&[(title, positions)], frame)?)
     }
 
     /// The PSFs on a grid over the frame, as a picture and as a table of measurements: their widths and ellipticities.
@@ -123,7 +125,6 @@ impl Output {
         model: &PsfModel,
         frame: FrameShape,
     ) -> anyhow::Result<(Summary, Summary)> {
-        const ACROSS: usize = 9;
         let at = |k: usize, n: usize| (n - 1) as f64 * k as f64 / (ACROSS - 1) as f64;
         let positions: Result<Vec<Position>, _> = (0..ACROSS * ACROSS)
             .map(|k| Position::new(at(k % ACROSS, frame.nx()), at(k / ACROSS, frame.ny())))
@@ -133,10 +134,7 @@ impl Output {
             ..EvaluateOptions::default()
         };
         let stamps = evaluate(model, positions?, on_pixels)?;
-        self.picture(
-            "psf_field.png",
-            &pictures::mosaic_picture(stamps.stamps(), ACROSS, 2),
-        )?;
+        self.figure("psf_field.png", &psf_field(stamps.stamps(), frame)?)?;
         let rows = MeasureOptions::default().cube(stamps.stamps(), Some(stamps.positions().as_slice()));
         let path = self.path("psf_measurements.csv");
         psf_io::write_csv(path, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
@@ -152,15 +150,70 @@ impl Output {
         by_patches: &Image<f32>,
     ) -> anyhow::Result<()> {
         // One stretch for both, so that they can be compared.
-        let high = pictures::quantile(image.pixels(), 0.9995)?.max(SOFT);
-        let stretch = |pixels: ndarray::ArrayView2<'_, f32>| pictures::asinh_picture(pixels, 0.0, SOFT, high);
-        self.picture("scene.png", &stretch(sky.sharp().view()))?;
-        self.picture("image.png", &stretch(image.pixels()))?;
-        let difference = &by_patches.pixels() - &image.pixels();
-        let scale = pictures::quantile(difference.mapv(f32::abs).view(), 0.995)?.max(f32::MIN_POSITIVE);
-        self.picture(
-            "patch_error.png",
-            &pictures::difference_picture(difference.view(), scale),
-        )
+        let image = image.pixels().mapv(f64::from);
+        let high = Summary::of(image.iter().copied())?
+            .quantile(0.9995)?
+            .max(2.0 * SOFT);
+        let stretch = Scale::Asinh { soft: SOFT, high };
+        let sharp = sky.sharp().mapv(f64::from);
+        let flux = "flux a pixel";
+        self.figure(
+            "scene.png",
+            &alone("the sky before the telescope", sharp.view(), stretch, flux)?,
+        )?;
+        self.figure(
+            "image.png",
+            &alone("the sky through the telescope", image.view(), stretch, flux)?,
+        )?;
+        let difference = by_patches.pixels().mapv(f64::from) - &image;
+        let most = Summary::of(difference.iter().map(|v| v.abs()))?.quantile(0.995)?;
+        let scale = Scale::Difference {
+            most: most.max(f64::MIN_POSITIVE),
+        };
+        let title = "one PSF a patch less psfield";
+        self.figure("patch_error.png", &alone(title, difference.view(), scale, flux)?)
     }
+}
+
+fn alone(title: &str, pixels: ArrayView2<'_, f64>, scale: Scale, quantity: &str) -> anyhow::Result<Figure> {
+    Ok(pictures(&[Picture {
+        title,
+        pixels,
+        scale,
+        quantity,
+        axes: PictureAxes::Pixels,
+    }])?)
+}
+
+/// PSFs `[k, y, x]` of a grid over the frame, the first at the bottom left, with one scale; the axes say where on the frame each is.
+fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<Figure> {
+    let (count, ny, nx) = stamps.dim();
+    let peak = stamps.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    // A grey line between neighbours.
+    let mut whole = Array2::from_elem(
+        (count.div_ceil(ACROSS) * (ny + 1), ACROSS * (nx + 1)),
+        peak * 0.02,
+    );
+    for (k, stamp) in stamps.outer_iter().enumerate() {
+        let (y, x) = (k / ACROSS * (ny + 1), k % ACROSS * (nx + 1));
+        whole.slice_mut(s![y..y + ny, x..x + nx]).assign(&stamp);
+    }
+    // A PSF stands in the middle of its square, the outer ones at the frame's edges.
+    let along = |pixels: usize| {
+        let step = (pixels - 1) as f64 / (ACROSS - 1) as f64;
+        -0.5 * step..(ACROSS as f64 - 0.5) * step
+    };
+    Ok(pictures(&[Picture {
+        title: "the PSF over the field, on one scale",
+        pixels: whole.view(),
+        scale: Scale::Asinh {
+            soft: peak * 1e-3,
+            high: peak,
+        },
+        quantity: "part of the flux a pixel",
+        axes: PictureAxes::Of([
+            ("x on the frame, pixels", along(frame.nx())),
+            ("y on the frame, pixels", along(frame.ny())),
+        ]),
+    }])?)
 }

@@ -1,22 +1,21 @@
 //! `psfield roundtrip`.
 
-mod plot;
-
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use psf_io::HeaderCards;
 use psf_stars::SOURCE_COLUMNS;
 use psf_types::Image;
+use psfield::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
 use psfield::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport};
 use serde::Serialize;
 
 use super::context::{Context, signature};
 use super::fit_args::FitArgs;
+use super::report_folder;
 use super::sample::{warn_of, write_coverage};
 use super::star_args::StarArgs;
 use super::values::above_zero;
-use plot::{Panel, distributions};
 
 /// Simulate a real frame from its own stars and compare
 ///
@@ -92,11 +91,7 @@ impl RoundTripArgs {
             realisations: self.realisations,
             seed: self.seed,
         };
-        std::fs::create_dir_all(&self.report)
-            .with_context(|| format!("{}: the report folder cannot be made", self.report.display()))?;
-        for name in FILES {
-            psf_io::check_output(self.report.join(name), self.overwrite)?;
-        }
+        report_folder::check(&self.report, &FILES, self.overwrite)?;
         let trip =
             RoundTrip::run(&frame, &options).with_context(|| format!("in {}", self.frame.display()))?;
         let report = Report {
@@ -114,6 +109,7 @@ impl RoundTripArgs {
     }
 
     fn write(&self, trip: &RoundTrip, header: &HeaderCards, report: &Report<'_>) -> anyhow::Result<()> {
+        report_folder::make(&self.report)?;
         let at = |name: &str| self.report.join(name);
         let cards = signature();
         let overwrite = self.overwrite;
@@ -140,7 +136,7 @@ impl RoundTripArgs {
         image("simulated.fits", &trip.simulated, header)?;
         image("residual.fits", &trip.residual, header)?;
         psf_io::write_csv(at("stars.csv"), &ROUND_TRIP_COLUMNS, &trip.rows, overwrite)?;
-        self.write_text("distributions.svg", &plotted(trip)?)?;
+        self.write_text("distributions.svg", distributions(trip)?.svg())?;
         self.write_text("summary.json", &serde_json::to_string_pretty(report)?)
     }
 
@@ -153,23 +149,36 @@ impl RoundTripArgs {
     }
 }
 
-fn plotted(trip: &RoundTrip) -> anyhow::Result<String> {
+/// Cumulative distributions of the stars of the frame and of the simulated ones.
+fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
     let both = |row: &&psfield::RoundTripRow| row.fwhm_frame_px.is_some() && row.fwhm_simulated_px.is_some();
-    let rows: Vec<_> = trip.rows.iter().filter(both).collect();
-    let fwhm: Vec<f64> = rows.iter().filter_map(|row| row.fwhm_frame_px).collect();
-    let ellipticity: Vec<f64> = rows.iter().filter_map(|row| row.ellipticity_frame).collect();
-    Ok(distributions([
-        Panel {
-            quantity: "FWHM, pixels",
-            frame: &fwhm,
-            simulated: &trip.simulated_fwhm_px,
-        },
-        Panel {
-            quantity: "ellipticity, sqrt(1 - b^2 / a^2)",
-            frame: &ellipticity,
-            simulated: &trip.simulated_ellipticity,
-        },
-    ])?)
+    let rows = || trip.rows.iter().filter(both);
+    let panel = |title: &str, quantity, frame: Vec<f64>, simulated: &[f64]| {
+        let curves = Curves {
+            x: Axis::linear(quantity),
+            y: Axis::linear("part of the stars below"),
+            curves: vec![
+                Curve::distribution("frame", frame),
+                Curve::distribution("simulated", simulated.iter().copied()),
+            ],
+            marks: Vec::new(),
+        };
+        (title.to_owned(), curves)
+    };
+    curve_panels(&[
+        panel(
+            "FWHM",
+            "FWHM, pixels",
+            rows().filter_map(|row| row.fwhm_frame_px).collect(),
+            &trip.simulated_fwhm_px,
+        ),
+        panel(
+            "ellipticity",
+            "sqrt(1 - b^2 / a^2)",
+            rows().filter_map(|row| row.ellipticity_frame).collect(),
+            &trip.simulated_ellipticity,
+        ),
+    ])
 }
 
 fn text(report: &Report<'_>) -> String {
