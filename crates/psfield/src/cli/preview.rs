@@ -82,10 +82,8 @@ impl PreviewArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let output = self.output.clone().unwrap_or_else(|| picture_of(&self.image));
         check_outputs(&[&self.image], &[&output], self.overwrite)?;
-        if !output
-            .extension()
-            .is_some_and(|end| end.eq_ignore_ascii_case("png"))
-        {
+        let named_for = image::ImageFormat::from_path(&output);
+        if named_for.is_ok_and(|format| format != image::ImageFormat::Png) {
             let text = format!(
                 "{}: the picture is a PNG file: give a name that ends in .png",
                 output.display()
