@@ -122,15 +122,14 @@ impl Bits<'_> {
     #[inline]
     fn ahead(&self) -> (u64, u32) {
         let (byte, bit) = ((self.at / 8) as usize, (self.at % 8) as u32);
-        let word = match self.bytes.get(byte..byte + 8) {
-            Some(bytes) => u64::from_be_bytes(bytes.try_into().expect("eight bytes")),
-            None => {
-                let rest = self.bytes.get(byte..).unwrap_or_default();
-                let mut bytes = [0; 8];
-                bytes[..rest.len()].copy_from_slice(rest);
-                u64::from_be_bytes(bytes)
-            }
-        };
+        let mut next = [0; 8];
+        if let Some(bytes) = self.bytes.get(byte..byte + 8) {
+            next.copy_from_slice(bytes);
+        } else {
+            let rest = self.bytes.get(byte..).unwrap_or_default();
+            next[..rest.len()].copy_from_slice(rest);
+        }
+        let word = u64::from_be_bytes(next);
         (word << bit, u64::BITS - 1 - bit)
     }
 

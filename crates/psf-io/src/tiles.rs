@@ -46,7 +46,7 @@ struct Tiles<'a> {
     hdu: &'a Hdu,
     /// The file for the rows, and once more for the tiles: each goes on where it was.
     table: Places,
-    tiles: Places,
+    packed: Places,
     algorithm: Algorithm,
     /// Whether floats are kept as they are.
     unquantised: bool,
@@ -96,7 +96,7 @@ impl<'a> Tiles<'a> {
         Ok(Self {
             hdu,
             table: places(BUFFER)?,
-            tiles: places(HEAP_BUFFER)?,
+            packed: places(HEAP_BUFFER)?,
             algorithm,
             unquantised: hdu.bitpix < 0 && (none || !(has("ZSCALE") || has("ZZERO"))),
             tile: tile.collect::<Result<_, _>>()?,
@@ -174,7 +174,7 @@ impl<'a> Tiles<'a> {
         }
         let mut bytes = vec![0; (count * width) as usize];
         let read = self
-            .tiles
+            .packed
             .seek(start)
             .and_then(|file| file.read_exact(&mut bytes));
         read.map_err(|e| failed(self.hdu, e))?;
@@ -186,7 +186,7 @@ impl<'a> Tiles<'a> {
         if !self.holds(start, count, 1) {
             return Ok(false);
         }
-        let file = self.tiles.seek(start).map_err(|e| failed(self.hdu, e))?;
+        let file = self.packed.seek(start).map_err(|e| failed(self.hdu, e))?;
         let mut stream = GzDecoder::new(file.take(count));
         let (mut buffer, mut unpacked) = ([0; BUFFER], 0);
         while unpacked <= expected {

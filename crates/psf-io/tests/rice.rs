@@ -185,9 +185,9 @@ fn encoded(pixels: &[i32], pixel_bytes: u32, block: usize, codes: &[Code]) -> Ve
         match codes[number % codes.len()] {
             Code::Plain => {
                 put(plain, head_bits);
-                differences
-                    .iter()
-                    .for_each(|&difference| put(difference, pixel_bits));
+                for &difference in &differences {
+                    put(difference, pixel_bits);
+                }
             }
             Code::Low(low) => {
                 put(u64::from(low) + 1, head_bits);
