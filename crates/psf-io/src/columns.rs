@@ -159,6 +159,12 @@ impl Column {
         b"LXBIJKAEDCMPQ".contains(&code).then_some(column)
     }
 
+    /// The type letter of what the descriptors of a column of arrays stand for.
+    pub(crate) fn element(&self) -> Option<u8> {
+        let (_, element) = self.form.trim().split_once(['P', 'Q', 'p', 'q'])?;
+        element.bytes().next().map(|letter| letter.to_ascii_uppercase())
+    }
+
     /// Bytes in a row.
     pub(crate) fn bytes(&self) -> Option<usize> {
         let size = match self.code {
@@ -187,6 +193,8 @@ mod tests {
         );
         assert_eq!(width("1PE(20)"), Some(8));
         assert_eq!(width("0D"), Some(0));
+        let elements = ["1PB(20)", " qi", "1P", "1D"].map(|form| of(form).and_then(|c| c.element()));
+        assert_eq!(elements, [Some(b'B'), Some(b'I'), None, None]);
         for bad in ["", "7", "Z", "99999999999999999999999D"] {
             assert!(of(bad).is_none(), "{bad}");
         }

@@ -81,6 +81,7 @@ mod pixels;
 mod plio;
 pub mod points;
 pub mod psfex;
+mod rice;
 mod row;
 pub mod samples;
 mod scanner;

@@ -12,6 +12,8 @@ use crate::{Card, CardValue, HeaderCards};
 
 /// The longitude of the celestial pole in a zenithal projection whose header does not say.
 const USUAL_POLE_LONGITUDE: f64 = 180.0;
+/// From here on, in radians on the projection, squares are no numbers and mapproj's vectors no places.
+const FARTHEST: f64 = 1e150;
 
 /// The world coordinates of a frame: positions on the sky to pixels and back.
 ///
@@ -202,9 +204,12 @@ impl SkyCoordinates {
         let offset = [position.x() - self.reference[0], position.y() - self.reference[1]];
         let plane = product(&self.matrix, self.distortion.in_pixels(offset));
         let [x, y] = self.distortion.in_plane(plane);
-        let turned = self
-            .projection
-            .unproj_xyz(&ProjXY::new(x.to_radians(), y.to_radians()))?;
+        let [x, y] = [x.to_radians(), y.to_radians()];
+        // NaN too: a distortion may overflow.
+        if !(x.abs() < FARTHEST && y.abs() < FARTHEST) {
+            return None;
+        }
+        let turned = self.projection.unproj_xyz(&ProjXY::new(x, y))?;
         let turned = [turned.x(), turned.y(), turned.z()];
         // The inverse of a rotation is its transpose.
         let [x, y, z] = [0, 1, 2].map(|i| dot(self.rotation.map(|row| row[i]), turned));
@@ -212,8 +217,7 @@ impl SkyCoordinates {
             y.atan2(x).to_degrees().rem_euclid(360.0),
             z.atan2(x.hypot(y)).to_degrees(),
         );
-        // Far off the frame a distortion or a projection may overflow.
-        (place.0.is_finite() && place.1.is_finite()).then_some(place)
+        Some(place)
     }
 }
 

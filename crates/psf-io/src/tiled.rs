@@ -2,6 +2,7 @@
 
 use crate::IoError;
 use crate::hdu::Hdu;
+use crate::rice::Rice;
 
 /// An image may have this many bytes whatever the size of its tiles (16 MiB) ...
 const ALWAYS_ALLOWED: u64 = 16 << 20;
@@ -9,8 +10,6 @@ const ALWAYS_ALLOWED: u64 = 16 << 20;
 const ALLOWED_PER_BYTE: u64 = 4096;
 /// The algorithms that are read. CFITSIO also knows `HCOMPRESS_1`, but writes beyond its memory when such data are damaged.
 const ALGORITHMS: &[&str] = &["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", PLIO];
-/// Parameters of an algorithm are looked for up to this number of `ZNAMEi`.
-const MOST_PARAMETERS: usize = 9;
 /// Masks as lists of runs.
 pub(crate) const PLIO: &str = "PLIO_1";
 
@@ -40,7 +39,7 @@ impl TiledImage {
             return Err(table.header_error("ZDITHER0", "must be 1 to 10000"));
         }
         if algorithm.is_some_and(|name| name.trim().starts_with("RICE")) {
-            check_rice(table)?;
+            Rice::of(table)?;
         }
         let bitpix = table.structural("ZBITPIX", None)?;
         // Whole numbers of 64 bits, which CFITSIO does not write, would leave its buffers as they are.
@@ -95,43 +94,4 @@ impl TiledImage {
         }
         Ok(Self { bitpix, axes })
     }
-}
-
-/// Checks the block size and the bytes of a pixel that CFITSIO takes for RICE_1: it goes by the place of `ZVALi`, and by `ZNAMEi` hardly.
-fn check_rice(table: &Hdu) -> Result<(), IoError> {
-    let name = |number: usize| table.text(&format!("ZNAME{number}"));
-    // Of old files, whose pixels have 4 bytes.
-    let old = name(2).is_some_and(|name| name.trim() == "NOISEBIT");
-    let first = table.structural("ZVAL1", Some(32))?;
-    let second = if old {
-        4
-    } else {
-        table.structural("ZVAL2", Some(4))?
-    };
-    let ((block_key, block), (width_key, width)) = if first < 16 && second > 8 {
-        (("ZVAL2", second), ("ZVAL1", first))
-    } else {
-        (("ZVAL1", first), ("ZVAL2", second))
-    };
-    if !(1..=1024).contains(&block) {
-        return Err(table.header_error(block_key, "a block of RICE_1 has 1 to 1024 pixels"));
-    }
-    if ![1, 2, 4, 8].contains(&width) {
-        return Err(table.header_error(width_key, "pixels of RICE_1 have 1, 2, 4 or 8 bytes"));
-    }
-    for number in 1..=MOST_PARAMETERS {
-        let taken = match name(number).as_deref().map(str::trim) {
-            Some("BLOCKSIZE") => block,
-            Some("BYTEPIX") => width,
-            _ => continue,
-        };
-        let value = format!("ZVAL{number}");
-        if table.structural(&value, None)? != taken {
-            return Err(table.header_error(
-                &value,
-                "BLOCKSIZE must be the first parameter and BYTEPIX the second: run funpack first",
-            ));
-        }
-    }
-    Ok(())
 }

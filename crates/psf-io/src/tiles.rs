@@ -2,19 +2,20 @@
 //! beyond its buffers or leaves them as they were where these are wrong.
 
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{self, BufReader, Read, Seek};
 
 use flate2::bufread::GzDecoder;
 
-use crate::IoError;
 use crate::columns::{Column, columns};
 use crate::hdu::Hdu;
 use crate::plio;
+use crate::rice::Rice;
 use crate::tiled::PLIO;
+use crate::{Card, CardValue, IoError};
 
-/// RICE_1 takes no fewer bits for a block of pixels.
-const RICE_BITS_PER_BLOCK: u64 = 3;
 const BUFFER: usize = 1 << 13;
+/// What is read ahead of the tiles, which mostly lie one after the other.
+const HEAP_BUFFER: usize = 1 << 16;
 
 /// Checks the tiles of an image in tiles; other images pass.
 pub(crate) fn check(hdu: &Hdu) -> Result<(), IoError> {
@@ -27,8 +28,7 @@ pub(crate) fn check(hdu: &Hdu) -> Result<(), IoError> {
 
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Algorithm {
-    /// With the pixels of a block.
-    Rice(u64),
+    Rice(Rice),
     Gzip,
     Plio,
 }
@@ -44,7 +44,9 @@ struct Descriptors {
 
 struct Tiles<'a> {
     hdu: &'a Hdu,
-    file: BufReader<File>,
+    /// The file for the rows, and once more for the tiles: each goes on where it was.
+    table: Places,
+    packed: Places,
     algorithm: Algorithm,
     /// Whether floats are kept as they are.
     unquantised: bool,
@@ -67,14 +69,14 @@ impl<'a> Tiles<'a> {
         };
         let (row_bytes, rows) = (length("NAXIS1", None)?, length("NAXIS2", None)?);
         let columns = columns(hdu, row_bytes)?;
-        let compressed = descriptors(hdu, &columns, "COMPRESSED_DATA")?
-            .ok_or_else(|| hdu.header_error("TTYPE1", "there is no column COMPRESSED_DATA"))?;
         let algorithm = match hdu.text("ZCMPTYPE").as_deref().map(str::trim) {
             Some(PLIO) => Algorithm::Plio,
             Some("GZIP_1" | "GZIP_2") => Algorithm::Gzip,
-            // Which of the two parameters is the block has been checked; the larger bound serves.
-            _ => Algorithm::Rice(length("ZVAL1", Some(32))?.max(length("ZVAL2", Some(4))?) as u64),
+            _ => Algorithm::Rice(Rice::of(hdu)?),
         };
+        let element = if algorithm == Algorithm::Plio { b'I' } else { b'B' };
+        let compressed = descriptors(hdu, &columns, "COMPRESSED_DATA", Some(element))?
+            .ok_or_else(|| hdu.header_error("TTYPE1", "there is no column COMPRESSED_DATA"))?;
         let has = |name: &str| {
             columns
                 .iter()
@@ -90,13 +92,11 @@ impl<'a> Tiles<'a> {
             let default = if axis == 1 { hdu.axes[0] } else { 1 };
             length(&format!("ZTILE{axis}"), Some(default as i64))
         });
-        let file = File::open(hdu.source().file()).map_err(|source| IoError::Read {
-            path: hdu.source().path().to_owned(),
-            source,
-        })?;
+        let places = |buffer| Places::open(hdu, buffer).map_err(|e| failed(hdu, e));
         Ok(Self {
             hdu,
-            file: BufReader::new(file),
+            table: places(BUFFER)?,
+            packed: places(HEAP_BUFFER)?,
             algorithm,
             unquantised: hdu.bitpix < 0 && (none || !(has("ZSCALE") || has("ZZERO"))),
             tile: tile.collect::<Result<_, _>>()?,
@@ -104,8 +104,8 @@ impl<'a> Tiles<'a> {
             rows,
             heap,
             compressed,
-            uncompressed: descriptors(hdu, &columns, "UNCOMPRESSED_DATA")?,
-            zipped: descriptors(hdu, &columns, "GZIP_COMPRESSED_DATA")?,
+            uncompressed: descriptors(hdu, &columns, "UNCOMPRESSED_DATA", None)?,
+            zipped: descriptors(hdu, &columns, "GZIP_COMPRESSED_DATA", Some(b'B'))?,
         })
     }
 
@@ -116,9 +116,8 @@ impl<'a> Tiles<'a> {
         let sound = if count > 0 {
             match self.algorithm {
                 Algorithm::Plio => !self.unquantised && plio::is_sound(&self.bytes(row, start, count, 2)?),
-                Algorithm::Rice(block) => {
-                    let most = (count.saturating_mul(8) / RICE_BITS_PER_BLOCK).saturating_mul(block);
-                    !self.unquantised && self.holds(start, count, 1) && pixels <= most
+                Algorithm::Rice(rice) => {
+                    !self.unquantised && rice.is_sound(&self.bytes(row, start, count, 1)?, pixels)
                 }
                 // Floats become whole numbers of 32 bits when they are quantised.
                 Algorithm::Gzip => {
@@ -156,8 +155,9 @@ impl<'a> Tiles<'a> {
     fn descriptor(&mut self, row: usize, column: Descriptors) -> Result<(u64, u64), IoError> {
         let mut bytes = [0; 16];
         let bytes = &mut bytes[..2 * column.width];
-        self.seek((row * self.row_bytes + column.place) as u64)?;
-        self.file.read_exact(bytes).map_err(|e| self.failed(e))?;
+        let place = (row * self.row_bytes + column.place) as u64;
+        let read = self.table.seek(place).and_then(|file| file.read_exact(bytes));
+        read.map_err(|e| failed(self.hdu, e))?;
         let number = |bytes: &[u8]| bytes.iter().fold(0_u64, |n, &byte| (n << 8) | u64::from(byte));
         let (count, place) = bytes.split_at(column.width);
         Ok((number(count), self.heap.saturating_add(number(place))))
@@ -173,8 +173,11 @@ impl<'a> Tiles<'a> {
             return Err(self.broken(row));
         }
         let mut bytes = vec![0; (count * width) as usize];
-        self.seek(start)?;
-        self.file.read_exact(&mut bytes).map_err(|e| self.failed(e))?;
+        let read = self
+            .packed
+            .seek(start)
+            .and_then(|file| file.read_exact(&mut bytes));
+        read.map_err(|e| failed(self.hdu, e))?;
         Ok(bytes)
     }
 
@@ -183,8 +186,8 @@ impl<'a> Tiles<'a> {
         if !self.holds(start, count, 1) {
             return Ok(false);
         }
-        self.seek(start)?;
-        let mut stream = GzDecoder::new((&mut self.file).take(count));
+        let file = self.packed.seek(start).map_err(|e| failed(self.hdu, e))?;
+        let mut stream = GzDecoder::new(file.take(count));
         let (mut buffer, mut unpacked) = ([0; BUFFER], 0);
         while unpacked <= expected {
             match stream.read(&mut buffer) {
@@ -196,22 +199,6 @@ impl<'a> Tiles<'a> {
         Ok(false)
     }
 
-    /// Goes to a byte of the data.
-    fn seek(&mut self, at: u64) -> Result<(), IoError> {
-        let at = self.hdu.data_start.saturating_add(at);
-        self.file
-            .seek(SeekFrom::Start(at))
-            .map(drop)
-            .map_err(|e| self.failed(e))
-    }
-
-    fn failed(&self, source: std::io::Error) -> IoError {
-        IoError::Read {
-            path: self.hdu.source().path().to_owned(),
-            source,
-        }
-    }
-
     fn broken(&self, tile: usize) -> IoError {
         IoError::Tile {
             path: self.hdu.source().path().to_owned(),
@@ -221,29 +208,91 @@ impl<'a> Tiles<'a> {
     }
 }
 
-/// The column of this name, which must not be there twice.
-fn descriptors(hdu: &Hdu, columns: &[Column], name: &str) -> Result<Option<Descriptors>, IoError> {
+fn failed(hdu: &Hdu, source: io::Error) -> IoError {
+    IoError::Read {
+        path: hdu.source().path().to_owned(),
+        source,
+    }
+}
+
+/// The data of an HDU, in which places are sought.
+struct Places {
+    file: BufReader<File>,
+    /// Where the data start.
+    start: u64,
+}
+
+impl Places {
+    fn open(hdu: &Hdu, buffer: usize) -> io::Result<Self> {
+        let file = File::open(hdu.source().file())?;
+        Ok(Self {
+            file: BufReader::with_capacity(buffer, file),
+            start: hdu.data_start,
+        })
+    }
+
+    /// Goes to a byte of the data, and keeps what has been read ahead.
+    fn seek(&mut self, at: u64) -> io::Result<&mut BufReader<File>> {
+        let ahead = i128::from(self.start) + i128::from(at) - i128::from(self.file.stream_position()?);
+        let ahead = i64::try_from(ahead).map_err(|_| io::ErrorKind::InvalidInput)?;
+        self.file.seek_relative(ahead)?;
+        Ok(&mut self.file)
+    }
+}
+
+/// The column of this name, which must not be there twice. Where elements are told, it holds them as they are: CFITSIO would convert others,
+/// and follow what has not been checked.
+fn descriptors(
+    hdu: &Hdu,
+    columns: &[Column],
+    name: &str,
+    element: Option<u8>,
+) -> Result<Option<Descriptors>, IoError> {
     let mut place = 0;
     let mut found = None;
     for (index, column) in columns.iter().enumerate() {
         if column.name.eq_ignore_ascii_case(name) {
+            let keyword = |stem: &str| format!("{stem}{}", index + 1);
             let width = match column.code {
                 b'P' => 4,
                 b'Q' => 8,
                 _ => {
-                    let keyword = format!("TFORM{}", index + 1);
-                    return Err(
-                        hdu.header_error(&keyword, "tiles have lengths of their own: P or Q is needed")
-                    );
+                    return Err(hdu.header_error(
+                        &keyword("TFORM"),
+                        "tiles have lengths of their own: P or Q is needed",
+                    ));
                 }
             };
             if column.bytes() != Some(2 * width) || found.is_some() {
-                let keyword = format!("TTYPE{}", index + 1);
-                return Err(hdu.header_error(&keyword, "there must be one such column, with one tile a row"));
+                return Err(hdu.header_error(
+                    &keyword("TTYPE"),
+                    "there must be one such column, with one tile a row",
+                ));
+            }
+            if element.is_some_and(|element| column.element() != Some(element)) {
+                return Err(hdu.header_error(
+                    &keyword("TFORM"),
+                    "compressed tiles are of bytes (1PB, 1QB), or of 16-bit words in PLIO_1 (1PI, 1QI)",
+                ));
+            }
+            for (stem, neutral) in [("TSCAL", 1.0), ("TZERO", 0.0)] {
+                if element.is_some() && !is_number(hdu, &keyword(stem), neutral) {
+                    return Err(hdu.header_error(&keyword(stem), "compressed tiles are not scaled"));
+                }
             }
             found = Some(Descriptors { place, width });
         }
         place += column.bytes().expect("columns have been added up");
     }
     Ok(found)
+}
+
+/// Whether the keyword has this value, or is not there.
+fn is_number(hdu: &Hdu, keyword: &str, expected: f64) -> bool {
+    match hdu.header.get(keyword).map(Card::value) {
+        None => true,
+        Some(Some(CardValue::Real(value))) => value == expected,
+        Some(Some(CardValue::Integer(value))) => value as f64 == expected,
+        Some(_) => false,
+    }
 }

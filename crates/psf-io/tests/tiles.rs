@@ -41,6 +41,9 @@ fn tiled(bitpix: i32, algorithm: &str, columns: &[(&str, &str)], rows: &[u8], he
         "ZTILE2  = 1".to_owned(),
         format!("ZCMPTYPE= '{algorithm}'"),
     ]);
+    if algorithm == "RICE_1" {
+        cards.push("ZVAL1   = 32".to_owned());
+    }
     let cards: Vec<&str> = cards.iter().map(String::as_str).collect();
     let mut bytes = image(SIMPLE, 8, &[], &["EXTEND  = T"], &[]);
     bytes.extend(hdu(&cards, &[rows, heap].concat()));
@@ -145,13 +148,58 @@ fn lists_and_blocks_without_pixels_are_refused() {
     let empty = [0, 7, -100, 0, 0, 0, 0];
     let list = twice(16, "PLIO_1", &i16s(&empty), empty.len());
     assert!(is_a_broken_tile(&with_value(&list, "TFORM1", "'1PI'").bytes, 0));
-    // A byte of RICE_1 holds 2 blocks at most; these are quantised floats or none.
-    let block = twice(32, "RICE_1", &[0], 1);
+    let block = twice(32, "RICE_1", &[0; 5], 5);
+    assert_eq!(values(&block).unwrap(), [0.0; NX * NY]);
+    // One block more than a byte has codes for; these are quantised floats or none.
     let wide = with_value(&block, "ZNAXIS1", "1000").bytes;
     assert!(is_a_broken_tile(&with_value(&wide, "ZTILE1", "1000").bytes, 0));
     assert!(is_a_broken_tile(&twice(-32, "RICE_1", &[0; 40], 40), 0));
     // Beyond the heap.
     assert!(is_a_broken_tile(&twice(32, "RICE_1", &[0; 4], 1 << 30), 0));
+}
+
+#[test]
+fn blocks_of_rice_that_end_too_early_are_refused() {
+    // CFITSIO would read on behind them, in search of the one of a code (as it was found), of a code, of the first pixel, of low bits.
+    for tile in [
+        &[0, 0, 0, 0x30, 0x10][..],
+        &[0; 4],
+        &[0],
+        &[0, 0, 0, 0, 0xc8, 0, 0],
+    ] {
+        assert!(
+            is_a_broken_tile(&twice(32, "RICE_1", tile, tile.len()), 0),
+            "{tile:?}"
+        );
+    }
+}
+
+#[test]
+fn tiles_that_cfitsio_would_convert_are_refused() {
+    let block = twice(32, "RICE_1", &[0; 5], 5);
+    let list = with_value(
+        &twice(16, "PLIO_1", &i16s(&FIVES), FIVES.len()),
+        "TFORM1",
+        "'1PI'",
+    )
+    .bytes;
+    let zip = zipped(32, &i32s(&[1; NX]));
+    let mut mutations = vec![with_value(&list, "TFORM1", "'1PB'")];
+    for (tile, form) in [
+        (&block, "'1PI'"),
+        (&zip, "'1PI'"),
+        (&zip, "'1PJ'"),
+        (&block, "'1P'"),
+    ] {
+        mutations.push(with_value(tile, "TFORM1", form));
+    }
+    for card in ["TSCAL1  = 2.0", "TZERO1  = -128", "TZERO1  = 'no'"] {
+        // In place of a card that may be absent.
+        mutations.extend([&block, &list, &zip].map(|good| replaced(good, "ZTILE2", card)));
+    }
+    assert_refused(mutations, |path| read_image::<f32>(path));
+    let neutral = replaced(&block, "ZTILE2", "TSCAL1  = 1.0").bytes;
+    assert_eq!(values(&neutral).unwrap(), [0.0; NX * NY]);
 }
 
 #[test]

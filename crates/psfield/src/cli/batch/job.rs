@@ -51,8 +51,14 @@ impl Job {
         log: Option<&Path>,
     ) -> Result<Vec<Self>, UsageError> {
         let defaults = stronger.clone().or(&file.defaults);
-        if defaults.get("name").is_some() {
-            return Err(UsageError("name is of single jobs, not of all".to_owned()));
+        let named = [
+            ("--set".to_owned(), stronger),
+            (format!("{}: [defaults]", file.path.display()), &file.defaults),
+        ];
+        for (place, settings) in named {
+            if settings.get("name").is_some() {
+                return Err(UsageError(format!("{place}: name is of single jobs, not of all")));
+            }
         }
         let mut command = SimulateArgs::augment_args(Command::new("simulate"))
             .no_binary_name(true)

@@ -174,6 +174,9 @@ fn report_of<'a>(
 mod tests {
     use std::path::Path;
 
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
     use super::*;
 
     /// The two files of the help, as they would be written.
@@ -244,6 +247,78 @@ mod tests {
         assert_ne!(
             digest("output = 'a.fits'\nanchor = 'source'\nprecision = 'f64'"),
             digest("output = 'a.fits'\nanchor = 'output'\nprecision = 'f64'")
+        );
+    }
+
+    /// Jobs files that are spoilt here and there: the options' own checks included, none of them is to panic.
+    #[test]
+    fn spoilt_jobs_are_understood_or_refused_by_name() {
+        const CASES: u64 = 4000;
+        const MARKS: [&str; 24] = [
+            ",",
+            "\"",
+            "'",
+            "\n",
+            "\r\n",
+            "#",
+            "[",
+            "]",
+            "[[",
+            "=",
+            "{",
+            "}",
+            "\0",
+            "é",
+            "nan",
+            "-1",
+            "1e999",
+            "99999999999999999999",
+            "true",
+            "1979-05-27",
+            "name",
+            "output",
+            "overwrite = true\n",
+            "x=",
+        ];
+        let seeds = samples();
+        let (mut understood, mut refused) = (0, 0);
+        for case in 0..CASES {
+            let mut rng = ChaCha8Rng::seed_from_u64(case);
+            let is_toml = rng.random::<bool>();
+            let mut text: Vec<char> = seeds[usize::from(!is_toml)].chars().collect();
+            for _ in 0..rng.random_range(1..4) {
+                let at = rng.random_range(0..text.len());
+                let length = rng.random_range(0..3).min(text.len() - at);
+                let mark = MARKS[rng.random_range(0..MARKS.len())];
+                text.splice(at..at + length, mark.chars());
+            }
+            let text: String = text.into_iter().collect();
+            let folder = Path::new("night");
+            let parsed = if is_toml {
+                JobsFile::from_toml(&text, folder)
+            } else {
+                JobsFile::from_csv(text.as_bytes(), folder)
+            };
+            let mut common = Settings::default();
+            common.add("psf=telescope.fits".parse().unwrap()).unwrap();
+            let checked = parsed.and_then(|file| {
+                let path = folder.join("jobs");
+                Job::all(JobsFile { path, ..file }, &common, None).map_err(|e| {
+                    assert!(e.to_string().contains("jobs"), "{text}: {e}");
+                    e.to_string()
+                })
+            });
+            match checked {
+                Ok(_) => understood += 1,
+                Err(why) => {
+                    assert!(!why.is_empty(), "{text}");
+                    refused += 1;
+                }
+            }
+        }
+        assert!(
+            understood > 0 && refused > 0,
+            "{understood} understood, {refused} refused"
         );
     }
 }
