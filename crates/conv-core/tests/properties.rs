@@ -1,5 +1,5 @@
 //! What every method keeps, for any light: it is linear, follows a shift where the PSF is the same everywhere, keeps the flux of sources that
-//! the frame holds, and makes nothing negative from what is not.
+//! the frame holds, makes nothing negative from what is not, and has the transpose that it says.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -7,7 +7,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{Constant, Waves, largest_difference, model_with, peak};
-use conv_core::{BasisConvolution, ConvolutionMethod, Direct, LowRank, PatchConvolution, PlanOptions};
+use conv_core::{BasisConvolution, ConvolutionMethod, Direct, LowRank, PatchConvolution, Plan, PlanOptions};
 use ndarray::{Array2, Array3, s};
 use proptest::prelude::*;
 use psf_types::{
@@ -138,6 +138,31 @@ proptest! {
             let image = convolved(&*method, &model, &wide);
             let difference = (image.sum() - light.sum()).abs();
             prop_assert!(difference <= ROUNDING * light.sum(), "{}: {:e}", name, difference);
+        }
+    }
+
+    #[test]
+    fn scalar_products_are_the_same_on_both_sides(light in light(-1.0), seed in 0_u64..1000) {
+        let model = model_with(Arc::new(Waves), STAMP, CENTRE, true, Normalisation::Unit);
+        let (ny, nx) = light.dim();
+        let scene = Scene::from_image(Image::new(light.clone()).unwrap());
+        let seen = Image::new(common::noise(ny, nx, seed)).unwrap();
+        for anchor in ANCHORS {
+            let mut pairs = Vec::new();
+            for tolerance in [0.0, 1e-3] {
+                let options = PlanOptions::new(tolerance).unwrap().with_anchor(anchor);
+                let plan = Plan::for_scene(&model, &scene, options).unwrap();
+                pairs.push((plan.execute(&scene).unwrap(), plan.adjoint(&seen).unwrap()));
+            }
+            let basis = BasisConvolution::new(anchor);
+            pairs.push((basis.convolve(&model, &scene).unwrap(), basis.adjoint(&model, &seen, &scene).unwrap()));
+            for (image, back) in pairs {
+                let forward = (&image.pixels() * &seen.pixels()).sum();
+                let backward = (&light * &back.pixels()).sum();
+                let terms = (&image.pixels() * &seen.pixels()).mapv(f64::abs).sum();
+                let scale = terms + peak(&light) * (nx * ny) as f64;
+                prop_assert!((forward - backward).abs() <= ROUNDING * scale, "{}: {:e}", anchor, forward - backward);
+            }
         }
     }
 

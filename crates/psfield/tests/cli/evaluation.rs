@@ -1,6 +1,6 @@
 //! `psfield evaluate` and `psfield compare`.
 
-use ndarray::Axis;
+use ndarray::{Array2, Axis};
 use psfield::psf_types::Position;
 
 use crate::desk::{Desk, STAMP, assert_keys, points, samples, samples_at};
@@ -47,7 +47,9 @@ fn samples_come_back_at_their_positions() {
 fn positions_between_samples_are_interpolated() {
     let desk = Desk::new();
     desk.write("at.csv", "x,y\n15,12.5\n");
-    desk.done("evaluate samples.fits --at at.csv -o stamp.fits --rank full --precision f64");
+    desk.done(
+        "evaluate samples.fits --at at.csv -o stamp.fits --rank full --precision f64 --interpolation bilinear",
+    );
     let truth = desk.samples("samples.fits");
     let corner = |k: usize| truth.stamps().index_axis_move(Axis(0), k);
     let mean = (&corner(0) + &corner(1) + corner(3) + corner(4)) / 4.0;
@@ -57,6 +59,15 @@ fn positions_between_samples_are_interpolated() {
     desk.done("evaluate samples.fits --at at.csv -o nearest.fits --rank full --interpolation nearest");
     let nearest = desk.samples("nearest.fits");
     assert!(largest(nearest.stamps().index_axis_move(Axis(0), 0), mean.view()) > 1e-4);
+    // On a grid of 3 x 3, the default is parabolas in x and y: 3/8, 3/4, -1/8 half way to the second of three.
+    desk.done("evaluate samples.fits --at at.csv -o default.fits --rank full --precision f64");
+    let weights = [0.375, 0.75, -0.125];
+    let mut parabolas = Array2::<f64>::zeros(mean.dim());
+    for (sample, stamp) in truth.stamps().outer_iter().enumerate() {
+        parabolas.scaled_add(weights[sample % 3] * weights[sample / 3], &stamp);
+    }
+    let found = desk.samples("default.fits");
+    assert!(largest(found.stamps().index_axis_move(Axis(0), 0), parabolas.view()) <= DOUBLE);
 }
 
 #[test]

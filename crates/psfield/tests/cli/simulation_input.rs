@@ -10,6 +10,8 @@ const DOUBLE: f64 = 1e-12;
 const RESAMPLING: f64 = 1e-3;
 
 const OPTIONS: &str = "--precision f64 --rank full";
+/// The same, of the fast engine without a tolerance.
+const EXACT: &str = "--precision f64 --rank full --tolerance 0";
 
 fn centroid(image: &Array2<f64>) -> (f64, f64) {
     let sum = image.sum();
@@ -29,11 +31,11 @@ fn stars_on_pixels_are_lit_pixels() {
     desk.write("stars.csv", "# two stars\nid,flux,x,y\na,10,20,15\nb,4.5,40,33\n");
     desk.write_image("lit.fits", points(&[(20, 15, 10.0), (40, 33, 4.5)]));
     desk.done(&format!(
-        "simulate lit.fits --psf samples.fits -o lit_out.fits {OPTIONS}"
+        "simulate lit.fits --psf samples.fits -o lit_out.fits {EXACT}"
     ));
     let report = desk
         .done(&format!(
-            "simulate --catalog stars.csv --shape 61,51 --psf samples.fits -o stars_out.fits {OPTIONS} --json"
+            "simulate --catalog stars.csv --shape 61,51 --psf samples.fits -o stars_out.fits {EXACT} --json"
         ))
         .json();
     assert_eq!(report["sources"], 2);
@@ -61,7 +63,7 @@ fn oversampled_samples_serve_scene_and_catalogue() {
     desk.write_samples("fine.fits", &samples(3, 3));
     desk.write("star.csv", "x,y,flux\n30,25,10\n");
     desk.write_image("lit.fits", points(&[(30, 25, 10.0)]));
-    let fine = format!("--psf fine.fits {OPTIONS}");
+    let fine = format!("--psf fine.fits {EXACT}");
     desk.done(&format!("simulate lit.fits {fine} -o lit_out.fits"));
     desk.done(&format!(
         "simulate --catalog star.csv --shape 61,51 {fine} -o star_out.fits"
@@ -70,7 +72,7 @@ fn oversampled_samples_serve_scene_and_catalogue() {
     assert!(difference(&star, &lit) <= RESAMPLING);
     // The same PSF drawn at the frame's pixels.
     desk.done(&format!(
-        "simulate lit.fits --psf samples.fits {OPTIONS} -o coarse_out.fits"
+        "simulate lit.fits --psf samples.fits {EXACT} -o coarse_out.fits"
     ));
     assert!(difference(&lit, &desk.image("coarse_out.fits")) <= RESAMPLING);
     // Both together, with the check against the direct sum over both.
@@ -140,6 +142,8 @@ fn stamp_size_cuts_and_pads() {
     assert!((cut.sum() - 1.0).abs() <= DOUBLE, "scaled to unit flux again");
     assert!(difference(&padded, &whole) <= DOUBLE);
     desk.done("fit samples.fits -o model.fits --rank full");
-    desk.done("simulate lit.fits --psf model.fits --precision f64 --stamp-size 7 -o cut_model.fits");
+    desk.done(
+        "simulate lit.fits --psf model.fits --precision f64 --tolerance 0 --stamp-size 7 -o cut_model.fits",
+    );
     assert!(difference(&desk.image("cut_model.fits"), &cut) <= DOUBLE);
 }
