@@ -8,7 +8,7 @@ use crate::grid_weights::GridWeights;
 use crate::leave_one_out::LeaveOneOut;
 use crate::{CoeffFieldError, FieldInterpolation, FieldWeights};
 
-/// Bilinear interpolation inside the cells of a [`RegularGrid`].
+/// Bilinear interpolation inside the cells of a [`RegularGrid`](crate::RegularGrid).
 ///
 /// In a cell with corners `(x_0, y_0)` and `(x_1, y_1)`, with `t = (x - x_0) / (x_1 - x_0)` and `s` likewise in y,
 /// `v = (1-s)(1-t) v_00 + (1-s) t v_10 + s (1-t) v_01 + s t v_11`. Reproduces `1, x, y, xy`; continuous; the error is at
