@@ -51,7 +51,7 @@ fn errors_fall_with_the_sampling_as_theory_says() {
                     coarse / fine
                 );
             }
-            // Between order 4 and, where its pieces are what is left, order 2 with 1/16 of the error of bilinear interpolation.
+            // Between order 4 and, where its pieces are what is left, order 2 with 1/25 of the error of bilinear interpolation.
             Interpolation::Bicubic => {
                 assert!(
                     (4.5..16.5).contains(&(coarse / fine)),
@@ -68,18 +68,23 @@ fn errors_fall_with_the_sampling_as_theory_says() {
 #[test]
 fn leave_one_out_foretells_the_error_between_samples() {
     let telescope = small_telescope(1);
-    for interpolation in [Interpolation::Bilinear, Interpolation::NaturalNeighbour] {
+    // Over twice the distance, so four times the error in the middle of a cell of linear methods; cubics have parts of order 2 and 4.
+    for (interpolation, at_most) in [
+        (Interpolation::Bilinear, 8.0),
+        (Interpolation::NaturalNeighbour, 8.0),
+        (Interpolation::Bicubic, 16.0),
+    ] {
         let fitted = fit(uniform_samples(&telescope, 13, 11), &options(interpolation)).unwrap();
         let foretold = fitted.report().unwrap().leave_one_out;
         assert!(foretold.predicted >= 11 * 9);
         let median = foretold.median.unwrap();
         let errors = model_errors(&fitted.into_model().unwrap(), &telescope, 23);
-        // Over twice the distance, so about four times the error in the middle of a cell, never less than the error itself.
+        // Never less than the error itself.
         let ratio = median / errors.median();
         println!(
             "{interpolation}: foretold {median:.2e}, found {:.2e}",
             errors.median()
         );
-        assert!((1.0..8.0).contains(&ratio), "{interpolation}: {ratio}");
+        assert!((1.0..at_most).contains(&ratio), "{interpolation}: {ratio}");
     }
 }

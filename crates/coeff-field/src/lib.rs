@@ -13,7 +13,7 @@
 //! | method | weights a position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
 //! | [`Bilinear`] | 4 | exact | 1, x, y, xy | continuous |
-//! | [`Bicubic`] | 16 | exact | 1, x, y, xy; x^i y^j up to 3 at the quarters of cells | continuous |
+//! | [`Bicubic`] | 16 | exact | 1, x, y, xy; x^i y^j up to 3 at the fifths of cells | continuous |
 //! | [`Delaunay`] | 3 | exact | 1, x, y | continuous |
 //! | [`NaturalNeighbour`] | about 6 | exact | 1, x, y | smooth but at the samples |
 //! | [`InverseDistance`] | about 12 | exact | 1 | continuous |
@@ -36,7 +36,7 @@
 //!
 //! # Rows of pixels
 //! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear, so that it costs by cells and
-//! not by pixels: a run for each cell ([`Bilinear`]), quarter of a cell ([`Bicubic`]), triangle ([`Delaunay`]), link of collinear samples, Voronoi cell
+//! not by pixels: a run for each cell ([`Bilinear`]), fifth of a cell ([`Bicubic`]), triangle ([`Delaunay`]), link of collinear samples, Voronoi cell
 //! ([`Nearest`]), or one alone (a [`Polynomial`] of degree 0 or 1). Other methods, and positions where weights are not linear
 //! (outside [`Delaunay`]'s samples under the policy extend, in slivers), go pixel by pixel.
 //!

@@ -291,8 +291,8 @@ fn bilinear_has_a_run_for_each_cell_and_each_side() {
         let field = field(&samples, &Bilinear, outside);
         assert_eq!(check(&field, (x, y), length), Ok(expected), "{outside} {y}");
     }
-    // Cubics are straight in quarters of cells.
-    for (outside, expected) in [(OutsidePolicy::Nearest, 282), (OutsidePolicy::Extend, 280)] {
+    // Cubics are straight in fifths of cells.
+    for (outside, expected) in [(OutsidePolicy::Nearest, 352), (OutsidePolicy::Extend, 350)] {
         let field = field(&samples, &Bicubic, outside);
         assert_eq!(check(&field, (0, 100), 9216), Ok(expected), "{outside}");
     }

@@ -59,9 +59,10 @@ fn positions_between_samples_are_interpolated() {
     desk.done("evaluate samples.fits --at at.csv -o nearest.fits --rank full --interpolation nearest");
     let nearest = desk.samples("nearest.fits");
     assert!(largest(nearest.stamps().index_axis_move(Axis(0), 0), mean.view()) > 1e-4);
-    // On a grid of 3 x 3, the default is parabolas in x and y: 3/8, 3/4, -1/8 half way to the second of three.
+    // On a grid of 3 x 3, the default is parabolas in x and y. Half way to the second line it is the mean of their values at 2/5 and
+    // 3/5 of the way: (12, 16, -3) / 25 and (7, 21, -3) / 25.
     desk.done("evaluate samples.fits --at at.csv -o default.fits --rank full --precision f64");
-    let weights = [0.375, 0.75, -0.125];
+    let weights = [0.38, 0.74, -0.12];
     let mut parabolas = Array2::<f64>::zeros(mean.dim());
     for (sample, stamp) in truth.stamps().outer_iter().enumerate() {
         parabolas.scaled_add(weights[sample % 3] * weights[sample / 3], &stamp);
