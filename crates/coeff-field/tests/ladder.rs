@@ -6,8 +6,6 @@ use coeff_field::{Bicubic, Delaunay, FieldInterpolation, NaturalNeighbour, Weigh
 use common::{at, field, methods, probes, samples_of, scattered, value};
 use psf_types::{OutsidePolicy, Position, SamplePositions};
 
-/// Rounding of weights in well shaped cells.
-const ROUNDING: f64 = 1e-12;
 /// Rounding of sums of values of up to 2e4.
 const SUMS: f64 = 1e-10;
 

@@ -35,7 +35,10 @@ impl ColourBar<'_> {
         let places: Vec<f64> = self.ticks.iter().map(|&v| (self.along)(v)).collect();
         let shown = |place: &f64| {
             let tick = places.iter().position(|p| p == place);
-            tick.map_or_else(String::new, |k| number(self.ticks[k], (low, high)))
+            // Apart from the tick, which would read as a point.
+            tick.map_or_else(String::new, |k| {
+                format!(" {}", number(self.ticks[k], (low, high)))
+            })
         };
         let right = area.dim_in_pixel().0.saturating_sub(BAR + MARGIN + NUMBERS);
         let mut chart = ChartBuilder::on(area)

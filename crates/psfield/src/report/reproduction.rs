@@ -211,10 +211,6 @@ impl Reproduction {
 
         let mut targets = Target::of("stars", &stars.summary);
         targets.extend(Target::of("galaxies", &galaxies.summary));
-        for row in interpolations.iter().filter(|row| !row.in_use) {
-            let kind = format!("PSFs by the exact sum, {}", row.interpolation);
-            targets.extend(Target::of(&kind, &row.summary));
-        }
         Ok(Self {
             telescope: telescope.params().name.clone(),
             frame,
