@@ -35,9 +35,9 @@ impl ColourBar<'_> {
         let places: Vec<f64> = self.ticks.iter().map(|&v| (self.along)(v)).collect();
         let shown = |place: &f64| {
             let tick = places.iter().position(|p| p == place);
-            // Apart from the tick, which would read as a point.
+            // Apart from the tick, which would read as a point; SVG drops plain blanks.
             tick.map_or_else(String::new, |k| {
-                format!(" {}", number(self.ticks[k], (low, high)))
+                format!("\u{a0}{}", number(self.ticks[k], (low, high)))
             })
         };
         let right = area.dim_in_pixel().0.saturating_sub(BAR + MARGIN + NUMBERS);
