@@ -176,7 +176,10 @@ mod tests {
             logarithmic: true,
         };
         let svg = map.figure().unwrap().svg().to_owned();
-        assert!(svg.contains("\n1e-11\n") && svg.contains("\n1e-10\n"), "{svg}");
+        assert!(
+            svg.contains("\u{a0}1e-11\n") && svg.contains("\u{a0}1e-10\n"),
+            "{svg}"
+        );
         assert_eq!(svg.matches("e-1").count(), 2);
         assert_eq!(map.colour(2e-12), ColourMap::Viridis.at(0.0));
     }
