@@ -1,5 +1,7 @@
 //! Ascending lines across one coordinate.
 
+use crate::geometry::Outside;
+
 /// The lines of a grid along one axis.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis {
@@ -107,6 +109,15 @@ impl Axis {
     pub(crate) fn scatter_is_harmless(&self) -> bool {
         let cells = self.lines.windows(2).map(|line| line[1] - line[0]);
         self.scatter <= HARMLESS * cells.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Where a coordinate is looked up: the nearest that the lines cover, or itself where they are extended.
+    pub(crate) fn place(&self, v: f64, outside: Outside) -> f64 {
+        if outside == Outside::Extend {
+            v
+        } else {
+            self.clamp(v)
+        }
     }
 
     /// The nearest coordinate that the lines cover.

@@ -50,7 +50,13 @@ impl AxisWeights {
         let cells = lines.lines.len().saturating_sub(1).max(1);
         Self {
             knots: lines.clone(),
-            pieces: (0..cells).map(|first| Piece::across(first, first)).collect(),
+            pieces: (0..cells)
+                .map(|first| Piece {
+                    first,
+                    low: unit(0),
+                    high: unit(1),
+                })
+                .collect(),
         }
     }
 
@@ -96,17 +102,6 @@ impl AxisWeights {
         LineWeights {
             first: *first,
             weights: std::array::from_fn(|i| (1.0 - t) * low[i] + t * high[i]),
-        }
-    }
-}
-
-impl Piece {
-    /// From a cell's lower line to its upper one, of lines from `first` on.
-    fn across(cell: usize, first: usize) -> Self {
-        Self {
-            first,
-            low: unit(cell - first),
-            high: unit(cell + 1 - first),
         }
     }
 }

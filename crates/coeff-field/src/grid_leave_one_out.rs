@@ -62,13 +62,8 @@ impl LeftOutLine {
         if others.lines.is_empty() {
             return None;
         }
-        let v = if outside == Outside::Extend {
-            v
-        } else {
-            others.clamp(v)
-        };
         let number = |other: usize| other + usize::from(other >= left_out);
-        let weights = along(&others).at(v);
+        let weights = along(&others).at(others.place(v, outside));
         Some(Self {
             weights: weights.iter().map(|(other, w)| (number(other), w)).collect(),
             between: left_out > 0 && left_out + 1 < axis.lines.len(),

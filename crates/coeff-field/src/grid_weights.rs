@@ -85,27 +85,27 @@ impl FieldWeights for GridWeights {
         let row = Row::new(start, length);
         let (mut first, mut last) = (WeightList::new(), WeightList::new());
         let is_clamped = self.outside != Outside::Extend;
+        let is_admitted = |column| self.admit(row.point(column)).is_some();
+        let in_x = |column| self.x.at(self.grid.x().place(row.x(column), self.outside));
+        let in_y = self.y.at(self.grid.y().place(row.y(), self.outside));
         let mut column = 0;
         while column < length {
-            let [x, y] = self
-                .admit(row.point(column))
-                .ok_or_else(|| FieldError::OutsideSamples {
+            if !is_admitted(column) {
+                return Err(FieldError::OutsideSamples {
                     position: row.position(column),
-                })?;
-            let in_y = self.y.at(y);
-            self.product(&self.x.at(x), &in_y, &mut first);
+                });
+            }
+            self.product(&in_x(column), &in_y, &mut first);
             let until = self.x.knots().linear_until(row.x(column), is_clamped);
             let mut end = row.first_from(until, column);
-            if self.admit(row.point(end - 1)).is_none() {
+            if !is_admitted(end - 1) {
                 // What is covered is convex.
-                end = 1 + last_where(column, end, |column| self.admit(row.point(column)).is_some());
+                end = 1 + last_where(column, end, is_admitted);
             }
             if end == column + 1 {
                 visit(RowRun::of_pixel(&first));
             } else {
-                let x = row.x(end - 1);
-                let x = if is_clamped { self.grid.x().clamp(x) } else { x };
-                self.product(&self.x.at(x), &in_y, &mut last);
+                self.product(&in_x(end - 1), &in_y, &mut last);
                 visit(RowRun {
                     length: end - column,
                     first: &first,
