@@ -138,3 +138,41 @@ impl From<PsfModelRecord> for RawPsfModelRecord {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use ndarray::{Array2, Array3};
+
+    use super::*;
+    use crate::{Position, SamplePositions, StampGrid};
+
+    #[test]
+    fn truncation_keeps_the_first_components() {
+        // One lit pixel each, so that they are orthonormal.
+        let components = Array3::from_shape_fn((3, 2, 2), |(k, y, x)| f64::from(u8::from(2 * y + x == k)));
+        let values = Array2::from_shape_fn((2, 3), |(sample, k)| (10 * sample + k) as f64);
+        let positions = [(0, 0), (5, 0)].map(|(x, y)| Position::of_pixel(x, y));
+        let positions = SamplePositions::new(positions.to_vec(), None).unwrap();
+        let record = PsfModelRecord::new(
+            PsfBasis::new(None, components, StampGrid::new(2, 2).unwrap()).unwrap(),
+            SampleCoefficients::new(values, positions).unwrap(),
+            Interpolation::Nearest,
+            OutsidePolicy::Error,
+            Normalisation::Keep,
+        )
+        .unwrap();
+        let one = record.truncated(1).unwrap();
+        assert_eq!(one.basis().rank(), 1);
+        assert_eq!(
+            one.basis().components(),
+            record.basis().components().slice(s![..1, .., ..])
+        );
+        assert_eq!(
+            one.coefficients().values(),
+            record.coefficients().values().slice(s![.., ..1])
+        );
+        assert_eq!(one.outside(), OutsidePolicy::Error);
+        assert_eq!(record.truncated(99).unwrap(), record);
+        assert!(matches!(record.truncated(0), Err(DataError::EmptyBasis)));
+    }
+}

@@ -299,3 +299,41 @@ impl LeaveOneOutReport {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use psf_types::{Position, SamplePositions, StampGrid};
+
+    use super::*;
+
+    #[test]
+    fn the_first_components_of_a_fit_are_the_fit_of_that_rank() {
+        // Gaussians that widen to the right and move upwards.
+        let stamps = Array3::from_shape_fn((9, 9, 9), |(j, y, x)| {
+            let (dx, dy) = (x as f64 - 4.0, y as f64 - 4.0 - 0.1 * (j / 3) as f64);
+            (-(dx * dx + dy * dy) / (2.0 + (j % 3) as f64)).exp()
+        });
+        let positions = (0..9)
+            .map(|j| Position::of_pixel(j % 3 * 10, j / 3 * 10))
+            .collect();
+        let positions = SamplePositions::new(positions, None).unwrap();
+        let samples = PsfSamples::new(stamps, positions, StampGrid::new(9, 9).unwrap()).unwrap();
+        let of_rank = |rank| {
+            let options = FitOptions {
+                rank,
+                ..FitOptions::default()
+            };
+            fit(samples.clone(), &options).unwrap()
+        };
+        let (cut, direct) = (
+            of_rank(RankSelection::Full).truncated(2).unwrap(),
+            of_rank(RankSelection::Fixed(2)),
+        );
+        assert_eq!(cut.record().basis().rank(), 2);
+        assert!(direct.max_error() > 1e-4);
+        for (a, b) in cut.errors.iter().zip(&direct.errors) {
+            // Rounding of sums over 81 pixels.
+            assert!((a - b).abs() < 1e-13, "{a:e} {b:e}");
+        }
+    }
+}

@@ -129,23 +129,29 @@ impl FieldMap<'_> {
 mod tests {
     use super::*;
 
-    #[test]
-    fn the_first_value_is_at_the_bottom_left_and_zero_is_white() {
-        let values: Vec<_> = [-1.0, 0.0, 1.0, 5.0]
-            .into_iter()
-            .enumerate()
-            .map(|(k, v)| (Position::of_pixel((k % 2) as i64, (k / 2) as i64), Some(v)))
-            .collect();
-        let map = FieldMap {
+    /// Values of a grid of 2 x 2.
+    fn placed(values: [f64; 4]) -> Vec<(Position, Option<f64>)> {
+        let places = (0..4).map(|k| Position::of_pixel(k % 2, k / 2));
+        places.zip(values.map(Some)).collect()
+    }
+
+    fn map(values: &[(Position, Option<f64>)], range: (f64, f64)) -> FieldMap<'_> {
+        FieldMap {
             title: "t",
             quantity: "q",
             frame: FrameShape::new(2, 2).unwrap(),
-            values: &values,
+            values,
             grid_columns: Some(2),
-            range: (-1.0, 1.0),
+            range,
             colours: ColourMap::BlueWhiteRed,
             logarithmic: false,
-        };
+        }
+    }
+
+    #[test]
+    fn the_first_value_is_at_the_bottom_left_and_zero_is_white() {
+        let values = placed([-1.0, 0.0, 1.0, 5.0]);
+        let map = map(&values, (-1.0, 1.0));
         let cells = map.cells(2);
         assert_eq!(cells.get_pixel(0, 1).0, ColourMap::BlueWhiteRed.at(0.0));
         assert_eq!(cells.get_pixel(1, 1).0, [255; 3]);
@@ -160,20 +166,11 @@ mod tests {
 
     #[test]
     fn a_logarithmic_bar_has_whole_decades() {
-        let values: Vec<_> = [2e-12, 4e-11, 3e-10, 7e-10]
-            .into_iter()
-            .enumerate()
-            .map(|(k, v)| (Position::of_pixel((k % 2) as i64, (k / 2) as i64), Some(v)))
-            .collect();
+        let values = placed([2e-12, 4e-11, 3e-10, 7e-10]);
         let map = FieldMap {
-            title: "t",
-            quantity: "q",
-            frame: FrameShape::new(2, 2).unwrap(),
-            values: &values,
-            grid_columns: Some(2),
-            range: (2e-12, 7e-10),
             colours: ColourMap::Viridis,
             logarithmic: true,
+            ..map(&values, (2e-12, 7e-10))
         };
         let svg = map.figure().unwrap().svg().to_owned();
         assert!(
