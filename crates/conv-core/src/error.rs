@@ -79,6 +79,10 @@ pub enum ConvError {
     /// The PSF has no value somewhere.
     #[error(transparent)]
     Field(#[from] FieldError),
+    /// The GPU that a plan runs on fails.
+    #[cfg(feature = "gpu")]
+    #[error(transparent)]
+    Gpu(#[from] crate::gpu::GpuError),
     /// The result is not a valid image.
     #[error("the result is not a valid image: are fluxes beyond the range of the working precision?")]
     Result(#[source] DataError),

@@ -39,6 +39,8 @@ mod crop;
 mod direct;
 mod error;
 mod fft2;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod kernel;
 mod lowrank;
 mod method;

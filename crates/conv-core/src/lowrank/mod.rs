@@ -18,6 +18,8 @@ mod job;
 mod light;
 mod local_modes;
 mod method;
+#[cfg(feature = "gpu")]
+mod on_gpu;
 mod options;
 mod plan;
 mod prepared;

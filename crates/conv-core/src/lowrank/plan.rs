@@ -94,6 +94,8 @@ pub struct Plan<T: ConvReal> {
     pool: Pool<T>,
     /// Made when the first star comes.
     stars: OnceLock<StarPlan<T>>,
+    #[cfg(feature = "gpu")]
+    pub(super) gpu: Option<crate::gpu::GpuEngine>,
 }
 
 /// Blocks whose stamps are made by one product of matrices.
@@ -145,6 +147,8 @@ impl<T: ConvReal> Plan<T> {
             light: [columns, rows],
             pool: Pool::new(),
             stars: OnceLock::new(),
+            #[cfg(feature = "gpu")]
+            gpu: None,
             space,
             geometry,
             options,

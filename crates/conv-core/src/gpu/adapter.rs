@@ -1,0 +1,179 @@
+//! GPUs that are there.
+
+/// A GPU (or a driver that runs shaders on the processor) and what it can do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Adapter {
+    /// As its driver calls it.
+    pub name: String,
+    /// What kind of hardware it is.
+    pub kind: AdapterKind,
+    /// The interface that it is driven through: `vulkan`, `metal`, `dx12` or `gl`.
+    pub backend: String,
+    /// The driver and its version, as far as it tells.
+    pub driver: String,
+    /// Bytes of the largest buffer.
+    pub largest_buffer: u64,
+    /// Bytes of a buffer that a shader can see at once. Work is cut into pieces of at most this size.
+    pub largest_binding: u64,
+    /// Bytes that the threads of a workgroup share; limits the size of transforms.
+    pub workgroup_memory: u32,
+    /// Threads of a workgroup at most.
+    pub workgroup_threads: u32,
+    /// Whether it can tell how long its shaders took.
+    pub timestamps: bool,
+}
+
+/// Kinds of adapters, the one to be preferred first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
+pub enum AdapterKind {
+    /// A card with memory of its own.
+    Discrete,
+    /// A GPU that shares the processor's memory.
+    Integrated,
+    /// A GPU lent to a virtual machine.
+    Virtual,
+    /// Hardware that does not say what it is.
+    Other,
+    /// No GPU: shaders run on the processor.
+    Software,
+}
+
+impl AdapterKind {
+    fn of(kind: wgpu::DeviceType) -> Self {
+        match kind {
+            wgpu::DeviceType::DiscreteGpu => Self::Discrete,
+            wgpu::DeviceType::IntegratedGpu => Self::Integrated,
+            wgpu::DeviceType::VirtualGpu => Self::Virtual,
+            wgpu::DeviceType::Other => Self::Other,
+            wgpu::DeviceType::Cpu => Self::Software,
+        }
+    }
+}
+
+impl std::fmt::Display for AdapterKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Discrete => "discrete GPU",
+            Self::Integrated => "integrated GPU",
+            Self::Virtual => "virtual GPU",
+            Self::Other => "other hardware",
+            Self::Software => "software, no GPU",
+        })
+    }
+}
+
+impl std::fmt::Display for Adapter {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} ({}, {})", self.name, self.kind, self.backend)
+    }
+}
+
+impl Adapter {
+    fn of(adapter: &wgpu::Adapter) -> Self {
+        let (info, limits) = (adapter.get_info(), adapter.limits());
+        let driver = [info.driver.as_str(), info.driver_info.as_str()];
+        let driver: Vec<&str> = driver.into_iter().filter(|text| !text.is_empty()).collect();
+        Self {
+            name: info.name,
+            kind: AdapterKind::of(info.device_type),
+            backend: info.backend.to_str().to_owned(),
+            driver: driver.join(" "),
+            largest_buffer: limits.max_buffer_size,
+            largest_binding: limits.max_storage_buffer_binding_size,
+            workgroup_memory: limits.max_compute_workgroup_storage_size,
+            workgroup_threads: limits
+                .max_compute_invocations_per_workgroup
+                .min(limits.max_compute_workgroup_size_x),
+            timestamps: adapter.features().contains(super::device::TIMESTAMPS),
+        }
+    }
+
+    /// Whether a name, in any case, is part of this adapter's name or is its backend.
+    fn answers_to(&self, name: &str) -> bool {
+        self.name.to_lowercase().contains(&name.to_lowercase()) || self.backend.eq_ignore_ascii_case(name)
+    }
+}
+
+/// The adapters that can run compute shaders, the preferred one first.
+///
+/// ```
+/// for adapter in conv_core::gpu::adapters() {
+///     println!("{adapter}: {} MiB at once", adapter.largest_binding >> 20);
+/// }
+/// ```
+pub fn adapters() -> Vec<Adapter> {
+    open_adapters(&instance())
+        .into_iter()
+        .map(|(_, adapter)| adapter)
+        .collect()
+}
+
+pub(super) fn instance() -> wgpu::Instance {
+    wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle())
+}
+
+/// Adapters with their handles, the preferred one first.
+fn open_adapters(instance: &wgpu::Instance) -> Vec<(wgpu::Adapter, Adapter)> {
+    let found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
+    let mut adapters: Vec<(wgpu::Adapter, Adapter)> = found
+        .into_iter()
+        .filter(|adapter| {
+            let can = adapter.get_downlevel_capabilities().flags;
+            can.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
+        })
+        .map(|adapter| {
+            let described = Adapter::of(&adapter);
+            (adapter, described)
+        })
+        .collect();
+    // GL drives what Vulkan drives as well, with lower limits. Stable: else in the order in which the system lists them.
+    adapters.sort_by_key(|(_, adapter)| (adapter.kind, adapter.backend == "gl"));
+    adapters
+}
+
+/// The preferred adapter, or the first that answers to a name; without one, the names of those that are there.
+pub(super) fn choose(
+    instance: &wgpu::Instance,
+    name: Option<&str>,
+) -> Result<(wgpu::Adapter, Adapter), Vec<String>> {
+    let mut adapters = open_adapters(instance);
+    let wanted = adapters
+        .iter()
+        .position(|(_, adapter)| name.is_none_or(|name| adapter.answers_to(name)));
+    match wanted {
+        Some(index) => Ok(adapters.swap_remove(index)),
+        None => Err(adapters.iter().map(|(_, adapter)| adapter.name.clone()).collect()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_parts_in_any_case_or_backends() {
+        let adapter = Adapter {
+            name: "NVIDIA H100 80GB HBM3".into(),
+            kind: AdapterKind::Discrete,
+            backend: "vulkan".into(),
+            driver: String::new(),
+            largest_buffer: 1 << 30,
+            largest_binding: 128 << 20,
+            workgroup_memory: 32 << 10,
+            workgroup_threads: 256,
+            timestamps: true,
+        };
+        for name in ["h100", "NVIDIA", "Vulkan", "80gb hbm3"] {
+            assert!(adapter.answers_to(name), "{name}");
+        }
+        for name in ["h200", "gl", "vulkan "] {
+            assert!(!adapter.answers_to(name), "{name}");
+        }
+        assert_eq!(
+            adapter.to_string(),
+            "NVIDIA H100 80GB HBM3 (discrete GPU, vulkan)"
+        );
+    }
+}
