@@ -1,5 +1,7 @@
 //! GPUs that are there.
 
+use super::fft_source::FftSource;
+
 /// A GPU (or a driver that runs shaders on the processor) and what it can do.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
@@ -90,6 +92,11 @@ impl Adapter {
         }
     }
 
+    /// Whether it has room for transforms of planes of some columns and rows.
+    pub(crate) fn can_transform(&self, nx: usize, ny: usize) -> bool {
+        nx.max(ny / 2) <= FftSource::longest(self.workgroup_memory as usize)
+    }
+
     /// Whether a name, in any case, is part of this adapter's name or is its backend.
     fn answers_to(&self, name: &str) -> bool {
         self.name.to_lowercase().contains(&name.to_lowercase()) || self.backend.eq_ignore_ascii_case(name)
@@ -104,41 +111,41 @@ impl Adapter {
 /// }
 /// ```
 pub fn adapters() -> Vec<Adapter> {
-    open_adapters(&instance())
-        .into_iter()
-        .map(|(_, adapter)| adapter)
-        .collect()
-}
-
-pub(super) fn instance() -> wgpu::Instance {
-    wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle())
+    open_adapters().into_iter().map(|(_, adapter)| adapter).collect()
 }
 
 /// Adapters with their handles, the preferred one first.
-fn open_adapters(instance: &wgpu::Instance) -> Vec<(wgpu::Adapter, Adapter)> {
-    let found = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::all()));
-    let mut adapters: Vec<(wgpu::Adapter, Adapter)> = found
-        .into_iter()
-        .filter(|adapter| {
-            let can = adapter.get_downlevel_capabilities().flags;
-            can.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
-        })
-        .map(|adapter| {
-            let described = Adapter::of(&adapter);
-            (adapter, described)
-        })
-        .collect();
-    // GL drives what Vulkan drives as well, with lower limits. Stable: else in the order in which the system lists them.
-    adapters.sort_by_key(|(_, adapter)| (adapter.kind, adapter.backend == "gl"));
+fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
+    let mut adapters = adapters_of(wgpu::Backends::PRIMARY);
+    // GL drives what the others drive as well, with lower limits, and its libraries complain where there is no screen.
+    if adapters.is_empty() {
+        adapters = adapters_of(wgpu::Backends::GL);
+    }
+    // Stable: else in the order in which the system lists them.
+    adapters.sort_by_key(|(_, adapter)| adapter.kind);
     adapters
 }
 
+fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
+        backends,
+        ..wgpu::InstanceDescriptor::new_without_display_handle()
+    });
+    let found = pollster::block_on(instance.enumerate_adapters(backends));
+    let able = found.into_iter().filter(|adapter| {
+        let can = adapter.get_downlevel_capabilities().flags;
+        can.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
+    });
+    able.map(|adapter| {
+        let described = Adapter::of(&adapter);
+        (adapter, described)
+    })
+    .collect()
+}
+
 /// The preferred adapter, or the first that answers to a name; without one, the names of those that are there.
-pub(super) fn choose(
-    instance: &wgpu::Instance,
-    name: Option<&str>,
-) -> Result<(wgpu::Adapter, Adapter), Vec<String>> {
-    let mut adapters = open_adapters(instance);
+pub(super) fn choose(name: Option<&str>) -> Result<(wgpu::Adapter, Adapter), Vec<String>> {
+    let mut adapters = open_adapters();
     let wanted = adapters
         .iter()
         .position(|(_, adapter)| name.is_none_or(|name| adapter.answers_to(name)));

@@ -2,8 +2,9 @@
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::adapter::{Adapter, choose, instance};
+use super::adapter::{Adapter, choose};
 use super::error::GpuError;
+use super::shader::{Pipelines, PlaneSource};
 
 /// A GPU that plans can run on. Cheap to clone: clones are the same GPU.
 ///
@@ -25,16 +26,31 @@ struct Inner {
     device: wgpu::Device,
     queue: wgpu::Queue,
     trouble: Arc<Mutex<Trouble>>,
-    /// Held by whoever submits work, so that errors have one owner.
-    turn: Mutex<()>,
+    /// Shaders that have been made, by the size of their planes.
+    pipelines: Mutex<Vec<Arc<Pipelines>>>,
 }
 
-/// What the driver said since it was last asked.
+/// What the driver said.
 #[derive(Debug, Default)]
 struct Trouble {
     lost: Option<String>,
-    out_of_memory: bool,
-    other: Option<String>,
+    /// How often it complained of something else, and the last complaint.
+    complaints: u64,
+    last: Option<Complaint>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Complaint {
+    OutOfMemory,
+    Other(String),
+}
+
+/// Work on a GPU, which fails with whatever its driver complains of from the beginning on. Others may use the GPU at the same time; a complaint
+/// about one makes all of them fail, since the driver does not say whom it means.
+#[derive(Debug)]
+pub(super) struct Attempt {
+    device: GpuDevice,
+    complaints: u64,
 }
 
 /// Features with which a GPU can tell how long its work took.
@@ -48,7 +64,7 @@ impl GpuDevice {
     /// # Errors
     /// [`GpuError`] where there is none, or none of that name, or its driver refuses.
     pub fn new(name: Option<&str>) -> Result<Self, GpuError> {
-        let (handle, adapter) = choose(&instance(), name).map_err(|present| match name {
+        let (handle, adapter) = choose(name).map_err(|present| match name {
             Some(name) if !present.is_empty() => GpuError::NoSuchAdapter {
                 wanted: name.to_owned(),
                 present,
@@ -85,7 +101,7 @@ impl GpuDevice {
             device,
             queue,
             trouble,
-            turn: Mutex::new(()),
+            pipelines: Mutex::new(Vec::new()),
         })))
     }
 
@@ -110,48 +126,126 @@ impl GpuDevice {
         &self.0.queue
     }
 
-    /// Waits until nobody else uses the GPU. What the driver said before is forgotten, but for its loss.
-    pub(super) fn turn(&self) -> MutexGuard<'_, ()> {
-        let turn = locked(&self.0.turn);
-        let mut trouble = locked(&self.0.trouble);
-        trouble.out_of_memory = false;
-        trouble.other = None;
-        turn
+    /// Begins to use the GPU.
+    pub(super) fn attempt(&self) -> Result<Attempt, GpuError> {
+        let complaints = locked(&self.0.trouble).complaints;
+        let attempt = Attempt {
+            device: self.clone(),
+            complaints,
+        };
+        attempt.check()?;
+        Ok(attempt)
+    }
+}
+
+impl std::ops::Deref for Attempt {
+    type Target = GpuDevice;
+    fn deref(&self) -> &GpuDevice {
+        &self.device
+    }
+}
+
+impl Attempt {
+    /// The error that the driver told of since the beginning, if any.
+    pub(super) fn check(&self) -> Result<(), GpuError> {
+        let adapter = &self.device.adapter().name;
+        locked(&self.device.0.trouble).since(self.complaints, adapter)
     }
 
-    /// The error that the driver told of, if any.
-    pub(super) fn check(&self) -> Result<(), GpuError> {
-        let trouble = locked(&self.0.trouble);
-        let adapter = self.0.adapter.name.clone();
-        if let Some(reason) = &trouble.lost {
-            let reason = reason.clone();
-            return Err(GpuError::Lost { adapter, reason });
+    /// The error that the driver told of, or that something failed for this reason.
+    pub(super) fn failed(&self, reason: &dyn std::fmt::Display) -> GpuError {
+        self.check().err().unwrap_or_else(|| GpuError::Driver {
+            adapter: self.device.adapter().name.clone(),
+            reason: reason.to_string(),
+        })
+    }
+
+    /// The shaders for planes of a size; the driver takes its time to make them, so they are kept.
+    pub(super) fn pipelines(&self, source: PlaneSource) -> Result<Arc<Pipelines>, GpuError> {
+        let mut made = locked(&self.device.0.pipelines);
+        if let Some(found) = made.iter().find(|pipelines| pipelines.source == source) {
+            return Ok(Arc::clone(found));
         }
-        if trouble.out_of_memory {
-            return Err(GpuError::OutOfMemory { adapter });
-        }
-        match &trouble.other {
-            Some(reason) => Err(GpuError::Driver {
-                adapter,
-                reason: reason.clone(),
-            }),
-            None => Ok(()),
-        }
+        let new = Pipelines::new(self, source)?;
+        made.push(Arc::clone(&new));
+        Ok(new)
+    }
+
+    /// Goes on after a complaint.
+    pub(super) fn forgive(&mut self) {
+        self.complaints = locked(&self.device.0.trouble).complaints;
     }
 }
 
 impl Trouble {
     fn hear(&mut self, error: &wgpu::Error) {
-        match error {
-            wgpu::Error::OutOfMemory { .. } => self.out_of_memory = true,
-            other => {
-                self.other.get_or_insert_with(|| other.to_string());
+        self.complaints += 1;
+        self.last = Some(match error {
+            wgpu::Error::OutOfMemory { .. } => Complaint::OutOfMemory,
+            other => Complaint::Other(other.to_string()),
+        });
+    }
+
+    /// The error that came after so many complaints, if any.
+    fn since(&self, complaints: u64, adapter: &str) -> Result<(), GpuError> {
+        let adapter = adapter.to_owned();
+        if let Some(reason) = &self.lost {
+            let reason = reason.clone();
+            return Err(GpuError::Lost { adapter, reason });
+        }
+        match &self.last {
+            Some(Complaint::OutOfMemory) if self.complaints > complaints => {
+                Err(GpuError::OutOfMemory { adapter })
             }
+            Some(Complaint::Other(reason)) if self.complaints > complaints => Err(GpuError::Driver {
+                adapter,
+                reason: reason.clone(),
+            }),
+            _ => Ok(()),
         }
     }
 }
 
 /// A poisoned lock is only that of a thread that panicked elsewhere.
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn complaints_count_from_the_beginning_of_an_attempt_and_a_loss_for_good() {
+        let mut trouble = Trouble::default();
+        assert_eq!(trouble.since(0, "a"), Ok(()));
+        trouble.hear(&wgpu::Error::OutOfMemory {
+            source: "full".into(),
+        });
+        let adapter = || "a".to_owned();
+        assert_eq!(
+            trouble.since(0, "a"),
+            Err(GpuError::OutOfMemory { adapter: adapter() })
+        );
+        assert_eq!(trouble.since(1, "a"), Ok(()));
+        trouble.hear(&wgpu::Error::Internal {
+            source: "x".into(),
+            description: "broken".into(),
+        });
+        assert_eq!(
+            trouble.since(1, "a"),
+            Err(GpuError::Driver {
+                adapter: adapter(),
+                reason: "broken".into()
+            })
+        );
+        trouble.lost = Some("reset".into());
+        assert_eq!(
+            trouble.since(2, "a"),
+            Err(GpuError::Lost {
+                adapter: adapter(),
+                reason: "reset".into()
+            })
+        );
+    }
 }

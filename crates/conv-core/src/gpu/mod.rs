@@ -4,11 +4,28 @@
 //! modes and treatments as on the processor, in f32.
 
 mod adapter;
+mod batch_calls;
+mod batch_data;
+mod buffers;
 mod device;
 mod engine;
 mod error;
+mod fft_source;
+mod layout;
+mod lit_batch;
 mod options;
+mod panels;
+mod passes;
+mod readback;
+mod run;
+mod shader;
+#[doc(hidden)]
+pub mod shaders;
+mod staging;
+mod stopwatch;
 mod times;
+mod work;
+mod working;
 
 pub use adapter::{Adapter, AdapterKind, adapters};
 pub use device::GpuDevice;
@@ -16,3 +33,4 @@ pub(crate) use engine::GpuEngine;
 pub use error::GpuError;
 pub use options::GpuOptions;
 pub use times::GpuTimes;
+pub use work::GpuWork;

@@ -22,17 +22,17 @@ pub(crate) enum FluxRole {
 /// The coefficients of a region's modes, as functions along its rows.
 #[derive(Debug)]
 pub(crate) struct CoefficientTable<T> {
-    region: PixelRegion,
-    role: FluxRole,
+    pub(super) region: PixelRegion,
+    pub(super) role: FluxRole,
     /// The flux first, unless it is constant, then the modes.
-    functions: usize,
-    values: Values<T>,
+    pub(super) functions: usize,
+    pub(super) values: Values<T>,
     /// `(row, column)` of the pixels without a PSF.
     undefined: Vec<(u32, u32)>,
 }
 
 #[derive(Debug)]
-enum Values<T> {
+pub(super) enum Values<T> {
     /// Runs along which every function is linear: `(start, slope)` by run and function.
     Linear {
         row_starts: Vec<u32>,
@@ -80,7 +80,7 @@ impl FluxRole {
     }
 
     /// The function by which a kernel's light is multiplied, if it is.
-    fn function_of(self, kernel: usize) -> Option<usize> {
+    pub(super) fn function_of(self, kernel: usize) -> Option<usize> {
         match self {
             Self::Constant => kernel.checked_sub(1),
             Self::Divisor => (kernel > 0).then_some(kernel),
@@ -89,7 +89,7 @@ impl FluxRole {
         }
     }
 
-    fn divides(self) -> bool {
+    pub(super) fn divides(self) -> bool {
         matches!(self, Self::Divisor | Self::NoReference { scaled: true })
     }
 }

@@ -7,11 +7,11 @@ use rayon::prelude::*;
 use super::axis_cuts::Stretch;
 use super::execution::TileCounts;
 use super::job::Job;
-use super::light::look;
 use super::prepared::Prepared;
 use super::split::split;
 use super::tile_engine::{TileEngine, TilePart};
-use super::treatment::{Whole, treat};
+use super::tile_light::{Direction, PlacedTile, treated};
+use super::treatment::{Ways, Whole};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -117,35 +117,24 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
         part: TilePart,
         mut output: ArrayViewMut2<'_, T>,
     ) -> Result<(), FieldError> {
-        let (simd, engine, plan) = (self.simd, self.engine, self.job.plan);
+        let (simd, engine) = (self.simd, self.engine);
         let workspace = &mut *self.workspace;
-        let pitch = plan.fft.pitch();
-        let around = engine.around(part.size);
-        let seen = simd.vectorized(
-            #[inline(always)]
-            || {
-                let reach = plan.geometry.reach_from(x, y);
-                let corner = (reach.0, reach.1 - self.job.first_light as i64);
-                engine.load(simd, self.job.light, corner, around, workspace.light.get_mut());
-                look(workspace.light.get(), pitch, around.1, around.0)
-            },
-        );
-        if seen.lit == 0 {
+        let tile = PlacedTile { first: (x, y), part };
+        let (job, prepared) = (self.job, &mut self.prepared);
+        let Some(treatment) = treated(
+            simd,
+            job,
+            prepared,
+            Direction::Gather,
+            tile,
+            Ways::Both,
+            workspace,
+        )?
+        else {
             self.counts.dark += 1;
             return Ok(());
-        }
-        let plane = workspace.light.get();
-        // A pixel needs its PSF where any light reaches it.
-        self.prepared.check(part, |column, row| {
-            (row..row + engine.stamp.1).any(|row| {
-                let under = &plane[row * pitch + column..][..engine.stamp.0];
-                under.iter().any(|v| !v.is_zero())
-            })
-        })?;
-        let kernels = self.prepared.kernel_count();
-        let draw = plan.cost.draw_gathered(engine.stamp, kernels);
-        let treatment = treat(plan, seen, around, part.size, kernels, draw, workspace);
-        self.counts.count(&treatment, kernels);
+        };
+        self.counts.count(&treatment, self.prepared.kernel_count());
         if treatment.whole == Some(Whole::ByTransforms) {
             self.prepared.kernels(simd, &engine, workspace);
         }

@@ -21,7 +21,11 @@ mod method;
 #[cfg(feature = "gpu")]
 mod on_gpu;
 mod options;
+#[cfg(feature = "gpu")]
+mod packed_table;
 mod plan;
+#[cfg(feature = "gpu")]
+mod plan_view;
 mod prepared;
 mod psf_space;
 mod region_cells;
@@ -32,6 +36,7 @@ mod summary;
 mod tile_direct;
 mod tile_draw;
 mod tile_engine;
+mod tile_light;
 mod tiling;
 mod treatment;
 mod workspace;
@@ -51,4 +56,14 @@ pub(crate) mod internals {
     pub(crate) use super::psf_space::PsfSpace;
     pub(crate) use super::region_cells::RegionCells;
     pub(crate) use super::workspace::Aligned;
+}
+
+/// What the engine on a GPU shares with the one on the processor.
+#[cfg(feature = "gpu")]
+pub(crate) mod shared {
+    pub(crate) use super::job::Job;
+    pub(crate) use super::plan_view::PlanView;
+    pub(crate) use super::prepared::Prepared;
+    pub(crate) use super::tile_light::{Direction, PlacedTile, treated};
+    pub(crate) use super::treatment::{Treatment, Ways};
 }

@@ -19,6 +19,7 @@ use super::options::{Paths, PlanOptions};
 use super::psf_space::PsfSpace;
 use super::scatter::Scatter;
 use super::tile_engine::TileEngine;
+use super::tile_light::Direction;
 use super::tiling::{Tiling, best_tiling};
 use super::workspace::Pool;
 use crate::crop::reaching;
@@ -90,7 +91,7 @@ pub struct Plan<T: ConvReal> {
     pub(super) frame: PixelRegion,
     /// Columns and rows of the scene that reach the frame.
     pub(super) light: [std::ops::Range<usize>; 2],
-    ramp: Vec<T>,
+    pub(super) ramp: Vec<T>,
     pool: Pool<T>,
     /// Made when the first star comes.
     stars: OnceLock<StarPlan<T>>,
@@ -288,10 +289,7 @@ impl<T: ConvReal> Plan<T> {
             flip: true,
             progress: &NoProgress,
         };
-        match self.options.anchor() {
-            Anchor::Output => T::dispatch(Scatter { job, output }),
-            _ => T::dispatch(Gather { job, output }),
-        }?;
+        self.run(job, output)?;
         Image::new(scene).map_err(ConvError::Result)
     }
 
@@ -313,10 +311,27 @@ impl<T: ConvReal> Plan<T> {
             flip: false,
             progress,
         };
-        Ok(match self.options.anchor() {
-            Anchor::Output => T::dispatch(Gather { job, output }),
-            _ => T::dispatch(Scatter { job, output }),
+        self.run(job, output)
+    }
+
+    /// Sends light through the operator on the device that executions run on.
+    fn run<'a>(&'a self, job: Job<'a, T>, output: ArrayViewMut2<'a, T>) -> Result<TileCounts, ConvError> {
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &self.gpu {
+            return gpu.run(&job, output);
+        }
+        Ok(match self.direction(job.flip) {
+            Direction::Scatter => T::dispatch(Scatter { job, output }),
+            Direction::Gather => T::dispatch(Gather { job, output }),
         }?)
+    }
+
+    /// Which way light goes, or comes back where `transposed`.
+    pub(crate) fn direction(&self, transposed: bool) -> Direction {
+        match (self.options.anchor(), transposed) {
+            (Anchor::Output, false) | (Anchor::Source, true) => Direction::Gather,
+            _ => Direction::Scatter,
+        }
     }
 
     /// Predicted seconds for a fully lit tile, and whether without transforms.

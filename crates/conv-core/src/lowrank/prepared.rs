@@ -32,6 +32,21 @@ impl<'a, T: ConvReal> Prepared<'a, T> {
         }
     }
 
+    /// For the block at a column and a row.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn of_block(plan: &'a Plan<T>, (column, row): (usize, usize)) -> Self {
+        Self::new(plan, plan.block(column, row))
+    }
+
+    /// The block's coefficients and stamps.
+    pub(crate) fn table_and_stamps(&mut self) -> (&CoefficientTable<T>, &[T]) {
+        let (block, plan) = (self.block, self.plan);
+        (
+            self.table.get_or_insert_with(|| block.table(&plan.model)),
+            self.stamps.get_or_insert_with(|| block.stamps(&plan.space)),
+        )
+    }
+
     fn table(&mut self) -> &CoefficientTable<T> {
         let (block, model) = (self.block, &self.plan.model);
         self.table.get_or_insert_with(|| block.table(model))
@@ -39,12 +54,8 @@ impl<'a, T: ConvReal> Prepared<'a, T> {
 
     /// What there is for a tile.
     pub(crate) fn local(&mut self, part: TilePart) -> LocalTile<'_, T> {
-        let (block, plan) = (self.block, self.plan);
-        LocalTile {
-            part,
-            table: self.table.get_or_insert_with(|| block.table(&plan.model)),
-            stamps: self.stamps.get_or_insert_with(|| block.stamps(&plan.space)),
-        }
+        let (table, stamps) = self.table_and_stamps();
+        LocalTile { part, table, stamps }
     }
 
     fn stamps(&mut self) -> &[T] {

@@ -6,11 +6,11 @@ use rayon::prelude::*;
 
 use super::execution::TileCounts;
 use super::job::Job;
-use super::light::look;
 use super::prepared::Prepared;
 use super::split::{colours, split};
 use super::tile_engine::{TileEngine, TilePart};
-use super::treatment::{Whole, treat};
+use super::tile_light::{Direction, PlacedTile, treated};
+use super::treatment::{Ways, Whole};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
@@ -162,32 +162,28 @@ impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
     fn tile(&mut self, (x, y): (usize, usize), part: TilePart) -> Result<(), FieldError> {
         let (simd, engine, plan) = (self.simd, self.engine, self.job.plan);
         let workspace = &mut *self.workspace;
-        let pitch = plan.fft.pitch();
-        let seen = simd.vectorized(
-            #[inline(always)]
-            || {
-                let corner = (x as i64, y as i64 - self.job.first_light as i64);
-                engine.load(simd, self.job.light, corner, part.size, workspace.light.get_mut());
-                look(workspace.light.get(), pitch, part.size.1, part.size.0)
-            },
-        );
-        if seen.lit == 0 {
+        let tile = PlacedTile { first: (x, y), part };
+        let (job, prepared) = (self.job, &mut self.prepared);
+        let Some(treatment) = treated(
+            simd,
+            job,
+            prepared,
+            Direction::Scatter,
+            tile,
+            Ways::Both,
+            workspace,
+        )?
+        else {
             self.counts.dark += 1;
             return Ok(());
-        }
-        let plane = workspace.light.get();
-        self.prepared
-            .check(part, |column, row| !plane[row * pitch + column].is_zero())?;
+        };
         let reach = plan.geometry.reach_from(x, y);
         let place = (
             reach.0 - self.task.origin.0 as i64,
             reach.1 - self.task.origin.1 as i64,
         );
-        let kernels = self.prepared.kernel_count();
         let output = &mut self.task.output;
-        let draw = plan.cost.draw(engine.stamp, kernels);
-        let treatment = treat(plan, seen, part.size, part.size, kernels, draw, workspace);
-        self.counts.count(&treatment, kernels);
+        self.counts.count(&treatment, self.prepared.kernel_count());
         if treatment.whole == Some(Whole::ByTransforms) {
             self.prepared.kernels(simd, &engine, workspace);
         }

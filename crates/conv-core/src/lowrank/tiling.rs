@@ -24,6 +24,8 @@ const SAMPLES: usize = 5;
 /// Transforms larger than this many stamps gain nothing: padding is small already, and ranks grow.
 const LARGEST_IN_STAMPS: usize = 10;
 const LARGEST_AT_LEAST: usize = 640;
+/// Transforms beyond this are for stamps that leave no choice: they outgrow the caches, and the memory that a GPU's threads share.
+const LARGEST_BY_CHOICE: usize = 2048;
 /// A tile has at least this part of the stamp's size.
 const SMALLEST_IN_STAMPS: f64 = 0.4;
 /// The number of threads that blocks must suffice for. A constant: plans do not depend on the machine.
@@ -48,10 +50,11 @@ pub(crate) fn best_tiling(
     let stamp = geometry.stamp;
     let side = stamp.0.max(stamp.1);
     let whole = transform_size((nx + stamp.0 - 1, ny + stamp.1 - 1));
-    let largest = (LARGEST_IN_STAMPS * side).max(LARGEST_AT_LEAST);
     let smallest = side + (SMALLEST_IN_STAMPS * side as f64) as usize;
+    let largest = (LARGEST_IN_STAMPS * side).max(LARGEST_AT_LEAST);
+    let largest = largest.max(2 * smallest).min(LARGEST_BY_CHOICE.max(2 * smallest));
     let mut ways = Vec::new();
-    for n in sizes().filter(|&n| n >= smallest.min(whole.0.max(whole.1)) && n <= largest.max(smallest * 2)) {
+    for n in sizes().filter(|&n| n >= smallest.min(whole.0.max(whole.1)) && n <= largest) {
         let tile = (
             (n + 1).saturating_sub(stamp.0).max(1),
             (n + 1).saturating_sub(stamp.1).max(1),

@@ -25,6 +25,16 @@ pub(crate) enum Whole {
     ByTransforms,
 }
 
+/// What may be done with a tile at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Ways {
+    /// Transforms or the direct sum.
+    Both,
+    /// Transforms alone: a GPU has nothing else.
+    #[cfg(feature = "gpu")]
+    Transforms,
+}
+
 /// Brings a tile's light near 1, in place, where transforms would carry it out of the working precision's range; returns the power of
 /// two that takes the result back.
 fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
@@ -39,6 +49,7 @@ fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
 
 /// Decides on the light in `workspace.light`, `lit_size` columns and rows; single pixels are taken out of it. `draw` is the
 /// cost of drawing one.
+#[allow(clippy::too_many_arguments, reason = "what a choice depends on")]
 pub(crate) fn treat<T: ConvReal>(
     plan: &Plan<T>,
     mut light: Light,
@@ -46,10 +57,11 @@ pub(crate) fn treat<T: ConvReal>(
     tile: (usize, usize),
     kernels: usize,
     draw: f64,
+    ways: Ways,
     workspace: &mut Workspace<T>,
 ) -> Treatment<T> {
     let back = rescale(&mut light, workspace.light.get_mut());
-    let (whole, mut drawn) = choose(plan, light, lit_size, tile, kernels, draw, workspace);
+    let (whole, mut drawn) = choose(plan, light, lit_size, tile, kernels, draw, ways, workspace);
     if let Some(back) = back {
         // Single pixels keep their own light: a stamp needs no sums that could leave the range.
         for (_, _, value) in &mut drawn {
@@ -60,6 +72,7 @@ pub(crate) fn treat<T: ConvReal>(
 }
 
 /// What is done at once, and the pixels that are drawn.
+#[allow(clippy::too_many_arguments, reason = "what a choice depends on")]
 fn choose<T: ConvReal>(
     plan: &Plan<T>,
     light: Light,
@@ -67,6 +80,7 @@ fn choose<T: ConvReal>(
     tile: (usize, usize),
     kernels: usize,
     draw: f64,
+    ways: Ways,
     workspace: &mut Workspace<T>,
 ) -> (Option<Whole>, Vec<LitPixel<T>>) {
     // No modes: the PSFs of the tile are zero.
@@ -83,7 +97,7 @@ fn choose<T: ConvReal>(
         return (None, drawn);
     }
     // The direct sum spreads no noise.
-    if direct {
+    if direct && ways == Ways::Both {
         return (Some(Whole::Directly), Vec::new());
     }
     let most = (2.0 * seconds / draw) as usize;

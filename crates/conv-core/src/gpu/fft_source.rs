@@ -1,0 +1,340 @@
+//! The text of one-dimensional transforms in a workgroup's memory.
+//!
+//! Stockham's algorithm with radices 3, 4, 5 and 8: natural order in and out. A stage reads each butterfly's values, which lie `n / radix`
+//! apart, turns them by the roots of unity and writes them next to each other; between stages values pass through the memory that the
+//! workgroup shares. The first stage reads from wherever the shader says and the last one leaves its results in registers, so
+//! that loading, products and storing need no pass of their own.
+//!
+//! A product of spectra is taken in registers, and the transform back begins where the one before it ended: it takes the radices in
+//! reverse order, so that both agree about who holds what.
+
+use std::fmt::Write as _;
+
+/// Several transforms of one length that a workgroup does at once.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct FftSource {
+    /// The length.
+    pub(super) n: usize,
+    /// How many at once.
+    pub(super) lines: usize,
+    /// Threads of the workgroup.
+    pub(super) threads: usize,
+    /// Whether neighbouring threads work on neighbouring lines (columns of a plane), else on neighbouring values of one line (rows).
+    interleaved: bool,
+    radices: Vec<usize>,
+    padded: bool,
+}
+
+/// The value of one register: its name, the line and the index along it that it belongs to.
+pub(super) struct Register<'a> {
+    pub(super) number: usize,
+    pub(super) line: &'a str,
+    pub(super) index: &'a str,
+}
+
+/// Values that a workgroup works on: enough to hide what it waits for, few enough for several workgroups to share a processor.
+const VALUES: usize = 2048;
+/// Values of a thread.
+const VALUES_A_THREAD: usize = 8;
+/// Lines at most: neighbouring columns that are read together, 128 bytes.
+const MOST_LINES: usize = 16;
+/// Threads at most: every adapter has as many, by the standard.
+const MOST_THREADS: usize = 256;
+/// Bytes of a complex value.
+const BYTES: usize = 8;
+
+impl FftSource {
+    /// Transforms of `n` values, a multiple of 16 without prime factors above 5, for a workgroup with some bytes of memory; nothing
+    /// where they do not fit.
+    pub(super) fn new(n: usize, interleaved: bool, memory: usize, most_threads: usize) -> Option<Self> {
+        let room = memory / BYTES;
+        if n > room {
+            return None;
+        }
+        let mut lines = MOST_LINES;
+        while lines > 1 && lines * n > VALUES.min(room) {
+            lines /= 2;
+        }
+        let values = lines * n;
+        Some(Self {
+            n,
+            lines,
+            threads: (values / VALUES_A_THREAD).min(MOST_THREADS).min(most_threads),
+            interleaved,
+            radices: radices(n)?,
+            padded: padded(values) <= room,
+        })
+    }
+
+    /// The longest transform for a workgroup with some bytes of memory.
+    pub(super) fn longest(memory: usize) -> usize {
+        memory / BYTES / 16 * 16
+    }
+
+    /// Values of the memory that the workgroup shares.
+    pub(super) fn shared(&self) -> usize {
+        let values = self.lines * self.n;
+        if self.padded { padded(values) } else { values }
+    }
+
+    /// Declares the registers, and the functions that the stages need.
+    pub(super) fn declarations(&self) -> String {
+        let threads = self.threads;
+        let shared = self.shared();
+        let slot = if self.padded { "i + (i >> 3u)" } else { "i" };
+        let place = if self.interleaved {
+            format!("index * {}u + line", self.lines)
+        } else {
+            format!("line * {}u + index", self.n)
+        };
+        format!(
+            "const THREADS: u32 = {threads}u;\n\
+             const LINES: u32 = {lines}u;\n\
+             var<workgroup> shared_values: array<vec2f, {shared}>;\n\
+             fn slot(line: u32, index: u32) -> u32 {{ let i = {place}; return {slot}; }}\n\
+             fn times(a: vec2f, b: vec2f) -> vec2f {{ return vec2f(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x); }}\n\
+             fn turned(a: vec2f) -> vec2f {{ return vec2f(a.y, -a.x); }}\n",
+            lines = self.lines,
+        )
+    }
+
+    /// Declares registers of a name; they hold zero.
+    pub(super) fn registers(&self, name: &str) -> String {
+        (0..self.register_count()).fold(String::new(), |mut text, i| {
+            let _ = writeln!(text, "var {name}{i} = vec2f(0.0);");
+            text
+        })
+    }
+
+    fn register_count(&self) -> usize {
+        let of_stage = |&radix: &usize| (self.lines * self.n / radix).div_ceil(self.threads) * radix;
+        self.radices.iter().map(of_stage).max().unwrap_or(0)
+    }
+
+    /// A transform in registers `v`; `load` gives the expression of an input value at a line and an index.
+    pub(super) fn forward(&self, load: impl Fn(&str, &str) -> String) -> String {
+        let input = self.at_each(self.radices[0], |register| {
+            format!("v{} = {};", register.number, load(register.line, register.index))
+        });
+        input + &self.stages(self.radices.iter().copied())
+    }
+
+    /// The transform back of what [`each_result`](Self::each_result) left in the registers `v`, real and imaginary parts swapped before and after;
+    /// its results are where [`each_result_back`](Self::each_result_back) finds them.
+    pub(super) fn back_of_swapped(&self) -> String {
+        self.stages(self.radices.iter().rev().copied())
+    }
+
+    /// What is done with each result of a transform.
+    pub(super) fn each_result(&self, text: impl Fn(Register<'_>) -> String) -> String {
+        self.at_each(self.radices[self.radices.len() - 1], text)
+    }
+
+    /// What is done with each result of a transform back.
+    pub(super) fn each_result_back(&self, text: impl Fn(Register<'_>) -> String) -> String {
+        self.at_each(self.radices[0], text)
+    }
+
+    fn stages(&self, radices: impl Iterator<Item = usize>) -> String {
+        let mut text = String::new();
+        let mut done = 1;
+        for radix in radices {
+            let length = done * radix;
+            let last = length == self.n;
+            if done > 1 {
+                // What the stage before wrote.
+                text += &self.at_each(radix, |r| {
+                    format!("v{} = shared_values[slot({}, {})];", r.number, r.line, r.index)
+                });
+            }
+            text += &self.butterflies(radix, done);
+            if !last {
+                text += "workgroupBarrier();\n";
+                text += &self.at_each_butterfly(radix, |first, line, b| {
+                    let mut text = format!("let to = ({b} / {done}u) * {length}u + {b} % {done}u;\n");
+                    for r in 0..radix {
+                        let _ = writeln!(
+                            text,
+                            "shared_values[slot({line}, to + {}u)] = v{};",
+                            r * done,
+                            first + r
+                        );
+                    }
+                    text
+                });
+                text += "workgroupBarrier();\n";
+            }
+            done = length;
+        }
+        text
+    }
+
+    /// The butterflies of a stage, each value turned by its root first.
+    fn butterflies(&self, radix: usize, done: usize) -> String {
+        let step = self.n / (done * radix);
+        self.at_each_butterfly(radix, |first, _, b| {
+            let mut text = String::new();
+            if done > 1 {
+                let _ = writeln!(text, "let turn = ({b} % {done}u) * {step}u;");
+                for r in 1..radix {
+                    let _ = writeln!(text, "v{0} = times(v{0}, roots[{r}u * turn]);", first + r);
+                }
+            }
+            let names: Vec<String> = (0..radix).map(|r| format!("v{}", first + r)).collect();
+            text + &butterfly(&names)
+        })
+    }
+
+    /// What is done at each value of each butterfly of a radix.
+    fn at_each(&self, radix: usize, text: impl Fn(Register<'_>) -> String) -> String {
+        let step = self.n / radix;
+        self.at_each_butterfly(radix, |first, line, b| {
+            (0..radix).fold(String::new(), |mut all, r| {
+                let register = Register {
+                    number: first + r,
+                    line,
+                    index: &format!("({b} + {}u)", r * step),
+                };
+                all += &text(register);
+                all.push('\n');
+                all
+            })
+        })
+    }
+
+    /// What each thread does for its butterflies: number of the first register, line, and number of the butterfly along it.
+    fn at_each_butterfly(&self, radix: usize, text: impl Fn(usize, &str, &str) -> String) -> String {
+        let along = self.n / radix;
+        let count = self.lines * along;
+        let rounds = count.div_ceil(self.threads);
+        let mut all = String::new();
+        for round in 0..rounds {
+            let first = round * self.threads;
+            let open = if first + self.threads > count {
+                format!("if (thread + {first}u < {count}u) {{\n")
+            } else {
+                "{\n".to_owned()
+            };
+            let (line, b) = if self.interleaved {
+                (format!("u % {}u", self.lines), format!("u / {}u", self.lines))
+            } else {
+                (format!("u / {along}u"), format!("u % {along}u"))
+            };
+            let _ = write!(
+                all,
+                "{open}let u = thread + {first}u;\nlet line = {line};\nlet b = {b};\n{}}}\n",
+                text(round * radix, "line", "b")
+            );
+        }
+        all
+    }
+}
+
+/// One in nine places is left empty, so that neighbouring threads fall into different banks whatever the radix.
+fn padded(values: usize) -> usize {
+    values + values / 8
+}
+
+/// The radices of a length, those of odd numbers in the middle.
+fn radices(n: usize) -> Option<Vec<usize>> {
+    let mut rest = n;
+    let mut odd = Vec::new();
+    for radix in [5, 3] {
+        while rest.is_multiple_of(radix) {
+            odd.push(radix);
+            rest /= radix;
+        }
+    }
+    if !rest.is_power_of_two() || rest < 16 {
+        return None;
+    }
+    let twos = rest.trailing_zeros() as usize;
+    let mut even = match twos % 3 {
+        0 => vec![8; twos / 3],
+        // 16 as 4 x 4.
+        1 => [vec![8; (twos - 4) / 3], vec![4, 4]].concat(),
+        _ => [vec![8; (twos - 2) / 3], vec![4]].concat(),
+    };
+    let last = even.pop()?;
+    even.extend(odd);
+    even.push(last);
+    Some(even)
+}
+
+/// A transform of a few values in place: `exp(-2 pi i j k / n)`.
+fn butterfly(v: &[String]) -> String {
+    match v {
+        [a, b, c] => format!(
+            "{{ let sum = {b} + {c}; let rest = {a} - 0.5 * sum; let d = turned({:?} * ({b} - {c}));\n\
+             {a} = {a} + sum; {b} = rest + d; {c} = rest - d; }}\n",
+            f32::sqrt(0.75)
+        ),
+        [a, b, c, d] => format!(
+            "{{ let p = {a} + {c}; let q = {a} - {c}; let r = {b} + {d}; let s = turned({b} - {d});\n\
+             {a} = p + r; {b} = q + s; {c} = p - r; {d} = q - s; }}\n"
+        ),
+        [a, b, c, d, e] => {
+            let angle = std::f64::consts::TAU / 5.0;
+            let (c1, c2) = (angle.cos() as f32, (2.0 * angle).cos() as f32);
+            let (s1, s2) = (angle.sin() as f32, (2.0 * angle).sin() as f32);
+            format!(
+                "{{ let p = {b} + {e}; let q = {c} + {d}; let r = {b} - {e}; let s = {c} - {d};\n\
+                 let m = {a} + {c1:?} * p + {c2:?} * q; let n = {a} + {c2:?} * p + {c1:?} * q;\n\
+                 let g = turned({s1:?} * r + {s2:?} * s); let h = turned({s2:?} * r - {s1:?} * s);\n\
+                 {a} = {a} + p + q; {b} = m + g; {c} = n + h; {d} = n - h; {e} = m - g; }}\n"
+            )
+        }
+        _ => {
+            // Eight as two times four.
+            let pick =
+                |first: usize| -> Vec<String> { (first..8).step_by(2).map(|i| v[i].clone()).collect() };
+            let (even, odd) = (pick(0), pick(1));
+            let half = std::f32::consts::FRAC_1_SQRT_2;
+            let mut text = butterfly(&even) + &butterfly(&odd);
+            let _ = write!(
+                text,
+                "{{ let e0 = {0}; let e1 = {2}; let e2 = {4}; let e3 = {6};\n\
+                 let o0 = {1}; let o1 = {half:?} * ({3} + turned({3})); let o2 = turned({5}); let o3 = {half:?} * (turned({7}) - {7});\n\
+                 {0} = e0 + o0; {4} = e0 - o0; {1} = e1 + o1; {5} = e1 - o1;\n\
+                 {2} = e2 + o2; {6} = e2 - o2; {3} = e3 + o3; {7} = e3 - o3; }}\n",
+                v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]
+            );
+            text
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn radices_multiply_to_the_length() {
+        for n in [
+            16, 32, 48, 64, 80, 96, 128, 144, 240, 256, 320, 400, 512, 640, 1024, 2048,
+        ] {
+            let radices = radices(n).unwrap();
+            assert_eq!(radices.iter().product::<usize>(), n);
+            assert!(radices.len() > 1, "{n}: a product needs two stages");
+        }
+        assert_eq!(radices(7 * 16), None);
+        assert_eq!(radices(8), None);
+    }
+
+    #[test]
+    fn workgroups_fit_their_memory() {
+        for (n, memory, lines, padded) in [
+            (256, 32 << 10, 8, true),
+            (2048, 32 << 10, 1, true),
+            (2048, 16 << 10, 1, false),
+            (4096, 32 << 10, 1, false),
+            (16, 32 << 10, 16, true),
+        ] {
+            let fft = FftSource::new(n, true, memory, 256).unwrap();
+            assert_eq!((fft.lines, fft.padded), (lines, padded), "{n} in {memory}");
+            assert!(fft.shared() * BYTES <= memory && fft.threads <= 256);
+        }
+        assert_eq!(FftSource::new(4096, true, 16 << 10, 256), None);
+        assert_eq!(FftSource::longest(16 << 10), 2048);
+    }
+}

@@ -1,0 +1,310 @@
+//! A plan's work in pieces that a GPU can see at once.
+//!
+//! A *panel* is a rectangle of tiles whose result fits into one buffer, and lies within one band of the plan's blocks. Its tiles are worked on in *batches*,
+//! whose planes, spectra, light and coefficients fit into one buffer each. What a batch has of a block is a *part*: some of its tiles and
+//! some of its kernels, mostly all of both. The result is the sum over parts, so that a tile whose planes do not fit at once is simply done in
+//! several batches.
+
+use std::ops::Range;
+
+use super::error::GpuError;
+use super::shader::PlaneSource;
+use crate::lowrank::shared::{Direction, PlacedTile, PlanView};
+
+/// A rectangle of the side that a job writes to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Rectangle {
+    pub(super) column: usize,
+    pub(super) row: usize,
+    pub(super) columns: usize,
+    pub(super) rows: usize,
+}
+
+/// Tiles whose results share a buffer.
+#[derive(Debug)]
+pub(super) struct Panel {
+    /// Rows of blocks that it has tiles of.
+    pub(super) block_rows: Range<usize>,
+    /// The pixels that its tiles reach.
+    pub(super) output: Rectangle,
+    pub(super) batches: Vec<Batch>,
+}
+
+/// What is worked on at once.
+#[derive(Debug, Default)]
+pub(super) struct Batch {
+    pub(super) parts: Vec<Part>,
+    /// How much there is of everything: values of light, planes, spectra, stamps' values.
+    pub(super) light: usize,
+    pub(super) planes: usize,
+    pub(super) spectra: usize,
+    pub(super) stamps: usize,
+}
+
+/// Tiles and kernels of a block.
+#[derive(Debug, Clone)]
+pub(super) struct Part {
+    /// Column and row of the block.
+    pub(super) block: (usize, usize),
+    pub(super) kernels: Range<usize>,
+    pub(super) tiles: Vec<TileSlot>,
+    /// The first of its spectra and the first value of its stamps.
+    pub(super) spectrum: usize,
+    pub(super) stamp: usize,
+}
+
+/// A tile and its places in a batch.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TileSlot {
+    pub(super) tile: PlacedTile,
+    /// Tiles of one colour do not overlap.
+    pub(super) colour: usize,
+    /// The first value of its light and the first of its planes.
+    pub(super) light: usize,
+    pub(super) plane: usize,
+}
+
+/// What limits pieces.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Limits<'a> {
+    pub(super) adapter: &'a str,
+    /// Bytes that a piece should have at most, and those that it may have.
+    pub(super) piece: u64,
+    pub(super) most: u64,
+}
+
+/// Planes of a batch at most: the workgroups of a dispatch along an axis.
+const MOST_PLANES: usize = 65_535;
+const F32: u64 = 4;
+
+/// The work of a direction in panels, from the first row of blocks to the last.
+pub(super) fn panels(
+    plan: &PlanView,
+    source: &PlaneSource,
+    direction: Direction,
+    limits: Limits<'_>,
+) -> Result<Vec<Panel>, GpuError> {
+    let packing = Packing {
+        plan,
+        plane_bytes: source.bytes(),
+        direction,
+        limits,
+    };
+    let columns = packing.groups(0, &(0..plan.tiles[0].len()), 1)?;
+    let widest = columns
+        .iter()
+        .map(|group| plan.extent(direction, 0, group.clone()).len())
+        .max();
+    let mut panels = Vec::new();
+    for band in plan.bands() {
+        for rows in packing.groups(1, &band, widest.unwrap_or(1))? {
+            for columns in &columns {
+                panels.push(packing.panel(columns.clone(), rows.clone())?);
+            }
+        }
+    }
+    Ok(panels)
+}
+
+struct Packing<'a> {
+    plan: &'a PlanView,
+    plane_bytes: u64,
+    direction: Direction,
+    limits: Limits<'a>,
+}
+
+impl Packing<'_> {
+    /// Neighbouring tiles along an axis whose results, `across` pixels wide, fit into a piece. Along x, a piece must hold the tallest tile as well.
+    fn groups(
+        &self,
+        axis: usize,
+        tiles: &Range<usize>,
+        across: usize,
+    ) -> Result<Vec<Range<usize>>, GpuError> {
+        let across = if axis == 0 {
+            let rows =
+                (0..self.plan.tiles[1].len()).map(|row| self.plan.extent(self.direction, 1, row..row + 1));
+            rows.map(|extent| extent.len()).max().unwrap_or(1)
+        } else {
+            across
+        };
+        let bytes =
+            |range: Range<usize>| F32 * (self.plan.extent(self.direction, axis, range).len() * across) as u64;
+        let mut groups: Vec<Range<usize>> = Vec::new();
+        for tile in tiles.clone() {
+            match groups.last_mut() {
+                Some(group) if bytes(group.start..tile + 1) <= self.limits.piece => group.end = tile + 1,
+                _ => {
+                    self.fits("the result of a tile", bytes(tile..tile + 1))?;
+                    groups.push(tile..tile + 1);
+                }
+            }
+        }
+        Ok(groups)
+    }
+
+    fn fits(&self, what: &'static str, needed: u64) -> Result<(), GpuError> {
+        if needed <= self.limits.most {
+            return Ok(());
+        }
+        Err(GpuError::TooLarge {
+            adapter: self.limits.adapter.to_owned(),
+            what,
+            needed,
+            limit: self.limits.most,
+        })
+    }
+
+    fn panel(&self, columns: Range<usize>, rows: Range<usize>) -> Result<Panel, GpuError> {
+        let plan = self.plan;
+        let x = plan.extent(self.direction, 0, columns.clone());
+        let y = plan.extent(self.direction, 1, rows.clone());
+        let mut batches = Vec::new();
+        for block_row in plan.blocks_of(1, rows.clone()) {
+            for block_column in plan.blocks_of(0, columns.clone()) {
+                let block = (block_column, block_row);
+                let mut tiles = Vec::new();
+                for row in plan.tiles_of(1, block_row, &rows) {
+                    for column in plan.tiles_of(0, block_column, &columns) {
+                        tiles.push(TileSlot {
+                            tile: plan.tile(column, row),
+                            colour: plan.colour(self.direction, column, row),
+                            light: 0,
+                            plane: 0,
+                        });
+                    }
+                }
+                self.add(&mut batches, block, &tiles)?;
+            }
+        }
+        Ok(Panel {
+            block_rows: plan.block_of(1, rows.start)..plan.block_of(1, rows.end - 1) + 1,
+            output: Rectangle {
+                column: x.start,
+                row: y.start,
+                columns: x.len(),
+                rows: y.len(),
+            },
+            batches,
+        })
+    }
+
+    /// Adds a block's tiles to the last batch, or to new ones.
+    fn add(
+        &self,
+        batches: &mut Vec<Batch>,
+        block: (usize, usize),
+        tiles: &[TileSlot],
+    ) -> Result<(), GpuError> {
+        let kernels = self.plan.kernel_count(block);
+        if batches
+            .last_mut()
+            .is_some_and(|batch| self.place(batch, block, tiles, 0..kernels))
+        {
+            return Ok(());
+        }
+        let mut batch = Batch::default();
+        if kernels == 0 {
+            // Nothing to convolve with, but light without a PSF is to be found.
+            self.force(&mut batch, block, tiles, 0..0);
+            batches.push(batch);
+            return Ok(());
+        }
+        if self.place(&mut batch, block, tiles, 0..kernels) {
+            batches.push(batch);
+            return Ok(());
+        }
+        // As many tiles at once as fit with all kernels; if not even one does, a tile's kernels in several batches.
+        for tile in tiles {
+            let mut first = 0;
+            while first < kernels {
+                let one = std::slice::from_ref(tile);
+                let last = batches.last_mut().filter(|_| first == 0);
+                if last.is_some_and(|batch| self.place(batch, block, one, 0..kernels)) {
+                    break;
+                }
+                let mut batch = Batch::default();
+                let mut count = kernels - first;
+                while !self.place(&mut batch, block, one, first..first + count) {
+                    count /= 2;
+                    if count == 0 {
+                        self.fits("a tile", self.least(tile))?;
+                        // A piece may be larger than asked for where nothing is smaller.
+                        count = 1;
+                        self.force(&mut batch, block, one, first..first + 1);
+                        break;
+                    }
+                }
+                first += count;
+                batches.push(batch);
+            }
+        }
+        Ok(())
+    }
+
+    /// Bytes of the largest buffer that a tile needs with a single kernel.
+    fn least(&self, tile: &TileSlot) -> u64 {
+        let planes = self.planes_a_tile(1) as u64 * self.plane_bytes;
+        planes
+            .max(F32 * self.light_values(tile) as u64)
+            .max(F32 * self.plan.stamp_values() as u64)
+    }
+
+    /// Values of a tile's light, rounded up so that the next one begins where the host may write.
+    fn light_values(&self, slot: &TileSlot) -> usize {
+        let (columns, rows) = self.plan.light_size(self.direction, slot.tile.part.size);
+        (columns * rows).next_multiple_of(4)
+    }
+
+    fn planes_a_tile(&self, kernels: usize) -> usize {
+        match self.direction {
+            Direction::Scatter => kernels,
+            Direction::Gather => kernels + 1,
+        }
+    }
+
+    /// Adds a part to a batch if it fits.
+    fn place(
+        &self,
+        batch: &mut Batch,
+        block: (usize, usize),
+        tiles: &[TileSlot],
+        kernels: Range<usize>,
+    ) -> bool {
+        let light: usize = tiles.iter().map(|slot| self.light_values(slot)).sum();
+        let planes = batch.planes + tiles.len() * self.planes_a_tile(kernels.len());
+        let spectra = batch.spectra + kernels.len();
+        let stamps = batch.stamps + kernels.len() * self.plan.stamp_values();
+        let piece = self.limits.piece;
+        let fits = planes.max(spectra) as u64 * self.plane_bytes <= piece
+            && planes.max(spectra) <= MOST_PLANES
+            && F32 * (batch.light + light) as u64 <= piece
+            && F32 * stamps as u64 <= piece;
+        if fits {
+            self.force(batch, block, tiles, kernels);
+        }
+        fits
+    }
+
+    fn force(&self, batch: &mut Batch, block: (usize, usize), tiles: &[TileSlot], kernels: Range<usize>) {
+        let mut part = Part {
+            block,
+            tiles: Vec::with_capacity(tiles.len()),
+            spectrum: batch.spectra,
+            stamp: batch.stamps,
+            kernels: kernels.clone(),
+        };
+        for slot in tiles {
+            part.tiles.push(TileSlot {
+                light: batch.light,
+                plane: batch.planes,
+                ..*slot
+            });
+            batch.light += self.light_values(slot);
+            batch.planes += self.planes_a_tile(kernels.len());
+        }
+        batch.spectra += kernels.len();
+        batch.stamps += kernels.len() * self.plan.stamp_values();
+        batch.parts.push(part);
+    }
+}

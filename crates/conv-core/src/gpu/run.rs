@@ -1,0 +1,290 @@
+//! Executions: the host looks at the light of a batch while the GPU works on the one before.
+
+use std::time::Instant;
+
+use ndarray::{ArrayViewMut2, Axis, s};
+use pulp::bytemuck::cast_slice;
+use rayon::prelude::*;
+
+use super::batch_calls::BatchCalls;
+use super::batch_data::BatchData;
+use super::device::Attempt;
+use super::engine::{GpuEngine, Layout};
+use super::error::GpuError;
+use super::layout::Params;
+use super::lit_batch::{Examination, LitBatch};
+use super::panels::{Batch, Panel};
+use super::readback::InFlight;
+use super::stopwatch::Marks;
+use super::times::GpuTimes;
+use super::working::{Taken, Working};
+use crate::lowrank::TileCounts;
+use crate::lowrank::shared::Job;
+use crate::simd::{Lanes, WithIsa};
+use crate::{ConvError, ConvReal};
+
+/// An execution.
+pub(super) struct Run<'a, 'j, T: ConvReal> {
+    pub(super) device: &'a Attempt,
+    pub(super) engine: &'a GpuEngine,
+    pub(super) layout: &'a Layout,
+    pub(super) job: &'a Job<'j, T>,
+    pub(super) working: &'a mut Working,
+    pub(super) output: ArrayViewMut2<'a, T>,
+}
+
+impl<T: ConvReal> WithIsa<T> for Run<'_, '_, T> {
+    type Output = Result<(TileCounts, GpuTimes), ConvError>;
+
+    fn run<S: Lanes<T>>(self, simd: S) -> Self::Output {
+        let clock = Instant::now();
+        let mut execution = Execution {
+            simd,
+            device: self.device,
+            engine: self.engine,
+            layout: self.layout,
+            job: self.job,
+            working: self.working,
+            output: self.output,
+            taken: Taken::default(),
+            counts: TileCounts::default(),
+            pending: None,
+            slot: 0,
+        };
+        execution.all()?;
+        let taken = execution.taken;
+        let measured = execution.working.stopwatch.is_some();
+        let times = GpuTimes {
+            total: clock.elapsed(),
+            kernels: measured.then_some(taken.kernels),
+            transfers: measured.then_some(taken.transfers),
+            host: taken.host,
+            bytes: (taken.up, taken.down),
+        };
+        Ok((execution.counts, times))
+    }
+}
+
+struct Execution<'a, 'j, T: ConvReal, S> {
+    simd: S,
+    device: &'a Attempt,
+    engine: &'a GpuEngine,
+    layout: &'a Layout,
+    job: &'a Job<'j, T>,
+    working: &'a mut Working,
+    output: ArrayViewMut2<'a, T>,
+    taken: Taken,
+    counts: TileCounts,
+    /// The panel that the GPU works on while the next one is prepared.
+    pending: Option<InFlight>,
+    /// Which of the two readback buffers comes next.
+    slot: usize,
+}
+
+impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
+    fn all(&mut self) -> Result<(), ConvError> {
+        let layout = self.layout;
+        let rows = &self.job.rows;
+        let mut done = rows.start;
+        for (panel, kept) in layout.panels.iter().zip(&layout.kept) {
+            if panel.block_rows.start < rows.start || panel.block_rows.end > rows.end {
+                continue;
+            }
+            let submitted = self.submit(panel, kept)?;
+            self.finish()?;
+            self.pending = submitted;
+            if panel.block_rows.start > done {
+                self.job.progress.advance((panel.block_rows.start - done) as u64);
+                done = panel.block_rows.start;
+            }
+        }
+        self.finish()?;
+        self.job.progress.advance((rows.end - done) as u64);
+        Ok(())
+    }
+
+    /// Hands a panel to the GPU, unless it is dark.
+    fn submit(&mut self, panel: &Panel, kept: &[Option<BatchData>]) -> Result<Option<InFlight>, ConvError> {
+        let mut marks = Marks::default();
+        let bytes = 4 * (panel.output.columns * panel.output.rows) as u64;
+        let mut begun = false;
+        for (batch, kept) in panel.batches.iter().zip(kept) {
+            let made;
+            let data = if let Some(data) = kept {
+                data
+            } else {
+                let pipelines = &self.engine.pipelines;
+                let (plan, flip) = (self.job.plan, self.layout.flip);
+                made = self
+                    .working
+                    .batch_data(self.device, pipelines, plan, batch, flip)?;
+                &made
+            };
+            let (staging, lit) = self.examine(panel, batch, data)?;
+            self.counts += lit.counts;
+            if lit.tiles.is_empty() && lit.drawn.is_empty() {
+                staging.unmap();
+                self.working.staging.give_back(staging);
+                continue;
+            }
+            let first = !std::mem::replace(&mut begun, true);
+            self.submit_batch(panel, batch, data, (staging, lit), first, &mut marks)?;
+        }
+        if !begun {
+            return Ok(None);
+        }
+        let device = self.device;
+        let readback = self.working.readback[self.slot].with_room(device, bytes);
+        self.slot = 1 - self.slot;
+        let mut encoder = device
+            .device()
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let result = self.working.panel.with_room(device, bytes);
+        let copy = |encoder: &mut wgpu::CommandEncoder| {
+            encoder.copy_buffer_to_buffer(result, 0, &readback.0, 0, Some(bytes));
+        };
+        match &self.working.stopwatch {
+            Some(stopwatch) => {
+                stopwatch.transfers(&mut marks, &mut encoder, copy);
+                stopwatch.read(&marks, &mut encoder, &readback.1);
+            }
+            None => copy(&mut encoder),
+        }
+        let submission = device.queue().submit([encoder.finish()]);
+        self.taken.down += bytes;
+        device.check()?;
+        Ok(Some(InFlight::new(panel.output, marks, readback, submission)))
+    }
+
+    /// Looks at the light of a batch and writes it to where the GPU can copy it from.
+    fn examine(
+        &mut self,
+        panel: &Panel,
+        batch: &Batch,
+        data: &BatchData,
+    ) -> Result<(wgpu::Buffer, LitBatch), ConvError> {
+        let clock = Instant::now();
+        let staging = self.working.staging.take(self.device, 4 * batch.light as u64);
+        let examination = Examination {
+            device: self.device,
+            engine: self.engine,
+            layout: self.layout,
+            panel,
+            batch,
+            data,
+            job: self.job,
+            staging: &staging,
+        };
+        let lit = examination.examine(self.simd)?;
+        self.taken.host += clock.elapsed();
+        Ok((staging, lit))
+    }
+
+    /// Copies a batch's light and has its shaders run.
+    fn submit_batch(
+        &mut self,
+        panel: &Panel,
+        batch: &Batch,
+        data: &BatchData,
+        (staging, lit): (wgpu::Buffer, LitBatch),
+        first: bool,
+        marks: &mut Marks,
+    ) -> Result<(), GpuError> {
+        let device = self.device;
+        let bytes = 4 * (panel.output.columns * panel.output.rows) as u64;
+        let light = self
+            .working
+            .light
+            .with_room(device, 4 * batch.light as u64)
+            .clone();
+        let result = self.working.panel.with_room(device, bytes).clone();
+        staging.unmap();
+        let mut encoder = device
+            .device()
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        if first {
+            encoder.clear_buffer(&result, 0, Some(bytes));
+        }
+        let copied = joined(&lit.light);
+        let copies = |encoder: &mut wgpu::CommandEncoder| {
+            for &(from, count) in &copied {
+                let (from, bytes) = (4 * from as u64, 4 * count as u64);
+                encoder.copy_buffer_to_buffer(&staging, from, &light, from, Some(bytes));
+            }
+        };
+        match &self.working.stopwatch {
+            Some(stopwatch) => stopwatch.transfers(marks, &mut encoder, copies),
+            None => copies(&mut encoder),
+        }
+        self.taken.up += copied.iter().map(|&(_, count)| 4 * count as u64).sum::<u64>();
+        let work = BatchCalls {
+            device,
+            pipelines: &self.engine.pipelines,
+            direction: self.layout.direction,
+            params: Params {
+                flip: self.layout.flip,
+                panel: (panel.output.columns, panel.output.rows),
+                stamp: self.engine.view.stamp(),
+                ..Params::default()
+            },
+            data,
+            light: &light,
+            panel: &result,
+        };
+        let calls = work.calls(self.working, batch, &lit)?;
+        let writes = self
+            .working
+            .stopwatch
+            .as_ref()
+            .and_then(|stopwatch| stopwatch.kernels(marks));
+        calls.encode(&mut encoder, writes);
+        device.queue().submit([encoder.finish()]);
+        self.working.staging.give_back(staging);
+        device.check()
+    }
+
+    /// Waits for the panel before and adds it to the image.
+    fn finish(&mut self) -> Result<(), GpuError> {
+        let Some(pending) = self.pending.take() else {
+            return Ok(());
+        };
+        let (first_output, output, taken) = (self.job.first_output, &mut self.output, &mut self.taken);
+        let stopwatch = self.working.stopwatch.as_ref();
+        pending.read(self.device, |panel, values, marks| {
+            let clock = Instant::now();
+            let place = panel.output;
+            let rows = place.row - first_output..place.row - first_output + place.rows;
+            let columns = place.column..place.column + place.columns;
+            let values: &[T] = cast_slice(values);
+            output
+                .slice_mut(s![rows, columns])
+                .axis_iter_mut(Axis(0))
+                .into_par_iter()
+                .zip(values.par_chunks_exact(place.columns))
+                .for_each(|(mut row, values)| {
+                    for (pixel, value) in row.iter_mut().zip(values) {
+                        *pixel += *value;
+                    }
+                });
+            taken.host += clock.elapsed();
+            if let Some(stopwatch) = stopwatch {
+                let (kernels, transfers) = stopwatch.durations(&panel.marks, marks);
+                taken.kernels += kernels;
+                taken.transfers += transfers;
+            }
+        })
+    }
+}
+
+/// Neighbouring ranges as one.
+fn joined(ranges: &[(usize, usize)]) -> Vec<(usize, usize)> {
+    let mut joined: Vec<(usize, usize)> = Vec::new();
+    for &(first, count) in ranges {
+        match joined.last_mut() {
+            // Places are rounded up, and what lies between is never read.
+            Some(last) if first - (last.0 + last.1) < 4 => last.1 = first + count - last.0,
+            _ => joined.push((first, count)),
+        }
+    }
+    joined
+}

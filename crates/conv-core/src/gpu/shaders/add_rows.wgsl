@@ -1,0 +1,33 @@
+// The first plane of each tile, transformed back along x and added to the panel. Tiles of a dispatch do not overlap.
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> tiles: array<Tile>;
+@group(0) @binding(2) var<storage, read> roots: array<vec2f>;
+@group(0) @binding(3) var<storage, read> planes: array<vec2f>;
+@group(0) @binding(4) var<storage, read_write> panel: array<f32>;
+
+var<private> tile: Tile;
+var<private> first_row: u32;
+
+fn load(line: u32, column: u32) -> vec2f {
+    return planes[(tile.plane * HALF + first_row + line) * NX + column].yx;
+}
+
+fn add(row: u32, column: u32, value: f32) {
+    if (row >= tile.out_height || column >= tile.out_width) {
+        return;
+    }
+    add_to_panel(tile.out_row, tile.out_column, row, column, value * tile.back);
+}
+
+@compute @workgroup_size({{THREADS}})
+fn add_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+    tile = tiles[params.first + group.y];
+    first_row = group.x * LINES;
+    if (first_row >= min(tile.out_height, HALF)) {
+        return;
+    }
+    {{REGISTERS}}
+    {{FORWARD}}
+    {{STORE}}
+}

@@ -1,0 +1,58 @@
+// Coefficients of a block's kernels as functions along its rows.
+
+// A table's first words.
+const DENSE: u32 = 0u;
+const FUNCTIONS: u32 = 1u;
+const DIVIDES: u32 = 2u;
+const PLAIN: u32 = 3u;
+const COLUMNS: u32 = 4u;
+const ROWS: u32 = 5u;
+const ROW_STARTS: u32 = 6u;
+const RUNS: u32 = 7u;
+const VALUES: u32 = 8u;
+
+fn real(place: u32) -> f32 {
+    return bitcast<f32>(tables[place]);
+}
+
+// The last run of a row that begins at a column or before it.
+fn run_of(table: u32, row: u32, column: u32) -> u32 {
+    let starts = table + tables[table + ROW_STARTS] + row;
+    let columns = table + tables[table + RUNS];
+    var low = tables[starts];
+    var high = tables[starts + 1u];
+    while (low + 1u < high) {
+        let middle = (low + high) / 2u;
+        if (tables[columns + middle] <= column) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    return low;
+}
+
+fn function_value(table: u32, function: u32, row: u32, column: u32) -> f32 {
+    let values = table + tables[table + VALUES];
+    if (tables[table + DENSE] == 1u) {
+        return real(values + (function * tables[table + ROWS] + row) * tables[table + COLUMNS] + column);
+    }
+    let run = run_of(table, row, column);
+    let place = values + 2u * (run * tables[table + FUNCTIONS] + function);
+    let from_start = f32(column - tables[table + tables[table + RUNS] + run]);
+    return real(place) + from_start * real(place + 1u);
+}
+
+// A value times the coefficient of a kernel at a pixel of its block.
+fn weighted(value: f32, table: u32, kernel: u32, row: u32, column: u32) -> f32 {
+    let plain = tables[table + PLAIN];
+    if (kernel < plain) {
+        return value;
+    }
+    let divides = tables[table + DIVIDES];
+    let product = value * function_value(table, kernel - plain + divides, row, column);
+    if (divides == 0u) {
+        return product;
+    }
+    return product / function_value(table, 0u, row, column);
+}

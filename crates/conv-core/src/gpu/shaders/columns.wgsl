@@ -1,0 +1,14 @@
+
+// Columns of planes that are transformed along x.
+
+var<private> tile: Tile;
+var<private> plane: u32;
+var<private> first_column: u32;
+
+// A value before its transform along y, turned so that planes are negacyclic in y; rows without light are not read.
+fn load(line: u32, row: u32) -> vec2f {
+    if (row >= min(tile.height, HALF)) {
+        return vec2f(0.0);
+    }
+    return times(planes[(plane * HALF + row) * NX + first_column + line], roots[TWIST + row]);
+}

@@ -1,0 +1,51 @@
+// The planes of each tile behind its first, transformed back along x, multiplied by the kernels' coefficients and added to the panel. Tiles do not
+// overlap there.
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> tiles: array<Tile>;
+@group(0) @binding(2) var<storage, read> tables: array<u32>;
+@group(0) @binding(3) var<storage, read> roots: array<vec2f>;
+@group(0) @binding(4) var<storage, read> planes: array<vec2f>;
+@group(0) @binding(5) var<storage, read_write> panel: array<f32>;
+
+var<private> tile: Tile;
+var<private> plane: u32;
+var<private> first_row: u32;
+
+fn load(line: u32, column: u32) -> vec2f {
+    return planes[(plane * HALF + first_row + line) * NX + column].yx;
+}
+
+// Rows and columns count from the plane's first, of which the result is a part.
+fn coefficient(kernel: u32, row: u32, column: u32) -> f32 {
+    let y = row - tile.skip_row;
+    let x = column - tile.skip_column;
+    // Also where the difference wraps around.
+    if (y >= tile.out_height || x >= tile.out_width) {
+        return 0.0;
+    }
+    return weighted(1.0, tile.table, kernel, tile.row + y, tile.column + x);
+}
+
+fn add(row: u32, column: u32, value: f32) {
+    let y = row - tile.skip_row;
+    let x = column - tile.skip_column;
+    if (y >= tile.out_height || x >= tile.out_width) {
+        return;
+    }
+    add_to_panel(tile.out_row, tile.out_column, y, x, value * tile.back);
+}
+
+@compute @workgroup_size({{THREADS}})
+fn gather_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+    tile = tiles[params.first + group.y];
+    first_row = group.x * LINES;
+    {{REGISTERS}}
+    {{SUMS}}
+    for (var kernel = 0u; kernel < tile.kernels; kernel++) {
+        plane = tile.plane + 1u + kernel;
+        {{FORWARD}}
+        {{ADD}}
+    }
+    {{STORE}}
+}

@@ -1,0 +1,25 @@
+// A plane that is transformed along x: transformed along y, and for each kernel multiplied by its spectrum and transformed back along y
+// into a plane of its own, those behind the first.
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> tiles: array<Tile>;
+@group(0) @binding(2) var<storage, read> roots: array<vec2f>;
+@group(0) @binding(3) var<storage, read> spectra: array<vec2f>;
+@group(0) @binding(4) var<storage, read_write> planes: array<vec2f>;
+
+@compute @workgroup_size({{THREADS}})
+fn spread_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+    tile = tiles[params.first + group.y];
+    plane = tile.plane;
+    first_column = group.x * LINES;
+    {{REGISTERS}}
+    {{FORWARD}}
+    {{SPECTRUM}}
+    for (var kernel = 0u; kernel < tile.kernels; kernel++) {
+        let spectrum = (tile.spectrum + kernel) * HALF;
+        let into = (tile.plane + 1u + kernel) * HALF;
+        {{MULTIPLY}}
+        {{BACK}}
+        {{STORE}}
+    }
+}

@@ -1,0 +1,26 @@
+// Planes that are transformed along x: transformed along y, multiplied by the kernels' spectra, added up over the kernels, and transformed back
+// along y into the tile's first plane.
+
+@group(0) @binding(0) var<uniform> params: Params;
+@group(0) @binding(1) var<storage, read> tiles: array<Tile>;
+@group(0) @binding(2) var<storage, read> roots: array<vec2f>;
+@group(0) @binding(3) var<storage, read> spectra: array<vec2f>;
+@group(0) @binding(4) var<storage, read_write> planes: array<vec2f>;
+
+@compute @workgroup_size({{THREADS}})
+fn sum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
+    tile = tiles[params.first + group.y];
+    first_column = group.x * LINES;
+    {{REGISTERS}}
+    {{SUMS}}
+    for (var kernel = 0u; kernel < tile.kernels; kernel++) {
+        plane = tile.plane + kernel;
+        let spectrum = (tile.spectrum + kernel) * HALF;
+        {{FORWARD}}
+        {{ADD}}
+    }
+    {{SWAP}}
+    {{BACK}}
+    let into = tile.plane * HALF;
+    {{STORE}}
+}

@@ -1,0 +1,111 @@
+//! The GPU's own clock.
+
+use std::time::Duration;
+
+use super::device::GpuDevice;
+
+/// Marks in the work of a panel, and where they are read.
+#[derive(Debug)]
+pub(super) struct Stopwatch {
+    marks: wgpu::QuerySet,
+    resolved: wgpu::Buffer,
+    /// Nanoseconds of a tick.
+    tick: f32,
+    capacity: u32,
+}
+
+/// Marks that were set, and what lies between pairs of them.
+#[derive(Debug, Default)]
+pub(super) struct Marks {
+    count: u32,
+    kernels: Vec<(u32, u32)>,
+    transfers: Vec<(u32, u32)>,
+}
+
+/// Marks of a panel at most.
+const MARKS: u32 = 2048;
+pub(super) const BYTES: u64 = 8 * MARKS as u64;
+
+impl Stopwatch {
+    /// A stopwatch, where the GPU has a clock that can be read.
+    pub(super) fn new(device: &GpuDevice) -> Option<Self> {
+        if !device.adapter().timestamps {
+            return None;
+        }
+        Some(Self {
+            marks: device.device().create_query_set(&wgpu::QuerySetDescriptor {
+                label: Some("stopwatch"),
+                ty: wgpu::QueryType::Timestamp,
+                count: MARKS,
+            }),
+            resolved: device.buffer(
+                "stopwatch",
+                BYTES,
+                wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
+            ),
+            tick: device.queue().get_timestamp_period(),
+            capacity: MARKS,
+        })
+    }
+
+    /// Marks for the beginning and the end of a pass of shaders, unless there are too many.
+    pub(super) fn kernels(&self, marks: &mut Marks) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
+        let pair = self.pair(marks)?;
+        marks.kernels.push(pair);
+        Some(wgpu::ComputePassTimestampWrites {
+            query_set: &self.marks,
+            beginning_of_pass_write_index: Some(pair.0),
+            end_of_pass_write_index: Some(pair.1),
+        })
+    }
+
+    /// Does some copies between two marks.
+    pub(super) fn transfers(
+        &self,
+        marks: &mut Marks,
+        encoder: &mut wgpu::CommandEncoder,
+        copies: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) {
+        let pair = self.pair(marks);
+        if let Some(pair) = pair {
+            encoder.write_timestamp(&self.marks, pair.0);
+        }
+        copies(encoder);
+        if let Some(pair) = pair {
+            encoder.write_timestamp(&self.marks, pair.1);
+            marks.transfers.push(pair);
+        }
+    }
+
+    fn pair(&self, marks: &mut Marks) -> Option<(u32, u32)> {
+        let pair = (marks.count, marks.count + 1);
+        (pair.1 < self.capacity).then(|| {
+            marks.count += 2;
+            pair
+        })
+    }
+
+    /// Copies the marks into a buffer that the host can read.
+    pub(super) fn read(&self, marks: &Marks, encoder: &mut wgpu::CommandEncoder, into: &wgpu::Buffer) {
+        if marks.count > 0 {
+            encoder.resolve_query_set(&self.marks, 0..marks.count, &self.resolved, 0);
+            encoder.copy_buffer_to_buffer(&self.resolved, 0, into, 0, Some(8 * u64::from(marks.count)));
+        }
+    }
+
+    /// How long shaders and copies took, from the bytes of the marks.
+    pub(super) fn durations(&self, marks: &Marks, bytes: &[u8]) -> (Duration, Duration) {
+        let ticks: Vec<u64> = bytes
+            .chunks_exact(8)
+            .map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes")))
+            .collect();
+        let sum = |pairs: &[(u32, u32)]| {
+            let ticks: u64 = pairs
+                .iter()
+                .map(|&(from, to)| ticks[to as usize].saturating_sub(ticks[from as usize]))
+                .sum();
+            Duration::from_nanos((ticks as f64 * f64::from(self.tick)) as u64)
+        };
+        (sum(&marks.kernels), sum(&marks.transfers))
+    }
+}

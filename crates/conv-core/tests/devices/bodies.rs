@@ -1,0 +1,354 @@
+//! What must hold on every device.
+
+use std::sync::Arc;
+
+use conv_core::{ConvError, Direct, Paths, Plan, PlanOptions, RowStream};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use psf_types::{
+    Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, PointSource, Position, PsfModel,
+    Scene,
+};
+use rayon::prelude::*;
+
+use crate::common::{Waves, double_sum, model_with, noise, region, scene};
+use crate::on_device::OnDevice;
+
+/// Transforms of a few thousand values in single precision, relative to the peak of the image.
+pub(crate) const ROUNDING: f64 = 3e-6;
+
+pub(crate) const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
+const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
+
+type Body = fn(&OnDevice);
+
+pub(crate) const ALL: [(&str, Body); 10] = [
+    ("at_tolerance_0_it_is_the_double_sum", double_sums),
+    ("the_adjoint_is_the_transpose", adjoints),
+    ("every_pixel_sees_a_psf_within_the_tolerance", tolerances),
+    ("flux_is_kept_at_any_tolerance", fluxes),
+    ("a_bright_star_does_not_drown_faint_light", bright_stars),
+    ("light_beyond_the_range_is_brought_near_1", ranges),
+    ("threads_and_streaming_change_nothing", same_bytes),
+    ("executions_at_the_same_time_do_not_mix", at_once),
+    ("light_without_a_psf_is_an_error", no_psf),
+    ("stars_come_on_top", stars),
+];
+
+pub(crate) fn options(tolerance: f64, anchor: Anchor, paths: Paths) -> PlanOptions {
+    PlanOptions::new(tolerance)
+        .unwrap()
+        .with_anchor(anchor)
+        .with_paths(paths)
+}
+
+pub(crate) fn single(scene: &Scene<f64>) -> Scene<f32> {
+    let light = scene.pixels().unwrap().mapv(|v| v as f32);
+    Scene::from_image(Image::new(light).unwrap())
+        .with_frame(scene.frame())
+        .unwrap()
+}
+
+pub(crate) fn of_light(light: Array2<f32>) -> Scene<f32> {
+    Scene::from_image(Image::new(light).unwrap())
+}
+
+fn doubles(image: &Image<f32>) -> Array2<f64> {
+    image.pixels().mapv(f64::from)
+}
+
+fn norm(values: &Array2<f64>) -> f64 {
+    values.mapv(|v| v * v).sum().sqrt()
+}
+
+/// `|a - b| / |b|`.
+pub(crate) fn relative(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
+    norm(&(a - b)) / norm(b)
+}
+
+/// Even, odd, off-centre, one pixel, wider than the scene.
+const STAMPS: [((usize, usize), (usize, usize)); 5] = [
+    ((6, 4), (3, 2)),
+    ((5, 7), (2, 3)),
+    ((4, 4), (0, 3)),
+    ((1, 3), (0, 0)),
+    ((33, 29), (16, 11)),
+];
+const SCENES: [(usize, usize); 5] = [(12, 12), (13, 7), (1, 1), (1, 37), (67, 53)];
+
+fn double_sums(device: &OnDevice) {
+    for (n, (shape, centre)) in STAMPS.into_iter().enumerate() {
+        for (m, (nx, ny)) in SCENES.into_iter().enumerate() {
+            let (mean, normalisation) = [
+                (true, Normalisation::Unit),
+                (true, Normalisation::Keep),
+                (false, Normalisation::Keep),
+            ][(n + m) % 3];
+            let model = model_with(Arc::new(Waves), shape, centre, mean, normalisation);
+            let mut scene = scene(nx, ny, (nx * ny + n) as u64);
+            if m % 2 == 0 {
+                // Every fifth pixel: a light that every path treats.
+                let mut light = scene.pixels().unwrap().to_owned();
+                for ((y, x), value) in light.indexed_iter_mut() {
+                    *value *= f64::from(u8::from((3 * y + x) % 5 == 0));
+                }
+                scene = Scene::from_image(Image::new(light).unwrap());
+            }
+            if (n + m) % 2 == 0 {
+                let frame = region((nx / 3) as i64, (ny / 4) as i64, nx - nx / 3, ny.div_ceil(2));
+                scene = scene.with_frame(frame).unwrap();
+            }
+            for anchor in ANCHORS {
+                let truth = double_sum(&model, &scene, anchor);
+                let scale = truth.iter().fold(1.0_f64, |m, v| m.max(v.abs()));
+                for paths in PATHS {
+                    let scene = single(&scene);
+                    let plan = Plan::for_scene(&model, &scene, options(0.0, anchor, paths)).unwrap();
+                    let image = device.with(plan).execute(&scene).unwrap();
+                    let largest = (doubles(&image) - &truth)
+                        .iter()
+                        .fold(0.0_f64, |m, v| m.max(v.abs()));
+                    let case = format!("{shape:?} {nx} x {ny} {anchor} {paths:?}");
+                    assert!(largest <= ROUNDING * scale, "{case}: {:e}", largest / scale);
+                }
+            }
+        }
+    }
+}
+
+fn adjoints(device: &OnDevice) {
+    let scene = single(&scene(67, 53, 8).with_frame(region(5, 9, 50, 37)).unwrap());
+    let model = model_with(Arc::new(Waves), (5, 7), (2, 3), true, Normalisation::Unit);
+    for anchor in ANCHORS {
+        for paths in PATHS {
+            let plan = Plan::for_scene(&model, &scene, options(1e-2, anchor, paths)).unwrap();
+            let plan = device.with(plan);
+            let g = noise(37, 50, 77);
+            let forward = doubles(&plan.execute(&scene).unwrap());
+            let back = doubles(&plan.adjoint(&Image::new(g.mapv(|v| v as f32)).unwrap()).unwrap());
+            let left = (&forward * &g).sum();
+            let right = (&scene.pixels().unwrap().mapv(f64::from) * &back).sum();
+            let error = (left - right).abs() / (norm(&forward) * norm(&g));
+            assert!(error <= 1e-6, "{error:e} {anchor} {paths:?}");
+        }
+    }
+}
+
+/// Single units of light through transforms, whose modes do not depend on the light.
+fn tolerances(device: &OnDevice) {
+    let (nx, ny) = (120, 90);
+    let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
+    let mut coarsest: f64 = 0.0;
+    for tolerance in [3e-1, 1e-2, 1e-3, 0.0] {
+        for anchor in ANCHORS {
+            let options = options(tolerance, anchor, Paths::Transforms);
+            let dark = of_light(Array2::zeros((ny, nx)));
+            let plan = device.with(Plan::for_scene(&model, &dark, options).unwrap());
+            for n in 0..12 {
+                let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
+                let mut one = Array2::zeros((ny, nx));
+                one[[y, x]] = 1.0;
+                // Output-anchored, the kernel of one output pixel is a row of the operator: a column of its transpose.
+                let (response, sign) = if anchor == Anchor::Source {
+                    (plan.execute(&of_light(one)).unwrap(), 1)
+                } else {
+                    (plan.adjoint(&Image::new(one).unwrap()).unwrap(), -1)
+                };
+                let psf = model.psf_at(Position::of_pixel(x as i64, y as i64)).unwrap();
+                let mut exact = Array2::zeros((ny, nx));
+                for ((j, i), &h) in psf.values().indexed_iter() {
+                    let (row, column) = (y as i64 + sign * (j as i64 - 4), x as i64 + sign * (i as i64 - 4));
+                    if (0..ny as i64).contains(&row) && (0..nx as i64).contains(&column) {
+                        exact[[row as usize, column as usize]] = h;
+                    }
+                }
+                // The tolerance is of the whole PSF; at the edge a part of it is cut off.
+                let error = norm(&(doubles(&response) - &exact)) / norm(&psf.values().to_owned());
+                assert!(
+                    error <= tolerance + ROUNDING,
+                    "{error:e} > {tolerance:e} at {x}, {y}"
+                );
+                coarsest = coarsest.max(error);
+            }
+        }
+    }
+    // The tolerance is made use of: otherwise this would test nothing.
+    assert!(coarsest > 1e-3, "{coarsest:e}");
+}
+
+fn fluxes(device: &OnDevice) {
+    let mut light = Array2::zeros((160, 200));
+    light
+        .slice_mut(s![40..120, 40..160])
+        .assign(&noise(80, 120, 4).mapv(|v| (v + 1.2) as f32));
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let exact: f64 = light.iter().map(|&v| f64::from(v)).sum();
+    let scene = of_light(light);
+    for tolerance in [0.0, 1e-2, 0.5] {
+        let options = options(tolerance, Anchor::Source, Paths::Cheapest);
+        let plan = device.with(Plan::for_scene(&model, &scene, options).unwrap());
+        let flux = doubles(&plan.execute(&scene).unwrap()).sum();
+        assert!(
+            (flux / exact - 1.0).abs() < 1e-6,
+            "{flux} {exact} at {tolerance:e}"
+        );
+    }
+}
+
+fn bright_stars(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
+    let mut light = noise(200, 200, 5).mapv(|v| v + 1.5);
+    light[[100, 90]] = 1e8;
+    let scene = Scene::from_image(Image::new(light).unwrap());
+    let far: Vec<(usize, usize)> = (0..200_usize)
+        .map(|n| (60 + (n * 7) % 60, 70 + (n * 11) % 60))
+        .filter(|&(x, y)| x.abs_diff(90) > 12 || y.abs_diff(100) > 12)
+        .collect();
+    for anchor in ANCHORS {
+        let truth = Direct::new(anchor).at_pixels(&model, &scene, &far).unwrap();
+        let error = |paths: Paths| {
+            let scene = single(&scene);
+            let plan = Plan::for_scene(&model, &scene, options(0.0, anchor, paths)).unwrap();
+            let image = device.with(plan).execute(&scene).unwrap();
+            let pairs = far.iter().zip(&truth);
+            let squares = pairs.map(|(&(x, y), v)| (f64::from(image.pixels()[[y, x]]) - v).powi(2));
+            (squares.sum::<f64>() / truth.iter().map(|v| v * v).sum::<f64>()).sqrt()
+        };
+        assert!(error(Paths::Cheapest) < 1e-6, "{anchor}");
+        // Through transforms alone it would.
+        assert!(error(Paths::Transforms) > 1e-3, "{anchor}");
+    }
+}
+
+fn ranges(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
+    let light = noise(90, 120, 3).mapv(|v| (v + 1.5) as f32);
+    for anchor in ANCHORS {
+        let scene = of_light(light.clone());
+        let options = options(0.0, anchor, Paths::Transforms);
+        let plan = device.with(Plan::for_scene(&model, &scene, options).unwrap());
+        let usual = doubles(&plan.execute(&scene).unwrap());
+        for exponent in [-110, 110] {
+            let power = 2_f32.powi(exponent);
+            let image = plan.execute(&of_light(light.mapv(|v| v * power))).unwrap();
+            let error = relative(&(doubles(&image) / f64::from(power)), &usual);
+            assert!(error < 1e-6, "{error:e} at 2^{exponent}, {anchor}");
+        }
+    }
+}
+
+/// A scene in memory that is handed out by rows.
+struct Rows<'a> {
+    scene: &'a Scene<f32>,
+    image: Vec<f32>,
+}
+
+impl RowStream<f32> for Rows<'_> {
+    type Error = ConvError;
+    fn read(
+        &mut self,
+        rows: std::ops::Range<usize>,
+        mut light: ArrayViewMut2<'_, f32>,
+    ) -> Result<(), ConvError> {
+        light.assign(&self.scene.pixels().unwrap().slice(s![rows, ..]));
+        Ok(())
+    }
+    fn write(&mut self, rows: ArrayView2<'_, f32>) -> Result<(), ConvError> {
+        self.image.extend(rows.iter());
+        Ok(())
+    }
+}
+
+fn same_bytes(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let scene = single(&scene(40, 5000, 6).with_frame(region(3, 33, 30, 4900)).unwrap());
+    for anchor in ANCHORS {
+        let with = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new()
+                .num_threads(threads)
+                .build()
+                .unwrap();
+            pool.install(|| {
+                let options = options(1e-3, anchor, Paths::Cheapest);
+                let plan = device.with(Plan::for_scene(&model, &scene, options).unwrap());
+                let (image, counts) = plan.execute_with_progress(&scene, &NoProgress).unwrap();
+                assert_eq!(counts.tiles(), plan.summary().tiles);
+                let again = plan.execute(&scene).unwrap();
+                assert_eq!(image, again, "buffers are dirty the second time");
+                (plan, image)
+            })
+        };
+        let (plan, image) = with(1);
+        assert!(with(3).1 == image, "{anchor}");
+        let mut rows = Rows {
+            scene: &scene,
+            image: Vec::new(),
+        };
+        plan.stream(&scene, None, &mut rows, &NoProgress).unwrap();
+        assert!(rows.image.iter().eq(image.pixels().iter()), "{anchor}");
+    }
+}
+
+/// As many as there are threads, on the pool that each of them works in as well.
+fn at_once(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let scenes: Vec<Scene<f32>> = (0..6).map(|seed| single(&scene(150, 130, seed))).collect();
+    let options = options(1e-3, Anchor::Source, Paths::Cheapest);
+    let plan = device.with(Plan::for_scene(&model, &scenes[0], options).unwrap());
+    let one_by_one: Vec<_> = scenes.iter().map(|scene| plan.execute(scene).unwrap()).collect();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    let at_once: Vec<_> = pool.install(|| {
+        scenes
+            .par_iter()
+            .map(|scene| plan.execute(scene).unwrap())
+            .collect()
+    });
+    assert!(one_by_one == at_once);
+}
+
+/// No PSF in the left part.
+#[derive(Debug)]
+struct Half;
+
+impl CoefficientField for Half {
+    fn component_count(&self) -> usize {
+        3
+    }
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        if p.x() < 20.0 {
+            return Err(FieldError::External {
+                position: p,
+                source: "no PSF here".into(),
+            });
+        }
+        Waves.evaluate_into(p, a)
+    }
+}
+
+fn no_psf(device: &OnDevice) {
+    let model: PsfModel = model_with(Arc::new(Half), (5, 7), (2, 3), true, Normalisation::Unit);
+    for anchor in ANCHORS {
+        let mut light = Array2::zeros((40, 60));
+        light.slice_mut(s![.., 30..]).fill(1.0);
+        let fine = of_light(light.clone());
+        let options = options(1e-3, anchor, Paths::Cheapest);
+        let plan = device.with(Plan::for_scene(&model, &fine, options).unwrap());
+        assert!(plan.execute(&fine).is_ok(), "{anchor}");
+        light[[7, 10]] = 1.0;
+        let error = plan.execute(&of_light(light)).unwrap_err();
+        assert!(matches!(error, ConvError::Field(_)), "{error}");
+        // It is none the worse for it.
+        assert!(plan.execute(&fine).is_ok(), "{anchor}");
+    }
+}
+
+fn stars(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let light = noise(90, 120, 3).mapv(|v| (v + 1.5) as f32);
+    let star = PointSource::new(Position::new(33.0, 20.0).unwrap(), 500.0).unwrap();
+    let scene = of_light(light.clone());
+    let with_star = scene.clone().with_sources(vec![star]);
+    let plan = Plan::for_scene(&model, &scene, options(1e-4, Anchor::Source, Paths::Cheapest)).unwrap();
+    let plan = device.with(plan);
+    let more = doubles(&plan.execute(&with_star).unwrap()) - doubles(&plan.execute(&scene).unwrap());
+    assert!((more.sum() / 500.0 - 1.0).abs() < 1e-4, "{}", more.sum());
+}

@@ -1,0 +1,224 @@
+//! What only a GPU can do well or badly.
+
+use std::sync::Arc;
+
+use conv_core::gpu::{GpuDevice, GpuError, GpuOptions, shaders};
+use conv_core::{ConvError, Paths, Plan};
+use ndarray::Array2;
+use psf_types::{Anchor, Normalisation, PsfModel, Scene};
+
+use crate::bodies::{ANCHORS, of_light, options, relative, single};
+use crate::common::{Waves, model_with, noise, scene};
+use crate::on_device::OnDevice;
+
+/// Both devices in single precision, by different transforms: relative L2.
+const PARITY: f64 = 3e-6;
+/// A shader against its twin in double precision.
+const TWIN: f64 = 1e-6;
+/// Pieces cut elsewhere change the order of additions alone.
+const ORDER: f64 = 1e-6;
+
+type Body = Box<dyn FnOnce(&OnDevice) + Send>;
+
+pub(crate) fn all() -> Vec<(String, Body)> {
+    let mut all: Vec<(String, Body)> = shaders::names()
+        .map(|name| {
+            let body: Body = Box::new(move |device| twin(device.handle(), name));
+            (format!("{name}_is_its_twin"), body)
+        })
+        .collect();
+    let mut add = |name: &str, body: fn(&OnDevice)| all.push((name.to_owned(), Box::new(body)));
+    add("it_is_the_processor_at_all_sizes_of_transforms", sizes);
+    add("it_is_the_processor_on_every_kind_of_light", lights);
+    add("pieces_of_any_size_give_the_same", pieces);
+    add("a_lost_gpu_is_an_error", lost);
+    add("what_it_cannot_do_is_an_error", refused);
+    add("it_tells_how_long_it_took", times);
+    all
+}
+
+/// Radices 4 and 8, then 3 and 5 as well; rows in groups of 16 and fewer.
+fn twin(gpu: &GpuDevice, name: &str) {
+    for size in [(64, 128), (48, 160), (240, 96)] {
+        let error = shaders::error_against_twin(gpu, name, size, false).unwrap();
+        assert!(error <= TWIN, "{name} {size:?}: {error:e}");
+    }
+    if name != "draw_stamps" {
+        // The comparison can fail: one root of unity is wrong.
+        let error = shaders::error_against_twin(gpu, name, (64, 128), true).unwrap();
+        assert!(error > 1e-3, "{name}: {error:e}");
+    }
+}
+
+/// The images of both devices by one plan.
+fn both(gpu: &GpuDevice, mut plan: Plan<f32>, scene: &Scene<f32>) -> [Array2<f64>; 2] {
+    let image = |plan: &Plan<f32>| plan.execute(scene).unwrap().pixels().mapv(f64::from);
+    let processor = image(&plan);
+    plan.use_gpu(gpu, GpuOptions::default()).unwrap();
+    [processor, image(&plan)]
+}
+
+/// Stamps from a few pixels to a thousand, scenes of prime sizes: transforms of 32 to 2048 values.
+fn sizes(device: &OnDevice) {
+    let mut largest = 0;
+    for (stamp, (nx, ny)) in [
+        ((5, 3), (211, 97)),
+        ((33, 21), (307, 211)),
+        ((65, 129), (509, 401)),
+        ((301, 257), (337, 613)),
+        ((1001, 641), (997, 353)),
+    ] {
+        let centre = (stamp.0 / 2, stamp.1 / 2);
+        let model = model_with(Arc::new(Waves), stamp, centre, true, Normalisation::Unit);
+        let scene = of_light(noise(ny, nx, 5).mapv(|v| (v + 1.5) as f32));
+        for anchor in ANCHORS {
+            let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, Paths::Transforms)).unwrap();
+            let transform = plan.summary().transform;
+            largest = largest.max(transform.0.max(transform.1));
+            let [processor, gpu] = both(device.handle(), plan, &scene);
+            let error = relative(&gpu, &processor);
+            assert!(
+                error <= PARITY,
+                "{stamp:?} {nx} x {ny} {anchor} {transform:?}: {error:e}"
+            );
+        }
+    }
+    assert!(largest > 1024, "{largest}");
+}
+
+fn lit(nx: usize, ny: usize, chosen: impl Fn(usize, usize) -> bool) -> Scene<f32> {
+    let values = noise(ny, nx, 9);
+    of_light(Array2::from_shape_fn((ny, nx), |(y, x)| {
+        if chosen(x, y) {
+            (values[[y, x]] + 1.5) as f32
+        } else {
+            0.0
+        }
+    }))
+}
+
+/// Full, sparse, a few pixels, one corner, nothing; roles of the flux.
+fn lights(device: &OnDevice) {
+    let (nx, ny) = (431, 283);
+    for normalisation in [Normalisation::Unit, Normalisation::Keep] {
+        let model: PsfModel = model_with(Arc::new(Waves), (21, 17), (9, 9), true, normalisation);
+        for anchor in ANCHORS {
+            for (name, scene) in [
+                ("full", lit(nx, ny, |_, _| true)),
+                ("sparse", lit(nx, ny, |x, y| (x * 7 + y * 13) % 101 == 0)),
+                (
+                    "few",
+                    lit(nx, ny, |x, y| (x, y) == (5, 4) || (x, y) == (nx - 1, 30)),
+                ),
+                ("corner", lit(nx, ny, |x, y| x > 400 && y > 250)),
+            ] {
+                let options = options(1e-4, anchor, Paths::Cheapest);
+                let plan = Plan::for_scene(&model, &scene, options).unwrap();
+                let [processor, gpu] = both(device.handle(), plan, &scene);
+                let error = relative(&gpu, &processor);
+                assert!(error <= PARITY, "{name} {anchor} {normalisation}: {error:e}");
+            }
+            let dark = lit(nx, ny, |_, _| false);
+            let plan = Plan::for_scene(&model, &dark, options(1e-4, anchor, Paths::Cheapest)).unwrap();
+            let [_, gpu] = both(device.handle(), plan, &dark);
+            assert!(gpu.iter().all(|&v| v == 0.0));
+        }
+    }
+}
+
+/// Nothing kept, pieces so small that a tile's kernels come one by one, stamps and coefficients made anew.
+fn pieces(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (33, 29), (16, 11), true, Normalisation::Unit);
+    let scene = single(&scene(307, 211, 3));
+    for anchor in ANCHORS {
+        let usual = {
+            let plan = Plan::for_scene(&model, &scene, options(0.0, anchor, Paths::Transforms)).unwrap();
+            let [_, gpu] = both(device.handle(), plan, &scene);
+            gpu
+        };
+        for (memory, pieces, host) in [
+            (0, GpuOptions::DEFAULT_PIECE_BYTES, usize::MAX),
+            (u64::MAX, 1 << 18, usize::MAX),
+            (0, 1 << 16, 0),
+            (1 << 20, 1, usize::MAX),
+        ] {
+            let options = options(0.0, anchor, Paths::Transforms).with_memory(host);
+            let mut plan = Plan::for_scene(&model, &scene, options).unwrap();
+            let limits = GpuOptions::default().with_memory(memory).with_pieces(pieces);
+            plan.use_gpu(device.handle(), limits).unwrap();
+            let image = plan.execute(&scene).unwrap().pixels().mapv(f64::from);
+            let error = relative(&image, &usual);
+            assert!(error <= ORDER, "{memory} {pieces} {anchor}: {error:e}");
+        }
+    }
+}
+
+/// On a device of its own, which others do not miss.
+fn lost(_: &OnDevice) {
+    let gpu = GpuDevice::new(None).unwrap();
+    let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
+    let scene = single(&scene(67, 53, 3));
+    let plan = || Plan::for_scene(&model, &scene, options(1e-3, Anchor::Source, Paths::Cheapest)).unwrap();
+    let mut used = plan();
+    used.use_gpu(&gpu, GpuOptions::default()).unwrap();
+    let before = used.execute(&scene).unwrap();
+    gpu.close();
+    let is_lost = |error: &ConvError| matches!(error, ConvError::Gpu(GpuError::Lost { .. }));
+    let error = used.execute(&scene).unwrap_err();
+    assert!(is_lost(&error), "{error}");
+    assert!(error.to_string().contains("was lost"), "{error}");
+    let error = used.adjoint(&before).unwrap_err();
+    assert!(is_lost(&error), "{error}");
+    let refused = plan().use_gpu(&gpu, GpuOptions::default());
+    assert!(matches!(refused, Err(GpuError::Lost { .. })), "{refused:?}");
+}
+
+fn refused(device: &OnDevice) {
+    let gpu = device.handle();
+    let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
+    let scene = scene(67, 53, 3);
+    let mut plan = Plan::for_scene(&model, &scene, options(1e-3, Anchor::Source, Paths::Cheapest)).unwrap();
+    assert_eq!(
+        plan.use_gpu(gpu, GpuOptions::default()),
+        Err(GpuError::Precision { precision: "f64" })
+    );
+    assert_eq!(plan.predicted_gpu_seconds(gpu.adapter()), None);
+    // It still runs on the processor.
+    assert!(plan.execute(&scene).is_ok() && plan.gpu().is_none());
+    let huge = shaders::error_against_twin(gpu, "add_rows", (1 << 15, 32), false);
+    assert!(
+        matches!(huge, Err(GpuError::TransformSize { size, most, .. }) if size == 1 << 15 && most < size)
+    );
+    let unknown = GpuDevice::new(Some("no such thing"));
+    assert!(
+        matches!(&unknown, Err(GpuError::NoSuchAdapter { present, .. }) if present.contains(&gpu.adapter().name)),
+        "{unknown:?}"
+    );
+}
+
+fn times(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (33, 29), (16, 11), true, Normalisation::Unit);
+    let scene = single(&scene(307, 211, 3));
+    let plan = Plan::for_scene(&model, &scene, options(1e-3, Anchor::Source, Paths::Transforms)).unwrap();
+    assert!(plan.gpu_times().is_none());
+    let plan = device.with(plan);
+    plan.execute(&scene).unwrap();
+    let times = plan.gpu_times().unwrap();
+    let work = plan.gpu_work();
+    // What has to be moved is moved: the light, and the image with what panels share.
+    assert!(
+        times.bytes.0 + times.bytes.1 >= work.bus_bytes,
+        "{times:?} {work:?}"
+    );
+    assert!(times.bytes.0 >= 4 * 200 * 211 && times.bytes.1 >= 4 * 307 * 211);
+    assert_eq!(times.kernels.is_some(), device.handle().adapter().timestamps);
+    assert!(
+        times
+            .kernels
+            .is_none_or(|kernels| !kernels.is_zero() && kernels <= times.total)
+    );
+    assert!(
+        plan.predicted_gpu_seconds(device.handle().adapter())
+            .is_some_and(|s| s > 0.0)
+    );
+}

@@ -1,0 +1,51 @@
+//! Where a plan runs.
+
+use conv_core::Plan;
+
+/// The processor, or a GPU.
+#[derive(Clone)]
+pub(crate) struct OnDevice {
+    #[cfg(feature = "gpu")]
+    gpu: Option<conv_core::gpu::GpuDevice>,
+}
+
+impl OnDevice {
+    pub(crate) fn processor() -> Self {
+        Self {
+            #[cfg(feature = "gpu")]
+            gpu: None,
+        }
+    }
+
+    /// The GPU, or why there is none.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn gpu() -> Result<Self, String> {
+        let gpu = conv_core::gpu::GpuDevice::new(None).map_err(|error| error.to_string())?;
+        eprintln!("tests on the GPU run on {}", gpu.adapter());
+        Ok(Self { gpu: Some(gpu) })
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    pub(crate) fn gpu() -> Result<Self, String> {
+        Err("conv-core was built without its feature `gpu`".to_owned())
+    }
+
+    /// The same plan, to be executed here.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn with(&self, mut plan: Plan<f32>) -> Plan<f32> {
+        if let Some(gpu) = &self.gpu {
+            plan.use_gpu(gpu, conv_core::gpu::GpuOptions::default()).unwrap();
+        }
+        plan
+    }
+
+    #[cfg(not(feature = "gpu"))]
+    pub(crate) fn with(&self, plan: Plan<f32>) -> Plan<f32> {
+        plan
+    }
+
+    #[cfg(feature = "gpu")]
+    pub(crate) fn handle(&self) -> &conv_core::gpu::GpuDevice {
+        self.gpu.as_ref().expect("only called on the GPU")
+    }
+}
