@@ -10,11 +10,11 @@ const TO: &str = "simulate scene.fits --psf samples.fits -o out.fits";
 #[test]
 fn devices_are_listed_or_it_is_said_that_there_are_none() {
     let desk = Desk::empty();
-    let report = desk.done("devices --json").json();
+    let report = desk.done_with_drivers("devices --json").json();
     assert_keys(&report, &["gpu_support", "adapters", "auto"]);
     assert_eq!(report["gpu_support"], cfg!(feature = "gpu"));
     let adapters = report["adapters"].as_array().unwrap();
-    let text = desk.done("devices").stdout;
+    let text = desk.done_with_drivers("devices").stdout;
     match (cfg!(feature = "gpu"), adapters.first()) {
         (false, _) => assert!(adapters.is_empty() && text.contains("built without support of GPUs")),
         (true, None) => assert!(text.contains("There is no GPU"), "{text}"),
@@ -22,7 +22,7 @@ fn devices_are_listed_or_it_is_said_that_there_are_none() {
             assert!(text.contains(first["name"].as_str().unwrap()), "{text}");
         }
     }
-    assert_eq!(desk.done("devices -q").stdout, "");
+    assert_eq!(desk.done_with_drivers("devices -q").stdout, "");
     desk.refused("devices all", 2, &["all"]);
 }
 

@@ -1,10 +1,10 @@
 //! The tests.
 
-use ndarray::{Array2, Array3};
+use ndarray::Array3;
 use psfield::conv_core::gpu::{AdapterKind, adapters};
-use psfield::conv_core::{Plan, PlanOptions};
+use psfield::conv_core::{ConvReal, Plan, PlanOptions};
 use psfield::psf_io::{Card, CardValue};
-use psfield::psf_types::{Image, Position, PsfSamples, SamplePositions, Scene, StampGrid};
+use psfield::psf_types::{FrameShape, PixelRegion, Position, PsfSamples, SamplePositions, StampGrid};
 use psfield::{CpuReason, Device, DeviceOptions, FitOptions, Gpus, Placement};
 use serde_json::Value;
 
@@ -34,9 +34,9 @@ pub(crate) fn agree() {
     for anchor in ["source", "output"] {
         for method in ["auto", "lowrank", "lowrank --stream", "lowrank --gpu-memory 1K"] {
             let options = format!("--anchor {anchor} --method {method} --overwrite");
-            desk.done(&format!("{TO} {options} --device gpu -o {anchor}.fits"));
+            desk.done_with_drivers(&format!("{TO} {options} --device gpu -o {anchor}.fits"));
             let options = options.replace("--gpu-memory", "--memory");
-            desk.done(&format!("{TO} {options} --device cpu -o cpu.fits"));
+            desk.done_with_drivers(&format!("{TO} {options} --device cpu -o cpu.fits"));
             let apart = difference(&desk.image(&format!("{anchor}.fits")), &desk.image("cpu.fits"));
             assert!(apart <= ROUNDING, "{anchor} {method}: {apart:e}");
         }
@@ -48,7 +48,7 @@ pub(crate) fn agree() {
 pub(crate) fn signed() {
     let desk = Desk::new();
     let report = desk
-        .done(&format!("{TO} --device gpu -o gpu.fits --spot-check 50 --json"))
+        .done_with_drivers(&format!("{TO} --device gpu -o gpu.fits --spot-check 50 --json"))
         .json();
     assert_eq!(report["device"]["on"], "gpu");
     assert_eq!(report["device"]["adapter"], preferred().as_str());
@@ -56,7 +56,7 @@ pub(crate) fn signed() {
     assert_eq!(report["spot_check"]["passed"], true);
     assert_eq!(text(&desk, "gpu.fits", "PSFDEV"), Some(preferred()));
     let said = desk
-        .done(&format!("{TO} --device gpu -o gpu.fits --overwrite"))
+        .done_with_drivers(&format!("{TO} --device gpu -o gpu.fits --overwrite"))
         .stdout;
     assert!(
         said.contains(&format!("\ndevice: on {}\n", preferred())),
@@ -74,7 +74,7 @@ pub(crate) fn names() {
         .unwrap_or_default()
         .to_uppercase();
     for name in [part.as_str(), first.backend.as_str()] {
-        desk.done(&format!(
+        desk.done_with_drivers(&format!(
             "{TO} --device gpu --gpu-adapter {name} -o out.fits --overwrite"
         ));
         assert_eq!(text(&desk, "out.fits", "PSFDEV"), Some(preferred()), "{name}");
@@ -99,7 +99,7 @@ pub(crate) fn unknown_names() {
 
 pub(crate) fn listed() {
     let desk = Desk::empty();
-    let report = desk.done("devices --json").json();
+    let report = desk.done_with_drivers("devices --json").json();
     let rows = report["adapters"].as_array().unwrap();
     assert_eq!(rows.len(), adapters().len());
     for (k, (row, adapter)) in rows.iter().zip(adapters()).enumerate() {
@@ -119,7 +119,7 @@ pub(crate) fn listed() {
         assert_eq!(row["largest_binding_bytes"], adapter.largest_binding);
         assert_eq!(row["workgroup_memory_bytes"], adapter.workgroup_memory);
     }
-    let table = desk.done("devices").stdout;
+    let table = desk.done_with_drivers("devices").stdout;
     let marked: Vec<&str> = table.lines().filter(|line| line.starts_with("*  ")).collect();
     assert!(
         marked.len() == 1 && marked[0].contains(&adapters()[0].name),
@@ -146,7 +146,7 @@ pub(crate) fn batch() {
     };
     let jobs = [job("a", "gpu"), job("b", "gpu"), job("c", "cpu")].concat();
     desk.write("night.toml", format!("[defaults]\npsf = 'samples.fits'\n{jobs}"));
-    let run = desk.done("batch night.toml");
+    let run = desk.done_with_drivers("batch night.toml");
     let lines: Vec<Value> = run
         .stdout
         .lines()
@@ -164,7 +164,7 @@ pub(crate) fn batch() {
 
 pub(crate) fn bench() {
     let desk = Desk::empty();
-    let run = desk.done(
+    let run = desk.done_with_drivers(
         "bench --sizes 96 --grids 3 --methods single,lowrank,auto,patch --tolerances 1e-3 --patches 48 --repeat 1 \
          --pixels 60 --device gpu --json out.json",
     );
@@ -190,27 +190,37 @@ pub(crate) fn bench() {
             assert_eq!(row["gpu_seconds"], Value::Null, "{row}");
         }
     }
-    let cpu =
-        desk.done("bench --sizes 32 --grids 2 --methods lowrank --tolerances 1e-2 --repeat 1 --pixels 9");
+    let cpu = desk.done_with_drivers(
+        "bench --sizes 32 --grids 2 --methods lowrank --tolerances 1e-2 --repeat 1 --pixels 9",
+    );
     assert!(!cpu.stdout.contains("kernel s"), "{}", cpu.stdout);
 }
 
-/// A frame of `size` x `size` lit pixels under Gaussians that widen to the right, planned to rounding.
-fn plan<T: psfield::conv_core::ConvReal>(size: usize) -> Plan<T> {
-    let corners =
-        [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| (x * (size - 1) as i64, y * (size - 1) as i64));
+/// Half the width of a stamp.
+const HALF: usize = 15;
+
+/// A plan to rounding for frames of `size` x `size` pixels under Gaussians that widen to the right.
+fn plan<T: ConvReal>(size: usize) -> Plan<T> {
+    let last = (size - 1) as i64;
+    let corners = [(0, 0), (last, 0), (0, last), (last, last)];
     let positions = corners.map(|(x, y)| Position::of_pixel(x, y)).to_vec();
-    let stamps = Array3::from_shape_fn((4, 15, 15), |(j, y, x)| {
-        (-((y as f64 - 7.0).powi(2) + (x as f64 - 7.0).powi(2)) / (2.0 + j as f64)).exp()
+    let squared = |k: usize| (k as f64 - HALF as f64).powi(2);
+    let side = 2 * HALF + 1;
+    let stamps = Array3::from_shape_fn((4, side, side), |(j, y, x)| {
+        (-(squared(y) + squared(x)) / (8.0 + j as f64)).exp()
     });
     let positions = SamplePositions::new(positions, None).unwrap();
-    let samples = PsfSamples::new(stamps, positions, StampGrid::new(15, 15).unwrap()).unwrap();
-    let model = psfield::fit(samples, &FitOptions::default())
-        .unwrap()
-        .into_model()
-        .unwrap();
-    let scene = Scene::from_image(Image::new(Array2::from_elem((size, size), T::one())).unwrap());
-    Plan::for_scene(&model, &scene, PlanOptions::new(0.0).unwrap()).unwrap()
+    let samples = PsfSamples::new(stamps, positions, StampGrid::new(side, side).unwrap()).unwrap();
+    let fit = psfield::fit(samples, &FitOptions::default()).unwrap();
+    let shape = FrameShape::new(size, size).unwrap();
+    let frame = PixelRegion::new(0, 0, shape);
+    Plan::new(
+        &fit.into_model().unwrap(),
+        shape,
+        frame,
+        PlanOptions::new(0.0).unwrap(),
+    )
+    .unwrap()
 }
 
 pub(crate) fn double() {
@@ -220,8 +230,11 @@ pub(crate) fn double() {
     assert!(error.is_of_gpu() && error.to_string().contains("f32"), "{error}");
 }
 
+/// Pixels along each side of a frame that is worth a look at GPUs.
+const LARGE: usize = 4096;
+
 pub(crate) fn auto() {
-    let mut plan = plan::<f32>(2048);
+    let mut plan = plan::<f32>(LARGE);
     let cpu = plan.summary().predicted_seconds;
     assert!(
         cpu > Gpus::WORTH_A_LOOK_SECONDS,
@@ -249,7 +262,7 @@ pub(crate) fn auto() {
     let unknown = Device::Auto {
         adapter: Some("voodoo-2".into()),
     };
-    let mut plan = self::plan::<f32>(2048);
+    let mut plan = self::plan::<f32>(LARGE);
     let placement = gpus
         .place_plan(&mut plan, &DeviceOptions::new(unknown), 1)
         .unwrap();
