@@ -33,6 +33,10 @@ fn main() {
         trial("devices_marks_the_preferred_adapter", trials::listed),
         trial("stars_alone_are_drawn_on_the_cpu", trials::stars_alone),
         trial("jobs_of_a_batch_share_a_plan_on_the_gpu", trials::batch),
+        trial(
+            "a_job_whose_gpu_fails_leaves_the_others_theirs",
+            trials::batch_after_trouble,
+        ),
         trial("benchmarks_say_what_ran_where", trials::bench),
         trial("f64_is_refused_by_the_library", trials::double),
         trial("auto_weighs_predictions_and_takes_no_software", trials::auto),

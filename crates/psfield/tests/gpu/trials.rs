@@ -162,6 +162,28 @@ pub(crate) fn batch() {
     assert!(difference(&desk.image("a.fits"), &desk.image("c.fits")) <= ROUNDING);
 }
 
+pub(crate) fn batch_after_trouble() {
+    let desk = Desk::new();
+    let job = |output: &str, adapter: &str| {
+        format!("[[job]]\noutput = '{output}.fits'\ngpu-adapter = '{adapter}'\n")
+    };
+    let backend = &adapters()[0].backend;
+    let jobs = [job("a", backend), job("b", "voodoo-2"), job("c", backend)].concat();
+    desk.write(
+        "night.toml",
+        format!("[defaults]\nscene = 'scene.fits'\npsf = 'samples.fits'\ndevice = 'gpu'\n{jobs}"),
+    );
+    let run = desk.run("batch night.toml");
+    assert_eq!(run.code, Some(1), "{run:?}");
+    let statuses: Vec<Value> = run
+        .stdout
+        .lines()
+        .map(|line| serde_json::from_str::<Value>(line).unwrap()["status"].clone())
+        .collect();
+    assert_eq!(statuses, ["done", "failed", "done"], "{run:?}");
+    assert!(desk.image("a.fits") == desk.image("c.fits"));
+}
+
 pub(crate) fn bench() {
     let desk = Desk::empty();
     let run = desk.done_with_drivers(

@@ -1,5 +1,6 @@
 //! `psfield bench`.
 
+mod device_args;
 mod json_to;
 mod plot;
 mod report;
@@ -17,12 +18,13 @@ use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Anchor, FrameShape, Interpolation, PsfModelRecord, PsfSource as _, Scene};
 use psfield::bench::{self, BenchCase, BenchOptions};
-use psfield::{Device, DeviceOptions, FitOptions, Gpus, PsfInput, fit};
+use psfield::{Device, FitOptions, Gpus, PsfInput, fit};
 use serde::Serialize;
 
 use super::UsageError;
 use super::context::Context;
 use super::values::{Precision, tolerance};
+use device_args::BenchDeviceArgs;
 pub(crate) use json_to::JsonTo;
 use report::{Options, Report};
 use settings::Settings;
@@ -81,12 +83,6 @@ pub(crate) struct BenchArgs {
     /// Working precision
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
-    /// Where lowrank and auto run, in f32; the other methods run on the CPU
-    #[arg(long, default_value = "cpu", value_enum)]
-    device: BenchDevice,
-    /// The GPU, by a part of its name or its backend (see psfield devices) [default: the first of psfield devices]
-    #[arg(long, value_name = "NAME")]
-    gpu_adapter: Option<String>,
     /// Timed turns of each method; what is done in less than 20 ms runs more than once a turn [default: 3]
     #[arg(long, value_name = "N")]
     repeat: Option<NonZeroU16>,
@@ -108,6 +104,9 @@ pub(crate) struct BenchArgs {
     /// Replace the files of --json and --plot if they exist
     #[arg(long)]
     overwrite: bool,
+    // A group comes last: its heading holds for what follows.
+    #[command(flatten)]
+    device: BenchDeviceArgs,
 }
 
 /// The methods by name.
@@ -139,13 +138,6 @@ impl MethodName {
     ];
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, Serialize)]
-#[serde(rename_all = "lowercase")]
-enum BenchDevice {
-    Cpu,
-    Gpu,
-}
-
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Preset {
     /// 2 m off-axis survey telescope
@@ -166,33 +158,14 @@ const MAX_GRID: usize = 256;
 
 impl BenchArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
-        if let Some(what) = self.misused() {
+        let single = matches!(self.precision, Precision::F32);
+        if let Some(what) = self.device.misused(single) {
             return Err(UsageError(what.to_owned()).into());
         }
         match self.precision {
             Precision::F32 => self.run_in::<f32>(context),
             Precision::F64 => self.run_in::<f64>(context),
         }
-    }
-
-    /// What is wrong with the options given, if anything.
-    fn misused(&self) -> Option<&'static str> {
-        match (self.device, self.precision) {
-            (BenchDevice::Cpu, _) if self.gpu_adapter.is_some() => Some("--gpu-adapter is of --device gpu"),
-            (BenchDevice::Gpu, Precision::F64) => {
-                Some("--device gpu computes in f32, and --precision f64 was asked for")
-            }
-            _ => None,
-        }
-    }
-
-    fn device_options(&self) -> DeviceOptions {
-        DeviceOptions::new(match self.device {
-            BenchDevice::Cpu => Device::Cpu,
-            BenchDevice::Gpu => Device::Gpu {
-                adapter: self.gpu_adapter.clone(),
-            },
-        })
     }
 
     fn run_in<T: ConvReal>(self, context: &Context) -> anyhow::Result<()> {
@@ -208,7 +181,7 @@ impl BenchArgs {
             seed: settings.seed,
             ..BenchOptions::default()
         };
-        let (mut gpus, device) = (Gpus::default(), self.device_options());
+        let (mut gpus, device) = (Gpus::default(), self.device.options());
         if let Device::Gpu { adapter } = device.device() {
             // Before samples are drawn in vain.
             gpus.open(adapter.as_deref())?;
@@ -364,8 +337,7 @@ impl BenchArgs {
             scene: self.scene.clone(),
             anchor: self.anchor,
             precision: T::NAME,
-            device: self.device,
-            gpu_adapter: self.gpu_adapter.clone(),
+            device: self.device.clone(),
             threads: rayon::current_num_threads(),
         }
     }

@@ -7,7 +7,7 @@ use psf_types::Anchor;
 use psfield::bench::{BenchOutcome, BenchRow, Skipped};
 use serde::Serialize;
 
-use super::BenchDevice;
+use super::device_args::BenchDeviceArgs;
 use super::settings::Settings;
 
 /// What `--json` writes.
@@ -31,8 +31,8 @@ pub(super) struct Options {
     pub(super) scene: Option<PathBuf>,
     pub(super) anchor: Anchor,
     pub(super) precision: &'static str,
-    pub(super) device: BenchDevice,
-    pub(super) gpu_adapter: Option<String>,
+    #[serde(flatten)]
+    pub(super) device: BenchDeviceArgs,
     pub(super) threads: usize,
 }
 

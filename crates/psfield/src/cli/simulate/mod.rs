@@ -4,6 +4,7 @@ mod banded;
 mod cards;
 mod exposure_args;
 mod in_memory;
+mod placing;
 mod prepared;
 mod report;
 mod scene_args;
@@ -16,8 +17,8 @@ use conv_core::{ConvReal, PlanOptions, PlanSummary, TileCounts};
 use detector::ExposureReport;
 use psf_types::{Anchor, FrameShape, Scene};
 use psfield::{
-    CpuReason, Device, Gpus, Method, Placement, PsfInput, PsfieldError, SceneParts, Simulation,
-    SimulationOptions, SpotCheck, available_memory_bytes, peak_memory_bytes,
+    Gpus, Method, PsfInput, PsfieldError, SceneParts, Simulation, SimulationOptions, SpotCheck,
+    available_memory_bytes, peak_memory_bytes,
 };
 
 use super::UsageError;
@@ -219,13 +220,7 @@ impl SimulateArgs {
         let exposing = self
             .exposure
             .exposing(&self.output, self.overwrite, self.seed, &inputs, context)?;
-        // Stars alone need none.
-        let needed = self.scene.scene.is_some() || !cfg!(feature = "gpu");
-        if let (Device::Gpu { adapter }, true) = (self.device.options().device(), needed) {
-            // Before the rest of the work, which would be in vain without.
-            let _spinner = context.spinner("opening the GPU");
-            preparations.gpus().open(adapter.as_deref())?;
-        }
+        self.open_gpu(preparations.gpus(), context)?;
         let outcome = match self.streamed::<T>()? {
             Some(path) => self.by_bands::<T>(&path, preparations, context)?,
             None => self.in_memory::<T>(exposing.as_ref(), preparations, context)?,
@@ -289,17 +284,6 @@ impl SimulateArgs {
         Ok(prepared)
     }
 
-    /// Says where the work is not done on a GPU that was meant to do it.
-    fn warn_of_placement(&self, placement: &Placement, context: &Context) {
-        if placement.is_failure() {
-            context.warn(&format!("the work is done {placement}"));
-        } else if self.device.is_gpu() && placement.adapter().is_none() {
-            context.warn(
-                "--device gpu is of scenes with an image or galaxies: stars alone are drawn on the CPU",
-            );
-        }
-    }
-
     /// The PSF of the file, kept or read.
     fn psf(
         &self,
@@ -347,20 +331,15 @@ impl SimulateArgs {
         drop(spinner);
         let _spinner = context.spinner("planning");
         let ((plan, placement), planning) = timed(|| {
-            let device = self.device.options();
             let Some(options) = self.plan_options()? else {
-                let reason = match device.device() {
-                    Device::Cpu => CpuReason::Asked,
-                    _ => CpuReason::Method,
-                };
-                return Ok((None, Placement::cpu(reason)));
+                return Ok((None, self.unplanned()));
             };
             let mut plan = if parts.image {
                 simulation.plan_for_images(scene, options)
             } else {
                 simulation.plan(scene, options)
             }?;
-            let placement = gpus.place(&mut plan, &device, rayon::current_num_threads())?;
+            let placement = gpus.place(&mut plan, &self.device.options(), rayon::current_num_threads())?;
             Ok((Some(plan), placement))
         })?;
         Ok(Prepared {
