@@ -223,6 +223,11 @@ pub enum PsfieldError {
     /// A plan without an image asked to stream one.
     #[error("only scenes that are images can be streamed: this plan is for stars alone")]
     NothingToStream,
+    /// A GPU asked of a build without support of GPUs.
+    #[error(
+        "this psfield was built without support of GPUs: build it with its feature gpu (cargo build --release -p psfield --features gpu)"
+    )]
+    NoGpuSupport,
     /// A figure that could not be drawn.
     #[error(transparent)]
     Plot(#[from] crate::plot::PlotError),
@@ -254,6 +259,17 @@ pub enum PsfieldError {
          without it (PIXCONV)"
     )]
     TruthWithoutPixels,
+}
+
+impl PsfieldError {
+    /// Whether a GPU is to blame: what was handed to it is not to be used again.
+    pub fn is_of_gpu(&self) -> bool {
+        #[cfg(feature = "gpu")]
+        let of_gpu = matches!(self, Self::Convolution(conv_core::ConvError::Gpu(_)));
+        #[cfg(not(feature = "gpu"))]
+        let of_gpu = matches!(self, Self::NoGpuSupport);
+        of_gpu
+    }
 }
 
 impl From<psf_sample::SampleError> for PsfieldError {

@@ -30,9 +30,14 @@
 //! assert!((image.pixels().sum() - 100.0).abs() < 1e-10); // the flux is kept
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
+//!
+//! # Features
+//! `gpu` (default): plans can be executed on any GPU that Vulkan, Metal, DirectX 12 or OpenGL drives ([`Gpus`]). Without it everything runs on the
+//! processor, and no GPU library is compiled.
 
 pub mod bench;
 pub mod convert;
+mod device;
 mod error;
 mod evaluate;
 mod exposure_files;
@@ -60,6 +65,7 @@ pub use {
     psf_types, sersic,
 };
 
+pub use device::{CpuReason, Device, DeviceOptions, GpuSeconds, Gpus, Placement, PredictedSeconds};
 pub use error::PsfieldError;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};

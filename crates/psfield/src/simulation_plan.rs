@@ -19,6 +19,10 @@ impl<T: ConvReal> SimulationPlan<T> {
         self.engine.as_ref()
     }
 
+    pub(crate) fn engine_mut(&mut self) -> Option<&mut Plan<T>> {
+        self.engine.as_mut()
+    }
+
     /// The plan for stars.
     pub fn stars(&self) -> &StarPlan<T> {
         &self.stars

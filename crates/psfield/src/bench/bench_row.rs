@@ -3,6 +3,8 @@
 use psf_types::Anchor;
 use serde::Serialize;
 
+use crate::GpuSeconds;
+
 /// One contender's figures.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
@@ -45,6 +47,10 @@ pub struct BenchRow {
     /// The most memory that the process held from before the plan to the end of the first run, where the system tells (Linux): the plans
     /// made before and what they left are in it, so that a method's own figure is that of a run without others.
     pub peak_memory_bytes: Option<u64>,
+    /// The GPU that it ran on: name, kind and backend. None on the processor.
+    pub gpu: Option<String>,
+    /// Where the time of the fastest run went on the GPU.
+    pub gpu_seconds: Option<GpuSeconds>,
 }
 
 /// A contender that did not run.

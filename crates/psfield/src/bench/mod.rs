@@ -3,7 +3,7 @@
 //! A [`BenchCase`] is a model and a scene; [`run()`] plans each [`Contender`], runs all of them in turn (A B C, A B C, ...), so that a
 //! machine that slows down does so for all, and measures each image against the direct sum in double precision at random pixels:
 //! the same pixels and the same exact values for all. The unit of the ratios is one convolution with a single PSF
-//! ([`Contender::Single`]), which is always among the rows.
+//! ([`Contender::Single`]), which is always among the rows. [`run_on()`] does the same with the fast engine on a GPU.
 //!
 //! ```
 //! use psfield::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};
@@ -40,4 +40,4 @@ pub use bench_row::{BenchOutcome, BenchRow, Skipped};
 pub use contender::Contender;
 pub use lit_scene::lit_scene;
 pub use models::stretched;
-pub use run::run;
+pub use run::{run, run_on};

@@ -5,10 +5,10 @@ use ndarray::Array2;
 use psf_types::{Progress, PsfModel, Scene};
 
 use super::peak_memory::PeakMemory;
-use super::prepared::Prepared;
+use super::prepared::{Prepared, RunTime};
 use super::reference::Reference;
 use super::{BenchCase, BenchOptions, BenchOutcome, BenchRow, Contender, Skipped};
-use crate::{PsfieldError, model_of};
+use crate::{Device, DeviceOptions, Gpus, PsfieldError, model_of};
 
 /// A contender and what was measured of it so far.
 struct Entry<T: ConvReal> {
@@ -17,7 +17,7 @@ struct Entry<T: ConvReal> {
     relative_l2: Option<f64>,
     peak_memory_bytes: Option<u64>,
     runs_a_turn: usize,
-    seconds: Vec<f64>,
+    runs: Vec<RunTime>,
 }
 
 /// Work shorter than this runs more than once a turn, since a clock and a scheduler disturb it more.
@@ -38,6 +38,25 @@ pub fn run<T: ConvReal>(
     options: &BenchOptions,
     progress: &dyn Progress,
 ) -> Result<BenchOutcome, PsfieldError> {
+    let cpu = DeviceOptions::new(Device::Cpu);
+    run_on(case, contenders, options, (&mut Gpus::default(), &cpu), progress)
+}
+
+/// The same with [`Contender::LowRank`] and [`Contender::Auto`] on a device; the others, the single PSF among them, run on the processor.
+/// A plan's seconds are with what is handed to the GPU, without opening it where one was asked for.
+///
+/// # Errors
+/// As [`run`], and as [`Gpus::place_plan`].
+pub fn run_on<T: ConvReal>(
+    case: &BenchCase<T>,
+    contenders: &[Contender],
+    options: &BenchOptions,
+    (gpus, device): (&mut Gpus, &DeviceOptions),
+    progress: &dyn Progress,
+) -> Result<BenchOutcome, PsfieldError> {
+    if let Device::Gpu { adapter } = device.device() {
+        gpus.open(adapter.as_deref())?;
+    }
     let model = model_of(case.record().clone())?;
     let scene = case.scene();
     let frame = scene.frame().shape();
@@ -72,31 +91,31 @@ pub fn run<T: ConvReal>(
     let mut entries = Vec::with_capacity(chosen.len());
     for contender in chosen {
         let memory = PeakMemory::start();
-        let prepared = Prepared::new(contender, case, &model, options)?;
+        let prepared = Prepared::new(contender, case, &model, options, (gpus, device))?;
         let warm = prepared.run(scene, &mut image)?;
-        let runs = (TURN_SECONDS / warm.max(f64::MIN_POSITIVE)).clamp(1.0, MOST_RUNS);
+        let runs = (TURN_SECONDS / warm.seconds.max(f64::MIN_POSITIVE)).clamp(1.0, MOST_RUNS);
         entries.push(Entry {
             contender,
             prepared,
             relative_l2: reference.relative_l2(image.view()),
             peak_memory_bytes: memory.bytes(),
             runs_a_turn: runs as usize,
-            seconds: Vec::new(),
+            runs: Vec::new(),
         });
         progress.advance(1);
     }
     for _ in 0..repeat {
         for entry in &mut entries {
             for _ in 0..entry.runs_a_turn {
-                entry.seconds.push(entry.prepared.run(scene, &mut image)?);
+                entry.runs.push(entry.prepared.run(scene, &mut image)?);
             }
             progress.advance(1);
         }
     }
     for entry in &mut entries {
-        entry.seconds.sort_by(f64::total_cmp);
+        entry.runs.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
     }
-    let unit = entries[0].seconds[0];
+    let unit = entries[0].runs[0].seconds;
     outcome.rows = entries
         .into_iter()
         .map(|entry| BenchRow {
@@ -109,15 +128,17 @@ pub fn run<T: ConvReal>(
             precision: T::NAME,
             anchor: options.anchor,
             seconds_plan: entry.prepared.seconds_plan,
-            seconds: entry.seconds[0],
-            seconds_median: median(&entry.seconds),
-            ratio_to_single: entry.seconds[0] / unit,
+            seconds: entry.runs[0].seconds,
+            seconds_median: median(&entry.runs.iter().map(|run| run.seconds).collect::<Vec<_>>()),
+            ratio_to_single: entry.runs[0].seconds / unit,
             relative_l2: entry.relative_l2,
             modes: entry.prepared.modes,
             tile: entry.prepared.tile,
             transform: entry.prepared.transform,
             threads: rayon::current_num_threads(),
             peak_memory_bytes: entry.peak_memory_bytes,
+            gpu: entry.prepared.gpu,
+            gpu_seconds: entry.runs[0].gpu,
         })
         .collect();
     Ok(outcome)

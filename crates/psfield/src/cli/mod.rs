@@ -7,6 +7,8 @@ mod compare;
 mod context;
 mod convert;
 mod demo;
+mod device_args;
+mod devices;
 mod evaluate;
 mod expose;
 mod fit;
@@ -74,6 +76,7 @@ enum Command {
     Compare(compare::CompareArgs),
     Preview(preview::PreviewArgs),
     Bench(bench::BenchArgs),
+    Devices(devices::DevicesArgs),
     #[command(name = "roundtrip")]
     RoundTrip(Box<round_trip::RoundTripArgs>),
     Validate(Box<validate::ValidateArgs>),
@@ -96,6 +99,7 @@ impl Cli {
             Command::Compare(_) => "compare",
             Command::Preview(_) => "preview",
             Command::Bench(_) => "bench",
+            Command::Devices(_) => "devices",
             Command::RoundTrip(_) => "roundtrip",
             Command::Validate(_) => "validate",
             Command::Reproduce(_) => "reproduce",
@@ -125,6 +129,7 @@ impl Cli {
             Command::Compare(args) => args.run(&context),
             Command::Preview(args) => args.run(&context),
             Command::Bench(args) => args.run(&context),
+            Command::Devices(args) => args.run(&context),
             Command::RoundTrip(args) => args.run(&context),
             Command::Validate(args) => args.run(&context),
             Command::Reproduce(args) => args.run(&context),

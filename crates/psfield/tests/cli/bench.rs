@@ -9,7 +9,7 @@ const SMALL: &str =
     "bench --sizes 96 --grids 3 --patches 16,48 --ranks 2,5 --repeat 2 --pixels 60 --threads 2";
 /// What rounding in single precision adds to the error of a tolerance.
 const ROUNDING_F32: f64 = 1e-6;
-const KEYS: [&str; 18] = [
+const KEYS: [&str; 20] = [
     "method",
     "setting",
     "tolerance",
@@ -28,6 +28,8 @@ const KEYS: [&str; 18] = [
     "transform",
     "threads",
     "peak_memory_bytes",
+    "gpu",
+    "gpu_seconds",
 ];
 
 fn rows<'a>(report: &'a Value, method: &str) -> Vec<&'a Value> {

@@ -159,6 +159,14 @@ impl Desk {
         run
     }
 
+    /// The same where it looks for GPUs, whose drivers may have something to say on standard error.
+    pub(crate) fn done_with_drivers(&self, arguments: &str) -> Run {
+        let run = self.run(arguments);
+        assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
+        assert!(!run.stderr.contains("psfield: "), "psfield {arguments}: {run:?}");
+        run
+    }
+
     /// Runs `psfield`, which must do its work with a warning that holds `needle`, and without it under `-q`.
     pub(crate) fn warned(&self, arguments: &str, needle: &str) {
         let run = self.run(arguments);

@@ -6,6 +6,7 @@ mod bench;
 mod catalogs;
 mod converting;
 mod desk;
+mod devices;
 mod evaluation;
 mod exposing;
 mod full_disk;

@@ -184,6 +184,7 @@ fn help_and_version() {
         "measure",
         "compare",
         "bench",
+        "devices",
         "reproduce",
         "validate",
     ] {

@@ -1,5 +1,6 @@
 //! `psfield bench`.
 
+mod device_args;
 mod json_to;
 mod plot;
 mod report;
@@ -17,12 +18,13 @@ use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
 use psf_types::{Anchor, FrameShape, Interpolation, PsfModelRecord, PsfSource as _, Scene};
 use psfield::bench::{self, BenchCase, BenchOptions};
-use psfield::{FitOptions, PsfInput, fit};
+use psfield::{Device, FitOptions, Gpus, PsfInput, fit};
 use serde::Serialize;
 
 use super::UsageError;
 use super::context::Context;
 use super::values::{Precision, tolerance};
+use device_args::BenchDeviceArgs;
 pub(crate) use json_to::JsonTo;
 use report::{Options, Report};
 use settings::Settings;
@@ -102,6 +104,9 @@ pub(crate) struct BenchArgs {
     /// Replace the files of --json and --plot if they exist
     #[arg(long)]
     overwrite: bool,
+    // A group comes last: its heading holds for what follows.
+    #[command(flatten)]
+    device: BenchDeviceArgs,
 }
 
 /// The methods by name.
@@ -153,6 +158,10 @@ const MAX_GRID: usize = 256;
 
 impl BenchArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let single = matches!(self.precision, Precision::F32);
+        if let Some(what) = self.device.misused(single) {
+            return Err(UsageError(what.to_owned()).into());
+        }
         match self.precision {
             Precision::F32 => self.run_in::<f32>(context),
             Precision::F64 => self.run_in::<f64>(context),
@@ -172,6 +181,11 @@ impl BenchArgs {
             seed: settings.seed,
             ..BenchOptions::default()
         };
+        let (mut gpus, device) = (Gpus::default(), self.device.options());
+        if let Device::Gpu { adapter } = device.device() {
+            // Before samples are drawn in vain.
+            gpus.open(adapter.as_deref())?;
+        }
         let scene = self.read_scene::<T>()?;
         if let Some(scene) = &scene {
             settings.sizes = Vec::new();
@@ -206,7 +220,8 @@ impl BenchArgs {
                     record.clone()
                 };
                 let bar = context.bar("measuring");
-                let outcome = bench::run(&BenchCase::new(record, scene), &contenders, &options, &bar);
+                let case = BenchCase::new(record, scene);
+                let outcome = bench::run_on(&case, &contenders, &options, (&mut gpus, &device), &bar);
                 report.add(outcome.with_context(|| self.origin())?);
                 Ok(())
             };
@@ -322,6 +337,7 @@ impl BenchArgs {
             scene: self.scene.clone(),
             anchor: self.anchor,
             precision: T::NAME,
+            device: self.device.clone(),
             threads: rayon::current_num_threads(),
         }
     }

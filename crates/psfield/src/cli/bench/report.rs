@@ -7,6 +7,7 @@ use psf_types::Anchor;
 use psfield::bench::{BenchOutcome, BenchRow, Skipped};
 use serde::Serialize;
 
+use super::device_args::BenchDeviceArgs;
 use super::settings::Settings;
 
 /// What `--json` writes.
@@ -30,6 +31,8 @@ pub(super) struct Options {
     pub(super) scene: Option<PathBuf>,
     pub(super) anchor: Anchor,
     pub(super) precision: &'static str,
+    #[serde(flatten)]
+    pub(super) device: BenchDeviceArgs,
     pub(super) threads: usize,
 }
 
@@ -50,9 +53,10 @@ impl Report {
             if !text.is_empty() {
                 text.push('\n');
             }
+            let gpu = rows.iter().find_map(|row| row.gpu.as_deref());
             // Writing to a string does not fail.
-            let _ = writeln!(text, "{}", heading(&rows[0]));
-            let _ = writeln!(
+            let _ = writeln!(text, "{}", heading(&rows[0], gpu));
+            let _ = write!(
                 text,
                 "{:8} {:16} {:>9} {:>9} {:>9} {:>8} {:>10} {:>6} {:>11} {:>9}",
                 "method",
@@ -66,8 +70,20 @@ impl Report {
                 "tile",
                 "memory"
             );
+            if gpu.is_some() {
+                let _ = write!(
+                    text,
+                    " {:>9} {:>9} {:>9} {:>9}",
+                    "kernel s", "copy s", "host s", "total s"
+                );
+            }
+            text.push('\n');
             for row in rows {
-                let _ = writeln!(text, "{}", line(row));
+                let _ = write!(text, "{}", line(row));
+                if gpu.is_some() {
+                    text.push_str(&parts(row));
+                }
+                text.push('\n');
             }
             for skipped in self
                 .skipped
@@ -87,8 +103,12 @@ impl Report {
 }
 
 /// What the rows of a case share.
-fn heading(row: &BenchRow) -> String {
-    format!("{}, {}", size_of(row), settings_of(row))
+fn heading(row: &BenchRow, gpu: Option<&str>) -> String {
+    let shared = format!("{}, {}", size_of(row), settings_of(row));
+    match gpu {
+        Some(gpu) => format!("{shared}; lowrank and auto on {gpu}"),
+        None => shared,
+    }
 }
 
 /// How large a case is.
@@ -108,8 +128,24 @@ pub(super) fn settings_of(row: &BenchRow) -> String {
     )
 }
 
+fn or_dash(text: Option<String>) -> String {
+    text.unwrap_or_else(|| "-".to_owned())
+}
+
+/// Where the time of the fastest run went on the GPU.
+fn parts(row: &BenchRow) -> String {
+    let times = row.gpu_seconds.as_ref();
+    let cell = |seconds: Option<f64>| or_dash(seconds.map(|s| format!("{s:.5}")));
+    format!(
+        " {:>9} {:>9} {:>9} {:>9}",
+        cell(times.and_then(|t| t.kernels)),
+        cell(times.and_then(|t| t.transfers)),
+        cell(times.map(|t| t.host)),
+        cell(times.map(|t| t.total)),
+    )
+}
+
 fn line(row: &BenchRow) -> String {
-    let or_dash = |text: Option<String>| text.unwrap_or_else(|| "-".to_owned());
     format!(
         "{:8} {:16} {:>9} {:>9.4} {:>9.4} {:>8.2} {:>10} {:>6} {:>11} {:>9}",
         row.method,

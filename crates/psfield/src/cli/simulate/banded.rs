@@ -134,7 +134,7 @@ impl SimulateArgs {
             .ok_or_else(|| anyhow::anyhow!("only methods with a plan stream"))?;
         let shape = self.shown(scene)?;
         let header = self.carried(&header, &sources);
-        let cards = self.cards::<T>(simulation.model())?;
+        let cards = self.cards::<T>(simulation.model(), &prepared.placement)?;
         // None without a check, so that the header is as long as that of an image written as a whole.
         let late = if self.spot_check > 0 {
             CHECK_KEYWORDS.len()

@@ -3,6 +3,7 @@
 use conv_core::ConvReal;
 use psf_io::{Card, HeaderCards};
 use psf_types::PsfModel;
+use psfield::Placement;
 
 use super::super::context::{CHECK_KEYWORDS, signature, signature_of};
 use super::SimulateArgs;
@@ -22,7 +23,11 @@ pub(crate) struct JobMark {
 
 impl SimulateArgs {
     /// What is needed to repeat the result.
-    pub(super) fn cards<T: ConvReal>(&self, model: &PsfModel) -> anyhow::Result<Vec<Card>> {
+    pub(super) fn cards<T: ConvReal>(
+        &self,
+        model: &PsfModel,
+        placement: &Placement,
+    ) -> anyhow::Result<Vec<Card>> {
         let mut cards = match &self.job {
             Some(mark) => {
                 let mut cards = signature_of(&mark.arguments);
@@ -44,6 +49,11 @@ impl SimulateArgs {
                 "whose PSF applies: source or output pixel",
             )?,
             Card::new("PSFPREC", T::NAME, "working precision")?,
+            Card::new(
+                "PSFDEV",
+                placement.adapter().unwrap_or("CPU"),
+                "device that convolved images",
+            )?,
             Card::new(
                 "PSFRANK",
                 model.rank(),

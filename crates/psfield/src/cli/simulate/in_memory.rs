@@ -59,7 +59,7 @@ impl SimulateArgs {
         let spot_check = self.judged::<T>(spot_check)?;
 
         let clock = Instant::now();
-        let mut cards = self.cards::<T>(simulation.model())?;
+        let mut cards = self.cards::<T>(simulation.model(), &prepared.placement)?;
         if let Some(check) = &spot_check {
             cards.extend(check_cards(check)?);
             if exposing.is_some() {

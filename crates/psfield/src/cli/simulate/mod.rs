@@ -4,6 +4,7 @@ mod banded;
 mod cards;
 mod exposure_args;
 mod in_memory;
+mod placing;
 mod prepared;
 mod report;
 mod scene_args;
@@ -16,17 +17,18 @@ use conv_core::{ConvReal, PlanOptions, PlanSummary, TileCounts};
 use detector::ExposureReport;
 use psf_types::{Anchor, FrameShape, Scene};
 use psfield::{
-    Method, PsfInput, SceneParts, Simulation, SimulationOptions, SpotCheck, available_memory_bytes,
-    peak_memory_bytes,
+    Gpus, Method, PsfInput, PsfieldError, SceneParts, Simulation, SimulationOptions, SpotCheck,
+    available_memory_bytes, peak_memory_bytes,
 };
 
 use super::UsageError;
-use super::context::Context;
+use super::context::{Context, told};
+use super::device_args::DeviceArgs;
 use super::fit_args::PsfArgs;
 use super::values::{Frame, Precision, bytes, stamp_size, tolerance};
 use exposure_args::ExposureArgs;
 use prepared::{Prepared, timed};
-use report::{PlanReport, Seconds, TilesReport};
+use report::{DeviceReport, PlanReport, Seconds, TilesReport};
 use scene_args::SceneArgs;
 
 pub(crate) use cards::{JOB_KEYWORD, JobMark};
@@ -87,6 +89,8 @@ pub(crate) struct SimulateArgs {
     #[command(flatten)]
     exposure: ExposureArgs,
     #[command(flatten)]
+    device: DeviceArgs,
+    #[command(flatten)]
     fit: PsfArgs,
     /// The job of a batch that this is.
     #[arg(skip)]
@@ -138,10 +142,21 @@ impl SimulateArgs {
         if let Some(what) = self.misused()? {
             return Err(UsageError(what).into());
         }
-        match self.precision {
+        let simulated = match self.precision {
             Precision::F32 => self.simulate_in::<f32>(preparations, context),
             Precision::F64 => self.simulate_in::<f64>(preparations, context),
-        }
+        };
+        simulated.map_err(|error| {
+            let of_gpu = error
+                .downcast_ref::<PsfieldError>()
+                .is_some_and(PsfieldError::is_of_gpu);
+            if of_gpu {
+                preparations.forget_gpus();
+                anyhow::anyhow!("{} (--device cpu does without a GPU)", told(&error))
+            } else {
+                error
+            }
+        })
     }
 
     /// The same as a job of a batch, which its files bear the mark of.
@@ -183,10 +198,12 @@ impl SimulateArgs {
                 "--stream and --detector do not go together: expose the image afterwards (psfield expose)",
             ),
         ];
+        let single = matches!(self.precision, Precision::F32);
         let first = what
             .into_iter()
-            .find_map(|(wrong, what)| wrong.then(|| what.to_owned()));
-        Ok(self.scene.missing().or(first))
+            .find_map(|(wrong, what)| wrong.then_some(what))
+            .or_else(|| self.device.misused(planned, single));
+        Ok(self.scene.missing().or(first.map(str::to_owned)))
     }
 
     fn simulate_in<T: ConvReal>(
@@ -203,6 +220,7 @@ impl SimulateArgs {
         let exposing = self
             .exposure
             .exposing(&self.output, self.overwrite, self.seed, &inputs, context)?;
+        self.open_gpu(preparations.gpus(), context)?;
         let outcome = match self.streamed::<T>()? {
             Some(path) => self.by_bands::<T>(&path, preparations, context)?,
             None => self.in_memory::<T>(exposing.as_ref(), preparations, context)?,
@@ -227,6 +245,7 @@ impl SimulateArgs {
             plan: plan.map(|(plan, _)| PlanReport::of(plan)),
             tiles: plan.map(|&(_, counts)| TilesReport::of(counts)),
             plan_text: plan.map(|(plan, _)| plan.to_string()),
+            device: DeviceReport::of(&outcome.prepared.placement),
             seconds: outcome.seconds,
             peak_memory_bytes: peak_memory_bytes(),
             spot_check: outcome.spot_check,
@@ -250,15 +269,18 @@ impl SimulateArgs {
             (
                 (&self.psf, &self.fit, parts, scene.shape(), scene.frame()),
                 (options, self.method, self.plan_options()?, T::NAME),
+                self.device.options(),
             )
         );
         let psf = self.psf(preparations, seconds, context)?;
         preparations.forget_single_psf();
         let own = || Arc::try_unwrap(psf).unwrap_or_else(|kept| (*kept).clone());
-        let (prepared, new) = preparations.get(&key, || self.prepare(parts, scene, own(), context))?;
+        let (prepared, new) =
+            preparations.get(&key, |gpus| self.prepare(parts, scene, own(), gpus, context))?;
         if new {
             [seconds.fit, seconds.plan] = prepared.seconds;
         }
+        self.warn_of_placement(&prepared.placement, context);
         Ok(prepared)
     }
 
@@ -290,6 +312,7 @@ impl SimulateArgs {
         parts: SceneParts,
         scene: &Scene<T>,
         psf: PsfInput,
+        gpus: &mut Gpus,
         context: &Context,
     ) -> anyhow::Result<Prepared<T>> {
         let options = self.simulation_options()?;
@@ -307,19 +330,22 @@ impl SimulateArgs {
         })?;
         drop(spinner);
         let _spinner = context.spinner("planning");
-        let (plan, planning) = timed(|| {
-            let plan = self.plan_options()?.map(|options| {
-                if parts.image {
-                    simulation.plan_for_images(scene, options)
-                } else {
-                    simulation.plan(scene, options)
-                }
-            });
-            Ok(plan.transpose()?)
+        let ((plan, placement), planning) = timed(|| {
+            let Some(options) = self.plan_options()? else {
+                return Ok((None, self.unplanned()));
+            };
+            let mut plan = if parts.image {
+                simulation.plan_for_images(scene, options)
+            } else {
+                simulation.plan(scene, options)
+            }?;
+            let placement = gpus.place(&mut plan, &self.device.options(), rayon::current_num_threads())?;
+            Ok((Some(plan), placement))
         })?;
         Ok(Prepared {
             simulation,
             plan,
+            placement,
             oversampling,
             finer: self.scene.finer(),
             seconds: [fit, planning],

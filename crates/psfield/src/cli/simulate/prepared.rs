@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use conv_core::ConvReal;
 use psf_types::PointSource;
-use psfield::{PsfInput, Simulation, SimulationPlan};
+use psfield::{Gpus, Placement, PsfInput, Simulation, SimulationPlan};
 
 use super::super::context::Context;
 
@@ -15,6 +15,8 @@ pub(super) struct Prepared<T: ConvReal> {
     pub(super) simulation: Simulation,
     /// Of the methods that have one.
     pub(super) plan: Option<SimulationPlan<T>>,
+    /// Where images are convolved.
+    pub(super) placement: Placement,
     /// Pixels of the PSF file's stamps along each side of an image pixel.
     pub(super) oversampling: f64,
     /// Pixels of the scene along each side of an image pixel.
@@ -55,6 +57,8 @@ pub(crate) struct Preparations {
     made: usize,
     /// The last PSF that was read.
     psf: Option<(String, Arc<PsfInput>)>,
+    /// The GPUs that are open.
+    gpus: Gpus,
 }
 
 impl Preparations {
@@ -69,6 +73,17 @@ impl Preparations {
     /// How many were made, in place of found.
     pub(crate) fn made(&self) -> usize {
         self.made
+    }
+
+    /// The GPUs that are open, which all preparations share.
+    pub(super) fn gpus(&mut self) -> &mut Gpus {
+        &mut self.gpus
+    }
+
+    /// After trouble with a GPU: it may be lost, and the plans on it with it.
+    pub(super) fn forget_gpus(&mut self) {
+        self.kept.clear();
+        self.gpus = Gpus::default();
     }
 
     /// The PSF that `key` describes, the last one or read.
@@ -98,7 +113,7 @@ impl Preparations {
     pub(super) fn get<T: ConvReal>(
         &mut self,
         key: &str,
-        make: impl FnOnce() -> anyhow::Result<Prepared<T>>,
+        make: impl FnOnce(&mut Gpus) -> anyhow::Result<Prepared<T>>,
     ) -> anyhow::Result<(Arc<Prepared<T>>, bool)> {
         if let Some(place) = self.kept.iter().position(|(k, _)| k == key) {
             let found = self.kept.remove(place);
@@ -108,7 +123,7 @@ impl Preparations {
             }
         }
         self.kept.truncate(self.most.saturating_sub(1));
-        let prepared = Arc::new(make()?);
+        let prepared = Arc::new(make(&mut self.gpus)?);
         self.made += 1;
         if self.most > 0 {
             let any: Arc<dyn Any + Send + Sync> = Arc::<Prepared<T>>::clone(&prepared);

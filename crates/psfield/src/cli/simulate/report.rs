@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use conv_core::{PlanSummary, TileCounts};
 use detector::ExposureReport;
 use psf_types::{Anchor, Normalisation};
-use psfield::SpotCheck;
+use psfield::{Placement, SpotCheck};
 use serde::Serialize;
 
 /// What `--json` prints.
@@ -34,6 +34,7 @@ pub(crate) struct Report {
     pub(super) streamed: bool,
     pub(super) plan: Option<PlanReport>,
     pub(super) tiles: Option<TilesReport>,
+    pub(super) device: DeviceReport,
     pub(super) seconds: Seconds,
     pub(super) peak_memory_bytes: Option<u64>,
     pub(super) spot_check: Option<SpotCheck>,
@@ -42,6 +43,24 @@ pub(crate) struct Report {
     /// The plan as text.
     #[serde(skip)]
     pub(super) plan_text: Option<String>,
+}
+
+/// Where the image was convolved.
+#[derive(Debug, Serialize)]
+pub(super) struct DeviceReport {
+    #[serde(flatten)]
+    placement: Placement,
+    /// In words.
+    text: String,
+}
+
+impl DeviceReport {
+    pub(super) fn of(placement: &Placement) -> Self {
+        Self {
+            placement: placement.clone(),
+            text: placement.to_string(),
+        }
+    }
 }
 
 /// Seconds by stage. `plan` is the time that the engine takes to prepare itself.
@@ -168,12 +187,14 @@ impl Report {
         let streamed = if self.streamed { ", streamed" } else { "" };
         format!(
             "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
+             device: {}\n\
              seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),
             self.rank,
             self.method,
             self.anchor,
             self.precision,
+            self.device.text,
             s.read,
             s.fit,
             s.plan,

@@ -1,0 +1,41 @@
+//! Where the time goes on a GPU.
+
+use conv_core::{ConvReal, Plan};
+use serde::Serialize;
+
+/// How long the parts of an execution on a GPU took, in seconds. They overlap, so that their sum may be more than the whole.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct GpuSeconds {
+    /// Shaders; none where the adapter has no clock that can be read.
+    pub kernels: Option<f64>,
+    /// Copies to the GPU and from it; none where the adapter has no clock that can be read.
+    pub transfers: Option<f64>,
+    /// What the processor did meanwhile.
+    pub host: f64,
+    /// End to end: from the light in the host's memory to the image there.
+    pub total: f64,
+    /// Bytes copied to the GPU, and from it.
+    pub bytes: [u64; 2],
+}
+
+impl GpuSeconds {
+    /// Those of the last execution of a plan; none where it ran on the processor.
+    #[cfg(feature = "gpu")]
+    pub fn of_last<T: ConvReal>(plan: &Plan<T>) -> Option<Self> {
+        let times = plan.gpu_times()?;
+        Some(Self {
+            kernels: times.kernels.map(|time| time.as_secs_f64()),
+            transfers: times.transfers.map(|time| time.as_secs_f64()),
+            host: times.host.as_secs_f64(),
+            total: times.total.as_secs_f64(),
+            bytes: times.bytes.into(),
+        })
+    }
+
+    /// Those of the last execution of a plan; none where it ran on the processor.
+    #[cfg(not(feature = "gpu"))]
+    pub fn of_last<T: ConvReal>(_plan: &Plan<T>) -> Option<Self> {
+        None
+    }
+}

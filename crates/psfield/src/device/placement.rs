@@ -1,0 +1,187 @@
+//! What was decided.
+
+use serde::Serialize;
+
+use crate::readable::readable;
+
+/// Where a plan is executed. Prints as a sentence, such as `on the CPU: there is no GPU`.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "on")]
+#[non_exhaustive]
+pub enum Placement {
+    /// On a GPU.
+    Gpu {
+        /// Its name, kind and backend.
+        adapter: String,
+        /// Predicted seconds of an execution there and on the processor, where the choice was free.
+        predicted_seconds: Option<PredictedSeconds>,
+    },
+    /// On the processor.
+    Cpu {
+        /// Why.
+        reason: CpuReason,
+    },
+}
+
+/// Predicted seconds of an execution where every pixel is lit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PredictedSeconds {
+    /// On the GPU.
+    pub gpu: f64,
+    /// On the processor, with the threads given.
+    pub cpu: f64,
+}
+
+/// Why a plan is executed on the processor.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "kind")]
+#[non_exhaustive]
+pub enum CpuReason {
+    /// It was asked for.
+    Asked,
+    /// The method has no plan that a GPU could execute.
+    Method,
+    /// The scene holds stars alone, which are drawn on the processor.
+    Stars,
+    /// The plan is in a precision that GPUs do not compute in.
+    Precision {
+        /// The plan's.
+        precision: &'static str,
+    },
+    /// The work is less than that of opening a GPU.
+    Small {
+        /// Predicted seconds on the processor.
+        cpu_seconds: f64,
+    },
+    /// There is no adapter.
+    NoGpu,
+    /// The adapter runs shaders on the processor.
+    Software {
+        /// Its name, kind and backend.
+        adapter: String,
+    },
+    /// The adapter cannot execute this plan.
+    Unsuited {
+        /// Its name, kind and backend.
+        adapter: String,
+    },
+    /// The GPU is predicted to be no faster.
+    Slower {
+        /// Its name, kind and backend.
+        adapter: String,
+        /// What was predicted.
+        predicted_seconds: PredictedSeconds,
+    },
+    /// The GPU could not be used.
+    Failed {
+        /// What went wrong.
+        error: String,
+    },
+    /// This build has no support of GPUs: feature `gpu`.
+    NotBuilt,
+}
+
+impl Placement {
+    /// On the processor, for a reason.
+    pub fn cpu(reason: CpuReason) -> Self {
+        Self::Cpu { reason }
+    }
+
+    /// The GPU: name, kind and backend. None on the processor.
+    pub fn adapter(&self) -> Option<&str> {
+        match self {
+            Self::Gpu { adapter, .. } => Some(adapter),
+            Self::Cpu { .. } => None,
+        }
+    }
+
+    /// Whether a GPU was meant to do the work and failed.
+    pub fn is_failure(&self) -> bool {
+        matches!(
+            self,
+            Self::Cpu {
+                reason: CpuReason::Failed { .. }
+            }
+        )
+    }
+}
+
+impl std::fmt::Display for Placement {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Gpu {
+                adapter,
+                predicted_seconds: None,
+            } => write!(f, "on {adapter}"),
+            Self::Gpu {
+                adapter,
+                predicted_seconds: Some(PredictedSeconds { gpu, cpu }),
+            } => {
+                let (gpu, cpu) = (seconds(*gpu), seconds(*cpu));
+                write!(f, "on {adapter}: predicted {gpu} there, {cpu} on the CPU")
+            }
+            Self::Cpu { reason } => write!(f, "on the CPU: {reason}"),
+        }
+    }
+}
+
+impl std::fmt::Display for CpuReason {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Asked => write!(f, "as asked"),
+            Self::Method => write!(f, "this method runs on no GPU"),
+            Self::Stars => write!(f, "stars are drawn there"),
+            Self::Precision { precision } => write!(f, "GPUs compute in f32, this is in {precision}"),
+            Self::Small { cpu_seconds } => {
+                let cpu = seconds(*cpu_seconds);
+                write!(f, "predicted {cpu}, less than it takes to open a GPU")
+            }
+            Self::NoGpu => write!(f, "there is no GPU"),
+            Self::Software { adapter } => write!(f, "there is no GPU but {adapter}"),
+            Self::Unsuited { adapter } => write!(f, "{adapter} cannot execute this plan"),
+            Self::Slower {
+                adapter,
+                predicted_seconds: PredictedSeconds { gpu, cpu },
+            } => {
+                let (gpu, cpu) = (seconds(*gpu), seconds(*cpu));
+                write!(f, "predicted {cpu} there, {gpu} on {adapter}")
+            }
+            Self::Failed { error } => write!(f, "the GPU cannot be used: {error}"),
+            Self::NotBuilt => write!(f, "psfield was built without support of GPUs"),
+        }
+    }
+}
+
+/// Predictions are good to tens of percents.
+fn seconds(seconds: f64) -> String {
+    format!("{} s", readable(seconds, 2))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn placements_read_as_sentences() {
+        let adapter = "NVIDIA H100 (discrete GPU, vulkan)".to_owned();
+        let asked = Placement::Gpu {
+            adapter: adapter.clone(),
+            predicted_seconds: None,
+        };
+        assert_eq!(asked.to_string(), "on NVIDIA H100 (discrete GPU, vulkan)");
+        assert_eq!(asked.adapter(), Some(adapter.as_str()));
+        let slower = Placement::cpu(CpuReason::Slower {
+            adapter,
+            predicted_seconds: PredictedSeconds { gpu: 8.0, cpu: 3.1 },
+        });
+        assert_eq!(
+            slower.to_string(),
+            "on the CPU: predicted 3.1 s there, 8 s on NVIDIA H100 (discrete GPU, vulkan)"
+        );
+        assert_eq!((slower.adapter(), slower.is_failure()), (None, false));
+        let json = serde_json::to_value(&slower).unwrap();
+        assert_eq!(json["on"], "cpu");
+        assert_eq!(json["reason"]["kind"], "slower");
+        assert_eq!(json["reason"]["predicted_seconds"]["cpu"], 3.1);
+    }
+}
