@@ -17,6 +17,9 @@ pub struct GpuSeconds {
     pub total: f64,
     /// Bytes copied to the GPU, and from it.
     pub bytes: [u64; 2],
+    /// Bytes that the plan has to move where every pixel is lit, over the bus and through the GPU's memory: over the hardware's bandwidths,
+    /// the floor under `transfers` and `kernels`.
+    pub least_bytes: [u64; 2],
 }
 
 impl GpuSeconds {
@@ -24,12 +27,14 @@ impl GpuSeconds {
     #[cfg(feature = "gpu")]
     pub fn of_last<T: ConvReal>(plan: &Plan<T>) -> Option<Self> {
         let times = plan.gpu_times()?;
+        let work = plan.gpu_work();
         Some(Self {
             kernels: times.kernels.map(|time| time.as_secs_f64()),
             transfers: times.transfers.map(|time| time.as_secs_f64()),
             host: times.host.as_secs_f64(),
             total: times.total.as_secs_f64(),
             bytes: times.bytes.into(),
+            least_bytes: [work.bus_bytes, work.memory_bytes],
         })
     }
 

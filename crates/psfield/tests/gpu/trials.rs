@@ -208,9 +208,19 @@ pub(crate) fn bench() {
         if let Some(error) = row["tolerance"].as_f64() {
             assert!(row["relative_l2"].as_f64().unwrap() <= error + ROUNDING, "{row}");
         }
+        let times = &row["gpu_seconds"];
         if !on_gpu {
-            assert_eq!(row["gpu_seconds"], Value::Null, "{row}");
+            assert_eq!(*times, Value::Null, "{row}");
+            continue;
         }
+        let (total, run) = (times["total"].as_f64().unwrap(), row["seconds"].as_f64().unwrap());
+        assert!(total > 0.0 && total <= run, "{row}");
+        assert_eq!(times["kernels"].is_number(), adapters()[0].timestamps, "{row}");
+        let copied: u64 = (0..2).map(|k| times["bytes"][k].as_u64().unwrap()).sum();
+        assert!(
+            copied >= 2 * 4 * 96 * 96 && copied >= times["least_bytes"][0].as_u64().unwrap(),
+            "{row}"
+        );
     }
     let cpu = desk.done_with_drivers(
         "bench --sizes 32 --grids 2 --methods lowrank --tolerances 1e-2 --repeat 1 --pixels 9",

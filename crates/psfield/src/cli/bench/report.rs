@@ -85,6 +85,9 @@ impl Report {
                 }
                 text.push('\n');
             }
+            for row in rows {
+                text.push_str(&floor(row));
+            }
             for skipped in self
                 .skipped
                 .iter()
@@ -142,6 +145,21 @@ fn parts(row: &BenchRow) -> String {
         cell(times.and_then(|t| t.transfers)),
         cell(times.map(|t| t.host)),
         cell(times.map(|t| t.total)),
+    )
+}
+
+/// What has to be moved whatever the hardware, where a GPU did the work.
+fn floor(row: &BenchRow) -> String {
+    let Some([bus, memory]) = row.gpu_seconds.as_ref().map(|times| times.least_bytes) else {
+        return String::new();
+    };
+    let gigabytes = |bytes: u64| bytes as f64 / 1e9;
+    format!(
+        "{:8} {:16} moves at least {:.4} GB over the bus and {:.4} GB through the GPU's memory\n",
+        row.method,
+        or_dash(row.setting.clone()),
+        gigabytes(bus),
+        gigabytes(memory)
     )
 }
 
