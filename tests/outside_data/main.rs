@@ -9,6 +9,7 @@ mod dynamic_range;
 mod evaluation;
 mod flux;
 mod frames;
+mod gpu;
 mod libraries;
 mod linearity;
 mod low_rank;
@@ -47,6 +48,7 @@ fn main() {
         low_rank::trials(),
         flux::trials(),
         frames::trials(),
+        gpu::trials(),
         linearity::trials(),
         dynamic_range::trials(),
         tolerance::trials(),

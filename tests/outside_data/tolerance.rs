@@ -16,9 +16,9 @@ const PIXELS: usize = 1000;
 const ROUNDING_F64: f64 = 1e-12;
 /// Single precision: light of [`MORE`] beside thousands of pixels of 1 is transformed with an error of a few 1e-7 of the norm of
 /// all that is in a tile, most of which is that light's.
-const ROUNDING_F32: f64 = 2e-6;
+pub(crate) const ROUNDING_F32: f64 = 2e-6;
 /// Light added in single precision, where a response to 1 would be lost in the rounding of the light around it.
-const MORE: f64 = 1e4;
+pub(crate) const MORE: f64 = 1e4;
 
 pub(crate) fn trials() -> Vec<Trial> {
     let mut trials = Vec::new();

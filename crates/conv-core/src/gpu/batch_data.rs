@@ -24,14 +24,15 @@ pub(super) struct BatchData {
 }
 
 impl BatchData {
-    /// Makes it; `planes` and `params` are working memory. Stamps are turned by 180 degrees where `flip`.
+    /// Makes it; `planes` and `params` are working memory. Stamps are turned by 180 degrees where `flip`. `writes` is where the time that shaders take is
+    /// written to.
     pub(super) fn new<T: ConvReal>(
         device: &Attempt,
         pipelines: &Pipelines,
         (planes, params): (&mut Growing, &mut Growing),
         plan: &Plan<T>,
-        batch: &Batch,
-        flip: bool,
+        (batch, flip): (&Batch, bool),
+        writes: Option<wgpu::ComputePassTimestampWrites<'_>>,
     ) -> Result<Self, GpuError> {
         let parts: Vec<(Vec<u32>, Vec<u32>)> =
             batch.parts.par_iter().map(|part| words_of(plan, part)).collect();
@@ -55,7 +56,17 @@ impl BatchData {
         };
         device.check()?;
         let planes = planes.with_room(device, bytes).clone();
-        data.transform_stamps(device, pipelines, (&planes, params), plan.stamp(), batch, flip);
+        let stamp = Params {
+            flip,
+            stamp: plan.stamp(),
+            ..Params::default()
+        };
+        let calls = data.stamp_calls(device, pipelines, (&planes, params), stamp, batch);
+        let mut encoder = device
+            .device()
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        calls.encode(&mut encoder, writes);
+        device.queue().submit([encoder.finish()]);
         device.check()?;
         Ok(data)
     }
@@ -65,15 +76,21 @@ impl BatchData {
         self.tables.size() + self.stamps.size() + self.spectra.size()
     }
 
-    fn transform_stamps(
+    /// Bytes that came from the host.
+    pub(super) fn host_bytes(&self) -> u64 {
+        self.tables.size() + self.stamps.size()
+    }
+
+    /// The shaders that make spectra of stamps.
+    fn stamp_calls<'a>(
         &self,
-        device: &Attempt,
-        pipelines: &Pipelines,
-        (planes, params): (&wgpu::Buffer, &mut Growing),
-        stamp: (usize, usize),
+        device: &'a Attempt,
+        pipelines: &'a Pipelines,
+        (planes, buffer): (&wgpu::Buffer, &mut Growing),
+        params: Params,
         batch: &Batch,
-        flip: bool,
-    ) {
+    ) -> Calls<'a> {
+        let stamp = params.stamp;
         // One kernel a tile.
         let tiles: Vec<u32> = (0..batch.spectra as u32)
             .flat_map(|kernel| {
@@ -93,13 +110,8 @@ impl BatchData {
         let tiles = device.filled("stamps' places", &tiles);
         let work = device.filled("stamps' planes", &work);
         let source = &pipelines.source;
-        let mut calls = Calls::new(device, pipelines, params, 2);
+        let mut calls = Calls::new(device, pipelines, buffer, 2);
         let all = batch.spectra as u32;
-        let params = Params {
-            flip,
-            stamp,
-            ..Params::default()
-        };
         calls.add(
             Shader::WeighRows,
             params,
@@ -119,11 +131,7 @@ impl BatchData {
             &[&tiles, &pipelines.column_roots, planes, &self.spectra],
             (source.column_groups(), all),
         );
-        let mut encoder = device
-            .device()
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        calls.encode(&mut encoder, None);
-        device.queue().submit([encoder.finish()]);
+        calls
     }
 }
 

@@ -177,16 +177,17 @@ impl<T: ConvReal> LayoutMaker<'_, T> {
                 if layout.bytes + least > memory {
                     return Ok(layout);
                 }
-                let data = match working.batch_data(self.device, self.pipelines, self.plan, batch, flip) {
-                    // What does not fit is made anew by each execution.
-                    Err(GpuError::OutOfMemory { .. }) => {
-                        self.device.forgive();
-                        // Some of its buffers may be no buffers.
-                        *working = Working::new(self.device);
-                        return Ok(layout);
-                    }
-                    made => made?,
-                };
+                let data =
+                    match working.batch_data(self.device, self.pipelines, self.plan, (batch, flip), None) {
+                        // What does not fit is made anew by each execution.
+                        Err(GpuError::OutOfMemory { .. }) => {
+                            self.device.forgive();
+                            // Some of its buffers may be no buffers.
+                            *working = Working::new(self.device);
+                            return Ok(layout);
+                        }
+                        made => made?,
+                    };
                 layout.bytes += data.bytes();
                 *kept = Some(data);
             }

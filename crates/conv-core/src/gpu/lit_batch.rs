@@ -3,7 +3,6 @@
 use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
 
-use super::batch_data::BatchData;
 use super::device::Attempt;
 use super::engine::{GpuEngine, Layout};
 use super::error::GpuError;
@@ -14,7 +13,7 @@ use crate::lowrank::shared::{Direction, Job, Prepared, Treatment, Ways, treated}
 use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
-/// Tiles with light, by colour, and the single pixels that are drawn.
+/// Tiles with light, by colour, and the single pixels that are drawn. For the place of their table they have the number of their part.
 #[derive(Debug, Default)]
 pub(super) struct LitBatch {
     pub(super) tiles: Vec<(usize, Tile)>,
@@ -22,6 +21,21 @@ pub(super) struct LitBatch {
     /// First values and lengths of the light that was written.
     pub(super) light: Vec<(usize, usize)>,
     pub(super) counts: TileCounts,
+}
+
+impl LitBatch {
+    pub(super) fn is_dark(&self) -> bool {
+        self.tiles.is_empty() && self.drawn.is_empty()
+    }
+
+    /// Puts the places of the parts' tables where their numbers are.
+    pub(super) fn find_tables(&mut self, starts: &[u32]) {
+        let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.table);
+        let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.table);
+        for table in tables.chain(of_drawn) {
+            *table = starts[*table as usize];
+        }
+    }
 }
 
 /// Single pixels of a tile, and what it takes to draw them.
@@ -41,30 +55,29 @@ pub(super) struct Examination<'a, 'j, T: ConvReal> {
     pub(super) layout: &'a Layout,
     pub(super) panel: &'a Panel,
     pub(super) batch: &'a Batch,
-    pub(super) data: &'a BatchData,
     pub(super) job: &'a Job<'j, T>,
     pub(super) staging: &'a wgpu::Buffer,
 }
 
 impl<T: ConvReal> Examination<'_, '_, T> {
     pub(super) fn examine<S: Lanes<T>>(&self, simd: S) -> Result<LitBatch, ConvError> {
-        let parts = self.batch.parts.iter().zip(&self.data.table_starts);
+        let parts = self.batch.parts.iter().zip(0..);
         // Tile by tile, unless a block's tiles share what is made for them.
         let tasks: Vec<(&Part, u32, &[TileSlot])> = parts
-            .flat_map(|(part, &table)| {
+            .flat_map(|(part, number)| {
                 let together = if self.job.plan.keeps(part.block) {
                     1
                 } else {
                     part.tiles.len()
                 };
                 let tasks = part.tiles.chunks(together.max(1));
-                tasks.map(move |tiles| (part, table, tiles))
+                tasks.map(move |tiles| (part, number, tiles))
             })
             .collect();
         let parts: Vec<Result<LitBatch, ConvError>> = tasks
             .into_par_iter()
             .with_max_len(1)
-            .map(|(part, table, tiles)| self.tiles(simd, part, table, tiles))
+            .map(|(part, number, tiles)| self.tiles(simd, part, number, tiles))
             .collect();
         let mut all = LitBatch::default();
         for part in parts {
@@ -85,7 +98,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         &self,
         simd: S,
         part: &Part,
-        table: u32,
+        number: u32,
         tiles: &[TileSlot],
     ) -> Result<LitBatch, ConvError> {
         let plan = self.job.plan;
@@ -117,10 +130,10 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                     let (columns, rows) = self.light_size(slot);
                     lit.light.push((slot.light, columns * rows));
                     lit.tiles
-                        .push((slot.colour, self.tile(part, slot, table, &treatment)));
+                        .push((slot.colour, self.tile(part, slot, number, &treatment)));
                 }
                 if !treatment.drawn.is_empty() {
-                    let drawn = self.drawn(&mut prepared, part, slot, table, &treatment);
+                    let drawn = self.drawn(&mut prepared, part, slot, number, &treatment);
                     lit.drawn.push((slot.colour, drawn));
                 }
             }
@@ -170,7 +183,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         (place, size)
     }
 
-    fn tile(&self, part: &Part, slot: &TileSlot, table: u32, treatment: &Treatment<T>) -> Tile {
+    fn tile(&self, part: &Part, slot: &TileSlot, number: u32, treatment: &Treatment<T>) -> Tile {
         let (columns, rows) = self.light_size(slot);
         let (place, size) = self.result(slot);
         let stamp = self.engine.view.stamp();
@@ -185,7 +198,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
             plane: slot.plane as u32,
             spectrum: part.spectrum as u32,
             kernels: part.kernels.len() as u32,
-            table,
+            table: number,
             column: slot.tile.part.corner.0 as u32,
             row: slot.tile.part.corner.1 as u32,
             out_column: place.0,
@@ -203,7 +216,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         prepared: &mut Prepared<'_, T>,
         part: &Part,
         slot: &TileSlot,
-        table: u32,
+        number: u32,
         treatment: &Treatment<T>,
     ) -> DrawnTile {
         let (place, size) = self.result(slot);
@@ -246,7 +259,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                 pixels: treatment.drawn.len() as u32,
                 stamps: part.stamp as u32,
                 kernels: part.kernels.len() as u32,
-                table,
+                table: number,
                 column: corner.0 as u32,
                 row: corner.1 as u32,
                 out_column: place.0,

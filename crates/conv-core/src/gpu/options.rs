@@ -8,8 +8,8 @@ pub struct GpuOptions {
 }
 
 impl GpuOptions {
-    /// What a plan keeps on the GPU unless told otherwise: 1 GiB.
-    pub const DEFAULT_MEMORY_BYTES: u64 = 1 << 30;
+    /// What a plan keeps on the GPU unless told otherwise: 2 GiB.
+    pub const DEFAULT_MEMORY_BYTES: u64 = 2 << 30;
     /// Pieces of work unless told otherwise: 64 MiB.
     pub const DEFAULT_PIECE_BYTES: u64 = 64 << 20;
 

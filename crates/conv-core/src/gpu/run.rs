@@ -109,24 +109,26 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
         let bytes = 4 * (panel.output.columns * panel.output.rows) as u64;
         let mut begun = false;
         for (batch, kept) in panel.batches.iter().zip(kept) {
+            let (staging, mut lit) = self.examine(panel, batch)?;
+            self.counts += lit.counts;
+            if lit.is_dark() {
+                staging.unmap();
+                self.working.staging.give_back(staging);
+                continue;
+            }
             let made;
             let data = if let Some(data) = kept {
                 data
             } else {
                 let pipelines = &self.engine.pipelines;
-                let (plan, flip) = (self.job.plan, self.layout.flip);
-                made = self
-                    .working
-                    .batch_data(self.device, pipelines, plan, batch, flip)?;
+                let what = (batch, self.layout.flip);
+                made =
+                    self.working
+                        .batch_data(self.device, pipelines, self.job.plan, what, Some(&mut marks))?;
+                self.taken.up += made.host_bytes();
                 &made
             };
-            let (staging, lit) = self.examine(panel, batch, data)?;
-            self.counts += lit.counts;
-            if lit.tiles.is_empty() && lit.drawn.is_empty() {
-                staging.unmap();
-                self.working.staging.give_back(staging);
-                continue;
-            }
+            lit.find_tables(&data.table_starts);
             let first = !std::mem::replace(&mut begun, true);
             self.submit_batch(panel, batch, data, (staging, lit), first, &mut marks)?;
         }
@@ -157,12 +159,7 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
     }
 
     /// Looks at the light of a batch and writes it to where the GPU can copy it from.
-    fn examine(
-        &mut self,
-        panel: &Panel,
-        batch: &Batch,
-        data: &BatchData,
-    ) -> Result<(wgpu::Buffer, LitBatch), ConvError> {
+    fn examine(&mut self, panel: &Panel, batch: &Batch) -> Result<(wgpu::Buffer, LitBatch), ConvError> {
         let clock = Instant::now();
         let staging = self.working.staging.take(self.device, 4 * batch.light as u64);
         let examination = Examination {
@@ -171,7 +168,6 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
             layout: self.layout,
             panel,
             batch,
-            data,
             job: self.job,
             staging: &staging,
         };

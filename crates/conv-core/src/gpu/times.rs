@@ -10,7 +10,7 @@ pub struct GpuTimes {
     pub total: Duration,
     /// Shaders, by the GPU's own clock. None where it has none that can be read.
     pub kernels: Option<Duration>,
-    /// Copies between the host's memory and the GPU's, by the GPU's own clock. None where it has none that can be read.
+    /// Copies of the light to the GPU's memory and of the image from it, by the GPU's own clock. None where it has none that can be read.
     pub transfers: Option<Duration>,
     /// What the host did meanwhile: looking at the light and handing it over, adding the result to the image.
     pub host: Duration,

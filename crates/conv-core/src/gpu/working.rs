@@ -11,7 +11,7 @@ use super::passes::params_buffer;
 use super::readback::Readback;
 use super::shader::Pipelines;
 use super::staging::Staging;
-use super::stopwatch::Stopwatch;
+use super::stopwatch::{Marks, Stopwatch};
 use crate::{ConvReal, Plan};
 
 /// Buffers that executions share, one after the other.
@@ -50,17 +50,19 @@ impl Working {
         }
     }
 
-    /// What a batch needs whatever the light.
+    /// What a batch needs whatever the light; where it is made during an execution, with `marks` about the work on it.
     pub(super) fn batch_data<T: ConvReal>(
         &mut self,
         device: &Attempt,
         pipelines: &Pipelines,
         plan: &Plan<T>,
-        batch: &Batch,
-        flip: bool,
+        (batch, flip): (&Batch, bool),
+        marks: Option<&mut Marks>,
     ) -> Result<BatchData, GpuError> {
+        let stopwatch = self.stopwatch.as_ref().zip(marks);
+        let writes = stopwatch.and_then(|(stopwatch, marks)| stopwatch.kernels(marks));
         let memory = (&mut self.planes, &mut self.params);
-        BatchData::new(device, pipelines, memory, plan, batch, flip)
+        BatchData::new(device, pipelines, memory, plan, (batch, flip), writes)
     }
 }
 

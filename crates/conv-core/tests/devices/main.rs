@@ -49,5 +49,6 @@ fn trial(name: String, device: Option<OnDevice>, body: impl FnOnce(&OnDevice) + 
         }
         Ok(())
     };
-    Trial::test(name, run).with_ignored_flag(!there)
+    let kind = if there { "" } else { "no GPU" };
+    Trial::test(name, run).with_kind(kind).with_ignored_flag(!there)
 }

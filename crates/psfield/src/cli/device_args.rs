@@ -15,7 +15,7 @@ pub(crate) struct DeviceArgs {
     /// The GPU, by a part of its name or its backend (see psfield devices) [default: the first of psfield devices]
     #[arg(long, value_name = "NAME")]
     gpu_adapter: Option<String>,
-    /// Memory of the plan on the GPU: bytes, or with K, M or G [default: 1G]
+    /// Memory of the plan on the GPU: bytes, or with K, M or G [default: 2G]
     #[arg(long, value_name = "SIZE", value_parser = bytes)]
     gpu_memory: Option<usize>,
 }

@@ -1,6 +1,6 @@
 //! The command line on a GPU.
 //!
-//! Where there is no adapter these tests show as ignored. A driver that runs shaders on the processor (lavapipe) is enough.
+//! Where there is no adapter these tests show as ignored; with `PSFIELD_REQUIRE_GPU` set they fail instead. A driver that runs shaders on the processor (lavapipe) is enough.
 
 #[allow(dead_code, reason = "what the tests of the command line share")]
 #[path = "../cli/desk.rs"]
@@ -23,7 +23,13 @@ fn main() {
     let there = adapters();
     match there.first() {
         Some(adapter) => eprintln!("GPU tests on {adapter}"),
-        None => eprintln!("no GPU that could be driven here: its tests are skipped and show as ignored"),
+        None => {
+            assert!(
+                std::env::var_os("PSFIELD_REQUIRE_GPU").is_none(),
+                "PSFIELD_REQUIRE_GPU is set, but there is no GPU that could be driven here"
+            );
+            eprintln!("no GPU that could be driven here: its tests are skipped and show as ignored");
+        }
     }
     let on_adapter = [
         trial("gpu_and_cpu_agree", trials::agree),
@@ -42,9 +48,10 @@ fn main() {
         trial("auto_weighs_predictions_and_takes_no_software", trials::auto),
     ];
     let ignored = there.is_empty();
-    let on_adapter = on_adapter
-        .into_iter()
-        .map(|trial| trial.with_ignored_flag(ignored));
+    let on_adapter = on_adapter.into_iter().map(|trial| {
+        let kind = if ignored { "no GPU" } else { "" };
+        trial.with_kind(kind).with_ignored_flag(ignored)
+    });
     // Where drivers cannot be hidden from a process, it cannot be seen what happens without.
     let bare = trials::no_adapter_when_hidden();
     if !bare {
