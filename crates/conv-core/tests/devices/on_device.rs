@@ -40,6 +40,7 @@ impl OnDevice {
     }
 
     #[cfg(not(feature = "gpu"))]
+    #[allow(clippy::unused_self, reason = "there is one device alone")]
     pub(crate) fn with(&self, plan: Plan<f32>) -> Plan<f32> {
         plan
     }

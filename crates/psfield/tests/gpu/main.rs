@@ -21,15 +21,14 @@ fn trial(name: &str, test: fn()) -> Trial {
 fn main() {
     let arguments = Arguments::from_args();
     let there = adapters();
-    match there.first() {
-        Some(adapter) => eprintln!("GPU tests on {adapter}"),
-        None => {
-            assert!(
-                std::env::var_os("PSFIELD_REQUIRE_GPU").is_none(),
-                "PSFIELD_REQUIRE_GPU is set, but there is no GPU that could be driven here"
-            );
-            eprintln!("no GPU that could be driven here: its tests are skipped and show as ignored");
-        }
+    if let Some(adapter) = there.first() {
+        eprintln!("GPU tests on {adapter}");
+    } else {
+        assert!(
+            std::env::var_os("PSFIELD_REQUIRE_GPU").is_none(),
+            "PSFIELD_REQUIRE_GPU is set, but there is no GPU that could be driven here"
+        );
+        eprintln!("no GPU that could be driven here: its tests are skipped and show as ignored");
     }
     let on_adapter = [
         trial("gpu_and_cpu_agree", trials::agree),
