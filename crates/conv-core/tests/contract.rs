@@ -1,5 +1,6 @@
 //! Every method against the double sum, over shapes, centres, frames, anchorings and precisions.
 
+#[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
 
 use std::sync::Arc;

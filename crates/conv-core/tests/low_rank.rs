@@ -4,7 +4,10 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Constant, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene};
+use common::{
+    ANCHORS, Constant, PATHS, STAMPS, Waves, double_sum, largest_difference, model_with, noise, options,
+    peak, region, scene, single,
+};
 use conv_core::{ConvError, ConvolutionMethod, Direct, LowRank, Paths, Plan, PlanOptions, RowStream};
 use ndarray::{Array2, s};
 use psf_types::{Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfModel, Scene};
@@ -14,25 +17,7 @@ const ROUNDING_F64: f64 = 1e-12;
 /// Transforms of a few thousand values in single precision.
 const ROUNDING_F32: f64 = 3e-6;
 
-const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
-const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
-
-/// Even, odd, off-centre, one pixel, wider than the scene.
-const STAMPS: [((usize, usize), (usize, usize)); 5] = [
-    ((6, 4), (3, 2)),
-    ((5, 7), (2, 3)),
-    ((4, 4), (0, 3)),
-    ((1, 3), (0, 0)),
-    ((33, 29), (16, 11)),
-];
 const SCENES: [(usize, usize); 6] = [(12, 12), (13, 7), (1, 1), (1, 37), (101, 1), (67, 53)];
-
-fn options(tolerance: f64, anchor: Anchor, paths: Paths) -> PlanOptions {
-    PlanOptions::new(tolerance)
-        .unwrap()
-        .with_anchor(anchor)
-        .with_paths(paths)
-}
 
 fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
     STAMPS.into_iter().enumerate().flat_map(|(n, (shape, centre))| {
@@ -54,13 +39,6 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
             (model, scene)
         })
     })
-}
-
-fn single(scene: &Scene<f64>) -> Scene<f32> {
-    let light = scene.pixels().unwrap().mapv(|v| v as f32);
-    Scene::from_image(Image::new(light).unwrap())
-        .with_frame(scene.frame())
-        .unwrap()
 }
 
 /// Every fifth pixel is a star: a light that every path treats.

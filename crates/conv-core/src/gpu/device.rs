@@ -190,6 +190,10 @@ impl Trouble {
     fn since(&self, complaints: u64, adapter: &str) -> Result<(), GpuError> {
         let adapter = adapter.to_owned();
         if let Some(reason) = &self.lost {
+            // wgpu gives a device up where memory runs out while it works.
+            if reason.to_lowercase().contains("out of memory") {
+                return Err(GpuError::OutOfMemory { adapter });
+            }
             let reason = reason.clone();
             return Err(GpuError::Lost { adapter, reason });
         }
@@ -238,6 +242,11 @@ mod tests {
                 adapter: adapter(),
                 reason: "broken".into()
             })
+        );
+        trouble.lost = Some("Out of memory".into());
+        assert_eq!(
+            trouble.since(2, "a"),
+            Err(GpuError::OutOfMemory { adapter: adapter() })
         );
         trouble.lost = Some("reset".into());
         assert_eq!(

@@ -182,6 +182,8 @@ impl<T: ConvReal> LayoutMaker<'_, T> {
                         // What does not fit is made anew by each execution.
                         Err(GpuError::OutOfMemory { .. }) => {
                             self.device.forgive();
+                        // Some drivers give up the whole device.
+                        self.device.check()?;
                             // Some of its buffers may be no buffers.
                             *working = Working::new(self.device);
                             return Ok(layout);

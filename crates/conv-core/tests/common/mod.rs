@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use conv_core::{Paths, PlanOptions};
 use ndarray::{Array2, Array3};
 use psf_types::{
     Anchor, CoefficientField, FieldError, FrameShape, Image, Normalisation, PixelRegion, Position, PsfBasis,
@@ -9,6 +10,32 @@ use psf_types::{
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+
+pub(crate) const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
+pub(crate) const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
+
+/// Even, odd, off-centre, one pixel, wider than the scene.
+pub(crate) const STAMPS: [((usize, usize), (usize, usize)); 5] = [
+    ((6, 4), (3, 2)),
+    ((5, 7), (2, 3)),
+    ((4, 4), (0, 3)),
+    ((1, 3), (0, 0)),
+    ((33, 29), (16, 11)),
+];
+
+pub(crate) fn options(tolerance: f64, anchor: Anchor, paths: Paths) -> PlanOptions {
+    PlanOptions::new(tolerance)
+        .unwrap()
+        .with_anchor(anchor)
+        .with_paths(paths)
+}
+
+pub(crate) fn single(scene: &Scene<f64>) -> Scene<f32> {
+    let light = scene.pixels().unwrap().mapv(|v| v as f32);
+    Scene::from_image(Image::new(light).unwrap())
+        .with_frame(scene.frame())
+        .unwrap()
+}
 
 /// Smooth fields of three coefficients, defined everywhere.
 #[derive(Debug)]

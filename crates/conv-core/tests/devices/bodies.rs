@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use conv_core::{ConvError, Direct, Paths, Plan, PlanOptions, RowStream};
+use conv_core::{ConvError, Direct, Paths, Plan, RowStream};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
     Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, PointSource, Position, PsfModel,
@@ -10,14 +10,13 @@ use psf_types::{
 };
 use rayon::prelude::*;
 
-use crate::common::{Waves, double_sum, model_with, noise, region, scene};
+use crate::common::{
+    ANCHORS, PATHS, STAMPS, Waves, double_sum, model_with, noise, options, region, scene, single,
+};
 use crate::on_device::OnDevice;
 
 /// Transforms of a few thousand values in single precision, relative to the peak of the image.
 pub(crate) const ROUNDING: f64 = 3e-6;
-
-pub(crate) const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
-const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
 
 type Body = fn(&OnDevice);
 
@@ -33,20 +32,6 @@ pub(crate) const ALL: [(&str, Body); 10] = [
     ("light_without_a_psf_is_an_error", no_psf),
     ("stars_come_on_top", stars),
 ];
-
-pub(crate) fn options(tolerance: f64, anchor: Anchor, paths: Paths) -> PlanOptions {
-    PlanOptions::new(tolerance)
-        .unwrap()
-        .with_anchor(anchor)
-        .with_paths(paths)
-}
-
-pub(crate) fn single(scene: &Scene<f64>) -> Scene<f32> {
-    let light = scene.pixels().unwrap().mapv(|v| v as f32);
-    Scene::from_image(Image::new(light).unwrap())
-        .with_frame(scene.frame())
-        .unwrap()
-}
 
 pub(crate) fn of_light(light: Array2<f32>) -> Scene<f32> {
     Scene::from_image(Image::new(light).unwrap())
@@ -65,14 +50,6 @@ pub(crate) fn relative(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     norm(&(a - b)) / norm(b)
 }
 
-/// Even, odd, off-centre, one pixel, wider than the scene.
-const STAMPS: [((usize, usize), (usize, usize)); 5] = [
-    ((6, 4), (3, 2)),
-    ((5, 7), (2, 3)),
-    ((4, 4), (0, 3)),
-    ((1, 3), (0, 0)),
-    ((33, 29), (16, 11)),
-];
 const SCENES: [(usize, usize); 5] = [(12, 12), (13, 7), (1, 1), (1, 37), (67, 53)];
 
 fn double_sums(device: &OnDevice) {

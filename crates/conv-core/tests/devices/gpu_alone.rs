@@ -7,8 +7,8 @@ use conv_core::{ConvError, Paths, Plan};
 use ndarray::Array2;
 use psf_types::{Anchor, Normalisation, PsfModel, Scene};
 
-use crate::bodies::{ANCHORS, of_light, options, relative, single};
-use crate::common::{Waves, model_with, noise, scene};
+use crate::bodies::{of_light, relative};
+use crate::common::{ANCHORS, Waves, model_with, noise, options, scene, single};
 use crate::on_device::OnDevice;
 
 /// Both devices in single precision, by different transforms: relative L2.
