@@ -126,6 +126,9 @@ fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
     adapters
 }
 
+/// Buffers that a shader sees at most.
+const BUFFERS: u32 = 6;
+
 fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
     let instance = wgpu::Instance::new(wgpu::InstanceDescriptor {
         backends,
@@ -135,6 +138,7 @@ fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
     let able = found.into_iter().filter(|adapter| {
         let can = adapter.get_downlevel_capabilities().flags;
         can.contains(wgpu::DownlevelFlags::COMPUTE_SHADERS)
+            && adapter.limits().max_storage_buffers_per_shader_stage >= BUFFERS
     });
     able.map(|adapter| {
         let described = Adapter::of(&adapter);

@@ -56,6 +56,7 @@ impl BatchData {
         };
         device.check()?;
         let planes = planes.with_room(device, bytes).clone();
+        device.check()?;
         let stamp = Params {
             flip,
             stamp: plan.stamp(),

@@ -1,5 +1,6 @@
 //! An open GPU.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use super::adapter::{Adapter, choose};
@@ -34,15 +35,11 @@ struct Inner {
 #[derive(Debug, Default)]
 struct Trouble {
     lost: Option<String>,
-    /// How often it complained of something else, and the last complaint.
+    /// How often its memory was full.
+    out_of_memory: u64,
+    /// How often it complained of something else, and the last of it.
     complaints: u64,
-    last: Option<Complaint>,
-}
-
-#[derive(Debug, Clone, PartialEq, Eq)]
-enum Complaint {
-    OutOfMemory,
-    Other(String),
+    last: String,
 }
 
 /// Work on a GPU, which fails with whatever its driver complains of from the beginning on. Others may use the GPU at the same time; a complaint
@@ -50,7 +47,8 @@ enum Complaint {
 #[derive(Debug)]
 pub(super) struct Attempt {
     device: GpuDevice,
-    complaints: u64,
+    /// What was said before: how often memory was full, and other complaints.
+    before: (u64, u64),
 }
 
 /// Features with which a GPU can tell how long its work took.
@@ -128,10 +126,9 @@ impl GpuDevice {
 
     /// Begins to use the GPU.
     pub(super) fn attempt(&self) -> Result<Attempt, GpuError> {
-        let complaints = locked(&self.0.trouble).complaints;
         let attempt = Attempt {
             device: self.clone(),
-            complaints,
+            before: locked(&self.0.trouble).so_far(),
         };
         attempt.check()?;
         Ok(attempt)
@@ -149,7 +146,29 @@ impl Attempt {
     /// The error that the driver told of since the beginning, if any.
     pub(super) fn check(&self) -> Result<(), GpuError> {
         let adapter = &self.device.adapter().name;
-        locked(&self.device.0.trouble).since(self.complaints, adapter)
+        locked(&self.device.0.trouble).since(self.before, adapter)
+    }
+
+    /// Waits for what was submitted.
+    pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
+        let device = self.device.device();
+        // wgpu panics where the GPU is lost while somebody waits for it (and the panic is reported on the standard error as any other).
+        let waited = catch_unwind(AssertUnwindSafe(|| {
+            device.poll(wgpu::PollType::Wait {
+                submission_index: Some(submission),
+                timeout: None,
+            })
+        }));
+        let Ok(waited) = waited else {
+            let mut trouble = locked(&self.device.0.trouble);
+            trouble
+                .lost
+                .get_or_insert_with(|| "it does not answer any more".to_owned());
+            drop(trouble);
+            return self.check();
+        };
+        self.check()?;
+        waited.map(drop).map_err(|error| self.failed(&error))
     }
 
     /// The error that the driver told of, or that something failed for this reason.
@@ -173,40 +192,42 @@ impl Attempt {
 
     /// Goes on after a complaint.
     pub(super) fn forgive(&mut self) {
-        self.complaints = locked(&self.device.0.trouble).complaints;
+        self.before = locked(&self.device.0.trouble).so_far();
     }
 }
 
 impl Trouble {
     fn hear(&mut self, error: &wgpu::Error) {
-        self.complaints += 1;
-        self.last = Some(match error {
-            wgpu::Error::OutOfMemory { .. } => Complaint::OutOfMemory,
-            other => Complaint::Other(other.to_string()),
-        });
+        if let wgpu::Error::OutOfMemory { .. } = error {
+            self.out_of_memory += 1;
+        } else {
+            self.complaints += 1;
+            self.last = error.to_string();
+        }
     }
 
-    /// The error that came after so many complaints, if any.
-    fn since(&self, complaints: u64, adapter: &str) -> Result<(), GpuError> {
+    fn so_far(&self) -> (u64, u64) {
+        (self.out_of_memory, self.complaints)
+    }
+
+    /// The error that came after so much was said, if any.
+    fn since(&self, before: (u64, u64), adapter: &str) -> Result<(), GpuError> {
         let adapter = adapter.to_owned();
+        // wgpu gives a device up where memory runs out while it works.
+        let lost_for_memory = |reason: &String| reason.to_lowercase().contains("out of memory");
+        // First, since what could not be allocated gives rise to other complaints.
+        if self.out_of_memory > before.0 || self.lost.as_ref().is_some_and(lost_for_memory) {
+            return Err(GpuError::OutOfMemory { adapter });
+        }
         if let Some(reason) = &self.lost {
-            // wgpu gives a device up where memory runs out while it works.
-            if reason.to_lowercase().contains("out of memory") {
-                return Err(GpuError::OutOfMemory { adapter });
-            }
             let reason = reason.clone();
             return Err(GpuError::Lost { adapter, reason });
         }
-        match &self.last {
-            Some(Complaint::OutOfMemory) if self.complaints > complaints => {
-                Err(GpuError::OutOfMemory { adapter })
-            }
-            Some(Complaint::Other(reason)) if self.complaints > complaints => Err(GpuError::Driver {
-                adapter,
-                reason: reason.clone(),
-            }),
-            _ => Ok(()),
+        if self.complaints > before.1 {
+            let reason = self.last.clone();
+            return Err(GpuError::Driver { adapter, reason });
         }
+        Ok(())
     }
 }
 
@@ -221,40 +242,35 @@ mod tests {
 
     #[test]
     fn complaints_count_from_the_beginning_of_an_attempt_and_a_loss_for_good() {
+        let adapter = || "a".to_owned();
+        let broken = Err(GpuError::Driver {
+            adapter: adapter(),
+            reason: "broken".into(),
+        });
+        let full = Err(GpuError::OutOfMemory { adapter: adapter() });
         let mut trouble = Trouble::default();
-        assert_eq!(trouble.since(0, "a"), Ok(()));
+        let first = trouble.so_far();
+        assert_eq!(trouble.since(first, "a"), Ok(()));
         trouble.hear(&wgpu::Error::OutOfMemory {
             source: "full".into(),
         });
-        let adapter = || "a".to_owned();
-        assert_eq!(
-            trouble.since(0, "a"),
-            Err(GpuError::OutOfMemory { adapter: adapter() })
-        );
-        assert_eq!(trouble.since(1, "a"), Ok(()));
+        let second = trouble.so_far();
         trouble.hear(&wgpu::Error::Internal {
             source: "x".into(),
             description: "broken".into(),
         });
-        assert_eq!(
-            trouble.since(1, "a"),
-            Err(GpuError::Driver {
-                adapter: adapter(),
-                reason: "broken".into()
-            })
-        );
+        let third = trouble.so_far();
+        // What follows from the lack of memory does not hide it.
+        assert_eq!(trouble.since(first, "a"), full);
+        assert_eq!(trouble.since(second, "a"), broken);
+        assert_eq!(trouble.since(third, "a"), Ok(()));
         trouble.lost = Some("Out of memory".into());
-        assert_eq!(
-            trouble.since(2, "a"),
-            Err(GpuError::OutOfMemory { adapter: adapter() })
-        );
+        assert_eq!(trouble.since(third, "a"), full);
         trouble.lost = Some("reset".into());
-        assert_eq!(
-            trouble.since(2, "a"),
-            Err(GpuError::Lost {
-                adapter: adapter(),
-                reason: "reset".into()
-            })
-        );
+        let lost = GpuError::Lost {
+            adapter: adapter(),
+            reason: "reset".into(),
+        };
+        assert_eq!(trouble.since(third, "a"), Err(lost));
     }
 }

@@ -55,7 +55,7 @@ impl GpuEngine {
         }
         let mut attempt = device.attempt()?;
         let (nx, ny) = plan.transform();
-        let pipelines = attempt.pipelines(PlaneSource::new(nx, ny, device)?)?;
+        let pipelines = attempt.pipelines(PlaneSource::new(nx, ny, device.adapter())?)?;
         let view = PlanView::new(plan);
         let mut working = Working::new(device);
         let layout = LayoutMaker {
@@ -182,14 +182,17 @@ impl<T: ConvReal> LayoutMaker<'_, T> {
                         // What does not fit is made anew by each execution.
                         Err(GpuError::OutOfMemory { .. }) => {
                             self.device.forgive();
-                        // Some drivers give up the whole device.
-                        self.device.check()?;
+                            // wgpu may have given up the whole device.
+                            self.device.check()?;
                             // Some of its buffers may be no buffers.
                             *working = Working::new(self.device);
                             return Ok(layout);
                         }
                         made => made?,
                     };
+                if layout.bytes + data.bytes() > memory {
+                    return Ok(layout);
+                }
                 layout.bytes += data.bytes();
                 *kept = Some(data);
             }

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// Errors of GPUs. None of them leaves a wrong image: what was not computed is not returned.
+/// Errors of GPUs. None of them comes with an image: what was not computed is not returned. (An image that light was to be added to holds some of it then.)
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum GpuError {

@@ -20,6 +20,13 @@ pub(super) struct Rectangle {
     pub(super) rows: usize,
 }
 
+impl Rectangle {
+    /// Bytes of its values.
+    pub(super) fn bytes(&self) -> u64 {
+        F32 * (self.columns * self.rows) as u64
+    }
+}
+
 /// Tiles whose results share a buffer.
 #[derive(Debug)]
 pub(super) struct Panel {
@@ -204,14 +211,17 @@ impl Packing<'_> {
             return Ok(());
         }
         let mut batch = Batch::default();
-        if kernels == 0 {
-            // Nothing to convolve with, but light without a PSF is to be found.
-            self.force(&mut batch, block, tiles, 0..0);
+        if self.place(&mut batch, block, tiles, 0..kernels) {
             batches.push(batch);
             return Ok(());
         }
-        if self.place(&mut batch, block, tiles, 0..kernels) {
-            batches.push(batch);
+        if kernels == 0 {
+            // Nothing to convolve with, but light without a PSF is to be found.
+            for tile in tiles {
+                let mut batch = Batch::default();
+                self.force(&mut batch, block, std::slice::from_ref(tile), 0..0);
+                batches.push(batch);
+            }
             return Ok(());
         }
         // As many tiles at once as fit with all kernels; if not even one does, a tile's kernels in several batches.

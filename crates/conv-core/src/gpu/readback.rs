@@ -54,7 +54,7 @@ impl InFlight {
         (values, stopwatch): (wgpu::Buffer, wgpu::Buffer),
         submission: wgpu::SubmissionIndex,
     ) -> Self {
-        let bytes = 4 * (output.columns * output.rows) as u64;
+        let bytes = output.bytes();
         let (sender, mapped) = channel();
         for (buffer, length) in [(&values, bytes), (&stopwatch, stopwatch::BYTES)] {
             let sender = sender.clone();
@@ -82,14 +82,10 @@ impl InFlight {
         device: &Attempt,
         read: impl FnOnce(&Self, &[u8], &[u8]) -> R,
     ) -> Result<R, GpuError> {
-        let waited = device.device().poll(wgpu::PollType::Wait {
-            submission_index: Some(self.submission.clone()),
-            timeout: None,
-        });
-        device.check()?;
-        waited.map_err(|error| device.failed(&error))?;
+        device.wait(self.submission.clone())?;
         for _ in 0..2 {
-            let mapped = self.mapped.try_recv();
+            // Another thread may be the one that passes the news on, a little later.
+            let mapped = self.mapped.recv();
             let mapped = mapped.map_err(|_| device.failed(&"the result did not come"))?;
             mapped.map_err(|error| device.failed(&error))?;
         }

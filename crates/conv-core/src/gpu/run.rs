@@ -1,5 +1,6 @@
 //! Executions: the host looks at the light of a batch while the GPU works on the one before.
 
+use std::collections::VecDeque;
 use std::time::Instant;
 
 use ndarray::{ArrayViewMut2, Axis, s};
@@ -22,6 +23,9 @@ use crate::lowrank::TileCounts;
 use crate::lowrank::shared::Job;
 use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
+
+/// Batches handed to the GPU and not finished, so that what is made for them does not pile up.
+const MOST_BATCHES: usize = 3;
 
 /// An execution.
 pub(super) struct Run<'a, 'j, T: ConvReal> {
@@ -49,11 +53,12 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, '_, T> {
             taken: Taken::default(),
             counts: TileCounts::default(),
             pending: None,
+            batches: VecDeque::new(),
             slot: 0,
         };
         execution.all()?;
         let taken = execution.taken;
-        let measured = execution.working.stopwatch.is_some();
+        let measured = execution.working.stopwatch.is_some() && !taken.incomplete;
         let times = GpuTimes {
             total: clock.elapsed(),
             kernels: measured.then_some(taken.kernels),
@@ -77,6 +82,8 @@ struct Execution<'a, 'j, T: ConvReal, S> {
     counts: TileCounts,
     /// The panel that the GPU works on while the next one is prepared.
     pending: Option<InFlight>,
+    /// Batches that the GPU works on, the oldest first.
+    batches: VecDeque<wgpu::SubmissionIndex>,
     /// Which of the two readback buffers comes next.
     slot: usize,
 }
@@ -106,7 +113,7 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
     /// Hands a panel to the GPU, unless it is dark.
     fn submit(&mut self, panel: &Panel, kept: &[Option<BatchData>]) -> Result<Option<InFlight>, ConvError> {
         let mut marks = Marks::default();
-        let bytes = 4 * (panel.output.columns * panel.output.rows) as u64;
+        let bytes = panel.output.bytes();
         let mut begun = false;
         for (batch, kept) in panel.batches.iter().zip(kept) {
             let (staging, mut lit) = self.examine(panel, batch)?;
@@ -129,6 +136,10 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
                 &made
             };
             lit.find_tables(&data.table_starts);
+            while self.batches.len() >= MOST_BATCHES {
+                let oldest = self.batches.pop_front();
+                self.device.wait(oldest.expect("there are some"))?;
+            }
             let first = !std::mem::replace(&mut begun, true);
             self.submit_batch(panel, batch, data, (staging, lit), first, &mut marks)?;
         }
@@ -187,13 +198,14 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
         marks: &mut Marks,
     ) -> Result<(), GpuError> {
         let device = self.device;
-        let bytes = 4 * (panel.output.columns * panel.output.rows) as u64;
+        let bytes = panel.output.bytes();
         let light = self
             .working
             .light
             .with_room(device, 4 * batch.light as u64)
             .clone();
         let result = self.working.panel.with_room(device, bytes).clone();
+        device.check()?;
         staging.unmap();
         let mut encoder = device
             .device()
@@ -234,7 +246,7 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
             .as_ref()
             .and_then(|stopwatch| stopwatch.kernels(marks));
         calls.encode(&mut encoder, writes);
-        device.queue().submit([encoder.finish()]);
+        self.batches.push_back(device.queue().submit([encoder.finish()]));
         self.working.staging.give_back(staging);
         device.check()
     }
@@ -264,9 +276,13 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
                 });
             taken.host += clock.elapsed();
             if let Some(stopwatch) = stopwatch {
-                let (kernels, transfers) = stopwatch.durations(&panel.marks, marks);
-                taken.kernels += kernels;
-                taken.transfers += transfers;
+                match stopwatch.durations(&panel.marks, marks) {
+                    None => taken.incomplete = true,
+                    Some((kernels, transfers)) => {
+                        taken.kernels += kernels;
+                        taken.transfers += transfers;
+                    }
+                }
             }
         })
     }

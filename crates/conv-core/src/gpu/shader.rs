@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use super::adapter::Adapter;
 use super::device::{Attempt, GpuDevice};
 use super::error::GpuError;
 use super::fft_source::FftSource;
@@ -84,8 +85,7 @@ pub(super) struct PlaneSource {
 
 impl PlaneSource {
     /// Planes of `nx` columns, a multiple of 16, and `ny` rows, a multiple of 32, on an adapter.
-    pub(super) fn new(nx: usize, ny: usize, device: &GpuDevice) -> Result<Self, GpuError> {
-        let adapter = device.adapter();
+    pub(super) fn new(nx: usize, ny: usize, adapter: &Adapter) -> Result<Self, GpuError> {
         let (memory, threads) = (
             adapter.workgroup_memory as usize,
             adapter.workgroup_threads as usize,
@@ -191,8 +191,7 @@ fn parts(shader: Shader, fft: &FftSource) -> Vec<(&'static str, String)> {
         fft.each_result_back(|r| text(r.number, r.line, r.index))
     };
     let place = "first_column + line";
-    let untwisted = |i: usize, line: &str, index: &str| {
-        let _ = line;
+    let untwisted = |i: usize, _: &str, index: &str| {
         format!("planes[(into + {index}) * NX + {place}] = times(v{i}.yx, roots[UNTWIST + {index}]);")
     };
     match shader {

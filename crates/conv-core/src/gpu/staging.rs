@@ -27,7 +27,7 @@ impl Staging {
     pub(super) fn take(&mut self, device: &GpuDevice, bytes: u64) -> wgpu::Buffer {
         let receiver = self.receiver.get_mut().unwrap_or_else(PoisonError::into_inner);
         self.free.extend(receiver.try_iter());
-        // The smallest that suffices, unless it is far too large.
+        // The smallest that suffices.
         let fitting = self
             .free
             .iter()

@@ -18,6 +18,8 @@ pub(super) struct Stopwatch {
 #[derive(Debug, Default)]
 pub(super) struct Marks {
     count: u32,
+    /// There were too many: what is there is not all.
+    incomplete: bool,
     kernels: Vec<(u32, u32)>,
     transfers: Vec<(u32, u32)>,
 }
@@ -79,10 +81,12 @@ impl Stopwatch {
 
     fn pair(&self, marks: &mut Marks) -> Option<(u32, u32)> {
         let pair = (marks.count, marks.count + 1);
-        (pair.1 < self.capacity).then(|| {
-            marks.count += 2;
-            pair
-        })
+        if pair.1 >= self.capacity {
+            marks.incomplete = true;
+            return None;
+        }
+        marks.count += 2;
+        Some(pair)
     }
 
     /// Copies the marks into a buffer that the host can read.
@@ -93,8 +97,11 @@ impl Stopwatch {
         }
     }
 
-    /// How long shaders and copies took, from the bytes of the marks.
-    pub(super) fn durations(&self, marks: &Marks, bytes: &[u8]) -> (Duration, Duration) {
+    /// How long shaders and copies took, from the bytes of the marks; nothing where there were too many.
+    pub(super) fn durations(&self, marks: &Marks, bytes: &[u8]) -> Option<(Duration, Duration)> {
+        if marks.incomplete {
+            return None;
+        }
         let ticks: Vec<u64> = bytes
             .chunks_exact(8)
             .map(|b| u64::from_le_bytes(b.try_into().expect("eight bytes")))
@@ -106,6 +113,6 @@ impl Stopwatch {
                 .sum();
             Duration::from_nanos((ticks as f64 * f64::from(self.tick)) as u64)
         };
-        (sum(&marks.kernels), sum(&marks.transfers))
+        Some((sum(&marks.kernels), sum(&marks.transfers)))
     }
 }

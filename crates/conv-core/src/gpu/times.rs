@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-/// How long the parts of an execution took. They overlap, so that their sum is more than the whole.
+/// How long the parts of an execution took. What the host does overlaps with the rest, so that the sum may be more than the whole.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuTimes {

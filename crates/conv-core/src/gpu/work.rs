@@ -3,26 +3,42 @@
 use super::adapter::AdapterKind;
 use crate::lowrank::shared::Direction;
 
-/// The bytes that an execution on a GPU moves at least, where every pixel is lit: the floor under the time it takes.
+/// The bytes that an execution on a GPU moves where every pixel is lit: over the hardware's bandwidths, the floor under the time that this engine
+/// takes, but for what planes gain from caches that hold them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuWork {
     /// Between the host's memory and the GPU's: light to it, the image from it.
     pub bus_bytes: u64,
-    /// Through the GPU's own memory: what shaders read and write, each value of a plane, a spectrum, the light and the image once a pass.
+    /// Through the GPU's own memory: what shaders read and write, each value of a plane, the light and the image once a pass, each spectrum once.
     pub memory_bytes: u64,
 }
 
 const F32: u64 = 4;
 
 impl GpuWork {
-    /// A tile of some kernels: values of a plane, of its light and of its result.
-    pub(crate) fn add_tile(&mut self, plane: u64, kernels: u64, light: u64, result: u64) {
-        // Along x: the light in, a plane out for each kernel (or one, where kernels come after). Along y: those in, spectra in, one plane out (or
-        // one for each kernel). Back along x: those in, the image in and out.
-        let planes = 3 * kernels + 2;
-        self.memory_bytes += F32 * (planes * plane + light + 2 * result);
+    /// A tile of some kernels: values of a plane, of the part of a plane that its light fills, of its light and of its result.
+    pub(crate) fn add_tile(
+        &mut self,
+        kernels: u64,
+        (plane, filled): (u64, u64),
+        (light, result): (u64, u64),
+        direction: Direction,
+    ) {
+        let planes = match direction {
+            // Along x, planes of all kernels out; along y, those in and one out; back along x, that one in.
+            Direction::Scatter => 2 * kernels * filled + 2 * plane,
+            // Along x, one out; along y, that one in and those of all kernels out; back along x, those in.
+            Direction::Gather => 2 * filled + 2 * kernels * plane,
+        };
+        // The light in, the image in and out.
+        self.memory_bytes += F32 * (planes + light + 2 * result);
         self.bus_bytes += F32 * light;
+    }
+
+    /// The spectra of a block's kernels.
+    pub(crate) fn add_block(&mut self, kernels: u64, plane: u64) {
+        self.memory_bytes += F32 * kernels * plane;
     }
 
     /// The image.
@@ -57,11 +73,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn planes_are_counted_once_a_pass() {
+    fn planes_are_counted_once_a_pass_and_spectra_once() {
         let mut work = GpuWork::default();
-        work.add_tile(1000, 3, 100, 200);
+        work.add_tile(3, (1000, 800), (100, 200), Direction::Scatter);
+        work.add_block(3, 1000);
         work.add_image((10, 20), (30, 40), Direction::Scatter);
-        assert_eq!(work.memory_bytes, 4 * (11 * 1000 + 100 + 400));
+        assert_eq!(work.memory_bytes, 4 * (6 * 800 + 2 * 1000 + 100 + 400 + 3 * 1000));
         assert_eq!(work.bus_bytes, 4 * (100 + 1200));
         assert!(work.seconds(AdapterKind::Discrete) < work.seconds(AdapterKind::Software));
     }

@@ -72,6 +72,8 @@ pub(super) struct Taken {
     pub(super) kernels: Duration,
     pub(super) transfers: Duration,
     pub(super) host: Duration,
+    /// The GPU's clock was asked too often to have told all.
+    pub(super) incomplete: bool,
     pub(super) up: u64,
     pub(super) down: u64,
 }

@@ -44,13 +44,16 @@ impl<T: ConvReal> Plan<T> {
                     Direction::Scatter => view.light_size(Direction::Gather, size),
                     Direction::Gather => size,
                 };
-                work.add_tile(
-                    plane,
-                    view.kernel_count(block) as u64,
-                    (light.0 * light.1) as u64,
-                    (result.0 * result.1) as u64,
-                );
+                // The upper half of the rows is the imaginary part of the lower.
+                let (nx, half) = (self.tiling.size.0, self.tiling.size.1 / 2);
+                let filled = (2 * nx * light.1.min(half)) as u64;
+                let of_tile = ((light.0 * light.1) as u64, (result.0 * result.1) as u64);
+                let kernels = view.kernel_count(block) as u64;
+                work.add_tile(kernels, (plane, filled), of_tile, direction);
             }
+        }
+        for block in &self.blocks {
+            work.add_block(block.kernel_count() as u64, plane);
         }
         work.add_image(
             self.geometry.weighted_size(),

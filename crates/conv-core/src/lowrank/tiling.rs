@@ -52,7 +52,9 @@ pub(crate) fn best_tiling(
     let whole = transform_size((nx + stamp.0 - 1, ny + stamp.1 - 1));
     let smallest = side + (SMALLEST_IN_STAMPS * side as f64) as usize;
     let largest = (LARGEST_IN_STAMPS * side).max(LARGEST_AT_LEAST);
-    let largest = largest.max(2 * smallest).min(LARGEST_BY_CHOICE.max(2 * smallest));
+    let largest = largest
+        .max(2 * smallest)
+        .min(LARGEST_BY_CHOICE.max(smallest + smallest / 4));
     let mut ways = Vec::new();
     for n in sizes().filter(|&n| n >= smallest.min(whole.0.max(whole.1)) && n <= largest) {
         let tile = (

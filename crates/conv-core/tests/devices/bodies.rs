@@ -249,8 +249,12 @@ fn same_bytes(device: &OnDevice) {
                 let plan = device.with(Plan::for_scene(&model, &scene, options).unwrap());
                 let (image, counts) = plan.execute_with_progress(&scene, &NoProgress).unwrap();
                 assert_eq!(counts.tiles(), plan.summary().tiles);
+                // Something else between, so that what it left is not what belongs there.
+                let half = scene.pixels().unwrap().mapv(|v| v.max(0.0) * -3.0);
+                let other = of_light(half).with_frame(scene.frame()).unwrap();
+                assert!(plan.execute(&other).unwrap() != image);
                 let again = plan.execute(&scene).unwrap();
-                assert_eq!(image, again, "buffers are dirty the second time");
+                assert_eq!(image, again, "buffers are dirty by then");
                 (plan, image)
             })
         };
@@ -268,7 +272,7 @@ fn same_bytes(device: &OnDevice) {
 /// As many as there are threads, on the pool that each of them works in as well.
 fn at_once(device: &OnDevice) {
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
-    let scenes: Vec<Scene<f32>> = (0..6).map(|seed| single(&scene(150, 130, seed))).collect();
+    let scenes: Vec<Scene<f32>> = (0..60).map(|seed| single(&scene(150, 130, seed))).collect();
     let options = options(1e-3, Anchor::Source, Paths::Cheapest);
     let plan = device.with(Plan::for_scene(&model, &scenes[0], options).unwrap());
     let one_by_one: Vec<_> = scenes.iter().map(|scene| plan.execute(scene).unwrap()).collect();

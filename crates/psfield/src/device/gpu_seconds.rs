@@ -3,7 +3,7 @@
 use conv_core::{ConvReal, Plan};
 use serde::Serialize;
 
-/// How long the parts of an execution on a GPU took, in seconds. They overlap, so that their sum may be more than the whole.
+/// How long the parts of an execution on a GPU took, in seconds. What the host does overlaps with the rest, so that the sum may be more than the whole.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct GpuSeconds {

@@ -22,9 +22,11 @@ fn add(row: u32, column: u32, value: f32) {
 
 @compute @workgroup_size({{THREADS}})
 fn add_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
-    tile = tiles[params.first + group.y];
+    let this_tile = tiles[params.first + group.y];
+    tile = this_tile;
     first_row = group.x * LINES;
-    if (first_row >= min(tile.out_height, HALF)) {
+    // All threads leave together: barriers follow.
+    if (group.x * LINES >= min(this_tile.out_height, HALF)) {
         return;
     }
     {{REGISTERS}}

@@ -38,11 +38,12 @@ fn add(row: u32, column: u32, value: f32) {
 
 @compute @workgroup_size({{THREADS}})
 fn gather_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
-    tile = tiles[params.first + group.y];
+    let this_tile = tiles[params.first + group.y];
+    tile = this_tile;
     first_row = group.x * LINES;
     {{REGISTERS}}
     {{SUMS}}
-    for (var kernel = 0u; kernel < tile.kernels; kernel++) {
+    for (var kernel = 0u; kernel < this_tile.kernels; kernel++) {
         plane = tile.plane + 1u + kernel;
         {{FORWARD}}
         {{ADD}}

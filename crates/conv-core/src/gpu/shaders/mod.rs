@@ -11,21 +11,23 @@ mod spread_columns;
 mod sum_columns;
 mod weigh_rows;
 
+use std::sync::mpsc::channel;
+
 use case::Case;
 use pulp::bytemuck::cast_slice;
 
 use super::buffers::STORAGE;
 use super::passes::{Calls, params_buffer};
 use super::shader::{PlaneSource, STRIP, Shader};
-use super::{GpuDevice, GpuError};
+use super::{Adapter, GpuDevice, GpuError};
 
 /// The names of the shaders.
 pub fn names() -> impl Iterator<Item = &'static str> {
     Shader::ALL.iter().map(|shader| shader.name())
 }
 
-/// How far a shader's result on made-up input, with planes of `nx x ny` values, is from its twin's: relative L2. With `spoilt`, one of the
-/// roots of unity that the shader is given is wrong.
+/// How far a shader's result on made-up input, with planes of `nx x ny` values, is from its twin's: relative L2. Workgroups are sized for
+/// `adapter`, which may be less than the device's own. With `spoilt`, one of the roots of unity that the shader is given is wrong.
 ///
 /// # Errors
 /// [`GpuError`] where the GPU cannot do it.
@@ -34,13 +36,14 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// For a name that is not a shader's.
 pub fn error_against_twin(
     device: &GpuDevice,
+    adapter: &Adapter,
     name: &str,
     (nx, ny): (usize, usize),
     spoilt: bool,
 ) -> Result<f64, GpuError> {
     let shader = Shader::ALL.iter().find(|shader| shader.name() == name);
     let shader = *shader.expect("the name of a shader");
-    let source = PlaneSource::new(nx, ny, device)?;
+    let source = PlaneSource::new(nx, ny, adapter)?;
     // With coefficients, and with stamps that are turned.
     let variants: &[bool] = match shader {
         Shader::WeighRows | Shader::DrawStamps => &[true, false],
@@ -163,11 +166,16 @@ fn run(
     );
     let result = buffers[buffers.len() - 1];
     encoder.copy_buffer_to_buffer(result, 0, &read, 0, Some(bytes));
-    device.queue().submit([encoder.finish()]);
-    read.slice(..bytes).map_async(wgpu::MapMode::Read, |_| {});
-    let waited = device.device().poll(wgpu::PollType::wait_indefinitely());
-    device.check()?;
-    waited.map_err(|error| device.failed(&error))?;
+    let submission = device.queue().submit([encoder.finish()]);
+    let (sender, mapped) = channel();
+    read.slice(..bytes).map_async(wgpu::MapMode::Read, move |result| {
+        // Nobody listens any more after an error.
+        let _ = sender.send(result);
+    });
+    device.wait(submission)?;
+    let mapped = mapped.recv();
+    let mapped = mapped.map_err(|error| device.failed(&error))?;
+    mapped.map_err(|error| device.failed(&error))?;
     let view = read.slice(..bytes).get_mapped_range();
     let view = view.map_err(|error| device.failed(&error))?;
     Ok(cast_slice(&view).to_vec())

@@ -9,13 +9,14 @@
 
 @compute @workgroup_size({{THREADS}})
 fn spread_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
-    tile = tiles[params.first + group.y];
+    let this_tile = tiles[params.first + group.y];
+    tile = this_tile;
     plane = tile.plane;
     first_column = group.x * LINES;
     {{REGISTERS}}
     {{FORWARD}}
     {{SPECTRUM}}
-    for (var kernel = 0u; kernel < tile.kernels; kernel++) {
+    for (var kernel = 0u; kernel < this_tile.kernels; kernel++) {
         let spectrum = (tile.spectrum + kernel) * HALF;
         let into = (tile.plane + 1u + kernel) * HALF;
         {{MULTIPLY}}

@@ -9,11 +9,12 @@
 
 @compute @workgroup_size({{THREADS}})
 fn sum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
-    tile = tiles[params.first + group.y];
+    let this_tile = tiles[params.first + group.y];
+    tile = this_tile;
     first_column = group.x * LINES;
     {{REGISTERS}}
     {{SUMS}}
-    for (var kernel = 0u; kernel < tile.kernels; kernel++) {
+    for (var kernel = 0u; kernel < this_tile.kernels; kernel++) {
         plane = tile.plane + kernel;
         let spectrum = (tile.spectrum + kernel) * HALF;
         {{FORWARD}}
@@ -22,5 +23,7 @@ fn sum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_
     {{SWAP}}
     {{BACK}}
     let into = tile.plane * HALF;
+    // The first plane has been read by then: its values are part of what is stored.
+    storageBarrier();
     {{STORE}}
 }

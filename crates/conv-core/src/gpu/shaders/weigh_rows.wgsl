@@ -35,11 +35,12 @@ fn load(line: u32, column: u32) -> vec2f {
 @compute @workgroup_size({{THREADS}})
 fn weigh_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
     let entry = work[params.first + group.y];
-    tile = tiles[entry.x];
+    let this_tile = tiles[entry.x];
+    tile = this_tile;
     kernel = entry.y;
     first_row = group.x * LINES;
-    // Rows without light are not read either.
-    if (first_row >= min(tile.height, HALF)) {
+    // Rows without light are not read either. All threads leave together: barriers follow.
+    if (group.x * LINES >= min(this_tile.height, HALF)) {
         return;
     }
     let plane = (tile.plane + kernel) * HALF + first_row;
