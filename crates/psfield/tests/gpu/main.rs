@@ -5,6 +5,7 @@
 #[allow(dead_code, reason = "what the tests of the command line share")]
 #[path = "../cli/desk.rs"]
 mod desk;
+mod faults;
 mod trials;
 
 use libtest_mimic::{Arguments, Trial};
@@ -47,6 +48,15 @@ fn main() {
         trial("auto_weighs_predictions_and_takes_no_software", trials::auto),
     ];
     let ignored = there.is_empty();
+    let unfaulty = faults::loader().is_none();
+    if unfaulty {
+        eprintln!(
+            "no loader of Vulkan that could be stood in for, or no C compiler: the test of faults is skipped and shows as ignored"
+        );
+    }
+    let faults = trial("what_the_driver_fails_at_is_told", faults::told)
+        .with_kind(if unfaulty { "no loader" } else { "" })
+        .with_ignored_flag(ignored || unfaulty);
     let on_adapter = on_adapter.into_iter().map(|trial| {
         let kind = if ignored { "no GPU" } else { "" };
         trial.with_kind(kind).with_ignored_flag(ignored)
@@ -60,5 +70,5 @@ fn main() {
     }
     let without =
         trial("without_a_gpu_there_is_an_error_or_the_cpu", trials::without).with_ignored_flag(!bare);
-    libtest_mimic::run(&arguments, on_adapter.chain([without]).collect()).exit();
+    libtest_mimic::run(&arguments, on_adapter.chain([without, faults]).collect()).exit();
 }

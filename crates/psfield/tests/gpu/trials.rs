@@ -11,11 +11,11 @@ use serde_json::Value;
 use crate::desk::{Desk, Run, assert_keys, difference};
 
 /// The same plan, rounded in f32 by other hardware; relative to the peak.
-const ROUNDING: f64 = 1e-5;
+pub(crate) const ROUNDING: f64 = 1e-5;
 /// Two computations that differ by more than this are not the same.
 const VISIBLE: f64 = 1e-3;
 
-const TO: &str = "simulate scene.fits --psf samples.fits";
+pub(crate) const TO: &str = "simulate scene.fits --psf samples.fits";
 
 /// The adapter that `--device gpu` takes: its name, kind and backend.
 fn preferred() -> String {
