@@ -26,6 +26,10 @@
 //!
 //! # Threads
 //! Work is spread over rayon's current pool. Results are the same bytes on any number of threads.
+//!
+//! # On a GPU
+//! With the feature `gpu` (off by default), `Plan::use_gpu` runs a plan's executions on any GPU that Vulkan, Metal, DirectX 12 or OpenGL drives, in f32: see the
+//! module `gpu`. Without it nothing of that is compiled.
 
 #![allow(
     clippy::inline_always,
