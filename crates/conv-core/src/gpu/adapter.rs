@@ -26,6 +26,10 @@ pub struct Adapter {
     pub timestamps: bool,
 }
 
+/// Features with which a GPU can tell how long its work took.
+pub(super) const TIMESTAMPS: wgpu::Features =
+    wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
+
 /// Kinds of adapters, the one to be preferred first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
@@ -88,7 +92,7 @@ impl Adapter {
             workgroup_threads: limits
                 .max_compute_invocations_per_workgroup
                 .min(limits.max_compute_workgroup_size_x),
-            timestamps: adapter.features().contains(super::device::TIMESTAMPS),
+            timestamps: adapter.features().contains(TIMESTAMPS),
         }
     }
 

@@ -8,11 +8,12 @@ use super::batch_data::BatchData;
 use super::buffers::Growing;
 use super::device::GpuDevice;
 use super::error::GpuError;
-use super::layout::{Draw, Params, Tile};
 use super::lit_batch::{DrawnTile, LitBatch};
 use super::panels::Batch;
 use super::passes::Calls;
-use super::shader::{Pipelines, STRIP, Shader};
+use super::pipelines::Pipelines;
+use super::shader::{STRIP, Shader};
+use super::words::{Draw, Params, Tile};
 use super::working::Working;
 use crate::lowrank::shared::Direction;
 

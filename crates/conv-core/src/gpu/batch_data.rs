@@ -6,10 +6,11 @@ use rayon::prelude::*;
 use super::buffers::{Growing, STORAGE};
 use super::device::Attempt;
 use super::error::GpuError;
-use super::layout::{Params, Tile};
 use super::panels::{Batch, Part};
 use super::passes::Calls;
-use super::shader::{Pipelines, Shader};
+use super::pipelines::Pipelines;
+use super::shader::Shader;
+use super::words::{Params, Tile};
 use crate::lowrank::shared::Prepared;
 use crate::{ConvReal, Plan};
 

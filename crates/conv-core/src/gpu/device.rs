@@ -3,9 +3,10 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::adapter::{Adapter, choose};
+use super::adapter::{Adapter, TIMESTAMPS, choose};
 use super::error::GpuError;
-use super::shader::{Pipelines, PlaneSource};
+use super::pipelines::Pipelines;
+use super::plane_source::PlaneSource;
 
 /// A GPU that plans can run on. Cheap to clone: clones are the same GPU.
 ///
@@ -50,10 +51,6 @@ pub(super) struct Attempt {
     /// What was said before: how often memory was full, and other complaints.
     before: (u64, u64),
 }
-
-/// Features with which a GPU can tell how long its work took.
-pub(super) const TIMESTAMPS: wgpu::Features =
-    wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
 
 impl GpuDevice {
     /// Opens the first adapter that answers to a name (a part of its name or its backend, in any case), or the preferred one: a

@@ -4,17 +4,17 @@ use std::sync::{Arc, Mutex, OnceLock};
 
 use ndarray::ArrayViewMut2;
 
-use super::batch_data::BatchData;
 use super::device::{Attempt, GpuDevice, locked};
 use super::error::GpuError;
 use super::options::GpuOptions;
-use super::panels::{Limits, Panel, panels};
+use super::pipelines::Pipelines;
+use super::plane_source::PlaneSource;
 use super::run::Run;
-use super::shader::{Pipelines, PlaneSource};
 use super::times::GpuTimes;
+use super::work_layout::{Layout, LayoutMaker};
 use super::working::Working;
 use crate::lowrank::TileCounts;
-use crate::lowrank::shared::{Direction, Job, PlanView};
+use crate::lowrank::shared::{Job, PlanView};
 use crate::{ConvError, ConvReal, Plan};
 
 /// What a plan keeps on a GPU.
@@ -30,18 +30,6 @@ pub(crate) struct GpuEngine {
     /// Of executions that are done; those under way at the same time have one each.
     working: Mutex<Vec<Working>>,
     times: Mutex<Option<GpuTimes>>,
-}
-
-/// The work of a direction, and what is kept for it.
-#[derive(Debug)]
-pub(super) struct Layout {
-    pub(super) direction: Direction,
-    /// Stamps are applied turned by 180 degrees.
-    pub(super) flip: bool,
-    pub(super) panels: Vec<Panel>,
-    /// By panel and batch, as far as the memory reaches.
-    pub(super) kept: Vec<Vec<Option<BatchData>>>,
-    bytes: u64,
 }
 
 impl GpuEngine {
@@ -133,70 +121,5 @@ impl GpuEngine {
         let left = self.options.memory_bytes().saturating_sub(self.forward.bytes);
         let layout = maker.make(working, job.plan.direction(true), true, left)?;
         Ok(self.adjoint.get_or_init(|| layout))
-    }
-}
-
-struct LayoutMaker<'a, T: ConvReal> {
-    plan: &'a Plan<T>,
-    device: &'a mut Attempt,
-    pipelines: &'a Pipelines,
-    view: &'a PlanView,
-    options: GpuOptions,
-}
-
-impl<T: ConvReal> LayoutMaker<'_, T> {
-    fn make(
-        self,
-        working: &mut Working,
-        direction: Direction,
-        flip: bool,
-        memory: u64,
-    ) -> Result<Layout, GpuError> {
-        let adapter = self.device.adapter();
-        let most = adapter.largest_binding.min(adapter.largest_buffer);
-        let limits = Limits {
-            adapter: &adapter.name,
-            piece: self.options.piece_bytes().min(most),
-            most,
-        };
-        let panels = panels(self.view, &self.pipelines.source, direction, limits)?;
-        let mut layout = Layout {
-            direction,
-            flip,
-            kept: panels
-                .iter()
-                .map(|panel| panel.batches.iter().map(|_| None).collect())
-                .collect(),
-            panels,
-            bytes: 0,
-        };
-        for (panel, kept) in layout.panels.iter().zip(&mut layout.kept) {
-            for (batch, kept) in panel.batches.iter().zip(kept) {
-                // The spectra are most of it.
-                let least = batch.spectra as u64 * self.pipelines.source.bytes();
-                if layout.bytes + least > memory {
-                    return Ok(layout);
-                }
-                let data =
-                    match working.batch_data(self.device, self.pipelines, self.plan, (batch, flip), None) {
-                        // What does not fit is made anew by each execution.
-                        Err(GpuError::OutOfMemory { .. }) => {
-                            self.device.forgive();
-                            // wgpu may have given up the whole device.
-                            self.device.check()?;
-                            // Some of its buffers may be no buffers.
-                            *working = Working::new(self.device);
-                            return Ok(layout);
-                        }
-                        made => made?,
-                    };
-                if layout.bytes + data.bytes() > memory {
-                    return Ok(layout);
-                }
-                layout.bytes += data.bytes();
-                *kept = Some(data);
-            }
-        }
-        Ok(layout)
     }
 }

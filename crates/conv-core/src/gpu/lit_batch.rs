@@ -4,10 +4,11 @@ use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
 
 use super::device::Attempt;
-use super::engine::{GpuEngine, Layout};
+use super::engine::GpuEngine;
 use super::error::GpuError;
-use super::layout::{Draw, Tile};
 use super::panels::{Batch, Panel, Part, TileSlot};
+use super::words::{Draw, Tile};
+use super::work_layout::Layout;
 use crate::lowrank::TileCounts;
 use crate::lowrank::shared::{Direction, Job, Prepared, Treatment, Ways, treated};
 use crate::simd::Lanes;

@@ -8,7 +8,7 @@
 use std::ops::Range;
 
 use super::error::GpuError;
-use super::shader::PlaneSource;
+use super::plane_source::PlaneSource;
 use crate::lowrank::shared::{Direction, PlacedTile, PlanView};
 
 /// A rectangle of the side that a job writes to.

@@ -2,8 +2,9 @@
 
 use super::buffers::Growing;
 use super::device::GpuDevice;
-use super::layout::Params;
-use super::shader::{Pipelines, Shader};
+use super::pipelines::Pipelines;
+use super::shader::Shader;
+use super::words::Params;
 
 /// What shaders are called with, collected to be handed over at once.
 #[derive(Debug)]

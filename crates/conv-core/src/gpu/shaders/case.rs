@@ -1,6 +1,6 @@
 //! Made-up input for shaders.
 
-use super::super::layout::{Draw, Params, Tile};
+use super::super::words::{Draw, Params, Tile};
 use super::plain_transform::{Complex, forward, times, turn};
 
 /// Two tiles of different sizes: one with runs of coefficients and a kernel without any, one with coefficients pixel by pixel, divided by the

@@ -18,7 +18,8 @@ use pulp::bytemuck::cast_slice;
 
 use super::buffers::STORAGE;
 use super::passes::{Calls, params_buffer};
-use super::shader::{PlaneSource, STRIP, Shader};
+use super::plane_source::PlaneSource;
+use super::shader::{STRIP, Shader};
 use super::{Adapter, GpuDevice, GpuError};
 
 /// The names of the shaders.
