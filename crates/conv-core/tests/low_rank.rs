@@ -5,8 +5,8 @@ mod common;
 use std::sync::Arc;
 
 use common::{
-    ANCHORS, Constant, PATHS, STAMPS, Waves, double_sum, largest_difference, model_with, noise, options,
-    peak, region, scene, single,
+    ANCHORS, Constant, KINDS, PATHS, STAMPS, Waves, double_sum, largest_difference, model_with, noise,
+    options, peak, region, scene, single,
 };
 use conv_core::{ConvError, ConvolutionMethod, Direct, LowRank, Paths, Plan, PlanOptions, RowStream};
 use ndarray::{Array2, s};
@@ -22,11 +22,7 @@ const SCENES: [(usize, usize); 6] = [(12, 12), (13, 7), (1, 1), (1, 37), (101, 1
 fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
     STAMPS.into_iter().enumerate().flat_map(|(n, (shape, centre))| {
         SCENES.into_iter().enumerate().map(move |(m, (nx, ny))| {
-            let (mean, normalisation) = [
-                (true, Normalisation::Unit),
-                (true, Normalisation::Keep),
-                (false, Normalisation::Keep),
-            ][(n + m) % 3];
+            let (mean, normalisation) = KINDS[(n + m) % 3];
             let model = model_with(Arc::new(Waves), shape, centre, mean, normalisation);
             let scene = scene(nx, ny, (nx * ny + n) as u64);
             // Every other scene through a frame that is smaller.

@@ -1,5 +1,6 @@
 //! GPUs that are there.
 
+use super::error::GpuError;
 use super::fft_source::FftSource;
 
 /// A GPU (or a driver that runs shaders on the processor) and what it can do.
@@ -94,6 +95,25 @@ impl Adapter {
                 .min(limits.max_compute_workgroup_size_x),
             timestamps: adapter.features().contains(TIMESTAMPS),
         }
+    }
+
+    /// Bytes of the largest buffer that a shader can see.
+    pub(super) fn most_at_once(&self) -> u64 {
+        self.largest_binding.min(self.largest_buffer)
+    }
+
+    /// The error where something takes more than that.
+    pub(super) fn fits(&self, what: &'static str, needed: u64) -> Result<(), GpuError> {
+        let limit = self.most_at_once();
+        if needed <= limit {
+            return Ok(());
+        }
+        Err(GpuError::TooLarge {
+            adapter: self.name.clone(),
+            what,
+            needed,
+            limit,
+        })
     }
 
     /// Whether it has room for transforms of planes of some columns and rows.

@@ -135,7 +135,7 @@ impl<'a> BatchCalls<'a> {
             pixels.extend(tile.pixels.iter().flatten().map(|v| v.cast_unsigned()));
             amounts.extend(tile.amounts.iter().map(|v| v.to_bits()));
         }
-        device.fits(
+        device.adapter().fits(
             "single pixels of a piece",
             4 * pixels.len().max(amounts.len()) as u64,
         )?;

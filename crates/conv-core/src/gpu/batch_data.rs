@@ -43,8 +43,12 @@ impl BatchData {
             tables.extend(table);
             stamps.extend(of_part);
         }
-        device.fits("the coefficients of a piece", 4 * tables.len() as u64)?;
-        device.fits("the stamps of a piece", 4 * stamps.len() as u64)?;
+        device
+            .adapter()
+            .fits("the coefficients of a piece", 4 * tables.len() as u64)?;
+        device
+            .adapter()
+            .fits("the stamps of a piece", 4 * stamps.len() as u64)?;
         let tables = device.filled("coefficients", &tables);
         let stamps = device.filled("stamps", &stamps);
         let bytes = pipelines.source.bytes() * batch.spectra as u64;
@@ -64,9 +68,7 @@ impl BatchData {
             ..Params::default()
         };
         let calls = data.stamp_calls(device, pipelines, (&planes, params), stamp, batch);
-        let mut encoder = device
-            .device()
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut encoder = device.encoder();
         calls.encode(&mut encoder, writes);
         device.queue().submit([encoder.finish()]);
         device.check()?;

@@ -1,7 +1,6 @@
 //! Buffers on a GPU and between it and the host.
 
 use super::device::GpuDevice;
-use super::error::GpuError;
 
 /// What shaders see.
 pub(super) const STORAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE
@@ -19,6 +18,12 @@ impl GpuDevice {
         })
     }
 
+    /// A list of commands to be submitted.
+    pub(super) fn encoder(&self) -> wgpu::CommandEncoder {
+        self.device()
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
     /// A buffer of words.
     pub(super) fn filled(&self, label: &str, words: &[u32]) -> wgpu::Buffer {
         let buffer = self.buffer(label, 4 * words.len() as u64, STORAGE);
@@ -27,20 +32,6 @@ impl GpuDevice {
                 .write_buffer(&buffer, 0, pulp::bytemuck::cast_slice(words));
         }
         buffer
-    }
-
-    /// The error where a buffer of some bytes would not fit into a binding.
-    pub(super) fn fits(&self, what: &'static str, needed: u64) -> Result<(), GpuError> {
-        let limit = self.adapter().largest_binding.min(self.adapter().largest_buffer);
-        if needed <= limit {
-            return Ok(());
-        }
-        Err(GpuError::TooLarge {
-            adapter: self.adapter().name.clone(),
-            what,
-            needed,
-            limit,
-        })
     }
 }
 

@@ -53,7 +53,7 @@ impl GpuEngine {
             view: &view,
             options,
         };
-        let forward = layout.make(&mut working, plan.direction(false), false, options.memory_bytes())?;
+        let forward = layout.make(&mut working, false, options.memory_bytes())?;
         Ok(Self {
             forward,
             device: device.clone(),
@@ -119,7 +119,7 @@ impl GpuEngine {
             options: self.options,
         };
         let left = self.options.memory_bytes().saturating_sub(self.forward.bytes);
-        let layout = maker.make(working, job.plan.direction(true), true, left)?;
+        let layout = maker.make(working, true, left)?;
         Ok(self.adjoint.get_or_init(|| layout))
     }
 }

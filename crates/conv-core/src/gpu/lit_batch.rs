@@ -184,14 +184,19 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         (place, size)
     }
 
+    /// Columns and rows by which the light that a tile takes begins before its result.
+    fn skip(&self) -> (usize, usize) {
+        let stamp = self.engine.view.stamp();
+        match self.layout.direction {
+            Direction::Scatter => (0, 0),
+            Direction::Gather => (stamp.0 - 1, stamp.1 - 1),
+        }
+    }
+
     fn tile(&self, part: &Part, slot: &TileSlot, number: u32, treatment: &Treatment<T>) -> Tile {
         let (columns, rows) = self.light_size(slot);
         let (place, size) = self.result(slot);
-        let stamp = self.engine.view.stamp();
-        let skip = match self.layout.direction {
-            Direction::Scatter => (0, 0),
-            Direction::Gather => (stamp.0 - 1, stamp.1 - 1),
-        };
+        let skip = self.skip();
         Tile {
             light: slot.light as u32,
             width: columns as u32,
@@ -221,16 +226,12 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         treatment: &Treatment<T>,
     ) -> DrawnTile {
         let (place, size) = self.result(slot);
-        let stamp = self.engine.view.stamp();
-        let before = match self.layout.direction {
-            Direction::Scatter => (0, 0),
-            Direction::Gather => (stamp.0 as i32 - 1, stamp.1 as i32 - 1),
-        };
+        let skip = self.skip();
         let corner = slot.tile.part.corner;
         let pixels = treatment
             .drawn
             .iter()
-            .map(|&(row, column, _)| [row as i32 - before.1, column as i32 - before.0])
+            .map(|&(row, column, _)| [row as i32 - skip.1 as i32, column as i32 - skip.0 as i32])
             .collect();
         let amounts = match self.layout.direction {
             Direction::Gather => treatment

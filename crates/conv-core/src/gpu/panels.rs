@@ -7,6 +7,7 @@
 
 use std::ops::Range;
 
+use super::adapter::Adapter;
 use super::error::GpuError;
 use super::plane_source::PlaneSource;
 use crate::lowrank::shared::{Direction, PlacedTile, PlanView};
@@ -74,10 +75,9 @@ pub(super) struct TileSlot {
 /// What limits pieces.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limits<'a> {
-    pub(super) adapter: &'a str,
-    /// Bytes that a piece should have at most, and those that it may have.
+    pub(super) adapter: &'a Adapter,
+    /// Bytes that a piece should have at most; what cannot be smaller may have as many as the adapter allows.
     pub(super) piece: u64,
-    pub(super) most: u64,
 }
 
 /// Planes of a batch at most: the workgroups of a dispatch along an axis.
@@ -142,24 +142,14 @@ impl Packing<'_> {
             match groups.last_mut() {
                 Some(group) if bytes(group.start..tile + 1) <= self.limits.piece => group.end = tile + 1,
                 _ => {
-                    self.fits("the result of a tile", bytes(tile..tile + 1))?;
+                    self.limits
+                        .adapter
+                        .fits("the result of a tile", bytes(tile..tile + 1))?;
                     groups.push(tile..tile + 1);
                 }
             }
         }
         Ok(groups)
-    }
-
-    fn fits(&self, what: &'static str, needed: u64) -> Result<(), GpuError> {
-        if needed <= self.limits.most {
-            return Ok(());
-        }
-        Err(GpuError::TooLarge {
-            adapter: self.limits.adapter.to_owned(),
-            what,
-            needed,
-            limit: self.limits.most,
-        })
     }
 
     fn panel(&self, columns: Range<usize>, rows: Range<usize>) -> Result<Panel, GpuError> {
@@ -238,7 +228,7 @@ impl Packing<'_> {
                 while !self.place(&mut batch, block, one, first..first + count) {
                     count /= 2;
                     if count == 0 {
-                        self.fits("a tile", self.least(tile))?;
+                        self.limits.adapter.fits("a tile", self.least(tile))?;
                         // A piece may be larger than asked for where nothing is smaller.
                         count = 1;
                         self.force(&mut batch, block, one, first..first + 1);

@@ -25,13 +25,15 @@ struct Call {
     groups: (u32, u32),
 }
 
-const PARAMS: &str = "parameters";
 /// Bytes of a call's parameters.
 const PARAM_BYTES: u64 = 32;
 
 /// The buffer that parameters go to.
 pub(super) fn params_buffer() -> Growing {
-    Growing::new(PARAMS, wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST)
+    Growing::new(
+        "parameters",
+        wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST,
+    )
 }
 
 impl<'a> Calls<'a> {

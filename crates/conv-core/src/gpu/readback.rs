@@ -22,7 +22,6 @@ pub(super) struct InFlight {
     pub(super) marks: Marks,
     values: wgpu::Buffer,
     stopwatch: wgpu::Buffer,
-    bytes: u64,
     submission: wgpu::SubmissionIndex,
     mapped: Receiver<Result<(), wgpu::BufferAsyncError>>,
 }
@@ -54,9 +53,8 @@ impl InFlight {
         (values, stopwatch): (wgpu::Buffer, wgpu::Buffer),
         submission: wgpu::SubmissionIndex,
     ) -> Self {
-        let bytes = output.bytes();
         let (sender, mapped) = channel();
-        for (buffer, length) in [(&values, bytes), (&stopwatch, stopwatch::BYTES)] {
+        for (buffer, length) in [(&values, output.bytes()), (&stopwatch, stopwatch::BYTES)] {
             let sender = sender.clone();
             buffer
                 .slice(..length)
@@ -70,7 +68,6 @@ impl InFlight {
             marks,
             values,
             stopwatch,
-            bytes,
             submission,
             mapped,
         }
@@ -89,7 +86,7 @@ impl InFlight {
             let mapped = mapped.map_err(|_| device.failed(&"the result did not come"))?;
             mapped.map_err(|error| device.failed(&error))?;
         }
-        let values = self.values.slice(..self.bytes).get_mapped_range();
+        let values = self.values.slice(..self.output.bytes()).get_mapped_range();
         let values = values.map_err(|error| device.failed(&error))?;
         let marks = self.stopwatch.slice(..stopwatch::BYTES).get_mapped_range();
         let marks = marks.map_err(|error| device.failed(&error))?;

@@ -124,6 +124,10 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
                 self.working.staging.give_back(staging);
                 continue;
             }
+            while self.batches.len() >= MOST_BATCHES {
+                let oldest = self.batches.pop_front();
+                self.device.wait(oldest.expect("there are some"))?;
+            }
             let made;
             let data = if let Some(data) = kept {
                 data
@@ -137,10 +141,6 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
                 &made
             };
             lit.find_tables(&data.table_starts);
-            while self.batches.len() >= MOST_BATCHES {
-                let oldest = self.batches.pop_front();
-                self.device.wait(oldest.expect("there are some"))?;
-            }
             let first = !std::mem::replace(&mut begun, true);
             self.submit_batch(panel, batch, data, (staging, lit), first, &mut marks)?;
         }
@@ -150,19 +150,13 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
         let device = self.device;
         let readback = self.working.readback[self.slot].with_room(device, bytes);
         self.slot = 1 - self.slot;
-        let mut encoder = device
-            .device()
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let result = self.working.panel.with_room(device, bytes);
-        let copy = |encoder: &mut wgpu::CommandEncoder| {
-            encoder.copy_buffer_to_buffer(result, 0, &readback.0, 0, Some(bytes));
-        };
-        match &self.working.stopwatch {
-            Some(stopwatch) => {
-                stopwatch.transfers(&mut marks, &mut encoder, copy);
-                stopwatch.read(&marks, &mut encoder, &readback.1);
-            }
-            None => copy(&mut encoder),
+        let mut encoder = device.encoder();
+        let result = self.working.panel.with_room(device, bytes).clone();
+        self.working.copies(&mut marks, &mut encoder, |encoder| {
+            encoder.copy_buffer_to_buffer(&result, 0, &readback.0, 0, Some(bytes));
+        });
+        if let Some(stopwatch) = &self.working.stopwatch {
+            stopwatch.read(&marks, &mut encoder, &readback.1);
         }
         let submission = device.queue().submit([encoder.finish()]);
         self.taken.down += bytes;
@@ -208,23 +202,17 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
         let result = self.working.panel.with_room(device, bytes).clone();
         device.check()?;
         staging.unmap();
-        let mut encoder = device
-            .device()
-            .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut encoder = device.encoder();
         if first {
             encoder.clear_buffer(&result, 0, Some(bytes));
         }
         let copied = joined(&lit.light);
-        let copies = |encoder: &mut wgpu::CommandEncoder| {
+        self.working.copies(marks, &mut encoder, |encoder| {
             for &(from, count) in &copied {
                 let (from, bytes) = (4 * from as u64, 4 * count as u64);
                 encoder.copy_buffer_to_buffer(&staging, from, &light, from, Some(bytes));
             }
-        };
-        match &self.working.stopwatch {
-            Some(stopwatch) => stopwatch.transfers(marks, &mut encoder, copies),
-            None => copies(&mut encoder),
-        }
+        });
         self.taken.up += copied.iter().map(|&(_, count)| 4 * count as u64).sum::<u64>();
         let work = BatchCalls {
             device,

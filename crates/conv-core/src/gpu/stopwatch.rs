@@ -11,7 +11,6 @@ pub(super) struct Stopwatch {
     resolved: wgpu::Buffer,
     /// Nanoseconds of a tick.
     tick: f32,
-    capacity: u32,
 }
 
 /// Marks that were set, and what lies between pairs of them.
@@ -46,13 +45,12 @@ impl Stopwatch {
                 wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC,
             ),
             tick: device.queue().get_timestamp_period(),
-            capacity: MARKS,
         })
     }
 
     /// Marks for the beginning and the end of a pass of shaders, unless there are too many.
     pub(super) fn kernels(&self, marks: &mut Marks) -> Option<wgpu::ComputePassTimestampWrites<'_>> {
-        let pair = self.pair(marks)?;
+        let pair = Self::pair(marks)?;
         marks.kernels.push(pair);
         Some(wgpu::ComputePassTimestampWrites {
             query_set: &self.marks,
@@ -68,7 +66,7 @@ impl Stopwatch {
         encoder: &mut wgpu::CommandEncoder,
         copies: impl FnOnce(&mut wgpu::CommandEncoder),
     ) {
-        let pair = self.pair(marks);
+        let pair = Self::pair(marks);
         if let Some(pair) = pair {
             encoder.write_timestamp(&self.marks, pair.0);
         }
@@ -79,9 +77,9 @@ impl Stopwatch {
         }
     }
 
-    fn pair(&self, marks: &mut Marks) -> Option<(u32, u32)> {
+    fn pair(marks: &mut Marks) -> Option<(u32, u32)> {
         let pair = (marks.count, marks.count + 1);
-        if pair.1 >= self.capacity {
+        if pair.1 >= MARKS {
             marks.incomplete = true;
             return None;
         }

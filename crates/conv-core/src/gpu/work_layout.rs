@@ -34,20 +34,13 @@ pub(super) struct LayoutMaker<'a, T: ConvReal> {
 
 impl<T: ConvReal> LayoutMaker<'_, T> {
     /// The work, and as much of what it needs as fits into some bytes of the GPU's memory.
-    pub(super) fn make(
-        self,
-        working: &mut Working,
-        direction: Direction,
-        flip: bool,
-        memory: u64,
-    ) -> Result<Layout, GpuError> {
+    pub(super) fn make(self, working: &mut Working, flip: bool, memory: u64) -> Result<Layout, GpuError> {
         let adapter = self.device.adapter();
-        let most = adapter.largest_binding.min(adapter.largest_buffer);
         let limits = Limits {
-            adapter: &adapter.name,
-            piece: self.options.piece_bytes().min(most),
-            most,
+            adapter,
+            piece: self.options.piece_bytes().min(adapter.most_at_once()),
         };
+        let direction = self.plan.direction(flip);
         let panels = panels(self.view, &self.pipelines.source, direction, limits)?;
         let mut layout = Layout {
             direction,

@@ -50,6 +50,19 @@ impl Working {
         }
     }
 
+    /// Does some copies, with marks about them where there is a stopwatch.
+    pub(super) fn copies(
+        &self,
+        marks: &mut Marks,
+        encoder: &mut wgpu::CommandEncoder,
+        copies: impl FnOnce(&mut wgpu::CommandEncoder),
+    ) {
+        match &self.stopwatch {
+            Some(stopwatch) => stopwatch.transfers(marks, encoder, copies),
+            None => copies(encoder),
+        }
+    }
+
     /// What a batch needs whatever the light; where it is made during an execution, with `marks` about the work on it.
     pub(super) fn batch_data<T: ConvReal>(
         &mut self,

@@ -20,13 +20,13 @@ impl<T: ConvReal> CoefficientTable<T> {
         let (nx, ny) = (self.region.shape().nx(), self.region.shape().ny());
         let bits = |value: T| (value.as_f64() as f32).to_bits();
         let mut words = vec![0; HEADER];
-        let (dense, row_starts, runs) = match &self.values {
+        let (dense, row_starts, runs, values) = match &self.values {
             Values::Dense(values) => {
                 for &function in &functions {
                     let plane = &values[function * nx * ny..(function + 1) * nx * ny];
                     words.extend(plane.iter().map(|&v| bits(v)));
                 }
-                (true, HEADER, HEADER)
+                (true, HEADER, HEADER, HEADER)
             }
             Values::Linear {
                 row_starts,
@@ -34,16 +34,14 @@ impl<T: ConvReal> CoefficientTable<T> {
                 ramps,
             } => {
                 words.extend(row_starts);
+                let first_run = words.len();
                 words.extend(runs.iter().map(|run| run.0));
+                let first_value = words.len();
                 for of_run in ramps.chunks_exact(self.functions.max(1)) {
                     words.extend(functions.iter().flat_map(|&function| of_run[function].map(bits)));
                 }
-                (false, HEADER, HEADER + row_starts.len())
+                (false, HEADER, first_run, first_value)
             }
-        };
-        let values = match &self.values {
-            Values::Dense(_) => HEADER,
-            Values::Linear { runs: all, .. } => runs + all.len(),
         };
         let header = [
             usize::from(dense),

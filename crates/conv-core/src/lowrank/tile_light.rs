@@ -6,7 +6,7 @@ use super::job::Job;
 use super::light::look;
 use super::prepared::Prepared;
 use super::tile_engine::TilePart;
-use super::treatment::{Treatment, Ways, treat};
+use super::treatment::{Choice, Treatment, Ways, treat};
 use super::workspace::Workspace;
 use crate::ConvReal;
 use crate::simd::Lanes;
@@ -75,14 +75,12 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
         Direction::Scatter => plan.cost.draw(engine.stamp, kernels),
         Direction::Gather => plan.cost.draw_gathered(engine.stamp, kernels),
     };
-    Ok(Some(treat(
-        plan,
-        seen,
-        size,
-        tile.part.size,
+    let choice = Choice {
+        lit_size: size,
+        tile: tile.part.size,
         kernels,
         draw,
         ways,
-        workspace,
-    )))
+    };
+    Ok(Some(treat(plan, seen, choice, workspace)))
 }

@@ -35,6 +35,18 @@ pub(crate) enum Ways {
     Transforms,
 }
 
+/// What a choice depends on besides the light and the plan.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Choice {
+    /// Columns and rows of the light, and of the tile.
+    pub(crate) lit_size: (usize, usize),
+    pub(crate) tile: (usize, usize),
+    pub(crate) kernels: usize,
+    /// The cost of drawing a pixel.
+    pub(crate) draw: f64,
+    pub(crate) ways: Ways,
+}
+
 /// Brings a tile's light near 1, in place, where transforms would carry it out of the working precision's range; returns the power of
 /// two that takes the result back.
 fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
@@ -47,21 +59,15 @@ fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
     Some(scale.back)
 }
 
-/// Decides on the light in `workspace.light`, `lit_size` columns and rows; single pixels are taken out of it. `draw` is the
-/// cost of drawing one.
-#[allow(clippy::too_many_arguments, reason = "what a choice depends on")]
+/// Decides on the light in `workspace.light`; single pixels are taken out of it.
 pub(crate) fn treat<T: ConvReal>(
     plan: &Plan<T>,
     mut light: Light,
-    lit_size: (usize, usize),
-    tile: (usize, usize),
-    kernels: usize,
-    draw: f64,
-    ways: Ways,
+    choice: Choice,
     workspace: &mut Workspace<T>,
 ) -> Treatment<T> {
     let back = rescale(&mut light, workspace.light.get_mut());
-    let (whole, mut drawn) = choose(plan, light, lit_size, tile, kernels, draw, ways, workspace);
+    let (whole, mut drawn) = choose(plan, light, choice, workspace);
     if let Some(back) = back {
         // Single pixels keep their own light: a stamp needs no sums that could leave the range.
         for (_, _, value) in &mut drawn {
@@ -72,17 +78,19 @@ pub(crate) fn treat<T: ConvReal>(
 }
 
 /// What is done at once, and the pixels that are drawn.
-#[allow(clippy::too_many_arguments, reason = "what a choice depends on")]
 fn choose<T: ConvReal>(
     plan: &Plan<T>,
     light: Light,
-    lit_size: (usize, usize),
-    tile: (usize, usize),
-    kernels: usize,
-    draw: f64,
-    ways: Ways,
+    choice: Choice,
     workspace: &mut Workspace<T>,
 ) -> (Option<Whole>, Vec<LitPixel<T>>) {
+    let Choice {
+        lit_size: (columns, rows),
+        tile,
+        kernels,
+        draw,
+        ways,
+    } = choice;
     // No modes: the PSFs of the tile are zero.
     if kernels == 0 {
         return (None, Vec::new());
@@ -93,7 +101,7 @@ fn choose<T: ConvReal>(
     let pitch = plan.fft.pitch();
     let (seconds, direct) = plan.whole_tile(tile, kernels);
     if light.lit as f64 * draw <= seconds {
-        let drawn = lit_pixels(workspace.light.get(), pitch, lit_size.1, lit_size.0);
+        let drawn = lit_pixels(workspace.light.get(), pitch, rows, columns);
         return (None, drawn);
     }
     // The direct sum spreads no noise.
@@ -101,7 +109,6 @@ fn choose<T: ConvReal>(
         return (Some(Whole::Directly), Vec::new());
     }
     let most = (2.0 * seconds / draw) as usize;
-    let size = (lit_size.1, lit_size.0);
-    let drawn = take_bright(workspace.light.get_mut(), pitch, size, light, most);
+    let drawn = take_bright(workspace.light.get_mut(), pitch, (rows, columns), light, most);
     (Some(Whole::ByTransforms), drawn)
 }

@@ -14,6 +14,13 @@ use rand_chacha::ChaCha8Rng;
 pub(crate) const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 pub(crate) const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
 
+/// With a mean or without, and what becomes of the flux.
+pub(crate) const KINDS: [(bool, Normalisation); 3] = [
+    (true, Normalisation::Unit),
+    (true, Normalisation::Keep),
+    (false, Normalisation::Keep),
+];
+
 /// Even, odd, off-centre, one pixel, wider than the scene.
 pub(crate) const STAMPS: [((usize, usize), (usize, usize)); 5] = [
     ((6, 4), (3, 2)),

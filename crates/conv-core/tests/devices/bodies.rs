@@ -11,7 +11,7 @@ use psf_types::{
 use rayon::prelude::*;
 
 use crate::common::{
-    ANCHORS, PATHS, STAMPS, Waves, double_sum, model_with, noise, options, region, scene, single,
+    ANCHORS, KINDS, PATHS, STAMPS, Waves, double_sum, model_with, noise, options, region, scene, single,
 };
 use crate::on_device::OnDevice;
 
@@ -55,11 +55,7 @@ const SCENES: [(usize, usize); 5] = [(12, 12), (13, 7), (1, 1), (1, 37), (67, 53
 fn double_sums(device: &OnDevice) {
     for (n, (shape, centre)) in STAMPS.into_iter().enumerate() {
         for (m, (nx, ny)) in SCENES.into_iter().enumerate() {
-            let (mean, normalisation) = [
-                (true, Normalisation::Unit),
-                (true, Normalisation::Keep),
-                (false, Normalisation::Keep),
-            ][(n + m) % 3];
+            let (mean, normalisation) = KINDS[(n + m) % 3];
             let model = model_with(Arc::new(Waves), shape, centre, mean, normalisation);
             let mut scene = scene(nx, ny, (nx * ny + n) as u64);
             if m % 2 == 0 {

@@ -154,9 +154,7 @@ fn run(
     let mut params = params_buffer();
     let mut calls = Calls::new(device, &pipelines, &mut params, 1);
     calls.add(shader, case.params(), &buffers, groups);
-    let mut encoder = device
-        .device()
-        .create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+    let mut encoder = device.encoder();
     calls.encode(&mut encoder, None);
     let bytes = 4 * length as u64;
     let read = device.buffer(
