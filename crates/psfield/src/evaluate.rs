@@ -50,17 +50,14 @@ pub(crate) fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result
 /// The PSFs of a model at positions, as samples.
 ///
 /// # Errors
-/// [`PsfieldError::OutsideField`] for a position off the model's field, [`PsfieldError::NoPositions`],
-/// [`PsfieldError::DuplicatePositions`], [`PsfieldError::Field`] where the model has no value, [`PsfieldError::SubPixelNeedsNative`].
+/// Those of [`evaluate_stamps`]; [`PsfieldError::NoPositions`], [`PsfieldError::DuplicatePositions`]; [`PsfieldError::Data`] for a PSF
+/// without positive flux.
 pub fn evaluate(
     model: &PsfModel,
     positions: Vec<Position>,
     options: EvaluateOptions,
 ) -> Result<PsfSamples, PsfieldError> {
-    if options.sub_pixel && options.grid != OutputGrid::Native {
-        return Err(PsfieldError::SubPixelNeedsNative);
-    }
-    check_on_field(model, &positions)?;
+    check(model, &positions, options)?;
     let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
         // As stamps to be written, not as samples.
         DataError::NoSamples => PsfieldError::NoPositions,
@@ -75,10 +72,52 @@ pub fn evaluate(
         },
         other => other.into(),
     })?;
+    let (stamps, grid) = stamps_at(model, positions.as_slice(), options)?;
+    Ok(PsfSamples::new(stamps, positions, grid)?)
+}
+
+/// The PSFs of a model at positions, as plain stamps `[position, y, x]` and the grid of their pixels. Positions may be repeated, and
+/// there may be none.
+///
+/// # Errors
+/// [`PsfieldError::OutsideField`] for a position off the model's field, [`PsfieldError::Field`] where the model has no value,
+/// [`PsfieldError::SubPixelNeedsNative`], [`PsfieldError::TooLarge`] for more stamps than are meant.
+///
+/// ```no_run
+/// use psfield::psf_types::Position;
+/// use psfield::{EvaluateOptions, OutputGrid, PsfInput, evaluate_stamps};
+/// let model = PsfInput::open("psf.fits", Default::default())?.into_model()?;
+/// let options = EvaluateOptions { grid: OutputGrid::Native, sub_pixel: true, ..Default::default() };
+/// let stars = [Position::new(100.25, 80.5)?, Position::new(100.25, 80.5)?];
+/// let (stamps, grid) = evaluate_stamps(&model, &stars, options)?;
+/// assert_eq!(stamps.dim(), (2, grid.ny(), grid.nx()));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn evaluate_stamps(
+    model: &PsfModel,
+    positions: &[Position],
+    options: EvaluateOptions,
+) -> Result<(Array3<f64>, StampGrid), PsfieldError> {
+    check(model, positions, options)?;
+    stamps_at(model, positions, options)
+}
+
+fn check(model: &PsfModel, positions: &[Position], options: EvaluateOptions) -> Result<(), PsfieldError> {
+    if options.sub_pixel && options.grid != OutputGrid::Native {
+        return Err(PsfieldError::SubPixelNeedsNative);
+    }
+    check_on_field(model, positions)
+}
+
+/// The same at positions that are checked.
+fn stamps_at(
+    model: &PsfModel,
+    positions: &[Position],
+    options: EvaluateOptions,
+) -> Result<(Array3<f64>, StampGrid), PsfieldError> {
     let target = target_grid(model.grid(), options)?;
     check_stack(positions.len(), target)?;
     let stamps: Vec<Result<Array2<f64>, PsfieldError>> = positions
-        .as_slice()
         .par_iter()
         .map(|&position| {
             let psf = model.psf_at(position)?;
@@ -99,7 +138,7 @@ pub fn evaluate(
     for (mut plane, stamp) in cube.outer_iter_mut().zip(stamps) {
         plane.assign(&stamp?);
     }
-    Ok(PsfSamples::new(cube, positions, target)?)
+    Ok((cube, target))
 }
 
 fn target_grid(grid: StampGrid, options: EvaluateOptions) -> Result<StampGrid, PsfieldError> {

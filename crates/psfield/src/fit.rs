@@ -5,31 +5,13 @@ use std::sync::Arc;
 use coeff_field::{FieldInterpolation, InterpolatedField, LeftOut};
 use metrics::Summary;
 use ndarray::{Array3, s};
-use psf_basis::{BasisFit, BasisMethod, Centring, PixelNoise, RankSelection, Spectrum, Svd};
+use psf_basis::{BasisFit, BasisMethod, Spectrum, Svd};
 use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, PsfModel, PsfModelRecord, PsfSamples, SampleCoefficients,
 };
 use serde::Serialize;
 
-use crate::PsfieldError;
-
-/// How samples become a model. The default is what the command line does: rank `auto`, mean-centred, interpolation
-/// `auto`, nearest outside, unit flux.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct FitOptions {
-    /// How many components are kept.
-    pub rank: RankSelection,
-    /// With or without a mean stamp.
-    pub centring: Centring,
-    /// What is known of the noise in the samples' pixels, in units of the samples after normalisation.
-    pub noise: PixelNoise,
-    /// How coefficients are carried over the field.
-    pub interpolation: Interpolation,
-    /// What happens outside the samples.
-    pub outside: OutsidePolicy,
-    /// Whether samples and PSFs are scaled to unit flux.
-    pub normalisation: Normalisation,
-}
+use crate::{FitOptions, PsfieldError};
 
 /// A model with the figures of its fit.
 #[derive(Debug, Clone)]
@@ -302,6 +284,7 @@ impl LeaveOneOutReport {
 
 #[cfg(test)]
 mod tests {
+    use psf_basis::RankSelection;
     use psf_types::{Position, SamplePositions, StampGrid};
 
     use super::*;

@@ -43,6 +43,7 @@ mod evaluate;
 mod exposure_files;
 mod finer_scene;
 mod fit;
+mod fit_options;
 mod measure;
 mod method;
 mod pixel_picker;
@@ -67,9 +68,10 @@ pub use {
 
 pub use device::{CpuReason, Device, DeviceOptions, GpuSeconds, Gpus, Placement, PredictedSeconds};
 pub use error::PsfieldError;
-pub use evaluate::{EvaluateOptions, OutputGrid, evaluate};
+pub use evaluate::{EvaluateOptions, OutputGrid, evaluate, evaluate_stamps};
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
-pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
+pub use fit::{Fit, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
+pub use fit_options::FitOptions;
 pub use measure::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
 pub use method::Method;
 pub use pixel_picker::{PickedPixel, PixelPicker};

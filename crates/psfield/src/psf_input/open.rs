@@ -2,9 +2,8 @@
 
 use std::path::Path;
 
-use psf_basis::RankSelection;
 use psf_io::{FileKind, ScopesimOptions, StampCubeOptions};
-use psf_types::{Interpolation, Normalisation, PsfBasis, PsfModelRecord, PsfSamples, SamplePositions};
+use psf_types::{PsfBasis, PsfModelRecord, PsfSamples, SamplePositions};
 
 use super::psfex_record::record_of_psfex;
 use super::scopesim_record::record_of_scopesim;
@@ -104,22 +103,8 @@ impl PsfInput {
 /// The fit options of samples of a format where nothing is chosen.
 fn defaults(kind: FileKind, positions: &SamplePositions) -> FitOptions {
     match kind {
-        // The normalisation is part of a library's calibration, and its few planes are to come back as they are. Other readers
-        // interpolate bilinearly.
-        FileKind::Stpsf | FileKind::Stdpsf => FitOptions {
-            rank: RankSelection::Full,
-            normalisation: Normalisation::Keep,
-            interpolation: match coeff_field::resolve(Interpolation::Auto, positions) {
-                Interpolation::Bicubic => Interpolation::Bilinear,
-                other => other,
-            },
-            ..FitOptions::default()
-        },
-        // One PSF for the whole field has no others to interpolate between.
-        FileKind::Image => FitOptions {
-            interpolation: Interpolation::Nearest,
-            ..FitOptions::default()
-        },
+        FileKind::Stpsf | FileKind::Stdpsf => FitOptions::of_gridded_library(positions),
+        FileKind::Image => FitOptions::of_single_stamp(),
         _ => FitOptions::default(),
     }
 }
