@@ -220,6 +220,45 @@ pub enum PsfieldError {
         /// The frame, in pixels of the scene.
         frame: psf_types::PixelRegion,
     },
+    /// A scene that holds no whole number of pixels of its image.
+    #[error(
+        "the scene is {shape} pixels, which is no multiple of --oversample {oversample}: cut it, or choose a part of it with --frame"
+    )]
+    UnevenScene {
+        /// The scene, in its own pixels.
+        shape: FrameShape,
+        /// Scene pixels along each side of a pixel of the image.
+        oversample: usize,
+    },
+    /// A scene without an image that is larger than any that is meant.
+    #[error("shape: {nx} x {ny} pixels are too many")]
+    SceneTooLarge {
+        /// Columns asked for.
+        nx: usize,
+        /// Rows asked for.
+        ny: usize,
+    },
+    /// A frame that reaches beyond the scene.
+    #[error("frame: {source}")]
+    FrameOffScene {
+        /// Which, in pixels of the scene.
+        source: DataError,
+    },
+    /// A frame so far off or so large that its pixels cannot be counted.
+    #[error(
+        "frame: {} x {} pixels at ({}, {}) lie off any scene",
+        frame.shape().nx(), frame.shape().ny(), frame.x0(), frame.y0()
+    )]
+    FrameOffAnyScene {
+        /// The frame, in pixels of the image.
+        frame: psf_types::PixelRegion,
+    },
+    /// A source brighter than the working precision can tell.
+    #[error("a flux of {flux:e} is beyond single precision: choose --precision f64")]
+    FluxBeyondPrecision {
+        /// Its flux.
+        flux: f64,
+    },
     /// A plan without an image asked to stream one.
     #[error("only scenes that are images can be streamed: this plan is for stars alone")]
     NothingToStream,

@@ -43,6 +43,14 @@ impl PsfInput {
         }
     }
 
+    /// Pixels of the image as far as which light beyond its edges comes in, never too few: one more than a stamp is wide, or than
+    /// `stamp_size` where stamps are cut or padded ([`with_stamp_size`](crate::SimulationOptions::with_stamp_size)).
+    pub fn reach(&self, stamp_size: Option<usize>) -> usize {
+        let grid = self.grid();
+        let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
+        stamp_size.unwrap_or(own.ceil() as usize).saturating_add(1)
+    }
+
     /// The model, on the stamps' own grid.
     ///
     /// # Errors

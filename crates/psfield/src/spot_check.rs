@@ -1,9 +1,17 @@
 //! An image checked against the direct sum at random pixels.
 
+use conv_core::PlanOptions;
+use psf_io::{Card, CardError};
 use psf_types::{Image, Real};
 use serde::Serialize;
 
-use crate::{PickedPixel, PixelPicker, PsfieldError};
+use crate::{Method, PickedPixel, PixelPicker, PsfieldError};
+
+/// Relative r.m.s. errors of images by transforms: a few 1e-7 and 1e-15, and more where a scene's light varies by decades.
+const ROUNDING_F32: f64 = 1e-5;
+const ROUNDING_F64: f64 = 1e-10;
+/// Single pixels may hold more of a PSF's error than the PSF as a whole.
+const PIXELS_OVER_PSF: f64 = 3.0;
 
 /// The difference of an image from the direct sum in f64 at random pixels, half of them where the image is bright: what the
 /// engine adds to the model. It says nothing of the model itself, nor of stamps too coarse for the stars drawn between
@@ -30,6 +38,39 @@ pub struct SpotCheck {
 }
 
 impl SpotCheck {
+    /// The keywords of [`cards`](Self::cards).
+    pub const KEYWORDS: [&str; 5] = ["PSFCHKN", "PSFCHKS", "PSFCHKM", "PSFCHKR", Self::VERDICT_KEYWORD];
+    /// The keyword of what the check concluded.
+    pub const VERDICT_KEYWORD: &str = "PSFCHKV";
+    /// Its value in an image that differs by more than its method promises.
+    pub const FAILED: &str = "failed";
+
+    /// The relative r.m.s. difference that a method with its options promises in the working precision `T`
+    /// ([`judged`](Self::judged)): rounding, and the tolerance of methods that have one. None for patches of a scene that is an image
+    /// (`of_image`), which promise nothing.
+    ///
+    /// ```
+    /// use psfield::conv_core::PlanOptions;
+    /// use psfield::{Method, SpotCheck};
+    /// let options = PlanOptions::new(1e-3)?;
+    /// let limit = SpotCheck::limit_of::<f64>(Method::Auto, options, true);
+    /// assert!(limit.is_some_and(|limit| (1e-3..1e-2).contains(&limit)));
+    /// assert_eq!(SpotCheck::limit_of::<f64>(Method::Patch(64), options, true), None);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn limit_of<T: Real>(method: Method, options: PlanOptions, of_image: bool) -> Option<f64> {
+        let rounding = if size_of::<T>() == 4 {
+            ROUNDING_F32
+        } else {
+            ROUNDING_F64
+        };
+        match (method, method.plan_options(options)) {
+            (Method::Patch(_), _) if of_image => None,
+            (_, Some(options)) => Some(PIXELS_OVER_PSF * options.tolerance() + rounding),
+            (_, None) => Some(rounding),
+        }
+    }
+
     /// Compares `count` pixels of an image, chosen by `seed`, with what `exact` says of them.
     ///
     /// # Errors
@@ -90,5 +131,25 @@ impl SpotCheck {
             passed: Some(passed),
             ..self
         }
+    }
+
+    /// What was found, for headers.
+    ///
+    /// # Errors
+    /// [`CardError`] for figures that are not finite.
+    pub fn cards(&self) -> Result<[Card; 5], CardError> {
+        let [count, seed, largest, rms, verdict] = Self::KEYWORDS;
+        let found = match self.passed {
+            Some(true) => "passed",
+            Some(false) => Self::FAILED,
+            None => "none",
+        };
+        Ok([
+            Card::new(count, self.pixels, "pixels checked against the direct sum")?,
+            Card::new(seed, self.seed.to_string(), "seed that chose them")?,
+            Card::new(largest, self.max_abs, "largest difference found")?,
+            Card::new(rms, self.rms, "r.m.s. difference found")?,
+            Card::new(verdict, found, "against what the method promises")?,
+        ])
     }
 }

@@ -4,7 +4,6 @@ use std::io::Write;
 
 use anyhow::Context as _;
 use psf_io::Card;
-use psfield::SpotCheck;
 use serde::Serialize;
 
 use super::progress::Bar;
@@ -125,15 +124,7 @@ fn given_arguments() -> Vec<String> {
 /// The same for any command line.
 pub(crate) fn signature_of(arguments: &[String]) -> Vec<Card> {
     let command: Vec<String> = matters(arguments).map(quoted).collect();
-    vec![
-        Card::new(
-            "PSFIELD",
-            env!("CARGO_PKG_VERSION"),
-            "version of psfield that wrote this",
-        )
-        .expect("a valid card"),
-        Card::history(&format!("psfield {}", command.join(" "))),
-    ]
+    psfield::provenance_cards(&format!("psfield {}", command.join(" ")))
 }
 
 /// The arguments without the number of threads, `--json`, `--quiet` and `--stream`.
@@ -158,30 +149,4 @@ fn quoted(arg: impl AsRef<str>) -> String {
     } else {
         format!("'{}'", arg.replace('\'', r"'\''"))
     }
-}
-
-/// The keywords of [`check_cards`].
-pub(crate) const CHECK_KEYWORDS: [&str; 5] = ["PSFCHKN", "PSFCHKS", "PSFCHKM", "PSFCHKR", CHECK_VERDICT];
-
-/// The keyword of what a spot check concluded.
-pub(crate) const CHECK_VERDICT: &str = "PSFCHKV";
-
-/// Its value in an image that differs by more than its method promises.
-pub(crate) const CHECK_FAILED: &str = "failed";
-
-/// What a spot check found, for headers.
-pub(crate) fn check_cards(check: &SpotCheck) -> anyhow::Result<[Card; 5]> {
-    let [count, seed, largest, rms, verdict] = CHECK_KEYWORDS;
-    let found = match check.passed {
-        Some(true) => "passed",
-        Some(false) => CHECK_FAILED,
-        None => "none",
-    };
-    Ok([
-        Card::new(count, check.pixels, "pixels checked against the direct sum")?,
-        Card::new(seed, check.seed.to_string(), "seed that chose them")?,
-        Card::new(largest, check.max_abs, "largest difference found")?,
-        Card::new(rms, check.rms, "r.m.s. difference found")?,
-        Card::new(verdict, found, "against what the method promises")?,
-    ])
 }

@@ -7,7 +7,7 @@ use psf_types::{
 };
 
 use super::{PsfInput, check_stack};
-use crate::PsfieldError;
+use crate::{PsfieldError, SceneParts, SimulationOptions};
 
 impl PsfInput {
     /// The same PSF with stamps at the frame's own pixels, centred on one, as images need them, the pixel response in them; `size` pixels
@@ -34,6 +34,27 @@ impl PsfInput {
             && grid.oversampling().fract() == 0.0
             && grid.pixel_response_included();
         Ok(picks || self.native_target(size)? == grid)
+    }
+
+    /// Whether a simulation of scenes of this kind puts the stamps on other pixels ([`native`](Self::native), finer scenes) or the pixel
+    /// response into them.
+    ///
+    /// Where it does not, samples give the same image, bit by bit, whether they come as [`PsfInput::Samples`] or as the
+    /// [record](crate::Fit::record) of their fit as [`PsfInput::Model`], which need not be fitted again. Where it does, samples are
+    /// resampled and then fitted, a model's own components are resampled, and the images differ by what their fits leave out.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Data`] for a stamp size of 0.
+    pub fn needs_resampling(
+        &self,
+        parts: SceneParts,
+        options: SimulationOptions,
+    ) -> Result<bool, PsfieldError> {
+        let grid = self.grid();
+        let of_images = options.oversample() > 1 || self.native_target(options.stamp_size())? != grid;
+        // Stars keep the stamps' pixels; a scene without anything is one of stars.
+        let of_stars = grid_with_pixel_response(grid)? != grid;
+        Ok((parts.image && of_images) || ((parts.sources || !parts.image) && of_stars))
     }
 
     fn native_target(&self, size: Option<usize>) -> Result<StampGrid, PsfieldError> {

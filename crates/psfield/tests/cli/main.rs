@@ -12,6 +12,7 @@ mod exposing;
 mod full_disk;
 #[cfg(unix)]
 mod interrupts;
+mod library;
 mod measuring;
 mod preview;
 mod reports;

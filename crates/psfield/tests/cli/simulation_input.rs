@@ -147,3 +147,43 @@ fn stamp_size_cuts_and_pads() {
     );
     assert!(difference(&desk.image("cut_model.fits"), &cut) <= DOUBLE);
 }
+
+#[test]
+fn scenes_and_frames_that_do_not_fit_are_refused() {
+    let desk = Desk::new();
+    desk.write("bright.csv", "x,y,flux\n3,4,1e39\n");
+    for (arguments, code, needle) in [
+        (
+            "scene.fits --frame 10,10,61,20",
+            2,
+            "error: --frame: the frame (first pixel 10, 10; 61 x 20 pixels) reaches beyond the scene of 61 x 51 pixels\n",
+        ),
+        (
+            "scene.fits --frame 9223372036854775807,10,5,6 --oversample 3",
+            2,
+            "error: --frame: 5 x 6 pixels at (9223372036854775807, 10) lie off any scene\n",
+        ),
+        (
+            "--catalog bright.csv --shape 100000,90000",
+            2,
+            "error: --shape: 100000 x 90000 pixels are too many\n",
+        ),
+        (
+            "scene.fits --oversample 7",
+            1,
+            "psfield: error: the scene is 61 x 51 pixels, which is no multiple of --oversample 7: cut it, or choose a part of it with \
+             --frame\n",
+        ),
+        (
+            "--catalog bright.csv --shape 61,51",
+            1,
+            "psfield: error: bright.csv: a flux of 1e39 is beyond single precision: choose --precision f64\n",
+        ),
+    ] {
+        desk.refused(
+            &format!("simulate {arguments} --psf samples.fits -o image.fits --device cpu"),
+            code,
+            &[needle],
+        );
+    }
+}

@@ -3,9 +3,8 @@
 use std::path::Path;
 
 use psf_io::{Card, CardValue};
+use psfield::{JOB_KEYWORD, SpotCheck};
 
-use super::super::context::{CHECK_FAILED, CHECK_VERDICT};
-use super::super::simulate::JOB_KEYWORD;
 use super::job::Job;
 
 /// What there is of a job's files.
@@ -59,7 +58,7 @@ fn judge(file: &Path, digest: &str) -> Result<(), String> {
              another output",
             file.display()
         )),
-        Some(_) if text(CHECK_VERDICT).as_deref() == Some(CHECK_FAILED) => Err(format!(
+        Some(_) if text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED) => Err(format!(
             "{} exists, and failed its spot check when it was made: it differs from the direct sum by more than the method promises; \
              --overwrite makes it anew",
             file.display()

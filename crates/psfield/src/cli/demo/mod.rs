@@ -17,7 +17,7 @@ use psf_types::{Anchor, Progress, PsfModel, PsfSamples, PsfSource, Scene};
 use psfield::conv_core::PlanOptions;
 use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions, SpotCheck, fit};
 
-use super::context::{Context, check_cards, signature};
+use super::context::{Context, signature};
 use output::{FILES, Output};
 use report::{Report, Seconds};
 use sky::{GALAXIES, Sky};
@@ -98,7 +98,7 @@ impl DemoArgs {
         let spot_check = SpotCheck::run(&image, SPOT_CHECK, self.seed, |pixels| {
             simulation.exact_at(&scene, Anchor::Source, pixels)
         })?;
-        out.image("image.fits", &image, &check_cards(&spot_check)?)?;
+        out.image("image.fits", &image, &spot_check.cards()?)?;
         let by_patches = simulation.run(&scene, Method::Patch(PATCH), PlanOptions::default())?;
         let patch_error = Comparison::of(by_patches.pixels(), image.pixels())?.relative_l2()?;
         out.pictures(&sky, &image, &by_patches)?;

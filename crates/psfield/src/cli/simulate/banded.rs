@@ -8,23 +8,22 @@ use conv_core::{ConvReal, RowStream};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_io::{Card, ImageReader, ImageWriter, IoError};
 use psf_types::{Anchor, Scene};
-use psfield::{PixelPicker, PsfieldError, SceneParts, Simulation, SpotCheck};
+use psfield::{PixelPicker, PsfieldError, SceneLayout, SceneParts, SceneSources, Simulation, SpotCheck};
 
-use super::super::context::{CHECK_KEYWORDS, Context, check_cards};
+use super::super::context::Context;
 use super::prepared::Preparations;
 use super::report::Seconds;
-use super::scene_args::Sources;
 use super::{Outcome, SimulateArgs};
 
 /// The scene's rows as they come: those of its file, with the galaxies' light.
 struct SceneRows<'a, T: ConvReal> {
     reader: ImageReader,
-    sources: &'a Sources<T>,
+    sources: &'a SceneSources<T>,
 }
 
 impl<T: ConvReal> SceneRows<'_, T> {
     fn read_into(&mut self, first: usize, mut light: ArrayViewMut2<'_, T>) -> Result<(), IoError> {
-        let p = self.sources.padding;
+        let p = self.sources.padding();
         if p == 0 {
             self.reader.read_rows_into(first, light.view_mut())?;
         } else {
@@ -117,27 +116,29 @@ impl SimulateArgs {
         let reader = self.scene.open(path)?;
         let header = reader.header().clone();
         let mut seconds = Seconds::default();
-        let reach = self.reach(&*self.psf(preparations, &mut seconds, context)?);
-        let sources = self.scene.sources::<T>(reader.shape(), &header, reach)?;
-        let scene = &sources.scene;
+        let reach = self
+            .psf(preparations, &mut seconds, context)?
+            .reach(self.stamp_size);
+        let layout = SceneLayout::of_image(reader.shape(), self.scene.finer())?;
+        let sources = self.scene.sources::<T>(layout, &header, reach)?;
+        let scene = sources.placed.scene();
         let parts = SceneParts {
             image: true,
             ..SceneParts::of(scene)
         };
         let prepared = self.prepared(parts, scene, preparations, &mut seconds, context)?;
-        prepared.warn_of_coarse_stamps(scene.sources(), context);
-        sources.warn_of_small_galaxies(context);
+        sources.warn(prepared.oversampling, context);
         let simulation = &prepared.simulation;
         let plan = prepared
             .plan
             .as_ref()
             .ok_or_else(|| anyhow::anyhow!("only methods with a plan stream"))?;
         let shape = self.shown(scene)?;
-        let header = self.carried(&header, &sources);
+        let header = sources.placed.carried_header(&header);
         let cards = self.cards::<T>(simulation.model(), &prepared.placement)?;
         // None without a check, so that the header is as long as that of an image written as a whole.
         let late = if self.spot_check > 0 {
-            CHECK_KEYWORDS.len()
+            SpotCheck::KEYWORDS.len()
         } else {
             0
         };
@@ -148,7 +149,7 @@ impl SimulateArgs {
         let clock = Instant::now();
         let mut scene_rows = SceneRows {
             reader,
-            sources: &sources,
+            sources: &sources.placed,
         };
         let mut rows = FitsRows {
             scene: &mut scene_rows,
@@ -181,7 +182,7 @@ impl SimulateArgs {
         let clock = Instant::now();
         let cards: Vec<Card> = spot_check
             .as_ref()
-            .map(check_cards)
+            .map(SpotCheck::cards)
             .transpose()?
             .into_iter()
             .flatten()
@@ -192,7 +193,7 @@ impl SimulateArgs {
         Ok(Outcome {
             image_shape: shape,
             sources: scene.sources().len(),
-            galaxies: sources.galaxies.len(),
+            galaxies: sources.placed.galaxies().len(),
             invalid_rows: sources.invalid_rows,
             rows_off_projection: sources.rows_off_projection,
             seconds,

@@ -6,7 +6,7 @@ use conv_core::ConvReal;
 use psf_io::Card;
 use psfield::{SceneParts, SpotCheck};
 
-use super::super::context::{Context, check_cards};
+use super::super::context::Context;
 use super::exposure_args::Exposing;
 use super::prepared::{Preparations, timed};
 use super::report::Seconds;
@@ -21,7 +21,9 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome<T>> {
         let spinner = context.spinner("reading");
         let mut seconds = Seconds::default();
-        let reach = self.reach(&*self.psf(preparations, &mut seconds, context)?);
+        let reach = self
+            .psf(preparations, &mut seconds, context)?
+            .reach(self.stamp_size);
         let ((scene, sources, header), read) = timed(|| self.scene.read::<T>(reach))?;
         seconds.read += read;
         drop(spinner);
@@ -31,8 +33,7 @@ impl SimulateArgs {
             ..SceneParts::of(&scene)
         };
         let prepared = self.prepared(parts, &scene, preparations, &mut seconds, context)?;
-        prepared.warn_of_coarse_stamps(scene.sources(), context);
-        sources.warn_of_small_galaxies(context);
+        sources.warn(prepared.oversampling, context);
         let simulation = &prepared.simulation;
 
         let bar = context.bar("convolving");
@@ -61,14 +62,14 @@ impl SimulateArgs {
         let clock = Instant::now();
         let mut cards = self.cards::<T>(simulation.model(), &prepared.placement)?;
         if let Some(check) = &spot_check {
-            cards.extend(check_cards(check)?);
+            cards.extend(check.cards()?);
             if exposing.is_some() {
                 cards.push(Card::comment(
                     "PSFCHK...: of the noise-free image, before the detector",
                 ));
             }
         }
-        let header = self.carried(&header, &sources);
+        let header = sources.placed.carried_header(&header);
         let exposure = if let Some(exposing) = exposing {
             Some(exposing.write(&image, &header, &cards)?)
         } else {
@@ -79,7 +80,7 @@ impl SimulateArgs {
         Ok(Outcome {
             image_shape: image.shape(),
             sources: scene.sources().len(),
-            galaxies: sources.galaxies.len(),
+            galaxies: sources.placed.galaxies().len(),
             invalid_rows: sources.invalid_rows,
             rows_off_projection: sources.rows_off_projection,
             seconds,

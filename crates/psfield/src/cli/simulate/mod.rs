@@ -17,8 +17,8 @@ use conv_core::{ConvReal, PlanOptions, PlanSummary, TileCounts};
 use detector::ExposureReport;
 use psf_types::{Anchor, FrameShape, Scene};
 use psfield::{
-    Gpus, Method, PsfInput, PsfieldError, SceneParts, Simulation, SimulationOptions, SpotCheck,
-    available_memory_bytes, peak_memory_bytes,
+    Gpus, Method, PsfInput, PsfieldError, SceneParts, Simulation, SimulationOptions, SimulationWarning,
+    SpotCheck, available_memory_bytes, peak_memory_bytes,
 };
 
 use super::UsageError;
@@ -31,7 +31,7 @@ use prepared::{Prepared, timed};
 use report::{DeviceReport, PlanReport, Seconds, TilesReport};
 use scene_args::SceneArgs;
 
-pub(crate) use cards::{JOB_KEYWORD, JobMark};
+pub(crate) use cards::JobMark;
 pub(crate) use prepared::Preparations;
 pub(crate) use report::Report;
 
@@ -102,12 +102,6 @@ const MAX_SPOT_CHECK: i64 = 10_000_000;
 
 /// Scene and image may fill this part of the free memory; larger ones are streamed.
 const IN_MEMORY: f64 = 0.7;
-
-/// Relative r.m.s. errors of images by transforms: a few 1e-7 and 1e-15, and more where a scene's light varies by decades.
-const ROUNDING_F32: f64 = 1e-5;
-const ROUNDING_F64: f64 = 1e-10;
-/// Single pixels may hold more of a PSF's error than the PSF as a whole.
-const PIXELS_OVER_PSF: f64 = 3.0;
 
 /// What becomes of a scene.
 struct Outcome<T: ConvReal> {
@@ -300,13 +294,6 @@ impl SimulateArgs {
         })
     }
 
-    /// Pixels of the image as far as which light beyond the frame comes in.
-    fn reach(&self, psf: &PsfInput) -> usize {
-        let grid = psf.grid();
-        let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
-        self.stamp_size.unwrap_or(own.ceil() as usize) + 1
-    }
-
     fn prepare<T: ConvReal>(
         &self,
         parts: SceneParts,
@@ -317,11 +304,8 @@ impl SimulateArgs {
     ) -> anyhow::Result<Prepared<T>> {
         let options = self.simulation_options()?;
         let oversampling = psf.grid().oversampling();
-        if parts.image && options.oversample() == 1 && !psf.native_is_exact(self.stamp_size)? {
-            context.warn(
-                "the PSF stamps are not sampled at the centres of the image's pixels, or lack the pixel response: they are \
-                 interpolated",
-            );
+        if let Some(warning) = SimulationWarning::of_psf(&psf, parts, options)? {
+            context.warn(&warning.to_string());
         }
         let spinner = context.spinner("fitting the PSF");
         let (simulation, fit) = timed(|| {
@@ -347,7 +331,6 @@ impl SimulateArgs {
             plan,
             placement,
             oversampling,
-            finer: self.scene.finer(),
             seconds: [fit, planning],
         })
     }
@@ -411,16 +394,7 @@ impl SimulateArgs {
 
     /// The check with a verdict, unless the method promises nothing.
     fn judged<T: ConvReal>(&self, check: Option<SpotCheck>) -> anyhow::Result<Option<SpotCheck>> {
-        let rounding = if size_of::<T>() == 4 {
-            ROUNDING_F32
-        } else {
-            ROUNDING_F64
-        };
-        let limit = match (self.method, self.promised()?) {
-            (Method::Patch(_), _) if self.scene.scene.is_some() => None,
-            (_, Some(tolerance)) => Some(PIXELS_OVER_PSF * tolerance + rounding),
-            (_, None) => Some(rounding),
-        };
+        let limit = SpotCheck::limit_of::<T>(self.method, self.options()?, self.scene.scene.is_some());
         Ok(match limit {
             Some(limit) => check.map(|check| check.judged(limit)),
             None => check,

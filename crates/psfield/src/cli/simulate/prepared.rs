@@ -5,10 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use conv_core::ConvReal;
-use psf_types::PointSource;
 use psfield::{Gpus, Placement, PsfInput, Simulation, SimulationPlan};
-
-use super::super::context::Context;
 
 /// Models and plan for scenes of one kind.
 pub(super) struct Prepared<T: ConvReal> {
@@ -19,32 +16,8 @@ pub(super) struct Prepared<T: ConvReal> {
     pub(super) placement: Placement,
     /// Pixels of the PSF file's stamps along each side of an image pixel.
     pub(super) oversampling: f64,
-    /// Pixels of the scene along each side of an image pixel.
-    pub(super) finer: usize,
     /// How long the model took, and the plan.
     pub(super) seconds: [f64; 2],
-}
-
-/// Stamps with fewer pixels a frame pixel than this may be too coarse to be interpolated.
-const FINE_ENOUGH: f64 = 2.0;
-/// A star this close to the centre of a pixel is on it.
-const ON_PIXEL: f64 = 1e-9;
-
-impl<T: ConvReal> Prepared<T> {
-    /// Says where stars are interpolated between the pixels of coarse stamps, which nothing here can check.
-    pub(super) fn warn_of_coarse_stamps(&self, sources: &[PointSource], context: &Context) {
-        let s = self.finer as f64;
-        // Positions are in pixels of the scene.
-        let of_image = |v: f64| (v - (s - 1.0) / 2.0) / s;
-        let off = |v: f64| (of_image(v) - of_image(v).round()).abs() > ON_PIXEL;
-        let between_pixels = |s: &PointSource| off(s.position().x()) || off(s.position().y());
-        if self.oversampling < FINE_ENOUGH && sources.iter().any(between_pixels) {
-            context.warn(
-                "stars lie between pixels, and the PSF stamps are not oversampled (or less than twice): they are interpolated, which is wrong by \
-                 percents where the PSF is under-sampled; the spot check does not see that",
-            );
-        }
-    }
 }
 
 /// Preparations kept for the next scene of the same kind, the latest first.

@@ -3,10 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
-use ndarray::{Array2, ArrayViewMut2, s};
 use psf_io::{Catalog, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates};
-use psf_types::{FrameShape, Image, PixelRegion, PointSource, Position, Scene, SersicProfile, SersicSource};
-use psfield::SimulationOptions;
+use psf_types::Scene;
+use psfield::{PsfieldError, SceneLayout, SceneSources, SimulationOptions};
 
 use super::super::UsageError;
 use super::super::catalog_args::CatalogArgs;
@@ -49,19 +48,13 @@ pub(super) struct SceneArgs {
     columns: CatalogArgs,
 }
 
-/// The largest frame that can be asked for, 4 GiB in f32; a larger number is a slip.
-const MAX_PIXELS: usize = 1 << 30;
-
-/// A scene without its image, everything in its own pixels.
+/// The sources of a scene, and what of the catalogue makes none.
 pub(super) struct Sources<T> {
-    pub(super) scene: Scene<T>,
-    pub(super) galaxies: Vec<SersicSource>,
+    pub(super) placed: SceneSources<T>,
     /// Rows of the catalogue that make no source.
     pub(super) invalid_rows: usize,
     /// Rows of the catalogue that lie on a part of the sky that the projection does not show.
     pub(super) rows_off_projection: usize,
-    /// Dark pixels put around the scene, into which galaxies at its edges reach; `scene` has them.
-    pub(super) padding: usize,
 }
 
 impl SceneArgs {
@@ -109,31 +102,12 @@ impl SceneArgs {
                 None => (None, HeaderCards::new()),
             },
         };
-        let shape = match &image {
-            Some(image) => image.shape(),
-            None => self.dark_shape()?,
+        let layout = match &image {
+            Some(image) => SceneLayout::of_image(image.shape(), self.finer())?,
+            None => self.dark_layout()?,
         };
-        let sources = self.sources(shape, &header, reach)?;
-        let image = match image {
-            None if sources.galaxies.is_empty() => None,
-            None => Some(Image::zeros(shape)),
-            image => image,
-        };
-        let Some(image) = image else {
-            return Ok((sources.scene.clone(), sources, header));
-        };
-        let mut light = image.into_pixels();
-        if sources.padding > 0 {
-            let (p, shape) = (sources.padding, sources.scene.shape());
-            let mut padded = Array2::zeros((shape.ny(), shape.nx()));
-            let (ny, nx) = light.dim();
-            padded.slice_mut(s![p..p + ny, p..p + nx]).assign(&light);
-            light = padded;
-        }
-        sources.add_galaxies(light.view_mut(), 0);
-        let scene = Scene::from_image(Image::new(light)?)
-            .with_sources(sources.scene.sources().to_vec())
-            .with_frame(sources.scene.frame())?;
+        let sources = self.sources(layout, &header, reach)?;
+        let scene = sources.placed.lit(image)?;
         Ok((scene, sources, header))
     }
 
@@ -142,22 +116,17 @@ impl SceneArgs {
         ImageReader::open_hdu(path, self.extension.as_ref())
     }
 
-    fn dark_shape(&self) -> anyhow::Result<FrameShape> {
+    fn dark_layout(&self) -> anyhow::Result<SceneLayout> {
         let Some(Pair(nx, ny)) = self.shape else {
             return Err(UsageError("a scene needs an image or --shape NX,NY".to_owned()).into());
         };
-        let s = self.finer();
-        let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
-        if pixels.is_none_or(|pixels| pixels > MAX_PIXELS) {
-            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many")).into());
-        }
-        Ok(FrameShape::new(nx * s, ny * s).map_err(|e| UsageError(format!("--shape: {e}")))?)
+        SceneLayout::of_frame(nx, ny, self.finer()).map_err(|e| self.told_of(e))
     }
 
-    /// The catalogue's sources on a scene of a shape and header, seen through the frame.
+    /// The catalogue's sources on a scene with a header, seen through the frame.
     pub(super) fn sources<T: ConvReal>(
         &self,
-        shape: FrameShape,
+        layout: SceneLayout,
         header: &HeaderCards,
         reach: usize,
     ) -> anyhow::Result<Sources<T>> {
@@ -166,40 +135,33 @@ impl SceneArgs {
             None => Catalog::default(),
         };
         let (invalid_rows, rows_off_projection) = (catalog.invalid_rows(), catalog.rows_off_projection());
-        let s = self.finer();
-        let padding = if catalog.galaxies().is_empty() {
-            0
-        } else {
-            reach * s
-        };
-        let (stars, galaxies) = self.in_scene_pixels::<T>(catalog, padding as f64)?;
-        let padded = FrameShape::new(shape.nx() + 2 * padding, shape.ny() + 2 * padding)?;
-        let seen = |frame: PixelRegion| {
-            // Judged on the scene as it is, before it is padded.
-            Scene::<T>::dark(shape)
-                .with_frame(frame)
-                .map_err(|e| UsageError(format!("--frame: {e}")))?;
-            let p = padding as i64;
-            let frame = PixelRegion::new(frame.x0() + p, frame.y0() + p, frame.shape());
-            Ok::<_, anyhow::Error>(Scene::dark(padded).with_frame(frame)?)
-        };
-        let mut scene = seen(shape.region())?;
-        match self.frame {
-            Some(Frame(frame)) => {
-                scene = seen(finer_frame(frame, s)?)?;
-            }
-            None if !(shape.nx().is_multiple_of(s) && shape.ny().is_multiple_of(s)) => anyhow::bail!(
-                "the scene is {shape} pixels, which is no multiple of --oversample {s}: cut it, or choose a part of it with --frame"
-            ),
-            None => {}
-        }
+        let layout = layout
+            .with_frame(self.frame.map(|Frame(frame)| frame))
+            .with_reach(reach);
+        let (stars, galaxies) = catalog.into_parts();
         Ok(Sources {
-            scene: scene.with_sources(stars),
-            padding,
-            galaxies,
+            placed: SceneSources::new(layout, stars, galaxies).map_err(|e| self.told_of(e))?,
             invalid_rows,
             rows_off_projection,
         })
+    }
+
+    /// The same error as bad usage where an option is wrong, and with the file that holds what is wrong with the catalogue.
+    fn told_of(&self, error: PsfieldError) -> anyhow::Error {
+        match (&error, &self.catalog) {
+            // Their texts begin with the name of the option.
+            (
+                PsfieldError::SceneTooLarge { .. }
+                | PsfieldError::FrameOffScene { .. }
+                | PsfieldError::FrameOffAnyScene { .. },
+                _,
+            ) => UsageError(format!("--{error}")).into(),
+            (PsfieldError::FluxBeyondPrecision { .. }, Some(path)) => {
+                let file = path.display().to_string();
+                anyhow::Error::new(error).context(file)
+            }
+            _ => error.into(),
+        }
     }
 
     /// The catalogue, in pixels of the image.
@@ -227,83 +189,13 @@ impl SceneArgs {
             (result, _) => Ok(result?),
         }
     }
-
-    /// Everything in a scene is in its own pixels.
-    fn in_scene_pixels<T: ConvReal>(
-        &self,
-        catalog: Catalog,
-        padding: f64,
-    ) -> anyhow::Result<(Vec<PointSource>, Vec<SersicSource>)> {
-        let (stars, galaxies) = catalog.into_parts();
-        let fluxes = stars
-            .iter()
-            .map(|s| s.flux())
-            .chain(galaxies.iter().map(|g| g.flux()));
-        if let Some(flux) = fluxes
-            .into_iter()
-            .find(|&flux| !T::nearest(flux).as_f64().is_finite())
-        {
-            anyhow::bail!(
-                "{}: a flux of {flux:e} is beyond single precision: choose --precision f64",
-                self.catalog.as_deref().unwrap_or(Path::new("")).display()
-            );
-        }
-        let s = self.finer() as f64;
-        let place = |p: Position| {
-            let of_scene = |v: f64| v * s + (s - 1.0) / 2.0 + padding;
-            Position::new(of_scene(p.x()), of_scene(p.y()))
-        };
-        let stars = stars
-            .into_iter()
-            .map(|star| PointSource::new(place(star.position())?, star.flux()))
-            .collect::<Result<_, _>>()?;
-        let galaxies = galaxies
-            .into_iter()
-            .map(|galaxy| {
-                let of = galaxy.profile();
-                let radius = of.half_light_radius_px() * s;
-                let profile = SersicProfile::new(radius, of.index(), of.axis_ratio(), of.angle_deg())?;
-                SersicSource::new(place(galaxy.position())?, galaxy.flux(), profile)
-            })
-            .collect::<Result<_, _>>()?;
-        Ok((stars, galaxies))
-    }
 }
-
-/// Galaxies smaller than this are blurred by the pixels on which they are drawn.
-const RESOLVED_PX: f64 = 2.0;
 
 impl<T: ConvReal> Sources<T> {
-    /// Says where galaxies are blurred by the scene's own pixels, which nothing here can check.
-    pub(super) fn warn_of_small_galaxies(&self, context: &Context) {
-        let small = |galaxy: &&SersicSource| galaxy.profile().half_light_radius_px() < RESOLVED_PX;
-        let count = self.galaxies.iter().filter(small).count();
-        if count > 0 {
-            context.warn(&format!(
-                "{count} galaxies have a half-light radius below {RESOLVED_PX} pixels of the scene, whose own size then blurs them (by \
-                 percents): --oversample S draws them on finer pixels"
-            ));
+    /// Says what nothing here can check; `psf_oversampling` as in [`SceneSources::warnings`].
+    pub(super) fn warn(&self, psf_oversampling: f64, context: &Context) {
+        for warning in self.placed.warnings(psf_oversampling) {
+            context.warn(&warning.to_string());
         }
-    }
-
-    /// Adds the galaxies' light to rows of the padded scene, the first of which is row `first_row`.
-    pub(super) fn add_galaxies(&self, rows: ArrayViewMut2<'_, T>, first_row: usize) {
-        sersic::add_galaxies(rows, (0, first_row as i64), &self.galaxies);
-    }
-}
-
-/// A frame in pixels of a finer scene.
-fn finer_frame(frame: PixelRegion, finer: usize) -> anyhow::Result<PixelRegion> {
-    let place = |v: i64| v.checked_mul(finer as i64);
-    let length = |n: usize| n.checked_mul(finer);
-    let (nx, ny) = (frame.shape().nx(), frame.shape().ny());
-    match (place(frame.x0()), place(frame.y0()), length(nx), length(ny)) {
-        (Some(x0), Some(y0), Some(nx), Some(ny)) => Ok(PixelRegion::new(x0, y0, FrameShape::new(nx, ny)?)),
-        _ => Err(UsageError(format!(
-            "--frame: {nx} x {ny} pixels at ({}, {}) lie off any scene",
-            frame.x0(),
-            frame.y0()
-        ))
-        .into()),
     }
 }
