@@ -6,9 +6,9 @@ use psfield::psf_basis::RankSelection;
 use psfield::psf_io::{self, CatalogOptions, HeaderCards};
 use psfield::psf_types::{Anchor, FrameShape, NoProgress, PixelRegion, PointSource, Position, PsfSamples};
 use psfield::{
-    CpuReason, EvaluateOptions, Fit, FitOptions, Method, OutputGrid, Placement, PsfFileOptions, PsfInput,
-    PsfieldError, SceneLayout, SceneParts, SceneSources, Simulation, SimulationOptions, SpotCheck, evaluate,
-    evaluate_stamps, fit, provenance_cards, simulation_cards,
+    CpuReason, EvaluateOptions, Fit, FitChoices, FitOptions, Method, OutputGrid, Placement, PsfFileOptions,
+    PsfInput, PsfieldError, SceneLayout, SceneParts, SceneSources, Simulation, SimulationOptions, SpotCheck,
+    evaluate, evaluate_stamps, fit, provenance_cards, simulation_cards,
 };
 
 use crate::desk::{Desk, NX, NY, STAMP, samples};
@@ -42,8 +42,8 @@ const SEED: u64 = 7;
 
 impl Asked {
     fn arguments<T: ConvReal>(&self, output: &str) -> String {
-        let mut line = "simulate".to_owned();
-        let mut add = |text: String| line += &format!(" {text}");
+        let mut words = vec!["simulate".to_owned()];
+        let mut add = |text: String| words.push(text);
         if self.scene {
             add("scene.fits".to_owned());
         } else {
@@ -75,7 +75,7 @@ impl Asked {
             add(format!("--spot-check {} --seed {SEED}", self.spot_check));
         }
         add(format!("-o {output} -q --device cpu"));
-        line
+        words.join(" ")
     }
 
     /// The same by the library. `command` is what is noted.
@@ -83,7 +83,7 @@ impl Asked {
         let opened = PsfInput::open_with(
             desk.path("samples.fits"),
             &PsfFileOptions::default(),
-            &Default::default(),
+            &FitChoices::default(),
         );
         let psf = opened.unwrap().input;
         let options = SimulationOptions::default()
