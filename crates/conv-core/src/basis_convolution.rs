@@ -8,7 +8,8 @@ use crate::crop::within_reach;
 use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::planes::{coefficient_planes, flux_plane};
-use crate::point_sources::add_point_sources;
+use crate::point_sources::add_point_sources_with_progress;
+use crate::wanted::still_wanted;
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
@@ -118,7 +119,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for BasisConvolution {
         } else {
             Array2::zeros((frame.shape().ny(), frame.shape().nx()))
         };
-        add_point_sources(model, scene, self.anchor, &mut pixels)?;
+        add_point_sources_with_progress(model, scene, self.anchor, &mut pixels, progress)?;
         Image::new(pixels).map_err(ConvError::Result)
     }
 }
@@ -174,7 +175,8 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         output: PixelRegion,
     ) -> Result<Array2<T>, ConvError> {
         let field = self.field(input);
-        let scaled = flux_plane(self.model, field, Some(light))?.map(|fluxes| &light / &fluxes);
+        let scaled =
+            flux_plane(self.model, field, Some(light), self.progress)?.map(|fluxes| &light / &fluxes);
         let light = scaled.as_ref().map_or(light, |scaled| scaled.view());
         let lit_rows = lit_rows(light);
         let (first_row, first_column) = (input.y0() as usize, input.x0() as usize);
@@ -183,13 +185,14 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         let mut planes = self.planes(input.shape());
         for group in groups(self.model.stamp_count(), planes.dim().0) {
             let mut planes = planes.slice_mut(ndarray::s![..group.len(), .., ..]);
-            coefficient_planes(self.model, field, group.clone(), Some(light), planes.view_mut())?;
+            let into = planes.view_mut();
+            coefficient_planes(self.model, field, group.clone(), Some(light), into, self.progress)?;
             for (plane, stamp) in planes.outer_iter().zip(group) {
                 let kernel = KernelRows::new(&self.fft, self.model.stamp(stamp), self.reach);
                 self.fft.rows_forward(&mut work, |row, values| {
                     let Some(row) = row
                         .checked_sub(first_row)
-                        .filter(|&r| r < lit_rows.len() && lit_rows[r])
+                        .filter(|&r| r < lit_rows.len() && lit_rows[r] && !self.progress.cancelled())
                     else {
                         return false;
                     };
@@ -206,6 +209,9 @@ impl<'a, T: ConvReal> Plane<'a, T> {
                 });
                 let weighted = &work;
                 self.fft.for_columns(&mut sum, |column| {
+                    if self.progress.cancelled() {
+                        return;
+                    }
                     let [light, stamp] = column.spare;
                     light.copy_from_slice(weighted.row(column.index).to_slice().expect("row-major"));
                     self.fft.forward(light, column.scratch);
@@ -214,6 +220,8 @@ impl<'a, T: ConvReal> Plane<'a, T> {
                         *sum += f * self.conjugate(b);
                     }
                 });
+                // What was skipped is not looked at.
+                still_wanted(self.progress)?;
                 self.progress.advance(1);
             }
         }
@@ -262,10 +270,14 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         let mut planes = self.planes(output.shape());
         for group in groups(self.model.stamp_count(), planes.dim().0) {
             let mut planes = planes.slice_mut(ndarray::s![..group.len(), .., ..]);
-            coefficient_planes(self.model, field, group.clone(), None, planes.view_mut())?;
+            let into = planes.view_mut();
+            coefficient_planes(self.model, field, group.clone(), None, into, self.progress)?;
             for (plane, stamp) in planes.outer_iter().zip(group) {
                 let kernel = KernelRows::new(&self.fft, self.model.stamp(stamp), self.reach);
                 self.fft.for_columns(&mut work, |column| {
+                    if self.progress.cancelled() {
+                        return;
+                    }
                     let [stamp, _] = column.spare;
                     kernel.column_into(&self.fft, column.index, stamp, column.scratch);
                     let light = spectrum.row(column.index);
@@ -281,10 +293,12 @@ impl<'a, T: ConvReal> Plane<'a, T> {
                             *out += a * v;
                         }
                     });
+                // What was skipped is not looked at.
+                still_wanted(self.progress)?;
                 self.progress.advance(1);
             }
         }
-        if let Some(fluxes) = flux_plane(self.model, field, None)? {
+        if let Some(fluxes) = flux_plane(self.model, field, None, self.progress)? {
             result /= &fluxes;
         }
         Ok(result)

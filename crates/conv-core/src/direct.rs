@@ -7,7 +7,8 @@ use rayon::prelude::*;
 use crate::crop::within_reach;
 use crate::kernel::Reach;
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::point_sources::{StarPainter, add_point_sources};
+use crate::point_sources::{StarPainter, add_point_sources_with_progress};
+use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
@@ -44,8 +45,8 @@ impl Direct {
         scene: &Scene<T>,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
-        let rows = scene.pixels().map(|light| (light, 0));
-        self.at_pixels_of_rows(model, scene, rows, pixels)
+        let part = scene.pixels().map(|light| (light, (0, 0)));
+        self.at_pixels_of_part(model, scene, part, pixels, &NoProgress)
     }
 
     /// The same where only some rows of the scene's image are at hand: `rows` are those from the given row of the scene on. They must
@@ -60,6 +61,24 @@ impl Direct {
         rows: Option<(ArrayView2<'_, T>, usize)>,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, ConvError> {
+        let part = rows.map(|(light, first_row)| (light, (0, first_row)));
+        self.at_pixels_of_part(model, scene, part, pixels, &NoProgress)
+    }
+
+    /// The same where only a part of the scene's image is at hand: `part` is the light from the given column and row of the scene on. It
+    /// must hold all light that reaches the pixels; `scene` itself gives the shape, the frame and the point sources. One step a pixel.
+    ///
+    /// # Errors
+    /// As [`Self::at_pixels`]; [`ConvError::Cancelled`].
+    pub fn at_pixels_of_part<T: ConvReal>(
+        &self,
+        model: &PsfModel,
+        scene: &Scene<T>,
+        part: Option<(ArrayView2<'_, T>, (usize, usize))>,
+        pixels: &[(usize, usize)],
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>, ConvError> {
+        progress.start(pixels.len() as u64);
         let frame = scene.frame();
         if let Some(&(column, row)) = pixels
             .iter()
@@ -72,11 +91,16 @@ impl Direct {
             });
         }
         let mut values = vec![0.0; pixels.len()];
-        if let Some(light) = rows {
+        if let Some(light) = part {
             let reach = Reach::of(model.grid())?;
             let sums: Vec<Result<f64, ConvError>> = pixels
                 .par_iter()
-                .map(|&pixel| self.pixel(model, scene, light, reach, pixel))
+                .map(|&pixel| {
+                    still_wanted(progress)?;
+                    let sum = self.pixel(model, scene, light, reach, pixel)?;
+                    progress.advance(1);
+                    Ok(sum)
+                })
                 .collect();
             values = sums.into_iter().collect::<Result<_, _>>()?;
         }
@@ -95,7 +119,7 @@ impl Direct {
         self,
         model: &PsfModel,
         scene: &Scene<T>,
-        (light, first_row): (ArrayView2<'_, T>, usize),
+        (light, (first_column, first_row)): (ArrayView2<'_, T>, (usize, usize)),
         reach: Reach,
         (column, row): (usize, usize),
     ) -> Result<f64, ConvError> {
@@ -121,11 +145,11 @@ impl Direct {
             for i in 0..stamps.dim().2 {
                 let Some(x) = (column + reach.left)
                     .checked_sub(i)
-                    .filter(|&x| x < light.ncols())
+                    .filter(|&x| x >= first_column && x - first_column < light.ncols())
                 else {
                     continue;
                 };
-                let flux = light[[y - first_row, x]].as_f64();
+                let flux = light[[y - first_row, x - first_column]].as_f64();
                 if flux == 0.0 {
                     continue;
                 }
@@ -154,7 +178,7 @@ impl Direct {
         let (field, frame) = (scene.field_region(), scene.frame());
         let (ny, nx) = light.dim();
         let (height, width) = model.grid().dim();
-        add_in_order(result, ny.div_ceil(BAND), progress, |band| {
+        add_in_order(result.view_mut(), ny.div_ceil(BAND), progress, |band| {
             let rows = band * BAND..((band + 1) * BAND).min(ny);
             let lit: Vec<(usize, usize)> = rows
                 .clone()
@@ -163,6 +187,7 @@ impl Direct {
                 .collect();
             let mut values = Array2::<f64>::zeros((rows.len() + height - 1, nx + width - 1));
             for some in lit.chunks(PSFS_AT_ONCE) {
+                still_wanted(progress)?;
                 let psfs = psfs(model, field, some)?;
                 for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
                     let y_in_band = y - rows.start;
@@ -208,6 +233,7 @@ impl Direct {
             .par_chunks_exact_mut(nx)
             .enumerate()
             .map(|(row, out)| {
+                still_wanted(progress)?;
                 let y = row + frame.y0() as usize;
                 let lit: Vec<(usize, usize)> = (0..nx)
                     .map(|column| (column + frame.x0() as usize, y))
@@ -221,6 +247,7 @@ impl Direct {
                     })
                     .collect();
                 for some in lit.chunks(PSFS_AT_ONCE) {
+                    still_wanted(progress)?;
                     let psfs = psfs(model, field, some)?;
                     for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
                         let ((from_x, x0, w), (from_y, y0, h)) = under(x, y).expect("lit");
@@ -280,7 +307,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for Direct {
                 _ => Self::scatter(model, &scene, light, reach, progress, &mut result)?,
             }
         }
-        add_point_sources(model, scene, self.anchor, &mut result)?;
+        add_point_sources_with_progress(model, scene, self.anchor, &mut result, progress)?;
         Image::new(result.mapv(T::nearest)).map_err(ConvError::Result)
     }
 }

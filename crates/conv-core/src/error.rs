@@ -66,6 +66,17 @@ pub enum ConvError {
         /// Its frame.
         got_frame: String,
     },
+    /// Light of another shape than the plan's scene.
+    #[error("the light is {got} pixels: the plan takes {expected}")]
+    LightShape {
+        /// What the plan takes: the whole scene, or the part of it that reaches the frame.
+        expected: String,
+        /// The light.
+        got: FrameShape,
+    },
+    /// Somebody wanted the work to stop ([`psf_types::Progress::cancelled`]).
+    #[error("the work was stopped before its end")]
+    Cancelled,
     /// A pixel off the frame.
     #[error("pixel ({column}, {row}) lies outside the frame of {frame} pixels")]
     PixelOutsideFrame {

@@ -24,6 +24,10 @@
 //! else is scaled. An image scene needs stamps at the frame's own scale, centred on a pixel ([`native_grid`],
 //! [`resample_samples`]); point sources take any stamps.
 //!
+//! # Stopping
+//! Whoever is told of the progress of a long call is also asked whether it is still wanted ([`psf_types::Progress::cancelled`]), every few
+//! milliseconds; where it is not, the call ends with [`ConvError::Cancelled`].
+//!
 //! # Threads
 //! Work is spread over rayon's current pool. Results are the same bytes on any number of threads.
 //!
@@ -45,6 +49,7 @@ mod error;
 mod fft2;
 #[cfg(feature = "gpu")]
 pub mod gpu;
+mod image_memory;
 mod kernel;
 mod lowrank;
 mod method;
@@ -56,6 +61,7 @@ mod simd;
 mod stamp_interpolator;
 mod stars;
 mod transform;
+mod wanted;
 mod working_range;
 
 pub use basis_convolution::BasisConvolution;

@@ -1,10 +1,11 @@
 //! Adding up pieces that overlap, the same way on any number of threads.
 
-use ndarray::{Array2, s};
+use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::Progress;
 use rayon::prelude::*;
 
-use crate::ConvReal;
+use crate::wanted::still_wanted;
+use crate::{ConvError, ConvReal};
 
 /// A rectangle of values to be added at a place that may reach beyond the output.
 pub(crate) struct Piece<T> {
@@ -15,7 +16,7 @@ pub(crate) struct Piece<T> {
 
 impl<T: ConvReal> Piece<T> {
     /// Adds what lies on the output.
-    pub(crate) fn add_to(&self, output: &mut Array2<T>) {
+    pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>) {
         let (ny, nx) = output.dim();
         let (rows, columns) = self.values.dim();
         let (Some((from_row, to_row, height)), Some((from_column, to_column, width))) = (
@@ -43,21 +44,24 @@ pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize,
 const AT_ONCE: usize = 16;
 
 /// Makes `count` sets of pieces in parallel and adds them to the output in order; each is a step.
-pub(crate) fn add_in_order<T: ConvReal, E: Send>(
-    output: &mut Array2<T>,
+pub(crate) fn add_in_order<T: ConvReal>(
+    mut output: ArrayViewMut2<'_, T>,
     count: usize,
     progress: &dyn Progress,
-    make: impl Fn(usize) -> Result<Vec<Piece<T>>, E> + Sync,
-) -> Result<(), E> {
+    make: impl Fn(usize) -> Result<Vec<Piece<T>>, ConvError> + Sync,
+) -> Result<(), ConvError> {
     progress.start(count as u64);
     for first in (0..count).step_by(AT_ONCE) {
-        let made: Vec<Result<Vec<Piece<T>>, E>> = (first..(first + AT_ONCE).min(count))
+        let made: Vec<Result<Vec<Piece<T>>, ConvError>> = (first..(first + AT_ONCE).min(count))
             .into_par_iter()
-            .map(&make)
+            .map(|number| {
+                still_wanted(progress)?;
+                make(number)
+            })
             .collect();
         for pieces in made {
             for piece in pieces? {
-                piece.add_to(output);
+                piece.add_to(&mut output);
             }
             progress.advance(1);
         }
@@ -78,7 +82,7 @@ mod tests {
                 first_row,
                 values: Array2::ones((2, 2)),
             }
-            .add_to(&mut output);
+            .add_to(&mut output.view_mut());
             output.sum()
         };
         assert_eq!(add(0, 0), 4.0);

@@ -7,7 +7,8 @@ use crate::crop::within_reach;
 use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::overlap::{Piece, add_in_order, overlap};
-use crate::point_sources::add_point_sources;
+use crate::point_sources::add_point_sources_with_progress;
+use crate::wanted::still_wanted;
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
@@ -88,21 +89,22 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
             };
             let columns = self.cut(origin.0, region.shape().nx());
             let rows = self.cut(origin.1, region.shape().ny());
-            add_in_order(&mut result, rows.len(), progress, |row| {
+            add_in_order(result.view_mut(), rows.len(), progress, |row| {
                 let (y, height) = rows[row];
                 let mut pieces = Vec::new();
                 for &(x, width) in &columns {
+                    still_wanted(progress)?;
                     let corner = (x + region.x0() as usize, y + region.y0() as usize);
                     pieces.extend(match self.anchor {
                         Anchor::Output => work.gather(corner, (width, height))?,
                         _ => work.scatter(corner, (width, height))?,
                     });
                 }
-                Ok::<_, ConvError>(pieces)
+                Ok(pieces)
             })?;
             take_back(&mut result, back);
         }
-        add_point_sources(model, scene, self.anchor, &mut result)?;
+        add_point_sources_with_progress(model, scene, self.anchor, &mut result, progress)?;
         Image::new(result).map_err(ConvError::Result)
     }
 }

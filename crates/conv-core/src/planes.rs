@@ -4,9 +4,10 @@ use std::ops::Range;
 
 use ndarray::parallel::prelude::*;
 use ndarray::{Array2, Array3, ArrayView2, ArrayViewMut3, Axis, s};
-use psf_types::{FieldError, FrameShape, PixelRegion, PsfModel};
+use psf_types::{FieldError, FrameShape, PixelRegion, Progress, PsfModel};
 
-use crate::ConvReal;
+use crate::wanted::still_wanted;
+use crate::{ConvError, ConvReal};
 
 /// Tiles of this many rows and columns are evaluated at once: a few stamps' coefficients of one fit in the L2 cache.
 const TILE_ROWS: usize = 16;
@@ -22,8 +23,9 @@ pub(crate) fn coefficient_planes<T: ConvReal>(
     stamps: Range<usize>,
     light: Option<ArrayView2<'_, T>>,
     planes: ArrayViewMut3<'_, T>,
-) -> Result<(), FieldError> {
-    for_tiles(region, light, planes, |tile, values| {
+    progress: &dyn Progress,
+) -> Result<(), ConvError> {
+    for_tiles(region, light, planes, progress, |tile, values| {
         model.coefficients_region_into(tile, stamps.clone(), values.view_mut())
     })
 }
@@ -35,13 +37,14 @@ pub(crate) fn flux_plane<T: ConvReal>(
     model: &PsfModel,
     region: PixelRegion,
     light: Option<ArrayView2<'_, T>>,
-) -> Result<Option<Array2<T>>, FieldError> {
+    progress: &dyn Progress,
+) -> Result<Option<Array2<T>>, ConvError> {
     if !model.needs_flux_scaling() {
         return Ok(None);
     }
     let shape = region.shape();
     let mut plane = Array3::ones((1, shape.ny(), shape.nx()));
-    for_tiles(region, light, plane.view_mut(), |tile, values| {
+    for_tiles(region, light, plane.view_mut(), progress, |tile, values| {
         model.flux_region_into(tile, values.index_axis_mut(Axis(0), 0))
     })?;
     Ok(Some(plane.index_axis_move(Axis(0), 0)))
@@ -57,10 +60,12 @@ fn for_tiles<T: ConvReal>(
     region: PixelRegion,
     light: Option<ArrayView2<'_, T>>,
     mut planes: ArrayViewMut3<'_, T>,
+    progress: &dyn Progress,
     evaluate: impl Fn(PixelRegion, &mut Array3<f64>) -> Result<(), FieldError> + Sync,
-) -> Result<(), FieldError> {
+) -> Result<(), ConvError> {
     let (count, _, nx) = planes.dim();
     let strip_work = |strip: usize, mut planes: ArrayViewMut3<'_, T>| {
+        still_wanted(progress)?;
         let (y, rows) = (strip * TILE_ROWS, planes.dim().1);
         for x in (0..nx).step_by(TILE_COLUMNS) {
             let columns = TILE_COLUMNS.min(nx - x);
@@ -75,7 +80,9 @@ fn for_tiles<T: ConvReal>(
             let mut values = Array3::zeros((count, rows, columns));
             if let Err(error) = evaluate(tile, &mut values) {
                 // Perhaps only where it is dark: then nobody needs what cannot be evaluated.
-                let Some(light) = light else { return Err(error) };
+                let Some(light) = light else {
+                    return Err(error.into());
+                };
                 values = planes.slice(s![.., .., x..x + columns]).mapv(T::as_f64);
                 let lit = light.slice(s![y..y + rows, x..x + columns]);
                 for ((j, i), _) in lit.indexed_iter().filter(|(_, v)| !v.is_zero()) {
@@ -90,7 +97,7 @@ fn for_tiles<T: ConvReal>(
         }
         Ok(())
     };
-    let strips: Vec<Result<(), FieldError>> = planes
+    let strips: Vec<Result<(), ConvError>> = planes
         .axis_chunks_iter_mut(Axis(1), TILE_ROWS)
         .into_par_iter()
         .enumerate()

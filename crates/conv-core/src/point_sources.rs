@@ -2,13 +2,16 @@
 
 use std::sync::{Arc, OnceLock};
 
-use ndarray::{Array2, ArrayView2, Axis};
-use psf_types::{Anchor, NoProgress, PixelRegion, PointSource, Position, PsfModel, Scene, StampGrid};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
+use psf_types::{
+    Anchor, NoProgress, PixelRegion, PointSource, Position, Progress, PsfModel, Scene, StampGrid,
+};
 use rayon::prelude::*;
 
 use crate::overlap::{Piece, add_in_order, overlap};
 use crate::stamp_interpolator::{Kernel, StampInterpolator};
 use crate::stars::Window;
+use crate::wanted::Uncounted;
 use crate::{ConvError, ConvReal};
 
 /// Sources that one task draws.
@@ -30,10 +33,27 @@ pub fn add_point_sources<T: ConvReal, S: ConvReal>(
     anchor: Anchor,
     image: &mut Array2<S>,
 ) -> Result<(), ConvError> {
+    add_point_sources_with_progress(model, scene, anchor, image, &NoProgress)
+}
+
+/// The same until it is no longer wanted.
+pub(crate) fn add_point_sources_with_progress<T: ConvReal, S: ConvReal>(
+    model: &PsfModel,
+    scene: &Scene<T>,
+    anchor: Anchor,
+    image: &mut Array2<S>,
+    progress: &dyn Progress,
+) -> Result<(), ConvError> {
     if scene.sources().is_empty() {
         return Ok(());
     }
-    StarPainter::new(model, scene.frame(), anchor, None)?.add_to(scene.sources(), image)
+    let whole = scene.frame().shape().region();
+    StarPainter::new(model, scene.frame(), anchor, None)?.add_to_region(
+        scene.sources(),
+        whole,
+        image.view_mut(),
+        progress,
+    )
 }
 
 /// Draws stars one by one in double precision, each from all components of the model: the reference for [`crate::StarPlan`], and the way
@@ -176,30 +196,43 @@ impl<'a> StarPainter<'a> {
     ) -> Result<(), ConvError> {
         let shape = self.frame.shape();
         assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the frame");
-        self.add_to_rows(sources, 0, image)
+        self.add_to_region(sources, shape.region(), image.view_mut(), &NoProgress)
     }
 
-    /// Draws sources into rows of an image from `first_row` of the frame on.
-    pub(crate) fn add_to_rows<S: ConvReal>(
+    /// Adds sources to a part of the image: `image` is `[y, x]` of `region`, in pixels of the frame. `progress` is asked whether to go on, and not
+    /// told how far it has come.
+    ///
+    /// # Errors
+    /// As [`Self::add_to`]; [`ConvError::Cancelled`].
+    ///
+    /// # Panics
+    /// When `image` has not the region's shape.
+    pub fn add_to_region<S: ConvReal>(
         &self,
         sources: &[PointSource],
-        first_row: usize,
-        image: &mut Array2<S>,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, S>,
+        progress: &dyn Progress,
     ) -> Result<(), ConvError> {
-        let rows = first_row as i64..(first_row + image.nrows()) as i64;
-        let reaches = |source: &&PointSource| {
-            let (_, y, _, ny) = self.lit(source);
-            self.reaches(source) && y < rows.end && y.saturating_add(ny as i64) > rows.start
+        let shape = region.shape();
+        assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the region");
+        let on = |first: i64, length: usize, start: i64, count: usize| {
+            first < start + count as i64 && first.saturating_add(length as i64) > start
         };
-        add_in_order(image, sources.len().div_ceil(AT_ONCE), &NoProgress, |task| {
+        let reaches = |source: &&PointSource| {
+            let (x, y, nx, ny) = self.lit(source);
+            self.reaches(source) && on(x, nx, region.x0(), shape.nx()) && on(y, ny, region.y0(), shape.ny())
+        };
+        let tasks = sources.len().div_ceil(AT_ONCE);
+        add_in_order(image, tasks, &Uncounted(progress), |task| {
             let sources = sources[task * AT_ONCE..].iter().take(AT_ONCE).filter(reaches);
             sources
                 .map(|source| {
                     let (lit, values) = self.paint(source)?;
                     let values = values.mapv(S::nearest);
                     Ok(Piece {
-                        first_column: lit.0,
-                        first_row: lit.1 - rows.start,
+                        first_column: lit.0 - region.x0(),
+                        first_row: lit.1 - region.y0(),
                         values,
                     })
                 })

@@ -3,7 +3,7 @@
 use ndarray::{Array2, ArrayView2};
 
 use crate::check::{self, Quantity};
-use crate::{DataError, FrameShape, Real};
+use crate::{DataError, FrameShape, ImageView, Real};
 
 /// An image `[y, x]` in flux per pixel; not empty, every pixel finite.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,6 +38,11 @@ impl<T: Real> Image<T> {
     /// The pixels `[y, x]`, row-major.
     pub fn pixels(&self) -> ArrayView2<'_, T> {
         self.pixels.view()
+    }
+
+    /// The image, borrowed.
+    pub fn view(&self) -> ImageView<'_, T> {
+        ImageView::of_image(self)
     }
 
     /// The pixels, without a copy.

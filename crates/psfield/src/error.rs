@@ -262,6 +262,9 @@ pub enum PsfieldError {
     /// A plan without an image asked to stream one.
     #[error("only scenes that are images can be streamed: this plan is for stars alone")]
     NothingToStream,
+    /// Light for a plan without an image.
+    #[error("this plan is for stars alone: plan for scenes with an image (Simulation::plan_for_images)")]
+    PlanForStars,
     /// A GPU asked of a build without support of GPUs.
     #[error(
         "this psfield was built without support of GPUs: build it with its feature gpu (cargo build --release -p psfield --features gpu)"

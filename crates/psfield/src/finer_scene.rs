@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use conv_core::{ConvError, ConvReal, RowStream, StarPlan};
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
-use psf_types::{FrameShape, Image, PixelRegion, PointSource, Position, Scene};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Ix2, SliceInfo, SliceInfoElem, s};
+use psf_types::{FrameShape, Image, ImageView, PixelRegion, PointSource, Position, Scene};
 
 use crate::PsfieldError;
 
@@ -82,6 +82,12 @@ impl<T: ConvReal> FinerScene<T> {
         self.sampled_rows(image.view(), 0)
     }
 
+    /// Adds the frame's image to one that is there, from that at the scene's pixels.
+    pub(crate) fn add_sampled(&self, fine: &Array2<T>, mut image: ArrayViewMut2<'_, T>) {
+        let area = T::nearest(self.pixel_area());
+        image.zip_mut_with(&fine.slice(samples(self.finer)), |pixel, &v| *pixel += v * area);
+    }
+
     /// Those rows of the frame's image that rows of the scene's show, the first of which is row `first` of it.
     fn sampled_rows(&self, rows: ArrayView2<'_, T>, first: usize) -> Array2<T> {
         let (s, offset) = (self.finer, (self.finer - 1) / 2);
@@ -92,6 +98,22 @@ impl<T: ConvReal> FinerScene<T> {
         }
         rows.slice(s![skip..;s, offset..;s]).mapv(|v| v * area)
     }
+}
+
+/// The pixels of a finer image that show those of the frame's.
+fn samples(finer: usize) -> SliceInfo<[SliceInfoElem; 2], Ix2, Ix2> {
+    let first = (finer - 1) / 2;
+    s![first..;finer, first..;finer]
+}
+
+/// The transpose of sampling: an image at the pixels of a finer scene that holds the frame's in those which show it and is dark between them.
+pub(crate) fn spread<T: ConvReal>(finer: usize, image: &ImageView<'_, T>) -> Result<Image<T>, PsfieldError> {
+    let (rows, columns) = image.pixels().dim();
+    let area = T::nearest((finer * finer) as f64);
+    let mut fine = Array2::zeros((rows * finer, columns * finer));
+    fine.slice_mut(samples(finer))
+        .zip_mut_with(&image.pixels(), |fine, &v| *fine = v * area);
+    Ok(Image::new(fine)?)
 }
 
 /// A stream of rows of a frame behind one of a finer scene, with its stars.

@@ -1,13 +1,13 @@
 //! A scene through a PSF.
 
 use conv_core::{
-    ConvReal, ConvolutionMethod, Direct, Plan, PlanOptions, RowStream, StarPainter, StarPlan, TileCounts,
-    native_grid,
+    ConvError, ConvReal, ConvolutionMethod, Direct, Plan, PlanOptions, RowStream, StarPainter, StarPlan,
+    TileCounts, native_grid,
 };
-use ndarray::{Array2, ArrayView2};
-use psf_types::{Anchor, FrameShape, Image, NoProgress, Progress, PsfModel, Scene};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2};
+use psf_types::{Anchor, FrameShape, Image, ImageView, NoProgress, Progress, PsfModel, Scene};
 
-use crate::finer_scene::{FinerRows, FinerScene};
+use crate::finer_scene::{FinerRows, FinerScene, spread};
 use crate::{Method, PsfInput, PsfieldError, SimulationOptions, SimulationPlan};
 
 /// Convolves a scene with the right models of a PSF: images with stamps at the scene's pixels, stars with the stamps as they
@@ -183,8 +183,9 @@ impl Simulation {
             let frame = finer.stars().frame().shape();
             Array2::zeros((frame.ny(), frame.nx()))
         };
-        self.painter(finer.stars(), anchor)?
-            .add_to(finer.stars().sources(), &mut pixels)?;
+        let (stars, whole) = (finer.stars(), finer.stars().frame().shape().region());
+        self.painter(stars, anchor)?
+            .add_to_region(stars.sources(), whole, pixels.view_mut(), progress)?;
         Ok(Image::new(pixels)?)
     }
 
@@ -236,17 +237,105 @@ impl Simulation {
         scene: &Scene<T>,
         progress: &dyn Progress,
     ) -> Result<(Image<T>, TileCounts), PsfieldError> {
-        let finer = FinerScene::new(self.options.oversample(), scene)?;
-        let (mut image, counts) = if let Some(engine) = plan.engine() {
-            let mut image = engine.dark_image();
-            let counts = engine.add_extended_to(scene, &mut image, progress)?;
-            (finer.sampled(image), counts)
-        } else {
-            let frame = finer.stars().frame().shape();
-            (Array2::zeros((frame.ny(), frame.nx())), TileCounts::default())
+        let mut image = match plan.engine() {
+            Some(engine) if self.options.oversample() == 1 => engine.dark_image(),
+            _ => {
+                let finer = FinerScene::new(self.options.oversample(), scene)?;
+                let frame = finer.stars().frame().shape();
+                Array2::zeros((frame.ny(), frame.nx()))
+            }
         };
-        plan.stars().add_to(finer.stars(), &mut image)?;
+        let light = scene.image().map(Image::view);
+        let counts = self.add_planned_to(plan, scene, light.as_ref(), image.view_mut(), progress)?;
         Ok((Image::new(image)?, counts))
+    }
+
+    /// Adds the image of a scene to one that belongs to somebody else, from light that does. `scene` gives the shape, the frame and the point
+    /// sources; its image is not looked at. `light` is `[y, x]` of the scene, or of its part that reaches the frame
+    /// ([`Plan::light_region`]); `image` is `[y, x]` of the frame, in its own pixels.
+    ///
+    /// Nothing is copied where the pixels of each row are neighbours in memory and the scene is not finer than the frame.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`]: shapes that do not fit, light where there is no PSF, and [`ConvError::Cancelled`],
+    /// after which the image is left half done. [`PsfieldError::PlanForStars`] for light where the plan is for stars alone.
+    pub fn add_planned_to<T: ConvReal>(
+        &self,
+        plan: &SimulationPlan<T>,
+        scene: &Scene<T>,
+        light: Option<&ImageView<'_, T>>,
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        let finer = FinerScene::new(self.options.oversample(), scene)?;
+        if let Some(engine) = plan.engine() {
+            engine.check_scene(scene)?;
+        }
+        let frame = finer.stars().frame().shape();
+        if image.dim() != (frame.ny(), frame.nx()) {
+            let got = FrameShape::new(image.ncols(), image.nrows())?;
+            return Err(ConvError::FrameShape { expected: frame, got }.into());
+        }
+        let counts = match (light, plan.engine()) {
+            (None, _) => TileCounts::default(),
+            (Some(_), None) => return Err(PsfieldError::PlanForStars),
+            (Some(light), Some(engine)) if self.options.oversample() == 1 => {
+                engine.add_light_to(light, image.view_mut(), progress)?
+            }
+            (Some(light), Some(engine)) => {
+                let mut fine = engine.dark_image();
+                let counts = engine.add_light_to(light, fine.view_mut(), progress)?;
+                finer.add_sampled(&fine, image.view_mut());
+                counts
+            }
+        };
+        plan.stars()
+            .add_to_region(finer.stars(), frame.region(), image, progress)?;
+        Ok(counts)
+    }
+
+    /// The transpose of [`Self::add_planned_to`] without stars: what each pixel of the scene gives to the scalar product of its image with `image`,
+    /// `[y, x]` of the frame in its own pixels. `<A f, g> = <f, A^T g>` for every scene `f` without point sources; of a finer scene, `A`
+    /// convolves and then samples at the centres of the frame's pixels, times their area in pixels of the scene.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`] for an image of another shape; [`PsfieldError::PlanForStars`] where the plan is for stars alone.
+    pub fn adjoint_planned<T: ConvReal>(
+        &self,
+        plan: &SimulationPlan<T>,
+        image: &ImageView<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, PsfieldError> {
+        let engine = plan.engine().ok_or(PsfieldError::PlanForStars)?;
+        match self.options.oversample() {
+            1 => Ok(engine.adjoint_with_progress(image, progress)?),
+            finer => {
+                let fine = spread(finer, image)?;
+                Ok(engine.adjoint_with_progress(&fine.view(), progress)?)
+            }
+        }
+    }
+
+    /// Adds the same transpose to a plane that belongs to somebody else, `[y, x]` of the scene or of its part that reaches the frame
+    /// ([`Plan::light_region`]).
+    ///
+    /// # Errors
+    /// As [`Self::adjoint_planned`]; where it was cancelled, the plane is left half done.
+    pub fn add_adjoint_planned_to<T: ConvReal>(
+        &self,
+        plan: &SimulationPlan<T>,
+        image: &ImageView<'_, T>,
+        light: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        let engine = plan.engine().ok_or(PsfieldError::PlanForStars)?;
+        match self.options.oversample() {
+            1 => Ok(engine.add_adjoint_to(image, light, progress)?),
+            finer => {
+                let fine = spread(finer, image)?;
+                Ok(engine.add_adjoint_to(&fine.view(), light, progress)?)
+            }
+        }
     }
 
     /// The same for a scene whose rows come and go through a stream; `scene` gives the shape, the frame and the point sources.
@@ -280,7 +369,25 @@ impl Simulation {
         anchor: Anchor,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, PsfieldError> {
-        self.exact_at_rows(scene, scene.pixels().map(|light| (light, 0)), anchor, pixels)
+        let part = scene.pixels().map(|light| (light, (0, 0)));
+        self.exact_sums(scene, part, (anchor, pixels), &NoProgress)
+    }
+
+    /// The same from light that belongs to somebody else: all of the scene's, or a part of it that reaches the pixels, with the column and the row
+    /// of the scene that it begins at. `scene` gives the shape, the frame and the point sources. One step a pixel.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`].
+    pub fn exact_at_part<T: ConvReal>(
+        &self,
+        scene: &Scene<T>,
+        part: Option<(&ImageView<'_, T>, (usize, usize))>,
+        anchor: Anchor,
+        pixels: &[(usize, usize)],
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>, PsfieldError> {
+        let light = part.map(|(light, first)| (light.pixels(), first));
+        self.exact_sums(scene, light, (anchor, pixels), progress)
     }
 
     /// The same where only some rows of the scene's image are at hand, with the number of the first of them: all that reach the
@@ -295,11 +402,23 @@ impl Simulation {
         anchor: Anchor,
         pixels: &[(usize, usize)],
     ) -> Result<Vec<f64>, PsfieldError> {
+        let part = rows.map(|(light, first_row)| (light, (0, first_row)));
+        self.exact_sums(scene, part, (anchor, pixels), &NoProgress)
+    }
+
+    /// The values of single pixels from a part of the light and the column and row that it begins at.
+    fn exact_sums<T: ConvReal>(
+        &self,
+        scene: &Scene<T>,
+        part: Option<(ArrayView2<'_, T>, (usize, usize))>,
+        (anchor, pixels): (Anchor, &[(usize, usize)]),
+        progress: &dyn Progress,
+    ) -> Result<Vec<f64>, PsfieldError> {
         let finer = FinerScene::new(self.options.oversample(), scene)?;
         let dark = Scene::<T>::dark(scene.shape()).with_frame(scene.frame())?;
         let of_scene: Vec<(usize, usize)> = pixels.iter().map(|&pixel| finer.sampled_pixel(pixel)).collect();
-        let mut sums = if rows.is_some() {
-            Direct::new(anchor).at_pixels_of_rows(&self.model, &dark, rows, &of_scene)?
+        let mut sums = if part.is_some() {
+            Direct::new(anchor).at_pixels_of_part(&self.model, &dark, part, &of_scene, progress)?
         } else {
             vec![0.0; pixels.len()]
         };

@@ -1,7 +1,6 @@
 //! From the other side to the weighted one.
 
 use ndarray::{Array2, ArrayViewMut2, s};
-use psf_types::FieldError;
 use rayon::prelude::*;
 
 use super::axis_cuts::Stretch;
@@ -13,18 +12,18 @@ use super::tile_engine::{TileEngine, TilePart};
 use super::tile_light::{Direction, PlacedTile, treated};
 use super::treatment::{Ways, Whole};
 use super::workspace::Workspace;
-use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
+use crate::{ConvError, ConvReal};
 
 /// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` where stamps
 /// are turned. Every block writes to its own pixels.
-pub(crate) struct Gather<'a, T: ConvReal> {
-    pub(crate) job: Job<'a, T>,
-    pub(crate) output: ArrayViewMut2<'a, T>,
+pub(crate) struct Gather<'j, 'o, T: ConvReal> {
+    pub(crate) job: Job<'j, T>,
+    pub(crate) output: ArrayViewMut2<'o, T>,
 }
 
-impl<T: ConvReal> WithIsa<T> for Gather<'_, T> {
-    type Output = Result<TileCounts, FieldError>;
+impl<T: ConvReal> WithIsa<T> for Gather<'_, '_, T> {
+    type Output = Result<TileCounts, ConvError>;
 
     fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
         let plan = self.job.plan;
@@ -48,7 +47,7 @@ impl<T: ConvReal> WithIsa<T> for Gather<'_, T> {
             );
         }
         let job = &self.job;
-        let done: Vec<Result<TileCounts, FieldError>> = tasks
+        let done: Vec<Result<TileCounts, ConvError>> = tasks
             .into_par_iter()
             .with_max_len(1)
             .map(|(column, row, output)| {
@@ -75,7 +74,7 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
     (column, row): (usize, usize),
     mut output: ArrayViewMut2<'_, T>,
     workspace: &mut Workspace<T>,
-) -> Result<TileCounts, FieldError> {
+) -> Result<TileCounts, ConvError> {
     let plan = job.plan;
     let mut block = GatherBlock {
         simd,
@@ -116,7 +115,7 @@ impl<T: ConvReal, S: Lanes<T>> GatherBlock<'_, '_, T, S> {
         (x, y): (usize, usize),
         part: TilePart,
         mut output: ArrayViewMut2<'_, T>,
-    ) -> Result<(), FieldError> {
+    ) -> Result<(), ConvError> {
         let (simd, engine) = (self.simd, self.engine);
         let workspace = &mut *self.workspace;
         let tile = PlacedTile { first: (x, y), part };

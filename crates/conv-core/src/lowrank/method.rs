@@ -35,7 +35,8 @@ impl<T: ConvReal> ConvolutionMethod<T> for LowRank {
         if scene.image().is_none() {
             let shape = scene.frame().shape();
             let mut image = Array2::zeros((shape.ny(), shape.nx()));
-            StarPlan::new(model, self.options, None)?.add_to(scene, &mut image)?;
+            let stars = StarPlan::new(model, self.options, None)?;
+            stars.add_to_region(scene, shape.region(), image.view_mut(), progress)?;
             return Image::new(image).map_err(ConvError::Result);
         }
         let plan = Plan::for_scene(model, scene, self.options)?;

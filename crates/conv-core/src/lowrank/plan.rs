@@ -1,9 +1,10 @@
 //! Plans: everything about a convolution that does not depend on the light.
 
+use std::ops::Range;
 use std::sync::OnceLock;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
-use psf_types::{Anchor, FrameShape, Image, NoProgress, PixelRegion, Progress, PsfModel, Scene};
+use psf_types::{Anchor, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, Scene};
 use rayon::prelude::*;
 
 use super::axis_cuts::Stretch;
@@ -23,6 +24,7 @@ use super::tile_light::Direction;
 use super::tiling::{Tiling, best_tiling};
 use super::workspace::Pool;
 use crate::crop::reaching;
+use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::kernel::Reach;
 use crate::stars::StarPlan;
 use crate::transform::TileTransform;
@@ -90,7 +92,7 @@ pub struct Plan<T: ConvReal> {
     pub(super) shape: FrameShape,
     pub(super) frame: PixelRegion,
     /// Columns and rows of the scene that reach the frame.
-    pub(super) light: [std::ops::Range<usize>; 2],
+    pub(super) light: [Range<usize>; 2],
     pub(super) ramp: Vec<T>,
     pool: Pool<T>,
     /// Made when the first star comes.
@@ -238,7 +240,9 @@ impl<T: ConvReal> Plan<T> {
     ) -> Result<TileCounts, ConvError> {
         let counts = self.add_extended_to(scene, image, progress)?;
         if !scene.sources().is_empty() {
-            self.stars()?.add_to(scene, image)?;
+            let whole = self.frame.shape().region();
+            self.stars()?
+                .add_to_region(scene, whole, image.view_mut(), progress)?;
         }
         Ok(counts)
     }
@@ -253,19 +257,72 @@ impl<T: ConvReal> Plan<T> {
         image: &mut Array2<T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        if scene.shape() != self.shape || scene.frame() != self.frame {
-            return Err(self.wrong_shape(scene.shape(), scene.frame()));
+        self.check_scene(scene)?;
+        check_shape(self.frame.shape(), image.dim())?;
+        match scene.image() {
+            None => Ok(TileCounts::default()),
+            Some(light) => self.add_light_to(&light.view(), image.view_mut(), progress),
         }
-        self.check_frame(image)?;
-        let Some(pixels) = scene.pixels() else {
-            return Ok(TileCounts::default());
-        };
-        let [columns, rows] = self.light.clone();
-        let output = image.view_mut();
+    }
+
+    /// Adds the image of light that belongs to somebody else to an image that does, without copies: `light` is `[y, x]` of the whole scene, or
+    /// of its part that reaches the frame ([`light_region`](Self::light_region)); `image` of the frame.
+    ///
+    /// An image in which the pixels of a row are no neighbours in memory is copied and back.
+    ///
+    /// # Errors
+    /// [`ConvError`] for light or an image of another shape, and light where there is no PSF. [`ConvError::Cancelled`]: the image is left half done.
+    pub fn add_light_to(
+        &self,
+        light: &ImageView<'_, T>,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        check_shape(self.frame.shape(), image.dim())?;
+        let [columns, rows] = self.light_part(light.shape())?;
+        let light = light.pixels();
+        let light = light.slice(s![rows, columns]);
         let rows_of_blocks = 0..self.tiling.rows.len();
         progress.start(rows_of_blocks.len() as u64);
-        let light = pixels.slice(s![rows, columns]);
-        self.forward(rows_of_blocks, (light, 0), (output, 0), progress)
+        with_rows_in_memory(image, |image| {
+            self.forward(rows_of_blocks, (light, 0), (image, 0), progress)
+        })
+    }
+
+    /// Whether a scene has the shape and the frame of this plan.
+    ///
+    /// # Errors
+    /// [`ConvError::PlanShape`] where it has not.
+    pub fn check_scene(&self, scene: &Scene<T>) -> Result<(), ConvError> {
+        if scene.shape() == self.shape && scene.frame() == self.frame {
+            Ok(())
+        } else {
+            Err(self.wrong_shape(scene.shape(), scene.frame()))
+        }
+    }
+
+    /// The part of the scene whose light reaches the frame, in pixels of the scene.
+    pub fn light_region(&self) -> PixelRegion {
+        let [columns, rows] = &self.light;
+        let shape = FrameShape::new(columns.len(), rows.len()).expect("a frame's own light reaches it");
+        PixelRegion::new(columns.start as i64, rows.start as i64, shape)
+    }
+
+    /// Columns and rows that reach the frame of a plane with the shape of the scene or of its part that does.
+    fn light_part(&self, got: FrameShape) -> Result<[Range<usize>; 2], ConvError> {
+        let part = self.light_region();
+        if got == part.shape() {
+            Ok([0..got.nx(), 0..got.ny()])
+        } else if got == self.shape {
+            Ok(self.light.clone())
+        } else {
+            let part = text(part);
+            let expected = format!(
+                "the whole scene, {}, or its part that reaches the frame, {part}",
+                self.shape
+            );
+            Err(ConvError::LightShape { expected, got })
+        }
     }
 
     /// The transpose: what each pixel of the scene gives to the scalar product of its image with `image`, for images of the
@@ -274,30 +331,61 @@ impl<T: ConvReal> Plan<T> {
     /// # Errors
     /// [`ConvError::FrameShape`] for an image of another shape than the frame.
     pub fn adjoint(&self, image: &Image<T>) -> Result<Image<T>, ConvError> {
-        let image = image.pixels();
-        self.check_frame(&image)?;
+        self.adjoint_with_progress(&image.view(), &NoProgress)
+    }
+
+    /// The transpose applied to pixels that belong to somebody else, telling how far it has come.
+    ///
+    /// # Errors
+    /// As [`Self::adjoint`]; [`ConvError::Cancelled`].
+    pub fn adjoint_with_progress(
+        &self,
+        image: &ImageView<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, ConvError> {
+        check_shape(self.frame.shape(), image.pixels().dim())?;
         let mut scene = zeros((self.shape.ny(), self.shape.nx()));
-        let [columns, rows] = self.light.clone();
-        let output = scene.slice_mut(s![rows, columns]);
-        let rows = 0..self.tiling.rows.len();
-        let job = Job {
-            plan: self,
-            rows,
-            light: image,
-            first_light: 0,
-            first_output: 0,
-            flip: true,
-            progress: &NoProgress,
-        };
-        self.run(job, output)?;
+        self.add_adjoint_to(image, scene.view_mut(), progress)?;
         Image::new(scene).map_err(ConvError::Result)
+    }
+
+    /// Adds the transpose of an image of the frame to `light`: a plane `[y, x]` of the whole scene, or of its part that reaches the frame
+    /// ([`light_region`](Self::light_region)). One in which the pixels of a row are no neighbours in memory is copied and back.
+    ///
+    /// # Errors
+    /// [`ConvError`] for an image or a plane of another shape. [`ConvError::Cancelled`]: the plane is left half done.
+    pub fn add_adjoint_to(
+        &self,
+        image: &ImageView<'_, T>,
+        light: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        let pixels = image.pixels();
+        check_shape(self.frame.shape(), pixels.dim())?;
+        let (height, width) = light.dim();
+        let got = FrameShape::new(width, height).map_err(ConvError::Result)?;
+        let [columns, rows] = self.light_part(got)?;
+        let rows_of_blocks = 0..self.tiling.rows.len();
+        progress.start(rows_of_blocks.len() as u64);
+        with_rows_in_memory(light.slice_move(s![rows, columns]), |light| {
+            let job = Job {
+                plan: self,
+                rows: rows_of_blocks,
+                light: pixels,
+                first_light: 0,
+                first_output: 0,
+                flip: true,
+                progress,
+            };
+            self.run(job, light)
+        })
     }
 
     /// The image of the light in some rows of blocks: `light` and `output` come with the first row that they hold, counted from
     /// the first row that reaches the frame and from the frame's.
     pub(super) fn forward(
         &self,
-        rows: std::ops::Range<usize>,
+        rows: Range<usize>,
         (light, first_light): (ArrayView2<'_, T>, usize),
         (output, first_output): (ArrayViewMut2<'_, T>, usize),
         progress: &dyn Progress,
@@ -315,15 +403,15 @@ impl<T: ConvReal> Plan<T> {
     }
 
     /// Sends light through the operator on the device that executions run on.
-    fn run<'a>(&'a self, job: Job<'a, T>, output: ArrayViewMut2<'a, T>) -> Result<TileCounts, ConvError> {
+    fn run(&self, job: Job<'_, T>, output: ArrayViewMut2<'_, T>) -> Result<TileCounts, ConvError> {
         #[cfg(feature = "gpu")]
         if let Some(gpu) = &self.gpu {
             return gpu.run(&job, output);
         }
-        Ok(match self.direction(job.flip) {
+        match self.direction(job.flip) {
             Direction::Scatter => T::dispatch(Scatter { job, output }),
             Direction::Gather => T::dispatch(Gather { job, output }),
-        }?)
+        }
     }
 
     /// Which way light goes, or comes back where `transposed`.
@@ -393,20 +481,7 @@ impl<T: ConvReal> Plan<T> {
         )
     }
 
-    fn check_frame<S: ndarray::Data<Elem = T>>(
-        &self,
-        image: &ndarray::ArrayBase<S, ndarray::Ix2>,
-    ) -> Result<(), ConvError> {
-        let expected = self.frame.shape();
-        if image.dim() == (expected.ny(), expected.nx()) {
-            return Ok(());
-        }
-        let got = FrameShape::new(image.ncols(), image.nrows()).map_err(ConvError::Result)?;
-        Err(ConvError::FrameShape { expected, got })
-    }
-
     pub(super) fn wrong_shape(&self, got: FrameShape, got_frame: PixelRegion) -> ConvError {
-        let text = |frame: PixelRegion| format!("{} at ({}, {})", frame.shape(), frame.x0(), frame.y0());
         ConvError::PlanShape {
             expected: self.shape,
             expected_frame: text(self.frame),
@@ -414,6 +489,10 @@ impl<T: ConvReal> Plan<T> {
             got_frame: text(got_frame),
         }
     }
+}
+
+fn text(region: PixelRegion) -> String {
+    format!("{} at ({}, {})", region.shape(), region.x0(), region.y0())
 }
 
 fn extents(

@@ -1,7 +1,6 @@
 //! From the weighted side to the other.
 
 use ndarray::ArrayViewMut2;
-use psf_types::FieldError;
 use rayon::prelude::*;
 
 use super::execution::TileCounts;
@@ -12,17 +11,17 @@ use super::tile_engine::{TileEngine, TilePart};
 use super::tile_light::{Direction, PlacedTile, treated};
 use super::treatment::{Ways, Whole};
 use super::workspace::Workspace;
-use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
+use crate::{ConvError, ConvReal};
 
 /// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`, or `k(p - q)` where stamps are
 /// turned.
 ///
 /// Blocks whose outputs overlap never run at the same time: in each band of rows of blocks, every n-th row and every n-th
 /// column run together, one set after the other. So the order of additions to a pixel is always the same.
-pub(crate) struct Scatter<'a, T: ConvReal> {
-    pub(crate) job: Job<'a, T>,
-    pub(crate) output: ArrayViewMut2<'a, T>,
+pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
+    pub(crate) job: Job<'j, T>,
+    pub(crate) output: ArrayViewMut2<'o, T>,
 }
 
 /// Where each column or row of blocks begins and ends on the other side.
@@ -36,8 +35,8 @@ struct Task<'a, T> {
     origin: (usize, usize),
 }
 
-impl<T: ConvReal> WithIsa<T> for Scatter<'_, T> {
-    type Output = Result<TileCounts, FieldError>;
+impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
+    type Output = Result<TileCounts, ConvError>;
 
     fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
         let plan = self.job.plan;
@@ -66,7 +65,7 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, T> {
     }
 }
 
-impl<T: ConvReal> Scatter<'_, T> {
+impl<T: ConvReal> Scatter<'_, '_, T> {
     /// The blocks at some rows and columns, which do not touch each other.
     fn together<S: Lanes<T>>(
         &mut self,
@@ -74,7 +73,7 @@ impl<T: ConvReal> Scatter<'_, T> {
         (column_extents, row_extents): &(Extents, Extents),
         rows: &[usize],
         columns: &[usize],
-    ) -> Result<TileCounts, FieldError> {
+    ) -> Result<TileCounts, ConvError> {
         let (plan, first_output) = (self.job.plan, self.job.first_output);
         let height = self.output.nrows();
         let within = |row: usize| row.saturating_sub(first_output).min(height);
@@ -97,7 +96,7 @@ impl<T: ConvReal> Scatter<'_, T> {
             }
         }
         let job = &self.job;
-        let done: Vec<Result<TileCounts, FieldError>> = tasks
+        let done: Vec<Result<TileCounts, ConvError>> = tasks
             .into_par_iter()
             .with_max_len(1)
             .map(|task| {
@@ -118,7 +117,7 @@ fn scatter_block<T: ConvReal, S: Lanes<T>>(
     job: &Job<'_, T>,
     task: Task<'_, T>,
     workspace: &mut Workspace<T>,
-) -> Result<TileCounts, FieldError> {
+) -> Result<TileCounts, ConvError> {
     let plan = job.plan;
     let engine = plan.engine(job.flip);
     let mut block = ScatterBlock {
@@ -159,7 +158,7 @@ struct ScatterBlock<'w, 'j, 't, T: ConvReal, S> {
 
 impl<T: ConvReal, S: Lanes<T>> ScatterBlock<'_, '_, '_, T, S> {
     /// One tile, whose first pixel is (`x`, `y`) of the weighted side.
-    fn tile(&mut self, (x, y): (usize, usize), part: TilePart) -> Result<(), FieldError> {
+    fn tile(&mut self, (x, y): (usize, usize), part: TilePart) -> Result<(), ConvError> {
         let (simd, engine, plan) = (self.simd, self.engine, self.job.plan);
         let workspace = &mut *self.workspace;
         let tile = PlacedTile { first: (x, y), part };

@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
-use psf_types::{Anchor, Image, Progress, Scene};
+use psf_types::{Anchor, FrameShape, Image, PixelRegion, Progress, Scene};
 
 use super::execution::TileCounts;
 use super::plan::Plan;
@@ -44,9 +44,7 @@ impl<T: ConvReal> Plan<T> {
         stream: &mut R,
         progress: &dyn Progress,
     ) -> Result<TileCounts, R::Error> {
-        if scene.shape() != self.shape || scene.frame() != self.frame {
-            return Err(self.wrong_shape(scene.shape(), scene.frame()).into());
-        }
+        self.check_scene(scene)?;
         let rows_of_blocks = self.tiling.rows.len();
         progress.start(rows_of_blocks as u64);
         let (ny, nx) = (self.frame.shape().ny(), self.frame.shape().nx());
@@ -86,7 +84,9 @@ impl<T: ConvReal> Plan<T> {
                 let mut finished = image.slice_move(s![..next - written, ..]);
                 if !scene.sources().is_empty() {
                     let stars = stars.map_or_else(|| self.stars(), Ok)?;
-                    stars.add_to_rows(scene, written, &mut finished)?;
+                    let rows = FrameShape::new(nx, next - written).map_err(ConvError::Result)?;
+                    let region = PixelRegion::new(0, written as i64, rows);
+                    stars.add_to_region(scene, region, finished.view_mut(), progress)?;
                 }
                 let finished = Image::new(finished).map_err(ConvError::Result)?;
                 stream.write(finished.pixels())?;

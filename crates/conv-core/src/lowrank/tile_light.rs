@@ -1,15 +1,14 @@
 //! A tile's light, looked at: what both devices do before they convolve it.
 
-use psf_types::FieldError;
-
 use super::job::Job;
 use super::light::look;
 use super::prepared::Prepared;
 use super::tile_engine::TilePart;
 use super::treatment::{Choice, Treatment, Ways, treat};
 use super::workspace::Workspace;
-use crate::ConvReal;
 use crate::simd::Lanes;
+use crate::wanted::still_wanted;
+use crate::{ConvError, ConvReal};
 
 /// Which way a job goes through the operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,7 +29,7 @@ pub(crate) struct PlacedTile {
 }
 
 /// Loads a tile's light, or that around it, into `workspace.light` and decides how it is treated; nothing where it is dark. Pixels that are
-/// drawn apart are no longer part of that light.
+/// drawn apart are no longer part of that light. A tile is also where work can be stopped.
 pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     simd: S,
     job: &Job<'_, T>,
@@ -39,7 +38,8 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     tile: PlacedTile,
     ways: Ways,
     workspace: &mut Workspace<T>,
-) -> Result<Option<Treatment<T>>, FieldError> {
+) -> Result<Option<Treatment<T>>, ConvError> {
+    still_wanted(job.progress)?;
     let plan = job.plan;
     let engine = plan.engine(job.flip);
     let pitch = plan.fft.pitch();

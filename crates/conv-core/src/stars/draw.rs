@@ -1,12 +1,14 @@
 //! Stars of one block, row by row.
 
+use psf_types::Progress;
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
 use super::star::PreparedStar;
 use super::star_block::{CHUNK, RowLayout, StarBlock};
 use super::tile::Tile;
-use crate::ConvReal;
 use crate::simd::Lanes;
+use crate::wanted::still_wanted;
+use crate::{ConvError, ConvReal};
 
 /// Draws stars of one block.
 pub(super) struct BlockDraw<'a, T> {
@@ -16,7 +18,11 @@ pub(super) struct BlockDraw<'a, T> {
     pub(super) stars: &'a [PreparedStar<T>],
     /// The stars' weights.
     pub(super) weights: &'a [T],
+    pub(super) progress: &'a dyn Progress,
 }
+
+/// Stars whose rows are worth a question whether they are still wanted.
+const STARS_A_QUESTION: usize = 1 << 10;
 
 impl<T: ConvReal> BlockDraw<'_, T> {
     /// Adds the stars to a tile that holds all their columns. Row by row of the stamps, so that a row of all kernels stays in the first
@@ -24,7 +30,11 @@ impl<T: ConvReal> BlockDraw<'_, T> {
     ///
     /// What a pixel gets comes in an order that does not depend on which rows are at hand.
     #[inline(always)]
-    pub(super) fn draw<S: Lanes<T>, const TAPS: usize>(&self, simd: S, tile: &mut Tile<T>) {
+    pub(super) fn draw<S: Lanes<T>, const TAPS: usize>(
+        &self,
+        simd: S,
+        tile: &mut Tile<T>,
+    ) -> Result<(), ConvError> {
         let longest = self
             .stars
             .iter()
@@ -33,6 +43,9 @@ impl<T: ConvReal> BlockDraw<'_, T> {
         let rows = tile.rows();
         let row_of_kernels = self.block.kernel_count() * self.layout.kernel;
         for j in 0..longest.unwrap_or(0) {
+            if self.stars.len() >= STARS_A_QUESTION {
+                still_wanted(self.progress)?;
+            }
             for star in self.stars {
                 let row = star.rows.start + j;
                 if row >= star.rows.end || !rows.contains(&row) {
@@ -52,6 +65,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
                 .add_to(simd, &mut tile.values[first..first + length]);
             }
         }
+        Ok(())
     }
 }
 

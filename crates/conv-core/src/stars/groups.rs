@@ -4,6 +4,7 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use ndarray::{ArrayViewMut2, Axis};
+use psf_types::Progress;
 use rayon::prelude::*;
 
 use super::cache::BlockKey;
@@ -12,9 +13,10 @@ use super::phases::PhasedAxis;
 use super::star::PreparedStar;
 use super::star_block::{RowLayout, StarBlock};
 use super::tile::Tile;
-use crate::ConvReal;
 use crate::simd::{Lanes, WithIsa};
 use crate::stamp_interpolator::MOST_TAPS;
+use crate::wanted::still_wanted;
+use crate::{ConvError, ConvReal};
 
 /// Rows of the image to which one task adds.
 const BAND: usize = 32;
@@ -57,22 +59,26 @@ pub(super) struct DrawGroups<'a, T> {
     pub(super) axes: &'a [PhasedAxis; 2],
     pub(super) layout: RowLayout,
     pub(super) groups: &'a [Group<T>],
+    /// Of the frame, from this column and row on.
     pub(super) image: ArrayViewMut2<'a, T>,
-    pub(super) first_row: usize,
+    pub(super) first: (i64, i64),
+    pub(super) progress: &'a dyn Progress,
 }
 
 impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
-    type Output = ();
-    fn run<S: Lanes<T>>(self, simd: S) {
+    type Output = Result<(), ConvError>;
+    fn run<S: Lanes<T>>(self, simd: S) -> Self::Output {
         let Self {
             axes,
             layout,
             groups,
             mut image,
-            first_row,
+            first: (first_column, first_row),
+            progress,
         } = self;
-        let (first_row, height) = (first_row as i64, image.nrows() as i64);
+        let height = image.nrows() as i64;
         let draw = |group: &Group<T>| {
+            still_wanted(progress)?;
             let rows = group.rows.start.max(first_row)..group.rows.end.min(first_row + height);
             let mut tile = Tile::dark(group.columns.clone(), rows);
             let draw = BlockDraw {
@@ -81,6 +87,7 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
                 block: &group.block,
                 stars: &group.stars,
                 weights: &group.weights,
+                progress,
             };
             simd.vectorized(
                 #[inline(always)]
@@ -88,19 +95,20 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
                     4 => draw.draw::<S, 4>(simd, &mut tile),
                     _ => draw.draw::<S, MOST_TAPS>(simd, &mut tile),
                 },
-            );
-            tile
+            )?;
+            Ok(tile)
         };
-        let tiles: Vec<Tile<T>> = groups.par_iter().map(draw).collect();
+        let tiles: Vec<Tile<T>> = groups.par_iter().map(draw).collect::<Result<_, ConvError>>()?;
         let bands = image
             .axis_chunks_iter_mut(Axis(0), BAND)
             .into_par_iter()
             .enumerate();
         bands.for_each(|(band, mut rows)| {
             for tile in &tiles {
-                tile.add_to(&mut rows, first_row + (band * BAND) as i64);
+                tile.add_to(&mut rows, (first_column, first_row + (band * BAND) as i64));
             }
         });
+        Ok(())
     }
 }
 

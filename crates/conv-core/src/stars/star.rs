@@ -79,15 +79,16 @@ impl Star {
         }
     }
 
-    /// Whether it may light a row of `rows` and a column below `columns`.
-    pub(super) fn reaches(&self, window: Window, columns: usize, rows: Range<i64>) -> bool {
+    /// Whether it may light a pixel of a region of the frame.
+    pub(super) fn reaches(&self, window: Window, region: PixelRegion) -> bool {
         let (column, row) = self.pixel;
-        let on = |pixel: i64, (from, to): (i64, i64), start: i64, end: i64| {
-            pixel.saturating_add(from) < end && pixel.saturating_add(to) > start
+        let on = |pixel: i64, (from, to): (i64, i64), start: i64, count: usize| {
+            pixel.saturating_add(from) < start + count as i64 && pixel.saturating_add(to) > start
         };
+        let shape = region.shape();
         self.flux != 0.0
-            && on(column, window.columns, 0, columns as i64)
-            && on(row, window.rows, rows.start, rows.end)
+            && on(column, window.columns, region.x0(), shape.nx())
+            && on(row, window.rows, region.y0(), shape.ny())
     }
 
     /// Numbers of its phases.

@@ -1,7 +1,7 @@
 //! Plans for stars.
 
-use ndarray::Array2;
-use psf_types::{Anchor, FrameShape, PixelRegion, Position, PsfModel, Scene};
+use ndarray::{Array2, ArrayViewMut2};
+use psf_types::{Anchor, FrameShape, NoProgress, PixelRegion, Position, Progress, PsfModel, Scene};
 use rayon::prelude::*;
 
 use super::cache::{BlockCache, BlockKey};
@@ -10,8 +10,10 @@ use super::phases::PhasedAxis;
 use super::star::{PreparedStar, Star, Window};
 use super::star_block::{RowLayout, StarBlock};
 use super::star_vectors::StarVectors;
+use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::lowrank::internals::{PsfSpace, rounding};
 use crate::point_sources::{StampSplines, StarPainter};
+use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal, PlanOptions};
 
 /// The drawing of point sources through one model, prepared.
@@ -142,7 +144,7 @@ impl<T: ConvReal> StarPlan<T> {
     pub fn add_to(&self, scene: &Scene<T>, image: &mut Array2<T>) -> Result<(), ConvError> {
         let shape = scene.frame().shape();
         assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the frame");
-        self.add_to_rows(scene, 0, image)
+        self.add_to_region(scene, shape.region(), image.view_mut(), &NoProgress)
     }
 
     /// The same for a part of the image: whole rows from `first_row` of the frame on. What a row gets does not depend on which other rows
@@ -156,10 +158,43 @@ impl<T: ConvReal> StarPlan<T> {
         first_row: usize,
         image: &mut Array2<T>,
     ) -> Result<(), ConvError> {
-        let Some(phased) = &self.phased else {
-            return self.draw_exactly(scene, scene.sources(), first_row, image);
+        let (rows, columns) = image.dim();
+        let Ok(shape) = FrameShape::new(columns, rows) else {
+            return Ok(());
         };
-        let rows = first_row as i64..(first_row + image.nrows()) as i64;
+        let region = PixelRegion::new(0, first_row as i64, shape);
+        self.add_to_region(scene, region, image.view_mut(), &NoProgress)
+    }
+
+    /// The same for any part of the image: `image` is `[y, x]` of `region`, in pixels of the frame. What a pixel gets does not depend on which
+    /// others are at hand. Pixels of a row that are no neighbours in memory are copied and back.
+    ///
+    /// `progress` is asked whether to go on, and not told how far it has come.
+    ///
+    /// # Errors
+    /// As [`Self::add_to`]; [`ConvError::FrameShape`] for an image of another shape than the region. [`ConvError::Cancelled`]: some of the stars may
+    /// have been added.
+    pub fn add_to_region(
+        &self,
+        scene: &Scene<T>,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), ConvError> {
+        check_shape(region.shape(), image.dim())?;
+        with_rows_in_memory(image, |image| self.add_stars(scene, region, image, progress))
+    }
+
+    fn add_stars(
+        &self,
+        scene: &Scene<T>,
+        region: PixelRegion,
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), ConvError> {
+        let Some(phased) = &self.phased else {
+            return self.draw_exactly(scene, scene.sources(), region, image, progress);
+        };
         let frame = scene.frame();
         let mut stars: Vec<StarKey> = scene
             .sources()
@@ -168,7 +203,7 @@ impl<T: ConvReal> StarPlan<T> {
             .with_min_len(LEAST_AT_ONCE)
             .filter_map(|(index, source)| {
                 let star = Star::new(index, source, frame);
-                let lights = star.reaches(self.window, image.ncols(), rows.clone());
+                let lights = star.reaches(self.window, region);
                 lights.then(|| StarKey {
                     block: block_of(star.pixel),
                     part: index / MOST_AT_ONCE,
@@ -195,12 +230,14 @@ impl<T: ConvReal> StarPlan<T> {
                 })
                 .count();
             let (now, later) = rest.split_at(count);
-            missed.extend(self.draw(phased, scene, now, first_row, image)?);
+            still_wanted(progress)?;
+            let first = (region.x0(), region.y0());
+            missed.extend(self.draw(phased, scene, now, (first, image.view_mut()), progress)?);
             rest = later;
         }
         missed.sort_unstable();
         let missed: Vec<_> = missed.into_iter().map(|index| scene.sources()[index]).collect();
-        self.draw_exactly(scene, &missed, first_row, image)
+        self.draw_exactly(scene, &missed, region, image, progress)
     }
 
     /// Draws groups of stars, and tells which would miss the tolerance and were not drawn.
@@ -209,21 +246,22 @@ impl<T: ConvReal> StarPlan<T> {
         phased: &Phased<T>,
         scene: &Scene<T>,
         groups: &[&[StarKey]],
-        first_row: usize,
-        image: &mut Array2<T>,
+        (first, image): ((i64, i64), ArrayViewMut2<'_, T>),
+        progress: &dyn Progress,
     ) -> Result<Vec<usize>, ConvError> {
         let prepared: Vec<(Group<T>, Vec<usize>)> = groups
             .par_iter()
-            .map(|stars| self.prepare(phased, scene, stars))
+            .map(|stars| self.prepare(phased, scene, stars, progress))
             .collect::<Result<_, _>>()?;
         let (groups, missed): (Vec<Group<T>>, Vec<Vec<usize>>) = prepared.into_iter().unzip();
         T::dispatch(DrawGroups {
             axes: &phased.axes,
             layout: phased.layout,
             groups: &groups,
-            image: image.view_mut(),
-            first_row,
-        });
+            image,
+            first,
+            progress,
+        })?;
         Ok(missed.into_iter().flatten().collect())
     }
 
@@ -233,7 +271,9 @@ impl<T: ConvReal> StarPlan<T> {
         phased: &Phased<T>,
         scene: &Scene<T>,
         stars: &[StarKey],
+        progress: &dyn Progress,
     ) -> Result<(Group<T>, Vec<usize>), ConvError> {
+        still_wanted(progress)?;
         let key = stars[0].block;
         let block = phased.blocks.get(key, || {
             StarBlock::new(
@@ -249,7 +289,10 @@ impl<T: ConvReal> StarPlan<T> {
         let taps = phased.axes[1].tap_count();
         let mut weights = Vec::with_capacity(stars.len() * taps * block.kernel_count());
         let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
-        for &StarKey { index, .. } in stars {
+        for (number, &StarKey { index, .. }) in stars.iter().enumerate() {
+            if number.is_multiple_of(LEAST_AT_ONCE) {
+                still_wanted(progress)?;
+            }
             let star = Star::new(index, &scene.sources()[index], scene.frame());
             let Some([columns, rows]) = star.phases(&phased.axes) else {
                 continue;
@@ -282,8 +325,9 @@ impl<T: ConvReal> StarPlan<T> {
         &self,
         scene: &Scene<T>,
         sources: &[psf_types::PointSource],
-        first_row: usize,
-        image: &mut Array2<T>,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
     ) -> Result<(), ConvError> {
         if sources.is_empty() {
             return Ok(());
@@ -291,7 +335,7 @@ impl<T: ConvReal> StarPlan<T> {
         let painter = StarPainter::new(&self.model, scene.frame(), self.options.anchor(), self.size)?;
         painter
             .sharing(self.splines.clone())
-            .add_to_rows(sources, first_row, image)
+            .add_to_region(sources, region, image, progress)
     }
 }
 

@@ -30,10 +30,14 @@ impl<T: ConvReal> Tile<T> {
         self.origin.1..self.origin.1 + height as i64
     }
 
-    /// Adds the tile to `rows` of an image, the first of which is row `first_row`.
-    pub(super) fn add_to(&self, rows: &mut ArrayViewMut2<'_, T>, first_row: i64) {
-        let columns = self.origin.0.max(0)..(self.origin.0 + self.width as i64).min(rows.ncols() as i64);
-        let shared = self.rows().start.max(first_row)..self.rows().end.min(first_row + rows.nrows() as i64);
+    /// Adds the tile to some pixels of the frame, the first of which is (`first_column`, `first_row`).
+    pub(super) fn add_to(&self, rows: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
+        let shared = |from: i64, length: usize, first: i64, count: usize| {
+            from.max(first)..(from + length as i64).min(first + count as i64)
+        };
+        let columns = shared(self.origin.0, self.width, first_column, rows.ncols());
+        let height = self.values.len() / self.width.max(1);
+        let shared = shared(self.origin.1, height, first_row, rows.nrows());
         if columns.is_empty() {
             return;
         }
@@ -41,7 +45,8 @@ impl<T: ConvReal> Tile<T> {
             let first = (y - self.origin.1) as usize * self.width + (columns.start - self.origin.0) as usize;
             let mut row = rows.row_mut((y - first_row) as usize);
             let row = row.as_slice_mut().expect("images are row-major");
-            let row = &mut row[columns.start as usize..columns.end as usize];
+            let (from, to) = (columns.start - first_column, columns.end - first_column);
+            let row = &mut row[from as usize..to as usize];
             for (t, v) in row.iter_mut().zip(&self.values[first..]) {
                 *t += *v;
             }

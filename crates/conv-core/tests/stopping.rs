@@ -1,0 +1,184 @@
+//! Work that is stopped before its end.
+
+#[allow(dead_code, reason = "each test binary uses a part")]
+mod common;
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use common::{ANCHORS, Waves, model_with, noise};
+use conv_core::{
+    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, Plan,
+    PlanOptions, StarPlan,
+};
+use ndarray::Array2;
+use psf_types::{
+    FrameShape, Image, Normalisation, PointSource, Position, Progress, PsfBasis, PsfModel, Scene, StampGrid,
+};
+use rayon::ThreadPoolBuilder;
+
+const FRAME: (usize, usize) = (230, 190);
+
+/// Wants the work to stop from a question on, and counts questions.
+struct Patience {
+    questions: AtomicUsize,
+    enough: usize,
+}
+
+impl Patience {
+    fn of(enough: usize) -> Self {
+        Self {
+            questions: AtomicUsize::new(0),
+            enough,
+        }
+    }
+
+    fn endless() -> Self {
+        Self::of(usize::MAX)
+    }
+
+    fn asked(&self) -> usize {
+        self.questions.load(Ordering::Relaxed)
+    }
+}
+
+impl Progress for Patience {
+    fn start(&self, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn cancelled(&self) -> bool {
+        self.questions.fetch_add(1, Ordering::Relaxed) >= self.enough
+    }
+}
+
+fn model() -> PsfModel {
+    model_with(Arc::new(Waves), (9, 7), (4, 3), true, Normalisation::Unit)
+}
+
+fn light() -> Image<f64> {
+    Image::new(noise(FRAME.1, FRAME.0, 3)).unwrap()
+}
+
+fn sources(count: usize) -> Vec<PointSource> {
+    let place = |i: usize, factor: usize, limit: usize| ((i * factor) % limit) as f64 + 0.3;
+    (0..count)
+        .map(|i| {
+            let position = Position::new(place(i, 7919, FRAME.0), place(i, 104_729, FRAME.1)).unwrap();
+            PointSource::new(position, 2.0).unwrap()
+        })
+        .collect()
+}
+
+/// Runs work that is stopped after none, some and nearly all of its questions, on one thread and on several. It must ask at least
+/// `at_least` times, end with the error, and ask at most `most_after` times after it was told.
+fn stops<R: std::fmt::Debug + Send>(
+    name: &str,
+    (at_least, most_after): (usize, usize),
+    work: impl Fn(&Patience) -> Result<R, ConvError> + Sync,
+) {
+    for threads in [1, 4] {
+        let pool = ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let patience = Patience::endless();
+        pool.install(|| work(&patience)).unwrap();
+        let all = patience.asked();
+        assert!(all >= at_least, "{name}: asked {all} times");
+        for enough in [0, 1, all / 2, all - 1] {
+            let patience = Patience::of(enough);
+            match pool.install(|| work(&patience)) {
+                Err(ConvError::Cancelled) => {}
+                other => panic!("{name}, {threads} threads, stopped at {enough} of {all}: {other:?}"),
+            }
+            let after = patience.asked() - enough;
+            assert!(
+                (1..=most_after).contains(&after),
+                "{name}, {threads} threads: asked {after} times after it was told at {enough} of {all}"
+            );
+        }
+    }
+}
+
+/// After the no, each block that is about to be done at the same time asks once more; there are some tens of them.
+const BLOCKS: usize = 100;
+
+#[test]
+fn a_plan_stops_soon_and_serves_again() {
+    let light = light();
+    for anchor in ANCHORS {
+        for paths in [Paths::Cheapest, Paths::Transforms] {
+            let options = PlanOptions::new(1e-3)
+                .unwrap()
+                .with_anchor(anchor)
+                .with_paths(paths);
+            let scene = Scene::from_image(light.clone());
+            let plan = Plan::for_scene(&model(), &scene, options).unwrap();
+            let tiles = plan.summary().tiles;
+            let before = plan.execute(&scene).unwrap();
+            let back = plan.adjoint(&before).unwrap();
+            stops("forward", (tiles, BLOCKS), |patience| {
+                let mut image = plan.dark_image();
+                plan.add_light_to(&light.view(), image.view_mut(), patience)
+            });
+            stops("adjoint", (tiles, BLOCKS), |patience| {
+                plan.adjoint_with_progress(&before.view(), patience)
+            });
+            assert_eq!(plan.execute(&scene).unwrap(), before);
+            assert_eq!(plan.adjoint(&before).unwrap(), back);
+        }
+    }
+}
+
+#[test]
+fn stars_stop_soon_and_are_drawn_again() {
+    let fine = {
+        let model = model_with(Arc::new(Waves), (9, 7), (4, 3), false, Normalisation::Keep);
+        let grid = StampGrid::new(9, 7)
+            .and_then(|grid| grid.with_oversampling(2.0))
+            .unwrap();
+        let basis = PsfBasis::new(None, model.stamps().to_owned(), grid).unwrap();
+        PsfModel::new(&basis, Arc::new(Waves), Normalisation::Keep, None).unwrap()
+    };
+    let frame = FrameShape::new(FRAME.0, FRAME.1).unwrap();
+    let scene = Scene::<f64>::dark(frame).with_sources(sources(5000));
+    for (name, model) in [("fine", fine), ("exactly", model())] {
+        for anchor in ANCHORS {
+            let plan =
+                StarPlan::new(&model, PlanOptions::new(1e-3).unwrap().with_anchor(anchor), None).unwrap();
+            let drawn = || {
+                let mut image = Array2::zeros((FRAME.1, FRAME.0));
+                plan.add_to(&scene, &mut image).unwrap();
+                image
+            };
+            let before = drawn();
+            stops(name, (5, 40), |patience| {
+                let mut image = Array2::zeros((FRAME.1, FRAME.0));
+                plan.add_to_region(&scene, frame.region(), image.view_mut(), patience)
+            });
+            assert_eq!(drawn(), before);
+        }
+    }
+}
+
+#[test]
+fn every_method_stops() {
+    let scene = Scene::from_image(light()).with_sources(sources(100));
+    let model = model();
+    for anchor in ANCHORS {
+        let options = PlanOptions::new(1e-3).unwrap().with_anchor(anchor);
+        let methods: [(&str, Box<dyn ConvolutionMethod<f64> + Sync>); 4] = [
+            ("direct", Box::new(Direct::new(anchor))),
+            ("basis", Box::new(BasisConvolution::new(anchor))),
+            ("patch", Box::new(PatchConvolution::new(20, anchor).unwrap())),
+            ("low rank", Box::new(LowRank::new(options))),
+        ];
+        for (name, method) in methods {
+            // Columns of a plane are skipped one by one: each asks.
+            stops(name, (4, 600), |patience| {
+                method.convolve_with_progress(&model, &scene, patience)
+            });
+        }
+        let pixels: Vec<(usize, usize)> = (0..90).map(|i| (2 * i, i)).collect();
+        stops("single pixels", (90, 90), |patience| {
+            let light = scene.pixels().map(|light| (light, (0, 0)));
+            Direct::new(anchor).at_pixels_of_part(&model, &scene, light, &pixels, patience)
+        });
+    }
+}
