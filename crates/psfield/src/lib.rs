@@ -39,6 +39,7 @@ pub mod bench;
 pub mod convert;
 mod device;
 mod error;
+mod error_text;
 mod evaluate;
 mod exposure_files;
 mod finer_scene;
@@ -72,6 +73,7 @@ pub use {
 
 pub use device::{CpuReason, Device, DeviceOptions, GpuSeconds, Gpus, Placement, PredictedSeconds};
 pub use error::PsfieldError;
+pub use error_text::error_text;
 pub use evaluate::{EvaluateOptions, OutputGrid, evaluate, evaluate_stamps};
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{Fit, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};

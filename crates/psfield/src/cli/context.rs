@@ -13,17 +13,9 @@ use super::progress::Bar;
 #[error("{0}")]
 pub(crate) struct UsageError(pub(crate) String);
 
-/// An error with its causes, in one line. Errors that show their cause themselves repeat it in the chain; everything is said once.
+/// An error with its causes, in one line.
 pub(crate) fn told(error: &anyhow::Error) -> String {
-    let mut last = error.to_string();
-    let mut all = last.clone();
-    for cause in error.chain().skip(1).map(ToString::to_string) {
-        if !last.contains(&cause) {
-            all = format!("{all}: {cause}");
-            last = cause;
-        }
-    }
-    all
+    psfield::error_text(error.as_ref())
 }
 
 /// How a command speaks.

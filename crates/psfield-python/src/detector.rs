@@ -1,0 +1,105 @@
+//! Detectors.
+
+use std::path::PathBuf;
+
+use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2};
+use psfield::PsfieldError;
+use psfield::detector::{self, BadPixelMask, DetectorParams, ExposureReport};
+use psfield::psf_types::{Image, Real};
+use pyo3::prelude::*;
+
+use crate::error::{Failure, invalid};
+use crate::interruptible;
+
+/// The whole chain from light to counts.
+#[pyclass(frozen, module = "psfield._native")]
+pub(crate) struct Detector(detector::Detector);
+
+/// Counts, flags, and the report as JSON.
+type Exposed<'py> = (Bound<'py, PyAny>, Bound<'py, PyArray2<u8>>, String);
+
+#[pymethods]
+impl Detector {
+    /// A detector from its parameters as JSON, with the keys of the TOML file.
+    #[new]
+    fn new(params: &str) -> PyResult<Self> {
+        let params: DetectorParams =
+            serde_json::from_str(params).map_err(|error| invalid(format!("the detector: {error}")))?;
+        Ok(Self(detector::Detector::new(params).map_err(Failure::from)?))
+    }
+
+    /// A detector from a TOML file.
+    #[staticmethod]
+    fn from_toml(path: PathBuf) -> PyResult<Self> {
+        Ok(Self(
+            detector::Detector::from_toml_file(path).map_err(Failure::from)?,
+        ))
+    }
+
+    /// All parameters as JSON.
+    fn params(&self) -> String {
+        serde_json::to_string(self.0.params()).expect("parameters are plain numbers")
+    }
+
+    /// `electron` or `adu`.
+    fn unit(&self) -> String {
+        self.0.unit().to_string()
+    }
+
+    /// The level of saturated pixels, if there is one.
+    fn saturation(&self) -> Option<f64> {
+        self.0.saturation()
+    }
+
+    /// Counts of an image.
+    fn expose<'py>(
+        &self,
+        py: Python<'py>,
+        image: Bound<'py, PyAny>,
+        seed: u64,
+        bad_pixels: Option<PyReadonlyArray2<'py, f64>>,
+    ) -> PyResult<Exposed<'py>> {
+        let mask = match bad_pixels {
+            Some(mask) => Some(BadPixelMask::new(mask.as_array()).map_err(Failure::from)?),
+            None => None,
+        };
+        match image.extract::<PyReadonlyArray2<'py, f32>>() {
+            Ok(image) => self.exposed(py, &image, seed, mask.as_ref()),
+            Err(_) => self.exposed(
+                py,
+                &image.extract::<PyReadonlyArray2<'py, f64>>()?,
+                seed,
+                mask.as_ref(),
+            ),
+        }
+    }
+}
+
+impl Detector {
+    fn exposed<'py, T: Real + Element>(
+        &self,
+        py: Python<'py>,
+        image: &PyReadonlyArray2<'py, T>,
+        seed: u64,
+        mask: Option<&BadPixelMask>,
+    ) -> PyResult<Exposed<'py>> {
+        let pixels = image.as_array();
+        let made = interruptible::run(py, None, |_| -> Result<_, PsfieldError> {
+            let light = Image::new(pixels.to_owned())?;
+            let mut exposer = self.0.exposer(light.shape(), seed)?;
+            if let Some(mask) = mask {
+                exposer = exposer.with_mask(mask)?;
+            }
+            Ok(exposer.expose(&light)?)
+        })?;
+        let exposure = made.map_err(Failure::from)?;
+        let report = text(exposure.report());
+        let flags = exposure.flags().to_owned().into_pyarray(py);
+        let counts = exposure.into_counts().into_pixels().into_pyarray(py).into_any();
+        Ok((counts, flags, report))
+    }
+}
+
+fn text(report: &ExposureReport) -> String {
+    serde_json::to_string(report).expect("figures are plain numbers")
+}

@@ -1,0 +1,56 @@
+//! Errors as Python knows them.
+
+use std::error::Error;
+
+use psfield::PsfieldError;
+use psfield::psf_io::IoError;
+use pyo3::exceptions::{PyFileExistsError, PyFileNotFoundError, PyOSError, PyPermissionError, PyValueError};
+use pyo3::prelude::*;
+
+/// An error of the library on its way to Python.
+#[derive(Debug)]
+pub(crate) struct Failure(PsfieldError);
+
+impl<E: Into<PsfieldError>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self(error.into())
+    }
+}
+
+impl From<Failure> for PyErr {
+    /// `OSError` where a file or a device is to blame, else `ValueError`; the text is that of the command line.
+    fn from(Failure(error): Failure) -> Self {
+        let text = psfield::error_text(&error);
+        let raised = match &error {
+            PsfieldError::Io(IoError::Exists { .. }) => PyFileExistsError::new_err(text),
+            PsfieldError::Io(IoError::MissingDirectory { .. }) => PyFileNotFoundError::new_err(text),
+            PsfieldError::Io(error) => match kind_of(error) {
+                Some(std::io::ErrorKind::NotFound) => PyFileNotFoundError::new_err(text),
+                Some(std::io::ErrorKind::PermissionDenied) => PyPermissionError::new_err(text),
+                _ => PyOSError::new_err(text),
+            },
+            error if error.is_of_gpu() => PyOSError::new_err(text),
+            _ => PyValueError::new_err(text),
+        };
+        // What a function of the caller's raised.
+        if let Some(cause) = cause_of::<PyErr>(&error) {
+            Python::attach(|py| raised.set_cause(py, Some(cause.clone_ref(py))));
+        }
+        raised
+    }
+}
+
+/// What the system said, if it was asked.
+fn kind_of(error: &IoError) -> Option<std::io::ErrorKind> {
+    cause_of::<std::io::Error>(error).map(std::io::Error::kind)
+}
+
+/// The first cause of a type.
+fn cause_of<'a, E: Error + 'static>(error: &'a (dyn Error + 'static)) -> Option<&'a E> {
+    std::iter::successors(error.source(), |&cause| cause.source()).find_map(|cause| cause.downcast_ref())
+}
+
+/// A `ValueError` for an argument.
+pub(crate) fn invalid(text: impl Into<String>) -> PyErr {
+    PyValueError::new_err(text.into())
+}

@@ -1,0 +1,51 @@
+//! The native part of the Python package `psfield`: its module `psfield._native`.
+//!
+//! It is thin: arguments are checked and handed to [`psfield`], the interpreter is released while the work runs, and errors become
+//! `ValueError` or `OSError` with the texts of the Rust library. What is comfortable (tables, units, defaults, documentation) is in Python,
+//! in `python/psfield`, which alone calls this module; arrays come in the types that the signatures name.
+
+mod catalog;
+mod choices;
+mod detector;
+mod error;
+mod file_words;
+mod function_source;
+mod interruptible;
+mod kept_psf;
+mod metrics;
+mod plan;
+mod planned;
+mod psf_model;
+mod sampling;
+mod sources;
+mod threads;
+mod write_words;
+
+use pyo3::prelude::*;
+
+/// The native part of psfield; use the package `psfield`.
+#[pymodule]
+mod _native {
+    #[pymodule_export]
+    use crate::catalog::read_catalog;
+    #[pymodule_export]
+    use crate::detector::Detector;
+    #[pymodule_export]
+    use crate::metrics::{
+        adaptive_moments, compare, fit_gaussian, measure_image, measure_stamps, quadrupole_moments,
+    };
+    #[pymodule_export]
+    use crate::plan::Plan;
+    #[pymodule_export]
+    use crate::psf_model::PsfModel;
+    #[pymodule_export]
+    use crate::sampling::sample_function;
+    #[pymodule_export]
+    use crate::threads::{set_threads, threads};
+
+    #[pymodule_init]
+    fn init(module: &super::Bound<'_, super::PyModule>) -> super::PyResult<()> {
+        use pyo3::types::PyModuleMethods as _;
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

@@ -1,0 +1,193 @@
+//! Measurements of stamps and images.
+
+use numpy::{PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3, PyReadonlyArrayDyn};
+use psfield::metrics::{AdaptiveMomentFinder, Comparison, GaussianFitter, QuadrupoleMoments, Window};
+use psfield::{MeasureOptions, Measurement};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::choices::positions;
+use crate::error::Failure;
+use crate::interruptible;
+
+/// Figures by name.
+type Figures<'py> = PyResult<Bound<'py, PyDict>>;
+
+/// `size` pixels each way about the stamp's middle, or about (column, row).
+fn window(size: Option<usize>, about: Option<(usize, usize)>) -> Window {
+    match (size, about) {
+        (None, _) => Window::whole(),
+        (Some(size), None) => Window::central(size),
+        (Some(size), Some((column, row))) => Window::about(size, column, row),
+    }
+}
+
+fn figures<'py>(py: Python<'py>, named: &[(&str, f64)]) -> Figures<'py> {
+    let figures = PyDict::new(py);
+    for (name, value) in named {
+        figures.set_item(name, value)?;
+    }
+    Ok(figures)
+}
+
+/// A Gaussian fitted to a stamp.
+#[pyfunction]
+pub(crate) fn fit_gaussian<'py>(
+    py: Python<'py>,
+    stamp: PyReadonlyArray2<'py, f64>,
+    size: Option<usize>,
+    about: Option<(usize, usize)>,
+    background: bool,
+    round: bool,
+) -> Figures<'py> {
+    let fitter = if round {
+        GaussianFitter::round()
+    } else {
+        GaussianFitter::elliptical()
+    };
+    let fit = fitter
+        .with_background(background)
+        .with_window(window(size, about))
+        .fit(stamp.as_array())
+        .map_err(Failure::from)?;
+    let found = figures(
+        py,
+        &[
+            ("flux", fit.flux()),
+            ("amplitude", fit.amplitude()),
+            ("x", fit.x_centroid()),
+            ("y", fit.y_centroid()),
+            ("fwhm", fit.fwhm_px()),
+            ("fwhm_major", fit.fwhm_major_px()),
+            ("fwhm_minor", fit.fwhm_minor_px()),
+            ("angle", fit.angle_rad()),
+            ("ellipticity", fit.ellipticity()),
+            ("residual_rms", fit.residual_rms()),
+        ],
+    )?;
+    found.set_item("background", fit.background())?;
+    Ok(found)
+}
+
+/// HSM's adaptive moments of a stamp.
+#[pyfunction]
+pub(crate) fn adaptive_moments<'py>(
+    py: Python<'py>,
+    stamp: PyReadonlyArray2<'py, f64>,
+    size: Option<usize>,
+    about: Option<(usize, usize)>,
+    start: Option<(f64, f64, f64)>,
+) -> Figures<'py> {
+    let mut finder = AdaptiveMomentFinder::new().with_window(window(size, about));
+    if let Some((x, y, sigma)) = start {
+        finder = finder.with_start(x, y, sigma);
+    }
+    let moments = finder.measure(stamp.as_array()).map_err(Failure::from)?;
+    figures(
+        py,
+        &[
+            ("amplitude", moments.amplitude()),
+            ("x", moments.x_centroid()),
+            ("y", moments.y_centroid()),
+            ("sigma", moments.sigma_px()),
+            ("e1", moments.e1()),
+            ("e2", moments.e2()),
+            ("g1", moments.g1()),
+            ("g2", moments.g2()),
+        ],
+    )
+}
+
+/// Plain second moments of a stamp.
+#[pyfunction]
+pub(crate) fn quadrupole_moments<'py>(
+    py: Python<'py>,
+    stamp: PyReadonlyArray2<'py, f64>,
+    size: Option<usize>,
+    about: Option<(usize, usize)>,
+) -> Figures<'py> {
+    let moments = QuadrupoleMoments::measure(stamp.as_array(), window(size, about)).map_err(Failure::from)?;
+    figures(
+        py,
+        &[
+            ("flux", moments.flux()),
+            ("x", moments.x_centroid()),
+            ("y", moments.y_centroid()),
+            ("sigma", moments.sigma_px()),
+            ("e1", moments.e1()),
+            ("e2", moments.e2()),
+            ("g1", moments.g1()),
+            ("g2", moments.g2()),
+        ],
+    )
+}
+
+/// The difference of two arrays of any shape; what has no meaning for them is none.
+#[pyfunction]
+pub(crate) fn compare<'py>(
+    py: Python<'py>,
+    result: PyReadonlyArrayDyn<'py, f64>,
+    reference: PyReadonlyArrayDyn<'py, f64>,
+) -> Figures<'py> {
+    let (result, reference) = (result.as_array(), reference.as_array());
+    let found = py
+        .detach(|| Comparison::of(result, reference))
+        .map_err(Failure::from)?;
+    let named = figures(
+        py,
+        &[
+            ("mae", found.mae()),
+            ("mse", found.mse()),
+            ("max_abs", found.max_abs()),
+        ],
+    )?;
+    named.set_item("max_abs_index", found.max_abs_index())?;
+    named.set_item("relative_l2", found.relative_l2().ok())?;
+    named.set_item("max_over_peak", found.max_over_peak().ok())?;
+    named.set_item("mae_over_mean", found.mae_over_mean().ok())?;
+    named.set_item("snr_db", found.snr_db().ok())?;
+    Ok(named)
+}
+
+/// Sizes and shapes of every plane of a cube, as JSON.
+#[pyfunction]
+pub(crate) fn measure_stamps(
+    py: Python<'_>,
+    stamps: PyReadonlyArray3<'_, f64>,
+    size: Option<usize>,
+    background: bool,
+) -> PyResult<String> {
+    let stamps = stamps.as_array();
+    let options = MeasureOptions {
+        window: size,
+        background,
+    };
+    Ok(json(&interruptible::run(py, None, |_| {
+        options.cube(stamps, None)
+    })?))
+}
+
+/// The same in a window about each position of an image.
+#[pyfunction]
+pub(crate) fn measure_image(
+    py: Python<'_>,
+    image: PyReadonlyArray2<'_, f64>,
+    x: PyReadonlyArray1<'_, f64>,
+    y: PyReadonlyArray1<'_, f64>,
+    size: Option<usize>,
+    background: bool,
+) -> PyResult<String> {
+    let image = image.as_array();
+    let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
+    let options = MeasureOptions {
+        window: size,
+        background,
+    };
+    Ok(json(&interruptible::run(py, None, |_| {
+        options.image(image, &at)
+    })?))
+}
+
+fn json(measurements: &[Measurement]) -> String {
+    serde_json::to_string(measurements).expect("measurements are plain numbers")
+}

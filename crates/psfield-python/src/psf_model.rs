@@ -1,0 +1,337 @@
+//! A PSF that changes over the field.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use numpy::{
+    IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
+};
+use psfield::convert::to_gridded;
+use psfield::psf_basis::PixelNoise;
+use psfield::psf_types::{
+    FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
+};
+use psfield::{EvaluateOptions, Fit, FitOptions, OutputGrid, PsfInput, PsfieldError, evaluate_stamps};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::choices::{FitWords, GridWords, frame_shape, parsed, positions};
+use crate::error::Failure;
+use crate::file_words::FileWords;
+use crate::interruptible;
+use crate::kept_psf::KeptPsf;
+use crate::write_words::{WriteWords, samples_at};
+
+/// A PSF that changes over the field.
+#[pyclass(frozen, module = "psfield._native")]
+pub(crate) struct PsfModel {
+    psf: Arc<KeptPsf>,
+    /// How the file was read, in plain sentences.
+    notes: Vec<String>,
+}
+
+/// A cube of doubles.
+type Cube<'py> = Bound<'py, PyArray3<f64>>;
+/// Columns x and y.
+type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
+
+impl PsfModel {
+    pub(crate) fn new(input: PsfInput, notes: Vec<String>) -> Self {
+        Self {
+            psf: Arc::new(KeptPsf::new(input)),
+            notes,
+        }
+    }
+
+    pub(crate) fn psf(&self) -> Arc<KeptPsf> {
+        Arc::clone(&self.psf)
+    }
+}
+
+#[pymethods]
+impl PsfModel {
+    /// Samples `[sample, y, x]` at positions.
+    #[staticmethod]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "called by name from one place in Python"
+    )]
+    fn from_samples(
+        py: Python<'_>,
+        stamps: PyReadonlyArray3<'_, f64>,
+        x: PyReadonlyArray1<'_, f64>,
+        y: PyReadonlyArray1<'_, f64>,
+        field: Option<(usize, usize)>,
+        grid: GridWords,
+        fit: FitWords,
+        gridded_library: bool,
+    ) -> PyResult<Self> {
+        let (count, ny, nx) = stamps.as_array().dim();
+        let grid = grid.grid((ny, nx))?;
+        let positions = sample_positions(&x, &y, field)?;
+        let defaults = match count {
+            _ if gridded_library => FitOptions::of_gridded_library(&positions),
+            1 => FitOptions::of_single_stamp(),
+            _ => FitOptions::default(),
+        };
+        let options = fit.choices()?.or(defaults);
+        let stamps = stamps.as_array();
+        let samples = py
+            .detach(|| PsfSamples::new(stamps.to_owned(), positions, grid))
+            .map_err(Failure::from)?;
+        Ok(Self::new(PsfInput::Samples(samples, options), Vec::new()))
+    }
+
+    /// A mean stamp, components `[component, y, x]` and their coefficients `[sample, component]` at positions.
+    #[staticmethod]
+    #[allow(
+        clippy::too_many_arguments,
+        reason = "called by name from one place in Python"
+    )]
+    fn from_basis(
+        mean: Option<PyReadonlyArray2<'_, f64>>,
+        components: PyReadonlyArray3<'_, f64>,
+        coefficients: PyReadonlyArray2<'_, f64>,
+        x: PyReadonlyArray1<'_, f64>,
+        y: PyReadonlyArray1<'_, f64>,
+        field: Option<(usize, usize)>,
+        grid: GridWords,
+        words: (String, String, String),
+    ) -> PyResult<Self> {
+        let (_, ny, nx) = components.as_array().dim();
+        let grid = grid.grid((ny, nx))?;
+        let positions = sample_positions(&x, &y, field)?;
+        let (interpolation, outside, normalise) = (parsed(&words.0)?, parsed(&words.1)?, parsed(&words.2)?);
+        let made = || -> Result<PsfModelRecord, PsfieldError> {
+            let mean = mean.as_ref().map(|mean| mean.as_array().to_owned());
+            let basis = PsfBasis::new(mean, components.as_array().to_owned(), grid)?;
+            let coefficients = SampleCoefficients::new(coefficients.as_array().to_owned(), positions)?;
+            Ok(PsfModelRecord::new(
+                basis,
+                coefficients,
+                interpolation,
+                outside,
+                normalise,
+            )?)
+        };
+        Ok(Self::new(
+            PsfInput::Model(made().map_err(Failure::from)?),
+            Vec::new(),
+        ))
+    }
+
+    /// Any PSF file.
+    #[staticmethod]
+    fn read(py: Python<'_>, path: PathBuf, file: FileWords, fit: FitWords) -> PyResult<Self> {
+        let (file, choices) = (file.options()?, fit.choices()?);
+        let opened = interruptible::run(py, None, |_| PsfInput::open_with(&path, &file, &choices))?;
+        let opened = opened.map_err(Failure::from)?;
+        Ok(Self::new(opened.input, opened.notes))
+    }
+
+    /// How the file was read, in plain sentences.
+    fn notes(&self) -> Vec<String> {
+        self.notes.clone()
+    }
+
+    /// What makes the same model again: the name of a constructor and its arguments.
+    fn state<'py>(&self, py: Python<'py>) -> PyResult<(&'static str, Bound<'py, PyAny>)> {
+        let known = self.psf.input().positions();
+        let (x, y) = points(py, known);
+        let field = known.field().map(|field| (field.ny(), field.nx()));
+        let grid = self.grid(py)?;
+        match self.psf.input() {
+            PsfInput::Samples(samples, options) => {
+                let fit = words_of(py, options)?;
+                let stamps = samples.stamps().to_owned().into_pyarray(py);
+                Ok((
+                    "from_samples",
+                    (stamps, x, y, field, grid, fit, false)
+                        .into_pyobject(py)?
+                        .into_any(),
+                ))
+            }
+            PsfInput::Model(record) => {
+                let words = (
+                    record.interpolation().to_string(),
+                    record.outside().to_string(),
+                    record.normalisation().to_string(),
+                );
+                let (mean, components, coefficients) = arrays_of(py, record);
+                let state = (mean, components, coefficients, x, y, field, grid, words);
+                Ok(("from_basis", state.into_pyobject(py)?.into_any()))
+            }
+        }
+    }
+
+    /// Whether there are samples behind it.
+    fn has_samples(&self) -> bool {
+        matches!(self.psf.input(), PsfInput::Samples(..))
+    }
+
+    /// The stamps' grid, as the constructors take it.
+    fn grid<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        grid_dict(py, self.psf.input().grid())
+    }
+
+    /// (ny, nx) of the stamps.
+    fn stamp_shape(&self) -> (usize, usize) {
+        self.psf.input().grid().dim()
+    }
+
+    /// Where the samples or the nodes lie.
+    fn positions<'py>(&self, py: Python<'py>) -> Points<'py> {
+        points(py, self.psf.input().positions())
+    }
+
+    /// (ny, nx) of the field, if it is known.
+    fn field(&self) -> Option<(usize, usize)> {
+        self.psf
+            .input()
+            .positions()
+            .field()
+            .map(|field| (field.ny(), field.nx()))
+    }
+
+    /// The words of interpolation, outside and normalise.
+    fn words(&self, py: Python<'_>) -> PyResult<(String, String, String)> {
+        let record = interruptible::run(py, None, |_| self.psf.record())?.map_err(Failure::from)?;
+        Ok((
+            record.interpolation().to_string(),
+            record.outside().to_string(),
+            record.normalisation().to_string(),
+        ))
+    }
+
+    /// Mean stamp, components, coefficients.
+    #[allow(clippy::type_complexity, reason = "three arrays")]
+    fn basis<'py>(
+        &self,
+        py: Python<'py>,
+    ) -> PyResult<(
+        Option<Bound<'py, PyArray2<f64>>>,
+        Cube<'py>,
+        Bound<'py, PyArray2<f64>>,
+    )> {
+        let record = interruptible::run(py, None, |_| self.psf.record())?.map_err(Failure::from)?;
+        Ok(arrays_of(py, record))
+    }
+
+    /// The figures of the fit as JSON; none for a model.
+    fn fit_report(&self, py: Python<'_>) -> PyResult<Option<String>> {
+        let report = interruptible::run(py, None, |_| self.psf.fitted()?.map(Fit::report).transpose())?;
+        let report = report.map_err(Failure::from)?;
+        Ok(report.map(|report| serde_json::to_string(&report).expect("figures are plain numbers")))
+    }
+
+    /// Stamps `[position, y, x]` at positions, and their grid.
+    fn evaluate<'py>(
+        &self,
+        py: Python<'py>,
+        x: PyReadonlyArray1<'_, f64>,
+        y: PyReadonlyArray1<'_, f64>,
+        native: bool,
+        size: Option<usize>,
+        sub_pixel: bool,
+    ) -> PyResult<(Cube<'py>, Bound<'py, PyDict>)> {
+        let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
+        let options = EvaluateOptions {
+            grid: if native {
+                OutputGrid::Native
+            } else {
+                OutputGrid::Model
+            },
+            size,
+            sub_pixel,
+        };
+        let (stamps, grid) =
+            interruptible::run(py, None, |_| evaluate_stamps(self.psf.model()?, &at, options))?
+                .map_err(Failure::from)?;
+        Ok((stamps.into_pyarray(py), grid_dict(py, grid)?))
+    }
+
+    /// The PSFs of a gridded library: stamps, x, y, oversampling, and the largest error of bilinear interpolation.
+    fn gridded<'py>(
+        &self,
+        py: Python<'py>,
+        at: Option<(usize, usize)>,
+    ) -> PyResult<(Cube<'py>, Points<'py>, f64, Option<f64>)> {
+        let converted = interruptible::run(py, None, |_| {
+            to_gridded(self.psf.input().clone(), &samples_at(at))
+        })?
+        .map_err(Failure::from)?;
+        let samples = converted.samples;
+        let oversampling = samples.grid().oversampling();
+        Ok((
+            samples.stamps().to_owned().into_pyarray(py),
+            points(py, samples.positions()),
+            oversampling,
+            converted.max_error,
+        ))
+    }
+
+    /// Writes a file; returns what should be known of it.
+    fn write(&self, py: Python<'_>, path: PathBuf, words: WriteWords) -> PyResult<Vec<String>> {
+        interruptible::run(py, None, |_| words.write(&path, &self.psf))?
+    }
+}
+
+fn sample_positions(
+    x: &PyReadonlyArray1<'_, f64>,
+    y: &PyReadonlyArray1<'_, f64>,
+    field: Option<(usize, usize)>,
+) -> PyResult<SamplePositions> {
+    let field: Option<FrameShape> = field.map(frame_shape).transpose()?;
+    let made = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
+    Ok(SamplePositions::new(made, field).map_err(Failure::from)?)
+}
+
+fn points<'py>(py: Python<'py>, of: &SamplePositions) -> Points<'py> {
+    let column = |of: Vec<f64>| of.into_pyarray(py);
+    let positions = of.as_slice();
+    (
+        column(positions.iter().map(|p| p.x()).collect()),
+        column(positions.iter().map(|p| p.y()).collect()),
+    )
+}
+
+fn grid_dict(py: Python<'_>, grid: StampGrid) -> PyResult<Bound<'_, PyDict>> {
+    let words = PyDict::new(py);
+    words.set_item("oversampling", grid.oversampling())?;
+    words.set_item("centre", (grid.centre_x(), grid.centre_y()))?;
+    words.set_item("pixel_response_included", grid.pixel_response_included())?;
+    words.set_item("stamp_interpolation", grid.interpolation().to_string())?;
+    Ok(words)
+}
+
+fn words_of<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'py, PyDict>> {
+    let words = PyDict::new(py);
+    words.set_item("rank", options.rank.to_string())?;
+    words.set_item("centring", options.centring.to_string())?;
+    let noise = match options.noise {
+        PixelNoise::Known(sigma) => Some(sigma),
+        _ => None,
+    };
+    words.set_item("noise", noise)?;
+    words.set_item("interpolation", options.interpolation.to_string())?;
+    words.set_item("outside", options.outside.to_string())?;
+    words.set_item("normalise", options.normalisation.to_string())?;
+    Ok(words)
+}
+
+#[allow(clippy::type_complexity, reason = "three arrays")]
+fn arrays_of<'py>(
+    py: Python<'py>,
+    record: &PsfModelRecord,
+) -> (
+    Option<Bound<'py, PyArray2<f64>>>,
+    Cube<'py>,
+    Bound<'py, PyArray2<f64>>,
+) {
+    let basis = record.basis();
+    (
+        basis.mean().map(|mean| mean.to_owned().into_pyarray(py)),
+        basis.components().to_owned().into_pyarray(py),
+        record.coefficients().values().to_owned().into_pyarray(py),
+    )
+}

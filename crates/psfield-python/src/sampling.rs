@@ -1,0 +1,114 @@
+//! PSFs that a Python function draws, sampled where they vary.
+
+use std::sync::Arc;
+
+use psfield::psf_sample::{
+    AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion,
+    SampleError, Sampling, SamplingMethod, SamplingOutcome, UniformSampling,
+};
+use psfield::{FitOptions, PsfInput, PsfieldError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+
+use crate::choices::{FitWords, GridWords, frame_shape};
+use crate::error::{Failure, invalid};
+use crate::function_source::FunctionSource;
+use crate::interruptible;
+use crate::psf_model::PsfModel;
+
+/// How a field is sampled.
+#[derive(Debug, FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct SamplingWords {
+    criterion: String,
+    measure: String,
+    threshold: f64,
+    /// (ny, nx).
+    start: (usize, usize),
+    max_samples: usize,
+    /// (ny, nx) of a regular grid instead.
+    uniform: Option<(usize, usize)>,
+}
+
+impl SamplingWords {
+    fn method(&self) -> PyResult<Box<dyn SamplingMethod>> {
+        let measure = match self.measure.as_str() {
+            "l1" => DifferenceMeasure::L1,
+            "l2" => DifferenceMeasure::L2,
+            other => return Err(invalid(format!("measure must be l1 or l2, got {other}"))),
+        };
+        if let Some((ny, nx)) = self.uniform {
+            let uniform = UniformSampling::new(nx, ny).map_err(Failure::from)?;
+            return Ok(Box::new(uniform.with_measure(measure)));
+        }
+        let criterion: Arc<dyn RefinementCriterion> = match self.criterion.as_str() {
+            "neighbours" => {
+                Arc::new(NeighbourDifference::new(self.threshold, measure).map_err(Failure::from)?)
+            }
+            "interpolation" => {
+                Arc::new(InterpolationError::new(self.threshold, measure).map_err(Failure::from)?)
+            }
+            other => {
+                return Err(invalid(format!(
+                    "criterion must be neighbours or interpolation, got {other}"
+                )));
+            }
+        };
+        let (ny, nx) = self.start;
+        let adaptive = AdaptiveSampling::new(criterion)
+            .with_start(nx, ny)
+            .map_err(Failure::from)?;
+        Ok(Box::new(adaptive.with_max_samples(self.max_samples)))
+    }
+}
+
+/// Samples the function `f(x, y)` over a field; returns the model and how the sampling ended.
+#[pyfunction]
+#[pyo3(signature = (function, stamp_shape, field, grid, sampling, fit, progress))]
+#[allow(
+    clippy::too_many_arguments,
+    reason = "called by name from one place in Python"
+)]
+pub(crate) fn sample_function(
+    py: Python<'_>,
+    function: Py<PyAny>,
+    stamp_shape: (usize, usize),
+    field: (usize, usize),
+    grid: GridWords,
+    sampling: SamplingWords,
+    fit: FitWords,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<(PsfModel, Bound<'_, PyDict>)> {
+    let (grid, field) = (grid.grid(stamp_shape)?, frame_shape(field)?);
+    let (method, options) = (sampling.method()?, fit.choices()?.or(FitOptions::default()));
+    if let Some((ny, nx)) = sampling.uniform {
+        psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
+    }
+    let sampled = interruptible::run(py, progress.as_ref(), |watch| {
+        method.sample(&FunctionSource::new(&function, grid, field, watch), watch)
+    })?;
+    let Sampling { samples, report } = match sampled {
+        Ok(sampling) => sampling,
+        Err(SampleError::CapReached(cap)) => {
+            return Err(invalid(format!("{cap} (max_samples, threshold)")));
+        }
+        Err(error) => return Err(Failure::from(PsfieldError::from(error)).into()),
+    };
+    let found = PyDict::new(py);
+    found.set_item("samples", samples.len())?;
+    found.set_item("draws", report.draws)?;
+    found.set_item("cells", report.cells)?;
+    found.set_item("unmet_cells", report.unmet_cells)?;
+    found.set_item("worst", report.worst)?;
+    found.set_item("threshold", report.threshold)?;
+    let outcome = match report.outcome {
+        SamplingOutcome::Met => "met",
+        SamplingOutcome::CellSizeReached => "cell-size-reached",
+        _ => "cap-reached",
+    };
+    found.set_item("outcome", outcome)?;
+    Ok((
+        PsfModel::new(PsfInput::Samples(samples, options), Vec::new()),
+        found,
+    ))
+}

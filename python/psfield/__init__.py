@@ -1,0 +1,44 @@
+"""Astronomical images with a point spread function (PSF) that varies over the field.
+
+A `PsfModel` knows the PSF at every position of a field: from samples, from a file, from a photutils model or from any function that
+draws it. Its `plan` for images of one shape simulates any number of scenes, each pixel with the PSF of its own position, within an error
+that you set:
+
+>>> import numpy as np
+>>> import psfield
+>>> y, x = np.mgrid[-8:9, -8:9]
+>>> def gaussian(sigma):
+...     stamp = np.exp(-(x**2 + y**2) / (2 * sigma**2))
+...     return stamp / stamp.sum()
+>>> positions = [(0, 0), (99, 0), (0, 79), (99, 79)]
+>>> model = psfield.PsfModel.from_samples([gaussian(s) for s in (1.2, 1.5, 1.3, 1.8)], positions)
+>>> plan = model.plan((80, 100), tolerance=1e-3)
+>>> scene = np.zeros((80, 100))
+>>> scene[40, 50] = 1000.0
+>>> image = plan.simulate(scene)
+>>> round(float(image.sum()), 2)
+1000.0
+
+Arrays are ``[y, x]``, positions 0-based pixels ``(x, y)``; an integer is the centre of a pixel.
+"""
+
+from psfield import detector, metrics
+from psfield._catalog import read_catalog
+from psfield._errors import PsfieldWarning
+from psfield._model import PsfModel
+from psfield._native import __version__
+from psfield._plan import Plan, SpotCheck
+from psfield._threads import set_threads, threads
+
+__all__ = [
+    "Plan",
+    "PsfModel",
+    "PsfieldWarning",
+    "SpotCheck",
+    "__version__",
+    "detector",
+    "metrics",
+    "read_catalog",
+    "set_threads",
+    "threads",
+]

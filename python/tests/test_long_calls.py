@@ -1,0 +1,136 @@
+"""Long calls: progress, interruption, other threads, forked processes."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+
+import numpy as np
+import pytest
+from conftest import ROOT, widening_model
+
+
+@pytest.fixture(scope="module")
+def long_plan():
+    """A plan whose execution takes a second or so on one thread."""
+    return widening_model((4000, 4000), size=41).plan((4000, 4000), 0.0, "f64", method="lowrank")
+
+
+@pytest.fixture(scope="module")
+def large_scene():
+    return np.ones((4000, 4000))
+
+
+def test_progress_is_told(long_plan, large_scene):
+    steps = []
+    long_plan.simulate(large_scene, progress=lambda done, total: steps.append((done, total)))
+    assert steps[-1][0] == steps[-1][1] > 0
+    assert steps == sorted(steps)
+
+
+def test_tqdm_bars_are_taken(long_plan, large_scene):
+    tqdm = pytest.importorskip("tqdm")
+    with open(os.devnull, "w") as nowhere, tqdm.tqdm(file=nowhere) as bar:
+        long_plan.simulate(large_scene, progress=bar)
+        assert bar.n == bar.total > 0
+    with pytest.raises(TypeError, match="progress must be callable"):
+        long_plan.simulate(large_scene, progress=5)
+
+
+def test_an_exception_in_progress_stops_the_work(long_plan, large_scene):
+    def stop(done, total):
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        long_plan.simulate(large_scene, progress=stop)
+    # The plan is as good as before.
+    assert long_plan.simulate(large_scene)[2000, 2000] == pytest.approx(1.0, rel=1e-9)
+
+
+def test_other_threads_run_meanwhile(long_plan, large_scene):
+    ticks, done = [], threading.Event()
+
+    def tick():
+        while not done.wait(0.005):
+            ticks.append(time.monotonic())
+
+    other = threading.Thread(target=tick)
+    other.start()
+    began = time.monotonic()
+    long_plan.simulate(large_scene)
+    took = time.monotonic() - began
+    done.set()
+    other.join()
+    # Held back, it would not have ticked at all.
+    assert len([t for t in ticks if began < t < began + took]) > 0.1 * took / 0.005
+
+
+def test_many_threads_may_use_one_plan(model, scene):
+    plan = model.plan(scene.shape, 1e-3)
+    expected = plan.simulate(scene)
+    images = [None] * 8
+
+    def simulate(i):
+        images[i] = plan.simulate(scene)
+
+    threads = [threading.Thread(target=simulate, args=(i,)) for i in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(np.array_equal(image, expected) for image in images)
+
+
+INTERRUPTED = """
+    import os, signal, sys, threading, time
+    sys.path.insert(0, {tests!r})
+    import numpy as np
+    from conftest import gaussian_stamp, widening_model
+    import psfield
+    scene = np.ones((4000, 4000))
+    plan = widening_model((4000, 4000), size=41).plan(scene.shape, 0.0, "f64", method="lowrank")
+    began = time.monotonic()
+    plan.simulate(scene)
+    whole = time.monotonic() - began
+    def draw(x, y):
+        time.sleep(0.01)
+        return gaussian_stamp(1 + x / 4000)
+    calls = {{
+        "simulate": lambda: [plan.simulate(scene) for _ in range(100)],
+        "adjoint": lambda: [plan.adjoint(scene) for _ in range(100)],
+        "sample": lambda: psfield.PsfModel.from_function(draw, (4000, 4000), threshold=1e-5),
+    }}
+    for name, call in calls.items():
+        threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT)).start()
+        began = time.monotonic()
+        try:
+            call()
+        except KeyboardInterrupt:
+            print(name, "stopped", time.monotonic() - began, whole)
+"""
+
+
+def test_ctrl_c_stops_the_work():
+    program = textwrap.dedent(INTERRUPTED).format(tests=str(ROOT / "python" / "tests"))
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    lines = [line.split() for line in ran.stdout.splitlines()]
+    assert [line[:2] for line in lines] == [[name, "stopped"] for name in ("simulate", "adjoint", "sample")], ran.stderr
+    for name, _, seconds, whole in lines:
+        # Long before the end of even one call of a hundred, were it not heeded.
+        assert float(seconds) < 0.3 + 2.0 + float(whole), name
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_forked_processes_have_threads_of_their_own(model, scene):
+    # As a data loader of a network does: the parent has used its threads, then forks.
+    plan = model.plan(scene.shape, 1e-3)
+    expected = plan.simulate(scene)
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        images = pool.map_async(plan.simulate, [scene] * 4).get(timeout=60)
+    assert all(np.array_equal(image, expected) for image in images)

@@ -1,0 +1,267 @@
+"""Models: how they are made, what they know, how they are kept."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from conftest import gaussian_stamp, relative_l2, widening_model
+
+import psfield
+
+#: Of a stamp that comes back from its components: rounding, and what the rank leaves out (auto: 1e-4).
+RANK = 1e-4
+ROUNDING = 1e-12
+
+
+def test_samples_come_back_where_they_lie(model):
+    stamps = model.evaluate(model.positions[:, 0], model.positions[:, 1])
+    for (x, y), stamp in zip(model.positions, stamps):
+        assert relative_l2(stamp, gaussian_stamp(1.3 + 0.9 * x / 128, q=1.0 + 0.3 * y / 96)) < RANK
+    assert np.allclose(stamps.sum((1, 2)), 1.0, atol=ROUNDING)
+
+
+def test_evaluate_broadcasts_and_repeats(model):
+    one = model.evaluate(30, 40)
+    assert one.shape == (17, 17) and one.dtype == np.float64
+    many = model.evaluate([[30, 31, 30]], [[40], [41]])
+    assert many.shape == (2, 3, 17, 17)
+    assert np.array_equal(many[0, 0], one) and np.array_equal(many[0, 2], one)
+    assert model.evaluate(30, 40, size=9).shape == (9, 9)
+    assert np.allclose(model.evaluate(30, 40, size=9), one[4:13, 4:13], rtol=0, atol=ROUNDING)
+
+
+def test_evaluate_draws_stars_at_their_phase():
+    stamp = gaussian_stamp(6.0, 65)
+    model = psfield.PsfModel.from_samples(stamp[None] * 16, [(0, 0)], oversampling=4)
+    drawn = model.evaluate(10.25, 20.0, pixels="frame", sub_pixel=True, size=13)
+    assert relative_l2(drawn, gaussian_stamp(1.5, 13, shift=(0.25, 0.0))) < 1e-3  # The cubic spline's own error.
+    with pytest.raises(ValueError, match="sub-pixel"):
+        model.evaluate(10.25, 20.0, sub_pixel=True)
+    with pytest.raises(ValueError, match="pixels must be 'stamp' or 'frame'"):
+        model.evaluate(0, 0, pixels="native")
+    with pytest.raises(ValueError, match="size must be at least 1"):
+        model.evaluate(0, 0, size=0)
+
+
+def test_positions_off_the_field_are_refused(model):
+    with pytest.raises(ValueError, match="outside the field of 128 x 96 pixels"):
+        model.evaluate(200, 0)
+    for bad in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="finite"):
+            model.evaluate(bad, 0)
+
+
+def test_a_model_tells_of_itself(model):
+    assert (model.field_shape, model.stamp_shape, model.oversampling, model.centre) == ((96, 128), (17, 17), 1.0, (8.0, 8.0))
+    assert model.pixel_response_included is True
+    assert model.positions.shape == (16, 2)
+    assert (model.interpolation, model.outside, model.normalise) == ("bicubic", "nearest", "unit")
+    assert model.mean.shape == (17, 17)
+    assert model.components.shape == (model.rank, 17, 17) and model.coefficients.shape == (16, model.rank)
+    flat = model.components.reshape(model.rank, -1)
+    assert np.allclose(flat @ flat.T, np.eye(model.rank), atol=1e-10)
+    report = model.fit_report()
+    assert report["rank"] == model.rank and report["max_error"] <= RANK and len(report["errors"]) == 16
+    assert repr(model) == "<PsfModel: 16 samples, stamps 17 x 17, oversampling 1, field 96 x 128>"
+    assert model.notes == () and model.sampling is None
+
+
+def test_a_basis_of_one_s_own(model):
+    again = psfield.PsfModel.from_basis(
+        model.mean, model.components, model.coefficients, model.positions, field_shape=(96, 128), interpolation="bicubic"
+    )
+    assert np.array_equal(again.evaluate(17.5, 80.25), model.evaluate(17.5, 80.25))
+    assert again.fit_report() is None
+    with pytest.raises(ValueError, match="inner product"):
+        psfield.PsfModel.from_basis(None, 2 * model.components, model.coefficients, model.positions)
+    with pytest.raises(ValueError, match="coefficient"):
+        psfield.PsfModel.from_basis(None, model.components, model.coefficients[:, :1], model.positions)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: widening_model(rank=3, interpolation="delaunay", outside="extend", noise=1e-6, centring="none"),
+        lambda: widening_model(rank="error=0.01", oversampling=2.5, centre=(8.25, 7.5), pixel_response_included=False),
+        lambda: psfield.PsfModel.from_samples([gaussian_stamp(1.0)], [(3, 4)], stamp_interpolation="lanczos3", normalise="keep"),
+        lambda: psfield.PsfModel.from_basis(None, gaussian_stamp(1.0)[None] / np.linalg.norm(gaussian_stamp(1.0)), [[2.0]], [(3, 4)]),
+    ],
+)
+def test_pickled_models_are_the_same(make):
+    model = make()
+    again = pickle.loads(pickle.dumps(model))
+    assert np.array_equal(again.evaluate(3, 4), model.evaluate(3, 4))
+    assert again.centre == model.centre and again.interpolation == model.interpolation
+    plan = model.plan((10, 12), 1e-2, "f64")
+    scene = np.ones((10, 12))
+    assert np.array_equal(pickle.loads(pickle.dumps(plan)).simulate(scene), plan.simulate(scene))
+
+
+class TestBadSamples:
+    """Samples that cannot be."""
+
+    good = np.stack([gaussian_stamp(1.0)] * 3)
+    places = [(0, 0), (10, 0), (0, 10)]
+
+    @pytest.mark.parametrize(
+        ("stamps", "positions", "error", "text"),
+        [
+            (good, places[:2], ValueError, "one for each position"),
+            (good, [(0, 0), (10, 0), (0, 0)], ValueError, "0, 0"),
+            (good, [0, 1, 2], ValueError, "positions must be"),
+            (good, np.zeros((3, 3)), ValueError, "of x and y"),
+            (good, [(0, 0), (10, 0), (0, np.nan)], ValueError, "finite"),
+            (good[0], places, ValueError, r"\[sample, y, x\]"),
+            (np.zeros((0, 17, 17)), np.zeros((0, 2)), ValueError, "stamps is empty"),
+            (np.zeros((3, 17, 17)), places, ValueError, "flux"),
+            (np.where(good > 0.01, np.nan, good), places, ValueError, "NaN|finite"),
+            (good.astype(complex), places, TypeError, "real numbers"),
+            ([good[0], good[0][:5, :5], good[0]], places, ValueError, "one shape"),
+        ],
+    )
+    def test_refused(self, stamps, positions, error, text):
+        with pytest.raises(error, match=text):
+            psfield.PsfModel.from_samples(stamps, positions)
+
+    @pytest.mark.parametrize(
+        ("options", "text"),
+        [
+            ({"rank": 50}, "50"),
+            ({"rank": "most"}, "rank"),
+            ({"interpolation": "spline"}, "interpolation"),
+            ({"outside": "zero"}, "nearest, extend or error"),
+            ({"normalise": "peak"}, "unit or keep"),
+            ({"centring": "median"}, "mean"),
+            ({"noise": -1.0}, "noise"),
+            ({"oversampling": 0}, "oversampling"),
+            ({"centre": (50, 0)}, "centre"),
+            ({"stamp_interpolation": "linear"}, "cubic-spline or lanczos3"),
+            ({"field_shape": (5, 5)}, "field"),
+        ],
+    )
+    def test_options(self, options, text):
+        with pytest.raises(ValueError, match=text):
+            psfield.PsfModel.from_samples(self.good, self.places, **options).evaluate(0, 0)
+
+    def test_other_types_of_numbers_are_taken(self):
+        expected = psfield.PsfModel.from_samples(self.good.astype(np.float32), self.places).evaluate(3, 3)
+        for stamps in (
+            self.good.astype(">f4"),
+            np.asfortranarray(self.good.astype(np.float32)),
+            self.good.astype(np.float32)[:, ::-1][:, ::-1],
+        ):
+            for positions in (np.array(self.places, np.int16), np.array(self.places, ">f8"), {"x": [0, 10, 0], "y": [0, 0, 10]}):
+                assert np.array_equal(psfield.PsfModel.from_samples(stamps, positions).evaluate(3, 3), expected)
+
+
+class TestFunctions:
+    """Functions that draw the PSF."""
+
+    def test_samples_lie_where_the_psf_varies(self):
+        def draw(x, y):
+            # It widens at the right alone.
+            return gaussian_stamp(1.5 + np.exp((x - 399) / 40))
+
+        steps = []
+        model = psfield.PsfModel.from_function(draw, (300, 400), threshold=0.005, progress=lambda *step: steps.append(step))
+        assert model.sampling["outcome"] == "met" and model.sampling["worst"] <= 0.005
+        assert model.sampling["samples"] == len(model.positions)
+        right = np.mean(model.positions[:, 0] > 300)
+        assert right > 0.5
+        for x, y in [(10.3, 20.4), (350.1, 33.0), (398.0, 299.0), (200.0, 150.0)]:
+            assert relative_l2(model.evaluate(x, y), draw(x, y)) < 0.01
+        assert steps and steps[-1][0] > 0
+        assert model.field_shape == (300, 400)
+
+    def test_a_regular_grid(self):
+        model = psfield.PsfModel.from_function(lambda x, y: gaussian_stamp(1.0 + x / 99), (80, 100), uniform=(3, 4))
+        assert len(model.positions) == 12 and model.interpolation == "bicubic"
+
+    def test_images_of_galsim_are_taken(self):
+        class Image:
+            array = gaussian_stamp(1.0)
+
+        assert psfield.PsfModel.from_function(lambda x, y: Image(), (10, 10)).evaluate(5, 5).shape == (17, 17)
+
+    def test_an_error_of_the_function_is_told(self):
+        def draw(x, y):
+            if x > 50:
+                raise ZeroDivisionError("no such place")
+            return gaussian_stamp(1.0)
+
+        with pytest.raises(ValueError, match=r"could not be drawn: .*no such place") as caught:
+            psfield.PsfModel.from_function(draw, (100, 100))
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)
+
+    @pytest.mark.parametrize(
+        ("draw", "text"),
+        [
+            (lambda x, y: np.full((5, 5), np.nan), "."),
+            (lambda x, y: np.zeros((5, 5)), "flux"),
+            (lambda x, y: np.ones((5, 5 if x < 50 else 7)), "shape"),
+            (lambda x, y: np.ones(5), r"\[y, x\]"),
+        ],
+    )
+    def test_what_is_no_psf(self, draw, text):
+        with pytest.raises(ValueError, match=text):
+            psfield.PsfModel.from_function(draw, (100, 100))
+
+    @pytest.mark.parametrize(
+        ("options", "text"),
+        [
+            ({"criterion": "best"}, "neighbours or interpolation"),
+            ({"measure": "l3"}, "l1 or l2"),
+            ({"threshold": -1.0}, "threshold|must be"),
+            ({"start": (1, 5)}, "from 2 to 4096"),
+            ({"max_samples": 30, "threshold": 1e-6}, "max_samples"),
+        ],
+    )
+    def test_settings(self, options, text):
+        with pytest.raises(ValueError, match=text):
+            psfield.PsfModel.from_function(lambda x, y: gaussian_stamp(1.0 + x / 50 + (y / 70) ** 2), (100, 100), **options)
+
+
+class TestFiles:
+    """Files that psfield reads and writes."""
+
+    def test_models_and_samples_come_back(self, model, tmp_path):
+        for name in ("psf-model", "psf-samples"):
+            path = tmp_path / f"{name}.fits"
+            model.write(path, format=name, precision="f64")
+            again = psfield.PsfModel.read(path)
+            assert relative_l2(again.evaluate(50, 50), model.evaluate(50, 50)) < ROUNDING
+        with pytest.raises(FileExistsError, match="the file exists"):
+            model.write(path)
+        model.write(path, overwrite=True)
+
+    def test_psfex_and_libraries_come_back(self, model, tmp_path):
+        model.write(tmp_path / "model.psf", format="psfex", degree=3)
+        assert relative_l2(psfield.PsfModel.read(tmp_path / "model.psf").evaluate(50, 50), model.evaluate(50, 50)) < 1e-2
+        model.write(tmp_path / "library.fits", format="gridded", grid_shape=(15, 15))
+        assert relative_l2(psfield.PsfModel.read(tmp_path / "library.fits").evaluate(50, 50), model.evaluate(50, 50)) < 1e-2
+        with pytest.raises(ValueError, match="format must be"):
+            model.write(tmp_path / "x", format="fits")
+        with pytest.raises(ValueError, match="degree"):
+            model.write(tmp_path / "x", format="psfex")
+        assert not (tmp_path / "x").exists()
+
+    def test_trouble_is_an_oserror_that_names_the_file(self, model, tmp_path):
+        with pytest.raises(FileNotFoundError, match=r"none\.fits: cannot read the file"):
+            psfield.PsfModel.read(tmp_path / "none.fits")
+        (tmp_path / "text.fits").write_text("hello")
+        with pytest.raises(OSError, match=r"text\.fits: this is not a FITS file"):
+            psfield.PsfModel.read(tmp_path / "text.fits")
+        with pytest.raises(FileNotFoundError, match="there is no directory"):
+            model.write(tmp_path / "nowhere" / "model.fits")
+        model.write(tmp_path / "model.fits")
+        with pytest.raises(ValueError, match="--psf-detector is for STDPSF"):
+            psfield.PsfModel.read(tmp_path / "model.fits", detector=1)
+        with pytest.raises(ValueError, match="fit options"):
+            psfield.PsfModel.read(tmp_path / "model.fits", rank=3)
+
+
+def test_models_are_made_by_name():
+    with pytest.raises(TypeError, match="from_samples"):
+        psfield.PsfModel()
