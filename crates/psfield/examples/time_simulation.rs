@@ -1,0 +1,33 @@
+//! Times the library's own call, for `benches/python`: `time_simulation PSF SIZE TOLERANCE REPEAT` prints the seconds of each repetition, and
+//! of making the scene from its pixels before it.
+
+use std::time::Instant;
+
+use ndarray::Array2;
+use psfield::conv_core::PlanOptions;
+use psfield::psf_types::{Image, NoProgress, Scene};
+use psfield::{PsfInput, Simulation};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let [path, size, tolerance, repeat] = arguments.as_slice() else {
+        return Err("time_simulation PSF SIZE TOLERANCE REPEAT".into());
+    };
+    let (size, repeat): (usize, usize) = (size.parse()?, repeat.parse()?);
+    // Every pixel is lit.
+    let light = Array2::from_shape_fn((size, size), |(y, x)| 1.0 + ((3 * x + 5 * y) % 7) as f32);
+    let scene = Scene::from_image(Image::new(light.clone())?);
+    let simulation = Simulation::new(PsfInput::open(path, Default::default())?, &scene, Default::default())?;
+    let plan = simulation.plan(&scene, PlanOptions::new(tolerance.parse()?)?)?;
+    drop(scene);
+    for _ in 0..repeat {
+        let pixels = light.clone();
+        let clock = Instant::now();
+        let scene = Scene::from_image(Image::new(pixels)?);
+        let checked = clock.elapsed().as_secs_f64();
+        let (image, _) = simulation.run_planned(&plan, &scene, &NoProgress)?;
+        println!("{:e} {checked:e}", clock.elapsed().as_secs_f64());
+        drop(image);
+    }
+    Ok(())
+}
