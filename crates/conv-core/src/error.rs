@@ -1,6 +1,6 @@
 //! What can go wrong in a convolution.
 
-use psf_types::{DataError, FieldError, FrameShape};
+use psf_types::{DataError, FieldError, FrameShape, PixelRegion};
 use thiserror::Error;
 
 /// Errors of the convolution methods.
@@ -73,6 +73,19 @@ pub enum ConvError {
         expected: String,
         /// The light.
         got: FrameShape,
+    },
+    /// A region that reaches beyond the frame.
+    #[error(
+        "the region of {} pixels at ({}, {}) reaches beyond the frame of {frame} pixels",
+        region.shape(),
+        region.x0(),
+        region.y0()
+    )]
+    RegionOutsideFrame {
+        /// The region, in pixels of the frame.
+        region: PixelRegion,
+        /// The frame.
+        frame: FrameShape,
     },
     /// Somebody wanted the work to stop ([`psf_types::Progress::cancelled`]).
     #[error("the work was stopped before its end")]

@@ -131,7 +131,7 @@ fn other_shapes_are_errors_that_say_what_fits() {
     );
     assert_eq!(
         error.unwrap_err().to_string(),
-        "the light is 72 x 53 pixels: the plan takes the whole scene, 71 x 53, or its part that reaches the frame, 42 x 33 at (11, 9)"
+        "the light is 72 x 53 pixels: the plan takes the whole scene, 71 x 53, or its part that reaches the image, 42 x 33 at (11, 9)"
     );
     let light = scene.image().unwrap().view();
     let mut wide = Array2::zeros((29, 38));

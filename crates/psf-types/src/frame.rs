@@ -127,6 +127,15 @@ impl PixelRegion {
         }
     }
 
+    /// Whether all pixels of `other` are pixels of this region.
+    pub fn contains(self, other: Self) -> bool {
+        let within = |first: i64, count: usize, whole: i64, limit: usize| {
+            first >= whole && i128::from(first) + count as i128 <= i128::from(whole) + limit as i128
+        };
+        within(other.x0, other.shape.nx, self.x0, self.shape.nx)
+            && within(other.y0, other.shape.ny, self.y0, self.shape.ny)
+    }
+
     /// The position of the pixel `column`, `row` counted from the region's first pixel.
     pub fn position(self, column: usize, row: usize) -> Position {
         Position::of_pixel(self.x0 + column as i64, self.y0 + row as i64)
@@ -143,6 +152,25 @@ mod tests {
         let inside = |x, y| frame.contains(Position::new(x, y).unwrap());
         assert!(inside(-0.5, -0.5) && inside(3.5, 2.5) && inside(0.0, 2.0));
         assert!(!inside(-0.51, 0.0) && !inside(0.0, 2.51) && !inside(3.6, 0.0));
+    }
+
+    #[test]
+    fn a_region_contains_the_regions_within_its_edges() {
+        let region = |x0, y0, nx, ny| PixelRegion::new(x0, y0, FrameShape::new(nx, ny).unwrap());
+        let whole = region(-3, 2, 10, 8);
+        for inside in [whole, region(-3, 2, 1, 1), region(6, 9, 1, 1), region(0, 3, 7, 7)] {
+            assert!(whole.contains(inside), "{inside:?}");
+        }
+        for beyond in [
+            region(-4, 2, 4, 4),
+            region(-3, 1, 4, 4),
+            region(6, 9, 2, 1),
+            region(6, 9, 1, 2),
+            region(i64::MAX, 2, 1, 1),
+            region(i64::MIN, 2, 1, 1),
+        ] {
+            assert!(!whole.contains(beyond), "{beyond:?}");
+        }
     }
 
     #[test]

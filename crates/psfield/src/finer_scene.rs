@@ -4,9 +4,9 @@ use std::ops::Range;
 
 use conv_core::{ConvError, ConvReal, RowStream, StarPlan};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Ix2, SliceInfo, SliceInfoElem, s};
-use psf_types::{FrameShape, Image, ImageView, PixelRegion, PointSource, Position, Scene};
+use psf_types::{FrameShape, Image, ImageView, PixelRegion, PointSource, Position, Progress, Scene};
 
-use crate::PsfieldError;
+use crate::{PsfieldError, SimulationPlan};
 
 /// How a scene's pixels lie on those of its frame, and its stars in pixels of the frame.
 ///
@@ -69,6 +69,17 @@ impl<T: ConvReal> FinerScene<T> {
         (self.finer * column + first, self.finer * row + first)
     }
 
+    /// A region of the frame, given in the frame's own pixels, in pixels of the scene counted from the frame's first.
+    pub(crate) fn of_scene(&self, region: PixelRegion) -> Result<PixelRegion, PsfieldError> {
+        let frame = self.stars.frame().shape();
+        if !frame.region().contains(region) {
+            return Err(ConvError::RegionOutsideFrame { region, frame }.into());
+        }
+        let (s, shape) = (self.finer as i64, region.shape());
+        let shape = FrameShape::new(shape.nx() * self.finer, shape.ny() * self.finer)?;
+        Ok(PixelRegion::new(region.x0() * s, region.y0() * s, shape))
+    }
+
     /// Pixels of the scene in a pixel of the frame.
     pub(crate) fn pixel_area(&self) -> f64 {
         (self.finer * self.finer) as f64
@@ -121,17 +132,27 @@ pub(crate) struct FinerRows<'a, T: ConvReal, R> {
     inner: &'a mut R,
     finer: &'a FinerScene<T>,
     stars: &'a StarPlan<T>,
+    /// The part of the frame whose rows they are, in the frame's own pixels.
+    region: PixelRegion,
+    progress: &'a dyn Progress,
     /// Rows that came, of the scene's image, and that went, of the frame's.
     came: usize,
     went: usize,
 }
 
 impl<'a, T: ConvReal, R> FinerRows<'a, T, R> {
-    pub(crate) fn new(inner: &'a mut R, finer: &'a FinerScene<T>, stars: &'a StarPlan<T>) -> Self {
+    pub(crate) fn new(
+        inner: &'a mut R,
+        finer: &'a FinerScene<T>,
+        plan: &'a SimulationPlan<T>,
+        progress: &'a dyn Progress,
+    ) -> Self {
         Self {
             inner,
             finer,
-            stars,
+            stars: plan.stars(),
+            region: plan.region_of(finer.stars().frame().shape()),
+            progress,
             came: 0,
             went: 0,
         }
@@ -153,8 +174,11 @@ impl<T: ConvReal, R: RowStream<T>> RowStream<T> for FinerRows<'_, T, R> {
         };
         self.came += rows.nrows();
         if shown.nrows() > 0 {
+            let shape = FrameShape::new(shown.ncols(), shown.nrows()).map_err(ConvError::Result)?;
+            let (x0, y0) = (self.region.x0(), self.region.y0() + self.went as i64);
+            let region = PixelRegion::new(x0, y0, shape);
             self.stars
-                .add_to_rows(self.finer.stars(), self.went, &mut shown)?;
+                .add_to_region(self.finer.stars(), region, shown.view_mut(), self.progress)?;
             self.went += shown.nrows();
             let shown = Image::new(shown).map_err(ConvError::Result)?;
             self.inner.write(shown.pixels())?;

@@ -1,13 +1,35 @@
 //! Cutting an axis into blocks and tiles.
 
+use std::ops::Range;
+
 /// A stretch of an axis whose tiles share one local basis.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Stretch {
     /// First pixel and length of each tile, in order.
     pub(crate) tiles: Vec<(usize, usize)>,
+    /// Pixels between the beginning of what the local basis is for and the first tile: those that a plan of a region leaves out.
+    pub(crate) lead: usize,
 }
 
 impl Stretch {
+    fn new(tiles: Vec<(usize, usize)>) -> Self {
+        Self { tiles, lead: 0 }
+    }
+
+    /// What lies within a part of the axis, counted from the first pixel of that part; none where nothing does.
+    fn within(&self, part: &Range<usize>) -> Option<Self> {
+        let inside = |&(start, length): &(usize, usize)| {
+            let (from, to) = (start.max(part.start), (start + length).min(part.end));
+            (from < to).then(|| (from - part.start, to - from))
+        };
+        let tiles: Vec<(usize, usize)> = self.tiles.iter().filter_map(inside).collect();
+        let first = tiles.first()?.0 + part.start;
+        Some(Self {
+            lead: self.lead + first - self.start(),
+            tiles,
+        })
+    }
+
     pub(crate) fn start(&self) -> usize {
         self.tiles[0].0
     }
@@ -27,9 +49,7 @@ pub(crate) fn even(length: usize, tile: usize, together: usize) -> Vec<Stretch> 
     let tiles = parts(0, length, tile);
     tiles
         .chunks(together)
-        .map(|tiles| Stretch {
-            tiles: tiles.to_vec(),
-        })
+        .map(|tiles| Stretch::new(tiles.to_vec()))
         .collect()
 }
 
@@ -42,13 +62,21 @@ pub(crate) fn at_cuts(length: usize, cuts: &[usize], tile: usize, split: bool) -
         .zip(ends)
         .map(|(start, end)| parts(start, end - start, tile));
     if split {
-        stretches
-            .flatten()
-            .map(|tile| Stretch { tiles: vec![tile] })
-            .collect()
+        stretches.flatten().map(|tile| Stretch::new(vec![tile])).collect()
     } else {
-        stretches.map(|tiles| Stretch { tiles }).collect()
+        stretches.map(Stretch::new).collect()
     }
+}
+
+/// The stretches that have pixels in a part of the axis, cut to it and counted from its first pixel, and their numbers.
+pub(crate) fn within(stretches: &[Stretch], part: &Range<usize>) -> (Vec<Stretch>, Range<usize>) {
+    let first = stretches.partition_point(|stretch| stretch.end() <= part.start);
+    let cut: Vec<Stretch> = stretches[first..]
+        .iter()
+        .map_while(|stretch| stretch.within(part))
+        .collect();
+    let numbers = first..first + cut.len();
+    (cut, numbers)
 }
 
 /// The longest tile.
@@ -90,5 +118,31 @@ mod tests {
         assert_eq!(longest(&even(100, 33, 2)), 25);
         let cut = at_cuts(100, &[10, 50], 20, false);
         assert_eq!((cut.len(), cut[1].start(), cut[1].end()), (3, 10, 50));
+    }
+
+    #[test]
+    fn a_part_of_the_axis_has_every_pixel_of_it_where_it_was() {
+        let whole = at_cuts(100, &[10, 50], 20, false);
+        for part in [0..100, 0..1, 99..100, 9..11, 10..50, 17..83, 30..31] {
+            let (cut, numbers) = within(&whole, &part);
+            assert_eq!(cut.len(), numbers.len());
+            let mut next = 0;
+            for (stretch, of_whole) in cut.iter().zip(&whole[numbers]) {
+                assert_eq!(stretch.start() + part.start, of_whole.start() + stretch.lead);
+                for &(start, length) in &stretch.tiles {
+                    assert_eq!(start, next);
+                    next = start + length;
+                    let tiles = &of_whole.tiles;
+                    let (from, to) = (start + part.start, next + part.start);
+                    assert!(
+                        tiles
+                            .iter()
+                            .any(|&(first, count)| first <= from && to <= first + count)
+                    );
+                }
+            }
+            assert_eq!(next, part.len());
+        }
+        assert_eq!(within(&whole, &(0..100)), (whole, 0..3));
     }
 }

@@ -1,28 +1,29 @@
 //! All blocks of a plan.
 
-use psf_types::PsfModel;
+use std::ops::Range;
+
+use psf_types::{Progress, PsfModel};
 use rayon::prelude::*;
 
 use super::block::Block;
-use super::geometry::Geometry;
-use super::psf_space::PsfSpace;
-use super::tiling::Tiling;
-use crate::ConvReal;
+use super::whole::Whole;
+use crate::wanted::still_wanted;
+use crate::{ConvError, ConvReal};
 
 /// Blocks that are planned at once.
 const BLOCKS_AT_ONCE: usize = 64;
 
-/// The blocks of a tiling, row by row, with coefficients as far as the memory reaches, and the memory that is left.
+/// The blocks at some columns and rows, row by row, with coefficients as far as the memory reaches, and the memory that is left.
 pub(crate) fn blocks<T: ConvReal>(
     model: &PsfModel,
-    space: &PsfSpace,
-    geometry: &Geometry,
-    tiling: &Tiling,
+    whole: &Whole,
+    [columns, rows]: &[Range<usize>; 2],
     tolerance: f64,
     memory_bytes: usize,
-) -> (Vec<Block<T>>, usize) {
-    let across = tiling.columns.len();
-    let count = across * tiling.rows.len();
+    progress: &dyn Progress,
+) -> Result<(Vec<Block<T>>, usize), ConvError> {
+    let across = columns.len();
+    let count = across * rows.len();
     let mut blocks: Vec<Block<T>> = Vec::with_capacity(count);
     let mut left = memory_bytes;
     let mut full = false;
@@ -31,10 +32,11 @@ pub(crate) fn blocks<T: ConvReal>(
         let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
             .into_par_iter()
             .map(|i| {
-                let region = tiling.region(geometry, i % across, i / across);
-                Block::new(model, space, region, tolerance, !full)
+                still_wanted(progress)?;
+                let region = whole.block(columns.start + i % across, rows.start + i / across);
+                Ok(Block::new(model, &whole.space, region, tolerance, !full))
             })
-            .collect();
+            .collect::<Result<_, ConvError>>()?;
         for mut block in made {
             match left.checked_sub(block.table_bytes()) {
                 Some(rest) if !full => left = rest,
@@ -46,5 +48,5 @@ pub(crate) fn blocks<T: ConvReal>(
             blocks.push(block);
         }
     }
-    (blocks, left)
+    Ok((blocks, left))
 }

@@ -89,7 +89,7 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
         for &(x, columns) in &across.tiles {
             let (i, j) = (x - across.start(), y - up.start());
             let part = TilePart {
-                corner: (i, j),
+                corner: (i + across.lead, j + up.lead),
                 size: (columns, rows),
             };
             block.tile((x, y), part, output.slice_mut(s![j..j + rows, i..i + columns]))?;

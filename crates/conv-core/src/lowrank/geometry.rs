@@ -1,6 +1,6 @@
 //! Where the light is and where it goes.
 
-use psf_types::{Anchor, FrameShape, PixelRegion};
+use psf_types::{Anchor, PixelRegion};
 
 use crate::kernel::Reach;
 
@@ -17,19 +17,19 @@ pub(crate) struct Geometry {
 }
 
 impl Geometry {
-    /// `light` is the part of the scene that reaches the frame.
-    pub(crate) fn new(light: PixelRegion, frame: FrameShape, reach: Reach, anchor: Anchor) -> Self {
+    /// `light` is the part of the scene that reaches `region`, a part of the frame or all of it.
+    pub(crate) fn new(light: PixelRegion, region: PixelRegion, reach: Reach, anchor: Anchor) -> Self {
         let stamp = (reach.left + reach.right + 1, reach.below + reach.above + 1);
         match anchor {
             Anchor::Output => Self {
-                weighted: frame.region(),
+                weighted: region,
                 other: light,
                 before: (reach.right, reach.above),
                 stamp,
             },
             _ => Self {
                 weighted: light,
-                other: frame.region(),
+                other: region,
                 before: (reach.left, reach.below),
                 stamp,
             },

@@ -26,6 +26,7 @@ mod packed_table;
 mod plan;
 #[cfg(feature = "gpu")]
 mod plan_view;
+mod planning;
 mod prepared;
 mod psf_space;
 mod region_cells;
@@ -39,6 +40,7 @@ mod tile_engine;
 mod tile_light;
 mod tiling;
 mod treatment;
+mod whole;
 mod workspace;
 
 pub use execution::TileCounts;

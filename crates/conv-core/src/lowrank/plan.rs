@@ -1,15 +1,13 @@
 //! Plans: everything about a convolution that does not depend on the light.
 
 use std::ops::Range;
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{Anchor, FrameShape, Image, ImageView, NoProgress, PixelRegion, Progress, PsfModel, Scene};
-use rayon::prelude::*;
 
 use super::axis_cuts::Stretch;
-use super::block::{Block, stamps_of};
-use super::blocks::blocks;
+use super::block::Block;
 use super::cost_model::CostModel;
 use super::execution::TileCounts;
 use super::fresh::zeros;
@@ -17,15 +15,14 @@ use super::gather::Gather;
 use super::geometry::Geometry;
 use super::job::Job;
 use super::options::{Paths, PlanOptions};
-use super::psf_space::PsfSpace;
 use super::scatter::Scatter;
+use super::summary::text;
 use super::tile_engine::TileEngine;
 use super::tile_light::Direction;
-use super::tiling::{Tiling, best_tiling};
+use super::tiling::Tiling;
+use super::whole::Whole;
 use super::workspace::Pool;
-use crate::crop::reaching;
 use crate::image_memory::{check_shape, with_rows_in_memory};
-use crate::kernel::Reach;
 use crate::stars::StarPlan;
 use crate::transform::TileTransform;
 use crate::{ConvError, ConvReal};
@@ -81,7 +78,7 @@ use crate::{ConvError, ConvReal};
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(super) model: PsfModel,
-    pub(super) space: PsfSpace,
+    pub(super) whole: Arc<Whole>,
     pub(super) geometry: Geometry,
     pub(super) options: PlanOptions,
     pub(super) tiling: Tiling,
@@ -91,110 +88,19 @@ pub struct Plan<T: ConvReal> {
     pub(super) blocks: Vec<Block<T>>,
     pub(super) shape: FrameShape,
     pub(super) frame: PixelRegion,
-    /// Columns and rows of the scene that reach the frame.
+    /// The part of the frame that it makes, in pixels of the frame.
+    pub(super) region: PixelRegion,
+    /// Columns and rows of the scene that reach the region.
     pub(super) light: [Range<usize>; 2],
     pub(super) ramp: Vec<T>,
-    pool: Pool<T>,
+    pub(super) pool: Pool<T>,
     /// Made when the first star comes.
-    stars: OnceLock<StarPlan<T>>,
+    pub(super) stars: OnceLock<StarPlan<T>>,
     #[cfg(feature = "gpu")]
     pub(super) gpu: Option<crate::gpu::GpuEngine>,
 }
 
-/// Blocks whose stamps are made by one product of matrices.
-const BLOCKS_A_PRODUCT: usize = 32;
-
 impl<T: ConvReal> Plan<T> {
-    /// A plan for scenes of a shape seen through a frame, a region of the scene.
-    ///
-    /// # Errors
-    /// [`ConvError`] when the model's stamps do not suit an image, or the frame reaches beyond the scene. A PSF that has no value somewhere is an error of the
-    /// execution, if there is light.
-    pub fn new(
-        model: &PsfModel,
-        shape: FrameShape,
-        frame: PixelRegion,
-        options: PlanOptions,
-    ) -> Result<Self, ConvError> {
-        let reach = Reach::of(model.grid())?;
-        // A scene checks its frame.
-        Scene::<T>::dark(shape)
-            .with_frame(frame)
-            .map_err(ConvError::Frame)?;
-        let [columns, rows] = reaching(shape, frame, reach);
-        let light_shape =
-            FrameShape::new(columns.len().max(1), rows.len().max(1)).map_err(ConvError::Result)?;
-        let light = PixelRegion::new(
-            columns.start as i64 - frame.x0(),
-            rows.start as i64 - frame.y0(),
-            light_shape,
-        );
-        let geometry = Geometry::new(light, frame.shape(), reach, options.anchor());
-        let cost = CostModel::of::<T>();
-        let space = PsfSpace::new(model);
-        let tolerance = options.tolerance().max(rounding::<T>());
-        let tiling = best_tiling(model, &space, &geometry, tolerance, cost, options.memory_bytes());
-        let (blocks, left) = blocks(
-            model,
-            &space,
-            &geometry,
-            &tiling,
-            tolerance,
-            options.memory_bytes(),
-        );
-        let longest = tiling.columns.iter().map(Stretch::length).max().unwrap_or(1);
-        let mut plan = Self {
-            fft: TileTransform::new(tiling.size.0, tiling.size.1),
-            ramp: (0..longest).map(|i| T::nearest(i as f64)).collect(),
-            model: model.clone(),
-            light: [columns, rows],
-            pool: Pool::new(),
-            stars: OnceLock::new(),
-            #[cfg(feature = "gpu")]
-            gpu: None,
-            space,
-            geometry,
-            options,
-            tiling,
-            cost,
-            blocks,
-            shape,
-            frame,
-        };
-        plan.keep_stamps(left);
-        Ok(plan)
-    }
-
-    /// A plan for scenes like this one.
-    ///
-    /// # Errors
-    /// As [`Self::new`].
-    pub fn for_scene(model: &PsfModel, scene: &Scene<T>, options: PlanOptions) -> Result<Self, ConvError> {
-        Self::new(model, scene.shape(), scene.frame(), options)
-    }
-
-    /// Makes the stamps for which there is room.
-    fn keep_stamps(&mut self, mut left: usize) {
-        let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
-        let mut room = 0;
-        while room < self.blocks.len() {
-            match left.checked_sub(self.blocks[room].kernel_count() * stamp) {
-                Some(rest) => left = rest,
-                None => break,
-            }
-            room += 1;
-        }
-        let stamps = self.space.stamps();
-        self.blocks[..room]
-            .par_chunks_mut(BLOCKS_A_PRODUCT)
-            .for_each(|blocks| {
-                let made = stamps_of(stamps, &blocks.iter().collect::<Vec<_>>());
-                for (block, stamps) in blocks.iter_mut().zip(made) {
-                    block.keep_stamps(stamps);
-                }
-            });
-    }
-
     /// The image of a scene.
     ///
     /// # Errors
@@ -217,10 +123,10 @@ impl<T: ConvReal> Plan<T> {
         Ok((Image::new(image).map_err(ConvError::Result)?, counts))
     }
 
-    /// An image of the frame `[y, x]` without light, for [`add_to`](Self::add_to). Adding to its fresh memory takes less time than to that
+    /// An image of the frame, or of the plan's region of it, `[y, x]` without light, for [`add_to`](Self::add_to). Adding to its fresh memory takes less time than to that
     /// of a large array of zeros made otherwise: its pages have been written to.
     pub fn dark_image(&self) -> Array2<T> {
-        zeros((self.frame.shape().ny(), self.frame.shape().nx()))
+        zeros((self.region.shape().ny(), self.region.shape().nx()))
     }
 
     /// The anchoring.
@@ -228,10 +134,10 @@ impl<T: ConvReal> Plan<T> {
         self.options.anchor()
     }
 
-    /// Adds the image of a scene to one that is there: `[y, x]` of the frame.
+    /// Adds the image of a scene to one that is there: `[y, x]` of the frame, or of the plan's region of it.
     ///
     /// # Errors
-    /// As [`Self::execute`], and for an image of another shape than the frame.
+    /// As [`Self::execute`], and for an image of another shape.
     pub fn add_to(
         &self,
         scene: &Scene<T>,
@@ -240,9 +146,8 @@ impl<T: ConvReal> Plan<T> {
     ) -> Result<TileCounts, ConvError> {
         let counts = self.add_extended_to(scene, image, progress)?;
         if !scene.sources().is_empty() {
-            let whole = self.frame.shape().region();
             self.stars()?
-                .add_to_region(scene, whole, image.view_mut(), progress)?;
+                .add_to_region(scene, self.region, image.view_mut(), progress)?;
         }
         Ok(counts)
     }
@@ -258,7 +163,7 @@ impl<T: ConvReal> Plan<T> {
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
         self.check_scene(scene)?;
-        check_shape(self.frame.shape(), image.dim())?;
+        check_shape(self.region.shape(), image.dim())?;
         match scene.image() {
             None => Ok(TileCounts::default()),
             Some(light) => self.add_light_to(&light.view(), image.view_mut(), progress),
@@ -266,7 +171,8 @@ impl<T: ConvReal> Plan<T> {
     }
 
     /// Adds the image of light that belongs to somebody else to an image that does, without copies: `light` is `[y, x]` of the whole scene, or
-    /// of its part that reaches the frame ([`light_region`](Self::light_region)); `image` of the frame.
+    /// of its part that reaches the image ([`light_region`](Self::light_region)); `image` of the frame, or of the plan's
+    /// [`region`](Self::region) of it.
     ///
     /// An image in which the pixels of a row are no neighbours in memory is copied and back.
     ///
@@ -278,7 +184,7 @@ impl<T: ConvReal> Plan<T> {
         image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        check_shape(self.frame.shape(), image.dim())?;
+        check_shape(self.region.shape(), image.dim())?;
         let [columns, rows] = self.light_part(light.shape())?;
         let light = light.pixels();
         let light = light.slice(s![rows, columns]);
@@ -301,14 +207,29 @@ impl<T: ConvReal> Plan<T> {
         }
     }
 
-    /// The part of the scene whose light reaches the frame, in pixels of the scene.
+    /// The shape of the scenes that it is for.
+    pub fn scene_shape(&self) -> FrameShape {
+        self.shape
+    }
+
+    /// The frame, in pixels of the scene.
+    pub fn frame(&self) -> PixelRegion {
+        self.frame
+    }
+
+    /// The part of the frame that this plan makes, in pixels of the frame: all of it unless it was made [for a region](Self::for_region).
+    pub fn region(&self) -> PixelRegion {
+        self.region
+    }
+
+    /// The part of the scene whose light reaches the frame, or the plan's region of it, in pixels of the scene.
     pub fn light_region(&self) -> PixelRegion {
         let [columns, rows] = &self.light;
-        let shape = FrameShape::new(columns.len(), rows.len()).expect("a frame's own light reaches it");
+        let shape = FrameShape::new(columns.len(), rows.len()).expect("a region's own light reaches it");
         PixelRegion::new(columns.start as i64, rows.start as i64, shape)
     }
 
-    /// Columns and rows that reach the frame of a plane with the shape of the scene or of its part that does.
+    /// Columns and rows that reach the region of a plane with the shape of the scene or of its part that does.
     fn light_part(&self, got: FrameShape) -> Result<[Range<usize>; 2], ConvError> {
         let part = self.light_region();
         if got == part.shape() {
@@ -318,7 +239,7 @@ impl<T: ConvReal> Plan<T> {
         } else {
             let part = text(part);
             let expected = format!(
-                "the whole scene, {}, or its part that reaches the frame, {part}",
+                "the whole scene, {}, or its part that reaches the image, {part}",
                 self.shape
             );
             Err(ConvError::LightShape { expected, got })
@@ -326,10 +247,10 @@ impl<T: ConvReal> Plan<T> {
     }
 
     /// The transpose: what each pixel of the scene gives to the scalar product of its image with `image`, for images of the
-    /// frame. `<A f, g> = <f, A^T g>` for every scene `f` without point sources.
+    /// frame or of the plan's region of it. `<A f, g> = <f, A^T g>` for every scene `f` without point sources.
     ///
     /// # Errors
-    /// [`ConvError::FrameShape`] for an image of another shape than the frame.
+    /// [`ConvError::FrameShape`] for an image of another shape.
     pub fn adjoint(&self, image: &Image<T>) -> Result<Image<T>, ConvError> {
         self.adjoint_with_progress(&image.view(), &NoProgress)
     }
@@ -343,13 +264,13 @@ impl<T: ConvReal> Plan<T> {
         image: &ImageView<'_, T>,
         progress: &dyn Progress,
     ) -> Result<Image<T>, ConvError> {
-        check_shape(self.frame.shape(), image.pixels().dim())?;
+        check_shape(self.region.shape(), image.pixels().dim())?;
         let mut scene = zeros((self.shape.ny(), self.shape.nx()));
         self.add_adjoint_to(image, scene.view_mut(), progress)?;
         Image::new(scene).map_err(ConvError::Result)
     }
 
-    /// Adds the transpose of an image of the frame to `light`: a plane `[y, x]` of the whole scene, or of its part that reaches the frame
+    /// Adds the transpose of an image to `light`: a plane `[y, x]` of the whole scene, or of its part that reaches the image
     /// ([`light_region`](Self::light_region)). One in which the pixels of a row are no neighbours in memory is copied and back.
     ///
     /// # Errors
@@ -361,7 +282,7 @@ impl<T: ConvReal> Plan<T> {
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
         let pixels = image.pixels();
-        check_shape(self.frame.shape(), pixels.dim())?;
+        check_shape(self.region.shape(), pixels.dim())?;
         let (height, width) = light.dim();
         let got = FrameShape::new(width, height).map_err(ConvError::Result)?;
         let [columns, rows] = self.light_part(got)?;
@@ -489,10 +410,6 @@ impl<T: ConvReal> Plan<T> {
             got_frame: text(got_frame),
         }
     }
-}
-
-fn text(region: PixelRegion) -> String {
-    format!("{} at ({}, {})", region.shape(), region.x0(), region.y0())
 }
 
 fn extents(

@@ -44,7 +44,7 @@ impl PlanView {
                     start,
                     length,
                     block,
-                    corner: start - stretch.start(),
+                    corner: start - stretch.start() + stretch.lead,
                 })
             });
             tiles.collect::<Vec<_>>()

@@ -43,7 +43,7 @@ impl<'a, T: ConvReal> Prepared<'a, T> {
         let (block, plan) = (self.block, self.plan);
         (
             self.table.get_or_insert_with(|| block.table(&plan.model)),
-            self.stamps.get_or_insert_with(|| block.stamps(&plan.space)),
+            self.stamps.get_or_insert_with(|| block.stamps(&plan.whole.space)),
         )
     }
 
@@ -60,7 +60,7 @@ impl<'a, T: ConvReal> Prepared<'a, T> {
 
     fn stamps(&mut self) -> &[T] {
         let (block, plan) = (self.block, self.plan);
-        self.stamps.get_or_insert_with(|| block.stamps(&plan.space))
+        self.stamps.get_or_insert_with(|| block.stamps(&plan.whole.space))
     }
 
     /// Modes, and the reference where there is one.

@@ -136,7 +136,7 @@ fn scatter_block<T: ConvReal, S: Lanes<T>>(
     for &(y, rows) in &up.tiles {
         for &(x, columns) in &across.tiles {
             let part = TilePart {
-                corner: (x - across.start(), y - up.start()),
+                corner: (x - across.start() + across.lead, y - up.start() + up.lead),
                 size: (columns, rows),
             };
             block.tile((x, y), part)?;

@@ -33,7 +33,7 @@ impl<T: ConvReal> Plan<T> {
     /// [`execute`](Self::execute).
     ///
     /// `scene` gives the shape, the frame and the point sources, which `stars` draws where given, else the plan itself; its image part is
-    /// not looked at.
+    /// not looked at. A plan of a region reads the rows that reach it and writes those of the region.
     ///
     /// # Errors
     /// Those of the stream, and [`ConvError`] as for [`execute`](Self::execute).
@@ -47,7 +47,7 @@ impl<T: ConvReal> Plan<T> {
         self.check_scene(scene)?;
         let rows_of_blocks = self.tiling.rows.len();
         progress.start(rows_of_blocks as u64);
-        let (ny, nx) = (self.frame.shape().ny(), self.frame.shape().nx());
+        let (ny, nx) = (self.region.shape().ny(), self.region.shape().nx());
         let mut counts = TileCounts::default();
         // Rows of the image that are not finished yet, and the first of them.
         let mut pending = Array2::<T>::zeros((0, nx));
@@ -85,7 +85,8 @@ impl<T: ConvReal> Plan<T> {
                 if !scene.sources().is_empty() {
                     let stars = stars.map_or_else(|| self.stars(), Ok)?;
                     let rows = FrameShape::new(nx, next - written).map_err(ConvError::Result)?;
-                    let region = PixelRegion::new(0, written as i64, rows);
+                    let (x0, y0) = (self.region.x0(), self.region.y0() + written as i64);
+                    let region = PixelRegion::new(x0, y0, rows);
                     stars.add_to_region(scene, region, finished.view_mut(), progress)?;
                 }
                 let finished = Image::new(finished).map_err(ConvError::Result)?;

@@ -1,6 +1,6 @@
 //! A plan in figures.
 
-use psf_types::{Anchor, FrameShape};
+use psf_types::{Anchor, FrameShape, PixelRegion};
 
 use super::axis_cuts::{Stretch, longest};
 use super::block::Block;
@@ -14,6 +14,8 @@ use crate::ConvReal;
 pub struct PlanSummary {
     /// The frame.
     pub frame: FrameShape,
+    /// The part of the frame that the plan makes, in pixels of the frame. Tiles and blocks are those that reach it.
+    pub region: PixelRegion,
     /// `f32` or `f64`.
     pub precision: &'static str,
     /// The tolerance asked for.
@@ -42,6 +44,11 @@ pub struct PlanSummary {
     pub kept_bytes: (usize, usize),
     /// Blocks whose coefficients, and whose stamps, are made anew by each execution.
     pub made_anew: (usize, usize),
+}
+
+/// A region in words.
+pub(super) fn text(region: PixelRegion) -> String {
+    format!("{} at ({}, {})", region.shape(), region.x0(), region.y0())
 }
 
 impl PlanSummary {
@@ -74,6 +81,7 @@ impl<T: ConvReal> Plan<T> {
         let tile = (longest(&self.tiling.columns), longest(&self.tiling.rows));
         let mut summary = PlanSummary {
             frame: self.frame.shape(),
+            region: self.region,
             precision: T::NAME,
             tolerance: self.options.tolerance(),
             anchor: self.options.anchor(),
@@ -110,6 +118,9 @@ impl<T: ConvReal> Plan<T> {
 impl std::fmt::Display for PlanSummary {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mebibytes = |bytes: usize| bytes as f64 / f64::from(1 << 20);
+        if self.region != self.frame.region() {
+            write!(f, "{} of ", text(self.region))?;
+        }
         writeln!(
             f,
             "{} pixels in {}, tolerance {:e}, {}-anchored",

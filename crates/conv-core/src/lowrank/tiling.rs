@@ -1,14 +1,18 @@
 //! The choice of tiles: sizes, and whether they follow the cells of the field.
 
-use psf_types::{FrameShape, PixelRegion, PsfModel};
+use std::ops::Range;
+
+use psf_types::{FrameShape, PixelRegion, Progress, PsfModel};
 use rayon::prelude::*;
 
-use super::axis_cuts::{Stretch, at_cuts, even, longest};
+use super::axis_cuts::{Stretch, at_cuts, even, longest, within};
 use super::cost_model::{CostModel, sizes, transform_size};
 use super::geometry::Geometry;
 use super::local_modes::LocalModes;
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
+use crate::ConvError;
+use crate::wanted::still_wanted;
 
 /// Tiles along both axes and their transforms.
 #[derive(Debug, Clone)]
@@ -45,7 +49,8 @@ pub(crate) fn best_tiling(
     tolerance: f64,
     cost: CostModel,
     memory_bytes: usize,
-) -> Tiling {
+    progress: &dyn Progress,
+) -> Result<Tiling, ConvError> {
     let (nx, ny) = geometry.weighted_size();
     let stamp = geometry.stamp;
     let side = stamp.0.max(stamp.1);
@@ -76,21 +81,20 @@ pub(crate) fn best_tiling(
     let judged: Vec<(f64, Tiling)> = ways
         .into_par_iter()
         .map(|(columns, rows)| {
+            still_wanted(progress)?;
             let at_least = (longest(&columns) + stamp.0 - 1, longest(&rows) + stamp.1 - 1);
             let tiling = Tiling {
                 columns,
                 rows,
                 size: transform_size(at_least),
             };
-            (
-                tiling.seconds(model, space, geometry, tolerance, cost, memory_bytes),
-                tiling,
-            )
+            let seconds = tiling.seconds(model, space, geometry, tolerance, cost, memory_bytes);
+            Ok((seconds, tiling))
         })
-        .collect();
+        .collect::<Result<_, ConvError>>()?;
     // The first of equals, so that the choice does not depend on the order of threads.
     let best = judged.into_iter().reduce(|a, b| if b.0 < a.0 { b } else { a });
-    best.expect("at least one size is tried").1
+    Ok(best.expect("at least one size is tried").1)
 }
 
 /// The first pixels, counted from the weighted side's, of the field's cells, if it has any.
@@ -111,6 +115,15 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
 }
 
 impl Tiling {
+    /// What lies within some columns and rows, cut to them and counted from the first of them, and the columns and rows of blocks that it is
+    /// of. Transforms keep their size.
+    pub(crate) fn within(&self, columns: &Range<usize>, rows: &Range<usize>) -> (Self, [Range<usize>; 2]) {
+        let (columns, across) = within(&self.columns, columns);
+        let (rows, up) = within(&self.rows, rows);
+        let size = self.size;
+        (Self { columns, rows, size }, [across, up])
+    }
+
     /// The region of a block, in field positions.
     pub(crate) fn region(&self, geometry: &Geometry, column: usize, row: usize) -> PixelRegion {
         let (x, y) = (&self.columns[column], &self.rows[row]);

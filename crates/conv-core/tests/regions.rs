@@ -1,0 +1,455 @@
+//! Frames made in pieces.
+
+#[allow(dead_code, reason = "each test binary uses a part")]
+mod common;
+
+use std::borrow::Cow;
+use std::sync::Arc;
+
+use common::{ANCHORS, PATHS, Waves, model_with, noise, options, region};
+use conv_core::{ConvError, ConvReal, Plan, PlanOptions, RowStream, StarPlan};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use psf_types::{
+    Anchor, CoefficientField, FieldError, FrameShape, Image, ImageView, NoProgress, Normalisation,
+    PixelRegion, PointSource, Position, PsfModel, RowRun, Scene,
+};
+
+/// Pieces against the whole, relative L2: rounding of f32 transforms.
+const SAME_F32: f64 = 1e-6;
+/// The same of the adjoint: what noise gives to stamps of noise nearly cancels, so that the whole in f32 is itself 1.3e-6 from that in f64.
+const SAME_ADJOINT_F32: f64 = 3e-6;
+/// Forward and back in f64.
+const SAME_F64: f64 = 1e-13;
+const F32: (f64, f64) = (SAME_F32, SAME_ADJOINT_F32);
+const F64: (f64, f64) = (SAME_F64, SAME_F64);
+/// Sums of scalar products in f64.
+const ROUNDING_F64: f64 = 1e-12;
+
+const SCENE: (usize, usize) = (211, 163);
+
+/// Nodes on a grid, bilinear between them, with lines that tiles can follow.
+#[derive(Debug)]
+struct Grid {
+    values: Array2<f64>,
+}
+
+const STEP: f64 = 37.25;
+const NODES: usize = 6;
+
+impl Grid {
+    fn new() -> Self {
+        Self {
+            values: noise(NODES * NODES, 3, 21).mapv(|v| 0.2 * v),
+        }
+    }
+
+    fn cell(v: f64) -> (usize, f64) {
+        let at = (v / STEP).clamp(0.0, (NODES - 1) as f64);
+        let cell = (at as usize).min(NODES - 2);
+        (cell, at - cell as f64)
+    }
+
+    fn weights(column: usize, x: f64, (row, v): (usize, f64)) -> [(usize, f64); 4] {
+        let u = (x / STEP).clamp(0.0, (NODES - 1) as f64) - column as f64;
+        let node = row * NODES + column;
+        [
+            (node, (1.0 - u) * (1.0 - v)),
+            (node + 1, u * (1.0 - v)),
+            (node + NODES, (1.0 - u) * v),
+            (node + NODES + 1, u * v),
+        ]
+    }
+}
+
+impl CoefficientField for Grid {
+    fn component_count(&self) -> usize {
+        3
+    }
+
+    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+        a.fill(0.0);
+        for (node, weight) in Self::weights(Self::cell(p.x()).0, p.x(), Self::cell(p.y())) {
+            for (sum, value) in a.iter_mut().zip(self.values.row(node)) {
+                *sum += weight * value;
+            }
+        }
+        Ok(())
+    }
+
+    fn node_values(&self) -> Cow<'_, Array2<f64>> {
+        Cow::Borrowed(&self.values)
+    }
+
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        let lines: Vec<f64> = (0..NODES).map(|n| n as f64 * STEP).collect();
+        Some([lines.clone(), lines])
+    }
+
+    fn weights_along_row(
+        &self,
+        (x, y): (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let (row, end) = (Self::cell(y as f64), x + length as i64);
+        let mut first = x;
+        while first < end {
+            let column = Self::cell(first as f64).0;
+            let next = if column + 2 < NODES {
+                (((column + 1) as f64 * STEP).ceil() as i64).clamp(first + 1, end)
+            } else {
+                end
+            };
+            visit(RowRun {
+                length: (next - first) as usize,
+                first: &Self::weights(column, first as f64, row),
+                last: &Self::weights(column, (next - 1) as f64, row),
+            });
+            first = next;
+        }
+        Ok(())
+    }
+}
+
+fn models() -> [(&'static str, PsfModel); 3] {
+    [
+        (
+            "grid",
+            model_with(Arc::new(Grid::new()), (13, 11), (6, 5), true, Normalisation::Unit),
+        ),
+        (
+            "waves",
+            model_with(Arc::new(Waves), (6, 9), (1, 6), true, Normalisation::Keep),
+        ),
+        (
+            "no mean",
+            model_with(Arc::new(Grid::new()), (9, 5), (4, 2), false, Normalisation::Keep),
+        ),
+    ]
+}
+
+/// A scene with light everywhere, or in every hundredth pixel and with a star that outshines all else.
+fn light(full: bool) -> Image<f64> {
+    let mut light = noise(SCENE.1, SCENE.0, 8).mapv(|v| v + 1.5);
+    if !full {
+        for ((y, x), value) in light.indexed_iter_mut() {
+            if (7 * y + 3 * x) % 101 != 0 {
+                *value = 0.0;
+            }
+        }
+    }
+    light[[77, 93]] = 500.0;
+    Image::new(light).unwrap()
+}
+
+fn of_precision<T: ConvReal>(image: &Image<f64>) -> Image<T> {
+    Image::new(image.pixels().mapv(T::nearest)).unwrap()
+}
+
+/// The whole scene, and a frame within it that light comes into from all sides.
+fn frames() -> [PixelRegion; 2] {
+    [region(0, 0, SCENE.0, SCENE.1), region(23, 17, 151, 127)]
+}
+
+/// A frame cut into columns and rows of nearly equal size.
+fn pieces(frame: FrameShape, across: usize, up: usize) -> Vec<PixelRegion> {
+    let cut = |length: usize, count: usize, i: usize| i * length / count;
+    (0..up)
+        .flat_map(|j| (0..across).map(move |i| (i, j)))
+        .map(|(i, j)| {
+            let (x, y) = (cut(frame.nx(), across, i), cut(frame.ny(), up, j));
+            let (to_x, to_y) = (cut(frame.nx(), across, i + 1), cut(frame.ny(), up, j + 1));
+            region(x as i64, y as i64, to_x - x, to_y - y)
+        })
+        .collect()
+}
+
+fn slice_of<T>(whole: ArrayView2<'_, T>, part: PixelRegion) -> ArrayView2<'_, T> {
+    let (x, y) = (part.x0() as usize, part.y0() as usize);
+    whole.slice_move(s![y..y + part.shape().ny(), x..x + part.shape().nx()])
+}
+
+/// The image of a region, from the light that reaches it and no other.
+fn image_of<T: ConvReal>(plan: &Plan<T>, light: &Image<T>) -> Array2<T> {
+    let cut = slice_of(light.pixels(), plan.light_region()).to_owned();
+    let mut image = plan.dark_image();
+    plan.add_light_to(
+        &ImageView::new(cut.view()).unwrap(),
+        image.view_mut(),
+        &NoProgress,
+    )
+    .unwrap();
+    image
+}
+
+fn relative_l2<T: ConvReal>(image: ArrayView2<'_, T>, truth: ArrayView2<'_, T>) -> f64 {
+    assert_eq!(image.dim(), truth.dim());
+    let square = |sum: f64, v: f64| sum + v * v;
+    let pairs = image.iter().zip(truth).map(|(a, b)| a.as_f64() - b.as_f64());
+    (pairs.fold(0.0, square) / truth.iter().map(|v| v.as_f64()).fold(0.0, square)).sqrt()
+}
+
+/// Plans of all pieces put together, forward and back, against the whole.
+fn compare<T: ConvReal>(
+    case: &str,
+    whole: &Plan<T>,
+    light: &Image<T>,
+    regions: &[PixelRegion],
+    ((same, same_back), make): ((f64, f64), &dyn Fn(PixelRegion) -> Plan<T>),
+) {
+    let scene = Scene::from_image(light.clone())
+        .with_frame(whole.frame())
+        .unwrap();
+    let truth = whole.execute(&scene).unwrap();
+    let seen = of_precision::<T>(&Image::new(noise(truth.shape().ny(), truth.shape().nx(), 31)).unwrap());
+    let back = whole.adjoint(&seen).unwrap();
+    let mut image = Array2::from_elem(truth.pixels().dim(), T::nan());
+    let mut sum = Array2::zeros(back.pixels().dim());
+    for &part in regions {
+        let plan = make(part);
+        assert_eq!(plan.region(), part);
+        let made = image_of(&plan, light);
+        let (x, y) = (part.x0() as usize, part.y0() as usize);
+        image
+            .slice_mut(s![y..y + made.nrows(), x..x + made.ncols()])
+            .assign(&made);
+        // The transpose of the whole is the sum of those of its parts.
+        let cut = slice_of(seen.pixels(), part);
+        plan.add_adjoint_to(&ImageView::new(cut).unwrap(), sum.view_mut(), &NoProgress)
+            .unwrap();
+    }
+    let error = relative_l2(image.view(), truth.pixels());
+    assert!(error <= same, "{case}: {error:e}");
+    let error = relative_l2(sum.view(), back.pixels());
+    assert!(error <= same_back, "adjoint, {case}: {error:e}");
+}
+
+#[test]
+fn pieces_put_together_are_the_whole() {
+    for (name, model) in models() {
+        for (n, frame) in frames().into_iter().enumerate() {
+            for anchor in ANCHORS {
+                for (m, tolerance) in [1e-1, 1e-3, 0.0].into_iter().enumerate() {
+                    let options = options(tolerance, anchor, PATHS[(n + m) % 2]);
+                    let (nx, ny) = SCENE;
+                    let shape = FrameShape::new(nx, ny).unwrap();
+                    let whole = Plan::<f64>::new(&model, shape, frame, options).unwrap();
+                    let single = Plan::<f32>::new(&model, shape, frame, options).unwrap();
+                    for (across, up) in [(1, 1), (2, 2), (5, 7)] {
+                        let regions = pieces(frame.shape(), across, up);
+                        for full in [true, false] {
+                            let case = format!(
+                                "{name} {anchor} {tolerance} {across} x {up}, full {full}, {frame:?}"
+                            );
+                            let light = light(full);
+                            let make = |part| whole.for_other_region(part, &NoProgress).unwrap();
+                            compare(&case, &whole, &light, &regions, (F64, &make));
+                            let light = of_precision(&light);
+                            let make = |part| single.for_other_region(part, &NoProgress).unwrap();
+                            compare(&case, &single, &light, &regions, (F32, &make));
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_region_chooses_the_tiles_of_the_whole() {
+    let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
+    let frame = frames()[1];
+    for (name, model) in models() {
+        for anchor in ANCHORS {
+            let options = options(1e-3, anchor, PATHS[0]);
+            let whole = Plan::<f64>::new(&model, shape, frame, options).unwrap();
+            let regions = pieces(frame.shape(), 2, 3);
+            let make = |part| Plan::for_region(&model, shape, frame, part, options).unwrap();
+            compare(
+                &format!("{name} {anchor}"),
+                &whole,
+                &light(true),
+                &regions,
+                (F64, &make),
+            );
+            for part in regions {
+                let (chosen, taken) = (make(part), whole.for_other_region(part, &NoProgress).unwrap());
+                assert_eq!(chosen.summary(), taken.summary());
+                assert_eq!(chosen.summary().transform, whole.summary().transform);
+                assert_eq!(image_of(&chosen, &light(true)), image_of(&taken, &light(true)));
+            }
+            // The region that is everything is the plan itself, from whichever region it comes.
+            let part = make(region(3, 4, 1, 1));
+            let again = part
+                .for_other_region(frame.shape().region(), &NoProgress)
+                .unwrap();
+            assert_eq!(again.summary(), whole.summary());
+            assert_eq!(image_of(&again, &light(true)), image_of(&whole, &light(true)));
+        }
+    }
+}
+
+#[test]
+fn single_pixels_and_thin_regions_anywhere() {
+    let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
+    for (name, model) in models() {
+        for frame in frames() {
+            let (nx, ny) = (frame.shape().nx() as i64, frame.shape().ny() as i64);
+            for anchor in ANCHORS {
+                let plan = Plan::<f64>::new(&model, shape, frame, options(1e-3, anchor, PATHS[0])).unwrap();
+                let light = light(true);
+                let scene = Scene::from_image(light.clone()).with_frame(frame).unwrap();
+                let truth = plan.execute(&scene).unwrap();
+                for part in [
+                    region(0, 0, 1, 1),
+                    region(nx - 1, 0, 1, 1),
+                    region(0, ny - 1, 1, 1),
+                    region(nx - 1, ny - 1, 1, 1),
+                    region(37, 38, 1, 1),
+                    region(70, 0, 1, ny as usize),
+                    region(0, 60, nx as usize, 1),
+                    region(nx - 2, 13, 2, 53),
+                    region(11, ny - 3, 97, 3),
+                ] {
+                    let case = format!("{name} {anchor} {part:?} of {frame:?}");
+                    let plan = plan.for_other_region(part, &NoProgress).unwrap();
+                    let error = relative_l2(image_of(&plan, &light).view(), slice_of(truth.pixels(), part));
+                    assert!(error <= SAME_F64, "{case}: {error:e}");
+                    // Light of the whole scene does as well, and so does the scene itself.
+                    let image = plan.execute(&scene).unwrap();
+                    assert_eq!(image.pixels(), image_of(&plan, &light), "{case}");
+                }
+            }
+        }
+    }
+}
+
+/// A region's adjoint lies where the light that reaches it does.
+#[test]
+fn a_region_has_its_own_adjoint() {
+    let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
+    let (frame, part) = (frames()[1], region(40, 31, 53, 47));
+    for (name, model) in models() {
+        for anchor in ANCHORS {
+            let options = options(1e-2, anchor, PATHS[0]);
+            let plan = Plan::<f64>::for_region(&model, shape, frame, part, options).unwrap();
+            let light = light(true);
+            let seen = Image::new(noise(47, 53, 3)).unwrap();
+            let image = image_of(&plan, &light);
+            let back = plan.adjoint(&seen).unwrap();
+            assert_eq!(back.shape(), shape);
+            let left = (&image * &seen.pixels()).sum();
+            let right = (&light.pixels() * &back.pixels()).sum();
+            let norm = |a: ArrayView2<'_, f64>| a.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let scale = norm(image.view()) * norm(seen.pixels());
+            assert!((left - right).abs() <= ROUNDING_F64 * scale, "{name} {anchor}");
+            let mut plane = Array2::zeros(slice_of(back.pixels(), plan.light_region()).dim());
+            plan.add_adjoint_to(&seen.view(), plane.view_mut(), &NoProgress)
+                .unwrap();
+            assert_eq!(plane, slice_of(back.pixels(), plan.light_region()));
+            let outside = norm(back.pixels()).powi(2) - norm(plane.view()).powi(2);
+            assert!(outside.abs() <= 1e-12 * norm(plane.view()).powi(2));
+        }
+    }
+}
+
+/// The rows of an image, coming and going.
+struct Rows<'a> {
+    light: ArrayView2<'a, f64>,
+    read: Vec<usize>,
+    written: Vec<f64>,
+}
+
+impl RowStream<f64> for Rows<'_> {
+    type Error = ConvError;
+    fn read(
+        &mut self,
+        rows: std::ops::Range<usize>,
+        mut light: ArrayViewMut2<'_, f64>,
+    ) -> Result<(), ConvError> {
+        self.read.extend(rows.clone());
+        light.assign(&self.light.slice(s![rows, ..]));
+        Ok(())
+    }
+    fn write(&mut self, rows: ArrayView2<'_, f64>) -> Result<(), ConvError> {
+        self.written.extend(rows);
+        Ok(())
+    }
+}
+
+#[test]
+fn a_region_streams_its_rows_with_their_stars() {
+    let (frame, part) = (frames()[1], region(40, 31, 53, 47));
+    let star = |i: usize| {
+        let (x, y) = ((i * 37 % SCENE.0) as f64 + 0.3, (i * 53 % SCENE.1) as f64 - 0.1);
+        PointSource::new(Position::new(x, y).unwrap(), 1.0 + i as f64).unwrap()
+    };
+    let scene = Scene::from_image(light(true))
+        .with_frame(frame)
+        .unwrap()
+        .with_sources((0..60).map(star).collect());
+    for (name, model) in models() {
+        for anchor in ANCHORS {
+            let options = options(1e-2, anchor, PATHS[0]);
+            let plan = Plan::for_region(&model, scene.shape(), frame, part, options).unwrap();
+            let image = plan.execute(&scene).unwrap();
+            let mut rows = Rows {
+                light: scene.pixels().unwrap(),
+                read: Vec::new(),
+                written: Vec::new(),
+            };
+            plan.stream(&scene, None, &mut rows, &NoProgress).unwrap();
+            assert!(image.pixels().iter().eq(&rows.written), "{name} {anchor}");
+            let reach = plan.light_region();
+            let (first, last) = (reach.y0() as usize, reach.y0() as usize + reach.shape().ny() - 1);
+            assert!(
+                rows.read.iter().all(|row| (first..=last).contains(row)),
+                "{name} {anchor}"
+            );
+
+            // Stars of the region are those of the whole, byte by byte.
+            let stars = StarPlan::new(&model, options, None).unwrap();
+            let mut whole = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
+            stars.add_to(&scene, &mut whole).unwrap();
+            let mut of_part = Array2::zeros((47, 53));
+            stars
+                .add_to_region(&scene, part, of_part.view_mut(), &NoProgress)
+                .unwrap();
+            assert_eq!(of_part, slice_of(whole.view(), part), "{name} {anchor}");
+        }
+    }
+}
+
+#[test]
+fn regions_lie_within_the_frame() {
+    let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
+    let frame = frames()[1];
+    let [(_, model), ..] = models();
+    let options = PlanOptions::new(1e-2).unwrap().with_anchor(Anchor::Source);
+    for bad in [
+        region(-1, 0, 4, 4),
+        region(150, 0, 2, 1),
+        region(0, 120, 4, 8),
+        region(i64::MAX, 0, 1, 1),
+        region(0, i64::MIN, 1, 1),
+    ] {
+        let refused = Plan::<f64>::for_region(&model, shape, frame, bad, options);
+        assert!(
+            matches!(refused, Err(ConvError::RegionOutsideFrame { .. })),
+            "{bad:?}"
+        );
+    }
+    let plan = Plan::<f64>::for_region(&model, shape, frame, region(5, 6, 20, 10), options).unwrap();
+    let wrong = light(true);
+    let mut image = Array2::zeros((127, 151));
+    let refused = plan.add_light_to(&wrong.view(), image.view_mut(), &NoProgress);
+    assert!(
+        matches!(refused, Err(ConvError::FrameShape { .. })),
+        "{refused:?}"
+    );
+    let text = plan.summary().to_string();
+    assert!(
+        text.starts_with("20 x 10 at (5, 6) of 151 x 127 pixels in f64"),
+        "{text}"
+    );
+}
