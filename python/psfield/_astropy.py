@@ -12,14 +12,17 @@ def unit_of(scene: Any) -> Any:
     return getattr(scene, "unit", None) if hasattr(scene, "unit") else None
 
 
-def like(scene: Any, image: Any, frame: tuple[int, int, int, int] | None, oversample: int) -> Any:
-    """Return an image with the unit, the header and the world coordinates of its scene."""
+def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any:
+    """Return an image with the unit, the header and the world coordinates of its scene.
+
+    ``first`` is the column and the row of the image's first pixel, in its own pixels counted from the first of the scene.
+    """
     unit = unit_of(scene)
     if isinstance(scene, np.ndarray) or scene is None or not hasattr(scene, "meta"):
         return image if unit is None else image << unit
     wcs = getattr(scene, "wcs", None)
-    if wcs is not None and (frame is not None or oversample > 1):
-        x0, y0, nx, ny = frame or (0, 0, image.shape[1], image.shape[0])
-        s = oversample
-        wcs = wcs.slice((slice(y0 * s, (y0 + ny) * s, s), slice(x0 * s, (x0 + nx) * s, s)))
+    ny, nx = image.shape
+    if wcs is not None and (scene.shape != (ny, nx) or first != (0, 0)):
+        shown = (slice(start * oversample, (start + n) * oversample, oversample) for start, n in ((first[1], ny), (first[0], nx)))
+        wcs = wcs.slice(tuple(shown))
     return type(scene)(image, unit=unit, meta=scene.meta.copy(), wcs=wcs)

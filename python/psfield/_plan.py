@@ -70,9 +70,29 @@ class Plan:
     def __init__(self, model: PsfModel, shape: tuple[int, int], **words: Any) -> None:
         self._model = model
         self._words = {**words, "shape": shape_of(shape, "shape")}
-        if words["frame"] is not None:
-            self._words["frame"] = tuple(int(n) for n in words["frame"])
+        for name in ("frame", "region"):
+            self._words[name] = _region(words[name], name)
         self._handle = _native.Plan(model._handle, self._words)
+
+    def for_region(self, region: tuple[int, int, int, int]) -> Plan:
+        """Return the plan for another region of the same frame, with the tiles that were chosen for this one.
+
+        Much sooner made than a plan that has to choose.
+
+        Parameters
+        ----------
+        region : (int, int, int, int)
+            First column, first row, columns, rows, in pixels of the image counted from the frame's first.
+
+        Returns
+        -------
+        Plan
+        """
+        other = Plan.__new__(Plan)
+        other._model = self._model
+        other._words = {**self._words, "region": _region(region, "region")}
+        other._handle = self._handle.for_region(other._words["region"])
+        return other
 
     @property
     def model(self) -> PsfModel:
@@ -89,6 +109,17 @@ class Plan:
     def image_shape(self) -> tuple[int, int]:
         """Rows and columns of the images."""
         return self._handle.frame_shape()
+
+    @property
+    def region(self) -> tuple[int, int, int, int] | None:
+        """The part of the frame that images show: first column, first row, columns, rows; None for all of it."""
+        region: tuple[int, int, int, int] | None = self._words["region"]
+        return region
+
+    @property
+    def light_region(self) -> tuple[int, int, int, int]:
+        """The part of the scene whose light reaches images: first column, first row, columns, rows, in pixels of the scene."""
+        return self._handle.light_region()
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -134,7 +165,7 @@ class Plan:
         Parameters
         ----------
         scene : array_like, astropy CCDData or Quantity, optional
-            Flux in each pixel, ``[y, x]`` of the plan's `shape`; finite.
+            Flux in each pixel, ``[y, x]`` of the plan's `shape`; finite. Where the plan is for a region, its `light_region` will do.
         catalog : table, optional
             Stars and galaxies: anything with columns ``x``, ``y`` (0-based pixels of the image, also off it) and ``flux`` (an astropy
             Table, a dict of arrays, a structured array, a data frame); with ``re`` (half-light radius along the major axis in pixels; 0,
@@ -173,7 +204,7 @@ class Plan:
             np.copyto(out, target)  # type: ignore[arg-type]
         if out is not None:
             return out
-        return like(scene, image, self._words["frame"], self._words["oversample"])
+        return like(scene, image, self._shown(light), self._words["oversample"])
 
     def adjoint(self, image: Any, *, progress: Progress | None = None) -> NDArray[Any]:
         """Apply the transpose: what each pixel of the scene gives to the scalar product of its image with this one.
@@ -190,7 +221,7 @@ class Plan:
         Returns
         -------
         numpy.ndarray
-            ``[y, x]`` of `shape`.
+            ``[y, x]`` of `shape`, or of `light_region` where the plan is for a region.
         """
         return self._handle.adjoint(self._image(image), as_callback(progress))
 
@@ -204,11 +235,12 @@ class Plan:
         """
         from scipy.sparse.linalg import LinearOperator
 
-        (rows, columns), (image_rows, image_columns) = self.shape, self.image_shape
+        scene_shape = self.shape if self.region is None else self._light_shape()
+        (rows, columns), (image_rows, image_columns) = scene_shape, self.image_shape
         return LinearOperator(
             shape=(image_rows * image_columns, rows * columns),
             dtype=self.dtype,
-            matvec=lambda scene: self.simulate(np.reshape(scene, self.shape)).ravel(),
+            matvec=lambda scene: self.simulate(np.reshape(scene, scene_shape)).ravel(),
             rmatvec=lambda image: self.adjoint(np.reshape(image, self.image_shape)).ravel(),
         )
 
@@ -233,6 +265,8 @@ class Plan:
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to check: give a scene, a catalog, or both")
+        if self.region is not None:
+            raise ValueError("plans for a region check nothing: check with a plan of the whole frame")
         if pixels < 1:
             raise ValueError(f"pixels must be at least 1, got {pixels}")
         light = None if scene is None else self._scene(scene)
@@ -244,9 +278,25 @@ class Plan:
 
     def _scene(self, scene: Any) -> NDArray[Any]:
         light = numbers(scene, "scene", self.dtype, "[y, x]")
-        if light.shape != self.shape:
-            raise ValueError(f"scene: the plan is for scenes of shape {self.shape}, got {light.shape}")
-        return light
+        if light.shape == self.shape or (self.region is not None and light.shape == self._light_shape()):
+            return light
+        part = "" if self.region is None else f", or their part {self.light_region} of shape {self._light_shape()}"
+        raise ValueError(f"scene: the plan is for scenes of shape {self.shape}{part}, got {light.shape}")
+
+    def _shown(self, light: NDArray[Any] | None) -> tuple[int, int]:
+        """Return the column and the row of the image's first pixel, in pixels of the image counted from the first of the scene given."""
+        x0, y0 = 0, 0
+        for part in (self._words["frame"], self.region):
+            x0, y0 = (x0 + part[0], y0 + part[1]) if part is not None else (x0, y0)
+        if light is None or light.shape == self.shape:
+            return x0, y0
+        left, top, _, _ = self.light_region
+        oversample = self._words["oversample"]
+        return x0 - left // oversample, y0 - top // oversample
+
+    def _light_shape(self) -> tuple[int, int]:
+        _, _, columns, rows = self.light_region
+        return rows, columns
 
     def _image(self, image: Any) -> NDArray[Any]:
         pixels = numbers(image, "image", self.dtype, "[y, x]")
@@ -271,10 +321,24 @@ class Plan:
 
     def __repr__(self) -> str:
         (ny, nx), words = self.shape, self._words
-        return f"<Plan: scenes {ny} x {nx}, tolerance {words['tolerance']:g}, {words['precision']}, on {self.summary['gpu'] or 'the CPU'}>"
+        part = "" if self.region is None else f", region {self.region}"
+        return f"<Plan: scenes {ny} x {nx}{part}, tolerance {words['tolerance']:g}, {words['precision']}, on {self.summary['gpu'] or 'the CPU'}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._words)
+
+
+def _region(region: Any, name: str) -> tuple[int, int, int, int] | None:
+    """Return first column, first row, columns and rows as plain numbers."""
+    if region is None:
+        return None
+    try:
+        x0, y0, nx, ny = (int(np.asarray(n).__index__()) for n in region)
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be (x0, y0, nx, ny), four whole numbers, got {region!r}") from None
+    if nx < 1 or ny < 1:
+        raise ValueError(f"{name} must have columns and rows, got {nx} x {ny}")
+    return x0, y0, nx, ny
 
 
 def _again(model: PsfModel, words: dict[str, Any]) -> Plan:

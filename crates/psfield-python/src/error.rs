@@ -9,19 +9,37 @@ use pyo3::prelude::*;
 
 /// An error of the library on its way to Python.
 #[derive(Debug)]
-pub(crate) struct Failure(PsfieldError);
+pub(crate) struct Failure {
+    error: Box<PsfieldError>,
+    /// The argument to blame.
+    argument: Option<&'static str>,
+}
 
 impl<E: Into<PsfieldError>> From<E> for Failure {
     fn from(error: E) -> Self {
-        Self(error.into())
+        Self {
+            error: Box::new(error.into()),
+            argument: None,
+        }
+    }
+}
+
+impl Failure {
+    /// An error that an argument is to blame for.
+    pub(crate) fn of<E: Into<PsfieldError>>(argument: &'static str) -> impl FnOnce(E) -> Self {
+        move |error| Self {
+            error: Box::new(error.into()),
+            argument: Some(argument),
+        }
     }
 }
 
 impl From<Failure> for PyErr {
     /// `OSError` where a file or a device is to blame, else `ValueError`; the text is that of the command line.
-    fn from(Failure(error): Failure) -> Self {
-        let text = psfield::error_text(&error);
-        let raised = match &error {
+    fn from(Failure { error, argument }: Failure) -> Self {
+        let text = psfield::error_text(&*error);
+        let text = argument.map_or_else(|| text.clone(), |argument| format!("{argument}: {text}"));
+        let raised = match &*error {
             PsfieldError::Io(IoError::Exists { .. }) => PyFileExistsError::new_err(text),
             PsfieldError::Io(IoError::MissingDirectory { .. }) => PyFileNotFoundError::new_err(text),
             PsfieldError::Io(error) => match kind_of(error) {
@@ -33,7 +51,7 @@ impl From<Failure> for PyErr {
             _ => PyValueError::new_err(text),
         };
         // What a function of the caller's raised.
-        if let Some(cause) = cause_of::<PyErr>(&error) {
+        if let Some(cause) = cause_of::<PyErr>(&*error) {
             Python::attach(|py| raised.set_cause(py, Some(cause.clone_ref(py))));
         }
         raised

@@ -1,7 +1,8 @@
 //! Long work without the interpreter, which stays able to interrupt it.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
 use std::time::Duration;
 
 use psfield::psf_types::Progress;
@@ -35,6 +36,10 @@ impl Progress for Watch {
 }
 
 impl Watch {
+    fn stop(&self) {
+        self.stopped.store(true, Ordering::Relaxed);
+    }
+
     fn steps(&self) -> (u64, u64) {
         (
             self.done.load(Ordering::Relaxed),
@@ -43,10 +48,48 @@ impl Watch {
     }
 }
 
-/// Runs work on psfield's threads without holding the interpreter. Meanwhile this thread looks after signals, so that Ctrl-C stops the work at its next
-/// step, and tells `progress(done, total)`, if there is one; an exception in it stops the work too.
-///
-/// Work that never asks whether it is cancelled is waited for.
+/// Tells a function of the caller's how far work has come.
+struct Teller<'a> {
+    progress: Option<&'a Py<PyAny>>,
+    watch: &'a Watch,
+    last: (u64, u64),
+}
+
+impl<'a> Teller<'a> {
+    fn new(progress: Option<&'a Py<PyAny>>, watch: &'a Watch) -> Self {
+        Self {
+            progress,
+            watch,
+            last: (0, 0),
+        }
+    }
+
+    /// Calls `progress(done, total)` where something happened.
+    fn tell(&mut self, py: Python<'_>) -> PyResult<()> {
+        let steps = self.watch.steps();
+        match self.progress {
+            Some(callback) if steps != self.last => {
+                self.last = steps;
+                callback.call1(py, steps).map(drop)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Waits for the end of the work, or for an exception: of a signal, or of the caller's function. Without the interpreter.
+    fn wait(&mut self, end: &Receiver<()>) -> PyResult<()> {
+        while let Err(RecvTimeoutError::Timeout) = end.recv_timeout(TICK) {
+            Python::attach(|py| {
+                py.check_signals()?;
+                self.tell(py)
+            })?;
+        }
+        Ok(())
+    }
+}
+
+/// Runs work on psfield's threads without holding the interpreter. Meanwhile this thread looks after signals, so that Ctrl-C stops the work when it next
+/// asks whether it is still wanted, and tells `progress(done, total)`, if there is one; an exception in it stops the work too.
 pub(crate) fn run<R: Send>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -54,18 +97,8 @@ pub(crate) fn run<R: Send>(
 ) -> PyResult<R> {
     let pool = pool()?;
     let watch = Watch::default();
-    let told = |py: Python<'_>, last: &mut (u64, u64)| -> PyResult<()> {
-        let steps = watch.steps();
-        match progress {
-            Some(callback) if steps != *last => {
-                *last = steps;
-                callback.call1(py, steps).map(drop)
-            }
-            _ => Ok(()),
-        }
-    };
-    let mut last = (0, 0);
-    let (result, failure) = py.detach(|| {
+    let mut teller = Teller::new(progress, &watch);
+    let result = py.detach(|| {
         std::thread::scope(|scope| {
             let (ended, end) = channel::<()>();
             let (pool, watch) = (&pool, &watch);
@@ -74,28 +107,42 @@ pub(crate) fn run<R: Send>(
                 let _ended = ended;
                 pool.install(|| work(watch))
             });
-            let mut failure = None;
-            while let Err(RecvTimeoutError::Timeout) = end.recv_timeout(TICK) {
-                if failure.is_none() {
-                    let looked = Python::attach(|py| {
-                        py.check_signals()?;
-                        told(py, &mut last)
-                    });
-                    if let Err(error) = looked {
-                        watch.stopped.store(true, Ordering::Relaxed);
-                        failure = Some(error);
-                    }
-                }
+            let waited = teller.wait(&end);
+            if waited.is_err() {
+                watch.stop();
             }
+            // Its arrays are the caller's: it must have ended before they are given back.
             let result = worker
                 .join()
                 .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            (result, failure)
+            waited.map(|()| result)
         })
-    });
-    if let Some(error) = failure {
-        return Err(error);
-    }
-    told(py, &mut last)?;
+    })?;
+    teller.tell(py)?;
     Ok(result)
+}
+
+/// The same for work that borrows nothing of the caller's, and is left behind where it is interrupted: it ends by itself, and what it gives is dropped.
+pub(crate) fn run_apart<R: Send + 'static>(
+    py: Python<'_>,
+    work: impl FnOnce(&Watch) -> R + Send + 'static,
+) -> PyResult<R> {
+    let pool = pool()?;
+    let watch = Arc::new(Watch::default());
+    py.detach(|| {
+        let (ended, end) = channel::<()>();
+        let of_work = Arc::clone(&watch);
+        let worker = std::thread::spawn(move || {
+            let _ended = ended;
+            pool.install(|| work(&of_work))
+        });
+        let waited = Teller::new(None, &watch).wait(&end);
+        if waited.is_err() {
+            watch.stop();
+        }
+        waited?;
+        Ok(worker
+            .join()
+            .unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    })
 }

@@ -1,8 +1,11 @@
 //! Plans.
 
+use std::sync::Arc;
+
 use ndarray::Array2;
 use numpy::{Element, IntoPyArray, PyReadonlyArray2, PyReadwriteArray2};
 use psfield::conv_core::{ConvReal, PlanOptions};
+use psfield::psf_types::PixelRegion;
 use psfield::{Device, DeviceOptions, Method, SimulationOptions};
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
@@ -20,8 +23,8 @@ use crate::sources::{SourceColumns, Sources};
 pub(crate) struct Plan(AnyPlan);
 
 enum AnyPlan {
-    Single(Box<Planned<f32>>),
-    Double(Box<Planned<f64>>),
+    Single(Arc<Planned<f32>>),
+    Double(Arc<Planned<f64>>),
 }
 
 /// Runs one body in either precision.
@@ -52,6 +55,8 @@ pub(crate) struct PlanWords {
     shape: (usize, usize),
     /// (x0, y0, nx, ny) in pixels of the image.
     frame: Option<(i64, i64, usize, usize)>,
+    /// (x0, y0, nx, ny) in pixels of the frame.
+    region: Option<(i64, i64, usize, usize)>,
     tolerance: f64,
     precision: String,
     anchor: String,
@@ -93,6 +98,7 @@ impl PlanWords {
         Ok(Settings {
             shape: frame_shape(self.shape)?,
             frame: self.frame.map(region).transpose()?,
+            region: self.region.map(region).transpose()?,
             method,
             simulation,
             plan,
@@ -111,11 +117,31 @@ impl Plan {
     fn new(py: Python<'_>, model: &PsfModel, words: PlanWords) -> PyResult<Self> {
         let settings = words.settings()?;
         let made = match words.precision.as_str() {
-            "f32" => planned(py, model, settings).map(|plan| AnyPlan::Single(Box::new(plan))),
-            "f64" => planned(py, model, settings).map(|plan| AnyPlan::Double(Box::new(plan))),
+            "f32" => planned(py, model, settings).map(|plan| AnyPlan::Single(Arc::new(plan))),
+            "f64" => planned(py, model, settings).map(|plan| AnyPlan::Double(Arc::new(plan))),
             other => Err(invalid(format!("precision must be f32 or f64, got {other}"))),
         };
         made.map(Self)
+    }
+
+    /// The same for another region of the frame.
+    fn for_region(&self, py: Python<'_>, at: (i64, i64, usize, usize)) -> PyResult<Self> {
+        let at = region(at)?;
+        let made = match &self.0 {
+            AnyPlan::Single(planned) => {
+                of_region(py, planned, at).map(|plan| AnyPlan::Single(Arc::new(plan)))
+            }
+            AnyPlan::Double(planned) => {
+                of_region(py, planned, at).map(|plan| AnyPlan::Double(Arc::new(plan)))
+            }
+        };
+        made.map(Self)
+    }
+
+    /// (x0, y0, nx, ny) of the part of the scene that reaches the image.
+    fn light_region(&self) -> (i64, i64, usize, usize) {
+        let light = in_precision!(self, planned => planned.light_region());
+        (light.x0(), light.y0(), light.shape().nx(), light.shape().ny())
     }
 
     /// (ny, nx) of the image.
@@ -189,8 +215,19 @@ impl Plan {
 }
 
 fn planned<T: ConvReal>(py: Python<'_>, model: &PsfModel, settings: Settings) -> PyResult<Planned<T>> {
-    let made = interruptible::run(py, None, |_| Planned::new(model.psf(), settings))?;
-    Ok(made.map_err(Failure::from)?)
+    let psf = model.psf();
+    let made = interruptible::run_apart(py, move |watch| Planned::new(psf, settings, watch))?;
+    Ok(made?)
+}
+
+fn of_region<T: ConvReal>(
+    py: Python<'_>,
+    planned: &Arc<Planned<T>>,
+    region: PixelRegion,
+) -> PyResult<Planned<T>> {
+    let planned = Arc::clone(planned);
+    let made = interruptible::run_apart(py, move |watch| planned.for_region(region, watch))?;
+    Ok(made?)
 }
 
 /// A NumPy array of the plan's precision; Python has seen to its type.
@@ -198,8 +235,12 @@ fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadonlyAr
     array.extract::<PyReadonlyArray2<'py, T>>()
 }
 
-fn sources_of(columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
-    columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())
+fn sources_of<T: ConvReal>(planned: &Planned<T>, columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
+    let sources = columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())?;
+    match planned.refused(&sources) {
+        Some(why) => Err(invalid(format!("catalog: {why}"))),
+        None => Ok(sources),
+    }
 }
 
 fn simulate<'py, T: ConvReal + Element>(
@@ -215,7 +256,7 @@ fn simulate<'py, T: ConvReal + Element>(
     let mut out = out
         .map(|out| out.extract::<PyReadwriteArray2<'py, T>>())
         .transpose()?;
-    let sources = sources_of(sources)?;
+    let sources = sources_of(planned, sources)?;
     let (light, target) = (
         scene.as_ref().map(|s| s.as_array()),
         out.as_mut().map(|o| o.as_array_mut()),
@@ -223,7 +264,7 @@ fn simulate<'py, T: ConvReal + Element>(
     let made = interruptible::run(py, progress.as_ref(), |watch| {
         planned.simulate(light, sources, target, watch)
     })?;
-    let (image, Outcome { tiles, warnings }) = made.map_err(Failure::from)?;
+    let (image, Outcome { tiles, warnings }) = made?;
     let figures = PyDict::new(py);
     figures.set_item(
         "warnings",
@@ -250,7 +291,7 @@ fn adjoint<'py, T: ConvReal + Element>(
     let image = readonly::<T>(&image)?;
     let pixels = image.as_array();
     let made = interruptible::run(py, progress.as_ref(), |watch| planned.adjoint(pixels, watch))?;
-    let scene: Array2<T> = made.map_err(Failure::from)?;
+    let scene: Array2<T> = made?;
     Ok(scene.into_pyarray(py).into_any())
 }
 
@@ -266,9 +307,11 @@ fn spot_check<'py, T: ConvReal + Element>(
         readonly::<T>(&image)?,
         scene.as_ref().map(readonly::<T>).transpose()?,
     );
-    let sources = sources_of(sources)?;
+    let sources = sources_of(planned, sources)?;
     let (image, light) = (image.as_array(), scene.as_ref().map(|s| s.as_array()));
-    let check = interruptible::run(py, None, |_| planned.spot_check(light, sources, image, pixels))?;
-    let check = check.map_err(Failure::from)?;
+    let check = interruptible::run(py, None, |watch| {
+        planned.spot_check(light, sources, image, pixels, watch)
+    })?;
+    let check = check?;
     Ok(serde_json::to_string(&check).expect("figures are plain numbers"))
 }

@@ -11,6 +11,7 @@ use psfield::{
     Simulation, SimulationOptions, SimulationPlan, SimulationWarning, SpotCheck,
 };
 
+use crate::error::Failure;
 use crate::interruptible::Watch;
 use crate::kept_psf::KeptPsf;
 use crate::sources::Sources;
@@ -22,6 +23,8 @@ pub(crate) struct Settings {
     pub(crate) shape: FrameShape,
     /// In pixels of the image.
     pub(crate) frame: Option<PixelRegion>,
+    /// The part of the frame that is made, in pixels of the image counted from the frame's first; none for all of it.
+    pub(crate) region: Option<PixelRegion>,
     pub(crate) method: Method,
     pub(crate) simulation: SimulationOptions,
     pub(crate) plan: PlanOptions,
@@ -35,7 +38,8 @@ pub(crate) struct Planned<T: ConvReal> {
     images: Prepared<T>,
     /// For scenes with galaxies, which reach in from beyond the edges: the scene with dark pixels around it.
     padded: OnceLock<Prepared<T>>,
-    stars: OnceLock<Prepared<T>>,
+    /// Shared by the plans for regions of a frame.
+    stars: Arc<OnceLock<Prepared<T>>>,
     /// Held while one of them is made.
     making: Mutex<()>,
     /// The process that made it.
@@ -44,7 +48,7 @@ pub(crate) struct Planned<T: ConvReal> {
 
 /// A simulation and its plan.
 struct Prepared<T: ConvReal> {
-    simulation: Simulation,
+    simulation: Arc<Simulation>,
     plan: SimulationPlan<T>,
     placement: Placement,
 }
@@ -62,24 +66,64 @@ pub(crate) struct Outcome {
 static GPUS: Mutex<Option<(u32, Gpus)>> = Mutex::new(None);
 
 impl<T: ConvReal> Planned<T> {
-    pub(crate) fn new(psf: Arc<KeptPsf>, settings: Settings) -> Result<Self, PsfieldError> {
+    pub(crate) fn new(psf: Arc<KeptPsf>, settings: Settings, watch: &Watch) -> Result<Self, Failure> {
         let layout = layout(&settings, psf.input(), true)?;
         let dark = SceneSources::<T>::new(layout, Vec::new(), Vec::new())?;
         Ok(Self {
-            images: prepared(&psf, &settings, true, dark.scene())?,
+            images: prepared(&psf, &settings, Some(settings.region), dark.scene(), watch)?,
             psf,
             settings,
             padded: OnceLock::new(),
-            stars: OnceLock::new(),
+            stars: Arc::default(),
             making: Mutex::new(()),
             process: std::process::id(),
         })
     }
 
+    /// The same for another region of the frame, with the tiles that were chosen for this one.
+    pub(crate) fn for_region(&self, region: PixelRegion, watch: &Watch) -> Result<Self, Failure> {
+        let settings = Settings {
+            region: Some(region),
+            ..self.settings.clone()
+        };
+        let dark = self.placed(true, Sources::default())?;
+        let simulation = Arc::clone(&self.images.simulation);
+        let plan = simulation.plan_for_other_region(&self.images.plan, dark.scene(), region, watch)?;
+        Ok(Self {
+            images: placed_on_device(simulation, plan, &settings)?,
+            psf: Arc::clone(&self.psf),
+            settings,
+            padded: OnceLock::new(),
+            stars: Arc::clone(&self.stars),
+            making: Mutex::new(()),
+            process: std::process::id(),
+        })
+    }
+
+    /// The part of the scene whose light reaches the image, in pixels of the scene.
+    pub(crate) fn light_region(&self) -> PixelRegion {
+        let whole = self.settings.shape.region();
+        self.images.plan.light_region().unwrap_or(whole)
+    }
+
+    /// What sources a plan for a region cannot take, if these are of them.
+    pub(crate) fn refused(&self, sources: &Sources) -> Option<&'static str> {
+        let finer = self.settings.simulation.oversample() > 1;
+        match self.settings.region {
+            Some(_) if !sources.galaxies.is_empty() => {
+                Some("plans for a region draw no galaxies: put them into the scene")
+            }
+            Some(_) if finer && !sources.stars.is_empty() => Some(
+                "plans for a region of a finer scene draw no stars: simulate them apart, with oversample=1",
+            ),
+            _ => None,
+        }
+    }
+
     /// The shape of the image.
     pub(crate) fn frame_shape(&self) -> FrameShape {
         let (shape, s) = (self.settings.shape, self.settings.simulation.oversample());
-        match self.settings.frame {
+        match self.settings.region.or(self.settings.frame) {
             Some(frame) => frame.shape(),
             None => {
                 FrameShape::new((shape.nx() / s).max(1), (shape.ny() / s).max(1)).expect("at least one pixel")
@@ -106,48 +150,52 @@ impl<T: ConvReal> Planned<T> {
         sources: Sources,
         out: Option<ArrayViewMut2<'_, T>>,
         watch: &Watch,
-    ) -> Result<(Option<Array2<T>>, Outcome), PsfieldError> {
+    ) -> Result<(Option<Array2<T>>, Outcome), Failure> {
         let placed = self.placed(image.is_some(), sources)?;
-        let (mut made, mut out) = match out {
+        let mut made = None;
+        let mut target = match out {
             Some(mut out) => {
                 out.axis_iter_mut(Axis(0))
                     .into_par_iter()
                     .for_each(|mut row| row.fill(T::zero()));
-                (None, Some(out))
+                out
             }
-            None => (Some(self.dark()), None),
+            None => made.insert(self.dark()).view_mut(),
         };
         let mut tiles = TileCounts::default();
-        {
-            let mut target = match (&mut made, &mut out) {
-                (Some(made), _) => made.view_mut(),
-                (None, Some(out)) => out.view_mut(),
-                (None, None) => unreachable!("one of them is there"),
-            };
-            if let Some((prepared, light)) = self.light(&placed, image)? {
-                let dark = placed.scene().clone().with_sources(Vec::new());
-                let (simulation, plan) = (&prepared.simulation, &prepared.plan);
-                let light = ImageView::new(light.view())?;
-                tiles = simulation.add_planned_to(plan, &dark, Some(&light), target.view_mut(), watch)?;
-            }
-            if !placed.scene().sources().is_empty() {
-                let stars = self.stars(placed.scene())?;
+        if let Some((prepared, light)) = self.light(&placed, image, watch)? {
+            let dark = placed.scene().clone().with_sources(Vec::new());
+            let light = ImageView::new(light.view()).map_err(Failure::of("scene"))?;
+            let (simulation, plan) = (&prepared.simulation, &prepared.plan);
+            tiles = simulation.add_planned_to(plan, &dark, Some(&light), target.view_mut(), watch)?;
+        }
+        if !placed.scene().sources().is_empty() {
+            let stars = self.stars(placed.scene(), watch)?;
+            if let Some(region) = self.settings.region {
+                let plan = stars.plan.stars();
+                plan.add_to_region(placed.scene(), region, target.view_mut(), watch)?;
+            } else {
                 let (simulation, plan) = (&stars.simulation, &stars.plan);
                 simulation.add_planned_to(plan, placed.scene(), None, target.view_mut(), watch)?;
             }
-            // As the library checks its own results.
-            ImageView::new(target.view())?;
         }
+        // As the library checks its own results.
+        ImageView::new(target.view())?;
         let warnings = placed.warnings(self.psf.input().grid().oversampling());
-        let outcome = Outcome { tiles, warnings };
-        Ok((made, outcome))
+        Ok((made, Outcome { tiles, warnings }))
     }
 
-    /// The transpose of the operator that makes images of scenes.
-    pub(crate) fn adjoint(&self, image: ArrayView2<'_, T>, watch: &Watch) -> Result<Array2<T>, PsfieldError> {
+    /// The transpose of the operator that makes images of scenes: of the part of the scene that reaches the image.
+    pub(crate) fn adjoint(&self, image: ArrayView2<'_, T>, watch: &Watch) -> Result<Array2<T>, Failure> {
         let (simulation, plan) = (&self.images.simulation, &self.images.plan);
-        let scene = simulation.adjoint_planned(plan, &ImageView::new(image)?, watch)?;
-        Ok(scene.into_pixels())
+        let image = ImageView::new(image).map_err(Failure::of("image"))?;
+        if self.settings.region.is_none() {
+            return Ok(simulation.adjoint_planned(plan, &image, watch)?.into_pixels());
+        }
+        let shape = self.light_region().shape();
+        let mut light = Array2::zeros((shape.ny(), shape.nx()));
+        simulation.add_adjoint_planned_to(plan, &image, light.view_mut(), watch)?;
+        Ok(light)
     }
 
     /// An image checked against the direct sum.
@@ -157,10 +205,15 @@ impl<T: ConvReal> Planned<T> {
         sources: Sources,
         image: ArrayView2<'_, T>,
         (count, seed): (usize, u64),
-    ) -> Result<SpotCheck, PsfieldError> {
+        watch: &Watch,
+    ) -> Result<SpotCheck, Failure> {
         let placed = self.placed(light.is_some(), sources)?;
         let anchor = self.settings.plan.anchor();
-        let extended = self.light(&placed, light)?;
+        let extended = self.light(&placed, light, watch)?;
+        let stars = match placed.scene().sources() {
+            [] => None,
+            _ => Some(self.stars(placed.scene(), watch)?),
+        };
         let check = SpotCheck::run(&Image::new(image.to_owned())?, count, seed, |pixels| {
             let mut sums = vec![0.0; pixels.len()];
             let mut add = |of: Vec<f64>| sums.iter_mut().zip(of).for_each(|(sum, value)| *sum += value);
@@ -169,8 +222,7 @@ impl<T: ConvReal> Planned<T> {
                 let rows = Some((light.view(), 0));
                 add(prepared.simulation.exact_at_rows(&dark, rows, anchor, pixels)?);
             }
-            if !placed.scene().sources().is_empty() {
-                let stars = self.stars(placed.scene())?;
+            if let Some(stars) = stars {
                 add(stars
                     .simulation
                     .exact_at_rows(placed.scene(), None, anchor, pixels)?);
@@ -196,12 +248,12 @@ impl<T: ConvReal> Planned<T> {
     }
 
     /// Sources on the scene.
-    fn placed(&self, of_image: bool, sources: Sources) -> Result<SceneSources<T>, PsfieldError> {
-        SceneSources::new(
+    fn placed(&self, of_image: bool, sources: Sources) -> Result<SceneSources<T>, Failure> {
+        Ok(SceneSources::new(
             layout(&self.settings, self.psf.input(), of_image)?,
             sources.stars,
             sources.galaxies,
-        )
+        )?)
     }
 
     /// The extended light of a scene and what convolves it; none where there are stars alone.
@@ -209,8 +261,11 @@ impl<T: ConvReal> Planned<T> {
         &self,
         placed: &SceneSources<T>,
         image: Option<ArrayView2<'a, T>>,
-    ) -> Result<Option<Lit<'_, 'a, T>>, PsfieldError> {
+        watch: &Watch,
+    ) -> Result<Option<Lit<'_, 'a, T>>, Failure> {
         let light = match image {
+            // Part of the scene, and no galaxies.
+            Some(image) if self.settings.region.is_some() => image.into(),
             Some(image) => placed.light_of(image)?,
             None if placed.galaxies().is_empty() => return Ok(None),
             None => {
@@ -224,21 +279,23 @@ impl<T: ConvReal> Planned<T> {
             &self.images
         } else {
             self.kept(&self.padded, || {
-                prepared(&self.psf, &self.settings, true, placed.scene())
+                prepared(&self.psf, &self.settings, Some(None), placed.scene(), watch)
             })?
         };
         Ok(Some((prepared, light)))
     }
 
-    fn stars(&self, scene: &Scene<T>) -> Result<&Prepared<T>, PsfieldError> {
-        self.kept(&self.stars, || prepared(&self.psf, &self.settings, false, scene))
+    fn stars(&self, scene: &Scene<T>, watch: &Watch) -> Result<&Prepared<T>, Failure> {
+        self.kept(&self.stars, || {
+            prepared(&self.psf, &self.settings, None, scene, watch)
+        })
     }
 
     fn kept<'a>(
         &self,
         place: &'a OnceLock<Prepared<T>>,
-        make: impl FnOnce() -> Result<Prepared<T>, PsfieldError>,
-    ) -> Result<&'a Prepared<T>, PsfieldError> {
+        make: impl FnOnce() -> Result<Prepared<T>, Failure>,
+    ) -> Result<&'a Prepared<T>, Failure> {
         let _making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(kept) = place.get() {
             return Ok(kept);
@@ -264,16 +321,21 @@ fn layout(settings: &Settings, psf: &PsfInput, of_image: bool) -> Result<SceneLa
     Ok(layout.with_frame(settings.frame).with_reach(reach))
 }
 
-/// Models and plan for images, or for stars.
+/// Models and plan for images (of a region of the frame, or of all of it), or for stars.
+#[allow(
+    clippy::option_option,
+    reason = "whether there are images, and whether of a part of the frame"
+)]
 fn prepared<T: ConvReal>(
     psf: &KeptPsf,
     settings: &Settings,
-    image: bool,
+    images: Option<Option<PixelRegion>>,
     scene: &Scene<T>,
-) -> Result<Prepared<T>, PsfieldError> {
+    watch: &Watch,
+) -> Result<Prepared<T>, Failure> {
     let parts = SceneParts {
-        image,
-        sources: !image,
+        image: images.is_some(),
+        sources: images.is_none(),
         frame: scene.frame().shape(),
     };
     let options = settings
@@ -283,11 +345,20 @@ fn prepared<T: ConvReal>(
     let resampled = psf.input().needs_resampling(parts, settings.simulation)?;
     let simulation = Simulation::for_parts(psf.for_simulation(resampled)?, parts, settings.simulation)?;
     let dark = scene.clone().with_sources(Vec::new());
-    let mut plan = if image {
-        simulation.plan_for_images(&dark, options)?
-    } else {
-        simulation.plan(&dark, options)?
+    let plan = match images {
+        Some(Some(region)) => simulation.plan_for_region(&dark, region, options, watch)?,
+        Some(None) => simulation.plan_for_images_with_progress(&dark, options, watch)?,
+        None => simulation.plan(&dark, options)?,
     };
+    placed_on_device(Arc::new(simulation), plan, settings)
+}
+
+/// A plan where it is executed.
+fn placed_on_device<T: ConvReal>(
+    simulation: Arc<Simulation>,
+    mut plan: SimulationPlan<T>,
+    settings: &Settings,
+) -> Result<Prepared<T>, Failure> {
     let process = std::process::id();
     let mut kept = GPUS.lock().unwrap_or_else(PoisonError::into_inner);
     if kept.as_ref().is_none_or(|&(of, _)| of != process) {

@@ -46,6 +46,22 @@ impl PsfModel {
     pub(crate) fn psf(&self) -> Arc<KeptPsf> {
         Arc::clone(&self.psf)
     }
+
+    /// What takes long, in a way that can be interrupted.
+    fn apart<R: Send + 'static>(
+        &self,
+        py: Python<'_>,
+        work: impl FnOnce(&KeptPsf) -> Result<R, PsfieldError> + Send + 'static,
+    ) -> PyResult<R> {
+        let psf = self.psf();
+        Ok(interruptible::run_apart(py, move |_| work(&psf))?.map_err(Failure::from)?)
+    }
+
+    /// The model as it is stored.
+    fn record(&self, py: Python<'_>) -> PyResult<&PsfModelRecord> {
+        self.apart(py, |psf| psf.record().map(drop))?;
+        Ok(self.psf.record().map_err(Failure::from)?)
+    }
 }
 
 #[pymethods]
@@ -124,7 +140,7 @@ impl PsfModel {
     #[staticmethod]
     fn read(py: Python<'_>, path: PathBuf, file: FileWords, fit: FitWords) -> PyResult<Self> {
         let (file, choices) = (file.options()?, fit.choices()?);
-        let opened = interruptible::run(py, None, |_| PsfInput::open_with(&path, &file, &choices))?;
+        let opened = interruptible::run_apart(py, move |_| PsfInput::open_with(&path, &file, &choices))?;
         let opened = opened.map_err(Failure::from)?;
         Ok(Self::new(opened.input, opened.notes))
     }
@@ -195,7 +211,7 @@ impl PsfModel {
 
     /// The words of interpolation, outside and normalise.
     fn words(&self, py: Python<'_>) -> PyResult<(String, String, String)> {
-        let record = interruptible::run(py, None, |_| self.psf.record())?.map_err(Failure::from)?;
+        let record = self.record(py)?;
         Ok((
             record.interpolation().to_string(),
             record.outside().to_string(),
@@ -213,14 +229,13 @@ impl PsfModel {
         Cube<'py>,
         Bound<'py, PyArray2<f64>>,
     )> {
-        let record = interruptible::run(py, None, |_| self.psf.record())?.map_err(Failure::from)?;
+        let record = self.record(py)?;
         Ok(arrays_of(py, record))
     }
 
     /// The figures of the fit as JSON; none for a model.
     fn fit_report(&self, py: Python<'_>) -> PyResult<Option<String>> {
-        let report = interruptible::run(py, None, |_| self.psf.fitted()?.map(Fit::report).transpose())?;
-        let report = report.map_err(Failure::from)?;
+        let report = self.apart(py, |psf| psf.fitted()?.map(Fit::report).transpose())?;
         Ok(report.map(|report| serde_json::to_string(&report).expect("figures are plain numbers")))
     }
 
@@ -244,9 +259,7 @@ impl PsfModel {
             size,
             sub_pixel,
         };
-        let (stamps, grid) =
-            interruptible::run(py, None, |_| evaluate_stamps(self.psf.model()?, &at, options))?
-                .map_err(Failure::from)?;
+        let (stamps, grid) = self.apart(py, move |psf| evaluate_stamps(psf.model()?, &at, options))?;
         Ok((stamps.into_pyarray(py), grid_dict(py, grid)?))
     }
 
@@ -256,10 +269,7 @@ impl PsfModel {
         py: Python<'py>,
         at: Option<(usize, usize)>,
     ) -> PyResult<(Cube<'py>, Points<'py>, f64, Option<f64>)> {
-        let converted = interruptible::run(py, None, |_| {
-            to_gridded(self.psf.input().clone(), &samples_at(at))
-        })?
-        .map_err(Failure::from)?;
+        let converted = self.apart(py, move |psf| to_gridded(psf.input().clone(), &samples_at(at)))?;
         let samples = converted.samples;
         let oversampling = samples.grid().oversampling();
         Ok((
