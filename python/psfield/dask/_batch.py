@@ -119,11 +119,11 @@ def batch(
     -----
     Without a client worker processes are started, which import the script that started them: it needs ``if __name__ == "__main__":``.
 
-    A job whose workers were lost three times (Dask's ``distributed.scheduler.allowed-failures``) counts as failed: it may be what kills them.
+    A job that has lost more workers than Dask's ``distributed.scheduler.allowed-failures`` (3) counts as failed: it may be what kills them.
     """
     check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size)
     if unknown := set(keep) - {"scene", "truth"}:
-        raise ValueError(f"keep may hold 'scene' and 'truth', got {sorted(unknown)[0]!r}")
+        raise ValueError(f"keep may hold 'scene' and 'truth', got {min(unknown)!r}")
     if "truth" in keep and detector is None:
         raise ValueError("keep: without a detector the image is the truth itself")
     words = {
@@ -251,7 +251,7 @@ class _Run:
         self._total = total
         self._progress = progress
         self._results: dict[int, JobResult] = {}
-        self._running: dict[str, tuple[int, str, Future[JobResult]]] = {}
+        self._running: dict[Any, tuple[int, str, Future[JobResult]]] = {}
         self._taken = 0
         self._most = 0
         self._counted_at = 0.0
@@ -260,7 +260,7 @@ class _Run:
         from distributed import as_completed
 
         source = enumerate(jobs)
-        finished = as_completed()
+        finished = as_completed(loop=self._client.loop)
         try:
             self._submit(source, finished)
             for future in finished:
@@ -277,9 +277,10 @@ class _Run:
         from psfield.dask._worker import run_job
 
         while len(self._running) < self._room():
-            index, job = next(source, (-1, None))
-            if index < 0:
+            taken = next(source, None)
+            if taken is None:
                 return
+            index, job = taken
             self._taken = index + 1
             output = ""
             try:
@@ -293,7 +294,7 @@ class _Run:
                 continue
             name = self._settings.name
             # Scenes that are arrays travel with their jobs: they must not be lost with a worker.
-            with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 EB"}):
+            with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 PB"}):
                 future = self._client.submit(
                     run_job, name, index, dict(job), output, key=f"{name}-{index}", pure=False, retries=self._retries
                 )
@@ -335,7 +336,7 @@ def _client(client: Client | None, total: int | None) -> Iterator[Client]:
         except ValueError:
             workers = min(dask.system.CPU_COUNT, total or dask.system.CPU_COUNT)
             with (
-                distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster,
+                distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
                 distributed.Client(cluster) as client,
             ):
                 yield client
@@ -348,7 +349,7 @@ def _client(client: Client | None, total: int | None) -> Iterator[Client]:
 def _frames_of(
     jobs: Iterable[Job], shape: tuple[int, int] | None, words: dict[str, Any], detector: Any, keep: Sequence[str]
 ) -> tuple[Sequence[Job], dict[str, tuple[tuple[int, int], np.dtype[Any]]]]:
-    """Return the jobs, which must be countable, and shapes and types of the arrays that hold their frames."""
+    """Return the jobs, which must be countable, and the shapes and types of the arrays that hold their frames."""
     if not isinstance(jobs, Sequence):
         if not isinstance(jobs, Sized):
             raise TypeError("jobs: a Zarr array needs to know how many there are: give them as a list, or as a sequence of your own")
@@ -360,8 +361,8 @@ def _frames_of(
         raise ValueError("shape is not known from the first job: give the rows and columns of the scenes")
     finer = words["oversample"]
     image = (shape[0] // finer, shape[1] // finer) if words["frame"] is None else (words["frame"][3], words["frame"][2])
-    dtype = DTYPES[words["precision"]]
-    frames = {"image": (image, dtype)}
+    dtype: np.dtype[Any] = DTYPES[words["precision"]]
+    frames: dict[str, tuple[tuple[int, int], np.dtype[Any]]] = {"image": (image, dtype)}
     if detector is not None:
         # The types of its pixels.
         exposure = detector.expose(np.zeros((1, 1), dtype), 0)

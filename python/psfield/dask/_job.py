@@ -105,8 +105,8 @@ def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
 
 def catalog_of(job: Mapping[str, Any]) -> Any:
     """Return the table of a job's sources, if it has one."""
-    catalog = job.get("catalog")
-    if is_path(catalog):
+    catalog: Any = job.get("catalog")
+    if isinstance(catalog, (str, os.PathLike)):
         return read_catalog(catalog)
     return _call(catalog, job) if callable(catalog) else catalog
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
 import dask.array as da
@@ -118,7 +119,8 @@ def simulate(
         meta=np.empty((0, 0), DTYPES[precision]),
         name=f"psfield-{tokenize(parts.name, token, words, sources, along_y, along_x)}",
     )
-    return image.rechunk((along_y.wanted_chunks, along_x.wanted_chunks))
+    chunked: da.Array = image.rechunk((along_y.wanted_chunks, along_x.wanted_chunks))
+    return chunked
 
 
 class _Piece(NamedTuple):
@@ -126,7 +128,7 @@ class _Piece(NamedTuple):
 
     #: First pixel of the image, and how many.
     first: int
-    count: int
+    pixels: int
     #: Where its light begins, in pixels of the scene.
     origin: int
 
@@ -166,8 +168,11 @@ class _Axis(NamedTuple):
         pieces = tuple(
             _Piece(a, b - a, cut if a == 0 else cut - below) for a, b, cut in zip(merged, merged[1:], cuts)
         )
-        differences = lambda values: tuple(int(d) for d in np.diff(values))  # noqa: E731
-        return cls(lit, differences(cuts), (0, 0) if alone else depth, pieces, differences(merged), differences(wanted))
+        return cls(lit, _sizes(cuts), (0, 0) if alone else depth, pieces, _sizes(merged), _sizes(wanted))
+
+
+def _sizes(edges: Sequence[int]) -> tuple[int, ...]:
+    return tuple(b - a for a, b in pairwise(edges))
 
 
 def _chunk(
@@ -184,7 +189,7 @@ def _chunk(
     """Return the image of one chunk from the light that reaches it."""
     share_cores()
     row, column = rows[block_id[0]], columns[block_id[1]]
-    region = (column.first, row.first, column.count, row.count)
+    region = (column.first, row.first, column.pixels, row.pixels)
     return region_image(model, mark, words, region, part, (column.origin, row.origin), catalog)
 
 

@@ -69,9 +69,9 @@ def run_job(batch: str, index: int, job: Mapping[str, Any], target: str) -> JobR
     try:
         checked(job, settings.detector is not None)
         _make(settings, index, job, target)
-    except OSError:
-        raise
     except Exception as error:
+        if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
+            raise
         text = f"{type(error).__name__}: {error}"
         return JobResult(index, "failed", target, time.perf_counter() - begun, text)
     return JobResult(index, "written", target, time.perf_counter() - begun)

@@ -57,7 +57,7 @@ class ZarrLedger:
 
         self.path = path
         settings = {"psfield": __version__, **settings}
-        group = zarr.open_group(path, mode="w" if overwrite else "a")
+        group: Any = zarr.open_group(path, mode="w" if overwrite else "a")
         if "done" in group:
             _check_same(path, group, arrays, settings)
             held = group["done"].shape[0]
@@ -108,4 +108,4 @@ def _check_same(path: str, group: Any, arrays: Mapping[str, Any], settings: dict
     for name, (shape, dtype) in arrays.items():
         if name not in group or group[name].shape[1:] != tuple(shape) or group[name].dtype != dtype:
             got = f"{group[name].shape[1:]} of {group[name].dtype}" if name in group else "none"
-            raise ValueError(f"{path}: its frames {name!r} should be {tuple(shape)} of {dtype}, and are {got}: use another output, or overwrite=True")
+            raise ValueError(f"{path}: its array {name!r} should hold frames {tuple(shape)} of {dtype}, and holds {got}: use another output, or overwrite=True")
