@@ -88,7 +88,9 @@ def test_the_model_goes_to_each_worker_once(client) -> None:
     client.run(_count_models)
     lazy = psfield.dask.simulate(da.ones((400, 400), chunks=(50, 50), dtype=np.float32), model)
     client.compute(lazy).result()
-    assert max(client.run(_models_counted).values()) <= 1
+    counts = list(client.run(_models_counted).values())
+    assert 1 <= sum(counts)
+    assert max(counts) == 1
 
 
 def test_workers_share_the_cores(client, model) -> None:
@@ -178,7 +180,7 @@ def test_a_failed_job_does_not_stop_the_rest(client, model, tmp_path) -> None:
     assert [r.index for r in results if r.status == "written"] == [0, 10]
     texts = [r.error for r in results]
     for index, words in {
-        1: "finite",
+        1: "[3, 4] is NaN",
         2: "missing.npy",
         3: "RuntimeError: no scene today",
         4: "a job has no 'scenes'",

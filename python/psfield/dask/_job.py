@@ -96,11 +96,15 @@ def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
     scene = job.get("scene")
     if scene is None:
         return None, None
+    header = None
     if is_path(scene):
-        return _read(os.fspath(scene))
-    if callable(scene):
+        scene, header = _read(os.fspath(scene))
+    elif callable(scene):
         scene = _call(scene, job)
-    return plain(scene, "scene"), None
+    pixels = plain(scene, "scene")
+    if pixels.ndim != 2:
+        raise ValueError(f"scene must be an array [y, x], got one of shape {pixels.shape}")
+    return pixels, header
 
 
 def catalog_of(job: Mapping[str, Any]) -> Any:

@@ -21,8 +21,6 @@ from psfield.dask._cores import share_cores
 from psfield.dask._reach import Depth, reach
 from psfield.dask._region import Columns, region_image
 
-_COLUMNS = ("x", "y", "flux", "re", "n", "q", "angle")
-
 
 def simulate(
     scene: da.Array,
@@ -101,7 +99,7 @@ def simulate(
         "stamp_size": stamp_size,
     }
     found = columns_of(catalog)
-    sources = None if found is None else {name: column for name, column in zip(_COLUMNS, found) if column is not None}
+    sources = None if found is None else {name: column for name, column in found.items() if column is not None}
     token = tokenize(model)
     parts = scene[along_y.lit, along_x.lit].rechunk((along_y.light_chunks, along_x.light_chunks))
     parts = da.overlap.overlap(parts, {0: along_y.depth, 1: along_x.depth}, {0: "none", 1: "none"}, allow_rechunk=False)
