@@ -73,7 +73,13 @@ def test_any_tolerance(model, scene, tolerance, anchor, precision) -> None:
 
 @pytest.mark.parametrize(
     ("shape", "options"),
-    [((16, 10), {}), ((9, 20), {"centre": (18, 2)}), ((1, 1), {}), ((33, 33), {"oversampling": 2.0}), ((16, 16), {"pixel_response_included": False})],
+    [
+        ((16, 10), {}),
+        ((9, 20), {"centre": (18, 2)}),
+        ((1, 1), {}),
+        ((33, 33), {"oversampling": 2.0}),
+        ((16, 16), {"pixel_response_included": False}),
+    ],
     ids=["even", "off centre", "one pixel", "oversampled", "without pixel response"],
 )
 def test_stamps_that_reach_further_to_one_side(scene, shape, options) -> None:

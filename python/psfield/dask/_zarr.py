@@ -108,4 +108,6 @@ def _check_same(path: str, group: Any, arrays: Mapping[str, Any], settings: dict
     for name, (shape, dtype) in arrays.items():
         if name not in group or group[name].shape[1:] != tuple(shape) or group[name].dtype != dtype:
             got = f"{group[name].shape[1:]} of {group[name].dtype}" if name in group else "none"
-            raise ValueError(f"{path}: its array {name!r} should hold frames {tuple(shape)} of {dtype}, and holds {got}: use another output, or overwrite=True")
+            raise ValueError(
+                f"{path}: its array {name!r} holds frames {got}, not {tuple(shape)} of {dtype}: use another output, or overwrite=True"
+            )
