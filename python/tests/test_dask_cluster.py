@@ -129,7 +129,7 @@ def test_a_second_run_does_what_the_first_left_undone(client, model, tmp_path) -
 
 def test_scenes_of_every_kind(client, model, tmp_path) -> None:
     scene = draw(3)
-    header = fits.Header({"OBJECT": "M 51", "CRPIX1": 10.5, "CRPIX2": 20.0, "BUNIT": "electron", "PSFTOL": 0.5})
+    header = fits.Header({"OBJECT": "M 51", "CRPIX1": 10.5, "CRPIX2": 20.0, "CRPIX1B": 1.0, "BUNIT": "electron", "PSFTOL": 0.5})
     fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(scene, header)]).writeto(tmp_path / "scene.fits")
     np.save(tmp_path / "scene.npy", scene)
     jobs = [
@@ -151,7 +151,7 @@ def test_scenes_of_every_kind(client, model, tmp_path) -> None:
     np.testing.assert_array_equal(fits.getdata(results[5].output), plan.simulate(scene, jobs[5]["catalog"](3)))
     carried = fits.getheader(results[0].output)
     assert (carried["OBJECT"], carried["BUNIT"], carried["OBSERVER"]) == ("M 51", "electron", "Hubble")
-    assert (carried["CRPIX1"], carried["CRPIX2"]) == (8.5, 17.0)
+    assert (carried["CRPIX1"], carried["CRPIX2"], carried["CRPIX1B"]) == (8.5, 17.0, -1.0)
     assert carried["PSFTOL"] == 1e-4
 
 
@@ -253,6 +253,33 @@ def test_exposures(client, model, tmp_path) -> None:
             np.testing.assert_array_equal(hdus["SCENE"].data, draw(seed))
     with pytest.warns(psfield.PsfieldWarning, match="needs a seed"):
         psfield.dask.batch([{"scene": draw(1)}], model, tmp_path / "none{index}.fits", client=client, detector=detector)
+
+
+def test_files_that_fail_are_tried_again(client, model, tmp_path) -> None:
+    def unsteady(seed: int) -> np.ndarray:
+        tries = tmp_path / f"tries_{seed}"
+        tries.mkdir(exist_ok=True)
+        (tries / str(len(os.listdir(tries)))).touch()
+        if len(os.listdir(tries)) <= seed:
+            raise OSError("the disk is away")
+        return draw(seed)
+
+    jobs = [{"scene": unsteady, "seed": seed} for seed in (0, 2, 3)]
+    with pytest.warns(psfield.PsfieldWarning, match="1 of 3 jobs failed, the first of them job 2: OSError: the disk is away"):
+        results = psfield.dask.batch(jobs, model, tmp_path / "{seed}.fits", client=client, retries=2)
+    assert [r.status for r in results] == ["written", "written", "failed"]
+    np.testing.assert_array_equal(fits.getdata(results[1].output), expected_of(model, 2))
+
+
+def test_a_detector_of_one_job(client, model, tmp_path) -> None:
+    detector = psfield.detector.Detector(photon_noise=True)
+    jobs = [{"scene": draw, "seed": 1, "detector": detector}, {"scene": draw, "seed": 2}]
+    results = psfield.dask.batch(jobs, model, tmp_path / "{index}.fits", client=client)
+    np.testing.assert_array_equal(fits.getdata(results[0].output), detector.expose(expected_of(model, 1), 1).counts)
+    np.testing.assert_array_equal(fits.getdata(results[1].output), expected_of(model, 2))
+    pytest.importorskip("zarr")
+    with pytest.warns(psfield.PsfieldWarning, match="has no array 'flags'"):
+        psfield.dask.batch(jobs, model, tmp_path / "frames.zarr", client=client, shape=SHAPE)
 
 
 @pytest.mark.parametrize("kind", ["fits", "zarr"])

@@ -8,6 +8,7 @@ import socket
 import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
@@ -73,9 +74,11 @@ class FitsFiles:
             if card.keyword and not _OWN.fullmatch(card.keyword):
                 header.append(card, end=True)
         if self.words["frame"] is not None:
-            for keyword, first in zip(("CRPIX1", "CRPIX2"), self.words["frame"]):
-                if keyword in header:
-                    header[keyword] -= first
+            for axis, first in enumerate(self.words["frame"][:2], 1):
+                # Alternative coordinates have a letter.
+                for keyword in (f"CRPIX{axis}{letter}" for letter in ("", *ascii_uppercase)):
+                    if keyword in header:
+                        header[keyword] -= first
 
     def _sign(self, header: Any, job: Mapping[str, Any]) -> None:
         """Say how the image was made."""

@@ -193,7 +193,7 @@ def _chunk(
 
 def _check_scene(scene: Any) -> None:
     if not isinstance(scene, da.Array):
-        raise TypeError(f"scene must be a dask.array.Array (see dask.array.from_array), got {type(scene).__name__}: Plan.simulate takes others")
+        raise TypeError(f"scene must be a dask.array.Array, as dask.array.from_array makes them, got {type(scene).__name__}")
     if scene.ndim != 2:
         raise ValueError(f"scene must be an array [y, x], got one of shape {scene.shape}")
     if np.isnan(scene.shape).any():

@@ -15,7 +15,7 @@ from psfield._model import PsfModel
 from psfield._plan import Plan
 from psfield.dask._cores import set_threads_of
 from psfield.dask._fits import FitsFiles
-from psfield.dask._job import JobResult, catalog_of, checked, scene_of
+from psfield.dask._job import JobResult, catalog_of, scene_of
 from psfield.dask._kept import Kept
 from psfield.dask._zarr import ZarrFrames
 
@@ -67,7 +67,6 @@ def run_job(batch: str, index: int, job: Mapping[str, Any], target: str) -> JobR
     begun = time.perf_counter()
     settings = _BATCHES[batch]
     try:
-        checked(job, settings.detector is not None)
         _make(settings, index, job, target)
     except Exception as error:
         if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):

@@ -31,6 +31,8 @@ class ZarrFrames:
         """Write the frames of a job, again where they are there already."""
         group = _OPEN.get(self.path, self._open)
         for name, array in frames.items():
+            if name not in group:
+                raise ValueError(f"{self.path} has no array {name!r}: give the detector to the batch, not to the job")
             if np.shape(array) != group[name].shape[1:]:
                 raise ValueError(f"{name}: the frames of {self.path} are of shape {group[name].shape[1:]}, and this is {np.shape(array)}")
         for name, array in frames.items():
