@@ -327,11 +327,12 @@ def test_a_killed_worker_loses_no_job(client, model, tmp_path, kind) -> None:
 def test_unfinished_files_of_killed_workers_go(tmp_path) -> None:
     from psfield.dask._fits import FitsFiles
 
-    left, other = tmp_path / ".1.fits.psfield-abc-host-77", tmp_path / ".1.fits.psfield-def-host-77"
-    left.touch()
-    other.touch()
-    FitsFiles("psfield-abc", {}).remove_unfinished([str(tmp_path), str(tmp_path / "missing")])
-    assert os.listdir(tmp_path) == [other.name]
+    output = str(tmp_path / "1.fits")
+    left = [tmp_path / f".{name}.psfield-0123456789ab-my-host-77" for name in ("1.fits", "2.fits")]
+    for path in left:
+        path.touch()
+    FitsFiles("psfield-ba9876543210", {}).remove_unfinished([output, str(tmp_path / "missing" / "1.fits")])
+    assert os.listdir(tmp_path) == [left[1].name]
 
 
 def test_a_cluster_of_its_own(model, tmp_path) -> None:
@@ -345,6 +346,9 @@ def test_a_cluster_of_its_own(model, tmp_path) -> None:
     ("output", "options", "message"),
     [
         ("frame.fits", {}, "must have {index} or {seed}"),
+        ("{index}{other}.fits", {}, "may have {index} and {seed}"),
+        ("{index}.fits", {"threads": 0}, "threads must be"),
+        ("{index}.fits", {"retries": -1}, "retries must be"),
         ("{index}.fits", {"keep": ["light"]}, "'scene' and 'truth'"),
         ("{index}.fits", {"keep": ["truth"]}, "without a detector"),
         ("{index}.fits", {"tolerance": 2.0}, "tolerance must be"),

@@ -118,6 +118,10 @@ def batch(
         raise ValueError(f"keep may hold 'scene' and 'truth', got {min(unknown)!r}")
     if "truth" in keep and detector is None:
         raise ValueError("keep: without a detector the image is the truth itself")
+    if threads is not None and threads < 1:
+        raise ValueError(f"threads must be at least 1, or None, got {threads}")
+    if retries < 0:
+        raise ValueError(f"retries must be at least 0, got {retries}")
     words = {
         "tolerance": float(tolerance),
         "precision": precision,

@@ -6,7 +6,7 @@ import os
 import re
 import socket
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from string import ascii_uppercase
 from typing import Any
@@ -20,6 +20,8 @@ _OWN = re.compile(
     r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|EXTNAME|EXTVER|EXTLEVEL|INHERIT|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX"
     r"|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFANCH|PSFPREC|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
 )
+#: Names of unfinished files: the output's, the batch, the machine and the process.
+_UNFINISHED = re.compile(r"\.(.+)\.psfield-[0-9a-f]{12}-.+-\d+")
 
 
 @dataclass(frozen=True)
@@ -56,15 +58,16 @@ class FitsFiles:
                 os.remove(unfinished)
             raise
 
-    def remove_unfinished(self, folders: Iterable[str]) -> None:
-        """Remove what killed workers left behind."""
-        for folder in folders:
+    def remove_unfinished(self, outputs: Collection[str]) -> None:
+        """Remove what killed workers left behind of these outputs, in this batch and in those before."""
+        for folder in {os.path.dirname(path) for path in outputs}:
             if not os.path.isdir(folder):
                 continue
             with os.scandir(folder) as entries:
-                left = [entry.path for entry in entries if entry.name.startswith(".") and f".{self.mark}-" in entry.name]
-            for path in left:
-                os.remove(path)
+                names = [(entry.name, _UNFINISHED.fullmatch(entry.name)) for entry in entries]
+            for name, match in names:
+                if match and os.path.join(folder, match[1]) in outputs:
+                    os.remove(os.path.join(folder, name))
 
     def _carry(self, scene: Any, header: Any) -> None:
         """Take over the cards of the scene's file; its world coordinates count from the frame's first pixel."""

@@ -21,12 +21,16 @@ class Files:
         self.writer = writer
         self._template = template
         self._overwrite = overwrite
+        #: The outputs so far, and whose they are.
         self._taken: dict[str, int] = {}
-        self._folders: set[str] = set()
         if template is not None and "{index" not in template and "{seed" not in template:
             raise ValueError(
                 f"output must have {{index}} or {{seed}} in its name (frames/{{index:06d}}.fits), or end in .zarr, got {template!r}"
             )
+        try:
+            str(template).format(index=0, seed=0)
+        except (IndexError, KeyError, ValueError) as error:
+            raise ValueError(f"output: {template!r} may have {{index}} and {{seed}} in its name, as Python formats them: {error}") from None
 
     def of(self, index: int, job: Mapping[str, Any]) -> str:
         """Return the file of a job."""
@@ -38,7 +42,6 @@ class Files:
         path = os.path.abspath(str(self._template).format(index=index, seed=job.get("seed")) if named is None else named)
         if (first := self._taken.setdefault(path, index)) != index:
             raise ValueError(f"{path} is already the output of job {first}")
-        self._folders.add(os.path.dirname(path))
         return path
 
     def is_done(self, index: int, path: str) -> bool:
@@ -48,7 +51,7 @@ class Files:
         """Files speak for themselves."""
 
     def close(self) -> None:
-        self.writer.remove_unfinished(self._folders)
+        self.writer.remove_unfinished(self._taken)
 
 
 class ZarrGroup:
