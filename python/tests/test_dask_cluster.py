@@ -11,6 +11,7 @@ import numpy as np
 import psfield
 import pytest
 
+dask = pytest.importorskip("dask")
 da = pytest.importorskip("dask.array")
 distributed = pytest.importorskip("distributed")
 fits = pytest.importorskip("astropy.io.fits")
@@ -322,6 +323,23 @@ def test_a_killed_worker_loses_no_job(client, model, tmp_path, kind) -> None:
         np.testing.assert_array_equal(image, expected_of(model, seed))
     # The nanny starts another process, which the next batch uses.
     client.wait_for_workers(2, timeout=30)
+
+
+def test_a_job_that_kills_its_workers_fails_alone(model, tmp_path) -> None:
+    def poison(seed: int) -> np.ndarray:
+        if seed == 5:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return draw(seed)
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+        pytest.warns(psfield.PsfieldWarning, match="1 of 12 jobs failed, the first of them job 5: KilledWorker"),
+    ):
+        results = psfield.dask.batch([{"scene": poison, "seed": i} for i in range(12)], model, tmp_path / "{index}.fits", client=client)
+    assert [r.index for r in results if r.status != "written"] == [5]
+    assert len(os.listdir(tmp_path)) == 11
 
 
 def test_unfinished_files_of_killed_workers_go(tmp_path) -> None:

@@ -111,7 +111,8 @@ def batch(
     -----
     Without a client worker processes are started, which import the script that started them: it needs ``if __name__ == "__main__":``.
 
-    A job that has lost more workers than Dask's ``distributed.scheduler.allowed-failures`` (3) counts as failed: it may be what kills them.
+    Jobs that were on a worker each time that one was lost, more often than Dask's ``distributed.scheduler.allowed-failures`` (3), are run
+    by themselves at the end: the one that kills workers fails, and no other.
     """
     check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size)
     if unknown := set(keep) - {"scene", "truth"}:

@@ -72,6 +72,18 @@ class JobResult:
     error: str | None = None
 
 
+@dataclass(frozen=True)
+class Task:
+    """A job on its way."""
+
+    index: int
+    job: Mapping[str, Any]
+    #: The file or frame that it makes.
+    output: str
+    #: How often it has failed by its files.
+    failures: int = 0
+
+
 def checked(job: Any, has_detector: bool) -> None:
     """Refuse a job that cannot be made."""
     if not isinstance(job, Mapping):

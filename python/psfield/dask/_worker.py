@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from psfield._model import PsfModel
 from psfield._plan import Plan
 from psfield.dask._cores import set_threads_of
 from psfield.dask._fits import FitsFiles
-from psfield.dask._job import JobResult, catalog_of, scene_of
+from psfield.dask._job import JobResult, Task, catalog_of, scene_of
 from psfield.dask._kept import Kept
 from psfield.dask._zarr import ZarrFrames
 
@@ -62,18 +62,21 @@ class ModelOnWorker(WorkerPlugin):
         _PLANS.drop(lambda key: key[0] == name)
 
 
-def run_job(batch: str, index: int, job: Mapping[str, Any], target: str) -> JobResult:
-    """Make one frame and write it. What is wrong with the job is its result; what is wrong with files is raised, to be tried again."""
-    begun = time.perf_counter()
+def run_jobs(batch: str, tasks: Sequence[Task]) -> list[tuple[JobResult, bool]]:
+    """Make frames one after the other and write them; for each say whether it failed by its files and may be tried again."""
     settings = _BATCHES[batch]
+    return [_run(settings, task) for task in tasks]
+
+
+def _run(settings: BatchSettings, task: Task) -> tuple[JobResult, bool]:
+    begun = time.perf_counter()
     try:
-        _make(settings, index, job, target)
-    except Exception as error:
-        if isinstance(error, OSError) and not isinstance(error, FileNotFoundError):
-            raise
+        _make(settings, task.index, task.job, task.output)
+    except Exception as error:  # noqa: BLE001
         text = f"{type(error).__name__}: {error}"
-        return JobResult(index, "failed", target, time.perf_counter() - begun, text)
-    return JobResult(index, "written", target, time.perf_counter() - begun)
+        again = isinstance(error, OSError) and not isinstance(error, FileNotFoundError)
+        return JobResult(task.index, "failed", task.output, time.perf_counter() - begun, text), again
+    return JobResult(task.index, "written", task.output, time.perf_counter() - begun), False
 
 
 def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: str) -> None:
