@@ -101,9 +101,8 @@ def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
         return None
     names = _names(catalog)
     if missing := [name for name in _NEEDED if name not in names]:
-        raise ValueError(
-            f"catalog: there is no column {missing[0]} (needed: x, y, flux; for galaxies re, n, q, angle); there are {', '.join(names.values()) or 'none'}"
-        )
+        there = ", ".join(map(str, names.values())) or "none"
+        raise ValueError(f"catalog: there is no column {missing[0]} (needed: x, y, flux; for galaxies re, n, q, angle); there are {there}")
     columns = {name: _column(catalog[names[name]], name, unit) if name in names else None for name in (*_NEEDED, *_SHAPE)}
     if columns["re"] is not None and columns["n"] is None:
         raise ValueError("catalog: galaxies (column re) need their Sersic index (column n)")
