@@ -24,7 +24,7 @@ def test_the_snippets_run(tmp_path, monkeypatch, capsys) -> None:
         distributed.Client(cluster),
     ):
         for snippet in here:
-            exec(compile(snippet, str(PAGE), "exec"), names)  # noqa: S102
+            exec(compile(snippet, str(PAGE), "exec"), names)
     assert capsys.readouterr().out == "20 frames written\n"
     assert names["part"].shape == (200, 400)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import psfield
 import pytest
+
+import psfield
 
 da = pytest.importorskip("dask.array")
 
-import psfield.dask
-from psfield.dask import _region, _simulate
+import psfield.dask  # noqa: E402
+from psfield.dask import _region, _simulate  # noqa: E402
 
 #: Relative L2: chunks meet other neighbours in the same transforms, which changes rounding alone.
 ROUNDING = {"f32": 1e-6, "f64": 1e-14}

@@ -127,7 +127,7 @@ class Run:
     def _receive(self, future: Any, tasks: list[Task]) -> None:
         """Take the results of a finished parcel."""
         if future.status == "finished":
-            for task, (result, again) in zip(tasks, future.result()):
+            for task, (result, again) in zip(tasks, future.result(), strict=True):
                 if again and task.failures < self._retries:
                     self._again.append(replace(task, failures=task.failures + 1))
                     continue

@@ -42,7 +42,7 @@ class BatchSettings:
     threads: int | None
 
 
-class ModelOnWorker(WorkerPlugin):
+class ModelOnWorker(WorkerPlugin):  # type: ignore[misc]
     """Gives each worker what the jobs of a batch share, once; also those that come later, and those that come back."""
 
     def __init__(self, settings: BatchSettings) -> None:
@@ -72,7 +72,7 @@ def _run(settings: BatchSettings, task: Task) -> tuple[JobResult, bool]:
     begun = time.perf_counter()
     try:
         _make(settings, task.index, task.job, task.output)
-    except Exception as error:  # noqa: BLE001
+    except Exception as error:
         text = f"{type(error).__name__}: {error}"
         again = isinstance(error, OSError) and not isinstance(error, FileNotFoundError)
         return JobResult(task.index, "failed", task.output, time.perf_counter() - begun, text), again
