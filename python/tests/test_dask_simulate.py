@@ -97,10 +97,11 @@ def test_stamps_of_another_size(model, scene, stamp_size) -> None:
 
 
 def test_light_that_is_left_out_shows(model, scene, monkeypatch) -> None:
-    """The comparison above can fail."""
+    """Chunks that do not get all the light that they need are an error, not an image with seams."""
     monkeypatch.setattr(_simulate, "reach", lambda *_: ((3, 3), (3, 3)))
     image = psfield.dask.simulate(da.from_array(scene, chunks=(40, 50)), model)
-    assert distance(image.compute(), model.plan(SHAPE, device="cpu").simulate(scene)) > 1e3 * ROUNDING["f32"]
+    with pytest.raises(RuntimeError, match="reaches the image"):
+        image.compute()
 
 
 @pytest.mark.parametrize("frame", [(13, 9, 80, 70), (0, 0, 150, 120), (149, 119, 1, 1), (1, 40, 149, 40)], ids=str)

@@ -45,19 +45,26 @@ def region_image(
     catalog
         Columns of the whole catalogue.
     """
-    x0, y0, nx, ny = region
+    _, _, nx, ny = region
     light = plain(part, "scene")
     sources = None if catalog is None else _near(catalog, region, model, words)
     if sources is None and not np.any(light):
         return np.zeros((ny, nx), DTYPES[words["precision"]])
     whole = tuple(sorted(words.items()))
-    plan = _PLANS.get((token, whole), lambda: model.plan(**words))
-    scene = np.zeros(plan.shape, plan.dtype)
-    x, y = origin
-    with np.errstate(over="ignore"):
-        scene[y : y + light.shape[0], x : x + light.shape[1]] = light
-    image: NDArray[Any] = plan.simulate(scene, sources)
-    return np.ascontiguousarray(image[y0 : y0 + ny, x0 : x0 + nx])
+    plan = _PLANS.get((token, whole, region), lambda: model.plan(**words, region=region))
+    image: NDArray[Any] = plan.simulate(_reaching(light, origin, plan.light_region), sources)
+    return image
+
+
+def _reaching(light: NDArray[Any], origin: tuple[int, int], region: Region) -> NDArray[Any]:
+    """Return the part of the light that a plan asks for, in pixels of the scene."""
+    (x, y), (x0, y0, nx, ny) = origin, region
+    first_row, first_column = y0 - y, x0 - x
+    part = light[max(first_row, 0) : first_row + ny, max(first_column, 0) : first_column + nx]
+    if part.shape != (ny, nx):
+        # It would be dark where there is light.
+        raise RuntimeError(f"light from {region} reaches the image, and there is that from {(x, y, *light.shape[::-1])} alone")
+    return part
 
 
 def _near(catalog: Columns, region: Region, model: PsfModel, words: dict[str, Any]) -> Columns | None:
