@@ -1,0 +1,13 @@
+"""Simulations on Dask: scenes larger than one machine's memory, and data sets of many frames.
+
+`simulate` takes a scene that is a chunked Dask array and gives its image as one; `batch` makes many frames on the workers of a cluster,
+which write them to FITS files or to Zarr.
+
+It needs ``dask[array]``, and `batch` needs ``distributed``: ``pip install 'psfield[dask]'``. FITS files need astropy, Zarr needs zarr.
+"""
+
+from psfield.dask._batch import batch
+from psfield.dask._job import Job, JobResult
+from psfield.dask._simulate import simulate
+
+__all__ = ["Job", "JobResult", "batch", "simulate"]

@@ -1,0 +1,110 @@
+"""Jobs on their workers."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from distributed import Worker, WorkerPlugin
+
+from psfield._model import PsfModel
+from psfield._plan import Plan
+from psfield.dask._cores import set_threads_of
+from psfield.dask._fits import FitsFiles
+from psfield.dask._job import JobResult, Task, catalog_of, scene_of
+from psfield.dask._kept import Kept
+from psfield.dask._zarr import ZarrFrames
+
+#: The batches that this process works on.
+_BATCHES: dict[str, BatchSettings] = {}
+_MODELS: Kept[PsfModel] = Kept(4)
+#: By batch and shape of the scene.
+_PLANS: Kept[Plan] = Kept(4)
+
+
+@dataclass(frozen=True)
+class BatchSettings:
+    """What all jobs of a batch share."""
+
+    name: str
+    #: Pickled: it is made on a thread that works, not on the one that talks to the scheduler.
+    model: bytes
+    words: dict[str, Any]
+    #: Of scenes, where a job has a catalogue alone.
+    shape: tuple[int, int] | None
+    detector: Any
+    keep: tuple[str, ...]
+    output: FitsFiles | ZarrFrames
+    threads: int | None
+
+
+class ModelOnWorker(WorkerPlugin):  # type: ignore[misc]
+    """Gives each worker what the jobs of a batch share, once; also those that come later, and those that come back."""
+
+    def __init__(self, settings: BatchSettings) -> None:
+        self.settings = settings
+        self.name = settings.name
+
+    def setup(self, worker: Worker) -> None:
+        """Keep the batch."""
+        set_threads_of(worker, self.settings.threads)
+        _BATCHES[self.settings.name] = self.settings
+
+    def teardown(self, worker: Worker) -> None:
+        """Forget the batch."""
+        name = self.settings.name
+        _BATCHES.pop(name, None)
+        _MODELS.drop(lambda key: key == name)
+        _PLANS.drop(lambda key: key[0] == name)
+
+
+def run_jobs(batch: str, tasks: Sequence[Task]) -> list[tuple[JobResult, bool]]:
+    """Make frames one after the other and write them; for each say whether it failed by its files and may be tried again."""
+    settings = _BATCHES[batch]
+    return [_run(settings, task) for task in tasks]
+
+
+def _run(settings: BatchSettings, task: Task) -> tuple[JobResult, bool]:
+    begun = time.perf_counter()
+    try:
+        _make(settings, task.index, task.job, task.output)
+    except Exception as error:
+        text = f"{type(error).__name__}: {error}"
+        again = isinstance(error, OSError) and not isinstance(error, FileNotFoundError)
+        return JobResult(task.index, "failed", task.output, time.perf_counter() - begun, text), again
+    return JobResult(task.index, "written", task.output, time.perf_counter() - begun), False
+
+
+def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: str) -> None:
+    scene, header = scene_of(job)
+    shape = settings.shape if scene is None else np.shape(scene)
+    if shape is None:
+        raise ValueError("shape is not known: a job with a catalog alone needs batch(..., shape=(ny, nx))")
+    plan = _PLANS.get((settings.name, tuple(shape)), lambda: _model(settings).plan(tuple(shape), **settings.words))
+    image = plan.simulate(scene, catalog_of(job))
+    frames = {"image": image}
+    detector = job.get("detector", settings.detector)
+    if detector is not None:
+        exposure = detector.expose(image, int(job["seed"]))
+        frames = {"image": exposure.counts, "flags": exposure.flags}
+        if "truth" in settings.keep:
+            frames["truth"] = image
+    if "scene" in settings.keep:
+        frames["scene"] = np.zeros(plan.shape, plan.dtype) if scene is None else np.asarray(scene, plan.dtype)
+    if isinstance(settings.output, ZarrFrames):
+        settings.output.write(index, frames)
+    else:
+        settings.output.write(target, frames, job, header)
+
+
+def _model(settings: BatchSettings) -> PsfModel:
+    return _MODELS.get(settings.name, lambda: _loaded(settings.model))
+
+
+def _loaded(model: bytes) -> PsfModel:
+    loaded: PsfModel = pickle.loads(model)
+    return loaded
