@@ -592,9 +592,9 @@ class PsfModel:
             The part of the scene that the image shows: first column, first row, columns, rows, in pixels of the image. Field positions
             count from its first pixel; light from around it comes in.
         region : (int, int, int, int), optional
-            The part of the frame that is made, for frames that are made in pieces, on many machines: first column, first row, columns, rows, in
-            pixels of the image counted from the frame's first. Put together, the pieces are the image of the whole frame but for rounding,
-            at any tolerance. Scenes need no light but that of `Plan.light_region`; `Plan.for_region` makes the plans for others.
+            The part of the frame that is made, for frames that are made in pieces, on many machines: first column, first row, columns,
+            rows, in pixels of the image counted from the frame's first. Put together, the pieces are the image of the whole frame but for
+            rounding, at any tolerance. Scenes need no light but that of `Plan.light_region`; `Plan.for_region` makes the plans for others.
         anchor : {'source', 'output'}
             Whose PSF applies: each source spreads with that of its own position, or each pixel gathers with its own.
         method : {'auto', 'lowrank'}

@@ -322,7 +322,8 @@ class Plan:
     def __repr__(self) -> str:
         (ny, nx), words = self.shape, self._words
         part = "" if self.region is None else f", region {self.region}"
-        return f"<Plan: scenes {ny} x {nx}{part}, tolerance {words['tolerance']:g}, {words['precision']}, on {self.summary['gpu'] or 'the CPU'}>"
+        device = self.summary["gpu"] or "the CPU"
+        return f"<Plan: scenes {ny} x {nx}{part}, tolerance {words['tolerance']:g}, {words['precision']}, on {device}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._words)

@@ -237,10 +237,12 @@ fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadonlyAr
 
 fn sources_of<T: ConvReal>(planned: &Planned<T>, columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
     let sources = columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())?;
-    match planned.refused(&sources) {
-        Some(why) => Err(invalid(format!("catalog: {why}"))),
-        None => Ok(sources),
+    if planned.refuses(&sources) {
+        return Err(invalid(
+            "catalog: plans for a region of a finer scene draw no stars: simulate them apart, with oversample=1",
+        ));
     }
+    Ok(sources)
 }
 
 fn simulate<'py, T: ConvReal + Element>(

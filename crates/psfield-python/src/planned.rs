@@ -3,12 +3,12 @@
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, CowArray, Ix2};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, CowArray, Ix2, s};
 use psfield::conv_core::{ConvReal, PlanOptions, PlanSummary, TileCounts};
 use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion, Scene};
 use psfield::{
     DeviceOptions, Gpus, Method, Placement, PsfInput, PsfieldError, SceneLayout, SceneParts, SceneSources,
-    Simulation, SimulationOptions, SimulationPlan, SimulationWarning, SpotCheck,
+    Simulation, SimulationOptions, SimulationPlan, SimulationWarning, SpotCheck, sersic,
 };
 
 use crate::error::Failure;
@@ -106,18 +106,10 @@ impl<T: ConvReal> Planned<T> {
         self.images.plan.light_region().unwrap_or(whole)
     }
 
-    /// What sources a plan for a region cannot take, if these are of them.
-    pub(crate) fn refused(&self, sources: &Sources) -> Option<&'static str> {
+    /// Whether these are sources that a plan for a region cannot take.
+    pub(crate) fn refuses(&self, sources: &Sources) -> bool {
         let finer = self.settings.simulation.oversample() > 1;
-        match self.settings.region {
-            Some(_) if !sources.galaxies.is_empty() => {
-                Some("plans for a region draw no galaxies: put them into the scene")
-            }
-            Some(_) if finer && !sources.stars.is_empty() => Some(
-                "plans for a region of a finer scene draw no stars: simulate them apart, with oversample=1",
-            ),
-            _ => None,
-        }
+        finer && self.settings.region.is_some() && !sources.stars.is_empty()
     }
 
     /// The shape of the image.
@@ -263,26 +255,34 @@ impl<T: ConvReal> Planned<T> {
         image: Option<ArrayView2<'a, T>>,
         watch: &Watch,
     ) -> Result<Option<Lit<'_, 'a, T>>, Failure> {
-        let light = match image {
-            // Part of the scene, and no galaxies.
-            Some(image) if self.settings.region.is_some() => image.into(),
-            Some(image) => placed.light_of(image)?,
-            None if placed.galaxies().is_empty() => return Ok(None),
-            None => {
-                let shape = placed.scene().shape();
-                let mut light = Array2::zeros((shape.ny(), shape.nx()));
-                placed.add_galaxies(light.view_mut(), 0);
-                light.into()
-            }
-        };
-        let prepared = if placed.padding() == 0 {
-            &self.images
-        } else {
-            self.kept(&self.padded, || {
-                prepared(&self.psf, &self.settings, Some(None), placed.scene(), watch)
-            })?
-        };
-        Ok(Some((prepared, light)))
+        if placed.galaxies().is_empty() {
+            return Ok(image.map(|image| (&self.images, image.into())));
+        }
+        let prepared = self.kept(&self.padded, || {
+            prepared(
+                &self.psf,
+                &self.settings,
+                Some(self.settings.region),
+                placed.scene(),
+                watch,
+            )
+        })?;
+        let part = prepared
+            .plan
+            .light_region()
+            .unwrap_or(placed.scene().shape().region());
+        let mut light = Array2::zeros((part.shape().ny(), part.shape().nx()));
+        if let Some(image) = image {
+            let of_scene = match image.dim() {
+                whole if whole == (self.settings.shape.ny(), self.settings.shape.nx()) => (0, 0),
+                _ => (self.light_region().x0(), self.light_region().y0()),
+            };
+            let padding = placed.padding() as i64;
+            let first = (of_scene.0 + padding - part.x0(), of_scene.1 + padding - part.y0());
+            assign_overlap(light.view_mut(), image, first);
+        }
+        sersic::add_galaxies(light.view_mut(), (part.x0(), part.y0()), placed.galaxies());
+        Ok(Some((prepared, light.into())))
     }
 
     fn stars(&self, scene: &Scene<T>, watch: &Watch) -> Result<&Prepared<T>, Failure> {
@@ -308,6 +308,26 @@ impl<T: ConvReal> Planned<T> {
     pub(crate) fn is_on_foreign_gpu(&self) -> bool {
         self.placement().adapter().is_some() && self.process != std::process::id()
     }
+}
+
+/// Puts an image onto a plane, its first pixel at column and row `first` of the plane, as far as they overlap.
+fn assign_overlap<T: ConvReal>(
+    mut plane: ArrayViewMut2<'_, T>,
+    image: ArrayView2<'_, T>,
+    (x, y): (i64, i64),
+) {
+    // Where both begin, and for how long.
+    let along = |first: i64, plane: usize, image: usize| {
+        let (of_plane, of_image) = (first.clamp(0, plane as i64), (-first).clamp(0, image as i64));
+        let length = (plane as i64 - of_plane).min(image as i64 - of_image).max(0);
+        let range = |from: i64| from as usize..(from + length) as usize;
+        (range(of_plane), range(of_image))
+    };
+    let (rows, image_rows) = along(y, plane.nrows(), image.nrows());
+    let (columns, image_columns) = along(x, plane.ncols(), image.ncols());
+    plane
+        .slice_mut(s![rows, columns])
+        .assign(&image.slice(s![image_rows, image_columns]));
 }
 
 fn layout(settings: &Settings, psf: &PsfInput, of_image: bool) -> Result<SceneLayout, PsfieldError> {

@@ -163,9 +163,7 @@ class _Axis(NamedTuple):
         merged.append(pixels)
         cuts = [lit.start, *((start + edge) * finer for edge in merged[1:-1]), lit.stop]
         alone = len(merged) == 2
-        pieces = tuple(
-            _Piece(a, b - a, cut if a == 0 else cut - below) for (a, b), cut in zip(pairwise(merged), cuts[:-1], strict=True)
-        )
+        pieces = tuple(_Piece(a, b - a, cut if a == 0 else cut - below) for (a, b), cut in zip(pairwise(merged), cuts[:-1], strict=True))
         return cls(lit, _sizes(cuts), (0, 0) if alone else depth, pieces, _sizes(merged), _sizes(wanted))
 
 
