@@ -35,10 +35,10 @@ pub enum ConvError {
     /// A patch of no size.
     #[error("the patch size must be at least 1 pixel")]
     PatchSize,
-    /// An image of another shape than the frame it stands for.
-    #[error("the image is {got} pixels, the frame is {expected}")]
+    /// An image of another shape than the frame, or the region of it, that it stands for.
+    #[error("the image is {got} pixels: the frame, or the region of it that is made, is {expected}")]
     FrameShape {
-        /// The frame.
+        /// The frame, or the region.
         expected: FrameShape,
         /// The image.
         got: FrameShape,

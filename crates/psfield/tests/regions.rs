@@ -141,7 +141,7 @@ fn pieces_are_the_whole<T: ConvReal>(interpolation: Interpolation, finer: usize,
             assert_eq!(again.pixels(), slice_of(image.view(), part), "{case}");
         }
     }
-    let error = norm((&image - &whole.pixels()).into_iter()) / norm(whole.pixels().iter().copied());
+    let error = norm(&image - &whole.pixels()) / norm(whole.pixels().iter().copied());
     assert!(error <= same, "{case}: {error:e}");
 }
 

@@ -123,8 +123,8 @@ impl<T: ConvReal> Plan<T> {
         Ok((Image::new(image).map_err(ConvError::Result)?, counts))
     }
 
-    /// An image of the frame, or of the plan's region of it, `[y, x]` without light, for [`add_to`](Self::add_to). Adding to its fresh memory takes less time than to that
-    /// of a large array of zeros made otherwise: its pages have been written to.
+    /// An image of the frame, or of the plan's region of it, `[y, x]` without light, for [`add_to`](Self::add_to). Adding to its
+    /// fresh memory takes less time than to that of a large array of zeros made otherwise: its pages have been written to.
     pub fn dark_image(&self) -> Array2<T> {
         zeros((self.region.shape().ny(), self.region.shape().nx()))
     }
@@ -303,7 +303,7 @@ impl<T: ConvReal> Plan<T> {
     }
 
     /// The image of the light in some rows of blocks: `light` and `output` come with the first row that they hold, counted from
-    /// the first row that reaches the frame and from the frame's.
+    /// the first row that reaches the region and from the region's.
     pub(super) fn forward(
         &self,
         rows: Range<usize>,

@@ -1,12 +1,13 @@
 //! What must hold on every device.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use conv_core::{ConvError, Direct, Paths, Plan, RowStream};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, PointSource, Position, PsfModel,
-    Scene,
+    Anchor, CoefficientField, FieldError, Image, ImageView, NoProgress, Normalisation, PointSource, Position,
+    Progress, PsfModel, Scene,
 };
 use rayon::prelude::*;
 
@@ -20,7 +21,7 @@ pub(crate) const ROUNDING: f64 = 3e-6;
 
 type Body = fn(&OnDevice);
 
-pub(crate) const ALL: [(&str, Body); 10] = [
+pub(crate) const ALL: [(&str, Body); 12] = [
     ("at_tolerance_0_it_is_the_double_sum", double_sums),
     ("the_adjoint_is_the_transpose", adjoints),
     ("every_pixel_sees_a_psf_within_the_tolerance", tolerances),
@@ -31,6 +32,8 @@ pub(crate) const ALL: [(&str, Body); 10] = [
     ("executions_at_the_same_time_do_not_mix", at_once),
     ("light_without_a_psf_is_an_error", no_psf),
     ("stars_come_on_top", stars),
+    ("regions_put_together_are_the_whole", regions),
+    ("what_was_stopped_serves_again", stopped),
 ];
 
 pub(crate) fn of_light(light: Array2<f32>) -> Scene<f32> {
@@ -298,6 +301,76 @@ impl CoefficientField for Half {
             });
         }
         Waves.evaluate_into(p, a)
+    }
+}
+
+/// Pieces of a frame from the light that reaches each, forward and back.
+fn regions(device: &OnDevice) {
+    let scene = single(&scene(201, 157, 8).with_frame(region(5, 9, 173, 131)).unwrap());
+    let model = model_with(Arc::new(Waves), (11, 7), (4, 3), true, Normalisation::Unit);
+    for anchor in ANCHORS {
+        for paths in PATHS {
+            let plan = Plan::for_scene(&model, &scene, options(1e-2, anchor, paths)).unwrap();
+            let seen = Image::new(noise(131, 173, 5).mapv(|v| v as f32)).unwrap();
+            let (mut image, mut back) = (Array2::zeros((131, 173)), Array2::zeros((157, 201)));
+            for (x, y, nx, ny) in [
+                (0, 0, 60, 131),
+                (60, 0, 113, 64),
+                (60, 64, 112, 67),
+                (172, 64, 1, 67),
+            ] {
+                let part = plan
+                    .for_other_region(region(x as i64, y as i64, nx, ny), &NoProgress)
+                    .unwrap();
+                let part = device.with(part);
+                let reach = part.light_region();
+                let (left, below) = (reach.x0() as usize, reach.y0() as usize);
+                let (right, above) = (left + reach.shape().nx(), below + reach.shape().ny());
+                let light = scene.pixels().unwrap().slice_move(s![below..above, left..right]);
+                let into = image.slice_mut(s![y..y + ny, x..x + nx]);
+                part.add_light_to(&ImageView::new(light).unwrap(), into, &NoProgress)
+                    .unwrap();
+                let of_part = ImageView::new(seen.pixels().slice_move(s![y..y + ny, x..x + nx])).unwrap();
+                part.add_adjoint_to(&of_part, back.view_mut(), &NoProgress)
+                    .unwrap();
+            }
+            let plan = device.with(plan);
+            let error = relative(&image.mapv(f64::from), &doubles(&plan.execute(&scene).unwrap()));
+            assert!(error <= 1e-6, "{error:e} {anchor} {paths:?}");
+            let error = relative(&back.mapv(f64::from), &doubles(&plan.adjoint(&seen).unwrap()));
+            assert!(error <= ROUNDING, "adjoint {error:e} {anchor} {paths:?}");
+        }
+    }
+}
+
+/// Wants the work to stop from a question on.
+struct Patience(AtomicUsize, usize);
+
+impl Progress for Patience {
+    fn start(&self, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn cancelled(&self) -> bool {
+        self.0.fetch_add(1, Ordering::Relaxed) >= self.1
+    }
+}
+
+fn stopped(device: &OnDevice) {
+    let scene = single(&scene(201, 157, 8));
+    let model = model_with(Arc::new(Waves), (11, 7), (4, 3), true, Normalisation::Unit);
+    for anchor in ANCHORS {
+        let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, Paths::Transforms)).unwrap();
+        let plan = device.with(plan);
+        let before = plan.execute(&scene).unwrap();
+        let asked = Patience(AtomicUsize::new(0), usize::MAX);
+        plan.execute_with_progress(&scene, &asked).unwrap();
+        let all = asked.0.into_inner();
+        assert!(all >= plan.summary().tiles, "asked {all} times");
+        for enough in [0, all / 2, all - 1] {
+            let patience = Patience(AtomicUsize::new(0), enough);
+            let stopped = plan.execute_with_progress(&scene, &patience);
+            assert!(matches!(stopped, Err(ConvError::Cancelled)), "{enough} of {all}");
+            assert_eq!(plan.execute(&scene).unwrap(), before, "{enough} of {all}");
+        }
     }
 }
 

@@ -1,6 +1,6 @@
 //! Executions of a simulation's plans.
 
-use conv_core::{ConvError, ConvReal, RowStream, TileCounts};
+use conv_core::{ConvError, ConvReal, Plan, RowStream, TileCounts};
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::{FrameShape, Image, ImageView, Progress, Scene};
 
@@ -78,8 +78,9 @@ impl Simulation {
     }
 
     /// The transpose of [`Self::add_planned_to`] without stars: what each pixel of the scene gives to the scalar product of its image with `image`,
-    /// `[y, x]` of the frame, or of the plan's region of it, in the frame's own pixels. `<A f, g> = <f, A^T g>` for every scene `f` without point sources; of a finer scene, `A`
-    /// convolves and then samples at the centres of the frame's pixels, times their area in pixels of the scene.
+    /// `[y, x]` of the frame, or of the plan's region of it, in the frame's own pixels. `<A f, g> = <f, A^T g>` for every scene `f` without
+    /// point sources; of a finer scene, `A` convolves and then samples at the centres of the frame's pixels, times their area in pixels of
+    /// the scene.
     ///
     /// # Errors
     /// [`PsfieldError::Convolution`] for an image of another shape; [`PsfieldError::PlanForStars`] where the plan is for stars alone.
@@ -89,7 +90,7 @@ impl Simulation {
         image: &ImageView<'_, T>,
         progress: &dyn Progress,
     ) -> Result<Image<T>, PsfieldError> {
-        let engine = plan.engine().ok_or(PsfieldError::PlanForStars)?;
+        let engine = self.engine_for_image(plan, image.shape())?;
         match self.options.oversample() {
             1 => Ok(engine.adjoint_with_progress(image, progress)?),
             finer => {
@@ -111,7 +112,7 @@ impl Simulation {
         light: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
-        let engine = plan.engine().ok_or(PsfieldError::PlanForStars)?;
+        let engine = self.engine_for_image(plan, image.shape())?;
         match self.options.oversample() {
             1 => Ok(engine.add_adjoint_to(image, light, progress)?),
             finer => {
@@ -121,7 +122,24 @@ impl Simulation {
         }
     }
 
-    /// The same for a scene whose rows come and go through a stream; `scene` gives the shape, the frame and the point sources.
+    /// The engine of a plan, for an image in the frame's own pixels.
+    fn engine_for_image<'a, T: ConvReal>(
+        &self,
+        plan: &'a SimulationPlan<T>,
+        got: FrameShape,
+    ) -> Result<&'a Plan<T>, PsfieldError> {
+        let engine = plan.engine().ok_or(PsfieldError::PlanForStars)?;
+        let (fine, finer) = (engine.region().shape(), self.options.oversample());
+        let expected = FrameShape::new(fine.nx() / finer, fine.ny() / finer)?;
+        if got == expected {
+            Ok(engine)
+        } else {
+            Err(ConvError::FrameShape { expected, got }.into())
+        }
+    }
+
+    /// The image of a scene whose rows come and go through a stream, as by [`Self::run_planned`]; `scene` gives the shape, the frame and the point
+    /// sources. A plan of a region reads the rows that reach it and writes those of the region.
     ///
     /// # Errors
     /// Those of the stream and of the convolution.
