@@ -2,8 +2,8 @@
 
 Usage: python benches/python/simulate.py MODEL.fits [SIZE] [TOLERANCE] [ROUNDS]
 
-Build first: cargo build --release -p psfield --example time_simulation, and install the package. MODEL.fits as `psfield bench` or `psfield fit` write it,
-over a field of at least SIZE x SIZE. Prints the median of the rounds' ratios, and the peak memory of this process beside what it must hold.
+Build first: cargo build --release -p psfield --example time_simulation, and install the package. MODEL.fits as `psfield fit` writes it, over
+a field of at least SIZE x SIZE. Prints the median of the rounds' ratios, and the peak memory of this process beside what it must hold.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ def main() -> None:
     scene = (1.0 + (3 * x + 5 * y) % 7).astype(np.float32)
     del x, y
     plan = psfield.PsfModel.read(model).plan(scene.shape, tolerance, device="cpu")
-    image = plan.simulate(scene)
+    plan.simulate(scene)
     whole, execution = [], []
     for _ in range(rounds):
         ran = subprocess.run([example, model, str(size), str(tolerance), str(REPEAT)], capture_output=True, text=True, check=True)
         rust = [[float(v) for v in line.split()] for line in ran.stdout.splitlines()]
         python = []
         for _ in range(REPEAT):
-            del image
             began = time.perf_counter()
             image = plan.simulate(scene)
             python.append(time.perf_counter() - began)
+            del image
         mine, whole_call = min(python), min(total for total, _ in rust)
         without_check = min(total - check for total, check in rust)
         whole.append(mine / whole_call)

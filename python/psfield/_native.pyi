@@ -1,8 +1,25 @@
 from collections.abc import Callable
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
+
+__all__ = [
+    "Detector",
+    "Plan",
+    "PsfModel",
+    "__version__",
+    "adaptive_moments",
+    "compare",
+    "fit_gaussian",
+    "measure_image",
+    "measure_stamps",
+    "quadrupole_moments",
+    "read_catalog",
+    "sample_function",
+    "set_threads",
+    "threads",
+]
 
 __version__: str
 
@@ -34,6 +51,7 @@ def sample_function(
     progress: _Callback,
 ) -> tuple[PsfModel, dict[str, Any]]: ...
 
+@final
 class PsfModel:
     @staticmethod
     def from_samples(
@@ -72,6 +90,7 @@ class PsfModel:
     def gridded(self, at: _Shape | None) -> tuple[_Cube, tuple[_Column, _Column], float, float | None]: ...
     def write(self, path: str, words: dict[str, Any]) -> list[str]: ...
 
+@final
 class Plan:
     def __new__(cls, model: PsfModel, words: dict[str, Any]) -> Plan: ...
     def for_region(self, at: tuple[int, int, int, int]) -> Plan: ...
@@ -84,6 +103,7 @@ class Plan:
     def adjoint(self, image: NDArray[Any], progress: _Callback) -> NDArray[Any]: ...
     def spot_check(self, image: NDArray[Any], scene: NDArray[Any] | None, sources: _Sources, count: int, seed: int) -> str: ...
 
+@final
 class Detector:
     def __new__(cls, params: str) -> Detector: ...
     @staticmethod

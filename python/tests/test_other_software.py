@@ -1,0 +1,152 @@
+"""The same PSFs as photutils and GalSim have them."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from conftest import gaussian_stamp, relative_l2
+
+import psfield
+
+#: Rounding of splines and files in single precision, relative to the peak.
+OF_PEAK = 1e-6
+#: GalSim's Lanczos kernel comes from a table.
+LANCZOS = 1e-4
+#: GalSim is itself good to 1e-3 of the peak on these stars; photutils' spline, cut the same way, reaches 8.6e-4.
+STARS = 1.0e-3
+MODEL = "psfex/DECam_00154912_12.psf"
+
+
+def rows(path):
+    """Return the columns of a CSV."""
+    with open(path, newline="") as file:
+        table = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    return {name: np.array([float(row[name]) for row in table]) for name in table[0]}
+
+
+def photutils_model(across=4, size=65, oversampling=4):
+    """Return a gridded model of photutils whose PSF widens and moves over 200 x 300 pixels."""
+    psf, nddata = pytest.importorskip("photutils.psf"), pytest.importorskip("astropy.nddata")
+    places = [(x, y) for y in np.linspace(0, 199, across) for x in np.linspace(0, 299, across + 1)]
+    # Faint at their edges, as libraries are: there the splines' ends differ.
+    stamps = [oversampling**2 * gaussian_stamp((1.2 + x / 1000) * oversampling, size, (y / 100, -x / 200)) for x, y in places]
+    return psf.GriddedPSFModel(nddata.NDData(np.array(stamps), meta={"grid_xypos": places, "oversampling": oversampling}))
+
+
+class TestPhotutils:
+    """photutils' `GriddedPSFModel`."""
+
+    @pytest.mark.parametrize(("size", "oversampling"), [(65, 4), (64, 4), (25, 1), (49, 3)])
+    def test_stars_at_100_positions(self, size, oversampling):
+        gridded = photutils_model(size=size, oversampling=oversampling)
+        model = psfield.PsfModel.from_gridded_psf_model(gridded)
+        rng = np.random.default_rng(3)
+        largest = 0.0
+        for x, y in zip(rng.uniform(0, 299, 100), rng.uniform(0, 199, 100)):
+            own = model.evaluate(x, y, pixels="frame", sub_pixel=True, size=7)
+            column, row = np.floor(x + 0.5), np.floor(y + 0.5)
+            ys, xs = np.mgrid[-3:4, -3:4]
+            theirs = gridded.evaluate(xs + column, ys + row, 1.0, x, y)
+            largest = max(largest, np.abs(own - theirs).max() / theirs.max())
+        assert largest < OF_PEAK
+
+    def test_an_image_of_stars(self):
+        gridded = photutils_model(size=41, oversampling=2)
+        plan = psfield.PsfModel.from_gridded_psf_model(gridded).plan((200, 300), 0.0, "f64")
+        rng = np.random.default_rng(4)
+        stars = {"x": rng.uniform(20, 280, 30), "y": rng.uniform(20, 180, 30), "flux": rng.uniform(1, 100, 30)}
+        image = plan.simulate(catalog=stars)
+        ys, xs = np.mgrid[:200, :300].astype(float)
+        theirs = sum(gridded.evaluate(xs, ys, f, x, y) for x, y, f in zip(*stars.values()))
+        assert np.abs(image - theirs).max() < OF_PEAK * theirs.max()
+
+    def test_there_and_back(self):
+        gridded = photutils_model()
+        model = psfield.PsfModel.from_gridded_psf_model(gridded, field_shape=(200, 300))
+        again = model.to_gridded_psf_model()
+        assert np.allclose(again.data, gridded.data, rtol=0, atol=OF_PEAK * gridded.data.max())
+        assert np.array_equal(np.asarray(again.grid_xypos), np.asarray(gridded.grid_xypos))
+        assert again.meta["psfield_max_error"] is None
+        finer = model.to_gridded_psf_model((9, 9))
+        assert len(finer.data) == 81
+        assert 0 < finer.meta["psfield_max_error"] < 0.05
+
+    def test_what_cannot_be_taken_over(self):
+        class Uneven:
+            data = np.ones((1, 5, 5))
+            grid_xypos = ((0, 0),)
+            oversampling = (2, 4)
+
+        with pytest.raises(ValueError, match="oversampled alike"):
+            psfield.PsfModel.from_gridded_psf_model(Uneven())
+
+
+class TestGalsim:
+    """GalSim, where it is at hand."""
+
+    def test_psfex_models_written_here(self, model, tmp_path):
+        galsim, des = pytest.importorskip("galsim"), pytest.importorskip("galsim.des")
+        model.write(tmp_path / "model.psf", format="psfex", degree=2)
+        read = psfield.PsfModel.read(tmp_path / "model.psf")
+        theirs = des.DES_PSFEx(str(tmp_path / "model.psf"))
+        for x, y in [(0, 0), (60.5, 30.25), (127, 95)]:
+            # Of GalSim, 1-based.
+            drawn = theirs.getPSF(galsim.PositionD(x + 1, y + 1)).drawImage(nx=17, ny=17, scale=1.0, method="no_pixel").array
+            own = read.evaluate(x, y, size=17)
+            assert np.abs(own - drawn).max() < LANCZOS * drawn.max()
+
+    def test_a_function_of_galsim(self):
+        galsim = pytest.importorskip("galsim")
+
+        def draw(x, y):
+            psf = galsim.Moffat(beta=3.5, fwhm=2.5 + x / 400).shear(g1=0.05 * y / 300)
+            return psf.drawImage(nx=33, ny=33, scale=1.0)
+
+        model = psfield.PsfModel.from_function(draw, (300, 400), threshold=1e-3)
+        for x, y in [(13.0, 250.0), (222.0, 111.0), (399.0, 299.0)]:
+            assert relative_l2(model.evaluate(x, y), draw(x, y).array / draw(x, y).array.sum()) < 1e-3
+
+
+class TestOutsideData:
+    """Files and truth by other software."""
+
+    def test_a_library_as_photutils_reads_it(self, outside_data):
+        psf = pytest.importorskip("photutils.psf")
+        gridded = psf.GriddedPSFModel.read(outside_data / "stdpsf/PSFSTD_WFC3IR_F160W.fits")
+        model = psfield.PsfModel.from_gridded_psf_model(gridded)
+        (left, low), (right, high) = np.min(gridded.grid_xypos, axis=0), np.max(gridded.grid_xypos, axis=0)
+        rng = np.random.default_rng(3)
+        ys, xs = np.mgrid[-12:13, -12:13]
+        for x, y in zip(rng.uniform(left, right, 100), rng.uniform(low, high, 100)):
+            own = model.evaluate(x, y, pixels="frame", sub_pixel=True, size=25)
+            theirs = gridded.evaluate(xs + np.floor(x + 0.5), ys + np.floor(y + 0.5), 1.0, x, y)
+            assert np.abs(own - theirs).max() < OF_PEAK * theirs.max()
+
+    def test_a_psfex_model_as_galsim_draws_it(self, outside_data):
+        fits = pytest.importorskip("astropy.io.fits")
+        at = rows(outside_data / "psfex/DECam_00154912_12_positions.csv")
+        for name, words, limit in [("modelgrid", {}, OF_PEAK), ("native_galsim", {"pixels": "frame", "size": 48}, LANCZOS)]:
+            truth = fits.getdata(outside_data / f"psfex/DECam_00154912_12_{name}.fits").astype(float)
+            model = psfield.PsfModel.read(outside_data / MODEL, normalise="keep" if name == "modelgrid" else "unit")
+            x, y = at["x_image_1based"][: len(truth)] - 1, at["y_image_1based"][: len(truth)] - 1
+            own = model.evaluate(x, y, **words)
+            assert np.abs(own - truth).max() < limit * truth.max()
+
+    def test_roman_stars_as_galsim_draws_them(self, outside_data):
+        fits = pytest.importorskip("astropy.io.fits")
+        model = psfield.PsfModel.read(outside_data / "roman/epsf4x_samples1024.fits", normalise="keep")
+        truth = fits.getdata(outside_data / "roman/stars_truth.fits").astype(float)
+        image = model.plan(truth.shape, stamp_size=25).simulate(catalog=rows(outside_data / "roman/stars.csv"))
+        assert relative_l2(image, truth) < STARS
+
+    def test_a_scene_against_the_exact_sum(self, outside_data):
+        fits = pytest.importorskip("astropy.io.fits")
+        for anchor in ("source", "output"):
+            model = psfield.PsfModel.read(outside_data / "strong/samples512.fits", interpolation="bilinear", rank="full")
+            scene = fits.getdata(outside_data / "strong/scene512.fits")
+            truth = fits.getdata(outside_data / f"strong/scene512_{anchor}.fits").astype(float)
+            # As FITS has it: another order of bytes.
+            assert not scene.dtype.isnative
+            assert relative_l2(model.plan(scene.shape, 0.0, anchor=anchor).simulate(scene), truth) < 1e-6
