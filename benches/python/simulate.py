@@ -2,8 +2,8 @@
 
 Usage: python benches/python/simulate.py MODEL.fits [SIZE] [TOLERANCE] [ROUNDS]
 
-Build first: cargo build --release -p psfield --example time_simulation, and install the package. MODEL.fits as `psfield fit` writes it, over
-a field of at least SIZE x SIZE. Prints the median of the rounds' ratios, and the peak memory of this process beside what it must hold.
+Build first: cargo build --release -p psfield --example time_simulation, and install the package. MODEL.fits as `psfield fit` writes it,
+over a field of at least SIZE x SIZE. Prints the median of the rounds' ratios, and the peak memory of this process beside what it must hold.
 """
 
 from __future__ import annotations
