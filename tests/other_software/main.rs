@@ -1,6 +1,6 @@
 //! Files written here, read by other software: GalSim (`DES_PSFEx`) and photutils (`GriddedPSFModel`).
 //!
-//! `PSFIELD_PYTHON`, or else `python3`, must be a Python with `tests/python/requirements.txt` installed; where it is not, these
+//! `PSFIELD_PYTHON`, or else `python3`, must be a Python with `python/tests/requirements.txt` installed; where it is not, these
 //! tests show as ignored.
 
 mod read_back;
