@@ -69,7 +69,11 @@ def points(positions: Any, name: str = "positions") -> tuple[NDArray[np.float64]
     """Return the coordinates x and y of positions: an array ``[position, (x, y)]``, or a table with columns x and y."""
     columns = getattr(positions, "colnames", None) or getattr(getattr(positions, "dtype", None), "names", None)
     if columns is not None or isinstance(positions, dict) or hasattr(positions, "columns"):
-        return column(positions["x"], f"{name}: x"), column(positions["y"], f"{name}: y")
+        try:
+            x, y = positions["x"], positions["y"]
+        except (KeyError, ValueError, IndexError):
+            raise ValueError(f"{name} must be a table with columns x and y, or an array [position, 2]") from None
+        return column(x, f"{name}: x"), column(y, f"{name}: y")
     array = doubles(positions, name, "[position, 2]")
     if array.shape[1] != 2:
         raise ValueError(f"{name} must be an array [position, 2] of x and y, got one of shape {array.shape}")

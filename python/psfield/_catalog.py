@@ -109,7 +109,7 @@ def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
     return columns
 
 
-def _names(catalog: Any) -> dict[str, str]:
+def _names(catalog: Any) -> dict[str, Any]:
     """Return the names of the columns by their lower case."""
     if (colnames := getattr(catalog, "colnames", None)) is not None:
         names: Iterable[Any] = colnames
@@ -120,7 +120,15 @@ def _names(catalog: Any) -> dict[str, str]:
     else:
         kinds = "a dict of arrays, an astropy Table, a structured array, a data frame"
         raise TypeError(f"catalog must be a table with columns x, y, flux ({kinds}), got {type(catalog).__name__}")
-    return {str(name).lower(): name for name in names}
+    found: dict[str, Any] = {}
+    for name in names:
+        role = str(name).lower()
+        # A column of the very name comes before those that differ in case.
+        if role not in found or str(name) == role:
+            found[role] = name
+        elif str(found[role]) != role and role in (*_NEEDED, *_SHAPE):
+            raise ValueError(f"catalog: which column is {role}: {found[role]} or {name}? Rename one of them")
+    return found
 
 
 def _column(values: Any, name: str, unit: Any) -> Column:

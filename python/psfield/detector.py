@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from psfield import _native
 from psfield._arrays import DTYPES, doubles, numbers, plain
+from psfield._choices import whole
 
 __all__ = ["BAD_COLUMN", "DEAD", "HOT", "SATURATED", "Detector", "Exposure"]
 
@@ -135,6 +136,7 @@ class Detector:
         """
         dtype = DTYPES["f32" if plain(image, "image").dtype == np.float32 else "f64"]
         mask = None if bad_pixels is None else doubles(bad_pixels, "bad_pixels", "[y, x]")
+        seed = whole(seed, "seed", 0, 2**64 - 1)
         counts, flags, report = self._handle.expose(numbers(image, "image", dtype, "[y, x]"), seed, mask)
         return Exposure(counts, flags, json.loads(report))
 
