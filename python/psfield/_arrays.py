@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from psfield._astropy import in_unit
+
 #: The types of the two precisions.
 DTYPES: dict[str, np.dtype[Any]] = {"f32": np.dtype(np.float32), "f64": np.dtype(np.float64)}
 
@@ -73,8 +75,8 @@ def points(positions: Any, name: str = "positions") -> tuple[NDArray[np.float64]
             x, y = positions["x"], positions["y"]
         except (KeyError, ValueError, IndexError):
             raise ValueError(f"{name} must be a table with columns x and y, or an array [position, 2]") from None
-        return column(x, f"{name}: x"), column(y, f"{name}: y")
-    array = doubles(positions, name, "[position, 2]")
+        return column(in_unit(x, "pix", f"{name}: x"), f"{name}: x"), column(in_unit(y, "pix", f"{name}: y"), f"{name}: y")
+    array = doubles(in_unit(positions, "pix", name), name, "[position, 2]")
     if array.shape[1] != 2:
         raise ValueError(f"{name} must be an array [position, 2] of x and y, got one of shape {array.shape}")
     return np.ascontiguousarray(array[:, 0]), np.ascontiguousarray(array[:, 1])

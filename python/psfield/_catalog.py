@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from psfield import _native
 from psfield._arrays import plain
+from psfield._astropy import check_linear, in_unit
 from psfield._errors import PsfieldWarning
 
 Column = NDArray[np.float64]
@@ -132,9 +133,10 @@ def _names(catalog: Any) -> dict[str, Any]:
 
 
 def _column(values: Any, name: str, unit: Any) -> Column:
-    if getattr(values, "unit", None) is not None and hasattr(values, "to_value"):
-        wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(name)
-        values = values.to_value(wanted) if wanted is not None else values.to_value()
+    if name == "flux":
+        check_linear(getattr(values, "unit", None), "catalog: flux")
+    wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(name)
+    values = in_unit(values, wanted, f"catalog: {name}")
     if name in _SHAPE and np.ma.isMaskedArray(values):
         # No shape: a star.
         values = np.ma.asarray(values, dtype=np.float64).filled(np.nan)

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
 from psfield._arrays import DTYPES, column, doubles, plain, points, shape_of
+from psfield._astropy import in_unit
 from psfield._choices import pair_or_none, real, real_or_none, whole, whole_or_none, word, word_or_none, yes_or_no
 from psfield._plan import DEFAULT_MEMORY, Plan
 from psfield._progress import Progress, as_callback
@@ -483,13 +484,14 @@ class PsfModel:
         """
         at_frame = word(pixels, "pixels", ("stamp", "frame")) == "frame"
         size, sub_pixel = whole_or_none(size, "size", 1), yes_or_no(sub_pixel, "sub_pixel")
+        at_x, at_y = (plain(in_unit(axis, "pix", name), name) for axis, name in ((x, "x"), (y, "y")))
         try:
-            xs, ys = np.broadcast_arrays(plain(x, "x"), plain(y, "y"))
+            xs, ys = np.broadcast_arrays(at_x, at_y)
         except ValueError:
             raise ValueError(f"x and y of the shapes {np.shape(x)} and {np.shape(y)} cannot be broadcast") from None
         shape = xs.shape
-        at_x, at_y = (np.ascontiguousarray(column(axis.ravel(), name)) for axis, name in ((xs, "x"), (ys, "y")))
-        stamps, _ = self._handle.evaluate(at_x, at_y, at_frame, size, sub_pixel)
+        flat_x, flat_y = (np.ascontiguousarray(column(axis.ravel(), name)) for axis, name in ((xs, "x"), (ys, "y")))
+        stamps, _ = self._handle.evaluate(flat_x, flat_y, at_frame, size, sub_pixel)
         return stamps.reshape(*shape, *stamps.shape[1:])
 
     def to_gridded_psf_model(self, grid_shape: tuple[int, int] | None = None) -> GriddedPSFModel:

@@ -197,9 +197,9 @@ class Plan:
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to convolve: give a scene, a catalog, or both")
-        light = None if scene is None else self._scene(scene)
-        columns = columns_of(catalog, unit_of(scene))
-        target, copied = self._target(out, light)
+        light, unit = None if scene is None else self._scene(scene), unit_of(scene)
+        columns = columns_of(catalog, unit)
+        target, copied = self._target(out, light, unit)
         image, figures = self._handle.simulate(light, columns, target, as_callback(progress))
         for text in figures["warnings"]:
             warnings.warn(text, PsfieldWarning, stacklevel=2)
@@ -308,7 +308,7 @@ class Plan:
             raise ValueError(f"image: the plan is for images of shape {self.image_shape}, got {pixels.shape}")
         return pixels
 
-    def _target(self, out: Any, light: NDArray[Any] | None) -> tuple[NDArray[Any] | None, bool]:
+    def _target(self, out: Any, light: NDArray[Any] | None, unit: Any) -> tuple[NDArray[Any] | None, bool]:
         """Return where the native module writes to, and whether that is copied to ``out`` afterwards."""
         if out is None:
             return None, False
@@ -319,8 +319,12 @@ class Plan:
             raise ValueError(f"out must have {wanted}, got {out.shape} and {out.dtype}")
         if not out.flags.writeable:
             raise ValueError("out is read-only")
+        if hasattr(out, "unit") and out.unit != unit:
+            raise ValueError(f"out has the unit {out.unit}, the scene {unit or 'none'}")
         overlaps = light is not None and np.may_share_memory(out, light)
-        direct = out.flags.aligned and out.dtype.isnative and out.strides[1] == out.itemsize and not overlaps
+        # Rows that share memory must not be written by several threads.
+        rows_apart = abs(out.strides[0]) >= out.shape[1] * out.itemsize or out.shape[0] == 1
+        direct = out.flags.aligned and out.dtype.isnative and out.strides[1] == out.itemsize and rows_apart and not overlaps
         return (np.asarray(out), False) if direct else (np.empty(self.image_shape, self.dtype), True)
 
     def __repr__(self) -> str:

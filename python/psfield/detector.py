@@ -79,6 +79,9 @@ class Detector:
 
     def __init__(self, **params: Any) -> None:
         given = {key: value for key, value in params.items() if value is not None}
+        for key, value in given.items():
+            if isinstance(value, (float, np.floating)) and not np.isfinite(value):
+                raise ValueError(f"the detector: {key} must be finite, got {value}")
         try:
             text = json.dumps(given, default=_number)
         except TypeError as error:

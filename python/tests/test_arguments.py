@@ -9,6 +9,7 @@ import pytest
 from conftest import gaussian_stamp
 
 import psfield
+from psfield import detector, metrics
 
 
 @pytest.mark.parametrize(
@@ -118,3 +119,98 @@ def test_columns_that_differ_in_case_alone(model):
         assert np.array_equal(plan.simulate(catalog=table), expected)
     with pytest.raises(ValueError, match="which column is flux: FLUX or Flux"):
         plan.simulate(catalog={"x": [40.0], "y": [30.0], "FLUX": [1.0], "Flux": [2.0]})
+
+
+class TestUnits:
+    """What no unit makes right by itself is refused."""
+
+    def test_magnitudes_do_not_add_up(self, model, scene):
+        units = pytest.importorskip("astropy.units")
+        plan = model.plan(scene.shape, 1e-3)
+        with pytest.raises(ValueError, match="scene: its unit is mag"):
+            plan.simulate(scene * units.mag)
+        with pytest.raises(ValueError, match="catalog: flux: its unit is mag"):
+            plan.simulate(catalog={"x": [1.0], "y": [1.0], "flux": [20.0] * units.mag})
+        with pytest.raises(ValueError, match="catalog: flux: its unit is mag"):
+            plan.simulate(catalog={"x": [1.0], "y": [1.0], "flux": [20.0] * units.ABmag})
+
+    def test_angles_are_no_pixels(self, model):
+        units = pytest.importorskip("astropy.units")
+        at = np.array([[10.0, 20.0]])
+        assert np.array_equal(model.evaluate(10 * units.pix, 20 * units.pix), model.evaluate(10, 20))
+        with pytest.raises(ValueError, match="x: 'arcsec'"):
+            model.evaluate(10 * units.arcsec, 20)
+        with pytest.raises(ValueError, match="positions: 'arcsec'"):
+            psfield.PsfModel.from_samples([gaussian_stamp(1.5)], at * units.arcsec)
+        catalog = {"x": [1.0], "y": [1.0], "flux": [1.0], "re": [3.0] * units.arcsec, "n": [1.0]}
+        plan = model.plan((96, 128), 1e-3)
+        with pytest.raises(ValueError, match="catalog: re: 'arcsec'"):
+            plan.simulate(catalog=catalog)
+
+    def test_out_has_the_unit_of_the_scene(self, model, scene):
+        units = pytest.importorskip("astropy.units")
+        plan = model.plan(scene.shape, 1e-3)
+        out = np.zeros(scene.shape, np.float32) * units.Jy
+        assert plan.simulate(scene * units.Jy, out=out) is out
+        with pytest.raises(ValueError, match="out has the unit Jy, the scene none"):
+            plan.simulate(scene, out=out)
+
+
+class TestMetrics:
+    @pytest.mark.parametrize(
+        ("options", "error", "text"),
+        [
+            ({"size": -1}, ValueError, "size must be at least 0, got -1"),
+            ({"size": 2.5}, TypeError, "size must be a whole number"),
+            ({"size": 3, "about": 3}, TypeError, "about must be (column, row)"),
+            ({"size": 3, "about": (-1, 2)}, ValueError, "about: column must be at least 0"),
+            # It was silently the whole stamp.
+            ({"about": (3, 3)}, ValueError, "give its size too"),
+        ],
+    )
+    def test_windows(self, options, error, text):
+        for measured in (metrics.fit_gaussian, metrics.adaptive_moments, metrics.quadrupole_moments):
+            with pytest.raises(error, match=re.escape(text)):
+                measured(gaussian_stamp(1.5), **options)
+
+    def test_starts(self):
+        with pytest.raises(TypeError, match="start must be three numbers"):
+            metrics.adaptive_moments(gaussian_stamp(1.5), start=3)
+        with pytest.raises(ValueError, match="sigma must be above 0"):
+            metrics.adaptive_moments(gaussian_stamp(1.5), start=(8, 8, -1))
+
+    @pytest.mark.parametrize("bad", [None, "a", np.ones((2, 2), complex)])
+    def test_what_cannot_be_compared(self, bad):
+        with pytest.raises(TypeError, match="result must be real numbers"):
+            metrics.compare(bad, np.ones((2, 2)))
+
+
+def test_detectors(tmp_path):
+    with pytest.raises(ValueError, match="sky_e must be finite, got nan"):
+        detector.Detector(sky_e=float("nan"))
+    with pytest.raises(FileNotFoundError, match=r"missing\.toml"):
+        detector.Detector.from_toml(tmp_path / "missing.toml")
+
+
+def test_rows_of_out_that_share_memory(model, scene):
+    # Several threads would write to the same bytes; as for any function of NumPy, what is left there is up to the order.
+    plan = model.plan(scene.shape, 1e-3)
+    memory = np.zeros(scene.size, np.float32)
+    out = np.lib.stride_tricks.as_strided(memory, scene.shape, (4, 4))
+    expected = plan.simulate(scene)
+    plan.simulate(scene, out=out)
+    assert memory[scene.shape[0] + scene.shape[1] - 2] == expected[-1, -1]
+
+
+@pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit])
+def test_a_function_that_asks_for_an_end(raised):
+    calls = []
+
+    def draw(x, y):
+        calls.append((x, y))
+        if len(calls) > 3:
+            raise raised
+        return gaussian_stamp(1.5)
+
+    with pytest.raises(raised):
+        psfield.PsfModel.from_function(draw, (10, 10))
