@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from psfield._astropy import in_unit
+
 #: The types of the two precisions.
 DTYPES: dict[str, np.dtype[Any]] = {"f32": np.dtype(np.float32), "f64": np.dtype(np.float64)}
 
@@ -69,8 +71,12 @@ def points(positions: Any, name: str = "positions") -> tuple[NDArray[np.float64]
     """Return the coordinates x and y of positions: an array ``[position, (x, y)]``, or a table with columns x and y."""
     columns = getattr(positions, "colnames", None) or getattr(getattr(positions, "dtype", None), "names", None)
     if columns is not None or isinstance(positions, dict) or hasattr(positions, "columns"):
-        return column(positions["x"], f"{name}: x"), column(positions["y"], f"{name}: y")
-    array = doubles(positions, name, "[position, 2]")
+        try:
+            x, y = positions["x"], positions["y"]
+        except (KeyError, ValueError, IndexError):
+            raise ValueError(f"{name} must be a table with columns x and y, or an array [position, 2]") from None
+        return column(in_unit(x, "pix", f"{name}: x"), f"{name}: x"), column(in_unit(y, "pix", f"{name}: y"), f"{name}: y")
+    array = doubles(in_unit(positions, "pix", name), name, "[position, 2]")
     if array.shape[1] != 2:
         raise ValueError(f"{name} must be an array [position, 2] of x and y, got one of shape {array.shape}")
     return np.ascontiguousarray(array[:, 0]), np.ascontiguousarray(array[:, 1])

@@ -9,7 +9,28 @@ import numpy as np
 
 def unit_of(scene: Any) -> Any:
     """Return the unit of a Quantity or of CCDData, if there is one."""
-    return getattr(scene, "unit", None) if hasattr(scene, "unit") else None
+    unit = getattr(scene, "unit", None)
+    check_linear(unit, "scene")
+    return unit
+
+
+def check_linear(unit: Any, name: str) -> None:
+    """Refuse magnitudes, decibels and the like: light adds up, they do not."""
+    if unit is not None and (hasattr(unit, "physical_unit") or str(unit) in ("mag", "dex", "dB")):
+        raise ValueError(f"{name}: its unit is {unit}, which does not add up: give fluxes")
+
+
+def in_unit(values: Any, unit: Any, name: str) -> Any:
+    """Return the numbers of a Quantity in a unit (None: its own); what has no unit, and pure numbers for pixels, as they are."""
+    own = getattr(values, "unit", None)
+    if own is None or not hasattr(values, "to_value"):
+        return values
+    if unit is None or (unit == "pix" and str(own) == ""):
+        return values.to_value()
+    try:
+        return values.to_value(unit)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name}: {error}") from None
 
 
 def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any:

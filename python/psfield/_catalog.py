@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from psfield import _native
 from psfield._arrays import plain
+from psfield._astropy import check_linear, in_unit
 from psfield._errors import PsfieldWarning
 
 Column = NDArray[np.float64]
@@ -109,7 +110,7 @@ def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
     return columns
 
 
-def _names(catalog: Any) -> dict[str, str]:
+def _names(catalog: Any) -> dict[str, Any]:
     """Return the names of the columns by their lower case."""
     if (colnames := getattr(catalog, "colnames", None)) is not None:
         names: Iterable[Any] = colnames
@@ -120,13 +121,22 @@ def _names(catalog: Any) -> dict[str, str]:
     else:
         kinds = "a dict of arrays, an astropy Table, a structured array, a data frame"
         raise TypeError(f"catalog must be a table with columns x, y, flux ({kinds}), got {type(catalog).__name__}")
-    return {str(name).lower(): name for name in names}
+    found: dict[str, Any] = {}
+    for name in names:
+        role = str(name).lower()
+        # A column of the very name comes before those that differ in case.
+        if role not in found or str(name) == role:
+            found[role] = name
+        elif str(found[role]) != role and role in (*_NEEDED, *_SHAPE):
+            raise ValueError(f"catalog: which column is {role}: {found[role]} or {name}? Rename one of them")
+    return found
 
 
 def _column(values: Any, name: str, unit: Any) -> Column:
-    if getattr(values, "unit", None) is not None and hasattr(values, "to_value"):
-        wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(name)
-        values = values.to_value(wanted) if wanted is not None else values.to_value()
+    if name == "flux":
+        check_linear(getattr(values, "unit", None), "catalog: flux")
+    wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(name)
+    values = in_unit(values, wanted, f"catalog: {name}")
     if name in _SHAPE and np.ma.isMaskedArray(values):
         # No shape: a star.
         values = np.ma.asarray(values, dtype=np.float64).filled(np.nan)

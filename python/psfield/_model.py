@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
 from psfield._arrays import DTYPES, column, doubles, plain, points, shape_of
+from psfield._astropy import in_unit
+from psfield._choices import pair_or_none, real, real_or_none, whole, whole_or_none, word, word_or_none, yes_or_no
 from psfield._plan import DEFAULT_MEMORY, Plan
 from psfield._progress import Progress, as_callback
 
@@ -167,7 +169,7 @@ class PsfModel:
             y,
             None if field_shape is None else shape_of(field_shape, "field_shape"),
             grid,
-            (interpolation, outside, normalise),
+            (word(interpolation, "interpolation"), word(outside, "outside"), word(normalise, "normalise")),
         )
         return cls._of(native)
 
@@ -273,11 +275,11 @@ class PsfModel:
             (rows, columns),
             _grid(oversampling, centre, pixel_response_included, stamp_interpolation),
             {
-                "criterion": criterion,
-                "measure": measure,
-                "threshold": threshold,
+                "criterion": word(criterion, "criterion", ("neighbours", "interpolation")),
+                "measure": word(measure, "measure", ("l1", "l2")),
+                "threshold": real(threshold, "threshold"),
                 "start": shape_of(start, "start"),
-                "max_samples": max_samples,
+                "max_samples": whole(max_samples, "max_samples", 1),
                 "uniform": None if uniform is None else shape_of(uniform, "uniform"),
             },
             _fit(rank, centring, noise, interpolation, outside, normalise),
@@ -347,15 +349,17 @@ class PsfModel:
         at = None if positions is None else tuple(axis.tolist() for axis in points(positions))
         file = {
             "extension": None if extension is None else str(extension),
-            "detector": detector,
-            "plane_order": plane_order,
-            "wavelength_um": wavelength_um,
-            "pixel_scale_arcsec": pixel_scale_arcsec,
-            "field_centre": field_centre,
+            "detector": whole_or_none(detector, "detector"),
+            "plane_order": word_or_none(plane_order, "plane_order"),
+            "wavelength_um": real_or_none(wavelength_um, "wavelength_um"),
+            "pixel_scale_arcsec": real_or_none(pixel_scale_arcsec, "pixel_scale_arcsec"),
+            "field_centre": pair_or_none(field_centre, "field_centre"),
             "positions": at,
-            "oversampling": oversampling,
-            "centre": centre,
-            "pixel_response_included": pixel_response_included,
+            "oversampling": real_or_none(oversampling, "oversampling"),
+            "centre": pair_or_none(centre, "centre"),
+            "pixel_response_included": (
+                None if pixel_response_included is None else yes_or_no(pixel_response_included, "pixel_response_included")
+            ),
         }
         fit = _fit(rank, centring, noise, interpolation, outside, normalise)
         return cls._of(_native.PsfModel.read(os.fspath(path), file, fit))
@@ -478,14 +482,16 @@ class PsfModel:
         numpy.ndarray
             ``[y, x]`` for one position, else ``[..., y, x]`` in the shape of the positions.
         """
-        xs, ys = np.broadcast_arrays(plain(x, "x"), plain(y, "y"))
+        at_frame = word(pixels, "pixels", ("stamp", "frame")) == "frame"
+        size, sub_pixel = whole_or_none(size, "size", 1), yes_or_no(sub_pixel, "sub_pixel")
+        at_x, at_y = (plain(in_unit(axis, "pix", name), name) for axis, name in ((x, "x"), (y, "y")))
+        try:
+            xs, ys = np.broadcast_arrays(at_x, at_y)
+        except ValueError:
+            raise ValueError(f"x and y of the shapes {np.shape(x)} and {np.shape(y)} cannot be broadcast") from None
         shape = xs.shape
-        if pixels not in ("stamp", "frame"):
-            raise ValueError(f"pixels must be 'stamp' or 'frame', got {pixels!r}")
-        if size is not None and size < 1:
-            raise ValueError(f"size must be at least 1, got {size}")
-        at_x, at_y = (np.ascontiguousarray(column(axis.ravel(), name)) for axis, name in ((xs, "x"), (ys, "y")))
-        stamps, _ = self._handle.evaluate(at_x, at_y, pixels == "frame", size, sub_pixel)
+        flat_x, flat_y = (np.ascontiguousarray(column(axis.ravel(), name)) for axis, name in ((xs, "x"), (ys, "y")))
+        stamps, _ = self._handle.evaluate(flat_x, flat_y, at_frame, size, sub_pixel)
         return stamps.reshape(*shape, *stamps.shape[1:])
 
     def to_gridded_psf_model(self, grid_shape: tuple[int, int] | None = None) -> GriddedPSFModel:
@@ -547,14 +553,12 @@ class PsfModel:
         tuple of str
             What the file does not hold, in plain sentences.
         """
-        if precision not in DTYPES:
-            raise ValueError(f"precision must be f32 or f64, got {precision}")
         words = {
-            "format": format,
-            "degree": degree,
+            "format": word(format, "format", ("psf-model", "psf-samples", "psfex", "gridded")),
+            "degree": whole_or_none(degree, "degree"),
             "at": None if grid_shape is None else shape_of(grid_shape, "grid_shape"),
-            "double": precision == "f64",
-            "overwrite": bool(overwrite),
+            "double": word(precision, "precision", DTYPES) == "f64",
+            "overwrite": yes_or_no(overwrite, "overwrite"),
         }
         return tuple(self._handle.write(os.fspath(path), words))
 
@@ -650,6 +654,8 @@ def _stack(stamps: Any) -> Any:
     """Return a list of stamps as one array."""
     if isinstance(stamps, (list, tuple)):
         arrays = [plain(stamp, f"stamp {i}") for i, stamp in enumerate(stamps)]
+        if not arrays:
+            raise ValueError("stamps is empty: there must be at least one")
         if shapes := {array.shape for array in arrays} - {arrays[0].shape}:
             raise ValueError(f"stamps must have one shape, got {arrays[0].shape} and {min(shapes)}")
         return np.stack(arrays)
@@ -658,10 +664,10 @@ def _stack(stamps: Any) -> Any:
 
 def _grid(oversampling: float, centre: Centre | None, included: bool, interpolation: str) -> dict[str, Any]:
     return {
-        "oversampling": float(oversampling),
-        "centre": None if centre is None else (float(centre[0]), float(centre[1])),
-        "pixel_response_included": bool(included),
-        "stamp_interpolation": interpolation,
+        "oversampling": real(oversampling, "oversampling"),
+        "centre": pair_or_none(centre, "centre"),
+        "pixel_response_included": yes_or_no(included, "pixel_response_included"),
+        "stamp_interpolation": word(interpolation, "stamp_interpolation", ("cubic-spline", "lanczos3")),
     }
 
 
@@ -675,9 +681,9 @@ def _fit(
 ) -> dict[str, Any]:
     return {
         "rank": None if rank is None else str(rank),
-        "centring": centring,
-        "noise": None if noise is None else float(noise),
-        "interpolation": interpolation,
-        "outside": outside,
-        "normalise": normalise,
+        "centring": word_or_none(centring, "centring"),
+        "noise": real_or_none(noise, "noise"),
+        "interpolation": word_or_none(interpolation, "interpolation"),
+        "outside": word_or_none(outside, "outside"),
+        "normalise": word_or_none(normalise, "normalise"),
     }

@@ -14,6 +14,7 @@ from psfield import _native
 from psfield._arrays import DTYPES, numbers, shape_of
 from psfield._astropy import like, unit_of
 from psfield._catalog import columns_of
+from psfield._choices import real, whole, whole_or_none, word, word_or_none
 from psfield._errors import PsfieldWarning
 from psfield._progress import Progress, as_callback
 
@@ -68,10 +69,10 @@ class Plan:
     __slots__ = ("_handle", "_model", "_words")
 
     def __init__(self, model: PsfModel, shape: tuple[int, int], **words: Any) -> None:
+        if "tolerance" not in words:
+            raise TypeError("use PsfModel.plan")
         self._model = model
-        self._words = {**words, "shape": shape_of(shape, "shape")}
-        for name in ("frame", "region"):
-            self._words[name] = _region(words[name], name)
+        self._words = {**_checked(words), "shape": shape_of(shape, "shape")}
         self._handle = _native.Plan(model._handle, self._words)
 
     def for_region(self, region: tuple[int, int, int, int]) -> Plan:
@@ -88,6 +89,8 @@ class Plan:
         -------
         Plan
         """
+        if region is None:
+            raise TypeError("region must be (x0, y0, nx, ny), four whole numbers, got None")
         other = Plan.__new__(Plan)
         other._model = self._model
         other._words = {**self._words, "region": _region(region, "region")}
@@ -194,9 +197,9 @@ class Plan:
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to convolve: give a scene, a catalog, or both")
-        light = None if scene is None else self._scene(scene)
-        columns = columns_of(catalog, unit_of(scene))
-        target, copied = self._target(out, light)
+        light, unit = None if scene is None else self._scene(scene), unit_of(scene)
+        columns = columns_of(catalog, unit)
+        target, copied = self._target(out, light, unit)
         image, figures = self._handle.simulate(light, columns, target, as_callback(progress))
         for text in figures["warnings"]:
             warnings.warn(text, PsfieldWarning, stacklevel=2)
@@ -254,7 +257,7 @@ class Plan:
         image : array_like, optional
             What `simulate` gave for them; it is simulated where it is not given.
         pixels : int
-            How many pixels.
+            How many pixels, at most as many as the image has (or 500).
         seed : int
             Chooses them.
 
@@ -267,8 +270,9 @@ class Plan:
             raise ValueError("there is nothing to check: give a scene, a catalog, or both")
         if self.region is not None:
             raise ValueError("plans for a region check nothing: check with a plan of the whole frame")
-        if pixels < 1:
-            raise ValueError(f"pixels must be at least 1, got {pixels}")
+        # Each costs a direct sum; small images may be looked at more than once.
+        pixels = whole(pixels, "pixels", 1, max(500, self.image_shape[0] * self.image_shape[1]))
+        seed = whole(seed, "seed", 0, 2**64 - 1)
         light = None if scene is None else self._scene(scene)
         columns = columns_of(catalog, unit_of(scene))
         if image is None:
@@ -304,7 +308,7 @@ class Plan:
             raise ValueError(f"image: the plan is for images of shape {self.image_shape}, got {pixels.shape}")
         return pixels
 
-    def _target(self, out: Any, light: NDArray[Any] | None) -> tuple[NDArray[Any] | None, bool]:
+    def _target(self, out: Any, light: NDArray[Any] | None, unit: Any) -> tuple[NDArray[Any] | None, bool]:
         """Return where the native module writes to, and whether that is copied to ``out`` afterwards."""
         if out is None:
             return None, False
@@ -315,8 +319,12 @@ class Plan:
             raise ValueError(f"out must have {wanted}, got {out.shape} and {out.dtype}")
         if not out.flags.writeable:
             raise ValueError("out is read-only")
+        if hasattr(out, "unit") and out.unit != unit:
+            raise ValueError(f"out has the unit {out.unit}, the scene {unit or 'none'}")
         overlaps = light is not None and np.may_share_memory(out, light)
-        direct = out.flags.aligned and out.dtype.isnative and out.strides[1] == out.itemsize and not overlaps
+        # Rows that share memory must not be written by several threads.
+        rows_apart = abs(out.strides[0]) >= out.shape[1] * out.itemsize or out.shape[0] == 1
+        direct = out.flags.aligned and out.dtype.isnative and out.strides[1] == out.itemsize and rows_apart and not overlaps
         return (np.asarray(out), False) if direct else (np.empty(self.image_shape, self.dtype), True)
 
     def __repr__(self) -> str:
@@ -327,6 +335,24 @@ class Plan:
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self._model, self._words)
+
+
+def _checked(words: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a plan in the native module's types."""
+    return {
+        "tolerance": real(words["tolerance"], "tolerance"),
+        "precision": word(words["precision"], "precision", DTYPES),
+        "device": word(words["device"], "device", ("auto", "cpu", "gpu")),
+        "frame": _region(words["frame"], "frame"),
+        "region": _region(words["region"], "region"),
+        "anchor": word(words["anchor"], "anchor", ("source", "output")),
+        "method": word(words["method"], "method", ("auto", "lowrank")),
+        "memory": whole(words["memory"], "memory"),
+        "oversample": whole(words["oversample"], "oversample", 1),
+        "stamp_size": whole_or_none(words["stamp_size"], "stamp_size", 1),
+        "gpu_adapter": word_or_none(words["gpu_adapter"], "gpu_adapter"),
+        "gpu_memory": whole_or_none(words["gpu_memory"], "gpu_memory"),
+    }
 
 
 def _region(region: Any, name: str) -> tuple[int, int, int, int] | None:

@@ -1,6 +1,7 @@
 """The threads that do the work."""
 
 from psfield import _native
+from psfield._choices import whole
 
 
 def set_threads(count: int | None) -> None:
@@ -14,9 +15,7 @@ def set_threads(count: int | None) -> None:
     count : int or None
         Threads, at least 1. None: as the environment variable ``RAYON_NUM_THREADS`` says, or one a core.
     """
-    if count is not None and count < 1:
-        raise ValueError(f"count must be at least 1, or None, got {count}")
-    _native.set_threads(0 if count is None else count)
+    _native.set_threads(0 if count is None else whole(count, "count", 1, 1 << 16))
 
 
 def threads() -> int:

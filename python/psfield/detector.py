@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from psfield import _native
 from psfield._arrays import DTYPES, doubles, numbers, plain
+from psfield._choices import whole
 
 __all__ = ["BAD_COLUMN", "DEAD", "HOT", "SATURATED", "Detector", "Exposure"]
 
@@ -78,6 +79,9 @@ class Detector:
 
     def __init__(self, **params: Any) -> None:
         given = {key: value for key, value in params.items() if value is not None}
+        for key, value in given.items():
+            if isinstance(value, (float, np.floating)) and not np.isfinite(value):
+                raise ValueError(f"the detector: {key} must be finite, got {value}")
         try:
             text = json.dumps(given, default=_number)
         except TypeError as error:
@@ -135,6 +139,7 @@ class Detector:
         """
         dtype = DTYPES["f32" if plain(image, "image").dtype == np.float32 else "f64"]
         mask = None if bad_pixels is None else doubles(bad_pixels, "bad_pixels", "[y, x]")
+        seed = whole(seed, "seed", 0, 2**64 - 1)
         counts, flags, report = self._handle.expose(numbers(image, "image", dtype, "[y, x]"), seed, mask)
         return Exposure(counts, flags, json.loads(report))
 

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from psfield import _native
 from psfield._arrays import doubles, plain, points
+from psfield._choices import real, whole, whole_or_none, yes_or_no
 
 __all__ = [
     "AdaptiveMoments",
@@ -181,7 +182,7 @@ def fit_gaussian(
     size : int, optional
         Use so many pixels each way alone, about index ``n // 2`` or about ``about``.
     about : (int, int), optional
-        Column and row of the middle of these pixels.
+        Column and row of the middle of these pixels; needs ``size``.
     background : bool
         Fit a constant background too.
     round : bool
@@ -197,7 +198,9 @@ def fit_gaussian(
         What could not be measured, and why.
     """
     values = doubles(stamp, "stamp", "[y, x]")
-    return GaussianFit(**_native.fit_gaussian(values, size, about, background, round))
+    return GaussianFit(
+        **_native.fit_gaussian(values, *_window(size, about), yes_or_no(background, "background"), yes_or_no(round, "round"))
+    )
 
 
 def adaptive_moments(
@@ -228,7 +231,7 @@ def adaptive_moments(
         What could not be measured, and why.
     """
     values = doubles(stamp, "stamp", "[y, x]")
-    return AdaptiveMoments(**_native.adaptive_moments(values, size, about, start))
+    return AdaptiveMoments(**_native.adaptive_moments(values, *_window(size, about), _start(start)))
 
 
 def quadrupole_moments(stamp: Any, *, size: int | None = None, about: tuple[int, int] | None = None) -> QuadrupoleMoments:
@@ -251,7 +254,7 @@ def quadrupole_moments(stamp: Any, *, size: int | None = None, about: tuple[int,
         What could not be measured, and why.
     """
     values = doubles(stamp, "stamp", "[y, x]")
-    return QuadrupoleMoments(**_native.quadrupole_moments(values, size, about))
+    return QuadrupoleMoments(**_native.quadrupole_moments(values, *_window(size, about)))
 
 
 def compare(result: Any, reference: Any) -> Comparison:
@@ -266,7 +269,7 @@ def compare(result: Any, reference: Any) -> Comparison:
     -------
     Comparison
     """
-    arrays = [np.require(plain(values, name), np.float64, "A") for values, name in ((result, "result"), (reference, "reference"))]
+    arrays = [_reals(values, name) for values, name in ((result, "result"), (reference, "reference"))]
     figures = _native.compare(*arrays)
     return Comparison(**{**figures, "max_abs_index": tuple(figures["max_abs_index"])})
 
@@ -293,6 +296,7 @@ def measure(images: Any, positions: Any = None, *, size: int | None = None, back
         ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``ellipticity`` (Gaussian fit), ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``
         (adaptive moments), and ``note``, which says what could not be measured and is then NaN. `astropy.table.Table` takes it as it is.
     """
+    size, background = whole_or_none(size, "size", 1), yes_or_no(background, "background")
     if positions is None:
         text = _native.measure_stamps(doubles(images, "images", "[stamp, y, x]"), size, background)
     else:
@@ -304,3 +308,37 @@ def measure(images: Any, positions: Any = None, *, size: int | None = None, back
     }
     columns["note"] = np.array([row["note"] for row in rows], dtype=np.str_)
     return columns
+
+
+def _window(size: int | None, about: tuple[int, int] | None) -> tuple[int | None, tuple[int, int] | None]:
+    """Return the window that is measured."""
+    if about is None:
+        return whole_or_none(size, "size"), None
+    if size is None:
+        raise ValueError("about is the middle of a window: give its size too")
+    try:
+        column, row = about
+    except (TypeError, ValueError):
+        raise TypeError(f"about must be (column, row), two whole numbers, got {about!r}") from None
+    return whole(size, "size"), (whole(column, "about: column"), whole(row, "about: row"))
+
+
+def _start(start: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
+    """Return where adaptive moments start from."""
+    if start is None:
+        return None
+    try:
+        x, y, sigma = start
+    except (TypeError, ValueError):
+        raise TypeError(f"start must be three numbers (x, y, sigma), got {start!r}") from None
+    if not real(sigma, "start: sigma") > 0:
+        raise ValueError(f"start: sigma must be above 0, got {sigma}")
+    return real(x, "start: x"), real(y, "start: y"), float(sigma)
+
+
+def _reals(values: Any, name: str) -> NDArray[np.float64]:
+    """Return an array of any shape in double precision."""
+    array = plain(values, name)
+    if array.dtype.kind not in "fiub":
+        raise TypeError(f"{name} must be real numbers, got {array.dtype}")
+    return np.require(array, np.float64, "A")

@@ -134,3 +134,57 @@ def test_forked_processes_have_threads_of_their_own(model, scene):
     with multiprocessing.get_context("fork").Pool(2) as pool:
         images = pool.map_async(plan.simulate, [scene] * 4).get(timeout=60)
     assert all(np.array_equal(image, expected) for image in images)
+
+
+ALL_AT_ONCE = """
+    import sys, threading
+    sys.path.insert(0, {tests!r})
+    from conftest import widening_model
+    import psfield
+    psfield.set_threads({threads})
+    stars = {{"x": [10.0, 20.0], "y": [10.0, 30.0], "flux": [1.0, 2.0]}}
+    galaxies = {{**stars, "re": [3.0, 2.0], "n": [1.0, 1.0]}}
+    for _ in range(3):
+        model = widening_model((512, 512), size=33, across=6)
+        plan = model.plan((512, 512), 1e-4)
+        calls = [lambda: plan.simulate(catalog=stars), lambda: plan.simulate(catalog=galaxies)] * 4
+        threads = [threading.Thread(target=call) for call in calls]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    print("done")
+"""
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_first_sources_may_come_to_many_threads_at_once(threads):
+    # A thread that plans and is given the next call, which waits for its plan, would wait for ever.
+    program = textwrap.dedent(ALL_AT_ONCE).format(tests=str(ROOT / "python" / "tests"), threads=threads)
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert ran.stdout == "done\n", ran.stderr
+
+
+NESTED = """
+    import sys
+    sys.path.insert(0, {tests!r})
+    import numpy as np
+    from conftest import relative_l2, widening_model
+    import psfield
+    psfield.set_threads({threads})
+    model = widening_model((256, 256))
+    sampled = psfield.PsfModel.from_function(model.evaluate, (256, 256), threshold=0.05)
+    plan = model.plan((256, 256), 1e-3, method="lowrank")
+    def look(done, total):
+        return sampled.evaluate(3, 4), plan.simulate(np.ones((256, 256)))
+    plan.simulate(np.ones((256, 256)), progress=look)
+    print(relative_l2(sampled.evaluate(100, 90), model.evaluate(100, 90)) < 0.05)
+"""
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_functions_of_the_caller_may_use_psfield(threads):
+    # Were they called by the threads that do the work, the work that they ask for would wait for them.
+    program = textwrap.dedent(NESTED).format(tests=str(ROOT / "python" / "tests"), threads=threads)
+    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    assert ran.stdout == "True\n", ran.stderr

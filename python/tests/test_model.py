@@ -39,7 +39,7 @@ def test_evaluate_draws_stars_at_their_phase():
     assert relative_l2(drawn, gaussian_stamp(1.5, 13, shift=(0.25, 0.0))) < 1e-3  # The cubic spline's own error.
     with pytest.raises(ValueError, match="sub-pixel"):
         model.evaluate(10.25, 20.0, sub_pixel=True)
-    with pytest.raises(ValueError, match="pixels must be 'stamp' or 'frame'"):
+    with pytest.raises(ValueError, match="pixels must be stamp or frame"):
         model.evaluate(0, 0, pixels="native")
     with pytest.raises(ValueError, match="size must be at least 1"):
         model.evaluate(0, 0, size=0)

@@ -4,7 +4,9 @@ use std::error::Error;
 
 use psfield::PsfieldError;
 use psfield::psf_io::IoError;
-use pyo3::exceptions::{PyFileExistsError, PyFileNotFoundError, PyOSError, PyPermissionError, PyValueError};
+use pyo3::exceptions::{
+    PyException, PyFileExistsError, PyFileNotFoundError, PyOSError, PyPermissionError, PyValueError,
+};
 use pyo3::prelude::*;
 
 /// An error of the library on its way to Python.
@@ -37,29 +39,36 @@ impl Failure {
 impl From<Failure> for PyErr {
     /// `OSError` where a file or a device is to blame, else `ValueError`; the text is that of the command line.
     fn from(Failure { error, argument }: Failure) -> Self {
+        let cause = cause_of::<PyErr>(&*error);
+        let clone = |cause: &PyErr| Python::attach(|py| cause.clone_ref(py));
+        let asks_for_an_end = |cause: &&PyErr| Python::attach(|py| !cause.is_instance_of::<PyException>(py));
+        if let Some(end) = cause.filter(asks_for_an_end) {
+            // KeyboardInterrupt and SystemExit are no errors of the function that they were raised in.
+            return clone(end);
+        }
         let text = psfield::error_text(&*error);
         let text = argument.map_or_else(|| text.clone(), |argument| format!("{argument}: {text}"));
         let raised = match &*error {
             PsfieldError::Io(IoError::Exists { .. }) => PyFileExistsError::new_err(text),
             PsfieldError::Io(IoError::MissingDirectory { .. }) => PyFileNotFoundError::new_err(text),
-            PsfieldError::Io(error) => match kind_of(error) {
-                Some(std::io::ErrorKind::NotFound) => PyFileNotFoundError::new_err(text),
-                Some(std::io::ErrorKind::PermissionDenied) => PyPermissionError::new_err(text),
-                _ => PyOSError::new_err(text),
-            },
             error if error.is_of_gpu() => PyOSError::new_err(text),
-            _ => PyValueError::new_err(text),
+            error => match (kind_of(error), error) {
+                (Some(std::io::ErrorKind::NotFound), _) => PyFileNotFoundError::new_err(text),
+                (Some(std::io::ErrorKind::PermissionDenied), _) => PyPermissionError::new_err(text),
+                (Some(_), _) | (None, PsfieldError::Io(_)) => PyOSError::new_err(text),
+                (None, _) => PyValueError::new_err(text),
+            },
         };
         // What a function of the caller's raised.
-        if let Some(cause) = cause_of::<PyErr>(&*error) {
-            Python::attach(|py| raised.set_cause(py, Some(cause.clone_ref(py))));
+        if let Some(cause) = cause {
+            Python::attach(|py| raised.set_cause(py, Some(clone(cause))));
         }
         raised
     }
 }
 
 /// What the system said, if it was asked.
-fn kind_of(error: &IoError) -> Option<std::io::ErrorKind> {
+fn kind_of(error: &PsfieldError) -> Option<std::io::ErrorKind> {
     cause_of::<std::io::Error>(error).map(std::io::Error::kind)
 }
 

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use psfield::psf_types::Progress;
 use pyo3::prelude::*;
+use rayon::ThreadPool;
 
 use crate::threads::pool;
 
@@ -95,17 +96,29 @@ pub(crate) fn run<R: Send>(
     progress: Option<&Py<PyAny>>,
     work: impl FnOnce(&Watch) -> R + Send,
 ) -> PyResult<R> {
-    let pool = pool()?;
+    run_beside(py, progress, &*pool()?, |watch, pool| {
+        pool.install(|| work(watch))
+    })
+}
+
+/// The same on a thread beside a pool, which the work hands its parts to. What it waits for (a lock that is held for long, Python) is waited for here: a
+/// thread of a pool that waits keeps it from others, and one that holds a lock may meanwhile take up a task that wants the same lock.
+pub(crate) fn run_beside<R: Send>(
+    py: Python<'_>,
+    progress: Option<&Py<PyAny>>,
+    pool: &ThreadPool,
+    work: impl FnOnce(&Watch, &ThreadPool) -> R + Send,
+) -> PyResult<R> {
     let watch = Watch::default();
     let mut teller = Teller::new(progress, &watch);
     let result = py.detach(|| {
         std::thread::scope(|scope| {
             let (ended, end) = channel::<()>();
-            let (pool, watch) = (&pool, &watch);
+            let watch = &watch;
             let worker = scope.spawn(move || {
                 // Told by being dropped, also where the work panics.
                 let _ended = ended;
-                pool.install(|| work(watch))
+                work(watch, pool)
             });
             let waited = teller.wait(&end);
             if waited.is_err() {
@@ -122,10 +135,10 @@ pub(crate) fn run<R: Send>(
     Ok(result)
 }
 
-/// The same for work that borrows nothing of the caller's, and is left behind where it is interrupted: it ends by itself, and what it gives is dropped.
+/// The same as [`run_beside`] for work that borrows nothing of the caller's, and is left behind where it is interrupted: it ends by itself, and what it gives is dropped.
 pub(crate) fn run_apart<R: Send + 'static>(
     py: Python<'_>,
-    work: impl FnOnce(&Watch) -> R + Send + 'static,
+    work: impl FnOnce(&Watch, &ThreadPool) -> R + Send + 'static,
 ) -> PyResult<R> {
     let pool = pool()?;
     let watch = Arc::new(Watch::default());
@@ -134,7 +147,7 @@ pub(crate) fn run_apart<R: Send + 'static>(
         let of_work = Arc::clone(&watch);
         let worker = std::thread::spawn(move || {
             let _ended = ended;
-            pool.install(|| work(&of_work))
+            work(&of_work, &pool)
         });
         let waited = Teller::new(None, &watch).wait(&end);
         if waited.is_err() {

@@ -17,6 +17,7 @@ use crate::interruptible;
 use crate::planned::{Outcome, Planned, Settings};
 use crate::psf_model::PsfModel;
 use crate::sources::{SourceColumns, Sources};
+use crate::threads::pool;
 
 /// How scenes of one shape are simulated.
 #[pyclass(frozen, module = "psfield._native")]
@@ -216,7 +217,7 @@ impl Plan {
 
 fn planned<T: ConvReal>(py: Python<'_>, model: &PsfModel, settings: Settings) -> PyResult<Planned<T>> {
     let psf = model.psf();
-    let made = interruptible::run_apart(py, move |watch| Planned::new(psf, settings, watch))?;
+    let made = interruptible::run_apart(py, move |watch, pool| Planned::new(psf, settings, watch, pool))?;
     Ok(made?)
 }
 
@@ -226,7 +227,7 @@ fn of_region<T: ConvReal>(
     region: PixelRegion,
 ) -> PyResult<Planned<T>> {
     let planned = Arc::clone(planned);
-    let made = interruptible::run_apart(py, move |watch| planned.for_region(region, watch))?;
+    let made = interruptible::run_apart(py, move |watch, pool| planned.for_region(region, watch, pool))?;
     Ok(made?)
 }
 
@@ -263,8 +264,8 @@ fn simulate<'py, T: ConvReal + Element>(
         scene.as_ref().map(|s| s.as_array()),
         out.as_mut().map(|o| o.as_array_mut()),
     );
-    let made = interruptible::run(py, progress.as_ref(), |watch| {
-        planned.simulate(light, sources, target, watch)
+    let made = interruptible::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
+        planned.simulate(light, sources, target, watch, pool)
     })?;
     let (image, Outcome { tiles, warnings }) = made?;
     let figures = PyDict::new(py);
@@ -311,8 +312,8 @@ fn spot_check<'py, T: ConvReal + Element>(
     );
     let sources = sources_of(planned, sources)?;
     let (image, light) = (image.as_array(), scene.as_ref().map(|s| s.as_array()));
-    let check = interruptible::run(py, None, |watch| {
-        planned.spot_check(light, sources, image, pixels, watch)
+    let check = interruptible::run_beside(py, None, &*pool()?, |watch, pool| {
+        planned.spot_check(light, sources, image, pixels, watch, pool)
     })?;
     let check = check?;
     Ok(serde_json::to_string(&check).expect("figures are plain numbers"))

@@ -1,15 +1,17 @@
 //! A plan in one precision.
 
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, TryLockError};
+use std::time::Duration;
 
 use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, CowArray, Ix2, s};
-use psfield::conv_core::{ConvReal, PlanOptions, PlanSummary, TileCounts};
-use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion, Scene};
+use psfield::conv_core::{ConvError, ConvReal, PlanOptions, PlanSummary, TileCounts};
+use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion, Progress, Scene};
 use psfield::{
     DeviceOptions, Gpus, Method, Placement, PsfInput, PsfieldError, SceneLayout, SceneParts, SceneSources,
     Simulation, SimulationOptions, SimulationPlan, SimulationWarning, SpotCheck, sersic,
 };
+use rayon::ThreadPool;
 
 use crate::error::Failure;
 use crate::interruptible::Watch;
@@ -37,11 +39,9 @@ pub(crate) struct Planned<T: ConvReal> {
     settings: Settings,
     images: Prepared<T>,
     /// For scenes with galaxies, which reach in from beyond the edges: the scene with dark pixels around it.
-    padded: OnceLock<Prepared<T>>,
+    padded: Later<T>,
     /// Shared by the plans for regions of a frame.
-    stars: Arc<OnceLock<Prepared<T>>>,
-    /// Held while one of them is made.
-    making: Mutex<()>,
+    stars: Arc<Later<T>>,
     /// The process that made it.
     process: u32,
 }
@@ -53,8 +53,47 @@ struct Prepared<T: ConvReal> {
     placement: Placement,
 }
 
-/// Extended light, and what convolves it.
-type Lit<'p, 'a, T> = (&'p Prepared<T>, CowArray<'a, T, Ix2>);
+/// What is made when it is first needed, and kept.
+struct Later<T: ConvReal> {
+    made: OnceLock<Prepared<T>>,
+    /// Held while it is made, by a thread beside the pool.
+    making: Mutex<()>,
+}
+
+impl<T: ConvReal> Default for Later<T> {
+    fn default() -> Self {
+        Self {
+            made: OnceLock::new(),
+            making: Mutex::new(()),
+        }
+    }
+}
+
+impl<T: ConvReal> Later<T> {
+    fn get(
+        &self,
+        watch: &Watch,
+        make: impl FnOnce() -> Result<Prepared<T>, Failure>,
+    ) -> Result<&Prepared<T>, Failure> {
+        if let Some(made) = self.made.get() {
+            return Ok(made);
+        }
+        let _making = turn(&self.making, watch)?;
+        if let Some(made) = self.made.get() {
+            return Ok(made);
+        }
+        let made = make()?;
+        Ok(self.made.get_or_init(|| made))
+    }
+}
+
+/// What a scene is convolved with.
+struct Needed<'p, T: ConvReal> {
+    /// Its extended light.
+    extended: &'p Prepared<T>,
+    /// Its stars; none where there are none.
+    stars: Option<&'p Prepared<T>>,
+}
 
 /// What a simulation gives beside the image.
 pub(crate) struct Outcome {
@@ -66,36 +105,47 @@ pub(crate) struct Outcome {
 static GPUS: Mutex<Option<(u32, Gpus)>> = Mutex::new(None);
 
 impl<T: ConvReal> Planned<T> {
-    pub(crate) fn new(psf: Arc<KeptPsf>, settings: Settings, watch: &Watch) -> Result<Self, Failure> {
+    /// Plans, as everything here on a thread beside the pool.
+    pub(crate) fn new(
+        psf: Arc<KeptPsf>,
+        settings: Settings,
+        watch: &Watch,
+        pool: &ThreadPool,
+    ) -> Result<Self, Failure> {
         let layout = layout(&settings, psf.input(), true)?;
         let dark = SceneSources::<T>::new(layout, Vec::new(), Vec::new())?;
+        let images = Some(settings.region);
         Ok(Self {
-            images: prepared(&psf, &settings, Some(settings.region), dark.scene(), watch)?,
+            images: prepared(&psf, &settings, images, dark.scene(), watch, pool)?,
             psf,
             settings,
-            padded: OnceLock::new(),
+            padded: Later::default(),
             stars: Arc::default(),
-            making: Mutex::new(()),
             process: std::process::id(),
         })
     }
 
     /// The same for another region of the frame, with the tiles that were chosen for this one.
-    pub(crate) fn for_region(&self, region: PixelRegion, watch: &Watch) -> Result<Self, Failure> {
+    pub(crate) fn for_region(
+        &self,
+        region: PixelRegion,
+        watch: &Watch,
+        pool: &ThreadPool,
+    ) -> Result<Self, Failure> {
         let settings = Settings {
             region: Some(region),
             ..self.settings.clone()
         };
         let dark = self.placed(true, Sources::default())?;
         let simulation = Arc::clone(&self.images.simulation);
-        let plan = simulation.plan_for_other_region(&self.images.plan, dark.scene(), region, watch)?;
+        let of = &self.images.plan;
+        let plan = pool.install(|| simulation.plan_for_other_region(of, dark.scene(), region, watch))?;
         Ok(Self {
-            images: placed_on_device(simulation, plan, &settings)?,
+            images: placed_on_device(simulation, plan, &settings, watch, pool)?,
             psf: Arc::clone(&self.psf),
             settings,
-            padded: OnceLock::new(),
+            padded: Later::default(),
             stars: Arc::clone(&self.stars),
-            making: Mutex::new(()),
             process: std::process::id(),
         })
     }
@@ -142,8 +192,21 @@ impl<T: ConvReal> Planned<T> {
         sources: Sources,
         out: Option<ArrayViewMut2<'_, T>>,
         watch: &Watch,
+        pool: &ThreadPool,
     ) -> Result<(Option<Array2<T>>, Outcome), Failure> {
         let placed = self.placed(image.is_some(), sources)?;
+        let needed = self.needed(&placed, watch, pool)?;
+        pool.install(|| self.convolved(&placed, &needed, image, out, watch))
+    }
+
+    fn convolved(
+        &self,
+        placed: &SceneSources<T>,
+        needed: &Needed<'_, T>,
+        image: Option<ArrayView2<'_, T>>,
+        out: Option<ArrayViewMut2<'_, T>>,
+        watch: &Watch,
+    ) -> Result<(Option<Array2<T>>, Outcome), Failure> {
         let mut made = None;
         let mut target = match out {
             Some(mut out) => {
@@ -155,14 +218,13 @@ impl<T: ConvReal> Planned<T> {
             None => made.insert(self.dark()).view_mut(),
         };
         let mut tiles = TileCounts::default();
-        if let Some((prepared, light)) = self.light(&placed, image, watch)? {
+        if let Some(light) = self.light(placed, needed.extended, image) {
             let dark = placed.scene().clone().with_sources(Vec::new());
             let light = ImageView::new(light.view()).map_err(Failure::of("scene"))?;
-            let (simulation, plan) = (&prepared.simulation, &prepared.plan);
+            let (simulation, plan) = (&needed.extended.simulation, &needed.extended.plan);
             tiles = simulation.add_planned_to(plan, &dark, Some(&light), target.view_mut(), watch)?;
         }
-        if !placed.scene().sources().is_empty() {
-            let stars = self.stars(placed.scene(), watch)?;
+        if let Some(stars) = needed.stars {
             if let Some(region) = self.settings.region {
                 let plan = stars.plan.stars();
                 plan.add_to_region(placed.scene(), region, target.view_mut(), watch)?;
@@ -196,25 +258,34 @@ impl<T: ConvReal> Planned<T> {
         light: Option<ArrayView2<'_, T>>,
         sources: Sources,
         image: ArrayView2<'_, T>,
-        (count, seed): (usize, u64),
+        chosen: (usize, u64),
         watch: &Watch,
+        pool: &ThreadPool,
     ) -> Result<SpotCheck, Failure> {
         let placed = self.placed(light.is_some(), sources)?;
+        let needed = self.needed(&placed, watch, pool)?;
+        pool.install(|| self.checked(&placed, &needed, light, image, chosen))
+    }
+
+    fn checked(
+        &self,
+        placed: &SceneSources<T>,
+        needed: &Needed<'_, T>,
+        light: Option<ArrayView2<'_, T>>,
+        image: ArrayView2<'_, T>,
+        (count, seed): (usize, u64),
+    ) -> Result<SpotCheck, Failure> {
         let anchor = self.settings.plan.anchor();
-        let extended = self.light(&placed, light, watch)?;
-        let stars = match placed.scene().sources() {
-            [] => None,
-            _ => Some(self.stars(placed.scene(), watch)?),
-        };
+        let extended = self.light(placed, needed.extended, light);
         let check = SpotCheck::run(&Image::new(image.to_owned())?, count, seed, |pixels| {
             let mut sums = vec![0.0; pixels.len()];
             let mut add = |of: Vec<f64>| sums.iter_mut().zip(of).for_each(|(sum, value)| *sum += value);
-            if let Some((prepared, light)) = &extended {
+            if let Some(light) = &extended {
                 let dark = placed.scene().clone().with_sources(Vec::new());
-                let rows = Some((light.view(), 0));
-                add(prepared.simulation.exact_at_rows(&dark, rows, anchor, pixels)?);
+                let simulation = &needed.extended.simulation;
+                add(simulation.exact_at_rows(&dark, Some((light.view(), 0)), anchor, pixels)?);
             }
-            if let Some(stars) = stars {
+            if let Some(stars) = needed.stars {
                 add(stars
                     .simulation
                     .exact_at_rows(placed.scene(), None, anchor, pixels)?);
@@ -248,25 +319,35 @@ impl<T: ConvReal> Planned<T> {
         )?)
     }
 
-    /// The extended light of a scene and what convolves it; none where there are stars alone.
+    /// The plans for a scene, made now where they are needed for the first time.
+    fn needed(
+        &self,
+        placed: &SceneSources<T>,
+        watch: &Watch,
+        pool: &ThreadPool,
+    ) -> Result<Needed<'_, T>, Failure> {
+        let make = |images| prepared(&self.psf, &self.settings, images, placed.scene(), watch, pool);
+        let extended = match placed.galaxies() {
+            [] => &self.images,
+            _ => self.padded.get(watch, || make(Some(self.settings.region)))?,
+        };
+        let stars = match placed.scene().sources() {
+            [] => None,
+            _ => Some(self.stars.get(watch, || make(None))?),
+        };
+        Ok(Needed { extended, stars })
+    }
+
+    /// The extended light of a scene, as its plan takes it; none where there are stars alone.
     fn light<'a>(
         &self,
         placed: &SceneSources<T>,
+        prepared: &Prepared<T>,
         image: Option<ArrayView2<'a, T>>,
-        watch: &Watch,
-    ) -> Result<Option<Lit<'_, 'a, T>>, Failure> {
+    ) -> Option<CowArray<'a, T, Ix2>> {
         if placed.galaxies().is_empty() {
-            return Ok(image.map(|image| (&self.images, image.into())));
+            return image.map(Into::into);
         }
-        let prepared = self.kept(&self.padded, || {
-            prepared(
-                &self.psf,
-                &self.settings,
-                Some(self.settings.region),
-                placed.scene(),
-                watch,
-            )
-        })?;
         let part = prepared
             .plan
             .light_region()
@@ -282,26 +363,7 @@ impl<T: ConvReal> Planned<T> {
             assign_overlap(light.view_mut(), image, first);
         }
         sersic::add_galaxies(light.view_mut(), (part.x0(), part.y0()), placed.galaxies());
-        Ok(Some((prepared, light.into())))
-    }
-
-    fn stars(&self, scene: &Scene<T>, watch: &Watch) -> Result<&Prepared<T>, Failure> {
-        self.kept(&self.stars, || {
-            prepared(&self.psf, &self.settings, None, scene, watch)
-        })
-    }
-
-    fn kept<'a>(
-        &self,
-        place: &'a OnceLock<Prepared<T>>,
-        make: impl FnOnce() -> Result<Prepared<T>, Failure>,
-    ) -> Result<&'a Prepared<T>, Failure> {
-        let _making = self.making.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(kept) = place.get() {
-            return Ok(kept);
-        }
-        let made = make()?;
-        Ok(place.get_or_init(|| made))
+        Some(light.into())
     }
 
     /// Whether it lies on a GPU that another process opened, the parent of a fork.
@@ -352,6 +414,7 @@ fn prepared<T: ConvReal>(
     images: Option<Option<PixelRegion>>,
     scene: &Scene<T>,
     watch: &Watch,
+    pool: &ThreadPool,
 ) -> Result<Prepared<T>, Failure> {
     let parts = SceneParts {
         image: images.is_some(),
@@ -362,15 +425,18 @@ fn prepared<T: ConvReal>(
         .method
         .plan_options(settings.plan)
         .unwrap_or(settings.plan);
-    let resampled = psf.input().needs_resampling(parts, settings.simulation)?;
-    let simulation = Simulation::for_parts(psf.for_simulation(resampled)?, parts, settings.simulation)?;
-    let dark = scene.clone().with_sources(Vec::new());
-    let plan = match images {
-        Some(Some(region)) => simulation.plan_for_region(&dark, region, options, watch)?,
-        Some(None) => simulation.plan_for_images_with_progress(&dark, options, watch)?,
-        None => simulation.plan(&dark, options)?,
-    };
-    placed_on_device(Arc::new(simulation), plan, settings)
+    let (simulation, plan) = pool.install(|| -> Result<_, Failure> {
+        let resampled = psf.input().needs_resampling(parts, settings.simulation)?;
+        let simulation = Simulation::for_parts(psf.for_simulation(resampled)?, parts, settings.simulation)?;
+        let dark = scene.clone().with_sources(Vec::new());
+        let plan = match images {
+            Some(Some(region)) => simulation.plan_for_region(&dark, region, options, watch)?,
+            Some(None) => simulation.plan_for_images_with_progress(&dark, options, watch)?,
+            None => simulation.plan(&dark, options)?,
+        };
+        Ok((simulation, plan))
+    })?;
+    placed_on_device(Arc::new(simulation), plan, settings, watch, pool)
 }
 
 /// A plan where it is executed.
@@ -378,19 +444,36 @@ fn placed_on_device<T: ConvReal>(
     simulation: Arc<Simulation>,
     mut plan: SimulationPlan<T>,
     settings: &Settings,
+    watch: &Watch,
+    pool: &ThreadPool,
 ) -> Result<Prepared<T>, Failure> {
     let process = std::process::id();
-    let mut kept = GPUS.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut kept = turn(&GPUS, watch)?;
     if kept.as_ref().is_none_or(|&(of, _)| of != process) {
         // The parent's are not to be closed here.
         std::mem::forget(kept.take());
         *kept = Some((process, Gpus::default()));
     }
     let (_, gpus) = kept.as_mut().expect("just put there");
-    let placement = gpus.place(&mut plan, &settings.device, rayon::current_num_threads())?;
+    let placement = pool.install(|| gpus.place(&mut plan, &settings.device, rayon::current_num_threads()))?;
     Ok(Prepared {
         simulation,
         plan,
         placement,
     })
+}
+
+/// How often it is asked whether somebody who waits for a lock still wants it.
+const ASKED_EVERY: Duration = Duration::from_millis(2);
+
+/// Waits for a lock as long as the work is wanted; on a thread beside the pool.
+fn turn<'a, M>(mutex: &'a Mutex<M>, watch: &Watch) -> Result<MutexGuard<'a, M>, ConvError> {
+    loop {
+        match mutex.try_lock() {
+            Ok(guard) => return Ok(guard),
+            Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) if watch.cancelled() => return Err(ConvError::Cancelled),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(ASKED_EVERY),
+        }
+    }
 }

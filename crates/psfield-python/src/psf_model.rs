@@ -54,7 +54,10 @@ impl PsfModel {
         work: impl FnOnce(&KeptPsf) -> Result<R, PsfieldError> + Send + 'static,
     ) -> PyResult<R> {
         let psf = self.psf();
-        Ok(interruptible::run_apart(py, move |_| work(&psf))?.map_err(Failure::from)?)
+        Ok(
+            interruptible::run_apart(py, move |_, pool| pool.install(|| work(&psf)))?
+                .map_err(Failure::from)?,
+        )
     }
 
     /// The model as it is stored.
@@ -140,7 +143,9 @@ impl PsfModel {
     #[staticmethod]
     fn read(py: Python<'_>, path: PathBuf, file: FileWords, fit: FitWords) -> PyResult<Self> {
         let (file, choices) = (file.options()?, fit.choices()?);
-        let opened = interruptible::run_apart(py, move |_| PsfInput::open_with(&path, &file, &choices))?;
+        let opened = interruptible::run_apart(py, move |_, pool| {
+            pool.install(|| PsfInput::open_with(&path, &file, &choices))
+        })?;
         let opened = opened.map_err(Failure::from)?;
         Ok(Self::new(opened.input, opened.notes))
     }

@@ -15,6 +15,7 @@ use crate::error::{Failure, invalid};
 use crate::function_source::FunctionSource;
 use crate::interruptible;
 use crate::psf_model::PsfModel;
+use crate::threads::{made, threads};
 
 /// How a field is sampled.
 #[derive(Debug, FromPyObject)]
@@ -84,8 +85,11 @@ pub(crate) fn sample_function(
     if let Some((ny, nx)) = sampling.uniform {
         psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }
-    let sampled = interruptible::run(py, progress.as_ref(), |watch| {
-        method.sample(&FunctionSource::new(&function, grid, field, watch), watch)
+    // Threads of its own: the function may call psfield itself, and those that wait for it are no use to anybody.
+    let pool = made(threads()?)?;
+    let sampled = interruptible::run_beside(py, progress.as_ref(), &pool, |watch, pool| {
+        let source = FunctionSource::new(&function, grid, field, watch);
+        pool.install(|| method.sample(&source, watch))
     })?;
     let Sampling { samples, report } = match sampled {
         Ok(sampling) => sampling,

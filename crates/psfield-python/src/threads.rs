@@ -35,8 +35,8 @@ pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     Ok(made)
 }
 
-/// As many threads as asked for; 0: as `RAYON_NUM_THREADS` says, or one a core.
-fn made(count: usize) -> PyResult<Arc<ThreadPool>> {
+/// A pool of as many threads as asked for; 0: as `RAYON_NUM_THREADS` says, or one a core.
+pub(crate) fn made(count: usize) -> PyResult<Arc<ThreadPool>> {
     ThreadPoolBuilder::new()
         .num_threads(count)
         .thread_name(|i| format!("psfield-{i}"))
