@@ -11,7 +11,8 @@ use psf_types::{
 use rayon::prelude::*;
 
 use crate::common::{
-    ANCHORS, KINDS, PATHS, STAMPS, Waves, double_sum, model_with, noise, options, region, scene, single,
+    ANCHORS, KINDS, PATHS, Patience, STAMPS, Waves, double_sum, model_with, noise, options, region, scene,
+    single,
 };
 use crate::on_device::OnDevice;
 
@@ -20,7 +21,7 @@ pub(crate) const ROUNDING: f64 = 3e-6;
 
 type Body = fn(&OnDevice);
 
-pub(crate) const ALL: [(&str, Body); 10] = [
+pub(crate) const ALL: [(&str, Body); 12] = [
     ("at_tolerance_0_it_is_the_double_sum", double_sums),
     ("the_adjoint_is_the_transpose", adjoints),
     ("every_pixel_sees_a_psf_within_the_tolerance", tolerances),
@@ -31,6 +32,8 @@ pub(crate) const ALL: [(&str, Body); 10] = [
     ("executions_at_the_same_time_do_not_mix", at_once),
     ("light_without_a_psf_is_an_error", no_psf),
     ("stars_come_on_top", stars),
+    ("pieces_put_together_are_the_whole", pieces),
+    ("stopped_work_ends_and_the_plan_serves_again", stopped),
 ];
 
 pub(crate) fn of_light(light: Array2<f32>) -> Scene<f32> {
@@ -328,4 +331,66 @@ fn stars(device: &OnDevice) {
     let plan = device.with(plan);
     let more = doubles(&plan.execute(&with_star).unwrap()) - doubles(&plan.execute(&scene).unwrap());
     assert!((more.sum() / 500.0 - 1.0).abs() < 1e-4, "{}", more.sum());
+}
+
+/// Plans of regions, forward and back: their tiles begin within the blocks of the whole.
+fn pieces(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
+    let frame = region(5, 9, 260, 190);
+    let scene = single(&scene(271, 203, 12).with_frame(frame).unwrap());
+    let seen = noise(190, 260, 40).mapv(|v| v as f32);
+    for (n, anchor) in ANCHORS.into_iter().enumerate() {
+        let options = options(1e-3, anchor, PATHS[n]);
+        let chosen = Plan::for_scene(&model, &scene, options).unwrap();
+        let parts = [
+            (0, 0, 107, 67),
+            (107, 0, 153, 67),
+            (0, 67, 33, 123),
+            (33, 67, 227, 123),
+        ]
+        .map(|(x, y, nx, ny)| region(x, y, nx, ny));
+        let of_parts = parts.map(|part| (part, chosen.for_other_region(part, &NoProgress).unwrap()));
+        let whole = device.with(chosen);
+        let image = doubles(&whole.execute(&scene).unwrap());
+        let back = doubles(&whole.adjoint(&Image::new(seen.clone()).unwrap()).unwrap());
+        let (mut put_together, mut added) = (Array2::zeros(image.dim()), Array2::zeros(back.dim()));
+        for (part, plan) in of_parts {
+            let plan = device.with(plan);
+            let (x, y) = (part.x0() as usize, part.y0() as usize);
+            let place = s![y..y + part.shape().ny(), x..x + part.shape().nx()];
+            put_together
+                .slice_mut(place)
+                .assign(&doubles(&plan.execute(&scene).unwrap()));
+            let cut = Image::new(seen.slice(place).to_owned()).unwrap();
+            added += &doubles(&plan.adjoint(&cut).unwrap());
+        }
+        let (error, error_back) = (relative(&put_together, &image), relative(&added, &back));
+        assert!(error <= 1e-6, "{anchor}: {error:e}");
+        assert!(error_back <= ROUNDING, "adjoint, {anchor}: {error_back:e}");
+    }
+}
+
+fn stopped(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
+    let scene = single(&scene(271, 203, 12));
+    for anchor in ANCHORS {
+        let options = options(1e-3, anchor, Paths::Transforms);
+        let plan = device.with(Plan::for_scene(&model, &scene, options).unwrap());
+        let image = plan.execute(&scene).unwrap();
+        let back = plan.adjoint(&image).unwrap();
+        let endless = Patience::endless();
+        plan.execute_with_progress(&scene, &endless).unwrap();
+        let all = endless.asked();
+        assert!(all >= plan.summary().tiles, "{anchor}: {all}");
+        for enough in [0, 1, all / 2, all - 1] {
+            let refused = plan
+                .execute_with_progress(&scene, &Patience::of(enough))
+                .map(|_| ());
+            assert!(matches!(refused, Err(ConvError::Cancelled)), "{refused:?}");
+            assert!(plan.execute(&scene).unwrap() == image, "{anchor}");
+            let refused = plan.adjoint_with_progress(&image.view(), &Patience::of(enough / 2));
+            assert!(matches!(refused, Err(ConvError::Cancelled)), "{refused:?}");
+            assert!(plan.adjoint(&image).unwrap() == back, "{anchor}");
+        }
+    }
 }
