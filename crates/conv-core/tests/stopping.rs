@@ -4,51 +4,19 @@
 mod common;
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
-use common::{ANCHORS, Waves, model_with, noise};
+use common::{ANCHORS, Patience, Waves, model_with, noise};
 use conv_core::{
     BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, Plan,
     PlanOptions, StarPlan,
 };
 use ndarray::Array2;
 use psf_types::{
-    FrameShape, Image, Normalisation, PointSource, Position, Progress, PsfBasis, PsfModel, Scene, StampGrid,
+    FrameShape, Image, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid,
 };
 use rayon::ThreadPoolBuilder;
 
 const FRAME: (usize, usize) = (230, 190);
-
-/// Wants the work to stop from a question on, and counts questions.
-struct Patience {
-    questions: AtomicUsize,
-    enough: usize,
-}
-
-impl Patience {
-    fn of(enough: usize) -> Self {
-        Self {
-            questions: AtomicUsize::new(0),
-            enough,
-        }
-    }
-
-    fn endless() -> Self {
-        Self::of(usize::MAX)
-    }
-
-    fn asked(&self) -> usize {
-        self.questions.load(Ordering::Relaxed)
-    }
-}
-
-impl Progress for Patience {
-    fn start(&self, _: u64) {}
-    fn advance(&self, _: u64) {}
-    fn cancelled(&self) -> bool {
-        self.questions.fetch_add(1, Ordering::Relaxed) >= self.enough
-    }
-}
 
 fn model() -> PsfModel {
     model_with(Arc::new(Waves), (9, 7), (4, 3), true, Normalisation::Unit)

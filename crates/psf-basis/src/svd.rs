@@ -74,6 +74,10 @@ pub struct Svd {
 /// faer splits its work by this number and not by the threads at hand: the result is the same on any number of threads.
 const SPLIT: usize = 8;
 
+/// Work (the product of both dimensions and the smaller one) below which splitting it costs more than it gains, many times so where the
+/// threads are wanted elsewhere.
+const WORTH_SPLITTING: usize = 1 << 22;
+
 /// Singular values below this many units of rounding of the samples' Frobenius norm are zero to rounding.
 pub(crate) const ROUNDING_UNITS: f64 = 16.0;
 
@@ -149,7 +153,7 @@ impl Svd {
         if self.noise == PixelNoise::Estimate {
             floor = match floor {
                 Some(even) => Some(by_sample(rows.view(), &vectors, &singular_values, even)),
-                None => uneven_floor(rows.view(), &singular_values, freedom),
+                None => uneven_floor(rows.view(), &vectors, &singular_values, freedom),
             };
         }
         let spectrum = Spectrum::new(singular_values, rounding, floor);
@@ -222,7 +226,12 @@ fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64
     let size = samples.min(pixels);
     // Rows of samples are columns of the pixels x samples matrix in faer's column-major order.
     let matrix = MatRef::from_column_major_slice(rows.as_slice().expect("row-major"), pixels, samples);
-    let par = Par::rayon(SPLIT);
+    let work = samples.saturating_mul(pixels).saturating_mul(size);
+    let par = if work < WORTH_SPLITTING {
+        Par::Seq
+    } else {
+        Par::rayon(SPLIT)
+    };
     let scratch = svd_scratch::<f64>(
         pixels,
         samples,
@@ -260,7 +269,7 @@ fn descending(values: Vec<f64>, vectors: Mat<f64>) -> (Vec<f64>, Mat<f64>) {
 }
 
 /// Coefficients `[sample, k]` of the first `count` components.
-fn project(rows: ArrayView2<'_, f64>, vectors: &Mat<f64>, count: usize) -> Array2<f64> {
+pub(crate) fn project(rows: ArrayView2<'_, f64>, vectors: &Mat<f64>, count: usize) -> Array2<f64> {
     let (samples, pixels) = rows.dim();
     let mut coefficients = Array2::zeros((samples, count));
     let left = MatRef::from_row_major_slice(rows.as_slice().expect("row-major"), samples, pixels);

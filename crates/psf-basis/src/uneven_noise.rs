@@ -4,7 +4,7 @@ use faer::Mat;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 
 use crate::noise::{NoiseFloor, estimate};
-use crate::svd::decompose;
+use crate::svd::{decompose, project};
 
 /// Numbers of leading components that are tried as the signal.
 const SIGNALS: [usize; 6] = [1, 2, 4, 8, 16, 32];
@@ -21,14 +21,18 @@ const MOST_WORK: f64 = 1e9;
 /// The largest singular value of finite matrices scatters about the limit by this part.
 const FINITE: f64 = 0.02;
 
-/// The floor of samples `[sample, pixel]` (centred, with these singular values) whose pixels have white noise of a level of each
-/// sample's own; nothing where there is no such noise.
+/// The floor of samples `[sample, pixel]` (centred, with these singular vectors and values) whose pixels have white noise of a level of
+/// each sample's own; nothing where there is no such noise.
 ///
 /// Samples divided by their noise have even noise, which the Marchenko-Pastur law then shows or denies. The levels come from what a few
 /// leading components of the divided samples leave over, again and again until they agree; the smallest number of components
 /// for which that works is taken.
+///
+/// Divided samples lie in the space of the samples, so that all this is done with coordinates in it, of which there are no more than
+/// samples, in place of pixels.
 pub(crate) fn uneven_floor(
     rows: ArrayView2<'_, f64>,
+    vectors: &Mat<f64>,
     singular_values: &[f64],
     freedom: usize,
 ) -> Option<NoiseFloor> {
@@ -37,10 +41,11 @@ pub(crate) fn uneven_floor(
     if size < 2 || count as f64 * pixels as f64 * size as f64 > MOST_WORK || !may_be_noise(singular_values) {
         return None;
     }
+    let coordinates = project(rows, vectors, size);
     SIGNALS
         .into_iter()
         .take_while(|signal| 3 * signal <= size)
-        .find_map(|signal| levels(rows, signal, freedom))
+        .find_map(|signal| levels(coordinates.view(), pixels, signal, freedom))
         .map(|variances| floor_of(&variances, pixels))
 }
 
@@ -108,9 +113,9 @@ fn may_be_noise(singular_values: &[f64]) -> bool {
     at(0.5) > 0.0 && at(0.9) * MOST_UNEVEN > at(0.5)
 }
 
-/// The noise variance of every sample, if `signal` components leave noise alone.
-fn levels(rows: ArrayView2<'_, f64>, signal: usize, freedom: usize) -> Option<Vec<f64>> {
-    let (count, pixels) = rows.dim();
+/// The noise variance of every sample of so many pixels, if `signal` components leave noise alone. Samples come as `[sample, coordinate]`.
+fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usize) -> Option<Vec<f64>> {
+    let count = rows.nrows();
     let left = degrees_of_freedom(count, pixels, signal);
     let mut variances: Vec<f64> = rows
         .outer_iter()

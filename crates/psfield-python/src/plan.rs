@@ -236,14 +236,8 @@ fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadonlyAr
     array.extract::<PyReadonlyArray2<'py, T>>()
 }
 
-fn sources_of<T: ConvReal>(planned: &Planned<T>, columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
-    let sources = columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())?;
-    if planned.refuses(&sources) {
-        return Err(invalid(
-            "catalog: plans for a region of a finer scene draw no stars: simulate them apart, with oversample=1",
-        ));
-    }
-    Ok(sources)
+fn sources_of(columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
+    columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())
 }
 
 fn simulate<'py, T: ConvReal + Element>(
@@ -259,7 +253,7 @@ fn simulate<'py, T: ConvReal + Element>(
     let mut out = out
         .map(|out| out.extract::<PyReadwriteArray2<'py, T>>())
         .transpose()?;
-    let sources = sources_of(planned, sources)?;
+    let sources = sources_of(sources)?;
     let (light, target) = (
         scene.as_ref().map(|s| s.as_array()),
         out.as_mut().map(|o| o.as_array_mut()),
@@ -310,7 +304,7 @@ fn spot_check<'py, T: ConvReal + Element>(
         readonly::<T>(&image)?,
         scene.as_ref().map(readonly::<T>).transpose()?,
     );
-    let sources = sources_of(planned, sources)?;
+    let sources = sources_of(sources)?;
     let (image, light) = (image.as_array(), scene.as_ref().map(|s| s.as_array()));
     let check = interruptible::run_beside(py, None, &*pool()?, |watch, pool| {
         planned.spot_check(light, sources, image, pixels, watch, pool)

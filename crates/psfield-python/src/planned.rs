@@ -87,6 +87,9 @@ impl<T: ConvReal> Later<T> {
     }
 }
 
+/// Extended light, and the column and the row of the (padded) scene that it begins at.
+type Lit<'a, T> = (CowArray<'a, T, Ix2>, (usize, usize));
+
 /// What a scene is convolved with.
 struct Needed<'p, T: ConvReal> {
     /// Its extended light.
@@ -156,12 +159,6 @@ impl<T: ConvReal> Planned<T> {
         self.images.plan.light_region().unwrap_or(whole)
     }
 
-    /// Whether these are sources that a plan for a region cannot take.
-    pub(crate) fn refuses(&self, sources: &Sources) -> bool {
-        let finer = self.settings.simulation.oversample() > 1;
-        finer && self.settings.region.is_some() && !sources.stars.is_empty()
-    }
-
     /// The shape of the image.
     pub(crate) fn frame_shape(&self) -> FrameShape {
         let (shape, s) = (self.settings.shape, self.settings.simulation.oversample());
@@ -218,20 +215,17 @@ impl<T: ConvReal> Planned<T> {
             None => made.insert(self.dark()).view_mut(),
         };
         let mut tiles = TileCounts::default();
-        if let Some(light) = self.light(placed, needed.extended, image) {
+        if let Some((light, _)) = self.light(placed, needed.extended, image) {
             let dark = placed.scene().clone().with_sources(Vec::new());
             let light = ImageView::new(light.view()).map_err(Failure::of("scene"))?;
             let (simulation, plan) = (&needed.extended.simulation, &needed.extended.plan);
             tiles = simulation.add_planned_to(plan, &dark, Some(&light), target.view_mut(), watch)?;
         }
         if let Some(stars) = needed.stars {
-            if let Some(region) = self.settings.region {
-                let plan = stars.plan.stars();
-                plan.add_to_region(placed.scene(), region, target.view_mut(), watch)?;
-            } else {
-                let (simulation, plan) = (&stars.simulation, &stars.plan);
-                simulation.add_planned_to(plan, placed.scene(), None, target.view_mut(), watch)?;
-            }
+            let (simulation, plan) = (&stars.simulation, &stars.plan);
+            let whole = self.frame_shape().region();
+            let region = self.settings.region.unwrap_or(whole);
+            simulation.add_stars_to_region(plan, placed.scene(), region, target.view_mut(), watch)?;
         }
         // As the library checks its own results.
         ImageView::new(target.view())?;
@@ -264,31 +258,31 @@ impl<T: ConvReal> Planned<T> {
     ) -> Result<SpotCheck, Failure> {
         let placed = self.placed(light.is_some(), sources)?;
         let needed = self.needed(&placed, watch, pool)?;
-        pool.install(|| self.checked(&placed, &needed, light, image, chosen))
+        pool.install(|| self.checked(&placed, &needed, (light, image), chosen, watch))
     }
 
     fn checked(
         &self,
         placed: &SceneSources<T>,
         needed: &Needed<'_, T>,
-        light: Option<ArrayView2<'_, T>>,
-        image: ArrayView2<'_, T>,
+        (light, image): (Option<ArrayView2<'_, T>>, ArrayView2<'_, T>),
         (count, seed): (usize, u64),
+        watch: &Watch,
     ) -> Result<SpotCheck, Failure> {
         let anchor = self.settings.plan.anchor();
         let extended = self.light(placed, needed.extended, light);
         let check = SpotCheck::run(&Image::new(image.to_owned())?, count, seed, |pixels| {
             let mut sums = vec![0.0; pixels.len()];
             let mut add = |of: Vec<f64>| sums.iter_mut().zip(of).for_each(|(sum, value)| *sum += value);
-            if let Some(light) = &extended {
+            if let Some((light, first)) = &extended {
                 let dark = placed.scene().clone().with_sources(Vec::new());
-                let simulation = &needed.extended.simulation;
-                add(simulation.exact_at_rows(&dark, Some((light.view(), 0)), anchor, pixels)?);
+                let light = ImageView::new(light.view())?;
+                let (simulation, part) = (&needed.extended.simulation, Some((&light, *first)));
+                add(simulation.exact_at_part(&dark, part, anchor, pixels, watch)?);
             }
             if let Some(stars) = needed.stars {
-                add(stars
-                    .simulation
-                    .exact_at_rows(placed.scene(), None, anchor, pixels)?);
+                let simulation = &stars.simulation;
+                add(simulation.exact_at_part(placed.scene(), None, anchor, pixels, watch)?);
             }
             Ok(sums)
         })?;
@@ -338,15 +332,16 @@ impl<T: ConvReal> Planned<T> {
         Ok(Needed { extended, stars })
     }
 
-    /// The extended light of a scene, as its plan takes it; none where there are stars alone.
+    /// The extended light of a scene, as its plan takes it, and the column and the row that it begins at; none where there are stars alone.
     fn light<'a>(
         &self,
         placed: &SceneSources<T>,
         prepared: &Prepared<T>,
         image: Option<ArrayView2<'a, T>>,
-    ) -> Option<CowArray<'a, T, Ix2>> {
+    ) -> Option<Lit<'a, T>> {
         if placed.galaxies().is_empty() {
-            return image.map(Into::into);
+            // Of a region's plan it may be a part, which the plan tells by its shape.
+            return image.map(|image| (image.into(), (0, 0)));
         }
         let part = prepared
             .plan
@@ -363,7 +358,7 @@ impl<T: ConvReal> Planned<T> {
             assign_overlap(light.view_mut(), image, first);
         }
         sersic::add_galaxies(light.view_mut(), (part.x0(), part.y0()), placed.galaxies());
-        Some(light.into())
+        Some((light.into(), (part.x0() as usize, part.y0() as usize)))
     }
 
     /// Whether it lies on a GPU that another process opened, the parent of a fork.

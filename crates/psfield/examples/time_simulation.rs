@@ -6,7 +6,7 @@ use std::time::Instant;
 use ndarray::Array2;
 use psfield::conv_core::PlanOptions;
 use psfield::psf_types::{Image, NoProgress, Scene};
-use psfield::{PsfInput, Simulation};
+use psfield::{FitOptions, PsfInput, Simulation, SimulationOptions};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -17,7 +17,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Every pixel is lit.
     let light = Array2::from_shape_fn((size, size), |(y, x)| 1.0 + ((3 * x + 5 * y) % 7) as f32);
     let scene = Scene::from_image(Image::new(light.clone())?);
-    let simulation = Simulation::new(PsfInput::open(path, Default::default())?, &scene, Default::default())?;
+    let simulation = Simulation::new(
+        PsfInput::open(path, FitOptions::default())?,
+        &scene,
+        SimulationOptions::default(),
+    )?;
     let plan = simulation.plan(&scene, PlanOptions::new(tolerance.parse()?)?)?;
     drop(scene);
     for _ in 0..repeat {

@@ -1,12 +1,13 @@
 //! A small model with a PSF that varies strongly, and the double sum written as plainly as can be.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use conv_core::{Paths, PlanOptions};
 use ndarray::{Array2, Array3};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, FrameShape, Image, Normalisation, PixelRegion, Position, PsfBasis,
-    PsfModel, Scene, StampGrid,
+    Anchor, CoefficientField, FieldError, FrameShape, Image, Normalisation, PixelRegion, Position, Progress,
+    PsfBasis, PsfModel, Scene, StampGrid,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -122,6 +123,37 @@ pub(crate) fn scene(nx: usize, ny: usize, seed: u64) -> Scene<f64> {
 
 pub(crate) fn region(x0: i64, y0: i64, nx: usize, ny: usize) -> PixelRegion {
     PixelRegion::new(x0, y0, FrameShape::new(nx, ny).unwrap())
+}
+
+/// Wants the work to stop from a question on, and counts questions.
+pub(crate) struct Patience {
+    questions: AtomicUsize,
+    enough: usize,
+}
+
+impl Patience {
+    pub(crate) fn of(enough: usize) -> Self {
+        Self {
+            questions: AtomicUsize::new(0),
+            enough,
+        }
+    }
+
+    pub(crate) fn endless() -> Self {
+        Self::of(usize::MAX)
+    }
+
+    pub(crate) fn asked(&self) -> usize {
+        self.questions.load(Ordering::Relaxed)
+    }
+}
+
+impl Progress for Patience {
+    fn start(&self, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn cancelled(&self) -> bool {
+        self.questions.fetch_add(1, Ordering::Relaxed) >= self.enough
+    }
 }
 
 /// The double sum over the frame, without any cleverness.

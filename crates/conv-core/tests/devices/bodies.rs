@@ -1,18 +1,18 @@
 //! What must hold on every device.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use conv_core::{ConvError, Direct, Paths, Plan, RowStream};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
     Anchor, CoefficientField, FieldError, Image, ImageView, NoProgress, Normalisation, PointSource, Position,
-    Progress, PsfModel, Scene,
+    PsfModel, Scene,
 };
 use rayon::prelude::*;
 
 use crate::common::{
-    ANCHORS, KINDS, PATHS, STAMPS, Waves, double_sum, model_with, noise, options, region, scene, single,
+    ANCHORS, KINDS, PATHS, Patience, STAMPS, Waves, double_sum, model_with, noise, options, region, scene,
+    single,
 };
 use crate::on_device::OnDevice;
 
@@ -33,7 +33,7 @@ pub(crate) const ALL: [(&str, Body); 12] = [
     ("light_without_a_psf_is_an_error", no_psf),
     ("stars_come_on_top", stars),
     ("regions_put_together_are_the_whole", regions),
-    ("what_was_stopped_serves_again", stopped),
+    ("stopped_work_ends_and_the_plan_serves_again", stopped),
 ];
 
 pub(crate) fn of_light(light: Array2<f32>) -> Scene<f32> {
@@ -304,6 +304,35 @@ impl CoefficientField for Half {
     }
 }
 
+fn no_psf(device: &OnDevice) {
+    let model: PsfModel = model_with(Arc::new(Half), (5, 7), (2, 3), true, Normalisation::Unit);
+    for anchor in ANCHORS {
+        let mut light = Array2::zeros((40, 60));
+        light.slice_mut(s![.., 30..]).fill(1.0);
+        let fine = of_light(light.clone());
+        let options = options(1e-3, anchor, Paths::Cheapest);
+        let plan = device.with(Plan::for_scene(&model, &fine, options).unwrap());
+        assert!(plan.execute(&fine).is_ok(), "{anchor}");
+        light[[7, 10]] = 1.0;
+        let error = plan.execute(&of_light(light)).unwrap_err();
+        assert!(matches!(error, ConvError::Field(_)), "{error}");
+        // It is none the worse for it.
+        assert!(plan.execute(&fine).is_ok(), "{anchor}");
+    }
+}
+
+fn stars(device: &OnDevice) {
+    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
+    let light = noise(90, 120, 3).mapv(|v| (v + 1.5) as f32);
+    let star = PointSource::new(Position::new(33.0, 20.0).unwrap(), 500.0).unwrap();
+    let scene = of_light(light.clone());
+    let with_star = scene.clone().with_sources(vec![star]);
+    let plan = Plan::for_scene(&model, &scene, options(1e-4, Anchor::Source, Paths::Cheapest)).unwrap();
+    let plan = device.with(plan);
+    let more = doubles(&plan.execute(&with_star).unwrap()) - doubles(&plan.execute(&scene).unwrap());
+    assert!((more.sum() / 500.0 - 1.0).abs() < 1e-4, "{}", more.sum());
+}
+
 /// Pieces of a frame from the light that reaches each, forward and back.
 fn regions(device: &OnDevice) {
     let scene = single(&scene(201, 157, 8).with_frame(region(5, 9, 173, 131)).unwrap());
@@ -343,62 +372,27 @@ fn regions(device: &OnDevice) {
     }
 }
 
-/// Wants the work to stop from a question on.
-struct Patience(AtomicUsize, usize);
-
-impl Progress for Patience {
-    fn start(&self, _: u64) {}
-    fn advance(&self, _: u64) {}
-    fn cancelled(&self) -> bool {
-        self.0.fetch_add(1, Ordering::Relaxed) >= self.1
-    }
-}
-
 fn stopped(device: &OnDevice) {
-    let scene = single(&scene(201, 157, 8));
-    let model = model_with(Arc::new(Waves), (11, 7), (4, 3), true, Normalisation::Unit);
+    let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
+    let scene = single(&scene(271, 203, 12));
     for anchor in ANCHORS {
-        let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, Paths::Transforms)).unwrap();
-        let plan = device.with(plan);
-        let before = plan.execute(&scene).unwrap();
-        let asked = Patience(AtomicUsize::new(0), usize::MAX);
-        plan.execute_with_progress(&scene, &asked).unwrap();
-        let all = asked.0.into_inner();
-        assert!(all >= plan.summary().tiles, "asked {all} times");
-        for enough in [0, all / 2, all - 1] {
-            let patience = Patience(AtomicUsize::new(0), enough);
-            let stopped = plan.execute_with_progress(&scene, &patience);
-            assert!(matches!(stopped, Err(ConvError::Cancelled)), "{enough} of {all}");
-            assert_eq!(plan.execute(&scene).unwrap(), before, "{enough} of {all}");
+        let options = options(1e-3, anchor, Paths::Transforms);
+        let plan = device.with(Plan::for_scene(&model, &scene, options).unwrap());
+        let image = plan.execute(&scene).unwrap();
+        let back = plan.adjoint(&image).unwrap();
+        let endless = Patience::endless();
+        plan.execute_with_progress(&scene, &endless).unwrap();
+        let all = endless.asked();
+        assert!(all >= plan.summary().tiles, "{anchor}: {all}");
+        for enough in [0, 1, all / 2, all - 1] {
+            let refused = plan
+                .execute_with_progress(&scene, &Patience::of(enough))
+                .map(|_| ());
+            assert!(matches!(refused, Err(ConvError::Cancelled)), "{refused:?}");
+            assert!(plan.execute(&scene).unwrap() == image, "{anchor}");
+            let refused = plan.adjoint_with_progress(&image.view(), &Patience::of(enough / 2));
+            assert!(matches!(refused, Err(ConvError::Cancelled)), "{refused:?}");
+            assert!(plan.adjoint(&image).unwrap() == back, "{anchor}");
         }
     }
-}
-
-fn no_psf(device: &OnDevice) {
-    let model: PsfModel = model_with(Arc::new(Half), (5, 7), (2, 3), true, Normalisation::Unit);
-    for anchor in ANCHORS {
-        let mut light = Array2::zeros((40, 60));
-        light.slice_mut(s![.., 30..]).fill(1.0);
-        let fine = of_light(light.clone());
-        let options = options(1e-3, anchor, Paths::Cheapest);
-        let plan = device.with(Plan::for_scene(&model, &fine, options).unwrap());
-        assert!(plan.execute(&fine).is_ok(), "{anchor}");
-        light[[7, 10]] = 1.0;
-        let error = plan.execute(&of_light(light)).unwrap_err();
-        assert!(matches!(error, ConvError::Field(_)), "{error}");
-        // It is none the worse for it.
-        assert!(plan.execute(&fine).is_ok(), "{anchor}");
-    }
-}
-
-fn stars(device: &OnDevice) {
-    let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
-    let light = noise(90, 120, 3).mapv(|v| (v + 1.5) as f32);
-    let star = PointSource::new(Position::new(33.0, 20.0).unwrap(), 500.0).unwrap();
-    let scene = of_light(light.clone());
-    let with_star = scene.clone().with_sources(vec![star]);
-    let plan = Plan::for_scene(&model, &scene, options(1e-4, Anchor::Source, Paths::Cheapest)).unwrap();
-    let plan = device.with(plan);
-    let more = doubles(&plan.execute(&with_star).unwrap()) - doubles(&plan.execute(&scene).unwrap());
-    assert!((more.sum() / 500.0 - 1.0).abs() < 1e-4, "{}", more.sum());
 }

@@ -2,7 +2,7 @@
 
 use conv_core::{ConvError, ConvReal, Plan, RowStream, TileCounts};
 use ndarray::{Array2, ArrayViewMut2};
-use psf_types::{FrameShape, Image, ImageView, Progress, Scene};
+use psf_types::{FrameShape, Image, ImageView, PixelRegion, Progress, Scene};
 
 use super::Simulation;
 use crate::finer_scene::{FinerRows, FinerScene, spread};
@@ -75,6 +75,25 @@ impl Simulation {
         plan.stars()
             .add_to_region(finer.stars(), region, image, progress)?;
         Ok(counts)
+    }
+
+    /// Adds the stars of a scene to a region of the frame, in the frame's own pixels; what a pixel gets does not depend on the region. `plan` may be for
+    /// stars alone.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`]: an image of another shape than the region, a star where there is no PSF, and [`ConvError::Cancelled`].
+    pub fn add_stars_to_region<T: ConvReal>(
+        &self,
+        plan: &SimulationPlan<T>,
+        scene: &Scene<T>,
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), PsfieldError> {
+        let finer = FinerScene::new(self.options.oversample(), scene)?;
+        Ok(plan
+            .stars()
+            .add_to_region(finer.stars(), region, image, progress)?)
     }
 
     /// The transpose of [`Self::add_planned_to`] without stars: what each pixel of the scene gives to the scalar product of its image with `image`,
