@@ -93,7 +93,7 @@ class Plan:
             raise TypeError("region must be (x0, y0, nx, ny), four whole numbers, got None")
         other = Plan.__new__(Plan)
         other._model = self._model
-        other._words = {**self._words, "region": _region(region, "region")}
+        other._words = {**self._words, "region": region_of(region, "region")}
         other._handle = self._handle.for_region(other._words["region"])
         return other
 
@@ -343,8 +343,8 @@ def _checked(words: dict[str, Any]) -> dict[str, Any]:
         "tolerance": real(words["tolerance"], "tolerance"),
         "precision": word(words["precision"], "precision", DTYPES),
         "device": word(words["device"], "device", ("auto", "cpu", "gpu")),
-        "frame": _region(words["frame"], "frame"),
-        "region": _region(words["region"], "region"),
+        "frame": region_of(words["frame"], "frame"),
+        "region": region_of(words["region"], "region"),
         "anchor": word(words["anchor"], "anchor", ("source", "output")),
         "method": word(words["method"], "method", ("auto", "lowrank")),
         "memory": whole(words["memory"], "memory"),
@@ -355,7 +355,7 @@ def _checked(words: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _region(region: Any, name: str) -> tuple[int, int, int, int] | None:
+def region_of(region: Any, name: str) -> tuple[int, int, int, int] | None:
     """Return first column, first row, columns and rows as plain numbers."""
     if region is None:
         return None

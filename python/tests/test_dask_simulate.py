@@ -232,7 +232,7 @@ def test_scenes_that_cannot_be(model, scene) -> None:
         ({"stamp_size": 0}, "stamp_size must be at least 1"),
         ({"frame": (0, 0, 151, 120)}, "reaches beyond the scene"),
         ({"frame": (-1, 0, 10, 10)}, "reaches beyond the scene"),
-        ({"frame": (0, 0, 0, 10)}, "at least one pixel"),
+        ({"frame": (0, 0, 0, 10)}, "must have columns and rows"),
         ({"catalog": {"x": [1.0]}}, "there is no column y"),
     ],
     ids=str,

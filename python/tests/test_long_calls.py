@@ -86,6 +86,20 @@ def test_many_threads_may_use_one_plan(model, scene):
     assert all(np.array_equal(image, expected) for image in images)
 
 
+def test_calls_do_not_write_to_one_array_at_once(long_plan, large_scene):
+    out = np.zeros(large_scene.shape)
+    refused = []
+
+    def look(done, total):
+        for call in (lambda: long_plan.simulate(large_scene, out=out), lambda: long_plan.simulate(out)):
+            with pytest.raises(ValueError, match="another call") as error:
+                call()
+            refused.append(str(error.value)[:3])
+
+    long_plan.simulate(large_scene, out=out, progress=look)
+    assert {"out", "sce"} == set(refused)
+
+
 INTERRUPTED = """
     import os, signal, sys, threading, time
     sys.path.insert(0, {tests!r})

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use ndarray::Array2;
-use numpy::{Element, IntoPyArray, PyReadonlyArray2, PyReadwriteArray2};
+use numpy::{Element, IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2};
 use psfield::conv_core::{ConvReal, PlanOptions};
 use psfield::psf_types::PixelRegion;
 use psfield::{Device, DeviceOptions, Method, SimulationOptions};
@@ -232,8 +232,21 @@ fn of_region<T: ConvReal>(
 }
 
 /// A NumPy array of the plan's precision; Python has seen to its type.
-fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadonlyArray2<'py, T>> {
-    array.extract::<PyReadonlyArray2<'py, T>>()
+fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>, name: &str) -> PyResult<PyReadonlyArray2<'py, T>> {
+    let array = array.cast::<PyArray2<T>>()?;
+    array.try_readonly().map_err(|_| {
+        invalid(format!(
+            "{name}: another call writes its image to this array: wait for it"
+        ))
+    })
+}
+
+/// The same for an array that is written to.
+fn writable<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadwriteArray2<'py, T>> {
+    let array = array.cast::<PyArray2<T>>()?;
+    array
+        .try_readwrite()
+        .map_err(|_| invalid("out: another call reads or writes this array: give each call one of its own"))
 }
 
 fn sources_of(columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
@@ -249,10 +262,11 @@ fn simulate<'py, T: ConvReal + Element>(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Simulated<'py>> {
     check_process(planned)?;
-    let scene = scene.as_ref().map(readonly::<T>).transpose()?;
-    let mut out = out
-        .map(|out| out.extract::<PyReadwriteArray2<'py, T>>())
+    let scene = scene
+        .as_ref()
+        .map(|scene| readonly::<T>(scene, "scene"))
         .transpose()?;
+    let mut out = out.as_ref().map(writable::<T>).transpose()?;
     let sources = sources_of(sources)?;
     let (light, target) = (
         scene.as_ref().map(|s| s.as_array()),
@@ -285,7 +299,7 @@ fn adjoint<'py, T: ConvReal + Element>(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<Bound<'py, PyAny>> {
     check_process(planned)?;
-    let image = readonly::<T>(&image)?;
+    let image = readonly::<T>(&image, "image")?;
     let pixels = image.as_array();
     let made = interruptible::run(py, progress.as_ref(), |watch| planned.adjoint(pixels, watch))?;
     let scene: Array2<T> = made?;
@@ -301,8 +315,11 @@ fn spot_check<'py, T: ConvReal + Element>(
     pixels: (usize, u64),
 ) -> PyResult<String> {
     let (image, scene) = (
-        readonly::<T>(&image)?,
-        scene.as_ref().map(readonly::<T>).transpose()?,
+        readonly::<T>(&image, "image")?,
+        scene
+            .as_ref()
+            .map(|scene| readonly::<T>(scene, "scene"))
+            .transpose()?,
     );
     let sources = sources_of(sources)?;
     let (image, light) = (image.as_array(), scene.as_ref().map(|s| s.as_array()));

@@ -6,7 +6,7 @@ import os
 import pickle
 import uuid
 import warnings
-from collections.abc import Iterable, Iterator, Sequence, Sized
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,15 +15,17 @@ import dask.system
 from dask.base import tokenize
 
 from psfield._arrays import shape_of
+from psfield._choices import whole, whole_or_none
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
-from psfield._plan import DEFAULT_MEMORY
+from psfield._plan import DEFAULT_MEMORY, region_of
 from psfield._progress import Progress, as_callback
 from psfield.dask._checks import check_choices
 from psfield.dask._fits import FitsFiles
 from psfield.dask._job import Job, JobResult
 from psfield.dask._targets import Files, ZarrGroup, frames_of
 from psfield.dask._zarr import ZarrLedger
+from psfield.detector import Detector
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -114,20 +116,23 @@ def batch(
     Jobs that were on a worker each time that one was lost, more often than Dask's ``distributed.scheduler.allowed-failures`` (3), are run
     by themselves at the end: the one that kills workers fails, and no other.
     """
-    check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size)
+    check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size, memory)
+    if isinstance(jobs, (str, bytes, Mapping)):
+        raise TypeError(f"jobs must be a list or another iterable of jobs, got {type(jobs).__name__}")
+    if isinstance(keep, str):
+        raise TypeError(f"keep must be a list, as in ['scene'], got {keep!r}")
+    if detector is not None and not isinstance(detector, Detector):
+        raise TypeError(f"detector must be a psfield.detector.Detector, got {type(detector).__name__}")
     if unknown := set(keep) - {"scene", "truth"}:
         raise ValueError(f"keep may hold 'scene' and 'truth', got {min(unknown)!r}")
     if "truth" in keep and detector is None:
         raise ValueError("keep: without a detector the image is the truth itself")
-    if threads is not None and threads < 1:
-        raise ValueError(f"threads must be at least 1, or None, got {threads}")
-    if retries < 0:
-        raise ValueError(f"retries must be at least 0, got {retries}")
+    threads, retries = whole_or_none(threads, "threads", 1), whole(retries, "retries")
     words = {
         "tolerance": float(tolerance),
         "precision": precision,
         "device": device,
-        "frame": None if frame is None else tuple(int(n) for n in frame),
+        "frame": region_of(frame, "frame"),
         "anchor": anchor,
         "method": method,
         "memory": memory,

@@ -10,7 +10,7 @@ from psfield._model import PsfModel
 
 
 def check_choices(
-    model: Any, tolerance: Any, precision: Any, device: Any, anchor: Any, method: Any, oversample: Any, stamp_size: Any
+    model: Any, tolerance: Any, precision: Any, device: Any, anchor: Any, method: Any, oversample: Any, stamp_size: Any, memory: Any
 ) -> None:
     """Refuse early what the workers' plans would refuse late."""
     if not isinstance(model, PsfModel):
@@ -23,3 +23,4 @@ def check_choices(
     word(method, "method", ("auto", "lowrank"))
     whole(oversample, "oversample", 1)
     whole_or_none(stamp_size, "stamp_size", 1)
+    whole(memory, "memory")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from psfield._arrays import DTYPES
 from psfield._catalog import columns_of
 from psfield._model import PsfModel
-from psfield._plan import DEFAULT_MEMORY
+from psfield._plan import DEFAULT_MEMORY, region_of
 from psfield.dask._checks import check_choices
 from psfield.dask._cores import share_cores
 from psfield.dask._reach import Depth, reach
@@ -80,9 +80,9 @@ def simulate(
         Chunks of unknown size, an empty scene, options that cannot be. What is wrong with pixels (NaN, masked) comes from `compute`.
     """
     _check_scene(scene)
-    check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size)
+    check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size, memory)
     rows, columns = scene.shape
-    x0, y0, nx, ny = _frame_of(frame, (rows, columns), oversample)
+    x0, y0, nx, ny = _frame_of(region_of(frame, "frame"), (rows, columns), oversample)
     of_rows, of_columns = reach(model, oversample, stamp_size)
     along_y = _Axis.of(rows, scene.chunks[0], (y0, ny), oversample, of_rows)
     along_x = _Axis.of(columns, scene.chunks[1], (x0, nx), oversample, of_columns)
@@ -205,15 +205,13 @@ def _check_scene(scene: Any) -> None:
         raise TypeError(f"scene: its chunks must be NumPy arrays, got {type(meta).__name__}: convert them with map_blocks")
 
 
-def _frame_of(frame: Any, shape: tuple[int, int], finer: int) -> tuple[int, int, int, int]:
+def _frame_of(frame: tuple[int, int, int, int] | None, shape: tuple[int, int], finer: int) -> tuple[int, int, int, int]:
     (rows, columns) = shape
     if frame is None:
         if rows % finer or columns % finer:
             raise ValueError(f"scene: its shape {shape} is no multiple of oversample={finer}: give a frame")
         return 0, 0, columns // finer, rows // finer
-    x0, y0, nx, ny = (int(n) for n in frame)
-    if nx < 1 or ny < 1:
-        raise ValueError(f"frame must be (x0, y0, nx, ny) with at least one pixel, got {frame}")
+    x0, y0, nx, ny = frame
     if x0 < 0 or y0 < 0 or (x0 + nx) * finer > columns or (y0 + ny) * finer > rows:
         raise ValueError(f"frame {(x0, y0, nx, ny)} reaches beyond the scene of shape {shape}")
     return x0, y0, nx, ny

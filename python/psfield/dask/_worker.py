@@ -72,7 +72,8 @@ def _run(settings: BatchSettings, task: Task) -> tuple[JobResult, bool]:
     begun = time.perf_counter()
     try:
         _make(settings, task.index, task.job, task.output)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
+        # A function that exits would take its worker along, and those that the job is given to next.
         text = f"{type(error).__name__}: {error}"
         again = isinstance(error, OSError) and not isinstance(error, FileNotFoundError)
         return JobResult(task.index, "failed", task.output, time.perf_counter() - begun, text), again
