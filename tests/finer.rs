@@ -6,7 +6,9 @@ use psfield::psf_types::{
     Anchor, FrameShape, Image, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfSamples,
     SamplePositions, Scene, StampGrid,
 };
-use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions};
+use psfield::{
+    EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, SimulationOptions, evaluate_stamps,
+};
 
 const FRAME: usize = 40;
 
@@ -165,6 +167,48 @@ fn the_pixel_response_is_applied_once() {
         };
         let twice = run(once_more, scene, finer(s, Anchor::Source));
         assert!(largest_difference(&twice, &with) > 1e-2);
+    }
+}
+
+/// What `evaluate` says of a star on the frame's pixels is what a simulation draws, whether the stamps hold the response or not.
+#[test]
+fn a_psf_on_the_frames_pixels_is_the_image_of_a_star() {
+    const SIZE: usize = 21;
+    let (x, y) = (20.25, 18.5);
+    let star = PointSource::new(Position::new(x, y).unwrap(), 1.0).unwrap();
+    let scene = Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(vec![star]);
+    let (first_x, first_y) = (20 - SIZE / 2, 19 - SIZE / 2);
+    let rows_and_columns = ndarray::s![first_y..first_y + SIZE, first_x..first_x + SIZE];
+    for (s, response) in [(4, true), (4, false), (5, false)] {
+        let image = run(sampled(s, response), &scene, SimulationOptions::default());
+        let image = Image::new(image.pixels().slice(rows_and_columns).to_owned()).unwrap();
+        let model = sampled(s, response).into_model().unwrap();
+        let on_frame = EvaluateOptions {
+            grid: OutputGrid::Native,
+            size: Some(SIZE),
+            sub_pixel: true,
+        };
+        let (stamps, grid) = evaluate_stamps(&model, &[star.position()], on_frame).unwrap();
+        assert!(grid.pixel_response_included());
+        let seen = Image::new(stamps.index_axis_move(ndarray::Axis(0), 0)).unwrap();
+        let largest = largest_difference(&seen, &image);
+        // Where the response is added, the simulation interpolates stamps that have it, by the same spline once more.
+        let limit = if response { 1e-12 } else { 5e-5 };
+        assert!(largest < limit, "{s}, {response}: {largest}");
+
+        // The model's own pixels stay as they are, and centred PSFs on the frame's get the response too.
+        let of = |grid| {
+            let options = EvaluateOptions {
+                grid,
+                ..EvaluateOptions::default()
+            };
+            evaluate_stamps(&model, &[star.position()], options).unwrap()
+        };
+        assert_eq!(of(OutputGrid::Model).1, model.grid());
+        let (stamps, grid) = of(OutputGrid::Native);
+        assert!(grid.pixel_response_included());
+        // Half a pixel of margin is no whole pixel of the frame where the stamps already fill it.
+        assert!((stamps.sum() - 1.0).abs() < 1e-3, "{}", stamps.sum());
     }
 }
 

@@ -471,7 +471,7 @@ class PsfModel:
         x, y : float or array_like
             Positions in 0-based pixels of the frame; they are broadcast.
         pixels : {'stamp', 'frame'}
-            Sampled as the stamps are, or at the frame's own pixels.
+            Sampled as the stamps are, or at the frame's own pixels, with their response also where the stamps lack it.
         size : int, optional
             Rows and columns, cut or padded about the centre.
         sub_pixel : bool

@@ -1,6 +1,6 @@
 //! The PSF of a model at given positions.
 
-use conv_core::{StampInterpolator, native_grid};
+use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
 use ndarray::{Array2, Array3};
 use psf_types::{DataError, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
@@ -11,10 +11,12 @@ use crate::{PsfieldError, check_stack};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum OutputGrid {
-    /// The model's own sampling.
+    /// The model's own sampling; the stamps hold the pixel response where the model's do
+    /// ([`StampGrid::pixel_response_included`]).
     #[default]
     Model,
-    /// The frame's pixels.
+    /// The frame's pixels, and what falls into each of them: a model whose stamps lack the pixel response gets it here, as in a
+    /// [`Simulation`](crate::Simulation).
     Native,
 }
 
@@ -78,6 +80,9 @@ pub fn evaluate(
 
 /// The PSFs of a model at positions, as plain stamps `[position, y, x]` and the grid of their pixels. Positions may be repeated, and
 /// there may be none.
+///
+/// On the frame's pixels with `sub_pixel`, a stamp is the image of a star of unit flux at its position, as [`Simulation`](crate::Simulation)
+/// draws it.
 ///
 /// # Errors
 /// [`PsfieldError::OutsideField`] for a position off the model's field, [`PsfieldError::Field`] where the model has no value,
@@ -144,7 +149,7 @@ fn stamps_at(
 fn target_grid(grid: StampGrid, options: EvaluateOptions) -> Result<StampGrid, PsfieldError> {
     let base = match options.grid {
         OutputGrid::Model => grid,
-        OutputGrid::Native => native_grid(grid)?,
+        OutputGrid::Native => native_grid(grid_with_pixel_response(grid)?)?,
     };
     let Some(size) = options.size else { return Ok(base) };
     // A centre between pixels stays between pixels, so that no value has to be interpolated.

@@ -25,7 +25,7 @@ pub(crate) struct EvaluateArgs {
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
-    /// The model's own sampling, or the frame's pixels
+    /// The model's own sampling, or the frame's pixels (with their response, also where the model's stamps lack it)
     #[arg(long, default_value = "model", value_enum)]
     grid: Grid,
     /// Cut or pad to N x N pixels about the centre
