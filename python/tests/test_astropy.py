@@ -30,7 +30,7 @@ def test_fluxes_are_in_the_scene_s_unit(model, scene):
     both = plan.simulate(scene * units.jansky, stars)
     plain = plan.simulate(scene, {"x": [10.0], "y": [20.0], "flux": [2000.0]})
     assert np.allclose(both.value, plain, rtol=1e-6)
-    with pytest.raises(ValueError, match="catalog: flux.*not convertible"):
+    with pytest.raises(ValueError, match=r"catalog: flux.*not convertible"):
         plan.simulate(scene * units.electron, stars)
 
 

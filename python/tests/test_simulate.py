@@ -293,3 +293,27 @@ def test_light_where_there_is_no_psf_is_an_error():
     model.plan(scene.shape).simulate(scene)
     with pytest.raises(ValueError, match="outside"):
         shifted.plan(scene.shape).simulate(scene)
+
+
+@pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")
+def test_spot_checks_know_galaxies_frames_and_finer_scenes(model):
+    scene = np.random.default_rng(2).random((96, 128))
+    catalog = {"x": [5.3, 60.0, -3.0], "y": [7.5, 50.5, 20.0], "flux": [500.0, 2000.0, 900.0], "re": [0.0, 4.0, 5.0], "n": [1.0, 1.0, 2.0]}
+    for words in ({}, {"frame": (9, 4, 100, 80)}, {"oversample": 2}, {"anchor": "output"}):
+        plan = model.plan(scene.shape, 1e-3, **words)
+        for sources in (None, catalog):
+            check = plan.spot_check(scene, sources, pixels=300, seed=4)
+            assert check.passed is True and check.relative_rms < 1e-2, (words, check)
+
+
+@pytest.mark.filterwarnings("ignore::psfield.PsfieldWarning")
+@pytest.mark.parametrize("words", [{}, {"frame": (9, 4, 100, 80)}, {"oversample": 2}])
+def test_regions_with_sources_are_those_of_the_whole(model, words):
+    scene = np.random.default_rng(2).random((96, 128))
+    catalog = {"x": [5.3, 30.0, -3.0], "y": [7.5, 20.5, 20.0], "flux": [500.0, 2000.0, 900.0], "re": [0.0, 4.0, 5.0], "n": [1.0, 1.0, 2.0]}
+    whole = model.plan(scene.shape, 1e-2, **words).simulate(scene, catalog)
+    plan = model.plan(scene.shape, 1e-2, region=(0, 0, 40, 30), **words)
+    x0, y0, nx, ny = plan.light_region
+    assert relative_l2(plan.simulate(scene[y0 : y0 + ny, x0 : x0 + nx], catalog), whole[:30, :40].astype(float)) < 1e-6
+    other = plan.for_region((20, 10, 33, 31))
+    assert relative_l2(other.simulate(scene, catalog), whole[10:41, 20:53].astype(float)) < 1e-6
