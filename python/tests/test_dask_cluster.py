@@ -227,6 +227,12 @@ def test_zarr(client, model, tmp_path) -> None:
     with pytest.raises(TypeError, match="how many"):
         psfield.dask.batch(iter(jobs), model, path, client=client, shape=SHAPE)
     results = psfield.dask.batch(jobs[:2], model, path, 0.1, client=client, shape=SHAPE, overwrite=True)
+    foreign = tmp_path / "data.zarr"
+    foreign.mkdir()
+    (foreign / "thesis.txt").write_text("years of work")
+    with pytest.raises(ValueError, match="is not replaced"):
+        psfield.dask.batch(jobs[:2], model, foreign, 0.1, client=client, shape=SHAPE, overwrite=True)
+    assert (foreign / "thesis.txt").exists()
     assert [r.status for r in results] == ["written"] * 2
     assert zarr.open_group(path, mode="r")["image"].shape == (2, *SHAPE)
 

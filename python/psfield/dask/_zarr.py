@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -59,6 +60,8 @@ class ZarrLedger:
 
         self.path = path
         settings = {"psfield": __version__, **settings}
+        if overwrite:
+            _check_own(path)
         group: Any = zarr.open_group(path, mode="w" if overwrite else "a")
         if "done" in group:
             _check_same(path, group, arrays, settings)
@@ -97,6 +100,20 @@ class ZarrLedger:
             self._noted[part] = self.done[part]
         self._unnoted.clear()
         self._at = time.monotonic()
+
+
+def _check_own(path: str) -> None:
+    """Refuse to remove what is not a group of a batch."""
+    import zarr
+
+    if not os.path.exists(path) or (os.path.isdir(path) and not os.listdir(path)):
+        return
+    try:
+        own = "psfield" in zarr.open_group(path, mode="r").attrs
+    except (OSError, ValueError):
+        own = False
+    if not own:
+        raise ValueError(f"{path}: this is no group of a batch, and is not replaced: use another output")
 
 
 def _check_same(path: str, group: Any, arrays: Mapping[str, Any], settings: dict[str, Any]) -> None:
