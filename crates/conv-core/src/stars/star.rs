@@ -83,7 +83,8 @@ impl Star {
     pub(super) fn reaches(&self, window: Window, region: PixelRegion) -> bool {
         let (column, row) = self.pixel;
         let on = |pixel: i64, (from, to): (i64, i64), start: i64, count: usize| {
-            pixel.saturating_add(from) < start.saturating_add(count as i64) && pixel.saturating_add(to) > start
+            pixel.saturating_add(from) < start.saturating_add(count as i64)
+                && pixel.saturating_add(to) > start
         };
         let shape = region.shape();
         self.flux != 0.0
