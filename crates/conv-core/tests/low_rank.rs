@@ -1,5 +1,6 @@
 //! The fast engine against the double sum, its tolerance pixel by pixel, its transpose, and what must not change its result.
 
+#[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
 
 use std::sync::Arc;
