@@ -14,8 +14,9 @@ use pyo3::types::PyDict;
 use crate::choices::{frame_shape, parsed, region};
 use crate::error::{Failure, invalid};
 use crate::interruptible;
-use crate::planned::{Outcome, Planned, Settings};
+use crate::planned::{Outcome, Planned};
 use crate::psf_model::PsfModel;
+use crate::settings::Settings;
 use crate::sources::{SourceColumns, Sources};
 use crate::threads::pool;
 

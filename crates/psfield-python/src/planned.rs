@@ -1,37 +1,22 @@
 //! A plan in one precision.
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, TryLockError};
-use std::time::Duration;
+use std::sync::Arc;
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, CowArray, Ix2, s};
-use psfield::conv_core::{ConvError, ConvReal, PlanOptions, PlanSummary, TileCounts};
-use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion, Progress, Scene};
-use psfield::{
-    DeviceOptions, Gpus, Method, Placement, PsfInput, PsfieldError, SceneLayout, SceneParts, SceneSources,
-    Simulation, SimulationOptions, SimulationPlan, SimulationWarning, SpotCheck, sersic,
-};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, CowArray, Ix2};
+use psfield::conv_core::{ConvReal, PlanSummary, TileCounts};
+use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion};
+use psfield::{Placement, SceneSources, SimulationWarning, SpotCheck, sersic};
 use rayon::ThreadPool;
 
 use crate::error::Failure;
 use crate::interruptible::Watch;
 use crate::kept_psf::KeptPsf;
+use crate::later::Later;
+use crate::overlap::assign_overlap;
+use crate::prepared::{Part, Prepared};
+use crate::settings::Settings;
 use crate::sources::Sources;
-
-/// What plans are made with.
-#[derive(Debug, Clone)]
-pub(crate) struct Settings {
-    /// Of the scene, in its own pixels.
-    pub(crate) shape: FrameShape,
-    /// In pixels of the image.
-    pub(crate) frame: Option<PixelRegion>,
-    /// The part of the frame that is made, in pixels of the image counted from the frame's first; none for all of it.
-    pub(crate) region: Option<PixelRegion>,
-    pub(crate) method: Method,
-    pub(crate) simulation: SimulationOptions,
-    pub(crate) plan: PlanOptions,
-    pub(crate) device: DeviceOptions,
-}
 
 /// Plans for the scenes of one shape: that for images is made at once, those for stars and for galaxies when the first come.
 pub(crate) struct Planned<T: ConvReal> {
@@ -44,47 +29,6 @@ pub(crate) struct Planned<T: ConvReal> {
     stars: Arc<Later<T>>,
     /// The process that made it.
     process: u32,
-}
-
-/// A simulation and its plan.
-struct Prepared<T: ConvReal> {
-    simulation: Arc<Simulation>,
-    plan: SimulationPlan<T>,
-    placement: Placement,
-}
-
-/// What is made when it is first needed, and kept.
-struct Later<T: ConvReal> {
-    made: OnceLock<Prepared<T>>,
-    /// Held while it is made, by a thread beside the pool.
-    making: Mutex<()>,
-}
-
-impl<T: ConvReal> Default for Later<T> {
-    fn default() -> Self {
-        Self {
-            made: OnceLock::new(),
-            making: Mutex::new(()),
-        }
-    }
-}
-
-impl<T: ConvReal> Later<T> {
-    fn get(
-        &self,
-        watch: &Watch,
-        make: impl FnOnce() -> Result<Prepared<T>, Failure>,
-    ) -> Result<&Prepared<T>, Failure> {
-        if let Some(made) = self.made.get() {
-            return Ok(made);
-        }
-        let _making = turn(&self.making, watch)?;
-        if let Some(made) = self.made.get() {
-            return Ok(made);
-        }
-        let made = make()?;
-        Ok(self.made.get_or_init(|| made))
-    }
 }
 
 /// Extended light, and the column and the row of the (padded) scene that it begins at.
@@ -104,9 +48,6 @@ pub(crate) struct Outcome {
     pub(crate) warnings: Vec<SimulationWarning>,
 }
 
-/// The GPUs that are open, which all plans of a process share.
-static GPUS: Mutex<Option<(u32, Gpus)>> = Mutex::new(None);
-
 impl<T: ConvReal> Planned<T> {
     /// Plans, as everything here on a thread beside the pool.
     pub(crate) fn new(
@@ -115,11 +56,11 @@ impl<T: ConvReal> Planned<T> {
         watch: &Watch,
         pool: &ThreadPool,
     ) -> Result<Self, Failure> {
-        let layout = layout(&settings, psf.input(), true)?;
+        let layout = settings.layout(psf.input(), true)?;
         let dark = SceneSources::<T>::new(layout, Vec::new(), Vec::new())?;
-        let images = Some(settings.region);
+        let part = Part::Images(settings.region);
         Ok(Self {
-            images: prepared(&psf, &settings, images, dark.scene(), watch, pool)?,
+            images: Prepared::new(&psf, &settings, part, dark.scene(), watch, pool)?,
             psf,
             settings,
             padded: Later::default(),
@@ -144,7 +85,7 @@ impl<T: ConvReal> Planned<T> {
         let of = &self.images.plan;
         let plan = pool.install(|| simulation.plan_for_other_region(of, dark.scene(), region, watch))?;
         Ok(Self {
-            images: placed_on_device(simulation, plan, &settings, watch, pool)?,
+            images: Prepared::on_device(simulation, plan, &settings, watch, pool)?,
             psf: Arc::clone(&self.psf),
             settings,
             padded: Later::default(),
@@ -307,7 +248,7 @@ impl<T: ConvReal> Planned<T> {
     /// Sources on the scene.
     fn placed(&self, of_image: bool, sources: Sources) -> Result<SceneSources<T>, Failure> {
         Ok(SceneSources::new(
-            layout(&self.settings, self.psf.input(), of_image)?,
+            self.settings.layout(self.psf.input(), of_image)?,
             sources.stars,
             sources.galaxies,
         )?)
@@ -320,14 +261,16 @@ impl<T: ConvReal> Planned<T> {
         watch: &Watch,
         pool: &ThreadPool,
     ) -> Result<Needed<'_, T>, Failure> {
-        let make = |images| prepared(&self.psf, &self.settings, images, placed.scene(), watch, pool);
+        let make = |part| Prepared::new(&self.psf, &self.settings, part, placed.scene(), watch, pool);
         let extended = match placed.galaxies() {
             [] => &self.images,
-            _ => self.padded.get(watch, || make(Some(self.settings.region)))?,
+            _ => self
+                .padded
+                .get(watch, || make(Part::Images(self.settings.region)))?,
         };
         let stars = match placed.scene().sources() {
             [] => None,
-            _ => Some(self.stars.get(watch, || make(None))?),
+            _ => Some(self.stars.get(watch, || make(Part::Stars))?),
         };
         Ok(Needed { extended, stars })
     }
@@ -364,111 +307,5 @@ impl<T: ConvReal> Planned<T> {
     /// Whether it lies on a GPU that another process opened, the parent of a fork.
     pub(crate) fn is_on_foreign_gpu(&self) -> bool {
         self.placement().adapter().is_some() && self.process != std::process::id()
-    }
-}
-
-/// Puts an image onto a plane, its first pixel at column and row `first` of the plane, as far as they overlap.
-fn assign_overlap<T: ConvReal>(
-    mut plane: ArrayViewMut2<'_, T>,
-    image: ArrayView2<'_, T>,
-    (x, y): (i64, i64),
-) {
-    // Where both begin, and for how long.
-    let along = |first: i64, plane: usize, image: usize| {
-        let (of_plane, of_image) = (first.clamp(0, plane as i64), (-first).clamp(0, image as i64));
-        let length = (plane as i64 - of_plane).min(image as i64 - of_image).max(0);
-        let range = |from: i64| from as usize..(from + length) as usize;
-        (range(of_plane), range(of_image))
-    };
-    let (rows, image_rows) = along(y, plane.nrows(), image.nrows());
-    let (columns, image_columns) = along(x, plane.ncols(), image.ncols());
-    plane
-        .slice_mut(s![rows, columns])
-        .assign(&image.slice(s![image_rows, image_columns]));
-}
-
-fn layout(settings: &Settings, psf: &PsfInput, of_image: bool) -> Result<SceneLayout, PsfieldError> {
-    let (shape, s) = (settings.shape, settings.simulation.oversample());
-    let layout = if of_image {
-        SceneLayout::of_image(shape, s)?
-    } else {
-        SceneLayout::of_frame(shape.nx() / s, shape.ny() / s, s)?
-    };
-    let reach = psf.reach(settings.simulation.stamp_size());
-    Ok(layout.with_frame(settings.frame).with_reach(reach))
-}
-
-/// Models and plan for images (of a region of the frame, or of all of it), or for stars.
-#[allow(
-    clippy::option_option,
-    reason = "whether there are images, and whether of a part of the frame"
-)]
-fn prepared<T: ConvReal>(
-    psf: &KeptPsf,
-    settings: &Settings,
-    images: Option<Option<PixelRegion>>,
-    scene: &Scene<T>,
-    watch: &Watch,
-    pool: &ThreadPool,
-) -> Result<Prepared<T>, Failure> {
-    let parts = SceneParts {
-        image: images.is_some(),
-        sources: images.is_none(),
-        frame: scene.frame().shape(),
-    };
-    let options = settings
-        .method
-        .plan_options(settings.plan)
-        .unwrap_or(settings.plan);
-    let (simulation, plan) = pool.install(|| -> Result<_, Failure> {
-        let resampled = psf.input().needs_resampling(parts, settings.simulation)?;
-        let simulation = Simulation::for_parts(psf.for_simulation(resampled)?, parts, settings.simulation)?;
-        let dark = scene.clone().with_sources(Vec::new());
-        let plan = match images {
-            Some(Some(region)) => simulation.plan_for_region(&dark, region, options, watch)?,
-            Some(None) => simulation.plan_for_images_with_progress(&dark, options, watch)?,
-            None => simulation.plan(&dark, options)?,
-        };
-        Ok((simulation, plan))
-    })?;
-    placed_on_device(Arc::new(simulation), plan, settings, watch, pool)
-}
-
-/// A plan where it is executed.
-fn placed_on_device<T: ConvReal>(
-    simulation: Arc<Simulation>,
-    mut plan: SimulationPlan<T>,
-    settings: &Settings,
-    watch: &Watch,
-    pool: &ThreadPool,
-) -> Result<Prepared<T>, Failure> {
-    let process = std::process::id();
-    let mut kept = turn(&GPUS, watch)?;
-    if kept.as_ref().is_none_or(|&(of, _)| of != process) {
-        // The parent's are not to be closed here.
-        std::mem::forget(kept.take());
-        *kept = Some((process, Gpus::default()));
-    }
-    let (_, gpus) = kept.as_mut().expect("just put there");
-    let placement = pool.install(|| gpus.place(&mut plan, &settings.device, rayon::current_num_threads()))?;
-    Ok(Prepared {
-        simulation,
-        plan,
-        placement,
-    })
-}
-
-/// How often it is asked whether somebody who waits for a lock still wants it.
-const ASKED_EVERY: Duration = Duration::from_millis(2);
-
-/// Waits for a lock as long as the work is wanted; on a thread beside the pool.
-fn turn<'a, M>(mutex: &'a Mutex<M>, watch: &Watch) -> Result<MutexGuard<'a, M>, ConvError> {
-    loop {
-        match mutex.try_lock() {
-            Ok(guard) => return Ok(guard),
-            Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
-            Err(TryLockError::WouldBlock) if watch.cancelled() => return Err(ConvError::Cancelled),
-            Err(TryLockError::WouldBlock) => std::thread::sleep(ASKED_EVERY),
-        }
     }
 }
