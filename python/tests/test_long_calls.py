@@ -111,11 +111,16 @@ INTERRUPTED = """
     began = time.monotonic()
     plan.simulate(scene)
     whole = time.monotonic() - began
+    def galaxies(count):
+        place = np.linspace(100, 3900, count)
+        return {{"x": place, "y": place, "flux": place, "re": 3 + 0 * place, "n": 1 + 0 * place, "q": 1e-3 + 0 * place}}
+    plan.simulate(catalog=galaxies(1))
     def draw(x, y):
         time.sleep(0.01)
         return gaussian_stamp(1 + x / 4000)
     calls = {{
         "simulate": lambda: [plan.simulate(scene) for _ in range(100)],
+        "galaxies": lambda: plan.simulate(catalog=galaxies(10_000)),
         "adjoint": lambda: [plan.adjoint(scene) for _ in range(100)],
         "sample": lambda: psfield.PsfModel.from_function(draw, (4000, 4000), threshold=1e-5),
     }}
@@ -133,9 +138,9 @@ def test_ctrl_c_stops_the_work():
     program = textwrap.dedent(INTERRUPTED).format(tests=str(ROOT / "python" / "tests"))
     ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
     lines = [line.split() for line in ran.stdout.splitlines()]
-    assert [line[:2] for line in lines] == [[name, "stopped"] for name in ("simulate", "adjoint", "sample")], ran.stderr
+    assert [line[:2] for line in lines] == [[name, "stopped"] for name in ("simulate", "galaxies", "adjoint", "sample")], ran.stderr
     for name, _, seconds, whole in lines:
-        # Long before the end of even one call of a hundred, were it not heeded.
+        # Long before the end of even one call of a hundred, or of a hundred of the galaxies.
         assert float(seconds) < 0.3 + 2.0 + float(whole), name
 
 

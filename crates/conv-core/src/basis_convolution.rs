@@ -9,7 +9,6 @@ use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::planes::{coefficient_planes, flux_plane};
 use crate::point_sources::add_point_sources_with_progress;
-use crate::wanted::still_wanted;
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
@@ -221,7 +220,7 @@ impl<'a, T: ConvReal> Plane<'a, T> {
                     }
                 });
                 // What was skipped is not looked at.
-                still_wanted(self.progress)?;
+                self.progress.still_wanted()?;
                 self.progress.advance(1);
             }
         }
@@ -294,7 +293,7 @@ impl<'a, T: ConvReal> Plane<'a, T> {
                         }
                     });
                 // What was skipped is not looked at.
-                still_wanted(self.progress)?;
+                self.progress.still_wanted()?;
                 self.progress.advance(1);
             }
         }

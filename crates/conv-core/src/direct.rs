@@ -8,7 +8,6 @@ use crate::crop::within_reach;
 use crate::kernel::Reach;
 use crate::overlap::{Piece, add_in_order, overlap};
 use crate::point_sources::{StarPainter, add_point_sources_with_progress};
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
 /// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
@@ -96,7 +95,7 @@ impl Direct {
             let sums: Vec<Result<f64, ConvError>> = pixels
                 .par_iter()
                 .map(|&pixel| {
-                    still_wanted(progress)?;
+                    progress.still_wanted()?;
                     let sum = self.pixel(model, scene, light, reach, pixel)?;
                     progress.advance(1);
                     Ok(sum)
@@ -187,7 +186,7 @@ impl Direct {
                 .collect();
             let mut values = Array2::<f64>::zeros((rows.len() + height - 1, nx + width - 1));
             for some in lit.chunks(PSFS_AT_ONCE) {
-                still_wanted(progress)?;
+                progress.still_wanted()?;
                 let psfs = psfs(model, field, some)?;
                 for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
                     let y_in_band = y - rows.start;
@@ -233,7 +232,7 @@ impl Direct {
             .par_chunks_exact_mut(nx)
             .enumerate()
             .map(|(row, out)| {
-                still_wanted(progress)?;
+                progress.still_wanted()?;
                 let y = row + frame.y0() as usize;
                 let lit: Vec<(usize, usize)> = (0..nx)
                     .map(|column| (column + frame.x0() as usize, y))
@@ -247,7 +246,7 @@ impl Direct {
                     })
                     .collect();
                 for some in lit.chunks(PSFS_AT_ONCE) {
-                    still_wanted(progress)?;
+                    progress.still_wanted()?;
                     let psfs = psfs(model, field, some)?;
                     for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
                         let ((from_x, x0, w), (from_y, y0, h)) = under(x, y).expect("lit");

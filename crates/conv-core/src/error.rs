@@ -1,6 +1,6 @@
 //! What can go wrong in a convolution.
 
-use psf_types::{DataError, FieldError, FrameShape, PixelRegion};
+use psf_types::{Cancelled, DataError, FieldError, FrameShape, PixelRegion};
 use thiserror::Error;
 
 /// Errors of the convolution methods.
@@ -88,8 +88,8 @@ pub enum ConvError {
         frame: FrameShape,
     },
     /// Somebody wanted the work to stop ([`psf_types::Progress::cancelled`]).
-    #[error("the work was stopped before its end")]
-    Cancelled,
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
     /// A pixel off the frame.
     #[error("pixel ({column}, {row}) lies outside the frame of {frame} pixels")]
     PixelOutsideFrame {

@@ -61,7 +61,6 @@ mod simd;
 mod stamp_interpolator;
 mod stars;
 mod transform;
-mod wanted;
 mod working_range;
 
 pub use basis_convolution::BasisConvolution;

@@ -4,7 +4,6 @@ use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::Progress;
 use rayon::prelude::*;
 
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal};
 
 /// A rectangle of values to be added at a place that may reach beyond the output.
@@ -55,7 +54,7 @@ pub(crate) fn add_in_order<T: ConvReal>(
         let made: Vec<Result<Vec<Piece<T>>, ConvError>> = (first..(first + AT_ONCE).min(count))
             .into_par_iter()
             .map(|number| {
-                still_wanted(progress)?;
+                progress.still_wanted()?;
                 make(number)
             })
             .collect();

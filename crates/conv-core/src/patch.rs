@@ -8,7 +8,6 @@ use crate::fft2::RealFft2;
 use crate::kernel::{KernelRows, Reach};
 use crate::overlap::{Piece, add_in_order, overlap};
 use crate::point_sources::add_point_sources_with_progress;
-use crate::wanted::still_wanted;
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal, ConvolutionMethod};
 
@@ -93,7 +92,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
                 let (y, height) = rows[row];
                 let mut pieces = Vec::new();
                 for &(x, width) in &columns {
-                    still_wanted(progress)?;
+                    progress.still_wanted()?;
                     let corner = (x + region.x0() as usize, y + region.y0() as usize);
                     pieces.extend(match self.anchor {
                         Anchor::Output => work.gather(corner, (width, height))?,

@@ -6,7 +6,6 @@ use ndarray::parallel::prelude::*;
 use ndarray::{Array2, Array3, ArrayView2, ArrayViewMut3, Axis, s};
 use psf_types::{FieldError, FrameShape, PixelRegion, Progress, PsfModel};
 
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal};
 
 /// Tiles of this many rows and columns are evaluated at once: a few stamps' coefficients of one fit in the L2 cache.
@@ -65,7 +64,7 @@ fn for_tiles<T: ConvReal>(
 ) -> Result<(), ConvError> {
     let (count, _, nx) = planes.dim();
     let strip_work = |strip: usize, mut planes: ArrayViewMut3<'_, T>| {
-        still_wanted(progress)?;
+        progress.still_wanted()?;
         let (y, rows) = (strip * TILE_ROWS, planes.dim().1);
         for x in (0..nx).step_by(TILE_COLUMNS) {
             let columns = TILE_COLUMNS.min(nx - x);

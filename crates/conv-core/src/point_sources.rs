@@ -4,14 +4,13 @@ use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
 use psf_types::{
-    Anchor, NoProgress, PixelRegion, PointSource, Position, Progress, PsfModel, Scene, StampGrid,
+    Anchor, NoProgress, PixelRegion, PointSource, Position, Progress, PsfModel, Scene, StampGrid, Uncounted,
 };
 use rayon::prelude::*;
 
 use crate::overlap::{Piece, add_in_order, overlap};
 use crate::stamp_interpolator::{Kernel, StampInterpolator};
 use crate::stars::Window;
-use crate::wanted::Uncounted;
 use crate::{ConvError, ConvReal};
 
 /// Sources that one task draws.

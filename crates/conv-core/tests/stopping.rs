@@ -52,7 +52,7 @@ fn stops<R: std::fmt::Debug + Send>(
         for enough in [0, 1, all / 2, all - 1] {
             let patience = Patience::of(enough);
             match pool.install(|| work(&patience)) {
-                Err(ConvError::Cancelled) => {}
+                Err(ConvError::Cancelled(_)) => {}
                 other => panic!("{name}, {threads} threads, stopped at {enough} of {all}: {other:?}"),
             }
             let after = patience.asked() - enough;

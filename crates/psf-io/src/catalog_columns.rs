@@ -17,7 +17,7 @@ use crate::text_table::listed;
 /// | `mag` | `mag` | magnitude instead of flux: `flux = 10^(-0.4 (mag - zero point))` |
 /// | `re` | `re` | galaxies: half-light radius along the major axis, in pixels |
 /// | `n` | `n` | galaxies: Sersic index, 0.3 to 8 |
-/// | `q` | `q` | galaxies: minor over major axis, above 0 to 1; 1 where there is no such column |
+/// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 where there is no such column |
 /// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 where there is no such column |
 ///
 /// A role that is given a column uses that one; the others use the column of their own name where there is one. Positions in

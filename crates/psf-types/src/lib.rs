@@ -43,7 +43,7 @@ pub use image::Image;
 pub use image_view::ImageView;
 pub use point_source::PointSource;
 pub use position::Position;
-pub use progress::{NoProgress, Progress};
+pub use progress::{Cancelled, NoProgress, Progress, Uncounted};
 pub use psf_basis::PsfBasis;
 pub use psf_model::PsfModel;
 pub use psf_model_record::PsfModelRecord;

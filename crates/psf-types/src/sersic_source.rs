@@ -8,6 +8,9 @@ use crate::{DataError, PointSource, Position};
 const SMALLEST_INDEX: f64 = 0.3;
 /// The largest Sersic index; beyond it fits of galaxies are not meaningful either.
 const LARGEST_INDEX: f64 = 8.0;
+/// The smallest axis ratio: the time to integrate a profile over pixels grows as its inverse, to a large part of a second here, and edge-on discs are
+/// a hundred times thicker.
+const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 
 /// How a galaxy's light is spread: a Sersic profile with elliptical isophotes.
 ///
@@ -47,7 +50,7 @@ struct RawProfile {
 
 impl SersicProfile {
     /// A profile: `half_light_radius_px` (`re`) along the major axis in pixels, above 0; `index` (`n`) from 0.3 to 8; `axis_ratio`
-    /// (`q = b/a`) above 0, at most 1; `angle_deg` of the major axis in degrees from +x towards +y.
+    /// (`q = b/a`) from 0.001 to 1; `angle_deg` of the major axis in degrees from +x towards +y.
     ///
     /// # Errors
     /// [`DataError::Galaxy`] with the parameter that is out of range.
@@ -72,9 +75,9 @@ impl SersicProfile {
             ),
             (
                 "the axis ratio q",
-                "above 0 and at most 1",
+                "from 0.001 to 1",
                 axis_ratio,
-                axis_ratio > 0.0 && axis_ratio <= 1.0,
+                (SMALLEST_AXIS_RATIO..=1.0).contains(&axis_ratio),
             ),
             (
                 "the angle of the major axis",
@@ -186,7 +189,9 @@ mod tests {
             ((1.0, 8.01, 1.0, 0.0), "index"),
             ((1.0, f64::NAN, 1.0, 0.0), "index"),
             ((1.0, 1.0, 0.0, 0.0), "ratio"),
+            ((1.0, 1.0, 9e-4, 0.0), "ratio"),
             ((1.0, 1.0, 1.01, 0.0), "ratio"),
+            ((1.0, 1.0, f64::NAN, 0.0), "ratio"),
             ((1.0, 1.0, 1.0, f64::NAN), "angle"),
         ];
         for ((re, n, q, angle), named) in cases {

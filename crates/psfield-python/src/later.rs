@@ -4,7 +4,7 @@ use std::sync::{Mutex, MutexGuard, OnceLock, TryLockError};
 use std::time::Duration;
 
 use psfield::conv_core::{ConvError, ConvReal};
-use psfield::psf_types::Progress;
+use psfield::psf_types::{Cancelled, Progress};
 
 use crate::error::Failure;
 use crate::interruptible::Watch;
@@ -53,7 +53,7 @@ pub(crate) fn turn<'a, M>(mutex: &'a Mutex<M>, watch: &Watch) -> Result<MutexGua
         match mutex.try_lock() {
             Ok(guard) => return Ok(guard),
             Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
-            Err(TryLockError::WouldBlock) if watch.cancelled() => return Err(ConvError::Cancelled),
+            Err(TryLockError::WouldBlock) if watch.cancelled() => return Err(Cancelled.into()),
             Err(TryLockError::WouldBlock) => std::thread::sleep(ASKED_EVERY),
         }
     }

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, CowArray, Ix2};
-use psfield::conv_core::{ConvReal, PlanSummary, TileCounts};
-use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion};
+use psfield::conv_core::{ConvError, ConvReal, PlanSummary, TileCounts};
+use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion, Uncounted};
 use psfield::{Placement, SceneSources, SimulationWarning, SpotCheck, sersic};
 use rayon::ThreadPool;
 
@@ -156,7 +156,7 @@ impl<T: ConvReal> Planned<T> {
             None => made.insert(self.dark()).view_mut(),
         };
         let mut tiles = TileCounts::default();
-        if let Some((light, _)) = self.light(placed, needed.extended, image) {
+        if let Some((light, _)) = self.light(placed, needed.extended, image, watch)? {
             let dark = placed.scene().clone().with_sources(Vec::new());
             let light = ImageView::new(light.view()).map_err(Failure::of("scene"))?;
             let (simulation, plan) = (&needed.extended.simulation, &needed.extended.plan);
@@ -211,7 +211,7 @@ impl<T: ConvReal> Planned<T> {
         watch: &Watch,
     ) -> Result<SpotCheck, Failure> {
         let anchor = self.settings.plan.anchor();
-        let extended = self.light(placed, needed.extended, light);
+        let extended = self.light(placed, needed.extended, light, watch)?;
         let check = SpotCheck::run(&Image::new(image.to_owned())?, count, seed, |pixels| {
             let mut sums = vec![0.0; pixels.len()];
             let mut add = |of: Vec<f64>| sums.iter_mut().zip(of).for_each(|(sum, value)| *sum += value);
@@ -281,10 +281,11 @@ impl<T: ConvReal> Planned<T> {
         placed: &SceneSources<T>,
         prepared: &Prepared<T>,
         image: Option<ArrayView2<'a, T>>,
-    ) -> Option<Lit<'a, T>> {
+        watch: &Watch,
+    ) -> Result<Option<Lit<'a, T>>, ConvError> {
         if placed.galaxies().is_empty() {
             // Of a region's plan it may be a part, which the plan tells by its shape.
-            return image.map(|image| (image.into(), (0, 0)));
+            return Ok(image.map(|image| (image.into(), (0, 0))));
         }
         let part = prepared
             .plan
@@ -300,8 +301,10 @@ impl<T: ConvReal> Planned<T> {
             let first = (of_scene.0 + padding - part.x0(), of_scene.1 + padding - part.y0());
             assign_overlap(light.view_mut(), image, first);
         }
-        sersic::add_galaxies(light.view_mut(), (part.x0(), part.y0()), placed.galaxies());
-        Some((light.into(), (part.x0() as usize, part.y0() as usize)))
+        // Progress counts the steps of the convolution.
+        let (first, watch) = ((part.x0(), part.y0()), Uncounted(watch));
+        sersic::add_galaxies_with_progress(light.view_mut(), first, placed.galaxies(), &watch)?;
+        Ok(Some((light.into(), (part.x0() as usize, part.y0() as usize))))
     }
 
     /// Whether it lies on a GPU that another process opened, the parent of a fork.

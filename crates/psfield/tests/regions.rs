@@ -268,7 +268,7 @@ fn every_call_can_be_stopped_and_errors_say_what_fits() {
     let options = PlanOptions::new(1e-3).unwrap();
     let plan = simulation.plan(&scene, options).unwrap();
     let stopped = |result: Result<(), PsfieldError>| match result {
-        Err(PsfieldError::Convolution(ConvError::Cancelled)) => {}
+        Err(PsfieldError::Convolution(ConvError::Cancelled(_))) => {}
         other => panic!("{other:?}"),
     };
     let light = scene.image().unwrap().view();

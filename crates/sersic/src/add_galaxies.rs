@@ -1,7 +1,7 @@
 //! Galaxies onto an image.
 
 use ndarray::{ArrayView2, ArrayViewMut2, s};
-use psf_types::{Real, SersicSource};
+use psf_types::{Cancelled, NoProgress, Progress, Real, SersicSource};
 use rayon::prelude::*;
 
 use crate::profile::Profile;
@@ -20,21 +20,35 @@ const AT_ONCE: usize = 64;
 /// some tiles of 128 x 128 pixels. Time grows with the number of galaxies times the number of tiles that their light reaches;
 /// galaxies of `re` 3 pixels take about 1 ms each on one core, most of it for the pixels within some 50 pixels of the centre.
 pub fn add_galaxies<T: Real>(
-    mut image: ArrayViewMut2<'_, T>,
+    image: ArrayViewMut2<'_, T>,
     first_pixel: (i64, i64),
     galaxies: &[SersicSource],
 ) {
+    add_galaxies_with_progress(image, first_pixel, galaxies, &NoProgress)
+        .expect("whoever is told nothing stops nothing");
+}
+
+/// [`add_galaxies`], which tells how far it has come, in tiles, and asks whether it is still wanted, every few milliseconds.
+///
+/// # Errors
+/// [`Cancelled`]: some of the light may have been added.
+pub fn add_galaxies_with_progress<T: Real>(
+    mut image: ArrayViewMut2<'_, T>,
+    first_pixel: (i64, i64),
+    galaxies: &[SersicSource],
+    progress: &dyn Progress,
+) -> Result<(), Cancelled> {
     let (ny, nx) = image.dim();
     if nx == 0 || ny == 0 {
-        return;
+        return Ok(());
     }
     let profiles: Vec<Profile> = galaxies
         .par_iter()
         .filter(|galaxy| galaxy.flux() != 0.0)
-        .map(Profile::new)
-        .collect();
+        .map(|galaxy| progress.still_wanted().map(|()| Profile::new(galaxy)))
+        .collect::<Result<_, Cancelled>>()?;
     if profiles.is_empty() {
-        return;
+        return Ok(());
     }
     let rules = Rules::new();
     // Tiles lie the same in the scene wherever the image begins.
@@ -46,21 +60,24 @@ pub fn add_galaxies<T: Real>(
     let corners: Vec<(i64, i64)> = tiles_along(first_pixel.1, ny)
         .flat_map(|y| tiles_along(first_pixel.0, nx).map(move |x| (x, y)))
         .collect();
+    progress.start(corners.len() as u64);
     for some in corners.chunks(AT_ONCE) {
         let drawn: Vec<Vec<f64>> = some
             .par_iter()
             .map(|&(x, y)| {
                 let mut tile = Tile::new(&rules, x, y);
                 for galaxy in &profiles {
-                    tile.add(galaxy);
+                    tile.add(galaxy, progress)?;
                 }
-                tile.into_pixels()
+                progress.advance(1);
+                Ok(tile.into_pixels())
             })
-            .collect();
+            .collect::<Result<_, Cancelled>>()?;
         for (&(x, y), pixels) in some.iter().zip(drawn) {
             add_tile(&mut image, x - first_pixel.0, y - first_pixel.1, &pixels);
         }
     }
+    Ok(())
 }
 
 /// Adds the part of a tile that lies on the image.

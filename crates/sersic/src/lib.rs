@@ -31,5 +31,5 @@ mod radial_table;
 mod rules;
 mod tile;
 
-pub use add_galaxies::add_galaxies;
+pub use add_galaxies::{add_galaxies, add_galaxies_with_progress};
 pub use profile::FLUX_LEFT_OUT;

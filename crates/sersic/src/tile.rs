@@ -1,5 +1,7 @@
 //! The light of galaxies on one tile of the scene.
 
+use psf_types::{Cancelled, Progress};
+
 use crate::profile::{Nearness, Profile};
 use crate::rules::{GAUSS_2, GAUSS_3, GAUSS_4, NODES, chebyshev_nodes, interpolation_weights};
 
@@ -77,12 +79,19 @@ impl<'a> Tile<'a> {
     }
 
     /// Adds a galaxy.
-    pub(crate) fn add(&mut self, galaxy: &Profile) {
-        self.add_block(galaxy, 0, 0, 0);
+    pub(crate) fn add(&mut self, galaxy: &Profile, progress: &dyn Progress) -> Result<(), Cancelled> {
+        self.add_block(galaxy, 0, (0, 0), progress)
     }
 
     /// Adds a galaxy's light on one block of a level.
-    fn add_block(&mut self, galaxy: &Profile, level: usize, row: usize, column: usize) {
+    fn add_block(
+        &mut self,
+        galaxy: &Profile,
+        level: usize,
+        (row, column): (usize, usize),
+        progress: &dyn Progress,
+    ) -> Result<(), Cancelled> {
+        progress.still_wanted()?;
         let size = TILE >> level;
         let centre = |first: f64, index: usize| first + (index * size) as f64 + 0.5 * (size - 1) as f64;
         let dx = centre(self.x0, column) - galaxy.x;
@@ -91,7 +100,7 @@ impl<'a> Tile<'a> {
         // Also false for positions so far off that the distance is not finite.
         let in_reach = nearness.radius < galaxy.last_radius.min(f64::MAX);
         if !in_reach {
-            return;
+            return Ok(());
         }
         let allowed = allowed_error(galaxy.brightness_at(nearness.radius));
         let t = nearness.relative_size;
@@ -106,7 +115,7 @@ impl<'a> Tile<'a> {
             }
         } else if level + 1 < LEVELS {
             for (j, i) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
-                self.add_block(galaxy, level + 1, 2 * row + j, 2 * column + i);
+                self.add_block(galaxy, level + 1, (2 * row + j, 2 * column + i), progress)?;
             }
         } else {
             // Where one rule does for every pixel of the block, it need not be looked for pixel by pixel.
@@ -126,6 +135,7 @@ impl<'a> Tile<'a> {
                 }
             }
         }
+        Ok(())
     }
 
     /// The flux in every pixel, rows first.

@@ -2,12 +2,14 @@
 
 mod common;
 
+use std::sync::atomic::{AtomicU64, Ordering};
+
 use common::galaxy;
 use ndarray::{Array2, s};
-use psf_types::{SersicProfile, SersicSource};
+use psf_types::{Cancelled, Progress, SersicProfile, SersicSource};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use sersic::add_galaxies;
+use sersic::{add_galaxies, add_galaxies_with_progress};
 
 fn field(count: usize, size: f64) -> Vec<SersicSource> {
     let mut random = ChaCha8Rng::seed_from_u64(5);
@@ -51,6 +53,54 @@ fn the_number_of_threads_changes_nothing() {
         image
     };
     assert_eq!(with(1), with(7));
+}
+
+/// Wants no more than some tiles.
+#[derive(Default)]
+struct Enough {
+    tiles: u64,
+    total: AtomicU64,
+    done: AtomicU64,
+}
+
+impl Progress for Enough {
+    fn start(&self, total: u64) {
+        self.total.fetch_add(total, Ordering::Relaxed);
+    }
+    fn advance(&self, steps: u64) {
+        self.done.fetch_add(steps, Ordering::Relaxed);
+    }
+    fn cancelled(&self) -> bool {
+        self.done.load(Ordering::Relaxed) >= self.tiles
+    }
+}
+
+#[test]
+fn work_that_is_no_longer_wanted_stops() {
+    let galaxies = field(20, 600.0);
+    let draw = |tiles: u64| {
+        let enough = Enough {
+            tiles,
+            ..Enough::default()
+        };
+        let mut image = Array2::<f64>::zeros((600, 600));
+        let ended = add_galaxies_with_progress(image.view_mut(), (0, 0), &galaxies, &enough);
+        let (total, done) = (enough.total.into_inner(), enough.done.into_inner());
+        (ended, total, done, image)
+    };
+    // 5 x 5 tiles of 128 pixels.
+    let (ended, total, done, image) = draw(u64::MAX);
+    assert_eq!((ended, total, done), (Ok(()), 25, 25));
+    let mut plain = Array2::<f64>::zeros((600, 600));
+    add_galaxies(plain.view_mut(), (0, 0), &galaxies);
+    assert_eq!(image, plain);
+    let (ended, total, done, _) = draw(0);
+    assert_eq!((ended, total, done), (Err(Cancelled), 0, 0));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
+    let (ended, total, done, _) = pool.install(|| draw(3));
+    assert_eq!((ended, total), (Err(Cancelled), 25));
+    // The other thread may have had a tile under way with nothing left to ask about.
+    assert!((3..=4).contains(&done), "{done}");
 }
 
 #[test]

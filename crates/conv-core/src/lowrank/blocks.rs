@@ -7,7 +7,6 @@ use rayon::prelude::*;
 
 use super::block::Block;
 use super::whole::Whole;
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal};
 
 /// Blocks that are planned at once.
@@ -32,7 +31,7 @@ pub(crate) fn blocks<T: ConvReal>(
         let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
             .into_par_iter()
             .map(|i| {
-                still_wanted(progress)?;
+                progress.still_wanted()?;
                 let region = whole.block(columns.start + i % across, rows.start + i / across);
                 Ok(Block::new(model, &whole.space, region, tolerance, !full))
             })

@@ -7,7 +7,6 @@ use super::tile_engine::TilePart;
 use super::treatment::{Choice, Treatment, Ways, treat};
 use super::workspace::Workspace;
 use crate::simd::Lanes;
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal};
 
 /// Which way a job goes through the operator.
@@ -39,7 +38,7 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     ways: Ways,
     workspace: &mut Workspace<T>,
 ) -> Result<Option<Treatment<T>>, ConvError> {
-    still_wanted(job.progress)?;
+    job.progress.still_wanted()?;
     let plan = job.plan;
     let engine = plan.engine(job.flip);
     let pitch = plan.fft.pitch();

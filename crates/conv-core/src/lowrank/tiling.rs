@@ -12,7 +12,6 @@ use super::local_modes::LocalModes;
 use super::psf_space::PsfSpace;
 use super::region_cells::RegionCells;
 use crate::ConvError;
-use crate::wanted::still_wanted;
 
 /// Tiles along both axes and their transforms.
 #[derive(Debug, Clone)]
@@ -81,7 +80,7 @@ pub(crate) fn best_tiling(
     let judged: Vec<(f64, Tiling)> = ways
         .into_par_iter()
         .map(|(columns, rows)| {
-            still_wanted(progress)?;
+            progress.still_wanted()?;
             let at_least = (longest(&columns) + stamp.0 - 1, longest(&rows) + stamp.1 - 1);
             let tiling = Tiling {
                 columns,

@@ -7,7 +7,6 @@ use super::star::PreparedStar;
 use super::star_block::{CHUNK, RowLayout, StarBlock};
 use super::tile::Tile;
 use crate::simd::Lanes;
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal};
 
 /// Draws stars of one block.
@@ -44,7 +43,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
         let row_of_kernels = self.block.kernel_count() * self.layout.kernel;
         for j in 0..longest.unwrap_or(0) {
             if self.stars.len() >= STARS_A_QUESTION {
-                still_wanted(self.progress)?;
+                self.progress.still_wanted()?;
             }
             for star in self.stars {
                 let row = star.rows.start + j;

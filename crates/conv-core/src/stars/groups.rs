@@ -15,7 +15,6 @@ use super::star_block::{RowLayout, StarBlock};
 use super::tile::Tile;
 use crate::simd::{Lanes, WithIsa};
 use crate::stamp_interpolator::MOST_TAPS;
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal};
 
 /// Rows of the image to which one task adds.
@@ -78,7 +77,7 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
         } = self;
         let height = image.nrows() as i64;
         let draw = |group: &Group<T>| {
-            still_wanted(progress)?;
+            progress.still_wanted()?;
             let rows = group.rows.start.max(first_row)..group.rows.end.min(first_row + height);
             let mut tile = Tile::dark(group.columns.clone(), rows);
             let draw = BlockDraw {

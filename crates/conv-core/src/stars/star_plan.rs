@@ -13,7 +13,6 @@ use super::star_vectors::StarVectors;
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::lowrank::internals::{PsfSpace, rounding};
 use crate::point_sources::{StampSplines, StarPainter};
-use crate::wanted::still_wanted;
 use crate::{ConvError, ConvReal, PlanOptions};
 
 /// The drawing of point sources through one model, prepared.
@@ -230,7 +229,7 @@ impl<T: ConvReal> StarPlan<T> {
                 })
                 .count();
             let (now, later) = rest.split_at(count);
-            still_wanted(progress)?;
+            progress.still_wanted()?;
             let first = (region.x0(), region.y0());
             missed.extend(self.draw(phased, scene, now, (first, image.view_mut()), progress)?);
             rest = later;
@@ -273,7 +272,7 @@ impl<T: ConvReal> StarPlan<T> {
         stars: &[StarKey],
         progress: &dyn Progress,
     ) -> Result<(Group<T>, Vec<usize>), ConvError> {
-        still_wanted(progress)?;
+        progress.still_wanted()?;
         let key = stars[0].block;
         let block = phased.blocks.get(key, || {
             StarBlock::new(
@@ -291,7 +290,7 @@ impl<T: ConvReal> StarPlan<T> {
         let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
         for (number, &StarKey { index, .. }) in stars.iter().enumerate() {
             if number.is_multiple_of(LEAST_AT_ONCE) {
-                still_wanted(progress)?;
+                progress.still_wanted()?;
             }
             let star = Star::new(index, &scene.sources()[index], scene.frame());
             let Some([columns, rows]) = star.phases(&phased.axes) else {
