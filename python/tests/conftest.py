@@ -45,6 +45,7 @@ def direct_sum(model: psfield.PsfModel, scene: np.ndarray) -> np.ndarray:
 
 def relative_l2(result: np.ndarray, reference: np.ndarray) -> float:
     """Return ``norm(result - reference) / norm(reference)``."""
+    reference = np.asarray(reference, float)
     return float(np.linalg.norm(np.asarray(result, float) - reference) / np.linalg.norm(reference))
 
 

@@ -19,6 +19,8 @@ Columns = dict[str, NDArray[np.float64]]
 
 #: A plan keeps up to its ``memory`` between tasks, so that few are kept: for the next scene with the same chunks.
 _PLANS: Kept[Plan] = Kept(4)
+#: Plans for the first pixel of a frame. They have the tiles of the whole: their choice is most of what a plan for a region takes.
+_TILES: Kept[Plan] = Kept(4)
 
 
 def region_image(
@@ -50,10 +52,19 @@ def region_image(
     sources = None if catalog is None else _near(catalog, region, model, words)
     if sources is None and not np.any(light):
         return np.zeros((ny, nx), DTYPES[words["precision"]])
-    whole = tuple(sorted(words.items()))
-    plan = _PLANS.get((token, whole, region), lambda: model.plan(**words, region=region))
+    plan = _plan(model, token, words, region)
     image: NDArray[Any] = plan.simulate(_reaching(light, origin, plan.light_region), sources)
     return image
+
+
+def _plan(model: PsfModel, token: str, words: dict[str, Any], region: Region) -> Plan:
+    """Return the plan for a region of the frame."""
+    whole = (token, tuple(sorted(words.items())))
+
+    def tiles() -> Plan:
+        return model.plan(**words, region=(0, 0, 1, 1))
+
+    return _PLANS.get((whole, region), lambda: _TILES.get(whole, tiles).for_region(region))
 
 
 def _reaching(light: NDArray[Any], origin: tuple[int, int], region: Region) -> NDArray[Any]:
