@@ -34,14 +34,26 @@ def plain(values: Any, name: str) -> NDArray[Any]:
     return np.asarray(getattr(values, "value", values) if hasattr(values, "unit") else values)
 
 
+def check_real(array: Any, name: str) -> None:
+    """Refuse what is no array of real numbers."""
+    if array.dtype.kind not in "fiub":
+        raise TypeError(f"{name} must be real numbers, got {array.dtype}")
+
+
+def reals(values: Any, name: str) -> NDArray[np.float64]:
+    """Return doubles of any shape, aligned, in the machine's byte order; without a copy where they are that already."""
+    array = plain(values, name)
+    check_real(array, name)
+    return np.require(array, dtype=DTYPES["f64"], requirements="A")
+
+
 def numbers(values: Any, name: str, dtype: np.dtype[Any], axes: str) -> NDArray[Any]:
     """Return real numbers of a type, aligned, in the machine's byte order; without a copy where they are that already.
 
     ``axes`` names the axes that there must be, as in ``"[y, x]"``.
     """
     array = plain(values, name)
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name} must be real numbers, got {array.dtype}")
+    check_real(array, name)
     expected = axes.count(",") + 1
     if array.ndim != expected:
         raise ValueError(f"{name} must be an array {axes}, got one of shape {array.shape}")
@@ -61,10 +73,7 @@ def doubles(values: Any, name: str, axes: str) -> NDArray[np.float64]:
 
 def column(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return a column of doubles, which may be empty."""
-    array = plain(values, name)
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name} must be real numbers, got {array.dtype}")
-    return np.atleast_1d(np.require(array, dtype=DTYPES["f64"], requirements="A"))
+    return np.atleast_1d(reals(values, name))
 
 
 def points(positions: Any, name: str = "positions") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -92,3 +101,8 @@ def shape_of(shape: Any, name: str) -> tuple[int, int]:
     if rows < 1 or columns < 1:
         raise ValueError(f"{name} must be at least (1, 1), got {(rows, columns)}")
     return rows, columns
+
+
+def shape_or_none(shape: Any, name: str) -> tuple[int, int] | None:
+    """Return rows and columns of a shape, or None."""
+    return None if shape is None else shape_of(shape, name)

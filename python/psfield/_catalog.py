@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psfield import _native
-from psfield._arrays import plain
+from psfield._arrays import reals
 from psfield._astropy import check_linear, in_unit
 from psfield._errors import PsfieldWarning
 
@@ -140,9 +140,7 @@ def _column(values: Any, name: str, unit: Any) -> Column:
     if name in _SHAPE and np.ma.isMaskedArray(values):
         # No shape: a star.
         values = np.ma.asarray(values, dtype=np.float64).filled(np.nan)
-    array = plain(values, f"catalog: {name}")
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"catalog: {name} must be real numbers, got {array.dtype}")
+    array = reals(values, f"catalog: {name}")
     if array.ndim != 1:
         raise ValueError(f"catalog: {name} must be a column, got an array of shape {array.shape}")
-    return np.require(array, dtype=np.float64, requirements="A")
+    return array

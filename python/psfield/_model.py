@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
-from psfield._arrays import DTYPES, column, doubles, plain, points, shape_of
+from psfield._arrays import DTYPES, column, doubles, plain, points, shape_of, shape_or_none
 from psfield._astropy import in_unit
 from psfield._choices import pair_or_none, real, real_or_none, whole, whole_or_none, word, word_or_none, yes_or_no
 from psfield._plan import DEFAULT_MEMORY, Plan
@@ -118,7 +118,7 @@ class PsfModel:
         x, y = points(positions)
         grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
         fit = _fit(rank, centring, noise, interpolation, outside, normalise)
-        field = None if field_shape is None else shape_of(field_shape, "field_shape")
+        field = shape_or_none(field_shape, "field_shape")
         return cls._of(_native.PsfModel.from_samples(cube, x, y, field, grid, fit, False))
 
     @classmethod
@@ -167,7 +167,7 @@ class PsfModel:
             doubles(coefficients, "coefficients", "[position, component]"),
             x,
             y,
-            None if field_shape is None else shape_of(field_shape, "field_shape"),
+            shape_or_none(field_shape, "field_shape"),
             grid,
             (word(interpolation, "interpolation"), word(outside, "outside"), word(normalise, "normalise")),
         )
@@ -203,7 +203,7 @@ class PsfModel:
         _, ny, nx = cube.shape
         grid = _grid(float(oversampling[0]), ((nx - 1) / 2, (ny - 1) / 2), True, "cubic-spline")
         fit = _fit(None, None, None, interpolation, None, None)
-        field = None if field_shape is None else shape_of(field_shape, "field_shape")
+        field = shape_or_none(field_shape, "field_shape")
         return cls._of(_native.PsfModel.from_samples(cube, x, y, field, grid, fit, True))
 
     @classmethod
@@ -280,7 +280,7 @@ class PsfModel:
                 "threshold": real(threshold, "threshold"),
                 "start": shape_of(start, "start"),
                 "max_samples": whole(max_samples, "max_samples", 1),
-                "uniform": None if uniform is None else shape_of(uniform, "uniform"),
+                "uniform": shape_or_none(uniform, "uniform"),
             },
             _fit(rank, centring, noise, interpolation, outside, normalise),
             as_callback(progress),
@@ -512,7 +512,7 @@ class PsfModel:
         from astropy.nddata import NDData
         from photutils.psf import GriddedPSFModel
 
-        at = None if grid_shape is None else shape_of(grid_shape, "grid_shape")
+        at = shape_or_none(grid_shape, "grid_shape")
         stamps, (x, y), oversampling, max_error = self._handle.gridded(at)
         meta = {
             "grid_xypos": list(zip(x.tolist(), y.tolist(), strict=True)),
@@ -556,7 +556,7 @@ class PsfModel:
         words = {
             "format": word(format, "format", ("psf-model", "psf-samples", "psfex", "gridded")),
             "degree": whole_or_none(degree, "degree"),
-            "at": None if grid_shape is None else shape_of(grid_shape, "grid_shape"),
+            "at": shape_or_none(grid_shape, "grid_shape"),
             "double": word(precision, "precision", DTYPES) == "f64",
             "overwrite": yes_or_no(overwrite, "overwrite"),
         }

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,7 +74,7 @@ class Plan:
         if "tolerance" not in words:
             raise TypeError("use PsfModel.plan")
         self._model = model
-        self._words = {**_checked(words), "shape": shape_of(shape, "shape")}
+        self._words = {**checked(words), "shape": shape_of(shape, "shape")}
         self._handle = _native.Plan(model._handle, self._words)
 
     def for_region(self, region: tuple[int, int, int, int]) -> Plan:
@@ -337,24 +339,6 @@ class Plan:
         return _again, (self._model, self._words)
 
 
-def _checked(words: dict[str, Any]) -> dict[str, Any]:
-    """Return the arguments of a plan in the native module's types."""
-    return {
-        "tolerance": real(words["tolerance"], "tolerance"),
-        "precision": word(words["precision"], "precision", DTYPES),
-        "device": word(words["device"], "device", ("auto", "cpu", "gpu")),
-        "frame": region_of(words["frame"], "frame"),
-        "region": region_of(words["region"], "region"),
-        "anchor": word(words["anchor"], "anchor", ("source", "output")),
-        "method": word(words["method"], "method", ("auto", "lowrank")),
-        "memory": whole(words["memory"], "memory"),
-        "oversample": whole(words["oversample"], "oversample", 1),
-        "stamp_size": whole_or_none(words["stamp_size"], "stamp_size", 1),
-        "gpu_adapter": word_or_none(words["gpu_adapter"], "gpu_adapter"),
-        "gpu_memory": whole_or_none(words["gpu_memory"], "gpu_memory"),
-    }
-
-
 def region_of(region: Any, name: str) -> tuple[int, int, int, int] | None:
     """Return first column, first row, columns and rows as plain numbers."""
     if region is None:
@@ -366,6 +350,28 @@ def region_of(region: Any, name: str) -> tuple[int, int, int, int] | None:
     if nx < 1 or ny < 1:
         raise ValueError(f"{name} must have columns and rows, got {nx} x {ny}")
     return x0, y0, nx, ny
+
+
+#: What each argument of a plan but its shape must be.
+_CHECKS: dict[str, Callable[[Any, str], Any]] = {
+    "tolerance": real,
+    "precision": partial(word, known=DTYPES),
+    "device": partial(word, known=("auto", "cpu", "gpu")),
+    "frame": region_of,
+    "region": region_of,
+    "anchor": partial(word, known=("source", "output")),
+    "method": partial(word, known=("auto", "lowrank")),
+    "memory": whole,
+    "oversample": partial(whole, least=1),
+    "stamp_size": partial(whole_or_none, least=1),
+    "gpu_adapter": word_or_none,
+    "gpu_memory": whole_or_none,
+}
+
+
+def checked(words: dict[str, Any]) -> dict[str, Any]:
+    """Return arguments of a plan in the native module's types."""
+    return {name: _CHECKS[name](value, name) for name, value in words.items()}
 
 
 def _again(model: PsfModel, words: dict[str, Any]) -> Plan:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psfield import _native
-from psfield._arrays import doubles, plain, points
+from psfield._arrays import doubles, points, reals
 from psfield._choices import real, whole, whole_or_none, yes_or_no
 
 __all__ = [
@@ -269,8 +269,7 @@ def compare(result: Any, reference: Any) -> Comparison:
     -------
     Comparison
     """
-    arrays = [_reals(values, name) for values, name in ((result, "result"), (reference, "reference"))]
-    figures = _native.compare(*arrays)
+    figures = _native.compare(reals(result, "result"), reals(reference, "reference"))
     return Comparison(**{**figures, "max_abs_index": tuple(figures["max_abs_index"])})
 
 
@@ -334,11 +333,3 @@ def _start(start: tuple[float, float, float] | None) -> tuple[float, float, floa
     if not real(sigma, "start: sigma") > 0:
         raise ValueError(f"start: sigma must be above 0, got {sigma}")
     return real(x, "start: x"), real(y, "start: y"), float(sigma)
-
-
-def _reals(values: Any, name: str) -> NDArray[np.float64]:
-    """Return an array of any shape in double precision."""
-    array = plain(values, name)
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name} must be real numbers, got {array.dtype}")
-    return np.require(array, np.float64, "A")

@@ -14,13 +14,13 @@ import dask
 import dask.system
 from dask.base import tokenize
 
-from psfield._arrays import shape_of
+from psfield._arrays import shape_or_none
 from psfield._choices import whole, whole_or_none
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
-from psfield._plan import DEFAULT_MEMORY, region_of
+from psfield._plan import DEFAULT_MEMORY
 from psfield._progress import Progress, as_callback
-from psfield.dask._checks import check_choices
+from psfield.dask._checks import checked_for_workers
 from psfield.dask._fits import FitsFiles
 from psfield.dask._job import Job, JobResult
 from psfield.dask._targets import Files, ZarrGroup, frames_of
@@ -116,7 +116,18 @@ def batch(
     Jobs that were on a worker each time that one was lost, more often than Dask's ``distributed.scheduler.allowed-failures`` (3), are run
     by themselves at the end: the one that kills workers fails, and no other.
     """
-    check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size, memory)
+    words = checked_for_workers(
+        model,
+        tolerance=tolerance,
+        precision=precision,
+        device=device,
+        frame=frame,
+        anchor=anchor,
+        method=method,
+        memory=memory,
+        oversample=oversample,
+        stamp_size=stamp_size,
+    )
     if isinstance(jobs, (str, bytes, Mapping)):
         raise TypeError(f"jobs must be a list or another iterable of jobs, got {type(jobs).__name__}")
     if isinstance(keep, str):
@@ -128,18 +139,7 @@ def batch(
     if "truth" in keep and detector is None:
         raise ValueError("keep: without a detector the image is the truth itself")
     threads, retries = whole_or_none(threads, "threads", 1), whole(retries, "retries")
-    words = {
-        "tolerance": float(tolerance),
-        "precision": precision,
-        "device": device,
-        "frame": region_of(frame, "frame"),
-        "anchor": anchor,
-        "method": method,
-        "memory": memory,
-        "oversample": oversample,
-        "stamp_size": stamp_size,
-    }
-    scenes = None if shape is None else shape_of(shape, "shape")
+    scenes = shape_or_none(shape, "shape")
     name = f"psfield-{uuid.uuid4().hex[:12]}"
     total = len(jobs) if isinstance(jobs, Sized) else None
     target: Files | ZarrGroup

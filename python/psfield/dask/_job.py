@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal, TypedDict, TypeGuard
 
 import numpy as np
 
@@ -99,7 +99,7 @@ def checked(job: Any, has_detector: bool) -> None:
         raise ValueError("a detector's noise needs a seed: give each job one of its own")
 
 
-def is_path(value: Any) -> bool:
+def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
     return isinstance(value, (str, os.PathLike))
 
 
@@ -122,7 +122,7 @@ def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
 def catalog_of(job: Mapping[str, Any]) -> Any:
     """Return the table of a job's sources, if it has one."""
     catalog: Any = job.get("catalog")
-    if isinstance(catalog, (str, os.PathLike)):
+    if is_path(catalog):
         return read_catalog(catalog)
     return _call(catalog, job) if callable(catalog) else catalog
 

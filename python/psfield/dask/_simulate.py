@@ -12,11 +12,11 @@ from dask.base import tokenize
 from dask.delayed import delayed
 from numpy.typing import NDArray
 
-from psfield._arrays import DTYPES
+from psfield._arrays import DTYPES, check_real
 from psfield._catalog import columns_of
 from psfield._model import PsfModel
-from psfield._plan import DEFAULT_MEMORY, region_of
-from psfield.dask._checks import check_choices
+from psfield._plan import DEFAULT_MEMORY
+from psfield.dask._checks import checked_for_workers
 from psfield.dask._cores import share_cores
 from psfield.dask._reach import Depth, reach
 from psfield.dask._region import Columns, region_image
@@ -80,24 +80,23 @@ def simulate(
         Chunks of unknown size, an empty scene, options that cannot be. What is wrong with pixels (NaN, masked) comes from `compute`.
     """
     _check_scene(scene)
-    check_choices(model, tolerance, precision, device, anchor, method, oversample, stamp_size, memory)
-    rows, columns = scene.shape
-    x0, y0, nx, ny = _frame_of(region_of(frame, "frame"), (rows, columns), oversample)
-    of_rows, of_columns = reach(model, oversample, stamp_size)
-    along_y = _Axis.of(rows, scene.chunks[0], (y0, ny), oversample, of_rows)
-    along_x = _Axis.of(columns, scene.chunks[1], (x0, nx), oversample, of_columns)
-    words = {
-        "shape": (rows, columns),
-        "tolerance": float(tolerance),
-        "precision": precision,
-        "device": device,
-        "frame": None if frame is None else (x0, y0, nx, ny),
-        "anchor": anchor,
-        "method": method,
-        "memory": memory,
-        "oversample": oversample,
-        "stamp_size": stamp_size,
-    }
+    words = checked_for_workers(
+        model,
+        tolerance=tolerance,
+        precision=precision,
+        device=device,
+        frame=frame,
+        anchor=anchor,
+        method=method,
+        memory=memory,
+        oversample=oversample,
+        stamp_size=stamp_size,
+    )
+    rows, columns = words["shape"] = scene.shape
+    x0, y0, nx, ny = _frame_of(words["frame"], (rows, columns), words["oversample"])
+    of_rows, of_columns = reach(model, words["oversample"], words["stamp_size"])
+    along_y = _Axis.of(rows, scene.chunks[0], (y0, ny), words["oversample"], of_rows)
+    along_x = _Axis.of(columns, scene.chunks[1], (x0, nx), words["oversample"], of_columns)
     found = columns_of(catalog)
     sources = None if found is None else {name: column for name, column in found.items() if column is not None}
     token = tokenize(model)
@@ -198,8 +197,7 @@ def _check_scene(scene: Any) -> None:
         raise ValueError("scene: the sizes of its chunks are unknown: call its compute_chunk_sizes() first")
     if 0 in scene.shape:
         raise ValueError(f"scene is empty: its shape is {scene.shape}")
-    if scene.dtype.kind not in "fiub":
-        raise TypeError(f"scene must be real numbers, got {scene.dtype}")
+    check_real(scene, "scene")
     meta = scene._meta
     if not isinstance(meta, np.ndarray) or hasattr(meta, "unit"):
         raise TypeError(f"scene: its chunks must be NumPy arrays, got {type(meta).__name__}: convert them with map_blocks")
