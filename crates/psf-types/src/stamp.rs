@@ -133,9 +133,9 @@ impl StampGrid {
         (self.ny, self.nx)
     }
 
-    /// Number of stamp pixels.
+    /// Number of stamp pixels; the largest number there is where they are more.
     pub fn pixel_count(self) -> usize {
-        self.nx * self.ny
+        self.nx.saturating_mul(self.ny)
     }
 
     /// Column index of the PSF's reference point.

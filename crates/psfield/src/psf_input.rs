@@ -72,8 +72,7 @@ const MAX_STACK_BYTES: usize = 16 << 30;
 /// [`PsfieldError::TooLarge`].
 pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
     let bytes = stamps
-        .saturating_mul(grid.nx())
-        .saturating_mul(grid.ny())
+        .saturating_mul(grid.pixel_count())
         .saturating_mul(size_of::<f64>());
     if bytes > MAX_STACK_BYTES {
         return Err(PsfieldError::TooLarge {
