@@ -3,15 +3,15 @@
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
 
-use std::borrow::Cow;
 use std::sync::Arc;
 
+use common::grid_field::GridField;
 use common::{ANCHORS, PATHS, Waves, model_with, noise, options, region};
 use conv_core::{ConvError, ConvReal, Plan, PlanOptions, RowStream, StarPlan};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, FrameShape, Image, ImageView, NoProgress, Normalisation,
-    PixelRegion, PointSource, Position, PsfModel, RowRun, Scene,
+    Anchor, FrameShape, Image, ImageView, NoProgress, Normalisation, PixelRegion, PointSource, Position,
+    PsfModel, Scene,
 };
 
 /// Pieces against the whole, relative L2: rounding of f32 transforms.
@@ -27,95 +27,20 @@ const ROUNDING_F64: f64 = 1e-12;
 
 const SCENE: (usize, usize) = (211, 163);
 
-/// Nodes on a grid, bilinear between them, with lines that tiles can follow.
-#[derive(Debug)]
-struct Grid {
-    values: Array2<f64>,
+/// A field with lines that tiles can follow.
+fn grid() -> GridField {
+    let values = noise(NODES * NODES, 3, 21).mapv(|v| 0.2 * v);
+    GridField::new(STEP, NODES, values)
 }
 
 const STEP: f64 = 37.25;
 const NODES: usize = 6;
 
-impl Grid {
-    fn new() -> Self {
-        Self {
-            values: noise(NODES * NODES, 3, 21).mapv(|v| 0.2 * v),
-        }
-    }
-
-    fn cell(v: f64) -> (usize, f64) {
-        let at = (v / STEP).clamp(0.0, (NODES - 1) as f64);
-        let cell = (at as usize).min(NODES - 2);
-        (cell, at - cell as f64)
-    }
-
-    fn weights(column: usize, x: f64, (row, v): (usize, f64)) -> [(usize, f64); 4] {
-        let u = (x / STEP).clamp(0.0, (NODES - 1) as f64) - column as f64;
-        let node = row * NODES + column;
-        [
-            (node, (1.0 - u) * (1.0 - v)),
-            (node + 1, u * (1.0 - v)),
-            (node + NODES, (1.0 - u) * v),
-            (node + NODES + 1, u * v),
-        ]
-    }
-}
-
-impl CoefficientField for Grid {
-    fn component_count(&self) -> usize {
-        3
-    }
-
-    fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
-        a.fill(0.0);
-        for (node, weight) in Self::weights(Self::cell(p.x()).0, p.x(), Self::cell(p.y())) {
-            for (sum, value) in a.iter_mut().zip(self.values.row(node)) {
-                *sum += weight * value;
-            }
-        }
-        Ok(())
-    }
-
-    fn node_values(&self) -> Cow<'_, Array2<f64>> {
-        Cow::Borrowed(&self.values)
-    }
-
-    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
-        let lines: Vec<f64> = (0..NODES).map(|n| n as f64 * STEP).collect();
-        Some([lines.clone(), lines])
-    }
-
-    fn weights_along_row(
-        &self,
-        (x, y): (i64, i64),
-        length: usize,
-        visit: &mut dyn FnMut(RowRun<'_>),
-    ) -> Result<(), FieldError> {
-        let (row, end) = (Self::cell(y as f64), x + length as i64);
-        let mut first = x;
-        while first < end {
-            let column = Self::cell(first as f64).0;
-            let next = if column + 2 < NODES {
-                (((column + 1) as f64 * STEP).ceil() as i64).clamp(first + 1, end)
-            } else {
-                end
-            };
-            visit(RowRun {
-                length: (next - first) as usize,
-                first: &Self::weights(column, first as f64, row),
-                last: &Self::weights(column, (next - 1) as f64, row),
-            });
-            first = next;
-        }
-        Ok(())
-    }
-}
-
 fn models() -> [(&'static str, PsfModel); 3] {
     [
         (
             "grid",
-            model_with(Arc::new(Grid::new()), (13, 11), (6, 5), true, Normalisation::Unit),
+            model_with(Arc::new(grid()), (13, 11), (6, 5), true, Normalisation::Unit),
         ),
         (
             "waves",
@@ -123,7 +48,7 @@ fn models() -> [(&'static str, PsfModel); 3] {
         ),
         (
             "no mean",
-            model_with(Arc::new(Grid::new()), (9, 5), (4, 2), false, Normalisation::Keep),
+            model_with(Arc::new(grid()), (9, 5), (4, 2), false, Normalisation::Keep),
         ),
     ]
 }

@@ -1,12 +1,13 @@
 //! A model as models of telescopes are: samples on a regular grid, bilinear between them.
 
-use std::borrow::Cow;
+#[path = "../../tests/common/grid_field.rs"]
+mod grid_field;
+
 use std::sync::Arc;
 
+use grid_field::GridField;
 use ndarray::{Array2, Array3};
-use psf_types::{
-    CoefficientField, FieldError, Normalisation, Position, PsfBasis, PsfModel, RowRun, StampGrid,
-};
+use psf_types::{Normalisation, PsfBasis, PsfModel, StampGrid};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -17,96 +18,15 @@ pub(crate) const RANK: usize = 30;
 /// Samples along each side of the field.
 pub(crate) const SAMPLES: usize = 17;
 
-/// Coefficients that are bilinear in the cells of a square grid over a square frame.
-#[derive(Debug)]
-pub(crate) struct Grid {
-    /// Pixels from one sample to the next.
-    step: f64,
-    values: Array2<f64>,
-}
-
-impl Grid {
-    pub(crate) fn over(frame: usize) -> Self {
-        let place = |n: usize| n as f64 / (SAMPLES - 1) as f64;
-        let values = Array2::from_shape_fn((SAMPLES * SAMPLES, RANK), |(node, k)| {
-            let (u, v) = (place(node % SAMPLES), place(node / SAMPLES));
-            let wave = 1.0 + 0.3 * k as f64;
-            0.05 / wave * (wave * (3.0 * u + 2.0 * v) + k as f64).sin()
-        });
-        Self {
-            step: (frame - 1) as f64 / (SAMPLES - 1) as f64,
-            values,
-        }
-    }
-
-    /// The cell of a coordinate, held within the grid, and the place in it.
-    fn cell(&self, coordinate: f64) -> (usize, f64) {
-        let at = (coordinate / self.step).clamp(0.0, (SAMPLES - 1) as f64);
-        let cell = (at as usize).min(SAMPLES - 2);
-        (cell, at - cell as f64)
-    }
-
-    fn weights(&self, column: usize, x: f64, (row, v): (usize, f64)) -> [(usize, f64); 4] {
-        let u = (x / self.step).clamp(0.0, (SAMPLES - 1) as f64) - column as f64;
-        let node = row * SAMPLES + column;
-        [
-            (node, (1.0 - u) * (1.0 - v)),
-            (node + 1, u * (1.0 - v)),
-            (node + SAMPLES, (1.0 - u) * v),
-            (node + SAMPLES + 1, u * v),
-        ]
-    }
-}
-
-impl CoefficientField for Grid {
-    fn component_count(&self) -> usize {
-        RANK
-    }
-
-    fn evaluate_into(&self, p: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
-        coefficients.fill(0.0);
-        for (node, weight) in self.weights(self.cell(p.x()).0, p.x(), self.cell(p.y())) {
-            for (sum, value) in coefficients.iter_mut().zip(self.values.row(node)) {
-                *sum += weight * value;
-            }
-        }
-        Ok(())
-    }
-
-    fn node_values(&self) -> Cow<'_, Array2<f64>> {
-        Cow::Borrowed(&self.values)
-    }
-
-    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
-        let lines: Vec<f64> = (0..SAMPLES).map(|n| n as f64 * self.step).collect();
-        Some([lines.clone(), lines])
-    }
-
-    fn weights_along_row(
-        &self,
-        (x, y): (i64, i64),
-        length: usize,
-        visit: &mut dyn FnMut(RowRun<'_>),
-    ) -> Result<(), FieldError> {
-        let row = self.cell(y as f64);
-        let end = x + length as i64;
-        let mut first = x;
-        while first < end {
-            let column = self.cell(first as f64).0;
-            let next = if column + 2 < SAMPLES {
-                (((column + 1) as f64 * self.step).ceil() as i64).clamp(first + 1, end)
-            } else {
-                end
-            };
-            visit(RowRun {
-                length: (next - first) as usize,
-                first: &self.weights(column, first as f64, row),
-                last: &self.weights(column, (next - 1) as f64, row),
-            });
-            first = next;
-        }
-        Ok(())
-    }
+/// Coefficients over a square frame.
+fn grid_over(frame: usize) -> GridField {
+    let place = |n: usize| n as f64 / (SAMPLES - 1) as f64;
+    let values = Array2::from_shape_fn((SAMPLES * SAMPLES, RANK), |(node, k)| {
+        let (u, v) = (place(node % SAMPLES), place(node / SAMPLES));
+        let wave = 1.0 + 0.3 * k as f64;
+        0.05 / wave * (wave * (3.0 * u + 2.0 * v) + k as f64).sin()
+    });
+    GridField::new((frame - 1) as f64 / (SAMPLES - 1) as f64, SAMPLES, values)
 }
 
 /// A Gaussian of unit flux and components without flux, over a square frame.
@@ -134,5 +54,5 @@ pub(crate) fn model(frame: usize) -> PsfModel {
     let mean = &gauss / gauss.sum();
     let grid = StampGrid::new(STAMP, STAMP).expect("a valid grid");
     let basis = PsfBasis::new(Some(mean), components, grid).expect("an orthonormal basis");
-    PsfModel::new(&basis, Arc::new(Grid::over(frame)), Normalisation::Keep, None).expect("a valid model")
+    PsfModel::new(&basis, Arc::new(grid_over(frame)), Normalisation::Keep, None).expect("a valid model")
 }

@@ -1,5 +1,7 @@
 //! A small model with a PSF that varies strongly, and the double sum written as plainly as can be.
 
+pub(crate) mod grid_field;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 

@@ -1,0 +1,97 @@
+//! A field on a regular grid, as models of telescopes have.
+
+use std::borrow::Cow;
+
+use ndarray::Array2;
+use psf_types::{CoefficientField, FieldError, Position, RowRun};
+
+/// Coefficients that are bilinear in the cells of a square grid of nodes, the first of which is at (0, 0).
+#[derive(Debug)]
+pub(crate) struct GridField {
+    /// Pixels from one node to the next.
+    step: f64,
+    /// Nodes along each side.
+    side: usize,
+    /// `[node, component]`, rows of nodes one after the other.
+    values: Array2<f64>,
+}
+
+impl GridField {
+    pub(crate) fn new(step: f64, side: usize, values: Array2<f64>) -> Self {
+        assert_eq!(values.nrows(), side * side, "a value for each node");
+        Self { step, side, values }
+    }
+
+    /// A coordinate in steps, held within the grid.
+    fn place(&self, coordinate: f64) -> f64 {
+        (coordinate / self.step).clamp(0.0, (self.side - 1) as f64)
+    }
+
+    /// The cell of a coordinate, and the place in it.
+    fn cell(&self, coordinate: f64) -> (usize, f64) {
+        let at = self.place(coordinate);
+        let cell = (at as usize).min(self.side - 2);
+        (cell, at - cell as f64)
+    }
+
+    fn weights(&self, column: usize, x: f64, (row, v): (usize, f64)) -> [(usize, f64); 4] {
+        let u = self.place(x) - column as f64;
+        let node = row * self.side + column;
+        [
+            (node, (1.0 - u) * (1.0 - v)),
+            (node + 1, u * (1.0 - v)),
+            (node + self.side, (1.0 - u) * v),
+            (node + self.side + 1, u * v),
+        ]
+    }
+}
+
+impl CoefficientField for GridField {
+    fn component_count(&self) -> usize {
+        self.values.ncols()
+    }
+
+    fn evaluate_into(&self, p: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
+        coefficients.fill(0.0);
+        for (node, weight) in self.weights(self.cell(p.x()).0, p.x(), self.cell(p.y())) {
+            for (sum, value) in coefficients.iter_mut().zip(self.values.row(node)) {
+                *sum += weight * value;
+            }
+        }
+        Ok(())
+    }
+
+    fn node_values(&self) -> Cow<'_, Array2<f64>> {
+        Cow::Borrowed(&self.values)
+    }
+
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        let lines: Vec<f64> = (0..self.side).map(|n| n as f64 * self.step).collect();
+        Some([lines.clone(), lines])
+    }
+
+    fn weights_along_row(
+        &self,
+        (x, y): (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let (row, end) = (self.cell(y as f64), x + length as i64);
+        let mut first = x;
+        while first < end {
+            let column = self.cell(first as f64).0;
+            let next = if column + 2 < self.side {
+                (((column + 1) as f64 * self.step).ceil() as i64).clamp(first + 1, end)
+            } else {
+                end
+            };
+            visit(RowRun {
+                length: (next - first) as usize,
+                first: &self.weights(column, first as f64, row),
+                last: &self.weights(column, (next - 1) as f64, row),
+            });
+            first = next;
+        }
+        Ok(())
+    }
+}
