@@ -48,22 +48,6 @@ impl Direct {
         self.at_pixels_of_part(model, scene, part, pixels, &NoProgress)
     }
 
-    /// The same where only some rows of the scene's image are at hand: `rows` are those from the given row of the scene on. They must
-    /// hold all light that reaches the pixels; `scene` itself gives the shape, the frame and the point sources.
-    ///
-    /// # Errors
-    /// As [`Self::at_pixels`].
-    pub fn at_pixels_of_rows<T: ConvReal>(
-        &self,
-        model: &PsfModel,
-        scene: &Scene<T>,
-        rows: Option<(ArrayView2<'_, T>, usize)>,
-        pixels: &[(usize, usize)],
-    ) -> Result<Vec<f64>, ConvError> {
-        let part = rows.map(|(light, first_row)| (light, (0, first_row)));
-        self.at_pixels_of_part(model, scene, part, pixels, &NoProgress)
-    }
-
     /// The same where only a part of the scene's image is at hand: `part` is the light from the given column and row of the scene on. It
     /// must hold all light that reaches the pixels; `scene` itself gives the shape, the frame and the point sources. One step a pixel.
     ///

@@ -35,7 +35,7 @@ impl<T: ConvReal> Piece<T> {
 /// index, and how many.
 pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize, usize, usize)> {
     let start = first.max(0);
-    let end = (first + length as i64).min(limit as i64);
+    let end = first.saturating_add(length as i64).min(limit as i64);
     (start < end).then(|| ((start - first) as usize, start as usize, (end - start) as usize))
 }
 

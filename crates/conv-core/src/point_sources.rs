@@ -216,7 +216,7 @@ impl<'a> StarPainter<'a> {
         let shape = region.shape();
         assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the region");
         let on = |first: i64, length: usize, start: i64, count: usize| {
-            first < start.saturating_add(count as i64) && first.saturating_add(length as i64) > start
+            overlap(first.saturating_sub(start), length, count).is_some()
         };
         let reaches = |source: &&PointSource| {
             let (x, y, nx, ny) = self.lit(source);

@@ -6,7 +6,7 @@ use psf_types::{Progress, PsfModel};
 use rayon::prelude::*;
 
 use super::block::Block;
-use super::whole::Whole;
+use super::whole_frame::WholeFrame;
 use crate::{ConvError, ConvReal};
 
 /// Blocks that are planned at once.
@@ -15,7 +15,7 @@ const BLOCKS_AT_ONCE: usize = 64;
 /// The blocks at some columns and rows, row by row, with coefficients as far as the memory reaches, and the memory that is left.
 pub(crate) fn blocks<T: ConvReal>(
     model: &PsfModel,
-    whole: &Whole,
+    whole: &WholeFrame,
     [columns, rows]: &[Range<usize>; 2],
     tolerance: f64,
     memory_bytes: usize,

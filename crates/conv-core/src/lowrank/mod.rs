@@ -40,7 +40,7 @@ mod tile_engine;
 mod tile_light;
 mod tiling;
 mod treatment;
-mod whole;
+mod whole_frame;
 mod workspace;
 
 pub use execution::TileCounts;

@@ -20,7 +20,7 @@ use super::summary::text;
 use super::tile_engine::TileEngine;
 use super::tile_light::Direction;
 use super::tiling::Tiling;
-use super::whole::Whole;
+use super::whole_frame::WholeFrame;
 use super::workspace::Pool;
 use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::stars::StarPlan;
@@ -78,7 +78,7 @@ use crate::{ConvError, ConvReal};
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(super) model: PsfModel,
-    pub(super) whole: Arc<Whole>,
+    pub(super) whole: Arc<WholeFrame>,
     pub(super) geometry: Geometry,
     pub(super) options: PlanOptions,
     pub(super) tiling: Tiling,

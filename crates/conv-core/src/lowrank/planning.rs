@@ -10,7 +10,7 @@ use super::blocks::blocks;
 use super::cost_model::CostModel;
 use super::options::PlanOptions;
 use super::plan::{Plan, rounding};
-use super::whole::{View, Whole};
+use super::whole_frame::{View, WholeFrame};
 use super::workspace::Pool;
 use crate::transform::TileTransform;
 use crate::{ConvError, ConvReal};
@@ -118,7 +118,7 @@ impl<T: ConvReal> Plan<T> {
         Scene::<T>::dark(shape)
             .with_frame(frame)
             .map_err(ConvError::Frame)?;
-        let whole = Whole::new::<T>(model, View { shape, frame }, options, progress)?;
+        let whole = WholeFrame::new::<T>(model, View { shape, frame }, options, progress)?;
         Self::of_whole(model, Arc::new(whole), region, options, progress)
     }
 
@@ -139,7 +139,7 @@ impl<T: ConvReal> Plan<T> {
 
     fn of_whole(
         model: &PsfModel,
-        whole: Arc<Whole>,
+        whole: Arc<WholeFrame>,
         region: PixelRegion,
         options: PlanOptions,
         progress: &dyn Progress,

@@ -4,6 +4,7 @@ use std::ops::Range;
 
 use psf_types::{Anchor, FrameShape, PixelRegion, Progress, PsfModel};
 
+use super::axis_cuts::Stretch;
 use super::cost_model::CostModel;
 use super::geometry::Geometry;
 use super::options::PlanOptions;
@@ -25,7 +26,7 @@ pub(crate) struct View {
 /// The vectors of a model's PSFs, and the tiles of the whole frame: they are the same for each of its regions, so that all regions have the
 /// same modes.
 #[derive(Debug)]
-pub(crate) struct Whole {
+pub(crate) struct WholeFrame {
     pub(crate) view: View,
     pub(crate) space: PsfSpace,
     geometry: Geometry,
@@ -45,7 +46,7 @@ pub(crate) struct Part {
     pub(crate) blocks: [Range<usize>; 2],
 }
 
-impl Whole {
+impl WholeFrame {
     /// The choice of tiles.
     pub(crate) fn new<T: ConvReal>(
         model: &PsfModel,
@@ -106,7 +107,7 @@ impl Whole {
 
     /// The length of the longest row of a block.
     pub(crate) fn longest_row(&self) -> usize {
-        let lengths = self.tiling.columns.iter().map(super::axis_cuts::Stretch::length);
+        let lengths = self.tiling.columns.iter().map(Stretch::length);
         lengths.max().unwrap_or(1)
     }
 }

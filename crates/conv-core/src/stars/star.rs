@@ -6,6 +6,7 @@ use psf_types::{PixelRegion, PointSource};
 
 use super::phases::{Phase, PhasedAxis};
 use crate::ConvReal;
+use crate::overlap::overlap;
 use crate::stamp_interpolator::MOST_TAPS;
 
 /// Where a star lies and which pixels it lights.
@@ -83,8 +84,8 @@ impl Star {
     pub(super) fn reaches(&self, window: Window, region: PixelRegion) -> bool {
         let (column, row) = self.pixel;
         let on = |pixel: i64, (from, to): (i64, i64), start: i64, count: usize| {
-            pixel.saturating_add(from) < start.saturating_add(count as i64)
-                && pixel.saturating_add(to) > start
+            let first = pixel.saturating_add(from).saturating_sub(start);
+            overlap(first, (to - from) as usize, count).is_some()
         };
         let shape = region.shape();
         self.flux != 0.0

@@ -146,25 +146,6 @@ impl<T: ConvReal> StarPlan<T> {
         self.add_to_region(scene, shape.region(), image.view_mut(), &NoProgress)
     }
 
-    /// The same for a part of the image: whole rows from `first_row` of the frame on. What a row gets does not depend on which other rows
-    /// are at hand.
-    ///
-    /// # Errors
-    /// As [`Self::add_to`].
-    pub fn add_to_rows(
-        &self,
-        scene: &Scene<T>,
-        first_row: usize,
-        image: &mut Array2<T>,
-    ) -> Result<(), ConvError> {
-        let (rows, columns) = image.dim();
-        let Ok(shape) = FrameShape::new(columns, rows) else {
-            return Ok(());
-        };
-        let region = PixelRegion::new(0, first_row as i64, shape);
-        self.add_to_region(scene, region, image.view_mut(), &NoProgress)
-    }
-
     /// The same for any part of the image: `image` is `[y, x]` of `region`, in pixels of the frame. What a pixel gets does not depend on which
     /// others are at hand. Pixels of a row that are no neighbours in memory are copied and back.
     ///

@@ -5,6 +5,7 @@ use std::ops::Range;
 use ndarray::ArrayViewMut2;
 
 use crate::ConvReal;
+use crate::overlap::overlap;
 
 /// What the stars of a block light.
 pub(super) struct Tile<T> {
@@ -32,22 +33,22 @@ impl<T: ConvReal> Tile<T> {
 
     /// Adds the tile to some pixels of the frame, the first of which is (`first_column`, `first_row`).
     pub(super) fn add_to(&self, rows: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
-        let shared = |from: i64, length: usize, first: i64, count: usize| {
-            from.max(first)..(from + length as i64).min(first + count as i64)
-        };
-        let columns = shared(self.origin.0, self.width, first_column, rows.ncols());
-        let height = self.values.len() / self.width.max(1);
-        let shared = shared(self.origin.1, height, first_row, rows.nrows());
-        if columns.is_empty() {
+        let columns = overlap(self.origin.0 - first_column, self.width, rows.ncols());
+        let rows_of_tile = self.rows();
+        let height = (rows_of_tile.end - rows_of_tile.start) as usize;
+        let shared = overlap(rows_of_tile.start - first_row, height, rows.nrows());
+        let (Some((from_column, to_column, width)), Some((from_row, to_row, height))) = (columns, shared)
+        else {
             return;
-        }
-        for y in shared {
-            let first = (y - self.origin.1) as usize * self.width + (columns.start - self.origin.0) as usize;
-            let mut row = rows.row_mut((y - first_row) as usize);
+        };
+        for j in 0..height {
+            let first = (from_row + j) * self.width + from_column;
+            let mut row = rows.row_mut(to_row + j);
             let row = row.as_slice_mut().expect("images are row-major");
-            let (from, to) = (columns.start - first_column, columns.end - first_column);
-            let row = &mut row[from as usize..to as usize];
-            for (t, v) in row.iter_mut().zip(&self.values[first..]) {
+            for (t, v) in row[to_column..to_column + width]
+                .iter_mut()
+                .zip(&self.values[first..])
+            {
                 *t += *v;
             }
         }
