@@ -491,7 +491,7 @@ class PsfModel:
             raise ValueError(f"x and y of the shapes {np.shape(x)} and {np.shape(y)} cannot be broadcast") from None
         shape = xs.shape
         flat_x, flat_y = (np.ascontiguousarray(column(axis.ravel(), name)) for axis, name in ((xs, "x"), (ys, "y")))
-        stamps, _ = self._handle.evaluate(flat_x, flat_y, at_frame, size, sub_pixel)
+        stamps = self._handle.evaluate(flat_x, flat_y, at_frame, size, sub_pixel)
         return stamps.reshape(*shape, *stamps.shape[1:])
 
     def to_gridded_psf_model(self, grid_shape: tuple[int, int] | None = None) -> GriddedPSFModel:

@@ -202,8 +202,8 @@ class Plan:
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
         columns = columns_of(catalog, unit)
         target, copied = self._target(out, light, unit)
-        image, figures = self._handle.simulate(light, columns, target, as_callback(progress))
-        for text in figures["warnings"]:
+        image, texts = self._handle.simulate(light, columns, target, as_callback(progress))
+        for text in texts:
             warnings.warn(text, PsfieldWarning, stacklevel=2)
         if copied:
             np.copyto(out, target)  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ use pyo3::types::PyDict;
 use crate::choices::{frame_shape, parsed, region};
 use crate::error::{Failure, invalid};
 use crate::interruptible;
-use crate::planned::{Outcome, Planned};
+use crate::planned::Planned;
 use crate::psf_model::PsfModel;
 use crate::settings::Settings;
 use crate::sources::{SourceColumns, Sources};
@@ -109,8 +109,8 @@ impl PlanWords {
     }
 }
 
-/// An image, or none where it went to an array of the caller's, and figures.
-type Simulated<'py> = (Option<Bound<'py, PyAny>>, Bound<'py, PyDict>);
+/// An image, or none where it went to an array of the caller's, and what should be known of it, in plain sentences.
+type Simulated<'py> = (Option<Bound<'py, PyAny>>, Vec<String>);
 
 #[pymethods]
 impl Plan {
@@ -276,21 +276,9 @@ fn simulate<'py, T: ConvReal + Element>(
     let made = interruptible::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
         planned.simulate(light, sources, target, watch, pool)
     })?;
-    let (image, Outcome { tiles, warnings }) = made?;
-    let figures = PyDict::new(py);
-    figures.set_item(
-        "warnings",
-        warnings.iter().map(ToString::to_string).collect::<Vec<_>>(),
-    )?;
-    for (name, count) in [
-        ("dark", tiles.dark),
-        ("drawn", tiles.drawn),
-        ("direct", tiles.direct),
-        ("transformed", tiles.transformed),
-    ] {
-        figures.set_item(name, count)?;
-    }
-    Ok((image.map(|image| image.into_pyarray(py).into_any()), figures))
+    let (image, warnings) = made?;
+    let image = image.map(|image| image.into_pyarray(py).into_any());
+    Ok((image, warnings.iter().map(ToString::to_string).collect()))
 }
 
 fn adjoint<'py, T: ConvReal + Element>(

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use ndarray::parallel::prelude::*;
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis, CowArray, Ix2};
-use psfield::conv_core::{ConvError, ConvReal, PlanSummary, TileCounts};
+use psfield::conv_core::{ConvError, ConvReal, PlanSummary};
 use psfield::psf_types::{FrameShape, Image, ImageView, PixelRegion, Uncounted};
 use psfield::{Placement, SceneSources, SimulationWarning, SpotCheck, sersic};
 use rayon::ThreadPool;
@@ -42,11 +42,8 @@ struct Needed<'p, T: ConvReal> {
     stars: Option<&'p Prepared<T>>,
 }
 
-/// What a simulation gives beside the image.
-pub(crate) struct Outcome {
-    pub(crate) tiles: TileCounts,
-    pub(crate) warnings: Vec<SimulationWarning>,
-}
+/// An image, none where it went to memory of the caller's, and what should be known of it.
+pub(crate) type Simulated<T> = (Option<Array2<T>>, Vec<SimulationWarning>);
 
 impl<T: ConvReal> Planned<T> {
     /// Plans, as everything here on a thread beside the pool.
@@ -131,7 +128,7 @@ impl<T: ConvReal> Planned<T> {
         out: Option<ArrayViewMut2<'_, T>>,
         watch: &Watch,
         pool: &ThreadPool,
-    ) -> Result<(Option<Array2<T>>, Outcome), Failure> {
+    ) -> Result<Simulated<T>, Failure> {
         let placed = self.placed(image.is_some(), sources)?;
         let needed = self.needed(&placed, watch, pool)?;
         pool.install(|| self.convolved(&placed, &needed, image, out, watch))
@@ -144,7 +141,7 @@ impl<T: ConvReal> Planned<T> {
         image: Option<ArrayView2<'_, T>>,
         out: Option<ArrayViewMut2<'_, T>>,
         watch: &Watch,
-    ) -> Result<(Option<Array2<T>>, Outcome), Failure> {
+    ) -> Result<Simulated<T>, Failure> {
         let mut made = None;
         let mut target = match out {
             Some(mut out) => {
@@ -155,12 +152,11 @@ impl<T: ConvReal> Planned<T> {
             }
             None => made.insert(self.dark()).view_mut(),
         };
-        let mut tiles = TileCounts::default();
         if let Some((light, _)) = self.light(placed, needed.extended, image, watch)? {
             let dark = placed.scene().clone().with_sources(Vec::new());
             let light = ImageView::new(light.view()).map_err(Failure::of("scene"))?;
             let (simulation, plan) = (&needed.extended.simulation, &needed.extended.plan);
-            tiles = simulation.add_planned_to(plan, &dark, Some(&light), target.view_mut(), watch)?;
+            simulation.add_planned_to(plan, &dark, Some(&light), target.view_mut(), watch)?;
         }
         if let Some(stars) = needed.stars {
             let (simulation, plan) = (&stars.simulation, &stars.plan);
@@ -171,7 +167,7 @@ impl<T: ConvReal> Planned<T> {
         // As the library checks its own results.
         ImageView::new(target.view())?;
         let warnings = placed.warnings(self.psf.input().grid().oversampling());
-        Ok((made, Outcome { tiles, warnings }))
+        Ok((made, warnings))
     }
 
     /// The transpose of the operator that makes images of scenes: of the part of the scene that reaches the image.

@@ -9,7 +9,7 @@ use numpy::{
 use psfield::convert::to_gridded;
 use psfield::psf_basis::PixelNoise;
 use psfield::psf_types::{
-    FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
+    FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
 };
 use psfield::{EvaluateOptions, Fit, FitOptions, OutputGrid, PsfInput, PsfieldError, evaluate_stamps};
 use pyo3::prelude::*;
@@ -30,8 +30,14 @@ pub(crate) struct PsfModel {
     notes: Vec<String>,
 }
 
+/// A stamp or a table of doubles.
+type Plane<'py> = Bound<'py, PyArray2<f64>>;
 /// A cube of doubles.
 type Cube<'py> = Bound<'py, PyArray3<f64>>;
+/// A mean stamp, if there is one, components and coefficients.
+type Basis<'py> = (Option<Plane<'py>>, Cube<'py>, Plane<'py>);
+/// Interpolation, outside and normalise.
+type Choices = (String, String, String);
 /// Columns x and y.
 type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
@@ -115,7 +121,7 @@ impl PsfModel {
         y: PyReadonlyArray1<'_, f64>,
         field: Option<(usize, usize)>,
         grid: GridWords,
-        words: (String, String, String),
+        words: Choices,
     ) -> PyResult<Self> {
         let (_, ny, nx) = components.as_array().dim();
         let grid = grid.grid((ny, nx))?;
@@ -157,10 +163,8 @@ impl PsfModel {
 
     /// What makes the same model again: the name of a constructor and its arguments.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<(&'static str, Bound<'py, PyAny>)> {
-        let known = self.psf.input().positions();
-        let (x, y) = points(py, known);
-        let field = known.field().map(|field| (field.ny(), field.nx()));
-        let grid = self.grid(py)?;
+        let (x, y) = self.positions(py);
+        let (field, grid) = (self.field(), self.grid(py)?);
         match self.psf.input() {
             PsfInput::Samples(samples, options) => {
                 let fit = words_of(py, options)?;
@@ -173,11 +177,7 @@ impl PsfModel {
                 ))
             }
             PsfInput::Model(record) => {
-                let words = (
-                    record.interpolation().to_string(),
-                    record.outside().to_string(),
-                    record.normalisation().to_string(),
-                );
+                let words = choices_of(record);
                 let (mean, components, coefficients) = arrays_of(py, record);
                 let state = (mean, components, coefficients, x, y, field, grid, words);
                 Ok(("from_basis", state.into_pyobject(py)?.into_any()))
@@ -192,7 +192,13 @@ impl PsfModel {
 
     /// The stamps' grid, as the constructors take it.
     fn grid<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        grid_dict(py, self.psf.input().grid())
+        let grid = self.psf.input().grid();
+        let words = PyDict::new(py);
+        words.set_item("oversampling", grid.oversampling())?;
+        words.set_item("centre", (grid.centre_x(), grid.centre_y()))?;
+        words.set_item("pixel_response_included", grid.pixel_response_included())?;
+        words.set_item("stamp_interpolation", grid.interpolation().to_string())?;
+        Ok(words)
     }
 
     /// (ny, nx) of the stamps.
@@ -215,27 +221,13 @@ impl PsfModel {
     }
 
     /// The words of interpolation, outside and normalise.
-    fn words(&self, py: Python<'_>) -> PyResult<(String, String, String)> {
-        let record = self.record(py)?;
-        Ok((
-            record.interpolation().to_string(),
-            record.outside().to_string(),
-            record.normalisation().to_string(),
-        ))
+    fn words(&self, py: Python<'_>) -> PyResult<Choices> {
+        Ok(choices_of(self.record(py)?))
     }
 
     /// Mean stamp, components, coefficients.
-    #[allow(clippy::type_complexity, reason = "three arrays")]
-    fn basis<'py>(
-        &self,
-        py: Python<'py>,
-    ) -> PyResult<(
-        Option<Bound<'py, PyArray2<f64>>>,
-        Cube<'py>,
-        Bound<'py, PyArray2<f64>>,
-    )> {
-        let record = self.record(py)?;
-        Ok(arrays_of(py, record))
+    fn basis<'py>(&self, py: Python<'py>) -> PyResult<Basis<'py>> {
+        Ok(arrays_of(py, self.record(py)?))
     }
 
     /// The figures of the fit as JSON; none for a model.
@@ -244,7 +236,7 @@ impl PsfModel {
         Ok(report.map(|report| serde_json::to_string(&report).expect("figures are plain numbers")))
     }
 
-    /// Stamps `[position, y, x]` at positions, and their grid.
+    /// Stamps `[position, y, x]` at positions.
     fn evaluate<'py>(
         &self,
         py: Python<'py>,
@@ -253,7 +245,7 @@ impl PsfModel {
         native: bool,
         size: Option<usize>,
         sub_pixel: bool,
-    ) -> PyResult<(Cube<'py>, Bound<'py, PyDict>)> {
+    ) -> PyResult<Cube<'py>> {
         let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
         let options = EvaluateOptions {
             grid: if native {
@@ -264,8 +256,8 @@ impl PsfModel {
             size,
             sub_pixel,
         };
-        let (stamps, grid) = self.apart(py, move |psf| evaluate_stamps(psf.model()?, &at, options))?;
-        Ok((stamps.into_pyarray(py), grid_dict(py, grid)?))
+        let (stamps, _) = self.apart(py, move |psf| evaluate_stamps(psf.model()?, &at, options))?;
+        Ok(stamps.into_pyarray(py))
     }
 
     /// The PSFs of a gridded library: stamps, x, y, oversampling, and the largest error of bilinear interpolation.
@@ -310,15 +302,6 @@ fn points<'py>(py: Python<'py>, of: &SamplePositions) -> Points<'py> {
     )
 }
 
-fn grid_dict(py: Python<'_>, grid: StampGrid) -> PyResult<Bound<'_, PyDict>> {
-    let words = PyDict::new(py);
-    words.set_item("oversampling", grid.oversampling())?;
-    words.set_item("centre", (grid.centre_x(), grid.centre_y()))?;
-    words.set_item("pixel_response_included", grid.pixel_response_included())?;
-    words.set_item("stamp_interpolation", grid.interpolation().to_string())?;
-    Ok(words)
-}
-
 fn words_of<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'py, PyDict>> {
     let words = PyDict::new(py);
     words.set_item("rank", options.rank.to_string())?;
@@ -334,15 +317,15 @@ fn words_of<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'py, P
     Ok(words)
 }
 
-#[allow(clippy::type_complexity, reason = "three arrays")]
-fn arrays_of<'py>(
-    py: Python<'py>,
-    record: &PsfModelRecord,
-) -> (
-    Option<Bound<'py, PyArray2<f64>>>,
-    Cube<'py>,
-    Bound<'py, PyArray2<f64>>,
-) {
+fn choices_of(record: &PsfModelRecord) -> Choices {
+    (
+        record.interpolation().to_string(),
+        record.outside().to_string(),
+        record.normalisation().to_string(),
+    )
+}
+
+fn arrays_of<'py>(py: Python<'py>, record: &PsfModelRecord) -> Basis<'py> {
     let basis = record.basis();
     (
         basis.mean().map(|mean| mean.to_owned().into_pyarray(py)),
