@@ -110,13 +110,7 @@ impl Simulation {
         progress: &dyn Progress,
     ) -> Result<Image<T>, PsfieldError> {
         let engine = self.engine_for_image(plan, image.shape())?;
-        match self.options.oversample() {
-            1 => Ok(engine.adjoint_with_progress(image, progress)?),
-            finer => {
-                let fine = spread(finer, image)?;
-                Ok(engine.adjoint_with_progress(&fine.view(), progress)?)
-            }
-        }
+        self.on_scene_pixels(image, |image| engine.adjoint_with_progress(image, progress))
     }
 
     /// Adds the same transpose to a plane that belongs to somebody else, `[y, x]` of the scene or of its part that reaches the image
@@ -132,12 +126,18 @@ impl Simulation {
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
         let engine = self.engine_for_image(plan, image.shape())?;
+        self.on_scene_pixels(image, |image| engine.add_adjoint_to(image, light, progress))
+    }
+
+    /// Work on an image at the pixels of the scene, where these are finer.
+    fn on_scene_pixels<T: ConvReal, R>(
+        &self,
+        image: &ImageView<'_, T>,
+        work: impl FnOnce(&ImageView<'_, T>) -> Result<R, ConvError>,
+    ) -> Result<R, PsfieldError> {
         match self.options.oversample() {
-            1 => Ok(engine.add_adjoint_to(image, light, progress)?),
-            finer => {
-                let fine = spread(finer, image)?;
-                Ok(engine.add_adjoint_to(&fine.view(), light, progress)?)
-            }
+            1 => Ok(work(image)?),
+            finer => Ok(work(&spread(finer, image)?.view())?),
         }
     }
 
