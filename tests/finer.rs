@@ -1,19 +1,19 @@
 //! Scenes finer than the frame, and the pixel response: once and only once.
 
 use ndarray::{Array2, Array3};
-use psfield::conv_core::{Direct, PlanOptions};
 use psfield::psf_types::{
     Anchor, FrameShape, Image, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfSamples,
-    SamplePositions, Scene, StampGrid,
+    SamplePositions, StampGrid,
 };
 use psfield::{
-    EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, SimulationOptions, evaluate_stamps,
+    EvaluateOptions, FitOptions, Method, OutputGrid, Psf, PsfieldError, Scene, SimulateOptions,
+    evaluate_stamps,
 };
 
 const FRAME: usize = 40;
 
 /// Gaussians that widen and move over the field, seen by pixels of no size, `s` samples to a frame pixel.
-fn sampled(s: usize, response: bool) -> PsfInput {
+fn sampled(s: usize, response: bool) -> Psf {
     let n = 24 * s + 1;
     let grid = StampGrid::new(n, n)
         .and_then(|g| g.with_oversampling(s as f64))
@@ -38,7 +38,7 @@ fn sampled(s: usize, response: bool) -> PsfInput {
         normalisation: Normalisation::Keep,
         ..FitOptions::default()
     };
-    PsfInput::Samples(samples, options)
+    Psf::new(samples, options)
 }
 
 fn gauss(d: f64, sigma: f64) -> f64 {
@@ -70,35 +70,43 @@ fn stars() -> Vec<PointSource> {
     .to_vec()
 }
 
-fn run(psf: PsfInput, scene: &Scene<f64>, options: SimulationOptions) -> Image<f64> {
-    let simulation = Simulation::new(psf, scene, options).unwrap();
-    let plan = PlanOptions::new(0.0).unwrap().with_anchor(options.anchor());
-    let image = simulation.run(scene, Method::Auto, plan).unwrap();
-    let direct = simulation.run(scene, Method::Direct, plan).unwrap();
+fn run(psf: &Psf, scene: &Scene<'_>, options: &SimulateOptions) -> Image<f64> {
+    let side = FRAME * options.oversample;
+    let by = |method| {
+        let options = SimulateOptions {
+            method,
+            tolerance: 0.0,
+            ..options.clone()
+        };
+        psf.simulator((side, side)).options(options).build().unwrap()
+    };
+    let simulator = by(Method::Auto);
+    let image = simulator.simulate(scene).unwrap();
+    let direct = by(Method::Direct).simulate(scene).unwrap();
     assert!(
         largest_difference(&image, &direct) < 1e-11,
         "the engine and the direct sum"
     );
     let pixels = [(3, 4), (20, 17), (10, 12), (30, 21)];
-    let exact = simulation.exact_at(scene, options.anchor(), &pixels).unwrap();
+    let exact = simulator.exact_at(scene, &pixels, &NoProgress).unwrap();
     for (&(x, y), exact) in pixels.iter().zip(exact) {
         assert!((direct.pixels()[[y, x]] - exact).abs() < 1e-9, "{x}, {y}");
     }
     image
 }
 
-fn finer(s: usize, anchor: Anchor) -> SimulationOptions {
-    SimulationOptions::default()
-        .with_oversample(s)
-        .unwrap()
-        .with_anchor(anchor)
+fn finer(s: usize, anchor: Anchor) -> SimulateOptions {
+    SimulateOptions {
+        oversample: s,
+        anchor,
+        ..SimulateOptions::default()
+    }
 }
 
 /// A star in a pixel of a finer scene is a star at that pixel's centre, for odd and even scales.
 #[test]
 fn light_in_fine_pixels_is_stars_at_their_centres() {
     for s in [2, 3, 4] {
-        let shape = FrameShape::new(FRAME * s, FRAME * s).unwrap();
         let mut light = Array2::zeros((FRAME * s, FRAME * s));
         let mut stars = Vec::new();
         for (x, y, flux) in [(50, 60, 7.0), (51, 33, 3.0), (2 * s, 3, 5.0), (79, 79, 2.0)] {
@@ -106,12 +114,11 @@ fn light_in_fine_pixels_is_stars_at_their_centres() {
             let of_frame = |v: usize| (v as f64 - (s as f64 - 1.0) / 2.0) / s as f64;
             stars.push(PointSource::new(Position::new(of_frame(x), of_frame(y)).unwrap(), flux).unwrap());
         }
-        let fine = Scene::from_image(Image::new(light).unwrap());
-        assert_eq!(fine.shape(), shape);
-        let image = run(sampled(4, true), &fine, finer(s, Anchor::Source));
+        let psf = sampled(4, true);
+        let image = run(&psf, &Scene::new(light).unwrap(), &finer(s, Anchor::Source));
         assert_eq!(image.shape(), FrameShape::new(FRAME, FRAME).unwrap());
-        let dark = Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(stars);
-        let expected = run(sampled(4, true), &dark, SimulationOptions::default());
+        let dark = Scene::dark().with_stars(stars);
+        let expected = run(&psf, &dark, &SimulateOptions::default());
         // Where the scene's pixels are not a multiple of the stamps', both interpolate by the same spline.
         let largest = largest_difference(&image, &expected);
         assert!(largest < 1e-9, "{s}: {largest}");
@@ -124,17 +131,15 @@ fn output_anchored_images_of_finer_scenes() {
     for s in [2, 3] {
         let mut light = Array2::zeros((FRAME * s, FRAME * s));
         light[[21 * s, 20 * s + 1]] = 7.0;
-        let fine = Scene::from_image(Image::new(light).unwrap());
-        let image = run(sampled(4, true), &fine, finer(s, Anchor::Output));
+        let psf = sampled(4, true);
+        let image = run(&psf, &Scene::new(light).unwrap(), &finer(s, Anchor::Output));
         let of_frame = |v: usize| (v as f64 - (s as f64 - 1.0) / 2.0) / s as f64;
         let star = PointSource::new(
             Position::new(of_frame(20 * s + 1), of_frame(21 * s)).unwrap(),
             7.0,
         );
-        let dark =
-            Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(vec![star.unwrap()]);
-        let options = SimulationOptions::default().with_anchor(Anchor::Output);
-        let expected = run(sampled(4, true), &dark, options);
+        let dark = Scene::dark().with_stars(vec![star.unwrap()]);
+        let expected = run(&psf, &dark, &finer(1, Anchor::Output));
         assert!(largest_difference(&image, &expected) < 1e-9, "{s}");
     }
 }
@@ -144,28 +149,23 @@ fn output_anchored_images_of_finer_scenes() {
 fn the_pixel_response_is_applied_once() {
     let mut light = Array2::zeros((FRAME, FRAME));
     (light[[10, 20]], light[[30, 31]]) = (5.0, 8.0);
-    let image = Scene::from_image(Image::new(light).unwrap()).with_sources(stars());
-    let dark = Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(stars());
+    let image = Scene::new(light).unwrap().with_stars(stars());
+    let dark = Scene::dark().with_stars(stars());
     let mut fine = Array2::zeros((2 * FRAME, 2 * FRAME));
     fine[[33, 44]] = 3.0;
-    let fine = Scene::from_image(Image::new(fine).unwrap());
+    let fine = Scene::new(fine).unwrap();
     for (scene, s) in [(&image, 1), (&dark, 1), (&fine, 2)] {
-        let with = run(sampled(4, true), scene, finer(s, Anchor::Source));
-        let without = run(sampled(4, false), scene, finer(s, Anchor::Source));
+        let with = run(&sampled(4, true), scene, &finer(s, Anchor::Source));
+        let without = run(&sampled(4, false), scene, &finer(s, Anchor::Source));
         let largest = largest_difference(&without, &with);
         // A cubic spline through four samples a pixel of a sigma of 1.2 pixels.
         assert!(largest < 5e-5, "{largest}");
         // Twice would be seen: the variance of a pixel is 1/12.
-        let once_more = match sampled(4, true) {
-            PsfInput::Samples(samples, options) => {
-                let grid = samples.grid().with_pixel_response_included(false);
-                let again =
-                    PsfSamples::new(samples.stamps().to_owned(), samples.positions().clone(), grid).unwrap();
-                PsfInput::Samples(again, options)
-            }
-            PsfInput::Model(_) => unreachable!("samples"),
-        };
-        let twice = run(once_more, scene, finer(s, Anchor::Source));
+        let psf = sampled(4, true);
+        let (samples, options) = psf.samples().expect("samples");
+        let grid = samples.grid().with_pixel_response_included(false);
+        let again = PsfSamples::new(samples.stamps().to_owned(), samples.positions().clone(), grid).unwrap();
+        let twice = run(&Psf::new(again, *options), scene, &finer(s, Anchor::Source));
         assert!(largest_difference(&twice, &with) > 1e-2);
     }
 }
@@ -176,19 +176,20 @@ fn a_psf_on_the_frames_pixels_is_the_image_of_a_star() {
     const SIZE: usize = 21;
     let (x, y) = (20.25, 18.5);
     let star = PointSource::new(Position::new(x, y).unwrap(), 1.0).unwrap();
-    let scene = Scene::<f64>::dark(FrameShape::new(FRAME, FRAME).unwrap()).with_sources(vec![star]);
+    let scene = Scene::dark().with_stars(vec![star]);
     let (first_x, first_y) = (20 - SIZE / 2, 19 - SIZE / 2);
     let rows_and_columns = ndarray::s![first_y..first_y + SIZE, first_x..first_x + SIZE];
     for (s, response) in [(4, true), (4, false), (5, false)] {
-        let image = run(sampled(s, response), &scene, SimulationOptions::default());
+        let psf = sampled(s, response);
+        let image = run(&psf, &scene, &SimulateOptions::default());
         let image = Image::new(image.pixels().slice(rows_and_columns).to_owned()).unwrap();
-        let model = sampled(s, response).into_model().unwrap();
+        let model = psf.model().unwrap();
         let on_frame = EvaluateOptions {
             grid: OutputGrid::Native,
             size: Some(SIZE),
             sub_pixel: true,
         };
-        let (stamps, grid) = evaluate_stamps(&model, &[star.position()], on_frame).unwrap();
+        let (stamps, grid) = evaluate_stamps(model, &[star.position()], on_frame).unwrap();
         assert!(grid.pixel_response_included());
         let seen = Image::new(stamps.index_axis_move(ndarray::Axis(0), 0)).unwrap();
         let largest = largest_difference(&seen, &image);
@@ -202,7 +203,7 @@ fn a_psf_on_the_frames_pixels_is_the_image_of_a_star() {
                 grid,
                 ..EvaluateOptions::default()
             };
-            evaluate_stamps(&model, &[star.position()], options).unwrap()
+            evaluate_stamps(model, &[star.position()], options).unwrap()
         };
         assert_eq!(of(OutputGrid::Model).1, model.grid());
         let (stamps, grid) = of(OutputGrid::Native);
@@ -219,28 +220,33 @@ fn frames_of_finer_scenes() {
     let mut light = Array2::zeros((FRAME * s, FRAME * s));
     light[[33, 44]] = 3.0;
     light[[2, 5]] = 30.0;
-    let whole = Scene::from_image(Image::new(light).unwrap());
-    let psf = || match sampled(4, true) {
-        // The same PSF everywhere, so that a cut is a cut.
-        PsfInput::Samples(samples, options) => {
-            let one = samples.stamps().slice(ndarray::s![..1, .., ..]).to_owned();
-            let positions = SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap();
-            PsfInput::Samples(PsfSamples::new(one, positions, samples.grid()).unwrap(), options)
-        }
-        PsfInput::Model(_) => unreachable!("samples"),
+    let whole = Scene::new(light).unwrap();
+    // The same PSF everywhere, so that a cut is a cut.
+    let psf = sampled(4, true);
+    let (samples, options) = psf.samples().expect("samples");
+    let one = samples.stamps().slice(ndarray::s![..1, .., ..]).to_owned();
+    let positions = SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap();
+    let psf = Psf::new(PsfSamples::new(one, positions, samples.grid()).unwrap(), *options);
+    let all = run(&psf, &whole, &finer(s, Anchor::Source));
+    let frame = PixelRegion::new(2, 1, FrameShape::new(35, 32).unwrap());
+    let options = SimulateOptions {
+        frame: Some(frame),
+        ..finer(s, Anchor::Source)
     };
-    let all = run(psf(), &whole, finer(s, Anchor::Source));
-    let frame = |x0, y0, nx, ny| PixelRegion::new(x0, y0, FrameShape::new(nx, ny).unwrap());
-    let cut = whole.clone().with_frame(frame(4, 2, 70, 64)).unwrap();
-    let simulation = Simulation::new(psf(), &cut, finer(s, Anchor::Source)).unwrap();
-    let image = simulation
-        .run(&cut, Method::Auto, PlanOptions::new(0.0).unwrap())
-        .unwrap();
+    let image = run(&psf, &whole, &options);
     let expected = all.pixels().slice(ndarray::s![1..33, 2..37]).to_owned();
     assert!(largest_difference(&image, &Image::new(expected).unwrap()) < 1e-12);
-    let odd = whole.with_frame(frame(3, 2, 70, 64)).unwrap();
-    let refused = Simulation::new(psf(), &odd, finer(s, Anchor::Source))
-        .unwrap()
-        .run_with(&odd, &Direct::default(), Anchor::Source, &NoProgress);
-    assert!(refused.unwrap_err().to_string().contains("multiples of 2"));
+    // Frames are in whole pixels of the frame; a scene that holds no whole number of them needs one.
+    let odd = |options| {
+        psf.simulator((FRAME * s, FRAME * s + 1))
+            .options(options)
+            .build::<f64>()
+    };
+    assert!(odd(options).is_ok());
+    let refused = odd(finer(s, Anchor::Source)).unwrap_err();
+    assert!(matches!(refused, PsfieldError::UnevenScene { .. }), "{refused}");
+    assert!(
+        refused.to_string().contains("no multiple of --oversample 2"),
+        "{refused}"
+    );
 }

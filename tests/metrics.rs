@@ -1,26 +1,24 @@
 //! Measurements of simulated stars.
 
 use integration_tests::{small_telescope, uniform_samples};
-use psfield::conv_core::PlanOptions;
 use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
-use psfield::psf_types::{FrameShape, PointSource, Position, Scene};
-use psfield::{FitOptions, MeasureOptions, Method, PsfInput, Simulation, SimulationOptions};
+use psfield::psf_types::{NoProgress, PointSource, Position};
+use psfield::{MeasureOptions, Psf, Scene};
 
 /// A star on a pixel is its stamp times its flux; measurements differ by rounding in f64.
 const ROUNDING: f64 = 1e-9;
 
 #[test]
 fn stars_on_pixels_measure_as_their_psfs() {
-    let psf = PsfInput::Samples(uniform_samples(&small_telescope(1), 9, 7), FitOptions::default());
+    let psf = Psf::from(uniform_samples(&small_telescope(1), 9, 7));
     let places = [(20, 20), (80, 60), (140, 100), (30, 95)];
     let stars = places
         .map(|(x, y)| PointSource::new(Position::of_pixel(x, y), 1e4).unwrap())
         .to_vec();
-    let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(stars);
-    let simulation = Simulation::new(psf, &scene, SimulationOptions::default()).unwrap();
-    let image = simulation
-        .run(&scene, Method::Auto, PlanOptions::new(0.0).unwrap())
-        .unwrap();
+    let scene = Scene::<f64>::dark().with_stars(stars);
+    let simulator = psf.simulator((120, 160)).tolerance(0.0).build().unwrap();
+    let image = simulator.simulate(&scene).unwrap();
+    let made = simulator.prepare(&scene, false, &NoProgress).unwrap();
 
     let positions = places.map(|(x, y)| Position::of_pixel(x, y));
     let options = MeasureOptions {
@@ -30,7 +28,7 @@ fn stars_on_pixels_measure_as_their_psfs() {
     let rows = options.image(image.pixels(), &positions);
     for (row, position) in rows.iter().zip(positions) {
         assert!(row.note.is_empty(), "{}", row.note);
-        let stamp = simulation.model().psf_at(position).unwrap();
+        let stamp = made.model.psf_at(position).unwrap();
         let window = Window::central(15);
         let fit = GaussianFitter::elliptical()
             .with_window(window)
@@ -55,18 +53,15 @@ fn stars_on_pixels_measure_as_their_psfs() {
 #[test]
 fn sub_pixel_stars_lie_where_they_should() {
     // Three times oversampled stamps: the spline between their pixels is good to a few 1e-4 pixels.
-    let psf = PsfInput::Samples(uniform_samples(&small_telescope(3), 5, 5), FitOptions::default());
-    let centred = PsfInput::Samples(uniform_samples(&small_telescope(3), 5, 5), FitOptions::default());
-    let centred = centred.native(None).unwrap().into_model().unwrap();
+    let psf = Psf::from(uniform_samples(&small_telescope(3), 5, 5));
+    let centred = psf.native(None).unwrap();
+    let centred = centred.model().unwrap();
+    let simulator = psf.simulator((120, 160)).build::<f64>().unwrap();
     let fitter = |x, y| GaussianFitter::elliptical().with_window(Window::about(15, x, y));
     for (dx, dy) in [(0.0, 0.0), (0.25, -0.4), (-0.5, 0.49), (0.1, 0.3)] {
         let position = Position::new(80.0 + dx, 60.0 + dy).unwrap();
         let star = PointSource::new(position, 1.0).unwrap();
-        let scene = Scene::<f64>::dark(FrameShape::new(160, 120).unwrap()).with_sources(vec![star]);
-        let image = Simulation::new(psf.clone(), &scene, SimulationOptions::default())
-            .unwrap()
-            .run(&scene, Method::Auto, PlanOptions::default())
-            .unwrap();
+        let image = simulator.simulate(&Scene::dark().with_stars(vec![star])).unwrap();
         let fit = fitter(80, 60).fit(image.pixels()).unwrap();
         let stamp = centred.psf_at(position).unwrap();
         let (cx, cy) = stamp.grid().whole_centre().unwrap();

@@ -3,41 +3,39 @@
 use std::sync::Arc;
 
 use integration_tests::{relative_l2, small_telescope, small_telescope_params, test_scene, uniform_samples};
-use psfield::conv_core::PlanOptions;
 use psfield::psf_basis::{Centring, RankSelection};
 use psfield::psf_io::{Precision, read_model, read_samples, write_model, write_samples};
 use psfield::psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
-use psfield::psf_types::{FrameShape, Image, NoProgress, PointSource, Position, Scene};
-use psfield::{
-    EvaluateOptions, FitOptions, Method, OutputGrid, PsfInput, Simulation, SimulationOptions, evaluate, fit,
-};
+use psfield::psf_types::{Image, NoProgress, PointSource, Position};
+use psfield::{EvaluateOptions, FitOptions, OutputGrid, Psf, Scene, evaluate, fit};
 
-fn image(psf: PsfInput) -> Image<f64> {
-    let scene = test_scene(160, 120, 0);
-    Simulation::new(psf, &scene, SimulationOptions::default())
-        .unwrap()
-        .run(&scene, Method::Auto, PlanOptions::default())
-        .unwrap()
+fn simulated(psf: &Psf, scene: &Scene<'_>) -> Image<f64> {
+    let simulator = psf.simulator((120, 160)).build().unwrap();
+    simulator.simulate(scene).unwrap()
+}
+
+fn image(psf: &Psf) -> Image<f64> {
+    simulated(psf, &test_scene(160, 120, 0).into())
 }
 
 #[test]
 fn files_change_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let samples = uniform_samples(&small_telescope(1), 9, 7);
-    let here = image(PsfInput::Samples(samples.clone(), FitOptions::default()));
+    let here = image(&samples.clone().into());
 
     let path = folder.path().join("samples.fits");
     write_samples(&path, &samples, &[], Precision::Double, false).unwrap();
-    assert_eq!(image(PsfInput::open(&path, FitOptions::default()).unwrap()), here);
+    assert_eq!(image(&Psf::open(&path).unwrap()), here);
     write_samples(&path, &samples, &[], Precision::Single, true).unwrap();
-    let single = PsfInput::Samples(read_samples(&path).unwrap(), FitOptions::default());
-    assert!(relative_l2(&image(single), &here) < 1e-6);
+    let single = Psf::from(read_samples(&path).unwrap());
+    assert!(relative_l2(&image(&single), &here) < 1e-6);
 
     let fitted = fit(samples, &FitOptions::default()).unwrap();
     let path = folder.path().join("model.fits");
     write_model(&path, fitted.record(), fitted.singular_values(), &[], false).unwrap();
     assert_eq!(&read_model(&path).unwrap(), fitted.record());
-    assert_eq!(image(PsfInput::open(&path, FitOptions::default()).unwrap()), here);
+    assert_eq!(image(&Psf::open(&path).unwrap()), here);
 }
 
 #[test]
@@ -54,14 +52,9 @@ fn the_number_of_threads_does_not_matter_from_end_to_end() {
                 .with_start(3, 3)
                 .unwrap();
             let samples = sampling.sample(&telescope, &NoProgress).unwrap().samples;
-            let scene = test_scene(160, 120, 0);
             let star = PointSource::new(Position::new(50.3, 70.9).unwrap(), 40.0).unwrap();
-            let scene = scene.with_sources(vec![star]);
-            let psf = PsfInput::Samples(samples, FitOptions::default());
-            Simulation::new(psf, &scene, SimulationOptions::default())
-                .unwrap()
-                .run(&scene, Method::Auto, PlanOptions::default())
-                .unwrap()
+            let scene = Scene::from(test_scene(160, 120, 0)).with_stars(vec![star]);
+            simulated(&samples.into(), &scene)
         })
     };
     let one = run(1);
@@ -73,20 +66,12 @@ fn the_number_of_threads_does_not_matter_from_end_to_end() {
 /// An oversampled telescope convolves an image as the telescope at the frame's own pixels does.
 #[test]
 fn oversampled_psfs_image_a_scene_on_the_frame_s_pixels() {
-    let native = image(PsfInput::Samples(
-        uniform_samples(&small_telescope(1), 9, 7),
-        FitOptions::default(),
-    ));
-    let fine = PsfInput::Samples(uniform_samples(&small_telescope(3), 9, 7), FitOptions::default());
-    let model = PsfInput::Model(
-        fit(uniform_samples(&small_telescope(3), 9, 7), &FitOptions::default())
-            .unwrap()
-            .record()
-            .clone(),
-    );
+    let native = image(&uniform_samples(&small_telescope(1), 9, 7).into());
+    let fine = Psf::from(uniform_samples(&small_telescope(3), 9, 7));
+    let model = Psf::from(fine.record().unwrap().clone());
     // A 72-pixel stamp three times oversampled covers 24 pixels, as the native one does.
     for (name, fine, limit) in [("samples", fine, 2e-5), ("a model", model, 2e-4)] {
-        let error = relative_l2(&image(fine), &native);
+        let error = relative_l2(&image(&fine), &native);
         println!("from {name}: {error:.1e}");
         assert!(error < limit, "{name}: {error}");
     }
@@ -95,14 +80,13 @@ fn oversampled_psfs_image_a_scene_on_the_frame_s_pixels() {
 #[test]
 fn evaluation_follows_its_options() {
     let telescope = small_telescope(3);
-    let model = PsfInput::Samples(uniform_samples(&telescope, 5, 5), FitOptions::default())
-        .into_model()
-        .unwrap();
+    let psf = Psf::from(uniform_samples(&telescope, 5, 5));
+    let model = psf.model().unwrap();
     let at = vec![
         Position::new(40.25, 30.75).unwrap(),
         Position::new(100.0, 90.0).unwrap(),
     ];
-    let stamps = |options| evaluate(&model, at.clone(), options).unwrap();
+    let stamps = |options| evaluate(model, at.clone(), options).unwrap();
     let own = stamps(EvaluateOptions::default());
     assert_eq!(own.grid(), model.grid());
     assert_eq!(own.stamp(0), model.psf_at(at[0]).unwrap().values());
@@ -154,20 +138,13 @@ fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
         ..FitOptions::default()
     };
     let fitted = fit(uniform_samples(&small_telescope(3), 5, 4), &options).unwrap();
-    let psf = PsfInput::Model(fitted.record().clone());
+    let psf = Psf::from(fitted.record().clone());
     let (x, y) = (37, 71);
-    let shape = FrameShape::new(160, 120).unwrap();
     let mut light = ndarray::Array2::<f64>::zeros((120, 160));
     light[[y, x]] = 1.0;
-    let run = |scene: Scene<f64>| {
-        let simulation = Simulation::new(psf.clone(), &scene, SimulationOptions::default()).unwrap();
-        simulation
-            .run(&scene, Method::Auto, PlanOptions::default())
-            .unwrap()
-    };
-    let pixel = run(Scene::from_image(Image::new(light).unwrap()));
+    let pixel = simulated(&psf, &Scene::new(light).unwrap());
     let star = PointSource::new(Position::of_pixel(x as i64, y as i64), 1.0).unwrap();
-    let star = run(Scene::dark(shape).with_sources(vec![star]));
+    let star = simulated(&psf, &Scene::dark().with_stars(vec![star]));
     // Each is scaled by the flux on its own pixels, which for a truncated PSF is not quite the same.
     let (flux, stars_flux) = (pixel.pixels().sum(), star.pixels().sum());
     assert!(

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
-use integration_tests::{CornerRise, model_errors, uniform_samples};
+use integration_tests::{CornerRise, fitted, model_errors, uniform_samples};
+use psfield::FitOptions;
 use psfield::psf_basis::RankSelection;
 use psfield::psf_sample::{
     AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod, SamplingOutcome,
 };
 use psfield::psf_types::{Interpolation, NoProgress, Normalisation, PsfSamples};
-use psfield::{FitOptions, PsfInput};
 
 /// The largest error of a model by Delaunay triangles between these samples, over a dense grid of positions.
 fn largest_error(samples: PsfSamples) -> f64 {
@@ -18,8 +18,7 @@ fn largest_error(samples: PsfSamples) -> f64 {
         normalisation: Normalisation::Keep,
         ..FitOptions::default()
     };
-    let model = PsfInput::Samples(samples, options).into_model().unwrap();
-    model_errors(&model, &CornerRise, 83).max()
+    model_errors(&fitted(samples, &options), &CornerRise, 83).max()
 }
 
 #[test]

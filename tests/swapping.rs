@@ -9,10 +9,11 @@ use psfield::conv_core::{BasisConvolution, ConvError, ConvolutionMethod};
 use psfield::psf_basis::{BasisError, BasisFit, BasisMethod};
 use psfield::psf_sample::{SampleError, Sampling, SamplingMethod, SamplingReport};
 use psfield::psf_types::{
-    Anchor, DataError, FieldError, FrameShape, Image, NoProgress, Normalisation, OutsidePolicy, Position,
-    Progress, PsfBasis, PsfModel, PsfSamples, PsfSource, SamplePositions, Scene, SourceError, StampGrid,
+    Anchor, DataError, FieldError, FrameShape, Image, ImageView, NoProgress, Normalisation, OutsidePolicy,
+    PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, PsfSamples, PsfSource, SamplePositions,
+    SourceError, StampGrid,
 };
-use psfield::{Simulation, SpotCheck, fit_with};
+use psfield::{Method, Psf, Scene, SimulateOptions, fit_with};
 
 /// A PSF source: two points of light whose ratio changes along x.
 #[derive(Debug)]
@@ -148,12 +149,23 @@ impl FieldWeights for AlongXWeights {
 struct PlainLoop;
 
 impl ConvolutionMethod<f64> for PlainLoop {
-    fn convolve(&self, model: &PsfModel, scene: &Scene<f64>) -> Result<Image<f64>, ConvError> {
-        let mut image = Array2::zeros((scene.shape().ny(), scene.shape().nx()));
+    fn anchor(&self) -> Anchor {
+        Anchor::Source
+    }
+
+    /// Of a frame that is all of the light.
+    fn convolve(
+        &self,
+        model: &PsfModel,
+        light: &ImageView<'_, f64>,
+        frame: PixelRegion,
+        _: &dyn Progress,
+    ) -> Result<Image<f64>, ConvError> {
+        assert_eq!(frame, light.shape().region());
+        let mut image = Array2::zeros(light.pixels().dim());
         let (cx, cy) = model.grid().whole_centre().expect("centred on a pixel");
-        let light = scene.pixels().expect("an image");
-        for ((y, x), &flux) in light.indexed_iter() {
-            let psf = model.psf_at(scene.field_region().position(x, y))?;
+        for ((y, x), &flux) in light.pixels().indexed_iter() {
+            let psf = model.psf_at(frame.position(x, y))?;
             for ((j, i), &h) in psf.values().indexed_iter() {
                 if let (Some(row), Some(column)) = ((y + j).checked_sub(cy), (x + i).checked_sub(cx))
                     && let Some(pixel) = image.get_mut((row, column))
@@ -181,10 +193,9 @@ fn own_parts_make_a_whole_simulation() {
     assert_eq!(fit.max_error(), 0.0);
 
     // The source is linear in x and so is the interpolator: the image is known exactly.
-    let scene = test_scene(64, 48, 0);
-    let light = scene.pixels().unwrap();
+    let light = test_scene(64, 48, 0);
     let mut expected = Array2::zeros((48, 64));
-    for ((y, x), &f) in light.indexed_iter() {
+    for ((y, x), &f) in light.pixels().indexed_iter() {
         let share = Doublet::share(x as f64);
         // The stamp's centre is (2, 1): light goes one pixel to the left and two to the right.
         if x >= 1 {
@@ -195,16 +206,42 @@ fn own_parts_make_a_whole_simulation() {
         }
     }
     let expected = Image::new(expected).unwrap();
-    let simulation = Simulation::with_model(model);
-    let methods: [&dyn ConvolutionMethod<f64>; 2] = [&PlainLoop, &BasisConvolution::default()];
+    let psf = Psf::from(model);
+    let scene = Scene::from(&light);
+    let methods: [Box<dyn ConvolutionMethod<f64>>; 2] =
+        [Box::new(PlainLoop), Box::new(BasisConvolution::default())];
     for method in methods {
-        let image = simulation
-            .run_with(&scene, method, Anchor::default(), &NoProgress)
-            .unwrap();
-        assert!(relative_l2(&image, &expected) < 1e-13, "{method:?}");
-        let check = SpotCheck::run(&image, 50, 1, |pixels| {
-            simulation.exact_at(&scene, Anchor::Source, pixels)
-        });
+        let name = format!("{method:?}");
+        let simulator = psf.simulator((48, 64)).build_with(method).unwrap();
+        let image = simulator.simulate(&scene).unwrap();
+        assert!(relative_l2(&image, &expected) < 1e-13, "{name}");
+        let check = simulator.spot_check(&scene, &image, (50, 1), &NoProgress);
         assert!(check.unwrap().max_over_peak.unwrap() < 1e-13);
+    }
+}
+
+/// Stars, exact values and header cards go by the anchoring of the method, whatever the settings said.
+#[test]
+fn a_method_of_the_callers_own_decides_the_anchoring() {
+    let psf = Psf::from(TwoEdges.sample(&Doublet, &NoProgress).unwrap().samples);
+    let light = test_scene(64, 48, 0);
+    let star = PointSource::new(Position::of_pixel(31, 20), 7.0).unwrap();
+    let scene = Scene::from(&light).with_stars(vec![star]);
+    for (asked, of_method) in [(Anchor::Source, Anchor::Output), (Anchor::Output, Anchor::Source)] {
+        let method = Box::new(BasisConvolution::new(of_method));
+        let settings = psf.simulator((48, 64)).anchor(asked);
+        let own = settings.clone().build_with::<f64>(method).unwrap();
+        assert_eq!(own.options().anchor, of_method);
+        let expected = SimulateOptions {
+            anchor: of_method,
+            ..settings.build::<f64>().unwrap().options().clone()
+        };
+        assert_eq!(own.options(), &expected);
+        let by_name = psf.simulator((48, 64)).method(Method::Basis).anchor(of_method);
+        let expected = by_name.build().unwrap().simulate(&scene).unwrap();
+        let image = own.simulate(&scene).unwrap();
+        assert_eq!(image, expected);
+        let check = own.spot_check(&scene, &image, (50, 1), &NoProgress).unwrap();
+        assert!(check.max_over_peak.unwrap() < 1e-13, "{check:?}");
     }
 }

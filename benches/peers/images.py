@@ -7,7 +7,7 @@ import timing
 from methods import METHODS
 from pool import Pool
 from reference import Reference
-from run import RIGHT
+from timing import RIGHT
 
 
 def load(args):

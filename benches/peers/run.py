@@ -10,9 +10,6 @@ import resource
 import sys
 from pathlib import Path
 
-RIGHT = 3e-6
-"""Largest relative L2 difference of an image from its own model: single precision, with room for long sums."""
-
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

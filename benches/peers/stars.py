@@ -17,7 +17,7 @@ import timing
 from basis import Modes
 from inputs import Inputs, locate, write_scene
 from reference import exact_psf
-from run import RIGHT
+from timing import RIGHT
 
 COUNT = 2916
 

@@ -5,6 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+RIGHT = 3e-6
+"""Largest relative L2 difference of an image from its own model: single precision, with room for long sums."""
+
 
 @dataclass
 class Timed:

@@ -19,6 +19,8 @@ import psfield
 SHAPE = (512, 768)
 #: Stamp pixels per frame pixel: stars that lie between pixels need a PSF that is sampled more finely than the frame.
 OVERSAMPLING = 2
+#: Pixels of the scene along each side of one of the frame: galaxies need pixels this fine, or these blur them.
+FINER = 4
 SEED = 1
 
 
@@ -49,13 +51,14 @@ def main(folder: Path) -> None:
     model.write(folder / "psf.fits", overwrite=True)
 
     # 2. The plan: everything that does not depend on the light. The tolerance bounds the error that the engine adds to any single PSF.
-    plan = model.plan(SHAPE, tolerance=1e-4)
+    plan = model.plan((FINER * ny, FINER * nx), tolerance=1e-4, oversample=FINER)
     print(plan.describe())
 
     # 3. Light: an image (here a faint nebula), a catalogue, or both. With half-light radii "re" sources are galaxies; re = 0 is a star.
+    #    The image has the scene's fine pixels, a catalogue counts in pixels of the frame.
     rng = np.random.default_rng(SEED)
-    y, x = np.mgrid[:ny, :nx]
-    nebula = 5 * np.exp(-0.5 * (((x - 300) / 60) ** 2 + ((y - 200) / 40) ** 2))
+    y, x = (np.mgrid[: FINER * ny, : FINER * nx] - (FINER - 1) / 2) / FINER
+    nebula = 5 / FINER**2 * np.exp(-0.5 * (((x - 300) / 60) ** 2 + ((y - 200) / 40) ** 2))
     stars, galaxies = 300, 40
     count = stars + galaxies
     is_star = np.arange(count) < stars

@@ -14,7 +14,8 @@ from psfield import _native
 from psfield._arrays import DTYPES, column, doubles, plain, points, shape_of, shape_or_none
 from psfield._astropy import in_unit
 from psfield._choices import pair_or_none, real, real_or_none, whole, whole_or_none, word, word_or_none, yes_or_no
-from psfield._plan import DEFAULT_MEMORY, Plan
+from psfield._defaults import DEFAULTS
+from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
 
 if TYPE_CHECKING:
@@ -62,10 +63,10 @@ class PsfModel:
         positions: Any,
         *,
         field_shape: tuple[int, int] | None = None,
-        oversampling: float = 1.0,
+        oversampling: float = DEFAULTS.oversampling,
         centre: Centre | None = None,
-        pixel_response_included: bool = True,
-        stamp_interpolation: Literal["cubic-spline", "lanczos3"] = "cubic-spline",
+        pixel_response_included: bool = DEFAULTS.pixel_response_included,
+        stamp_interpolation: Literal["cubic-spline", "lanczos3"] = DEFAULTS.stamp_interpolation,
         rank: str | int | None = None,
         centring: Literal["mean", "none"] | None = None,
         noise: float | None = None,
@@ -130,13 +131,13 @@ class PsfModel:
         positions: Any,
         *,
         field_shape: tuple[int, int] | None = None,
-        oversampling: float = 1.0,
+        oversampling: float = DEFAULTS.oversampling,
         centre: Centre | None = None,
-        pixel_response_included: bool = True,
-        stamp_interpolation: Literal["cubic-spline", "lanczos3"] = "cubic-spline",
-        interpolation: str = "auto",
-        outside: Literal["nearest", "extend", "error"] = "nearest",
-        normalise: Literal["unit", "keep"] = "unit",
+        pixel_response_included: bool = DEFAULTS.pixel_response_included,
+        stamp_interpolation: Literal["cubic-spline", "lanczos3"] = DEFAULTS.stamp_interpolation,
+        interpolation: str = DEFAULTS.interpolation,
+        outside: Literal["nearest", "extend", "error"] = DEFAULTS.outside,
+        normalise: Literal["unit", "keep"] = DEFAULTS.normalise,
     ) -> PsfModel:
         """Make a model from a basis of your own and its coefficients at positions.
 
@@ -212,16 +213,16 @@ class PsfModel:
         function: Callable[[float, float], Any],
         shape: tuple[int, int],
         *,
-        threshold: float = 0.01,
+        threshold: float = DEFAULTS.threshold,
         criterion: Literal["interpolation", "neighbours"] = "interpolation",
         measure: Literal["l2", "l1"] = "l2",
-        start: tuple[int, int] = (5, 5),
-        max_samples: int = 20_000,
+        start: tuple[int, int] = DEFAULTS.start,
+        max_samples: int = DEFAULTS.max_samples,
         uniform: tuple[int, int] | None = None,
-        oversampling: float = 1.0,
+        oversampling: float = DEFAULTS.oversampling,
         centre: Centre | None = None,
-        pixel_response_included: bool = True,
-        stamp_interpolation: Literal["cubic-spline", "lanczos3"] = "cubic-spline",
+        pixel_response_included: bool = DEFAULTS.pixel_response_included,
+        stamp_interpolation: Literal["cubic-spline", "lanczos3"] = DEFAULTS.stamp_interpolation,
         rank: str | int | None = None,
         centring: Literal["mean", "none"] | None = None,
         noise: float | None = None,
@@ -565,16 +566,16 @@ class PsfModel:
     def plan(
         self,
         shape: tuple[int, int],
-        tolerance: float = 1e-4,
-        precision: Literal["f32", "f64"] = "f32",
-        device: Literal["auto", "cpu", "gpu"] = "auto",
+        tolerance: float = DEFAULTS.tolerance,
+        precision: Literal["f32", "f64"] = DEFAULTS.precision,
+        device: Literal["auto", "cpu", "gpu"] = DEFAULTS.device,
         *,
         frame: tuple[int, int, int, int] | None = None,
         region: tuple[int, int, int, int] | None = None,
-        anchor: Literal["source", "output"] = "source",
-        method: Literal["auto", "lowrank"] = "auto",
-        memory: int = DEFAULT_MEMORY,
-        oversample: int = 1,
+        anchor: Literal["source", "output"] = DEFAULTS.anchor,
+        method: Literal["auto", "lowrank"] = DEFAULTS.method,
+        memory: int = DEFAULTS.memory,
+        oversample: int = DEFAULTS.oversample,
         stamp_size: int | None = None,
         gpu_adapter: str | None = None,
         gpu_memory: int | None = None,

@@ -5,6 +5,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "DEFAULTS",
     "Detector",
     "Plan",
     "PsfModel",
@@ -22,6 +23,7 @@ __all__ = [
 ]
 
 __version__: str
+DEFAULTS: dict[str, Any]
 
 _Column = NDArray[np.float64]
 _Cube = NDArray[np.float64]

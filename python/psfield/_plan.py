@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
     from psfield._model import PsfModel
 
-#: Bytes that a plan keeps unless told otherwise.
-DEFAULT_MEMORY = 256 << 20
-
 
 @dataclass(frozen=True)
 class SpotCheck:
@@ -195,7 +192,7 @@ class Plan:
         Warns
         -----
         PsfieldWarning
-            Stars between pixels drawn from stamps that are not oversampled; galaxies smaller than the scene's pixels.
+            Stars between pixels drawn from stamps that are not oversampled; galaxies on pixels that blur them (``oversample`` below 4).
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to convolve: give a scene, a catalog, or both")

@@ -80,4 +80,4 @@ def command() -> str:
     for candidate in (named, ROOT / "target" / "release" / "psfield", shutil.which("psfield")):
         if candidate and Path(candidate).is_file():
             return str(candidate)
-    pytest.skip("the command psfield is not built (cargo build --release -p psfield, or name it in PSFIELD_COMMAND)")
+    pytest.skip("the command psfield is not built (cargo build --release -p psfield-cli, or name it in PSFIELD_COMMAND)")

@@ -8,6 +8,9 @@ from conftest import gaussian_stamp
 
 import psfield
 
+#: Where the blur of galaxies by the frame's pixels does not matter.
+blurred_galaxies = pytest.mark.filterwarnings(r"ignore:\d+ galaxies are blurred:psfield.PsfieldWarning")
+
 
 @pytest.fixture(scope="module")
 def plan():
@@ -48,6 +51,7 @@ def test_light_from_off_the_frame_shines_in(plan):
     assert 50 < image.sum() < 500 and image[:, 20:].max() < 1e-6
 
 
+@blurred_galaxies
 def test_galaxies_have_their_flux_and_shape(plan):
     image = plan.simulate(catalog=GALAXIES)
     y, x = np.mgrid[:60, :80]
@@ -91,6 +95,7 @@ def as_masked(columns):
     return masked
 
 
+@blurred_galaxies
 @pytest.mark.parametrize("form", [as_astropy, as_quantities, as_structured, as_masked, lambda c: {k: tuple(v) for k, v in c.items()}])
 def test_tables_of_any_kind(plan, form):
     assert np.allclose(plan.simulate(catalog=form(GALAXIES)), plan.simulate(catalog=GALAXIES), rtol=1e-12, atol=1e-15)
@@ -135,8 +140,19 @@ def test_coarse_stamps_are_warned_of():
     plan.simulate(catalog={"x": [5.0], "y": [7.0], "flux": [1.0]})
     with pytest.warns(psfield.PsfieldWarning, match="stars lie between pixels"):
         plan.simulate(catalog={"x": [5.5], "y": [7.0], "flux": [1.0]})
-    with pytest.warns(psfield.PsfieldWarning, match="1 galaxies have a half-light radius below 2"):
-        plan.simulate(catalog={"x": [5.0], "y": [7.0], "flux": [1.0], "re": [0.5], "n": [1.0]})
+
+
+def test_galaxies_on_coarse_pixels_are_warned_of(plan):
+    def galaxy(radius):
+        return {"x": [5.0], "y": [7.0], "flux": [1.0], "re": [radius], "n": [1.0]}
+
+    for radius in (0.4, 5.0):
+        with pytest.warns(psfield.PsfieldWarning, match="1 galaxies are blurred a second time .* oversample=4 or more draws them"):
+            plan.simulate(catalog=galaxy(radius))
+    finer = plan.model.plan((240, 320), oversample=4)
+    finer.simulate(catalog=galaxy(5.0))
+    with pytest.warns(psfield.PsfieldWarning, match="1 galaxies are blurred"):
+        finer.simulate(catalog=galaxy(0.4))
 
 
 class TestFiles:
@@ -152,6 +168,7 @@ class TestFiles:
             "flux": pytest.approx([100.0, 10.0]),
         }
 
+    @blurred_galaxies
     def test_galaxies_come_after_stars(self, tmp_path, plan):
         path = tmp_path / "sources.csv"
         path.write_text("x,y,flux,re,n,q,angle\n40,30,1000,4,1,0.5,30\n10,50,10,,,,\n")

@@ -152,6 +152,7 @@ def test_catalogue(model, scene) -> None:
     assert relative_l2(image, expected) < ROUNDING["f32"]
 
 
+@pytest.mark.filterwarnings(r"ignore:\d+ galaxies are blurred:psfield.PsfieldWarning")
 def test_galaxies(model) -> None:
     catalog = {"x": [20.0, 99.0, 149.5], "y": [20.0, 80.0, 3.0], "flux": [1e3, 2e3, 1e3], "re": [4.0, 9.0, 5.0], "n": [1.0, 4.0, 2.0]}
     image = psfield.dask.simulate(da.zeros(SHAPE, chunks=(40, 50)), model, catalog=catalog).compute()

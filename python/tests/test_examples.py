@@ -202,7 +202,7 @@ def test_coming_from_galsim(tmp_path, monkeypatch):
     names = coming_from("GalSim", tmp_path, monkeypatch)
     # Interpolation between a dozen positions and between pixels of a third; GalSim's stars end at 64 pixels, psfield's at 63.
     assert over_peak(names["ours"], names["theirs"].array) < 1e-3
-    # The blur of pixels of a third, and what GalSim's transforms leave out.
+    # The blur of pixels of a quarter, and what GalSim's transforms leave out.
     assert over_peak(names["our_galaxy"], names["their_galaxy"]) < 2e-3
     # The first pixel is 1 there and 0 here: a star shifted by one pixel would be seen.
     assert over_peak(names["ours"], np.roll(names["theirs"].array, 1, axis=1)) > 0.1

@@ -8,7 +8,7 @@ use ndarray::Array3;
 use psfield::convert::{SamplesAt, to_gridded, to_psfex};
 use psfield::psf_io::{self, FileKind, Precision};
 use psfield::psf_types::{FrameShape, Normalisation, Position, PsfSamples, SamplePositions, StampGrid};
-use psfield::{EvaluateOptions, FitChoices, FitOptions, PsfFileOptions, PsfInput, evaluate};
+use psfield::{EvaluateOptions, FitChoices, FitOptions, Psf, PsfFileOptions, evaluate};
 
 use crate::{python, script};
 
@@ -57,10 +57,10 @@ fn read_back(size: usize) -> Result<(), Failed> {
         normalisation: Normalisation::Keep,
         ..FitOptions::default()
     };
-    let input = PsfInput::Samples(samples(size)?, keep);
-    let psfex = to_psfex(input.clone(), Some(3))?;
+    let input = Psf::new(samples(size)?, keep);
+    let psfex = to_psfex(&input, Some(3))?;
     psf_io::write_psfex(path("model.psf"), &psfex.model, &[], false)?;
-    let library = to_gridded(input, &SamplesAt::Own)?;
+    let library = to_gridded(&input, &SamplesAt::Own)?;
     psf_io::write_gridded(path("library.fits"), &library.samples, &[], false)?;
 
     let positions = [(0.0, 0.0), (1199.0, 799.0), (433.25, 610.5), (900.0, 12.75)];
@@ -116,16 +116,12 @@ fn stamps_of(psf: &Path, kind: FileKind, positions: &[(f64, f64)], output: &Path
         normalisation: Some(Normalisation::Keep),
         ..FitChoices::default()
     };
-    let opened = PsfInput::open_with(psf, &PsfFileOptions::default(), &choices)?;
-    if opened.kind != kind {
-        return Err(format!("{} was found", opened.kind).into());
+    let opened = Psf::open_with(psf, &PsfFileOptions::default(), &choices)?;
+    if opened.kind() != Some(kind) {
+        return Err(format!("{:?} was found", opened.kind()).into());
     }
     let positions: Result<Vec<Position>, _> = positions.iter().map(|&(x, y)| Position::new(x, y)).collect();
-    let stamps = evaluate(
-        &opened.input.into_model()?,
-        positions?,
-        EvaluateOptions::default(),
-    )?;
+    let stamps = evaluate(opened.model()?, positions?, EvaluateOptions::default())?;
     psf_io::write_samples(output, &stamps, &[], Precision::Double, true)?;
     Ok(())
 }

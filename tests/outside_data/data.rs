@@ -3,8 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use libtest_mimic::{Failed, Trial};
-use psfield::psf_types::{FrameShape, Image, Interpolation, Normalisation, PsfSamples, Real, Scene};
-use psfield::{FitOptions, PsfInput, psf_io};
+use psfield::psf_types::{FrameShape, Image, Interpolation, Normalisation, PsfModel, PsfSamples, Real};
+use psfield::{FitOptions, Psf, psf_io};
 
 /// Where the data should be.
 pub(crate) fn expected() -> PathBuf {
@@ -76,9 +76,9 @@ impl Field {
         Ok(psf_io::read_samples(self.path("off_grid.fits"))?)
     }
 
-    pub(crate) fn scene<T: Real>(self) -> Result<Scene<T>, Failed> {
+    pub(crate) fn scene<T: Real>(self) -> Result<Image<T>, Failed> {
         let image = psf_io::read_image::<T>(self.path(&format!("scene{}.fits", self.size)))?;
-        Ok(Scene::from_image(image.into_parts().0))
+        Ok(image.into_parts().0)
     }
 
     /// The truth of an anchoring, `source` or `output`.
@@ -105,12 +105,17 @@ impl Field {
     }
 
     /// The samples as they are, bilinear between them: what the truths were made with.
-    pub(crate) fn psf(self, options: FitOptions) -> Result<PsfInput, Failed> {
+    pub(crate) fn psf(self, options: FitOptions) -> Result<Psf, Failed> {
         let options = FitOptions {
             interpolation: Interpolation::Bilinear,
             normalisation: Normalisation::Keep,
             ..options
         };
-        Ok(PsfInput::Samples(self.samples()?, options))
+        Ok(Psf::new(self.samples()?, options))
+    }
+
+    /// The model of [`psf`](Self::psf).
+    pub(crate) fn model(self, options: FitOptions) -> Result<PsfModel, Failed> {
+        Ok(self.psf(options)?.model()?.clone())
     }
 }

@@ -4,7 +4,7 @@ use libtest_mimic::{Failed, Trial};
 use psfield::psf_basis::RankSelection;
 use psfield::psf_io::{FileKind, PlaneOrder};
 use psfield::psf_types::Normalisation;
-use psfield::{FitChoices, PsfFileOptions, PsfInput, PsfieldError};
+use psfield::{FitChoices, Psf, PsfFileOptions, PsfieldError};
 
 use crate::data::{ensure, file, trial};
 use crate::libraries::Truth;
@@ -43,14 +43,16 @@ pub(crate) fn trials() -> Vec<Trial> {
 /// A library is opened as it is, every component kept, and tells how it was read.
 fn library(folder: &'static str, name: &str, which: &str, options: &PsfFileOptions) -> Result<(), Failed> {
     let path = file(&format!("{folder}/{name}.fits"));
-    let opened = PsfInput::open_with(path, options, &FitChoices::default())?;
+    let opened = Psf::open_with(path, options, &FitChoices::default())?;
     let kind = if folder == "stpsf" {
         FileKind::Stpsf
     } else {
         FileKind::Stdpsf
     };
-    ensure(opened.kind == kind, || format!("{} was found", opened.kind))?;
-    let PsfInput::Samples(samples, fit) = &opened.input else {
+    ensure(opened.kind() == Some(kind), || {
+        format!("{:?} was found", opened.kind())
+    })?;
+    let Some((samples, fit)) = opened.samples() else {
         return Err("a library holds samples".into());
     };
     ensure(
@@ -63,14 +65,14 @@ fn library(folder: &'static str, name: &str, which: &str, options: &PsfFileOptio
         "detector"
     };
     ensure(
-        options == &PsfFileOptions::default() || opened.notes.iter().any(|note| note.contains(says)),
-        || format!("no word on the {says}: {:?}", opened.notes),
+        options == &PsfFileOptions::default() || opened.notes().iter().any(|note| note.contains(says)),
+        || format!("no word on the {says}: {:?}", opened.notes()),
     )?;
     let truth_name = format!("{name}{which}");
     let truth = Truth::open(folder, if folder == "stpsf" { name } else { &truth_name })?;
     truth.check_own_grid(samples, &truth_name)?;
     // With the options that the format brings, not those of the comparison.
-    let error = truth.own_grid_error_of(opened.input.clone().into_model()?, &truth_name)?;
+    let error = truth.own_grid_error_of(opened.model()?, &truth_name)?;
     ensure(error <= 1e-6, || {
         format!("{error:e} with the format's own options")
     })
@@ -78,7 +80,7 @@ fn library(folder: &'static str, name: &str, which: &str, options: &PsfFileOptio
 
 fn two_detectors() -> Result<(), Failed> {
     let path = file("stdpsf/STDPSF_ACSWFC_F814W_mock.fits");
-    match PsfInput::open_with(path, &PsfFileOptions::default(), &FitChoices::default()) {
+    match Psf::open_with(path, &PsfFileOptions::default(), &FitChoices::default()) {
         Err(PsfieldError::Io(error)) => {
             let source = std::error::Error::source(&error).map(ToString::to_string);
             ensure(

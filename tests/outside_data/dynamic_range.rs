@@ -1,9 +1,10 @@
 //! Faint light beside bright, in single precision.
 
+use integration_tests::{convolve, direct_at};
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
-use psfield::conv_core::{ConvolutionMethod, Direct, LowRank, Paths, PlanOptions};
-use psfield::psf_types::{Anchor, Image, PsfModel, Scene};
+use psfield::conv_core::{LowRank, Paths, PlanOptions};
+use psfield::psf_types::{Anchor, Image, PsfModel};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -93,8 +94,8 @@ fn truth(
     for &(x, y, _) in bright {
         faint[[y, x]] = 0.0;
     }
-    let scene = Scene::from_image(Image::new(faint)?);
-    let image = LowRank::new(options(anchor, Paths::Cheapest)?).convolve(model, &scene)?;
+    let engine = LowRank::new(options(anchor, Paths::Cheapest)?);
+    let image = convolve(&engine, model, &Image::new(faint)?)?;
     let image = image.into_pixels();
     let peak = image.iter().fold(0.0_f64, |m, v| m.max(*v));
     let (cx, cy) = model
@@ -117,8 +118,8 @@ fn truth(
         .step_by((pixels.len() / SPOT_CHECKS).max(1))
         .collect();
     let at: Vec<(usize, usize)> = some.iter().map(|(pixel, _)| *pixel).collect();
-    let whole = Scene::from_image(Image::new(all.mapv(f64::from))?);
-    let sums = Direct::new(anchor).at_pixels(model, &whole, &at)?;
+    let whole = Image::new(all.mapv(f64::from))?;
+    let sums = direct_at(model, &whole, anchor, &at)?;
     let off = sums
         .iter()
         .zip(&some)
@@ -157,16 +158,16 @@ fn faint_pixels(image: &Image<f32>, truth: &[ExactPixel]) -> FaintPixels {
 }
 
 fn beside(name: &str, bright: &Bright, limit: Option<f64>) -> Result<(), Failed> {
-    let model = STRONG.psf(FULL)?.into_model()?;
+    let model = STRONG.model(FULL)?;
     let mut all = galaxies();
     for &(x, y, flux) in bright {
         all[[y, x]] += flux;
     }
-    let scene = Scene::from_image(Image::new(all.clone())?);
+    let light = Image::new(all.clone())?;
     for (anchor, anchored) in ANCHORS {
         let truth = truth(&model, &all, bright, anchor)?;
         let by = |paths| -> Result<FaintPixels, Failed> {
-            let image = LowRank::new(options(anchor, paths)?).convolve(&model, &scene)?;
+            let image = convolve(&LowRank::new(options(anchor, paths)?), &model, &light)?;
             Ok(faint_pixels(&image, &truth))
         };
         let (cheapest, transforms) = (by(Paths::Cheapest)?, by(Paths::Transforms)?);

@@ -4,7 +4,7 @@ use libtest_mimic::{Failed, Trial};
 use psfield::metrics::{Comparison, Summary};
 use psfield::psf_basis::RankSelection;
 use psfield::psf_types::Interpolation;
-use psfield::{EvaluateOptions, FitOptions, PsfInput, evaluate};
+use psfield::{EvaluateOptions, FitOptions, evaluate, fit};
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 
@@ -25,7 +25,7 @@ fn off_grid(field: Field, median: f64, max: f64) -> Result<(), Failed> {
         rank: RankSelection::Full,
         ..FitOptions::default()
     };
-    let model = PsfInput::Samples(field.samples()?, options).into_model()?;
+    let model = fit(field.samples()?, &options)?.into_model()?;
     let stamps = evaluate(
         &model,
         truth.positions().as_slice().to_vec(),

@@ -1,10 +1,11 @@
 //! The fast engine keeps the flux at any tolerance.
 
+use integration_tests::convolve;
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
 use psfield::FitOptions;
-use psfield::conv_core::{ConvReal, ConvolutionMethod, LowRank, Paths, PlanOptions};
-use psfield::psf_types::{Anchor, Image, Normalisation, PsfModel, Real, Scene};
+use psfield::conv_core::{ConvReal, LowRank, Paths, PlanOptions};
+use psfield::psf_types::{Anchor, Image, Normalisation, PsfModel, Real};
 
 use crate::data::{STRONG, ensure, trial};
 use crate::simulation::FULL;
@@ -26,8 +27,7 @@ pub(crate) fn trials() -> Vec<Trial> {
 
 /// The scene with a dark border.
 fn light<T: Real>() -> Result<Array2<T>, Failed> {
-    let scene = STRONG.scene::<T>()?;
-    let mut light = scene.pixels().expect("an image").to_owned();
+    let mut light = STRONG.scene::<T>()?.into_pixels();
     let (ny, nx) = light.dim();
     for ((y, x), value) in light.indexed_iter_mut() {
         if y < MARGIN || x < MARGIN || y >= ny - MARGIN || x >= nx - MARGIN {
@@ -74,8 +74,8 @@ fn total_flux() -> Result<(), Failed> {
 }
 
 fn off<T: ConvReal>(model: &PsfModel, options: PlanOptions, expected: f64) -> Result<f64, Failed> {
-    let scene = Scene::from_image(Image::new(light::<T>()?)?);
-    let image = LowRank::new(options.with_anchor(Anchor::Source)).convolve(model, &scene)?;
+    let engine = LowRank::new(options.with_anchor(Anchor::Source));
+    let image = convolve(&engine, model, &Image::new(light::<T>()?)?)?;
     let flux: f64 = image.pixels().iter().map(|v| v.as_f64()).sum();
     Ok((flux / expected - 1.0).abs())
 }

@@ -2,10 +2,11 @@
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::{Array2, ArrayView2};
-use psfield::conv_core::add_point_sources;
+use psfield::conv_core::StarPainter;
 use psfield::psf_stars::{Rejection, StarSamples, StarSampling};
-use psfield::psf_types::{Anchor, Image, PointSource, Position, PsfSamples, Scene};
-use psfield::{FitOptions, MeasureOptions, RoundTrip, RoundTripOptions, fit, model_of, psf_io};
+use psfield::psf_types::{Anchor, Image, NoProgress, PointSource, Position, PsfSamples};
+use psfield::{FitOptions, MeasureOptions, fit, model_of, psf_io};
+use psfield_lab::{RoundTrip, RoundTripOptions};
 
 use crate::data::{ensure, file, trial};
 
@@ -113,8 +114,9 @@ fn widened(name: &str) -> Result<(), Failed> {
             .collect::<Result<_, _>>()?;
         let positions: Vec<Position> = sources.iter().map(|s| s.position()).collect();
         let mut light = Array2::<f64>::zeros(frame.pixels().dim());
-        let scene = Scene::<f64>::dark(frame.shape()).with_sources(sources);
-        add_point_sources(&model, &scene, Anchor::Source, &mut light)?;
+        let whole = frame.shape().region();
+        let painter = StarPainter::new(&model, whole, Anchor::Source, None)?;
+        painter.draw_into(&sources, whole, light.view_mut(), &NoProgress)?;
         let measuring = MeasureOptions {
             window: Some((4.0 * found.fwhm_px).ceil() as usize | 1),
             background: true,

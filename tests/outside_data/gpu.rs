@@ -4,10 +4,11 @@
 use std::sync::OnceLock;
 
 use libtest_mimic::{Failed, Trial};
+use ndarray::Array2;
 use psfield::conv_core::gpu::{GpuDevice, GpuError, GpuOptions};
-use psfield::conv_core::{Paths, Plan, PlanOptions};
+use psfield::conv_core::{Engine, Paths, Plan, PlanOptions};
 use psfield::metrics::Comparison;
-use psfield::psf_types::Anchor;
+use psfield::psf_types::{Anchor, NoProgress};
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 use crate::responses::{Probes, lit_everywhere};
@@ -27,6 +28,11 @@ const PIXELS: usize = 300;
 fn gpu() -> &'static Result<GpuDevice, GpuError> {
     static GPU: OnceLock<Result<GpuDevice, GpuError>> = OnceLock::new();
     GPU.get_or_init(|| GpuDevice::new(None))
+}
+
+fn on_gpu(plan: Plan<f32>) -> Result<Engine<f32>, Failed> {
+    let gpu = gpu().as_ref()?;
+    Ok(Engine::on_gpu(plan, gpu, GpuOptions::default()).map_err(|(_, error)| error)?)
 }
 
 pub(crate) fn trials() -> Vec<Trial> {
@@ -51,18 +57,20 @@ pub(crate) fn trials() -> Vec<Trial> {
 }
 
 fn images(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
-    let gpu = gpu().as_ref()?;
-    let model = field.psf(FULL)?.into_model()?;
+    let model = field.model(FULL)?;
     let exact = field.truth(truth)?;
     let scene = field.scene::<f32>()?;
     for tolerance in TOLERANCES {
         let options = PlanOptions::new(tolerance)?.with_anchor(anchor);
-        let mut plan = Plan::for_scene(&model, &scene, options)?;
-        let on_cpu = plan.execute(&scene)?;
-        plan.use_gpu(gpu, GpuOptions::default())?;
-        let on_gpu = plan.execute(&scene)?;
-        let error = Comparison::of(on_gpu.pixels(), exact.pixels())?.relative_l2()?;
-        let apart = Comparison::of(on_gpu.pixels(), on_cpu.pixels())?.relative_l2()?;
+        let plan = || Plan::new(&model, scene.shape(), scene.shape().region(), options);
+        let image = |engine: Engine<f32>| -> Result<Array2<f32>, Failed> {
+            let mut image = engine.plan().zeros();
+            engine.convolve_into(&scene.view(), image.view_mut(), &NoProgress)?;
+            Ok(image)
+        };
+        let (on_cpu, on_gpu) = (image(Engine::new(plan()?))?, image(on_gpu(plan()?)?)?);
+        let error = Comparison::of(on_gpu.view(), exact.pixels())?.relative_l2()?;
+        let apart = Comparison::of(on_gpu.view(), on_cpu.view())?.relative_l2()?;
         println!(
             "{} {truth} at {tolerance:.0e}: relative L2 {error:.3e}, from the CPU {apart:.3e}",
             field.name
@@ -75,17 +83,15 @@ fn images(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
 }
 
 fn responses(field: Field, anchor: Anchor) -> Result<(), Failed> {
-    let gpu = gpu().as_ref()?;
-    let model = field.psf(FULL)?.into_model()?;
+    let model = field.model(FULL)?;
     let frame = field.frame()?;
     let probes = Probes::random(&model, (frame.nx(), frame.ny()), PIXELS, anchor)?;
     let light = lit_everywhere::<f32>(frame.nx(), frame.ny(), 3);
     for tolerance in OF_PIXELS {
         for paths in [Paths::Transforms, Paths::Cheapest] {
             let options = PlanOptions::new(tolerance)?.with_anchor(anchor).with_paths(paths);
-            let mut plan = Plan::new(&model, frame, frame.region(), options)?;
-            plan.use_gpu(gpu, GpuOptions::default())?;
-            let found = probes.measure(&plan, &light, MORE, tolerance + ROUNDING_F32)?;
+            let engine = on_gpu(Plan::new(&model, frame, frame.region(), options)?)?;
+            let found = probes.measure(&engine, &light, MORE, tolerance + ROUNDING_F32)?;
             let line = format!(
                 "{} {anchor} {paths:?} at {tolerance:.0e}: largest {:.2e}, beyond the stamps {:.1e}, {} violations",
                 field.name, found.largest, found.stray, found.violations

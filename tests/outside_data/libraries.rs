@@ -4,7 +4,7 @@ use libtest_mimic::Failed;
 use psfield::metrics::Comparison;
 use psfield::psf_basis::RankSelection;
 use psfield::psf_types::{Interpolation, Normalisation, Position, PsfModel, PsfSamples};
-use psfield::{EvaluateOptions, FitOptions, OutputGrid, PsfInput, evaluate, psf_io};
+use psfield::{EvaluateOptions, FitOptions, OutputGrid, evaluate, fit, psf_io};
 
 use crate::data::{ensure, file};
 
@@ -37,11 +37,11 @@ impl Truth {
 
     /// Largest error over peak on the library's own grid.
     pub(crate) fn own_grid_error(&self, samples: &PsfSamples, name: &str) -> Result<f64, Failed> {
-        self.own_grid_error_of(model(samples)?, name)
+        self.own_grid_error_of(&model(samples)?, name)
     }
 
     /// The same of a model.
-    pub(crate) fn own_grid_error_of(&self, model: PsfModel, name: &str) -> Result<f64, Failed> {
+    pub(crate) fn own_grid_error_of(&self, model: &PsfModel, name: &str) -> Result<f64, Failed> {
         let truth = psf_io::read_cube::<f64>(file(&format!("{}/truth_{name}_epsf4x.fits", self.folder)))?;
         let marked = self
             .positions
@@ -49,7 +49,7 @@ impl Truth {
             .zip(&self.on_own_grid)
             .filter(|(_, own)| **own);
         let positions = marked.map(|(&position, _)| position).collect();
-        let stamps = evaluate(&model, positions, EvaluateOptions::default())?;
+        let stamps = evaluate(model, positions, EvaluateOptions::default())?;
         let planes = Comparison::by_plane(stamps.stamps(), truth.view())?;
         let errors: Result<Vec<f64>, _> = planes.iter().map(Comparison::max_over_peak).collect();
         Ok(errors?.into_iter().fold(0.0, f64::max))
@@ -99,5 +99,5 @@ fn model(samples: &PsfSamples) -> Result<PsfModel, Failed> {
         normalisation: Normalisation::Keep,
         ..FitOptions::default()
     };
-    Ok(PsfInput::Samples(samples.clone(), options).into_model()?)
+    Ok(fit(samples.clone(), &options)?.into_model()?)
 }

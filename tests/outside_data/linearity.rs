@@ -2,8 +2,8 @@
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
-use psfield::conv_core::{Paths, Plan, PlanOptions};
-use psfield::psf_types::{Anchor, Image, Scene};
+use psfield::conv_core::{Engine, Paths, Plan, PlanOptions};
+use psfield::psf_types::{Anchor, ImageView, NoProgress};
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 use crate::responses::{lit_everywhere, norm};
@@ -28,28 +28,29 @@ pub(crate) fn trials() -> Vec<Trial> {
 }
 
 fn linear(field: Field, anchor: Anchor) -> Result<(), Failed> {
-    let model = field.psf(FULL)?.into_model()?;
+    let model = field.model(FULL)?;
     let frame = field.frame()?;
     // Light everywhere, and stars and galaxies in the dark: what is cheapest is not the same for the two and for their sum.
     let f: Array2<f64> = lit_everywhere(frame.nx(), frame.ny(), 5);
-    let g = field.scene::<f64>()?;
-    let g = g.pixels().expect("an image").to_owned();
+    let g = field.scene::<f64>()?.into_pixels();
     let (a, b) = (2.5, -0.75);
     for paths in [Paths::Transforms, Paths::Cheapest] {
         for tolerance in [0.0, 1e-3] {
             let options = PlanOptions::new(tolerance)?.with_anchor(anchor).with_paths(paths);
-            let plan = Plan::<f64>::new(&model, frame, frame.region(), options)?;
+            let engine = Engine::<f64>::new(Plan::new(&model, frame, frame.region(), options)?);
             let image = |light: &Array2<f64>| -> Result<Array2<f64>, Failed> {
-                let scene = Scene::from_image(Image::new(light.clone())?);
-                Ok(plan.execute(&scene)?.into_pixels())
+                let mut image = engine.plan().zeros();
+                engine.convolve_into(&ImageView::new(light.view())?, image.view_mut(), &NoProgress)?;
+                Ok(image)
             };
             let (of_f, of_g) = (image(&f)?, image(&g)?);
             let of_sum = image(&(a * &f + b * &g))?;
             let difference = norm((&of_sum - &(a * &of_f + b * &of_g)).view());
             let off = difference / (a.abs() * norm(of_f.view()) + b.abs() * norm(of_g.view()));
             let weights: Array2<f64> = lit_everywhere(frame.nx(), frame.ny(), 6);
-            let back = plan.adjoint(&Image::new(weights.clone())?)?;
-            let (left, right) = ((&of_g * &weights).sum(), (&back.pixels() * &g).sum());
+            let mut back = engine.plan().zeros();
+            engine.adjoint_into(&ImageView::new(weights.view())?, back.view_mut(), &NoProgress)?;
+            let (left, right) = ((&of_g * &weights).sum(), (&back * &g).sum());
             let transposed = (left / right - 1.0).abs();
             println!(
                 "{} {anchor} {paths:?} at {tolerance:e}: linear to {off:.1e}, transpose to {transposed:.1e}",

@@ -1,7 +1,8 @@
 //! Images of the fast engine against the two truths, at every tolerance.
 
+use integration_tests::convolve;
 use libtest_mimic::{Failed, Trial};
-use psfield::conv_core::{ConvReal, ConvolutionMethod, LowRank, PlanOptions};
+use psfield::conv_core::{ConvReal, LowRank, PlanOptions};
 use psfield::metrics::Comparison;
 use psfield::psf_types::{Anchor, Image, PsfModel};
 
@@ -42,7 +43,7 @@ fn image<T: ConvReal>(
     tolerance: f64,
 ) -> Result<Image<T>, Failed> {
     let engine = LowRank::new(PlanOptions::new(tolerance)?.with_anchor(anchor));
-    Ok(engine.convolve(model, &field.scene::<T>()?)?)
+    Ok(convolve(&engine, model, &field.scene::<T>()?)?)
 }
 
 fn at_tolerances<T: ConvReal>(
@@ -51,7 +52,7 @@ fn at_tolerances<T: ConvReal>(
     truth: &str,
     rounding: f64,
 ) -> Result<(), Failed> {
-    let model = field.psf(FULL)?.into_model()?;
+    let model = field.model(FULL)?;
     let exact = field.truth(truth)?;
     for tolerance in TOLERANCES.into_iter().chain([0.0]) {
         let image = image::<T>(field, &model, anchor, tolerance)?;
@@ -69,7 +70,7 @@ fn at_tolerances<T: ConvReal>(
 }
 
 fn exact(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
-    let model = field.psf(FULL)?.into_model()?;
+    let model = field.model(FULL)?;
     let image = image::<f64>(field, &model, anchor, 0.0)?;
     let image = image.pixels();
     let peak = image.iter().fold(0.0_f64, |m, v| m.max(v.abs()));

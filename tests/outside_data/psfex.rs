@@ -5,7 +5,7 @@ use ndarray::{Array3, s};
 use psfield::metrics::{Comparison, Summary};
 use psfield::psf_io::FileKind;
 use psfield::psf_types::{Normalisation, Position, PsfSamples};
-use psfield::{EvaluateOptions, FitChoices, OutputGrid, PsfFileOptions, PsfInput, convert, evaluate, psf_io};
+use psfield::{EvaluateOptions, FitChoices, OutputGrid, Psf, PsfFileOptions, convert, evaluate, psf_io};
 
 use crate::data::{ensure, file, trial};
 
@@ -36,16 +36,16 @@ fn positions(count: usize) -> Result<Vec<Position>, Failed> {
         .collect()
 }
 
-fn opened(normalisation: Normalisation) -> Result<PsfInput, Failed> {
+fn opened(normalisation: Normalisation) -> Result<Psf, Failed> {
     let choices = FitChoices {
         normalisation: Some(normalisation),
         ..FitChoices::default()
     };
-    let opened = PsfInput::open_with(file(MODEL), &PsfFileOptions::default(), &choices)?;
-    ensure(opened.kind == FileKind::Psfex, || {
-        format!("{} was found", opened.kind)
+    let opened = Psf::open_with(file(MODEL), &PsfFileOptions::default(), &choices)?;
+    ensure(opened.kind() == Some(FileKind::Psfex), || {
+        format!("{:?} was found", opened.kind())
     })?;
-    Ok(opened.input)
+    Ok(opened)
 }
 
 /// The largest error over the peak of each plane.
@@ -63,8 +63,9 @@ fn own_grid() -> Result<(), Failed> {
     ensure(positions.len() == 100, || {
         format!("{} positions", positions.len())
     })?;
-    let model = opened(Normalisation::Keep)?.into_model()?;
-    let stamps = evaluate(&model, positions.clone(), EvaluateOptions::default())?;
+    let psf = opened(Normalisation::Keep)?;
+    let model = psf.model()?;
+    let stamps = evaluate(model, positions.clone(), EvaluateOptions::default())?;
     let error = max_over_peak(&stamps, &truth)?;
     println!("psfex, own grid: largest error / peak {error:.2e}");
     ensure(error <= STORED, || format!("{error:e}, at most {STORED:e}"))?;
@@ -73,7 +74,7 @@ fn own_grid() -> Result<(), Failed> {
         .iter()
         .map(|p| Position::new(p.x() + 1.0, p.y() + 1.0))
         .collect::<Result<_, _>>()?;
-    let wrong = max_over_peak(&evaluate(&model, shifted, EvaluateOptions::default())?, &truth)?;
+    let wrong = max_over_peak(&evaluate(model, shifted, EvaluateOptions::default())?, &truth)?;
     ensure(wrong > STORED, || {
         format!("a pixel's shift changes {wrong:e} only")
     })
@@ -88,7 +89,7 @@ fn drawn_by_galsim() -> Result<(), Failed> {
         size: Some(48),
         sub_pixel: false,
     };
-    let stamps = evaluate(&input.into_model()?, positions, options)?;
+    let stamps = evaluate(input.model()?, positions, options)?;
     let errors: Result<Vec<f64>, _> = Comparison::by_plane(stamps.stamps(), truth.view())?
         .iter()
         .map(Comparison::relative_l2)
@@ -107,24 +108,22 @@ fn drawn_by_galsim() -> Result<(), Failed> {
 fn through_a_model() -> Result<(), Failed> {
     let folder = tempfile::tempdir()?;
     let path = folder.path().join("model.fits");
-    let PsfInput::Model(record) = opened(Normalisation::Unit)? else {
-        return Err("a PSFEx model is a model".into());
-    };
-    psf_io::write_model(&path, &record, &[], &[], false)?;
-    let again = PsfInput::open(&path, psfield::FitOptions::default())?;
-    let converted = convert::to_psfex(again, None)?;
+    let psf = opened(Normalisation::Unit)?;
+    let record = psf.stored().ok_or("a PSFEx model is a model")?;
+    psf_io::write_model(&path, record, &[], &[], false)?;
+    let converted = convert::to_psfex(&Psf::open(&path)?, None)?;
     same_planes(&converted.model, "through a model file")
 }
 
 fn through_samples() -> Result<(), Failed> {
     let input = opened(Normalisation::Keep)?;
     let at = convert::SamplesAt::Grid { nx: 5, ny: 4 };
-    let samples = convert::to_samples(input, &at)?;
+    let samples = convert::to_samples(&input, &at)?;
     let options = psfield::FitOptions {
         normalisation: Normalisation::Keep,
         ..psfield::FitOptions::default()
     };
-    let converted = convert::to_psfex(PsfInput::Samples(samples, options), Some(2))?;
+    let converted = convert::to_psfex(&Psf::new(samples, options), Some(2))?;
     same_planes(&converted.model, "through 5 x 4 samples")
 }
 

@@ -2,8 +2,8 @@
 
 use libtest_mimic::Failed;
 use ndarray::{Array2, ArrayView2};
-use psfield::conv_core::{ConvReal, Plan};
-use psfield::psf_types::{Anchor, Image, Position, PsfModel, Scene};
+use psfield::conv_core::{ConvReal, Engine};
+use psfield::psf_types::{Anchor, ImageView, NoProgress, Position, PsfModel};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -84,16 +84,16 @@ impl Probes {
         }
     }
 
-    /// `F(f + more at a pixel) - F(f)` over `more` against the exact PSF of the pixel, with `F` the operator of the plan, or its
+    /// `F(f + more at a pixel) - F(f)` over `more` against the exact PSF of the pixel, with `F` the operator of the engine, or its
     /// transpose where it is output-anchored.
     pub(crate) fn measure<T: ConvReal>(
         &self,
-        plan: &Plan<T>,
+        engine: &Engine<T>,
         light: &Array2<T>,
         more: f64,
         limit: f64,
     ) -> Result<ResponseErrors, Failed> {
-        let before = self.apply(plan, light)?;
+        let before = self.apply(engine, light)?;
         let mut found = ResponseErrors::default();
         let mut count = 0;
         for batch in &self.batches {
@@ -101,7 +101,7 @@ impl Probes {
             for probe in batch {
                 lit[[probe.pixel.1, probe.pixel.0]] += T::nearest(more);
             }
-            let after = self.apply(plan, &lit)?;
+            let after = self.apply(engine, &lit)?;
             let mut response = after.mapv(T::as_f64) - before.mapv(T::as_f64);
             for probe in batch {
                 let at = [probe.pixel.1, probe.pixel.0];
@@ -120,13 +120,14 @@ impl Probes {
         Ok(found)
     }
 
-    fn apply<T: ConvReal>(&self, plan: &Plan<T>, light: &Array2<T>) -> Result<Array2<T>, Failed> {
-        let light = Image::new(light.clone())?;
-        let image = match self.anchor {
-            Anchor::Output => plan.adjoint(&light)?,
-            _ => plan.execute(&Scene::from_image(light))?,
+    fn apply<T: ConvReal>(&self, engine: &Engine<T>, light: &Array2<T>) -> Result<Array2<T>, Failed> {
+        let mut image = engine.plan().zeros();
+        let (light, into) = (ImageView::new(light.view())?, image.view_mut());
+        match self.anchor {
+            Anchor::Output => engine.adjoint_into(&light, into, &NoProgress)?,
+            _ => engine.convolve_into(&light, into, &NoProgress)?,
         };
-        Ok(image.into_pixels())
+        Ok(image)
     }
 
     /// The error of a pixel's response relative to its whole PSF; darkens the pixels that belong to it.

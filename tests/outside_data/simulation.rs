@@ -1,11 +1,11 @@
 //! Images of real PSFs and real galaxies against the two truths.
 
 use libtest_mimic::{Failed, Trial};
-use psfield::conv_core::{ConvReal, PlanOptions};
+use psfield::conv_core::{BasisConvolution, ConvReal};
 use psfield::metrics::Comparison;
 use psfield::psf_basis::{Centring, RankSelection};
-use psfield::psf_types::{Anchor, Normalisation};
-use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions};
+use psfield::psf_types::{Anchor, FrameShape, Image, NoProgress, Normalisation};
+use psfield::{FitOptions, Method, Psf, Scene, Simulator};
 use rand::SeedableRng;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
@@ -64,19 +64,21 @@ pub(crate) fn trials() -> Vec<Trial> {
     trials
 }
 
-fn relative_l2<T: ConvReal>(field: Field, psf: PsfInput, anchor: Anchor, truth: &str) -> Result<f64, Failed> {
+/// By whole-image convolutions.
+fn simulator<T: ConvReal>(psf: &Psf, shape: FrameShape, anchor: Anchor) -> Result<Simulator<T>, Failed> {
+    let simulator = psf.simulator((shape.ny(), shape.nx()));
+    Ok(simulator.method(Method::Basis).anchor(anchor).build()?)
+}
+
+fn relative_l2<T: ConvReal>(field: Field, psf: &Psf, anchor: Anchor, truth: &str) -> Result<f64, Failed> {
     let scene = field.scene::<T>()?;
-    let image = Simulation::new(psf, &scene, SimulationOptions::default())?.run(
-        &scene,
-        Method::Basis,
-        PlanOptions::default().with_anchor(anchor),
-    )?;
+    let image = simulator(psf, scene.shape(), anchor)?.simulate(&Scene::from(&scene))?;
     let comparison = Comparison::of(image.pixels(), field.truth(truth)?.pixels())?;
     Ok(comparison.relative_l2()?)
 }
 
 fn full_rank<T: ConvReal>(field: Field, anchor: Anchor, truth: &str, limit: f64) -> Result<(), Failed> {
-    let error = relative_l2::<T>(field, field.psf(FULL)?, anchor, truth)?;
+    let error = relative_l2::<T>(field, &field.psf(FULL)?, anchor, truth)?;
     println!("{} {truth} {}: relative L2 {error:.3e}", field.name, T::NAME);
     ensure(error <= limit, || {
         format!("relative L2 {error:.3e} exceeds {limit:e}")
@@ -85,7 +87,7 @@ fn full_rank<T: ConvReal>(field: Field, anchor: Anchor, truth: &str, limit: f64)
 
 fn direct(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
     let scene = field.scene::<f64>()?;
-    let simulation = Simulation::new(field.psf(FULL)?, &scene, SimulationOptions::default())?;
+    let simulator = simulator(&field.psf(FULL)?, scene.shape(), anchor)?;
     let exact = field.exact(truth)?;
     let peak = field
         .truth(truth)?
@@ -95,7 +97,7 @@ fn direct(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let some: Vec<_> = exact.sample(&mut rng, 200).copied().collect();
     let pixels: Vec<_> = some.iter().map(|&(pixel, _)| pixel).collect();
-    let values = simulation.exact_at(&scene, anchor, &pixels)?;
+    let values = simulator.exact_at(&Scene::from(&scene), &pixels, &NoProgress)?;
     let largest = values
         .iter()
         .zip(&some)
@@ -116,7 +118,7 @@ fn direct(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
 
 fn wrong_anchoring() -> Result<(), Failed> {
     for (anchor, truth) in [(Anchor::Source, "output"), (Anchor::Output, "source")] {
-        let error = relative_l2::<f64>(STRONG, STRONG.psf(FULL)?, anchor, truth)?;
+        let error = relative_l2::<f64>(STRONG, &STRONG.psf(FULL)?, anchor, truth)?;
         println!("strong {anchor} against {truth}: relative L2 {error:.3e}");
         ensure(error > 1e-3, || {
             format!("{anchor} passes for {truth}: {error:.3e}")
@@ -131,8 +133,8 @@ fn unit_flux() -> Result<(), Failed> {
         normalisation: Normalisation::Unit,
         ..FULL
     };
-    let psf = PsfInput::Samples(STRONG.samples()?, options);
-    let error = relative_l2::<f64>(STRONG, psf, Anchor::Source, "source")?;
+    let psf = Psf::new(STRONG.samples()?, options);
+    let error = relative_l2::<f64>(STRONG, &psf, Anchor::Source, "source")?;
     ensure(error <= DOUBLE, || {
         format!("relative L2 {error:.3e} exceeds {DOUBLE:e}")
     })
@@ -144,7 +146,7 @@ fn uncentred(field: Field, rank: usize, quoted: f64) -> Result<(), Failed> {
         centring: Centring::None,
         ..FULL
     };
-    let error = relative_l2::<f64>(field, field.psf(options)?, Anchor::Source, "source")?;
+    let error = relative_l2::<f64>(field, &field.psf(options)?, Anchor::Source, "source")?;
     println!("{} K = {rank} uncentred: relative L2 {error:.3e}", field.name);
     ensure((error / quoted - 1.0).abs() <= QUOTED, || {
         format!("relative L2 {error:.3e}, expected {quoted:e}")
@@ -152,12 +154,7 @@ fn uncentred(field: Field, rank: usize, quoted: f64) -> Result<(), Failed> {
 }
 
 fn total_flux() -> Result<(), Failed> {
-    let mut scene = STRONG
-        .scene::<f64>()?
-        .image()
-        .expect("an image")
-        .clone()
-        .into_pixels();
+    let mut scene = STRONG.scene::<f64>()?.into_pixels();
     // Nothing leaves the frame when the border is dark by more than half a stamp.
     let (ny, nx) = scene.dim();
     for ((y, x), value) in scene.indexed_iter_mut() {
@@ -166,19 +163,15 @@ fn total_flux() -> Result<(), Failed> {
         }
     }
     let total = scene.sum();
-    let scene = psfield::psf_types::Scene::from_image(psfield::psf_types::Image::new(scene)?);
+    let scene = Image::new(scene)?;
     for rank in [0, 1, 5, 20, 100, 224] {
         let options = FitOptions {
             rank: RankSelection::Fixed(rank),
             normalisation: Normalisation::Unit,
             ..FULL
         };
-        let psf = PsfInput::Samples(STRONG.samples()?, options);
-        let image = Simulation::new(psf, &scene, SimulationOptions::default())?.run(
-            &scene,
-            Method::Basis,
-            PlanOptions::default(),
-        )?;
+        let psf = Psf::new(STRONG.samples()?, options);
+        let image = simulator(&psf, scene.shape(), Anchor::Source)?.simulate(&Scene::from(&scene))?;
         let error = (image.pixels().sum() / total - 1.0).abs();
         println!("strong K = {rank}: flux off by {error:.1e}");
         ensure(error <= 1e-12, || {
@@ -194,15 +187,17 @@ fn adjoint() -> Result<(), Failed> {
         ..FULL
     };
     let scene = ROMAN.scene::<f64>()?;
-    let simulation = Simulation::new(ROMAN.psf(options)?, &scene, SimulationOptions::default())?;
+    let psf = ROMAN.psf(options)?;
+    let model = psf.model()?;
     let g = ROMAN.truth("output")?;
     for (anchor, _) in ANCHORS {
-        let forward = simulation.run(&scene, Method::Basis, PlanOptions::default().with_anchor(anchor))?;
-        let method = psfield::conv_core::BasisConvolution::new(anchor);
-        let back = method.adjoint(simulation.model(), &g, &scene)?;
+        let shape = scene.shape();
+        let forward = simulator(&psf, shape, anchor)?.simulate(&Scene::from(&scene))?;
+        let method = BasisConvolution::new(anchor);
+        let back = method.adjoint(model, &g.view(), shape, shape.region())?;
         let dot = |a: ndarray::ArrayView2<'_, f64>, b: ndarray::ArrayView2<'_, f64>| (&a * &b).sum();
         let left = dot(forward.pixels(), g.pixels());
-        let right = dot(scene.pixels().expect("an image"), back.pixels());
+        let right = dot(scene.pixels(), back.pixels());
         let error = (left / right - 1.0).abs();
         println!("roman {anchor} adjoint: off by {error:.1e}");
         ensure(error <= 1e-12, || {

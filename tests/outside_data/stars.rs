@@ -4,10 +4,9 @@ use std::time::Instant;
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
-use psfield::conv_core::PlanOptions;
 use psfield::metrics::Comparison;
-use psfield::psf_types::{FrameShape, Image, NoProgress, Normalisation, PointSource, Position, Scene};
-use psfield::{FitOptions, Method, PsfInput, Simulation, SimulationOptions, psf_io};
+use psfield::psf_types::{NoProgress, Normalisation, PointSource, Position};
+use psfield::{Device, FitOptions, Method, Psf, Scene, SimulateOptions, Simulator, psf_io};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -34,18 +33,23 @@ pub(crate) fn trials() -> Vec<Trial> {
     ]
 }
 
-fn psf(samples: &str) -> Result<PsfInput, Failed> {
+fn psf(samples: &str) -> Result<Psf, Failed> {
     let options = FitOptions {
         normalisation: Normalisation::Keep,
         ..FitOptions::default()
     };
     let samples = psf_io::read_samples(file(samples))?;
-    Ok(PsfInput::Samples(samples, options))
+    Ok(Psf::new(samples, options))
 }
 
-fn simulation(samples: &str, size: Option<usize>, scene: &Scene<f32>) -> Result<Simulation, Failed> {
-    let options = SimulationOptions::default().with_stamp_size(size);
-    Ok(Simulation::new(psf(samples)?, scene, options)?)
+fn simulator(psf: &Psf, method: Method, stamp_size: Option<usize>) -> Result<Simulator<f32>, Failed> {
+    let options = SimulateOptions {
+        method,
+        stamp_size,
+        device: Device::Cpu,
+        ..SimulateOptions::default()
+    };
+    Ok(psf.simulator((FRAME, FRAME)).options(options).build()?)
 }
 
 fn as_galsim() -> Result<(), Failed> {
@@ -53,10 +57,10 @@ fn as_galsim() -> Result<(), Failed> {
         .into_parts()
         .0;
     let stars = psf_io::read_catalog(file("roman/stars.csv"))?;
-    let scene = Scene::<f32>::dark(FrameShape::new(FRAME, FRAME)?).with_sources(stars);
-    let simulation = simulation(OVERSAMPLED, Some(SIZE), &scene)?;
+    let scene = Scene::<f32>::dark().with_stars(stars);
+    let psf = psf(OVERSAMPLED)?;
     for method in [Method::Auto, Method::Direct] {
-        let image = simulation.run(&scene, method, PlanOptions::default())?;
+        let image = simulator(&psf, method, Some(SIZE))?.simulate(&scene)?;
         let image = image.pixels().mapv(f64::from);
         let error = Comparison::of(image.view(), truth.pixels())?.relative_l2();
         println!("roman stars, {method}: relative L2 {error:?}");
@@ -78,20 +82,17 @@ fn in_time() -> Result<(), Failed> {
         light[[y as usize, x as usize]] += 100.0;
         stars.push(PointSource::new(Position::new(x, y)?, 100.0)?);
     }
-    let pixels = Scene::from_image(Image::new(light)?);
-    let between = Scene::<f32>::dark(FrameShape::new(FRAME, FRAME)?).with_sources(stars);
-    let seconds = |samples: &str, size: Option<usize>, scene: &Scene<f32>| -> Result<f64, Failed> {
-        let simulation = simulation(samples, size, scene)?;
-        let plan = simulation.plan(scene, PlanOptions::default())?;
+    let pixels = Scene::new(light)?;
+    let between = Scene::<f32>::dark().with_stars(stars);
+    let seconds = |samples: &str, size: Option<usize>, scene: &Scene<'_, f32>| -> Result<f64, Failed> {
+        let simulator = simulator(&psf(samples)?, Method::Auto, size)?;
+        simulator.prepare(scene, false, &NoProgress)?;
         let mut fastest = f64::INFINITY;
         for _ in 0..15 {
             let mut image = Array2::zeros((FRAME, FRAME));
             image.fill(1.0);
             let clock = Instant::now();
-            if let Some(engine) = plan.engine() {
-                engine.add_extended_to(scene, &mut image, &NoProgress)?;
-            }
-            plan.stars().add_to(scene, &mut image)?;
+            simulator.simulate_into(scene, image.view_mut(), &NoProgress)?;
             fastest = fastest.min(clock.elapsed().as_secs_f64());
         }
         Ok(fastest)

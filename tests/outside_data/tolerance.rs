@@ -2,7 +2,7 @@
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
-use psfield::conv_core::{ConvReal, Paths, Plan, PlanOptions};
+use psfield::conv_core::{ConvReal, Engine, Paths, Plan, PlanOptions};
 use psfield::psf_types::{Anchor, FrameShape, PsfModel};
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
@@ -60,9 +60,9 @@ pub(crate) fn measured<T: ConvReal>(
     options: PlanOptions,
     limit: f64,
 ) -> Result<ResponseErrors, Failed> {
-    let plan = Plan::<T>::new(model, frame, frame.region(), options)?;
+    let engine = Engine::<T>::new(Plan::new(model, frame, frame.region(), options)?);
     let light = lit_everywhere::<T>(frame.nx(), frame.ny(), 3);
-    probes.measure(&plan, &light, precision::<T>().0, limit)
+    probes.measure(&engine, &light, precision::<T>().0, limit)
 }
 
 /// [`PIXELS`] pixels at each of the [`TOLERANCES`], among such light.
@@ -98,25 +98,21 @@ pub(crate) fn within<T: ConvReal>(
 }
 
 fn of_field<T: ConvReal>(field: Field, anchor: Anchor, paths: Paths) -> Result<(), Failed> {
-    let model = field.psf(FULL)?.into_model()?;
+    let model = field.model(FULL)?;
     within::<T>(field.name, &model, field.frame()?, anchor, paths)
 }
 
 /// Single stamps are drawn from the modes of a tile as well.
 fn in_the_dark() -> Result<(), Failed> {
-    let model = STRONG.psf(FULL)?.into_model()?;
+    let model = STRONG.model(FULL)?;
     let frame = STRONG.frame()?;
     for (anchor, name) in ANCHORS {
         let probes = Probes::random(&model, (frame.nx(), frame.ny()), PIXELS, anchor)?;
         for tolerance in TOLERANCES {
-            let plan = Plan::<f64>::new(
-                &model,
-                frame,
-                frame.region(),
-                PlanOptions::new(tolerance)?.with_anchor(anchor),
-            )?;
+            let options = PlanOptions::new(tolerance)?.with_anchor(anchor);
+            let engine = Engine::<f64>::new(Plan::new(&model, frame, frame.region(), options)?);
             let dark = Array2::zeros((frame.ny(), frame.nx()));
-            let found = probes.measure(&plan, &dark, 1.0, tolerance + ROUNDING_F64)?;
+            let found = probes.measure(&engine, &dark, 1.0, tolerance + ROUNDING_F64)?;
             println!("{name}-anchored, in the dark, at {tolerance:.0e}: {found:?}");
             ensure(found.violations == 0 && found.stray == 0.0, || {
                 format!("{found:?}")

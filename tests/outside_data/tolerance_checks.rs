@@ -23,7 +23,7 @@ pub(crate) fn trials() -> Vec<Trial> {
 }
 
 fn batches() -> Result<(), Failed> {
-    let model = STRONG.psf(FULL)?.into_model()?;
+    let model = STRONG.model(FULL)?;
     let frame = STRONG.frame()?;
     for (anchor, name) in ANCHORS {
         let options = PlanOptions::new(1e-2)?
@@ -45,7 +45,7 @@ fn batches() -> Result<(), Failed> {
 
 /// The PSFs of a coarse tolerance violate a fine one, and the step is no small one.
 fn seen() -> Result<(), Failed> {
-    let model = STRONG.psf(FULL)?.into_model()?;
+    let model = STRONG.model(FULL)?;
     let (stepped, cut) = step()?;
     for (anchor, _) in ANCHORS {
         for (model, frame) in [(&model, STRONG.frame()?), (&stepped, cut)] {

@@ -3,12 +3,14 @@
 pub mod stability;
 
 use ndarray::{Array2, ArrayViewMut2};
+use psfield::conv_core::{ConvError, ConvReal, ConvolutionMethod, Direct};
 use psfield::metrics::{Comparison, Summary};
 use psfield::psf_optics::{Telescope, TelescopeParams};
 use psfield::psf_sample::{SamplingMethod, UniformSampling};
 use psfield::psf_types::{
-    FrameShape, Image, NoProgress, Position, PsfModel, PsfSamples, PsfSource, Scene, SourceError, StampGrid,
+    Anchor, FrameShape, Image, NoProgress, Position, PsfModel, PsfSamples, PsfSource, SourceError, StampGrid,
 };
+use psfield::{FitOptions, fit};
 
 /// A round Gaussian whose width changes in one corner of a 1000 x 1000 field and hardly elsewhere.
 #[derive(Debug, Clone, Copy)]
@@ -82,6 +84,42 @@ pub fn uniform_samples(source: &dyn PsfSource, nx: usize, ny: usize) -> PsfSampl
     sampling.expect("the source can be sampled").samples
 }
 
+/// The model of samples.
+///
+/// # Panics
+/// When the fit fails.
+pub fn fitted(samples: PsfSamples, options: &FitOptions) -> PsfModel {
+    fit(samples, options)
+        .and_then(psfield::Fit::into_model)
+        .expect("a model")
+}
+
+/// The image of all of the light by a method.
+///
+/// # Errors
+/// Those of the method.
+pub fn convolve<T: ConvReal>(
+    method: &dyn ConvolutionMethod<T>,
+    model: &PsfModel,
+    light: &Image<T>,
+) -> Result<Image<T>, ConvError> {
+    method.convolve(model, &light.view(), light.shape().region(), &NoProgress)
+}
+
+/// Pixels of the image of all of the light by the double sum.
+///
+/// # Errors
+/// Those of [`Direct::at_pixels`].
+pub fn direct_at<T: ConvReal>(
+    model: &PsfModel,
+    light: &Image<T>,
+    anchor: Anchor,
+    pixels: &[(usize, usize)],
+) -> Result<Vec<f64>, ConvError> {
+    let (shape, whole) = (light.shape(), (light.pixels(), (0, 0)));
+    Direct::new(anchor).at_pixels(model, whole, shape, shape.region(), pixels, &NoProgress)
+}
+
 /// Relative L2 errors of a model's PSFs on a grid of positions, `per_axis` each way, that meets no sample.
 ///
 /// # Panics
@@ -101,11 +139,11 @@ pub fn model_errors(model: &PsfModel, source: &dyn PsfSource, per_axis: usize) -
     Summary::of(errors).expect("some positions")
 }
 
-/// Blobs, points and darkness: a scene whose light leaves `margin` pixels of each border dark.
+/// Blobs, points and darkness: an image whose light leaves `margin` pixels of each border dark.
 ///
 /// # Panics
 /// When the margins leave nothing.
-pub fn test_scene(nx: usize, ny: usize, margin: usize) -> Scene<f64> {
+pub fn test_scene(nx: usize, ny: usize, margin: usize) -> Image<f64> {
     let inside = |v: usize, n: usize| v >= margin && v + margin < n;
     let light = Array2::from_shape_fn((ny, nx), |(y, x)| {
         if !inside(x, nx) || !inside(y, ny) {
@@ -123,7 +161,7 @@ pub fn test_scene(nx: usize, ny: usize, margin: usize) -> Scene<f64> {
         3.0 * blob(0.3, 0.6, 9.0) + blob(0.7, 0.3, 14.0) + point
     });
     assert!(light.sum() > 0.0, "the margins leave no light");
-    Scene::from_image(Image::new(light).expect("finite"))
+    Image::new(light).expect("finite")
 }
 
 /// `||a - b|| / ||b||`.

@@ -1,12 +1,14 @@
-//! Bilinear interpolation on a regular grid.
+//! Bilinear and piecewise cubic interpolation on a regular grid: products of weights along its two
+//! axes.
 
-use psf_types::{OutsidePolicy, SampleCoefficients, SamplePositions};
+use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 
-use crate::axis_weights::AxisWeights;
-use crate::grid_leave_one_out::grid_leave_one_out;
-use crate::grid_weights::GridWeights;
-use crate::leave_one_out::LeaveOneOut;
-use crate::{CoeffFieldError, FieldInterpolation, FieldWeights};
+use crate::geometry::{Point, Row, known, last_where, query};
+use crate::grid::{Axis, AxisWeights, NeighbouringLines, RegularGrid};
+use crate::interpolation::{
+    FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Unpredictable, Visited, WeightList,
+    add_weight, admit, in_runs, judged, prediction_error,
+};
 
 /// Bilinear interpolation inside the cells of a [`RegularGrid`](crate::RegularGrid).
 ///
@@ -43,30 +45,228 @@ use crate::{CoeffFieldError, FieldInterpolation, FieldWeights};
 pub struct Bilinear;
 
 impl FieldInterpolation for Bilinear {
-    fn prepare(
-        &self,
-        positions: &SamplePositions,
-        outside: OutsidePolicy,
-    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
-        let weights = GridWeights::new(positions, AxisWeights::linear, outside)?;
-        Ok(Box::new(weights))
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+        GridWeights::prepare(positions, AxisWeights::linear, outside)
     }
 
-    fn leave_one_out(
-        &self,
-        samples: &SampleCoefficients,
-        outside: OutsidePolicy,
-    ) -> Result<LeaveOneOut, CoeffFieldError> {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
         grid_leave_one_out(samples, AxisWeights::linear, outside)
+    }
+}
+
+/// Cubics through four columns and four rows of a [`RegularGrid`](crate::RegularGrid), made of pieces that are bilinear.
+///
+/// In each coordinate the weights are those of Lagrange's polynomial through the two lines on either side (at an edge, through
+/// the four lines next to it), at the fifths of each cell; between these points, and the lines themselves, weights are
+/// linear. So values are exact at the samples and continuous, runs of pixels along which weights are linear are as long as
+/// a fifth of a cell, and the error is at most
+///
+/// ```text
+/// h^2 |v_xx| / 200 + 3 h^4 |v_xxxx| / 128
+/// ```
+///
+/// in each coordinate, for evenly spaced lines a distance `h` apart and away from the edges (in the cells at an edge, 5 h^4 / 128):
+/// where the field is smooth, 1/25 of what [`Bilinear`](crate::Bilinear) leaves. Weights may be negative; their
+/// magnitudes add up to at most 1.25 in each coordinate, 1.63 at an edge. Noise of independent samples keeps 0.63 of its variance
+/// in the middle of a cell along a coordinate, where bilinear interpolation keeps 0.5.
+///
+/// With three lines in a coordinate the polynomial is a parabola, with two a straight line. Where lines are spaced so unevenly that
+/// the magnitudes of the weights would add up to more than 2, fewer lines are used.
+///
+/// # Outside the grid
+/// As [`Bilinear`](crate::Bilinear): clamped, continued linearly with the slope of the last fifth of a cell, or refused.
+///
+/// # Leave-one-out
+/// The mean of the predictions along the sample's row without its column and its column without its row, as
+/// [`Bilinear`](crate::Bilinear), each by cubics. Since the cell around it is twice as wide, both parts of the error above are foretold
+/// too large, 4 and 7 fold in the middle of even lines.
+///
+/// ```
+/// use coeff_field::{Bicubic, InterpolatedField};
+/// use ndarray::Array2;
+/// use psf_types::{CoefficientField, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+/// let positions: Vec<Position> = (0..25).map(|i| Position::of_pixel(i % 5 * 10, i / 5 * 10)).collect();
+/// let values = Array2::from_shape_fn((25, 1), |(i, _)| positions[i].x().powi(3) * positions[i].y());
+/// let samples = SampleCoefficients::new(values, SamplePositions::new(positions, None)?)?;
+/// let field = InterpolatedField::new(&samples, &Bicubic, OutsidePolicy::Nearest)?;
+/// let mut value = [0.0];
+/// // A fifth of a cell behind a column.
+/// field.evaluate_into(Position::of_pixel(12, 16), &mut value)?;
+/// assert!((value[0] - 12_f64.powi(3) * 16.0).abs() < 1e-8);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Bicubic;
+
+impl FieldInterpolation for Bicubic {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+        GridWeights::prepare(positions, AxisWeights::cubic, outside)
+    }
+
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+        grid_leave_one_out(samples, AxisWeights::cubic, outside)
+    }
+}
+
+/// How values go on between the lines of an axis.
+type AlongAxis = fn(&Axis) -> AxisWeights;
+
+/// `w_n(x, y) = w_column(x) w_row(y)`.
+#[derive(Debug)]
+struct GridWeights {
+    grid: RegularGrid,
+    x: AxisWeights,
+    y: AxisWeights,
+    outside: OutsidePolicy,
+}
+
+impl GridWeights {
+    fn prepare(positions: &SamplePositions, along: AlongAxis, outside: OutsidePolicy) -> Prepared {
+        let grid = RegularGrid::detect(positions)?;
+        Ok(Box::new(Self {
+            x: along(&grid.x),
+            y: along(&grid.y),
+            grid,
+            outside: known(outside)?,
+        }))
+    }
+
+    /// The nearest point of the grid where that is where to evaluate, if the policy admits the position.
+    fn admit(&self, p: Point) -> Option<Point> {
+        if self.outside == OutsidePolicy::Extend {
+            return Some(p);
+        }
+        let clamped = [self.grid.x.clamp(p[0]), self.grid.y.clamp(p[1])];
+        let is_covered = || (clamped[0] - p[0]).hypot(clamped[1] - p[1]) <= self.grid.covered;
+        (self.outside == OutsidePolicy::Nearest || is_covered()).then_some(clamped)
+    }
+
+    fn product(&self, in_x: &NeighbouringLines, in_y: &NeighbouringLines, weights: &mut WeightList) {
+        weights.clear();
+        for (row, in_y) in in_y.iter() {
+            for (column, in_x) in in_x.iter() {
+                weights.push((self.grid.sample(column, row), in_x * in_y));
+            }
+        }
+    }
+}
+
+impl FieldWeights for GridWeights {
+    fn sample_count(&self) -> usize {
+        self.grid.xs().len() * self.grid.ys().len()
+    }
+
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        let axes = [&self.x.knots, &self.y.knots];
+        // Near a line about which samples scatter, weights are those of the line itself.
+        let is_exact = axes.iter().all(|axis| axis.scatter_is_harmless());
+        is_exact.then(|| axes.map(|axis| axis.lines.clone()))
+    }
+
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let [x, y] = self
+            .admit(query(position)?)
+            .ok_or(FieldError::OutsideSamples { position })?;
+        self.product(&self.x.at(x), &self.y.at(y), weights);
+        Ok(())
+    }
+
+    /// A run for each piece that the row crosses, and one beside the grid on either side.
+    fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
+        let row = Row::new(start, length);
+        let is_clamped = self.outside != OutsidePolicy::Extend;
+        let is_admitted = |column| self.admit(row.point(column)).is_some();
+        let in_x = |column| self.x.at(self.grid.x.place(row.x(column), self.outside));
+        let in_y = self.y.at(self.grid.y.place(row.y(), self.outside));
+        let weights_into = |column, weights: &mut WeightList| {
+            admit(is_admitted(column), self.outside, row.position(column))?;
+            self.product(&in_x(column), &in_y, weights);
+            Ok(())
+        };
+        let end_of = |column| {
+            let until = self.x.knots.linear_until(row.x(column), is_clamped);
+            let end = row.first_from(until, column);
+            if is_admitted(end - 1) {
+                end
+            } else {
+                // What is covered is convex.
+                1 + last_where(column, end, is_admitted)
+            }
+        };
+        in_runs(row, weights_into, end_of, visit)
+    }
+}
+
+/// Without a sample the grid is no longer regular. Its row without its column, and its column without its row, still are
+/// lines along which it can be predicted; the prediction is the mean of the two, or of those that lie around it.
+fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: OutsidePolicy) -> Judged {
+    let grid = RegularGrid::detect(samples.positions())?;
+    let outside = known(outside)?;
+    let in_rows = LeftOutLine::each(&grid.x, along, outside);
+    let in_columns = LeftOutLine::each(&grid.y, along, outside);
+    let mut nodes = vec![(0, 0); samples.positions().len()];
+    for row in 0..in_columns.len() {
+        for column in 0..in_rows.len() {
+            nodes[grid.sample(column, row)] = (column, row);
+        }
+    }
+    Ok(judged(samples, outside, |sample| {
+        let (column, row) = nodes[sample];
+        let (in_row, in_column) = (in_rows[column].as_ref(), in_columns[row].as_ref());
+        let covered = in_row.into_iter().chain(in_column).any(|line| line.between);
+        let is_used = |line: &&LeftOutLine| line.between || !covered;
+        let in_row = in_row.filter(is_used);
+        let in_row = in_row.map(|line| line.of_samples(|other| grid.sample(other, row)));
+        let in_column = in_column.filter(is_used);
+        let in_column = in_column.map(|line| line.of_samples(|other| grid.sample(column, other)));
+        let lines: Vec<WeightList> = in_row.into_iter().chain(in_column).collect();
+        if lines.is_empty() {
+            return Err(Unpredictable::NoOthers);
+        }
+        let mut weights = WeightList::new();
+        for &(other, weight) in lines.iter().flatten() {
+            add_weight(&mut weights, other, weight / lines.len() as f64);
+        }
+        let error = prediction_error(samples, sample, samples.values(), &weights);
+        Ok((covered, error))
+    }))
+}
+
+/// How the other nodes of a line predict one of them.
+struct LeftOutLine {
+    weights: WeightList,
+    between: bool,
+}
+
+impl LeftOutLine {
+    /// Each line of an axis from the others; none where there are no others.
+    fn each(axis: &Axis, along: AlongAxis, outside: OutsidePolicy) -> Vec<Option<Self>> {
+        let without = |left_out: usize| {
+            let mut others = axis.clone();
+            let v = others.lines.remove(left_out);
+            if others.lines.is_empty() {
+                return None;
+            }
+            let number = |other: usize| other + usize::from(other >= left_out);
+            let weights = along(&others).at(others.place(v, outside));
+            Some(Self {
+                weights: weights.iter().map(|(other, w)| (number(other), w)).collect(),
+                between: left_out > 0 && left_out + 1 < axis.lines.len(),
+            })
+        };
+        (0..axis.lines.len()).map(without).collect()
+    }
+
+    fn of_samples(&self, sample: impl Fn(usize) -> usize) -> WeightList {
+        self.weights.iter().map(|&(line, w)| (sample(line), w)).collect()
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::leave_one_out::LeftOut;
+    use crate::interpolation::LeftOut;
     use ndarray::Array2;
-    use psf_types::Position;
 
     /// Rounding of sums of four terms.
     const ROUNDING: f64 = 1e-13;

@@ -11,8 +11,7 @@ use spade::Triangulation;
 use spade::handles::{FixedDirectedEdgeHandle, FixedVertexHandle};
 
 use crate::geometry::{Point, Scale, along, dot, foot_on_segment, length, sub};
-use crate::gradient::{GradientStencil, gradient_stencil};
-use crate::mesh::{Node, Triangles, point_of, sample_of};
+use crate::triangles::{GradientStencil, Node, Triangles, gradient_stencil, point_of, sample_of};
 
 /// How deep a dent of the hull may be, relative to the step it interrupts, and count as unevenness.
 const DENT: f64 = 1e-3;

@@ -1,10 +1,11 @@
-//! Points in double precision, checked once, and the few vector operations in use.
+//! The samples' points in double precision, checked once; their convex hull; rows of pixels.
 
 use std::collections::HashMap;
 
+use psf_types::maths::ConvexHull;
 use psf_types::{FieldError, OutsidePolicy, Position, SamplePositions};
 
-use crate::CoeffFieldError;
+use crate::error::CoeffFieldError;
 
 /// Coordinates in pixels; each is 0 or has a magnitude between `SMALLEST` and `LARGEST`.
 pub(crate) type Point = [f64; 2];
@@ -77,13 +78,7 @@ impl Points {
 
 impl Scale {
     fn of(points: &[Point]) -> Self {
-        let range = |axis: usize| {
-            let values = points.iter().map(|p| p[axis]);
-            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
-                (a.min(v), b.max(v))
-            })
-        };
-        let ((x0, x1), (y0, y1)) = (range(0), range(1));
+        let ((x0, x1), (y0, y1)) = (range(points, 0), range(points, 1));
         let extent = (x1 - x0).max(y1 - y0);
         let largest = x0.abs().max(x1.abs()).max(y0.abs()).max(y1.abs());
         let rounding = ROUNDING * largest;
@@ -93,6 +88,14 @@ impl Scale {
             extent,
         }
     }
+}
+
+/// The smallest and the largest coordinate of points along an axis.
+pub(crate) fn range(points: &[Point], axis: usize) -> (f64, f64) {
+    let values = points.iter().map(|p| p[axis]);
+    values.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+        (a.min(v), b.max(v))
+    })
 }
 
 /// A position asked for, as a point.
@@ -121,23 +124,11 @@ fn representable(position: Position) -> Option<Point> {
     point.iter().all(|v| v.abs() <= LARGEST).then_some(point)
 }
 
-/// The outside policies of this version.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Outside {
-    Nearest,
-    Extend,
-    Error,
-}
-
-impl TryFrom<OutsidePolicy> for Outside {
-    type Error = CoeffFieldError;
-    fn try_from(policy: OutsidePolicy) -> Result<Self, CoeffFieldError> {
-        match policy {
-            OutsidePolicy::Nearest => Ok(Self::Nearest),
-            OutsidePolicy::Extend => Ok(Self::Extend),
-            OutsidePolicy::Error => Ok(Self::Error),
-            other => Err(CoeffFieldError::UnknownOutsidePolicy(other)),
-        }
+/// Refuses an outside policy that this version does not know.
+pub(crate) fn known(outside: OutsidePolicy) -> Result<OutsidePolicy, CoeffFieldError> {
+    match outside {
+        OutsidePolicy::Nearest | OutsidePolicy::Extend | OutsidePolicy::Error => Ok(outside),
+        other => Err(CoeffFieldError::UnknownOutsidePolicy(other)),
     }
 }
 
@@ -167,6 +158,201 @@ pub(crate) fn length(a: Point) -> f64 {
 pub(crate) fn foot_on_segment(a: Point, b: Point, p: Point) -> f64 {
     let ab = sub(b, a);
     (dot(sub(p, a), ab) / dot(ab, ab)).clamp(0.0, 1.0)
+}
+
+/// Rounding of coordinates below this part of the hull's width and height changes no weight by more than their own rounding.
+const PRECISE: f64 = 1e-13;
+
+/// The convex hull of the samples, for interpolators without a triangulation.
+#[derive(Debug, Clone)]
+pub(crate) struct Hull {
+    outline: ConvexHull,
+    /// The samples at the corners, ascending.
+    corner_samples: Vec<usize>,
+    scale: Scale,
+    /// The shorter side of the bounding box.
+    narrower: f64,
+    /// What holds outside it.
+    pub(crate) outside: OutsidePolicy,
+}
+
+/// A part of the plane whose positions have their nearest point of the hull on the same feature of it. Each is convex, and
+/// the nearest point is linear in the position.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum HullPiece {
+    /// The hull itself.
+    Inside,
+    /// Beside the edge that starts at this corner.
+    Edge(usize),
+    /// Around this corner.
+    Corner(usize),
+}
+
+impl Hull {
+    /// The hull of some points, for a policy that this version knows.
+    pub(crate) fn new(points: &Points, outside: OutsidePolicy) -> Result<Self, CoeffFieldError> {
+        let hull = ConvexHull::new(&points.points);
+        let mut corner_samples = hull.indices().to_vec();
+        corner_samples.sort_unstable();
+        let [x, y] = [0, 1].map(|axis| range(hull.corners(), axis));
+        Ok(Self {
+            corner_samples,
+            scale: points.scale,
+            narrower: (x.1 - x.0).min(y.1 - y.0),
+            outline: hull,
+            outside: known(outside)?,
+        })
+    }
+
+    /// Whether a sample is a corner, so that the hull shrinks without it.
+    pub(crate) fn is_corner(&self, sample: usize) -> bool {
+        self.corner_samples.binary_search(&sample).is_ok()
+    }
+
+    /// Whether `p` lies in the hull or so little outside that it counts as covered.
+    pub(crate) fn covers(&self, p: Point) -> bool {
+        self.contains(p) || length(sub(self.nearest(p), p)) <= self.scale.covered
+    }
+
+    /// Where to evaluate for `position` under the policy: the point itself where the hull holds it.
+    pub(crate) fn admit(&self, position: Position) -> Result<Point, FieldError> {
+        let p = query(position)?;
+        if self.outside == OutsidePolicy::Extend || self.contains(p) {
+            return Ok(p);
+        }
+        let nearest = self.nearest(p);
+        let distance = length(sub(nearest, p));
+        // A sample on the hull whose corner was rounded away must be met exactly.
+        if distance <= self.scale.rounding {
+            Ok(p)
+        } else if self.outside == OutsidePolicy::Nearest || distance <= self.scale.covered {
+            Ok(nearest)
+        } else {
+            Err(FieldError::OutsideSamples { position })
+        }
+    }
+
+    /// Whether the nearest points of the hull are rounded by so little of its width and height that no linear function shows
+    /// it.
+    pub(crate) fn is_precise(&self) -> bool {
+        self.scale.rounding <= PRECISE * self.narrower
+    }
+
+    /// The piece that holds `p`, and the point of the hull that is nearest to `p`.
+    pub(crate) fn piece(&self, p: Point) -> (HullPiece, Point) {
+        if self.contains(p) {
+            (HullPiece::Inside, p)
+        } else {
+            self.nearest_with_piece(p)
+        }
+    }
+
+    /// Whether `p` lies in the closed hull.
+    pub(crate) fn contains(&self, p: Point) -> bool {
+        self.outline.contains(p)
+    }
+
+    /// The point of the boundary that is nearest to `p`.
+    fn nearest(&self, p: Point) -> Point {
+        self.nearest_with_piece(p).1
+    }
+
+    fn nearest_with_piece(&self, p: Point) -> (HullPiece, Point) {
+        let c = self.outline.corners();
+        let mut best = (f64::INFINITY, (HullPiece::Corner(0), c[0]));
+        // The way back along a line is the same edge.
+        let edges = if c.len() == 2 { 1 } else { c.len() };
+        for (i, &a) in c[..edges].iter().enumerate() {
+            let end = (i + 1) % c.len();
+            let b = c[end];
+            let found = if c.len() == 1 {
+                (HullPiece::Corner(0), a)
+            } else {
+                match foot_on_segment(a, b, p) {
+                    0.0 => (HullPiece::Corner(i), a),
+                    1.0 => (HullPiece::Corner(end), b),
+                    s => (HullPiece::Edge(i), along(a, s, sub(b, a))),
+                }
+            };
+            let distance = length(sub(found.1, p));
+            if distance < best.0 {
+                best = (distance, found);
+            }
+        }
+        best.1
+    }
+}
+
+/// Neighbouring pixels of one row; columns count from its start.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Row {
+    x: i64,
+    y: i64,
+    pub(crate) length: usize,
+}
+
+impl Row {
+    pub(crate) fn new((x, y): (i64, i64), length: usize) -> Self {
+        Self { x, y, length }
+    }
+
+    pub(crate) fn y(self) -> f64 {
+        self.y as f64
+    }
+
+    pub(crate) fn x(self, column: usize) -> f64 {
+        (self.x + column as i64) as f64
+    }
+
+    pub(crate) fn position(self, column: usize) -> Position {
+        Position::of_pixel(self.x + column as i64, self.y)
+    }
+
+    /// A whole number is never out of the range of coordinates.
+    pub(crate) fn point(self, column: usize) -> Point {
+        [self.x(column), self.y()]
+    }
+
+    /// The first column after `column` whose x is not below `bound`, or the row's end.
+    pub(crate) fn first_from(self, bound: f64, column: usize) -> usize {
+        // A float to integer cast saturates.
+        let ahead = (bound.ceil() - self.x(column)) as usize;
+        column.saturating_add(ahead.max(1)).min(self.length)
+    }
+
+    /// The column whose x is `x`.
+    pub(crate) fn column_at(self, x: f64) -> Option<usize> {
+        let column = x - self.x(0);
+        (column.fract() == 0.0 && (0.0..self.length as f64).contains(&column)).then_some(column as usize)
+    }
+}
+
+/// A column in `start..end` that `holds`, the last of all where those that do follow `start` without a gap: by doubling
+/// steps, then bisection. That `start` does is taken for granted.
+pub(crate) fn last_where(start: usize, end: usize, mut holds: impl FnMut(usize) -> bool) -> usize {
+    let (mut low, mut high, mut step) = (start, end, 1);
+    while high - low > 1 {
+        let tried = if step < high - low {
+            low + step
+        } else {
+            usize::midpoint(low, high)
+        };
+        if holds(tried) {
+            low = tried;
+            step = step.saturating_mul(2);
+        } else {
+            // From here on the rest is halved.
+            (high, step) = (tried, usize::MAX);
+        }
+    }
+    low
+}
+
+/// Points of samples at these coordinates.
+#[cfg(test)]
+pub(crate) fn points_of(points: &[Point]) -> Points {
+    let positions = points.iter().map(|p| Position::new(p[0], p[1]).unwrap());
+    Points::new(&SamplePositions::new(positions.collect(), None).unwrap()).unwrap()
 }
 
 #[cfg(test)]
@@ -204,5 +390,111 @@ mod tests {
         assert_eq!(points.scale.extent, 1e4);
         assert!((points.scale.covered - 1e-5).abs() < 1e-12);
         assert!(points.scale.rounding > 1e-12 && points.scale.rounding < 1e-11);
+    }
+
+    fn hull(points: &[Point]) -> Hull {
+        Hull::new(&points_of(points), OutsidePolicy::Nearest).unwrap()
+    }
+
+    #[test]
+    fn a_square_with_points_on_edges_and_inside() {
+        let hull = hull(&[
+            [0.0, 0.0],
+            [2.0, 0.0],
+            [1.0, 0.0],
+            [1.0, 1.0],
+            [2.0, 2.0],
+            [0.0, 2.0],
+            [0.0, 1.0],
+        ]);
+        assert_eq!(
+            hull.outline.corners(),
+            [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]
+        );
+        assert!(hull.is_corner(4) && !hull.is_corner(2) && !hull.is_corner(3));
+        for p in [[0.0, 0.0], [2.0, 2.0], [1.0, 2.0], [2.0, 0.3], [0.1, 1.9]] {
+            assert!(hull.contains(p), "{p:?}");
+        }
+        for p in [[-0.1, 1.0], [1.0, 2.1], [2.1, 2.1], [0.5, -1.0], [3.0, 0.0]] {
+            assert!(!hull.contains(p) && !hull.covers(p), "{p:?}");
+        }
+        assert!(hull.covers([2.0 + 1e-12, 1.0]));
+        for (p, piece) in [
+            ([1.0, 5.0], HullPiece::Edge(2)),
+            ([3.0, 4.0], HullPiece::Corner(2)),
+            ([-1.0, -1.0], HullPiece::Corner(0)),
+            ([-1.0, 1.0], HullPiece::Edge(3)),
+            ([0.0, 1.0], HullPiece::Inside),
+        ] {
+            assert_eq!(hull.piece(p).0, piece, "{p:?}");
+        }
+        assert_eq!(hull.nearest([1.0, 5.0]), [1.0, 2.0]);
+        assert_eq!(hull.nearest([3.0, 4.0]), [2.0, 2.0]);
+    }
+
+    #[test]
+    fn points_and_lines_have_hulls_too() {
+        let one = hull(&[[3.0, 4.0]]);
+        assert!(one.contains([3.0, 4.0]) && !one.covers([3.0, 5.0]));
+        assert_eq!(one.nearest([9.0, 9.0]), [3.0, 4.0]);
+        let two = hull(&[[0.0, 0.0], [4.0, 4.0], [1.0, 1.0]]);
+        assert!(two.covers([2.0, 2.0]) && !two.covers([2.0, 2.1]));
+        assert_eq!(two.nearest([0.0, 4.0]), [2.0, 2.0]);
+    }
+
+    #[test]
+    fn a_round_hull_agrees_with_the_circle() {
+        let points: Vec<Point> = (0..100)
+            .map(|i| {
+                let (s, c) = (f64::from(i) * std::f64::consts::TAU / 100.0).sin_cos();
+                [5.0 * c, 5.0 * s]
+            })
+            .collect();
+        let hull = hull(&points);
+        assert_eq!(hull.outline.corners().len(), 100);
+        for i in 0..1000 {
+            let (s, c) = (f64::from(i) * 0.1).sin_cos();
+            // The polygon's inradius is 5 cos(pi/100) = 4.9975.
+            assert!(hull.contains([4.997 * c, 4.997 * s]));
+            assert!(!hull.contains([5.001 * c, 5.001 * s]));
+        }
+    }
+
+    #[test]
+    fn the_last_column_is_found_wherever_it_is_in_few_steps() {
+        for start in [0, 3] {
+            for length in [1, 2, 3, 10, 1000] {
+                for last in start..start + length {
+                    let mut asked = 0;
+                    let found = last_where(start, start + length, |column| {
+                        assert!(column > start && column < start + length);
+                        asked += 1;
+                        column <= last
+                    });
+                    assert_eq!(found, last, "{start} {length}");
+                    assert!(asked <= 20, "{asked} of {length}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bounds_become_columns() {
+        let row = Row::new((-5, 2), 10);
+        for (bound, column, expected) in [
+            (-2.5, 0, 3),
+            (-2.0, 0, 3),
+            (-1.999, 0, 4),
+            (-7.0, 4, 5),
+            (f64::INFINITY, 4, 10),
+            (f64::NEG_INFINITY, 9, 10),
+            (1e300, 9, 10),
+        ] {
+            assert_eq!(row.first_from(bound, column), expected, "{bound}");
+        }
+        assert_eq!(row.column_at(4.0), Some(9));
+        for x in [5.0, -6.0, 0.5] {
+            assert_eq!(row.column_at(x), None);
+        }
     }
 }

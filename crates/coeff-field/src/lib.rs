@@ -65,50 +65,27 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod axis;
-mod axis_weights;
-mod bicubic;
 mod bilinear;
 mod boundary;
-mod choice;
 mod delaunay;
 mod error;
-mod field_interpolation;
+mod field;
 mod geometry;
-mod gradient;
-mod grid_leave_one_out;
-mod grid_weights;
-mod hints;
-mod hull;
-mod hull_leave_one_out;
-mod interpolated_field;
-mod inverse_distance;
-mod leave_one_out;
+mod grid;
+mod interpolation;
 mod line;
 mod mesh;
-mod mesh_leave_one_out;
-mod mesh_row;
-mod mesh_weights;
-mod natural_neighbour;
-mod nearest;
+mod neighbours;
 mod polynomial;
-mod polynomial_terms;
-mod regular_grid;
-mod row;
-mod search_tree;
-mod weight_list;
+mod triangles;
 
-pub use bicubic::Bicubic;
-pub use bilinear::Bilinear;
-pub use choice::{Auto, interpolation, resolve};
-pub use delaunay::Delaunay;
+pub use bilinear::{Bicubic, Bilinear};
+pub use delaunay::{Delaunay, NaturalNeighbour};
 pub use error::CoeffFieldError;
-pub use field_interpolation::{FieldInterpolation, FieldWeights};
-pub use interpolated_field::InterpolatedField;
-pub use inverse_distance::InverseDistance;
-pub use leave_one_out::{LeaveOneOut, LeftOut, Unpredictable, leave_one_out};
-pub use natural_neighbour::NaturalNeighbour;
-pub use nearest::Nearest;
+pub use field::{Auto, InterpolatedField, interpolation, resolve};
+pub use grid::RegularGrid;
+pub use interpolation::{
+    FieldInterpolation, FieldWeights, LeaveOneOut, LeftOut, Unpredictable, WeightList, leave_one_out,
+};
+pub use neighbours::{InverseDistance, Nearest};
 pub use polynomial::Polynomial;
-pub use regular_grid::RegularGrid;
-pub use weight_list::WeightList;

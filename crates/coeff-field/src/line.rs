@@ -2,13 +2,12 @@
 
 use std::sync::Arc;
 
-use psf_types::{FieldError, Position, RowRun};
+use psf_types::{FieldError, OutsidePolicy, Position};
 
-use crate::WeightList;
-use crate::field_interpolation::{FieldWeights, pixel_by_pixel};
-use crate::geometry::{Outside, Point, Points, Scale, along, dot, length, query, sub};
-use crate::row::{Row, last_where};
-use crate::weight_list::{pair, single};
+use crate::geometry::{Point, Points, Row, Scale, along, dot, last_where, length, query, sub};
+use crate::interpolation::{
+    FieldWeights, OnRun, Visited, WeightList, admit, in_runs, pair, pixel_by_pixel, single,
+};
 
 /// Points count as collinear when none lies further off the line than this, relative to its length: triangles between
 /// them would be slivers whose orientation is rounding.
@@ -28,12 +27,12 @@ pub(crate) struct LineWeights {
     order: Vec<usize>,
     /// Unit vector along the line; zero for one sample.
     direction: Point,
-    outside: Outside,
+    outside: OutsidePolicy,
 }
 
 impl LineWeights {
     /// The line through the points, if they have one.
-    pub(crate) fn detect(points: &Points, outside: Outside) -> Option<Self> {
+    pub(crate) fn detect(points: &Points, outside: OutsidePolicy) -> Option<Self> {
         let p = &points.points;
         let range = |axis: usize| {
             p.iter()
@@ -100,7 +99,7 @@ impl LineWeights {
         let (low, high) = (at(0)[self.axis], at(last)[self.axis]);
         // `foot` is measured along the axis; at most sqrt(2) less than along the line.
         let is_covered = off.abs() <= covered && low - covered <= foot && foot <= high + covered;
-        let foot = if self.outside == Outside::Extend {
+        let foot = if self.outside == OutsidePolicy::Extend {
             foot
         } else {
             foot.clamp(low, high)
@@ -138,9 +137,9 @@ impl LineWeights {
         }
         let (_, foot) = self.foot(p);
         let at = |rank: usize| self.points.points[self.order[rank]][self.axis];
-        if self.outside != Outside::Extend && foot <= at(0) {
+        if self.outside != OutsidePolicy::Extend && foot <= at(0) {
             Piece::End(0)
-        } else if self.outside != Outside::Extend && foot >= at(last) {
+        } else if self.outside != OutsidePolicy::Extend && foot >= at(last) {
             Piece::End(last)
         } else {
             Piece::Link(self.link(foot))
@@ -176,68 +175,46 @@ impl FieldWeights for LineWeights {
     }
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
-        let covered = self.weights(query(position)?, weights);
-        if covered || self.outside != Outside::Error {
-            Ok(())
-        } else {
-            Err(FieldError::OutsideSamples { position })
-        }
+        admit(self.weights(query(position)?, weights), self.outside, position)
     }
 
     /// A run for each link of the line that the row passes and for each end, and one pixel where it meets a sample.
-    fn weights_along_row(
-        &self,
-        start: (i64, i64),
-        length: usize,
-        visit: &mut dyn FnMut(RowRun<'_>),
-    ) -> Result<(), FieldError> {
+    fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
-        if self.outside == Outside::Error {
+        if self.outside == OutsidePolicy::Error {
             // Covers the line alone.
             return pixel_by_pixel(self, row, visit);
         }
         let hits = self.hits(row);
         let mut hits = hits.iter().copied().peekable();
-        let (mut first, mut last) = (WeightList::new(), WeightList::new());
-        let mut column = 0;
-        while column < length {
-            let end = if hits.next_if_eq(&column).is_some() {
-                column + 1
-            } else {
-                let here = self.piece(row.point(column));
-                let before = hits.peek().copied().unwrap_or(length);
-                1 + last_where(column, before, |column| self.piece(row.point(column)) == here)
-            };
-            self.weights(row.point(column), &mut first);
-            self.weights(row.point(end - 1), &mut last);
-            visit(RowRun {
-                length: end - column,
-                first: &first,
-                last: &last,
-            });
-            column = end;
-        }
-        Ok(())
+        let weights_into = |column, weights: &mut WeightList| {
+            self.weights(row.point(column), weights);
+            Ok(())
+        };
+        let end_of = |column| {
+            if hits.next_if_eq(&column).is_some() {
+                return column + 1;
+            }
+            let here = self.piece(row.point(column));
+            let before = hits.peek().copied().unwrap_or(length);
+            1 + last_where(column, before, |column| self.piece(row.point(column)) == here)
+        };
+        in_runs(row, weights_into, end_of, visit)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use psf_types::SamplePositions;
+    use crate::geometry::points_of;
 
-    fn line(points: &[Point], outside: Outside) -> Option<LineWeights> {
-        let positions = points
-            .iter()
-            .map(|p| Position::new(p[0], p[1]).unwrap())
-            .collect();
-        let points = Points::new(&SamplePositions::new(positions, None).unwrap()).unwrap();
-        LineWeights::detect(&points, outside)
+    fn line(points: &[Point], outside: OutsidePolicy) -> Option<LineWeights> {
+        LineWeights::detect(&points_of(points), outside)
     }
 
     #[test]
     fn a_slanted_line_is_found_in_any_order_and_interpolated() {
-        let line = line(&[[6.0, 3.0], [0.0, 0.0], [2.0, 1.0]], Outside::Extend).unwrap();
+        let line = line(&[[6.0, 3.0], [0.0, 0.0], [2.0, 1.0]], OutsidePolicy::Extend).unwrap();
         let mut w = Vec::new();
         // (4, 2) and its neighbour across the line share the foot.
         assert!(line.weights([4.0, 2.0], &mut w));
@@ -252,22 +229,22 @@ mod tests {
 
     #[test]
     fn triangles_are_no_line_but_rounded_lines_are() {
-        assert!(line(&[[0.0, 0.0], [4.0, 0.0], [2.0, 1e-3]], Outside::Nearest).is_none());
-        assert!(line(&[[0.0, 0.0], [4.0, 0.0], [2.0, 1e-12]], Outside::Nearest).is_some());
+        assert!(line(&[[0.0, 0.0], [4.0, 0.0], [2.0, 1e-3]], OutsidePolicy::Nearest).is_none());
+        assert!(line(&[[0.0, 0.0], [4.0, 0.0], [2.0, 1e-12]], OutsidePolicy::Nearest).is_some());
         // Two samples side by side across the line.
         assert!(
             line(
                 &[[0.0, 0.0], [4.0, 0.0], [2.0, 0.0], [2.0, 1e-12]],
-                Outside::Nearest
+                OutsidePolicy::Nearest
             )
             .is_none()
         );
-        assert!(line(&[[3.0, 3.0]], Outside::Error).is_some());
+        assert!(line(&[[3.0, 3.0]], OutsidePolicy::Error).is_some());
     }
 
     #[test]
     fn only_the_segment_is_covered() {
-        let line = line(&[[0.0, 0.0], [0.0, 10.0]], Outside::Error).unwrap();
+        let line = line(&[[0.0, 0.0], [0.0, 10.0]], OutsidePolicy::Error).unwrap();
         let at = |x, y| line.weights_into(Position::new(x, y).unwrap(), &mut Vec::new());
         assert!(at(1e-12, 10.0 + 1e-12).is_ok());
         assert!(matches!(at(0.1, 5.0), Err(FieldError::OutsideSamples { .. })));

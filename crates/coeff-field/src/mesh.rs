@@ -1,36 +1,17 @@
-//! The Delaunay triangulation of the samples.
+//! The triangulation with its boundary, and weights inside and outside of it: what Delaunay and
+//! natural neighbour interpolation share.
 
-use std::num::NonZeroU32;
-
+use psf_types::{OutsidePolicy, SampleCoefficients};
 use spade::handles::FixedVertexHandle;
-use spade::{DelaunayTriangulation, HasPosition, Point2, PositionInTriangulation, Triangulation};
+use spade::{Point2, PositionInTriangulation, Triangulation};
 
-use crate::WeightList;
-use crate::boundary::Boundary;
-use crate::geometry::{Point, Points, Scale, cross, dot, foot_on_segment, sub};
-use crate::hints::GridHints;
-use crate::weight_list::{pair, single};
-
-/// A sample as a vertex of the triangulation, which keeps its own order.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Node {
-    point: Point2<f64>,
-    sample: u32,
-}
-
-impl HasPosition for Node {
-    type Scalar = f64;
-    fn position(&self) -> Point2<f64> {
-        self.point
-    }
-}
-
-/// What a triangle knows: the side of the hull (counted from 1) that it was peeled off, if it was.
-pub(crate) type Peeled = Option<NonZeroU32>;
-pub(crate) type Triangles = DelaunayTriangulation<Node, (), (), Peeled, GridHints>;
-
-/// A triangle whose height is below this part of its longest side is flat: its barycentric coordinates would be rounding.
-const FLAT: f64 = 1e-10;
+use crate::boundary::{Boundary, Foot};
+use crate::geometry::{Point, Points, Scale, foot_on_segment, known, length};
+use crate::interpolation::{
+    Judged, Unpredictable, WeightList, add_weight, judged, pair, prediction_error, single,
+};
+use crate::line::LineWeights;
+use crate::triangles::{Triangles, in_triangle, point_of, sample_of, triangulate};
 
 /// The triangulation, its boundary, and where a position lies in it.
 #[derive(Debug)]
@@ -39,7 +20,7 @@ pub(crate) struct Mesh {
     pub(crate) boundary: Boundary,
     pub(crate) scale: Scale,
     /// Index of each sample's vertex.
-    vertices: Vec<u32>,
+    pub(crate) vertices: Vec<u32>,
 }
 
 /// Where a position lies.
@@ -63,26 +44,13 @@ impl Mesh {
 
     /// The triangulation alone, for positions known to lie well inside.
     pub(crate) fn bare(points: &Points) -> Self {
-        let nodes = points.points.iter().zip(0..).map(|(p, sample)| Node {
-            point: Point2::new(p[0], p[1]),
-            sample,
-        });
-        let triangles =
-            Triangles::bulk_load(nodes.collect()).expect("coordinates were checked to be in spade's range");
-        let mut vertices = vec![0; points.len()];
-        for vertex in triangles.vertices() {
-            vertices[vertex.data().sample as usize] = vertex.index() as u32;
-        }
+        let (triangles, vertices) = triangulate(points);
         Self {
             triangles,
             boundary: Boundary::default(),
             scale: points.scale,
             vertices,
         }
-    }
-
-    pub(crate) fn sample_count(&self) -> usize {
-        self.vertices.len()
     }
 
     pub(crate) fn vertex_of(&self, sample: usize) -> FixedVertexHandle {
@@ -139,56 +107,192 @@ impl Mesh {
     }
 }
 
-pub(crate) fn sample_of(node: &Node) -> usize {
-    node.sample as usize
+/// The samples' triangulation, or their line where they have none.
+#[derive(Debug)]
+pub(crate) enum Support {
+    Line(LineWeights),
+    Mesh(Box<Mesh>),
 }
 
-pub(crate) fn point_of(node: &Node) -> Point {
-    [node.point.x, node.point.y]
-}
-
-/// Barycentric coordinates of `p`, which lies inside the triangle up to rounding, so that none is negative.
-///
-/// Areas are taken relative to `p`: where two corners are close to it, their small difference is exact. In a flat triangle
-/// the weights follow the two shorter sides.
-fn in_triangle(corners: [Point; 3], samples: [usize; 3], p: Point, weights: &mut WeightList) {
-    let edge = |i: usize| sub(corners[(i + 1) % 3], corners[i]);
-    let squares = [0, 1, 2].map(|i| dot(edge(i), edge(i)));
-    let longest = (1..3).fold(0, |best, i| if squares[i] > squares[best] { i } else { best });
-    if cross(edge(0), edge(1)) <= FLAT * squares[longest] {
-        let (a, b, apex) = (longest, (longest + 1) % 3, (longest + 2) % 3);
-        let along = |q: Point| dot(sub(q, corners[a]), edge(a));
-        let (from, to) = if along(p) < along(corners[apex]) {
-            (a, apex)
-        } else {
-            (apex, b)
-        };
-        let s = foot_on_segment(corners[from], corners[to], p);
-        pair(weights, samples[from], samples[to], s);
-        return;
+impl Support {
+    pub(crate) fn new(points: &Points, outside: OutsidePolicy) -> Self {
+        if let Some(line) = LineWeights::detect(points, outside) {
+            return Self::Line(line);
+        }
+        let mut mesh = Mesh::new(points);
+        mesh.boundary
+            .prepare_gradients(&mesh.triangles, outside == OutsidePolicy::Extend);
+        Self::Mesh(Box::new(mesh))
     }
-    weights.extend(samples.into_iter().zip(area_shares(corners, p)));
 }
 
-/// The shares of the triangles that `p` makes with each side, by the corner opposite to it.
-pub(crate) fn area_shares(corners: [Point; 3], p: Point) -> [f64; 3] {
-    let from_p = corners.map(|corner| sub(corner, p));
-    let areas = [0, 1, 2].map(|i| cross(from_p[(i + 1) % 3], from_p[(i + 2) % 3]).max(0.0));
-    let sum: f64 = areas.iter().sum();
-    areas.map(|area| area / sum)
+/// How a method finds weights inside the triangulation; `false` where it cannot (for rounding) or leaves it to the
+/// linear weights.
+pub(crate) type InsideWeights<'a> =
+    &'a mut dyn FnMut(Point, PositionInTriangulation, &mut WeightList) -> bool;
+
+/// Weights at `p` and whether the samples cover it.
+///
+/// Inside, those of the method, or linear ones. Outside and in the slivers that were peeled off the
+/// hull, with `c` the foot on the chain of boundary samples: `f(c) + g(c) (x - c)`, where `f` and
+/// the gradient `g` of the samples are linear along the chain, and `x` is the position itself (in a
+/// sliver, and outside under [`OutsidePolicy::Extend`]) or the nearest point of the hull. All are
+/// continuous across the chain and the hull.
+///
+/// Close to an uneven side the method gives way to the linear weights. The Voronoi cells of samples in a dent reach out
+/// far, but not for ever, and beyond them the cell of a position in the dent takes its share from the distant corners of
+/// the hull, however shallow the dent is.
+pub(crate) fn mesh_weights(
+    mesh: &Mesh,
+    method: InsideWeights<'_>,
+    p: Point,
+    outside: OutsidePolicy,
+    weights: &mut WeightList,
+) -> bool {
+    match mesh.place(p) {
+        Place::Inside(located) => {
+            let clearance = mesh.boundary.clearance(p);
+            if clearance == 0.0 || !method(p, located, weights) {
+                mesh.barycentric(p, located, weights);
+            } else if clearance < 1.0 {
+                let mut linear = WeightList::new();
+                mesh.barycentric(p, located, &mut linear);
+                for (_, weight) in &mut *weights {
+                    *weight *= clearance;
+                }
+                for (sample, weight) in linear {
+                    add_weight(weights, sample, (1.0 - clearance) * weight);
+                }
+            }
+            true
+        }
+        Place::Peeled(side) => {
+            beyond_chain(&mesh.boundary.foot(side, p), true, weights);
+            true
+        }
+        Place::Outside => {
+            let foot = mesh.boundary.nearest(p);
+            beyond_chain(&foot, outside == OutsidePolicy::Extend, weights);
+            length(foot.to_position) <= mesh.scale.covered
+        }
+    }
+}
+
+/// The weights of the point of the hull that is nearest to `p`, which lies outside.
+pub(crate) fn weights_at_hull(mesh: &Mesh, p: Point, weights: &mut WeightList) {
+    beyond_chain(&mesh.boundary.nearest(p), false, weights);
+}
+
+/// The weights at the chain, continued to the hull or on to the position.
+fn beyond_chain(foot: &Foot<'_>, to_position: bool, weights: &mut WeightList) {
+    let [a, b] = foot.links;
+    pair(weights, a.sample, b.sample, foot.s);
+    let beyond = if to_position { foot.to_position } else { [0.0; 2] };
+    let d = [foot.to_hull[0] + beyond[0], foot.to_hull[1] + beyond[1]];
+    for (link, share) in [(a, 1.0 - foot.s), (b, foot.s)] {
+        for (sample, g) in &link.gradient {
+            add_weight(weights, *sample, share * (g[0] * d[0] + g[1] * d[1]));
+        }
+    }
+}
+
+/// Up to this many samples, all others are triangulated for each one left out.
+const FEW: usize = 24;
+
+/// A method that finds weights at a point from a triangulation alone, and whether the samples cover
+/// it.
+pub(crate) type MeshMethod = fn(&Mesh, Point, OutsidePolicy, &mut WeightList) -> bool;
+
+/// Triangulates only what surrounds the sample left out.
+///
+/// The triangles that fill the gap of a removed vertex, and the Voronoi cells that share out its cell, are those of its
+/// Delaunay neighbours, so the neighbours alone give the prediction. On the boundary the continuation beyond the hull
+/// asks for the neighbours' gradients as well, which two more rings determine.
+pub(crate) fn mesh_leave_one_out(
+    method: MeshMethod,
+    samples: &SampleCoefficients,
+    outside: OutsidePolicy,
+) -> Judged {
+    let points = Points::new(samples.positions())?;
+    let outside = known(outside)?;
+    let mut weights = WeightList::new();
+    let support = Support::new(&points, outside);
+    let mut on_boundary = vec![false; points.len()];
+    if let Support::Mesh(mesh) = &support {
+        for sample in mesh.boundary.samples() {
+            on_boundary[sample] = true;
+        }
+    }
+    Ok(judged(samples, outside, |sample| {
+        let p = points.points[sample];
+        let covered = match &support {
+            Support::Line(line) => {
+                let others = line.without(sample).ok_or(Unpredictable::NoOthers)?;
+                others.weights(p, &mut weights)
+            }
+            Support::Mesh(mesh) => {
+                let (near, all_around) = surroundings(mesh, sample, &on_boundary);
+                let local = points.subset(near.iter().copied());
+                let covered = if all_around {
+                    method(&Mesh::bare(&local), p, outside, &mut weights)
+                } else {
+                    match Support::new(&local, outside) {
+                        Support::Line(line) => line.weights(p, &mut weights),
+                        Support::Mesh(mesh) => method(&mesh, p, outside, &mut weights),
+                    }
+                };
+                for (node, _) in &mut weights {
+                    *node = near[*node];
+                }
+                covered
+            }
+        };
+        let error = prediction_error(samples, sample, samples.values(), &weights);
+        Ok((covered, error))
+    }))
+}
+
+/// The samples that decide a prediction, without the one left out, and whether they form a ring
+/// around it, away from the boundary.
+fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>, bool) {
+    let count = mesh.vertices.len();
+    if count <= FEW {
+        return ((0..count).filter(|&s| s != sample).collect(), false);
+    }
+    let neighbours = |vertex: FixedVertexHandle| {
+        mesh.triangles
+            .vertex(vertex)
+            .out_edges()
+            .map(|e| sample_of(e.to().data()))
+    };
+    let mut ring: Vec<usize> = neighbours(mesh.vertex_of(sample)).collect();
+    let all_around = !on_boundary[sample] && !ring.iter().any(|&s| on_boundary[s]);
+    if !all_around {
+        let mut start = 0;
+        for _ in 0..2 {
+            let end = ring.len();
+            for i in start..end {
+                for s in neighbours(mesh.vertex_of(ring[i])) {
+                    if s != sample && !ring.contains(&s) {
+                        ring.push(s);
+                    }
+                }
+            }
+            start = end;
+        }
+    }
+    // In sample order, so that ties between equally good triangulations do not hang on where the walk began.
+    ring.sort_unstable();
+    (ring, all_around)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use psf_types::{Position, SamplePositions};
+    use crate::geometry::points_of;
 
     fn mesh(points: &[Point]) -> Mesh {
-        let positions = points
-            .iter()
-            .map(|p| Position::new(p[0], p[1]).unwrap())
-            .collect();
-        Mesh::new(&Points::new(&SamplePositions::new(positions, None).unwrap()).unwrap())
+        Mesh::new(&points_of(points))
     }
 
     #[test]
@@ -207,15 +311,5 @@ mod tests {
         assert_eq!(weights([1.0, 0.0]), [(0, 0.75), (1, 0.25)]);
         assert_eq!(weights([1.0, 2.0]), [(0, 0.25), (1, 0.25), (2, 0.5)]);
         assert_eq!(mesh.place([3.0, 3.0]), Place::Outside);
-    }
-
-    #[test]
-    fn flat_triangles_follow_their_short_sides() {
-        let (corners, samples) = ([[0.0, 0.0], [4.0, 0.0], [1.0, 1e-14]], [7, 8, 9]);
-        let mut w = Vec::new();
-        in_triangle(corners, samples, [0.25, 0.0], &mut w);
-        assert_eq!(w, [(7, 0.75), (9, 0.25)]);
-        in_triangle(corners, samples, [2.5, 0.0], &mut w);
-        assert_eq!(w, [(9, 0.5), (8, 0.5)]);
     }
 }

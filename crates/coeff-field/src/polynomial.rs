@@ -2,18 +2,15 @@
 
 use nalgebra::DMatrix;
 use ndarray::{Array2, ArrayView2};
-use psf_types::{
-    FieldError, Interpolation, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions,
-};
+use psf_types::maths::legendre;
+use psf_types::{FieldError, Interpolation, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 
-use crate::field_interpolation::{check_rows, pixel_by_pixel};
-use crate::geometry::{Outside, Point, Points, external, query};
-use crate::hull::{Hull, HullPiece};
-use crate::hull_leave_one_out::hull_leave_one_out;
-use crate::leave_one_out::{LeaveOneOut, Unpredictable};
-use crate::polynomial_terms::Scaling;
-use crate::row::{Row, last_where};
-use crate::{CoeffFieldError, FieldInterpolation, FieldWeights, WeightList};
+use crate::error::CoeffFieldError;
+use crate::geometry::{Hull, HullPiece, Point, Points, Row, external, last_where, range};
+use crate::interpolation::{
+    FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Unpredictable, Visited, WeightList,
+    check_rows, hull_leave_one_out, in_runs, pixel_by_pixel,
+};
 
 /// Singular values below this part of the largest count as 0: the samples leave a direction undetermined.
 const DEGENERATE: f64 = 1e-10;
@@ -68,26 +65,17 @@ impl Polynomial {
 }
 
 impl FieldInterpolation for Polynomial {
-    fn prepare(
-        &self,
-        positions: &SamplePositions,
-        outside: OutsidePolicy,
-    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
         let points = Points::new(positions)?;
         Ok(Box::new(PolynomialWeights {
             fit: Fit::new(*self, &points)?,
-            hull: Hull::new(&points),
-            outside: Outside::try_from(outside)?,
+            hull: Hull::new(&points, outside)?,
         }))
     }
 
     /// From one fit: without sample `i` the residual there is `r_i / (1 - h_ii)`, `h = Q Q^T` (D. M. Allen 1974,
     /// Technometrics 16, 125).
-    fn leave_one_out(
-        &self,
-        samples: &SampleCoefficients,
-        outside: OutsidePolicy,
-    ) -> Result<LeaveOneOut, CoeffFieldError> {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
         let points = Points::new(samples.positions())?;
         let fit = Fit::new(*self, &points)?;
         let values = to_matrix(samples.values());
@@ -111,12 +99,7 @@ impl FieldInterpolation for Polynomial {
             let predicted = at.tr_mul(&projected) - correction * (own * &at)[0];
             Ok((predicted - values.row(sample)).norm())
         };
-        Ok(hull_leave_one_out(
-            samples,
-            &points,
-            Outside::try_from(outside)?,
-            predict,
-        ))
+        hull_leave_one_out(samples, &points, outside, predict)
     }
 }
 
@@ -177,7 +160,6 @@ fn to_matrix(values: ArrayView2<'_, f64>) -> DMatrix<f64> {
 struct PolynomialWeights {
     fit: Fit,
     hull: Hull,
-    outside: Outside,
 }
 
 impl FieldWeights for PolynomialWeights {
@@ -203,7 +185,7 @@ impl FieldWeights for PolynomialWeights {
     }
 
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
-        let p = self.hull.admit(query(position)?, position, self.outside)?;
+        let p = self.hull.admit(position)?;
         let terms = self.fit.scaling.terms(self.fit.degree, p);
         if !terms.iter().all(|term| term.is_finite()) {
             return Err(external(position, CoeffFieldError::WeightOverflow { position }));
@@ -215,53 +197,79 @@ impl FieldWeights for PolynomialWeights {
 
     /// The terms up to degree 1 are linear where the point that they are taken at is: everywhere (extend), or in the hull
     /// and beside each of its edges and corners. Others go pixel by pixel.
-    fn weights_along_row(
-        &self,
-        start: (i64, i64),
-        length: usize,
-        visit: &mut dyn FnMut(RowRun<'_>),
-    ) -> Result<(), FieldError> {
+    fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.fit.degree > 1 {
             return pixel_by_pixel(self, row, visit);
         }
         let piece = |column: usize| {
             let p = row.point(column);
-            match self.outside {
-                Outside::Extend => Some(HullPiece::Inside),
-                Outside::Nearest if self.fit.degree == 0 => Some(HullPiece::Inside),
-                Outside::Nearest => {
+            match self.hull.outside {
+                OutsidePolicy::Extend => Some(HullPiece::Inside),
+                OutsidePolicy::Nearest if self.fit.degree == 0 => Some(HullPiece::Inside),
+                OutsidePolicy::Nearest => {
                     let (piece, _) = self.hull.piece(p);
                     (piece == HullPiece::Inside || self.hull.is_precise()).then_some(piece)
                 }
-                Outside::Error => self.hull.contains(p).then_some(HullPiece::Inside),
+                _ => self.hull.contains(p).then_some(HullPiece::Inside),
             }
         };
-        let (mut first, mut last) = (WeightList::new(), WeightList::new());
-        let mut column = 0;
-        while column < length {
-            self.weights_into(row.position(column), &mut first)?;
-            let here = piece(column);
-            let end = match here {
-                Some(_) => 1 + last_where(column, length, |column| piece(column) == here),
+        in_runs(
+            row,
+            |column, weights| self.weights_into(row.position(column), weights),
+            |column| match piece(column) {
                 None => column + 1,
-            };
-            self.weights_into(row.position(end - 1), &mut last)?;
-            visit(RowRun {
-                length: end - column,
-                first: &first,
-                last: &last,
-            });
-            column = end;
-        }
-        Ok(())
+                here => 1 + last_where(column, length, |column| piece(column) == here),
+            },
+            visit,
+        )
     }
+}
+
+/// The samples' bounding box, as a map to [-1, 1].
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Scaling {
+    centre: Point,
+    half: Point,
+}
+
+impl Scaling {
+    pub(crate) fn new(points: &[Point]) -> Self {
+        let ranges = [range(points, 0), range(points, 1)];
+        Self {
+            centre: ranges.map(|(a, b)| f64::midpoint(a, b)),
+            // Without a range all samples scale to 0, where every odd term vanishes.
+            half: ranges.map(|(a, b)| if a < b { 0.5 * (b - a) } else { 1.0 }),
+        }
+    }
+
+    /// The terms at a point, by total degree, each total degree by falling power of x.
+    pub(crate) fn terms(&self, degree: usize, p: Point) -> Vec<f64> {
+        let mut terms = Vec::with_capacity((degree + 1) * (degree + 2) / 2);
+        let scaled = [0, 1].map(|axis| (p[axis] - self.centre[axis]) / self.half[axis]);
+        let [x, y] = scaled.map(|v| normalised_legendre(degree, v));
+        for total in 0..=degree {
+            for j in 0..=total {
+                terms.push(x[total - j] * y[j]);
+            }
+        }
+        terms
+    }
+}
+
+/// `sqrt(2n + 1) P_n(v)` for n = 0 to `degree`.
+fn normalised_legendre(degree: usize, v: f64) -> Vec<f64> {
+    let mut p = legendre(degree, v);
+    for (n, value) in p.iter_mut().enumerate() {
+        *value *= (2.0 * n as f64 + 1.0).sqrt();
+    }
+    p
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::InterpolatedField;
+    use crate::field::InterpolatedField;
     use psf_types::CoefficientField;
 
     /// Rounding of a well conditioned fit whose values are of order 1.
@@ -349,5 +357,26 @@ mod tests {
             weights_of.weights_into(far, &mut WeightList::new()),
             Err(FieldError::External { .. })
         ));
+    }
+
+    #[test]
+    fn legendre_values() {
+        let p = normalised_legendre(4, 0.5);
+        let expected = [1.0, 0.5, -0.125, -0.4375, -0.289_062_5];
+        for (n, (got, value)) in p.iter().zip(expected).enumerate() {
+            assert!((got - value * (2.0 * n as f64 + 1.0).sqrt()).abs() < 1e-15, "{n}");
+        }
+    }
+
+    #[test]
+    fn terms_come_by_total_degree() {
+        let scaling = Scaling::new(&[[1e7, 3.0], [1e7 + 4.0, 3.0]]);
+        // x' = 0.5; all y agree, so that y' = 0.
+        let terms = scaling.terms(2, [1e7 + 3.0, 3.0]);
+        let s = [1.0, 3.0_f64.sqrt(), 5.0_f64.sqrt()];
+        let expected = [1.0, 0.5 * s[1], 0.0, -0.125 * s[2], 0.0, -0.5 * s[2]];
+        for (got, expected) in terms.iter().zip(expected) {
+            assert!((got - expected).abs() < 1e-15, "{terms:?}");
+        }
     }
 }

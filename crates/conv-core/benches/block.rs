@@ -6,14 +6,88 @@ mod common;
 use std::hint::black_box;
 
 use conv_core::ConvReal;
-use conv_core::bench_support::BlockSteps;
+use conv_core::internals::{CoefficientTable, FluxRole, Lanes, LocalModes, PsfSpace, RegionCells, WithIsa};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use psf_types::{FrameShape, PixelRegion};
+use psf_types::{FrameShape, PixelRegion, PsfModel};
 
 /// Pixels along each side of a block.
 const BLOCKS: [usize; 3] = [64, 128, 256];
 const FRAME: usize = 2048;
 const TOLERANCE: f64 = 1e-4;
+
+/// What a block of tiles needs before any light comes.
+struct BlockSteps<T: ConvReal> {
+    model: PsfModel,
+    space: PsfSpace,
+    region: PixelRegion,
+    tolerance: f64,
+    cells: RegionCells,
+    modes: LocalModes,
+    role: FluxRole,
+    table: CoefficientTable<T>,
+    ramp: Vec<T>,
+}
+
+impl<T: ConvReal> BlockSteps<T> {
+    /// The steps for a region of a model's field, all of them done once.
+    fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
+        let space = PsfSpace::new(model);
+        let cells = RegionCells::new(model.field(), region);
+        let modes = LocalModes::new(&space, &cells, tolerance);
+        let (role, _) = FluxRole::of(model, &modes, &cells);
+        Self {
+            table: CoefficientTable::new(region, role, &modes, &cells),
+            ramp: (0..region.shape().nx()).map(|i| T::nearest(i as f64)).collect(),
+            model: model.clone(),
+            space,
+            region,
+            tolerance,
+            cells,
+            modes,
+            role,
+        }
+    }
+
+    /// The weights of the field's nodes along the region's rows.
+    fn weights_along_rows(&mut self) {
+        self.cells = RegionCells::new(self.model.field(), self.region);
+    }
+
+    /// The modes.
+    fn local_modes(&mut self) {
+        self.modes = LocalModes::new(&self.space, &self.cells, self.tolerance);
+    }
+
+    /// Their coefficients over the region.
+    fn coefficients(&mut self) {
+        self.table = CoefficientTable::new(self.region, self.role, &self.modes, &self.cells);
+    }
+
+    /// The region's light `[y, x]` times the coefficient of the last mode.
+    fn weigh(&self, light: &[T], weighted: &mut [T]) {
+        T::dispatch(Weigh(self, light, weighted));
+    }
+}
+
+struct Weigh<'a, T: ConvReal>(&'a BlockSteps<T>, &'a [T], &'a mut [T]);
+
+impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
+    type Output = ();
+    fn run<S: Lanes<T>>(self, simd: S) {
+        let Self(block, light, weighted) = self;
+        let nx = block.region.shape().nx();
+        let last = block.table.kernel_count() - 1;
+        simd.vectorized(
+            #[inline(always)]
+            || {
+                let rows = light.chunks_exact(nx).zip(weighted.chunks_exact_mut(nx));
+                for (row, (light, weighted)) in rows.enumerate() {
+                    block.table.weigh(last, row, 0, light, &block.ramp, weighted);
+                }
+            },
+        );
+    }
+}
 
 fn steps<T: ConvReal>(side: usize) -> BlockSteps<T> {
     // Across cells of the grid, as tiles lie.

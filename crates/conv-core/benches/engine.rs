@@ -4,10 +4,10 @@ mod common;
 
 use std::hint::black_box;
 
-use conv_core::{ConvReal, Paths, Plan, PlanOptions};
+use conv_core::{ConvReal, Engine, Paths, Plan, PlanOptions, StarPlan};
 use criterion::{BenchmarkId, Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;
-use psf_types::{Image, NoProgress, PointSource, Position, Real, Scene};
+use psf_types::{FrameShape, Image, NoProgress, PointSource, Position, PsfModel, Real};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -16,14 +16,19 @@ const TOLERANCES: [f64; 3] = [1e-2, 1e-4, 0.0];
 /// One pixel in so many is lit where stamps are drawn: a few tens in a tile.
 const SPARSE: usize = 1000;
 
-/// A square scene of which about one in `every` pixels is lit.
-fn lit<T: Real>(frame: usize, every: usize) -> Scene<T> {
+/// Square light of which about one in `every` pixels is lit.
+fn lit<T: Real>(frame: usize, every: usize) -> Image<T> {
     let mut rng = ChaCha8Rng::seed_from_u64(2);
     let light = Array2::from_shape_simple_fn((frame, frame), || {
         let shines = every == 1 || rng.random_range(0..every) == 0;
         T::nearest(if shines { rng.random_range(1.0..2.0) } else { 0.0 })
     });
-    Scene::from_image(Image::new(light).expect("finite light"))
+    Image::new(light).expect("finite light")
+}
+
+fn planned<T: ConvReal>(model: &PsfModel, size: usize, options: PlanOptions) -> Plan<T> {
+    let shape = FrameShape::new(size, size).expect("a valid shape");
+    Plan::new(model, shape, shape.region(), options).expect("a plan")
 }
 
 fn options(tolerance: f64) -> PlanOptions {
@@ -44,11 +49,11 @@ fn plan(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("plan-f32");
     group.sample_size(10).sampling_mode(SamplingMode::Flat);
     for size in SIZES {
-        let (model, scene) = (common::model(size), lit::<f32>(size, 1));
+        let model = common::model(size);
         group.throughput(Throughput::Elements((size * size) as u64));
         for tolerance in TOLERANCES {
             group.bench_function(BenchmarkId::new(name(tolerance), size), |bencher| {
-                bencher.iter(|| black_box(Plan::for_scene(&model, &scene, options(tolerance))));
+                bencher.iter(|| black_box(planned::<f32>(&model, size, options(tolerance))));
             });
         }
     }
@@ -59,13 +64,17 @@ fn execute<T: ConvReal>(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group(format!("execute-{}", T::NAME));
     group.sample_size(10).sampling_mode(SamplingMode::Flat);
     for size in SIZES {
-        let (model, scene) = (common::model(size), lit::<T>(size, 1));
+        let (model, light) = (common::model(size), lit::<T>(size, 1));
         group.throughput(Throughput::Elements((size * size) as u64));
         for tolerance in TOLERANCES {
-            let plan = Plan::for_scene(&model, &scene, options(tolerance)).expect("a plan");
+            let engine = Engine::new(planned::<T>(&model, size, options(tolerance)));
             let mut image = Array2::zeros((size, size));
             group.bench_function(BenchmarkId::new(name(tolerance), size), |bencher| {
-                bencher.iter(|| plan.add_to(&scene, &mut image, &NoProgress).expect("an image"));
+                bencher.iter(|| {
+                    engine
+                        .convolve_into(&light.view(), image.view_mut(), &NoProgress)
+                        .expect("an image")
+                });
             });
         }
     }
@@ -80,13 +89,15 @@ fn draw(criterion: &mut Criterion) {
         let mut image = Array2::zeros((size, size));
         // Whole pixels, from the local modes' stamps.
         let pixels = lit::<f32>(size, SPARSE);
-        let count = pixels
-            .pixels()
-            .map_or(0, |light| light.iter().filter(|v| **v > 0.0).count());
+        let count = pixels.pixels().iter().filter(|v| **v > 0.0).count();
         group.throughput(Throughput::Elements(count as u64));
-        let plan = Plan::for_scene(&model, &pixels, PlanOptions::default()).expect("a plan");
+        let engine = Engine::new(planned::<f32>(&model, size, PlanOptions::default()));
         group.bench_function(BenchmarkId::new("lit-pixels", size), |bencher| {
-            bencher.iter(|| plan.add_to(&pixels, &mut image, &NoProgress).expect("an image"));
+            bencher.iter(|| {
+                engine
+                    .convolve_into(&pixels.view(), image.view_mut(), &NoProgress)
+                    .expect("an image")
+            });
         });
         // As many sources between pixels, by splines.
         let place = |i: usize, factor: usize| ((i * factor) % (size - 1)) as f64 + 0.3;
@@ -94,9 +105,15 @@ fn draw(criterion: &mut Criterion) {
             let position = Position::new(place(i, 7919), place(i, 104_729)).expect("a position");
             PointSource::new(position, 1.0).expect("a flux")
         });
-        let stars = Scene::<f32>::dark(pixels.shape()).with_sources(sources.collect());
+        let sources: Vec<PointSource> = sources.collect();
+        let stars = StarPlan::new(&model, PlanOptions::default(), None).expect("a plan");
+        let frame = pixels.shape().region();
         group.bench_function(BenchmarkId::new("point-sources", size), |bencher| {
-            bencher.iter(|| plan.add_to(&stars, &mut image, &NoProgress).expect("an image"));
+            bencher.iter(|| {
+                stars
+                    .draw_into(&sources, frame, frame, image.view_mut(), &NoProgress)
+                    .expect("an image");
+            });
         });
     }
     group.finish();

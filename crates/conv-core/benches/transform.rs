@@ -4,7 +4,7 @@ use std::hint::black_box;
 use std::sync::Arc;
 
 use conv_core::ConvReal;
-use conv_core::bench_support::{SquareTransform, Step};
+use conv_core::internals::{Aligned, Lanes, TileTransform, WithIsa};
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use realfft::{RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
@@ -14,6 +14,94 @@ const SIZES: [usize; 5] = [128, 192, 256, 320, 512];
 const STAMP: usize = 64;
 /// Rows whose spectra are transposed together: whole cache lines.
 const BLOCK: usize = 16;
+
+/// The transform of a square tile as large as it holds with a stamp, and the planes that it works in.
+struct SquareTransform<T: ConvReal> {
+    fft: TileTransform<T>,
+    /// Pixels along each side of the tile and of the stamp.
+    sides: [usize; 2],
+    plane: Aligned<T>,
+    spectrum: Aligned<T>,
+    kernel: Aligned<T>,
+    sum: Aligned<T>,
+    result: Aligned<T>,
+    column: Aligned<T>,
+}
+
+/// A step of a convolution.
+#[derive(Clone, Copy)]
+enum Step {
+    /// The light's spectrum.
+    Forward,
+    /// The stamp's.
+    Kernel,
+    /// Their product, added to a sum.
+    Multiply,
+    /// Back to pixels. Overwrites the sum.
+    Inverse,
+}
+
+impl<T: ConvReal> SquareTransform<T> {
+    /// Transforms of `size x size` values, a multiple of 32 without prime factors above 5, with stamps of `stamp x stamp` pixels.
+    fn new(size: usize, stamp: usize) -> Self {
+        let fft = TileTransform::new(size, size);
+        let length = fft.plane_len().max(fft.spectrum_len());
+        let zeros = || Aligned::zeros(length);
+        let mut plane = zeros();
+        for (i, value) in plane.get_mut().iter_mut().enumerate() {
+            *value = T::nearest((i % 17) as f64);
+        }
+        Self {
+            column: Aligned::zeros(fft.column_len()),
+            sides: [size + 1 - stamp, stamp],
+            plane,
+            spectrum: zeros(),
+            kernel: zeros(),
+            sum: zeros(),
+            result: zeros(),
+            fft,
+        }
+    }
+
+    /// Does a step with the best instruction set of this machine, on this thread.
+    fn run(&mut self, step: Step) {
+        T::dispatch(Run(self, step));
+    }
+}
+
+struct Run<'a, T: ConvReal>(&'a mut SquareTransform<T>, Step);
+
+impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
+    type Output = ();
+    fn run<S: Lanes<T>>(self, simd: S) {
+        let Self(all, step) = self;
+        let [tile, stamp] = all.sides;
+        let (plane, column) = (all.plane.get(), all.column.get_mut());
+        simd.vectorized(
+            #[inline(always)]
+            || match step {
+                Step::Forward => all
+                    .fft
+                    .forward(simd, plane, (tile, tile), all.spectrum.get_mut(), column),
+                Step::Kernel => all
+                    .fft
+                    .forward(simd, plane, (stamp, stamp), all.kernel.get_mut(), column),
+                Step::Multiply => all.fft.multiply_swapped(
+                    simd,
+                    all.spectrum.get(),
+                    all.kernel.get(),
+                    all.sum.get_mut(),
+                    true,
+                ),
+                Step::Inverse => {
+                    let size = (tile + stamp - 1, tile + stamp - 1);
+                    all.fft
+                        .inverse_of_swapped(simd, all.sum.get_mut(), size, all.result.get_mut(), column);
+                }
+            },
+        );
+    }
+}
 
 /// The spectrum of a square plane that holds a tile as large as [`SquareTransform`]'s, left transposed, by realfft along the tile's rows and
 /// rustfft along columns.

@@ -10,65 +10,80 @@
 //!
 //! | method | what it is | cost | error |
 //! |---|---|---|---|
-//! | [`LowRank`], [`Plan`] | the fast engine: in each tile the few modes that its PSFs need | that of 2 to 6 ordinary FFT convolutions | at most the tolerance, for the PSF of every pixel |
+//! | [`Plan`], [`Engine`], [`LowRank`] | the fast engine: in each tile the few modes that its PSFs need | that of 2 to 6 ordinary FFT convolutions | at most the tolerance, for the PSF of every pixel |
 //! | [`Direct`] | the double sum, in f64 | each lit pixel times each stamp pixel times `K` | none but rounding; the reference |
 //! | [`BasisConvolution`] | `K` whole-image FFT convolutions | `K` transforms of the image | rounding of the precision chosen |
 //! | [`PatchConvolution`] | one PSF a patch | one transform of each lit patch | the PSF jumps from patch to patch |
 //!
-//! All but [`Plan`] are [`ConvolutionMethod`]s over a [`psf_types::PsfModel`] and a [`psf_types::Scene`]. Outside the scene there is no
-//! light. Point sources are drawn with the PSF of their own position, shifted to it by [`StampInterpolator`]: one by one from all
-//! components ([`StarPainter`]), or many at once within a tolerance ([`StarPlan`], as plans do).
+//! A [`Plan`] is data: tiles, the modes of each, their stamps and coefficients. An [`Engine`]
+//! executes it on the processor or on a GPU, any number of times. The others are
+//! [`ConvolutionMethod`]s, which take a [`psf_types::PsfModel`], light and a frame. The frame is
+//! the region of the light that the image shows; its first pixel is the origin of field positions.
+//! Outside the light's array there is none.
+//!
+//! Point sources come on top of extended light. [`StarPainter`] and [`StarPlan`] draw them with the
+//! PSF of their own position, shifted to it by [`StampInterpolator`]: one by one from all
+//! components, or many at once within a tolerance.
 //!
 //! # Normalisation
-//! The image holds the scene's flux times the flux of the PSFs, which the model decides ([`psf_types::Normalisation`]); nothing
-//! else is scaled. An image scene needs stamps at the frame's own scale, centred on a pixel ([`native_grid`],
-//! [`resample_samples`]); point sources take any stamps.
+//! The image holds the light's flux times the flux of the PSFs, which the model decides
+//! ([`psf_types::Normalisation`]); nothing else is scaled. Extended light needs stamps at the
+//! frame's own scale, centred on a pixel ([`native_grid`], [`resample_samples`]); point sources
+//! take any stamps.
 //!
 //! # Stopping
-//! Whoever is told of the progress of a long call is also asked whether it is still wanted ([`psf_types::Progress::cancelled`]), every few
-//! milliseconds; where it is not, the call ends with [`ConvError::Cancelled`].
+//! The progress object of a long call is polled every few milliseconds and may cancel it
+//! ([`psf_types::Progress::cancelled`]); the call then ends with [`ConvError::Cancelled`].
 //!
 //! # Threads
 //! Work is spread over rayon's current pool. Results are the same bytes on any number of threads.
 //!
 //! # On a GPU
-//! With the feature `gpu` (off by default), `Plan::use_gpu` runs a plan's executions on any GPU that Vulkan, Metal, DirectX 12 or OpenGL drives, in f32: see the
-//! module `gpu`. Without it nothing of that is compiled.
+//! With the feature `gpu` (off by default), `Engine::on_gpu` puts a plan on any GPU that Vulkan,
+//! Metal, DirectX 12 or OpenGL drives, in f32: see the module `gpu`. Without it nothing of that is
+//! compiled.
+//!
+//! # Modules
+//! `plan` knows no device; `cpu` and `gpu` execute plans, and `engine` chooses between them;
+//! `stars` draws point sources with the modes of `plan`; `reference` holds the methods that others
+//! are compared with. `transform`, `simd`, `overlap`, `view` and the like lie below them all.
 
 #![allow(
     clippy::inline_always,
     reason = "what runs inside `Isa::vectorized` must be inlined there, or it is compiled for the baseline instruction set"
 )]
 
-mod basis_convolution;
-#[doc(hidden)]
-pub mod bench_support;
-mod crop;
-mod direct;
+mod cpu;
+mod engine;
 mod error;
-mod fft2;
 #[cfg(feature = "gpu")]
 pub mod gpu;
 mod image_memory;
-mod kernel;
-mod lowrank;
-mod method;
 mod overlap;
-mod patch;
-mod planes;
-mod point_sources;
+mod plan;
+mod reference;
 mod simd;
 mod stamp_interpolator;
 mod stars;
 mod transform;
+mod view;
 mod working_range;
 
-pub use basis_convolution::BasisConvolution;
-pub use direct::Direct;
+/// Pieces that the benchmarks time on their own: no part of this crate's interface.
+#[doc(hidden)]
+pub mod internals {
+    pub use crate::plan::coefficient_table::{CoefficientTable, FluxRole};
+    pub use crate::plan::local_modes::{LocalModes, PsfSpace};
+    pub use crate::plan::region_cells::RegionCells;
+    pub use crate::simd::{Aligned, Lanes, WithIsa};
+    pub use crate::transform::TileTransform;
+}
+
+pub use engine::{Engine, LowRank, RowStream, TileCounts};
 pub use error::ConvError;
-pub use lowrank::{LowRank, Paths, Plan, PlanOptions, PlanSummary, RowStream, TileCounts};
-pub use method::{ConvReal, ConvolutionMethod};
-pub use patch::PatchConvolution;
-pub use point_sources::{StarPainter, add_point_sources};
+pub use image_memory::zeros;
+pub use plan::{Paths, Plan, PlanOptions, PlanSummary};
+pub use reference::{BasisConvolution, ConvolutionMethod, Direct, PatchConvolution};
+pub use simd::ConvReal;
 pub use stamp_interpolator::{StampInterpolator, grid_with_pixel_response, native_grid, resample_samples};
-pub use stars::StarPlan;
+pub use stars::{StarPainter, StarPlan};

@@ -1,6 +1,7 @@
-//! Adding up pieces that overlap, the same way on any number of threads.
+//! Parts of images that overlap, or do not: added up the same way on any number of threads, and
+//! handed out to threads to write to.
 
-use ndarray::{Array2, ArrayViewMut2, s};
+use ndarray::{Array2, ArrayViewMut2, Axis, s};
 use psf_types::Progress;
 use rayon::prelude::*;
 
@@ -14,13 +15,13 @@ pub(crate) struct Piece<T> {
 }
 
 impl<T: ConvReal> Piece<T> {
-    /// Adds what lies on the output.
-    pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>) {
+    /// Adds what lies on the output, whose first pixel is at `(first_column, first_row)`.
+    pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
         let (ny, nx) = output.dim();
         let (rows, columns) = self.values.dim();
         let (Some((from_row, to_row, height)), Some((from_column, to_column, width))) = (
-            overlap(self.first_row, rows, ny),
-            overlap(self.first_column, columns, nx),
+            overlap(self.first_row - first_row, rows, ny),
+            overlap(self.first_column - first_column, columns, nx),
         ) else {
             return;
         };
@@ -60,12 +61,39 @@ pub(crate) fn add_in_order<T: ConvReal>(
             .collect();
         for pieces in made {
             for piece in pieces? {
-                piece.add_to(&mut output);
+                piece.add_to(&mut output, (0, 0));
             }
             progress.advance(1);
         }
     }
     Ok(())
+}
+
+/// The parts of a view between ascending `(start, end)` along an axis, which do not overlap.
+pub(crate) fn split<'a, T>(
+    view: ArrayViewMut2<'a, T>,
+    axis: usize,
+    ranges: &[(usize, usize)],
+) -> Vec<ArrayViewMut2<'a, T>> {
+    let mut rest = view;
+    let mut at = 0;
+    let mut parts = Vec::with_capacity(ranges.len());
+    for &(start, end) in ranges {
+        let (_, tail) = rest.split_at(Axis(axis), start - at);
+        let (part, tail) = tail.split_at(Axis(axis), end - start);
+        parts.push(part);
+        rest = tail;
+        at = end;
+    }
+    parts
+}
+
+/// The smallest `n` such that no range overlaps the `n`-th after it: every `n`-th range may be written at once.
+pub(crate) fn colours(ranges: &[(usize, usize)]) -> usize {
+    let clear = |n: usize| ranges.iter().zip(ranges.iter().skip(n)).all(|(a, b)| a.1 <= b.0);
+    (1..ranges.len())
+        .find(|&n| clear(n))
+        .unwrap_or(ranges.len().max(1))
 }
 
 #[cfg(test)]
@@ -81,7 +109,7 @@ mod tests {
                 first_row,
                 values: Array2::ones((2, 2)),
             }
-            .add_to(&mut output.view_mut());
+            .add_to(&mut output.view_mut(), (0, 0));
             output.sum()
         };
         assert_eq!(add(0, 0), 4.0);
@@ -91,5 +119,26 @@ mod tests {
         for (column, row) in [(-2, 0), (4, 0), (0, 3), (0, -2), (100, -100)] {
             assert_eq!(add(column, row), 0.0);
         }
+    }
+
+    #[test]
+    fn parts_are_those_asked_for() {
+        let mut whole = Array2::<u32>::zeros((1, 10));
+        for (i, mut part) in split(whole.view_mut(), 1, &[(1, 3), (3, 4), (8, 10)])
+            .into_iter()
+            .enumerate()
+        {
+            part += i as u32 + 1;
+        }
+        assert_eq!(whole.as_slice().unwrap(), [0, 1, 1, 2, 0, 0, 0, 0, 3, 3]);
+    }
+
+    #[test]
+    fn colours_keep_ranges_apart() {
+        assert_eq!(colours(&[(0, 3), (3, 5), (5, 9)]), 1);
+        assert_eq!(colours(&[(0, 4), (3, 6), (5, 9)]), 2);
+        assert_eq!(colours(&[(0, 8), (1, 9), (2, 9)]), 3);
+        assert_eq!(colours(&[(0, 8)]), 1);
+        assert_eq!(colours(&[]), 1);
     }
 }

@@ -5,12 +5,11 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{ANCHORS, PATHS, Waves, model_with, noise, options, region};
-use conv_core::{ConvError, Direct, Plan, StarPlan};
+use common::{ANCHORS, Execute, PATHS, Scene, Waves, drawn, model_with, noise, options, region};
+use conv_core::{ConvError, Direct, StarPlan};
 use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::{
     FrameShape, Image, ImageView, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfModel,
-    Scene,
 };
 
 const SCENE: (usize, usize) = (71, 53);
@@ -24,8 +23,7 @@ fn frame() -> PixelRegion {
 }
 
 fn scene() -> Scene<f64> {
-    let light = Image::new(noise(SCENE.1, SCENE.0, 5)).unwrap();
-    Scene::from_image(light).with_frame(frame()).unwrap()
+    Scene::new(noise(SCENE.1, SCENE.0, 5)).with_frame(frame())
 }
 
 /// The same pixels with everything between them spoilt, in every layout that NumPy may hand over.
@@ -51,31 +49,38 @@ fn layouts(pixels: &Array2<f64>, mut each: impl FnMut(&str, ArrayViewMut2<'_, f6
 #[test]
 fn every_layout_gives_the_same_bytes() {
     let (model, scene) = (model(), scene());
-    let light = scene.pixels().unwrap().to_owned();
+    let light = scene.pixels().to_owned();
     let present = noise(frame().shape().ny(), frame().shape().nx(), 6);
     for anchor in ANCHORS {
         for paths in PATHS {
-            let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, paths)).unwrap();
+            let engine = scene.engine(&model, options(1e-3, anchor, paths));
             let mut expected = present.clone();
-            plan.add_to(&scene, &mut expected, &NoProgress).unwrap();
-            let back = plan.adjoint(&Image::new(present.clone()).unwrap()).unwrap();
+            let scene_light = scene.light.view();
+            engine
+                .convolve_into(&scene_light, expected.view_mut(), &NoProgress)
+                .unwrap();
+            let back = engine.adjoint(&Image::new(present.clone()).unwrap()).unwrap();
             layouts(&light, |layout, light| {
                 let view = ImageView::new(light.view()).unwrap();
                 let mut image = present.clone();
-                plan.add_light_to(&view, image.view_mut(), &NoProgress).unwrap();
+                engine
+                    .convolve_into(&view, image.view_mut(), &NoProgress)
+                    .unwrap();
                 assert_eq!(image, expected, "light {layout}, {anchor} {paths:?}");
             });
             layouts(&present, |layout, mut image| {
                 let view = ImageView::new(image.view()).unwrap();
-                let light = plan.adjoint_with_progress(&view, &NoProgress).unwrap();
+                let light = engine.adjoint_of(&view, &NoProgress).unwrap();
                 assert_eq!(light, back, "adjoint of {layout}, {anchor} {paths:?}");
-                let view = scene.image().unwrap().view();
-                plan.add_light_to(&view, image.view_mut(), &NoProgress).unwrap();
+                engine
+                    .convolve_into(&scene_light, image.view_mut(), &NoProgress)
+                    .unwrap();
                 assert_eq!(image, expected, "image {layout}, {anchor} {paths:?}");
             });
             layouts(&Array2::zeros((SCENE.1, SCENE.0)), |layout, mut plane| {
                 let image = ImageView::new(present.view()).unwrap();
-                plan.add_adjoint_to(&image, plane.view_mut(), &NoProgress)
+                engine
+                    .adjoint_into(&image, plane.view_mut(), &NoProgress)
                     .unwrap();
                 assert_eq!(plane, back.pixels(), "adjoint to {layout}, {anchor} {paths:?}");
             });
@@ -87,44 +92,45 @@ fn every_layout_gives_the_same_bytes() {
 fn the_light_that_reaches_the_frame_is_enough() {
     let (model, scene) = (model(), scene());
     for anchor in ANCHORS {
-        let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, PATHS[0])).unwrap();
-        let part = plan.light_region();
+        let engine = scene.engine(&model, options(1e-3, anchor, PATHS[0]));
+        let part = engine.plan().light_region();
         // The stamps reach 3 and 2 pixels one way, 2 and 2 the other.
         assert_eq!(part, region(13 - 2, 11 - 2, 37 + 5, 29 + 4));
         let rows = part.y0() as usize..part.y0() as usize + part.shape().ny();
         let columns = part.x0() as usize..part.x0() as usize + part.shape().nx();
-        let light = scene.pixels().unwrap();
+        let light = scene.pixels();
         let cut = light.slice(s![rows.clone(), columns.clone()]);
-        let mut image = plan.dark_image();
-        plan.add_light_to(&ImageView::new(cut).unwrap(), image.view_mut(), &NoProgress)
+        let mut image = engine.plan().zeros();
+        engine
+            .convolve_into(&ImageView::new(cut).unwrap(), image.view_mut(), &NoProgress)
             .unwrap();
-        let expected = plan.execute(&scene).unwrap();
+        let expected = engine.execute(&scene).unwrap();
         assert_eq!(image, expected.pixels());
 
         let mut plane = Array2::zeros(cut.dim());
-        plan.add_adjoint_to(&expected.view(), plane.view_mut(), &NoProgress)
+        engine
+            .adjoint_into(&expected.view(), plane.view_mut(), &NoProgress)
             .unwrap();
-        let whole = plan.adjoint(&expected).unwrap();
+        let whole = engine.adjoint(&expected).unwrap();
         assert_eq!(plane, whole.pixels().slice(s![rows, columns]));
 
         // Single pixels from the part as from the whole.
         let pixels = [(0, 0), (36, 28), (17, 5)];
-        let direct = Direct::new(anchor);
         let first = (part.x0() as usize, part.y0() as usize);
-        let of_part = direct
-            .at_pixels_of_part(&model, &scene, Some((cut, first)), &pixels, &NoProgress)
+        let of_part = Direct::new(anchor)
+            .at_pixels(&model, (cut, first), scene.shape(), frame(), &pixels, &NoProgress)
             .unwrap();
-        assert_eq!(of_part, direct.at_pixels(&model, &scene, &pixels).unwrap());
+        assert_eq!(of_part, scene.at_pixels(&model, anchor, &pixels).unwrap());
     }
 }
 
 #[test]
 fn other_shapes_are_errors_that_say_what_fits() {
     let (model, scene) = (model(), scene());
-    let plan = Plan::for_scene(&model, &scene, options(1e-3, ANCHORS[0], PATHS[0])).unwrap();
-    let mut image = plan.dark_image();
+    let engine = scene.engine(&model, options(1e-3, ANCHORS[0], PATHS[0]));
+    let mut image = engine.plan().zeros();
     let wrong = Array2::zeros((SCENE.1, SCENE.0 + 1));
-    let error = plan.add_light_to(
+    let error = engine.convolve_into(
         &ImageView::new(wrong.view()).unwrap(),
         image.view_mut(),
         &NoProgress,
@@ -133,15 +139,16 @@ fn other_shapes_are_errors_that_say_what_fits() {
         error.unwrap_err().to_string(),
         "the light is 72 x 53 pixels: the plan takes the whole scene, 71 x 53, or its part that reaches the image, 42 x 33 at (11, 9)"
     );
-    let light = scene.image().unwrap().view();
+    let light = scene.light.view();
     let mut wide = Array2::zeros((29, 38));
     for result in [
-        plan.add_light_to(&light, wide.view_mut(), &NoProgress)
+        engine
+            .convolve_into(&light, wide.view_mut(), &NoProgress)
             .map(|_| ()),
-        plan.adjoint_with_progress(&light, &NoProgress).map(|_| ()),
+        engine.adjoint_of(&light, &NoProgress).map(|_| ()),
         StarPlan::new(&model, options(1e-3, ANCHORS[0], PATHS[0]), None)
             .unwrap()
-            .add_to_region(&scene, frame(), wide.view_mut(), &NoProgress),
+            .draw_into(&[], frame(), frame(), wide.view_mut(), &NoProgress),
     ] {
         assert!(matches!(result, Err(ConvError::FrameShape { .. })), "{result:?}");
     }
@@ -151,16 +158,15 @@ fn other_shapes_are_errors_that_say_what_fits() {
 #[test]
 fn stars_in_a_part_of_the_frame_are_those_of_the_whole() {
     let model = model();
-    let frame = FrameShape::new(67, 59).unwrap();
+    let frame = FrameShape::new(67, 59).unwrap().region();
     let star = |i: usize| {
         let (x, y) = ((i * 37 % 76) as f64 - 4.3, (i * 53 % 70) as f64 - 5.1);
         PointSource::new(Position::new(x, y).unwrap(), 1.0 + i as f64).unwrap()
     };
-    let scene = Scene::<f64>::dark(frame).with_sources((0..200).map(star).collect());
+    let stars: Vec<PointSource> = (0..200).map(star).collect();
     for anchor in ANCHORS {
         let plan = StarPlan::new(&model, options(1e-3, anchor, PATHS[0]), None).unwrap();
-        let mut whole = Array2::zeros((59, 67));
-        plan.add_to(&scene, &mut whole).unwrap();
+        let whole = drawn(&plan, &stars, frame);
         for (x, y, nx, ny) in [
             (0, 0, 67, 59),
             (0, 0, 1, 1),
@@ -170,7 +176,7 @@ fn stars_in_a_part_of_the_frame_are_those_of_the_whole() {
         ] {
             let part = region(x as i64, y as i64, nx, ny);
             layouts(&Array2::zeros((ny, nx)), |layout, mut image| {
-                plan.add_to_region(&scene, part, image.view_mut(), &NoProgress)
+                plan.draw_into(&stars, frame, part, image.view_mut(), &NoProgress)
                     .unwrap();
                 assert_eq!(
                     image,

@@ -5,13 +5,19 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Constant, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene};
+use common::{
+    Constant, Execute, Scene, Waves, double_sum, largest_difference, model_with, noise, peak, region, scene,
+    single,
+};
 use conv_core::{
-    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, Plan,
-    PlanOptions,
+    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, PlanOptions,
+    StarPainter,
 };
 use ndarray::{Array2, Array3};
-use psf_types::{Anchor, Image, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid};
+use psf_types::{
+    Anchor, Image, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfBasis, PsfModel,
+    StampGrid,
+};
 
 /// A few hundred additions of values near 1 in double precision.
 const DIRECT: f64 = 1e-13;
@@ -47,13 +53,6 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
             )
         })
     })
-}
-
-fn single(scene: &Scene<f64>) -> Scene<f32> {
-    let light = scene.pixels().unwrap().mapv(|v| v as f32);
-    Scene::from_image(Image::new(light).unwrap())
-        .with_frame(scene.frame())
-        .unwrap()
 }
 
 /// One coefficient, the same everywhere.
@@ -92,7 +91,7 @@ fn a_gaussian_of_a_gaussian_is_the_wider_gaussian() {
     )
     .unwrap();
     let model = PsfModel::new(&basis, Arc::new(Single(0.5 * norm)), Normalisation::Keep, None).unwrap();
-    let scene = Scene::from_image(Image::new(image(s2_scene)).unwrap());
+    let scene = Scene::new(image(s2_scene));
     let sum = double_sum(&model, &scene, Anchor::Source);
     let expected = image(s2_scene + s2_psf);
     let middle = ndarray::s![12..29, 12..29];
@@ -108,25 +107,22 @@ fn direct_and_basis_are_the_double_sum() {
             let limit = |relative: f64| relative * peak(&truth).max(1.0);
             let case = format!("{:?} {:?} {anchor}", model.grid(), scene.shape());
 
-            let direct = Direct::new(anchor)
-                .convolve(&model, &scene)
-                .unwrap()
-                .into_pixels();
+            let direct = scene.through(&model, &Direct::new(anchor)).unwrap().into_pixels();
             assert!(
                 largest_difference(&direct, &truth) <= limit(DIRECT),
                 "direct, {case}"
             );
 
             let pixels: Vec<_> = truth.indexed_iter().map(|((y, x), _)| (x, y)).collect();
-            let values = Direct::new(anchor).at_pixels(&model, &scene, &pixels).unwrap();
+            let values = scene.at_pixels(&model, anchor, &pixels).unwrap();
             let values = Array2::from_shape_vec(truth.dim(), values).unwrap();
             assert!(
                 largest_difference(&values, &truth) <= limit(DIRECT),
                 "single pixels, {case}"
             );
 
-            let basis = BasisConvolution::new(anchor)
-                .convolve(&model, &scene)
+            let basis = scene
+                .through(&model, &BasisConvolution::new(anchor))
                 .unwrap()
                 .into_pixels();
             assert!(
@@ -134,8 +130,8 @@ fn direct_and_basis_are_the_double_sum() {
                 "basis f64, {case}"
             );
 
-            let basis = BasisConvolution::new(anchor)
-                .convolve(&model, &single(&scene))
+            let basis = single(&scene)
+                .through(&model, &BasisConvolution::new(anchor))
                 .unwrap();
             assert!(
                 largest_difference(&basis.pixels().mapv(f64::from), &truth) <= limit(FFT_F32),
@@ -149,8 +145,8 @@ fn direct_and_basis_are_the_double_sum() {
 fn the_comparison_can_fail() {
     let (model, scene) = cases().next().unwrap();
     let source = double_sum(&model, &scene, Anchor::Source);
-    let output = BasisConvolution::new(Anchor::Output)
-        .convolve(&model, &scene)
+    let output = scene
+        .through(&model, &BasisConvolution::new(Anchor::Output))
         .unwrap()
         .into_pixels();
     assert!(largest_difference(&source, &output) > 1e-3 * peak(&source));
@@ -160,13 +156,12 @@ fn the_comparison_can_fail() {
 fn patches_of_one_pixel_are_exact_and_so_are_any_of_a_constant_psf() {
     let varying = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
     let constant = model_with(Arc::new(Constant), (5, 7), (2, 3), true, Normalisation::Keep);
-    let scene = scene(13, 11, 5).with_frame(region(2, 1, 9, 8)).unwrap();
+    let scene = scene(13, 11, 5).with_frame(region(2, 1, 9, 8));
     for anchor in ANCHORS {
         let check = |model: &PsfModel, size| {
             let truth = double_sum(model, &scene, anchor);
-            let patch = PatchConvolution::new(size, anchor)
-                .unwrap()
-                .convolve(model, &scene)
+            let patch = scene
+                .through(model, &PatchConvolution::new(size, anchor).unwrap())
                 .unwrap()
                 .into_pixels();
             largest_difference(&patch, &truth) / peak(&truth)
@@ -186,14 +181,14 @@ fn patches_of_one_pixel_are_exact_and_so_are_any_of_a_constant_psf() {
 #[test]
 fn light_from_beyond_the_frame_comes_in() {
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
-    let scene = scene(14, 12, 3).with_frame(region(4, 3, 7, 6)).unwrap();
+    let scene = scene(14, 12, 3).with_frame(region(4, 3, 7, 6));
     for anchor in ANCHORS {
         let truth = double_sum(&model, &scene, anchor);
         for method in [
             &BasisConvolution::new(anchor) as &dyn ConvolutionMethod<f64>,
             &Direct::new(anchor),
         ] {
-            let image = method.convolve(&model, &scene).unwrap().into_pixels();
+            let image = scene.through(&model, method).unwrap().into_pixels();
             assert_eq!(image.dim(), (6, 7));
             assert!(
                 largest_difference(&image, &truth) <= FFT_F64 * peak(&truth),
@@ -208,20 +203,22 @@ fn the_adjoint_is_exact() {
     for (model, scene) in cases() {
         let (nx, ny) = (scene.shape().nx(), scene.shape().ny());
         let frames = [
-            scene.frame(),
+            scene.frame,
             region((nx / 3) as i64, (ny / 3) as i64, nx - nx / 3, ny.div_ceil(2)),
         ];
         for (scene, anchor) in frames
             .into_iter()
-            .flat_map(|frame| ANCHORS.map(|anchor| (scene.clone().with_frame(frame).unwrap(), anchor)))
+            .flat_map(|frame| ANCHORS.map(|anchor| (scene.clone().with_frame(frame), anchor)))
         {
-            let shape = scene.frame().shape();
+            let shape = scene.frame.shape();
             let g = Image::new(noise(shape.ny(), shape.nx(), 77)).unwrap();
             let method = BasisConvolution::new(anchor);
-            let forward = method.convolve(&model, &scene).unwrap();
-            let back = method.adjoint(&model, &g, &scene).unwrap();
+            let forward = scene.through(&model, &method).unwrap();
+            let back = method
+                .adjoint(&model, &g.view(), scene.shape(), scene.frame)
+                .unwrap();
             let left = (&forward.pixels() * &g.pixels()).sum();
-            let right = (&scene.pixels().unwrap() * &back.pixels()).sum();
+            let right = (&scene.pixels() * &back.pixels()).sum();
             let scale = (forward.pixels().mapv(|v| v * v).sum() * g.pixels().mapv(|v| v * v).sum()).sqrt();
             assert!(
                 (left - right).abs() <= 1e-12 * scale,
@@ -232,7 +229,7 @@ fn the_adjoint_is_exact() {
     }
     let (model, scene) = cases().next().unwrap();
     let wrong = Image::new(noise(3, 3, 1)).unwrap();
-    let refused = BasisConvolution::default().adjoint(&model, &wrong, &scene);
+    let refused = BasisConvolution::default().adjoint(&model, &wrong.view(), scene.shape(), scene.frame);
     assert!(matches!(refused, Err(ConvError::FrameShape { .. })));
 }
 
@@ -245,35 +242,33 @@ fn point_sources_on_pixels_are_pixels_of_light() {
         light[[y, x]] += flux;
     }
     let frame = region(1, 1, 10, 8);
-    let pixels = Scene::from_image(Image::new(light).unwrap())
-        .with_frame(frame)
-        .unwrap();
+    let pixels = Scene::new(light).with_frame(frame);
     let points = stars
         .map(|(x, y, flux)| PointSource::new(Position::of_pixel(x as i64, y as i64), flux).unwrap())
         .to_vec();
-    let points = Scene::dark(pixels.shape())
-        .with_sources(points)
-        .with_frame(frame)
-        .unwrap();
     for anchor in ANCHORS {
         let truth = double_sum(&model, &pixels, anchor);
-        let methods: [&dyn ConvolutionMethod<f64>; 3] = [
-            &BasisConvolution::new(anchor),
-            &Direct::new(anchor),
-            &PatchConvolution::new(4, anchor).unwrap(),
-        ];
-        for method in methods {
-            let image = method.convolve(&model, &points).unwrap().into_pixels();
-            assert!(
-                largest_difference(&image, &truth) <= DIRECT * peak(&truth),
-                "{method:?}"
-            );
-        }
+        let image = painted(&model, &points, frame, anchor);
+        assert!(
+            largest_difference(&image, &truth) <= DIRECT * peak(&truth),
+            "{anchor}"
+        );
         let all: Vec<_> = truth.indexed_iter().map(|((y, x), _)| (x, y)).collect();
-        let values = Direct::new(anchor).at_pixels(&model, &points, &all).unwrap();
+        let painter = StarPainter::new(&model, frame, anchor, None).unwrap();
+        let values = painter.at_pixels(&points, &all).unwrap();
         let values = Array2::from_shape_vec(truth.dim(), values).unwrap();
         assert!(largest_difference(&values, &truth) <= DIRECT * peak(&truth));
     }
+}
+
+/// Stars one by one into a new image of the frame.
+fn painted(model: &PsfModel, stars: &[PointSource], frame: PixelRegion, anchor: Anchor) -> Array2<f64> {
+    let mut image = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
+    StarPainter::new(model, frame, anchor, None)
+        .unwrap()
+        .draw_into(stars, frame.shape().region(), image.view_mut(), &NoProgress)
+        .unwrap();
+    image
 }
 
 #[test]
@@ -281,11 +276,7 @@ fn sources_off_the_frame_shine_in_and_far_ones_do_nothing() {
     let model = model_with(Arc::new(Constant), (7, 7), (3, 3), true, Normalisation::Keep);
     let at = |x: f64, y: f64| {
         let star = PointSource::new(Position::new(x, y).unwrap(), 1.0).unwrap();
-        let scene = Scene::<f64>::dark(psf_types::FrameShape::new(10, 10).unwrap()).with_sources(vec![star]);
-        BasisConvolution::default()
-            .convolve(&model, &scene)
-            .unwrap()
-            .into_pixels()
+        painted(&model, &[star], region(0, 0, 10, 10), Anchor::Source)
     };
     assert!(peak(&at(-2.0, 5.0)) > 0.0);
     for (x, y) in [(-30.0, 5.0), (5.0, 1e6), (1e300, -1e300), (-1e300, 0.0)] {
@@ -320,8 +311,8 @@ fn a_mean_centred_model_of_unit_flux_keeps_the_flux() {
     light
         .slice_mut(ndarray::s![5..25, 6..34])
         .assign(&noise(20, 28, 4).mapv(|v| v + 1.2));
-    let scene = Scene::from_image(Image::new(light.clone()).unwrap());
-    let image = BasisConvolution::default().convolve(&model, &scene).unwrap();
+    let scene = Scene::new(light.clone());
+    let image = scene.through(&model, &BasisConvolution::default()).unwrap();
     assert!((image.pixels().sum() / light.sum() - 1.0).abs() < 1e-12);
 }
 
@@ -342,7 +333,7 @@ fn stamps_that_do_not_suit_an_image_are_refused() {
         .unwrap()
     };
     let grid = StampGrid::new(4, 4).unwrap();
-    let refused = |grid| Direct::default().convolve(&with_grid(grid), &scene).unwrap_err();
+    let refused = |grid| scene.through(&with_grid(grid), &Direct::default()).unwrap_err();
     assert!(matches!(
         refused(grid.with_oversampling(2.0).unwrap()),
         ConvError::StampScale { .. }
@@ -355,7 +346,7 @@ fn stamps_that_do_not_suit_an_image_are_refused() {
         refused(grid.with_pixel_response_included(false)),
         ConvError::PixelResponse
     ));
-    let outside = Direct::default().at_pixels(&with_grid(grid), &scene, &[(0, 0), (99, 0)]);
+    let outside = scene.at_pixels(&with_grid(grid), Anchor::Source, &[(0, 0), (99, 0)]);
     assert!(matches!(
         outside,
         Err(ConvError::PixelOutsideFrame {
@@ -371,8 +362,9 @@ fn the_number_of_threads_does_not_matter() {
     // Large enough for the transforms to run in parallel.
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
     let star = PointSource::new(Position::new(100.3, 77.8).unwrap(), 3.0).unwrap();
-    let scene = scene(520, 530, 9).with_sources(vec![star; 100]);
-    let small = Scene::from_image(Image::new(noise(60, 50, 2)).unwrap()).with_sources(vec![star; 100]);
+    let stars = vec![star; 100];
+    let scene = scene(520, 530, 9);
+    let small = Scene::new(noise(60, 50, 2));
     for anchor in ANCHORS {
         let with_threads = |threads| {
             let pool = rayon::ThreadPoolBuilder::new()
@@ -381,15 +373,16 @@ fn the_number_of_threads_does_not_matter() {
                 .unwrap();
             pool.install(|| {
                 let basis = BasisConvolution::new(anchor);
-                let image = basis.convolve(&model, &scene).unwrap();
+                let patches = PatchConvolution::new(50, anchor).unwrap();
+                let image = scene.through(&model, &basis).unwrap();
                 (
-                    basis.adjoint(&model, &image, &scene).unwrap(),
-                    image,
-                    PatchConvolution::new(50, anchor)
-                        .unwrap()
-                        .convolve(&model, &scene)
+                    basis
+                        .adjoint(&model, &image.view(), scene.shape(), scene.frame)
                         .unwrap(),
-                    Direct::new(anchor).convolve(&model, &small).unwrap(),
+                    image,
+                    scene.through(&model, &patches).unwrap(),
+                    small.through(&model, &Direct::new(anchor)).unwrap(),
+                    painted(&model, &stars, scene.frame, anchor),
                 )
             })
         };
@@ -399,7 +392,7 @@ fn the_number_of_threads_does_not_matter() {
         }
         // And the parallel transforms are right.
         let pixels: Vec<_> = (0..50).map(|n| ((n * 97) % 520, (n * 41) % 530)).collect();
-        let exact = Direct::new(anchor).at_pixels(&model, &scene, &pixels).unwrap();
+        let exact = scene.at_pixels(&model, anchor, &pixels).unwrap();
         for (&(x, y), value) in pixels.iter().zip(exact) {
             assert!((one.1.pixels()[[y, x]] - value).abs() < 1e-12, "{anchor}");
         }
@@ -433,9 +426,7 @@ fn only_light_that_reaches_the_frame_needs_a_psf() {
     light[[8, 10]] = 3.0;
     light[[9, 11]] = 2.0;
     light[[9, 290]] = 7.0;
-    let scene = Scene::from_image(Image::new(light).unwrap())
-        .with_frame(region(1, 2, 40, 20))
-        .unwrap();
+    let scene = Scene::new(light).with_frame(region(1, 2, 40, 20));
     let truth = double_sum(&model(Arc::new(Waves)), &scene, Anchor::Source);
     let island = model(Arc::new(Island));
     let exact = LowRank::new(PlanOptions::new(0.0).unwrap());
@@ -446,18 +437,18 @@ fn only_light_that_reaches_the_frame_needs_a_psf() {
         &exact,
     ];
     for method in methods {
-        let image = method.convolve(&island, &scene).unwrap().into_pixels();
+        let image = scene.through(&island, method).unwrap().into_pixels();
         assert!(
             largest_difference(&image, &truth) <= FFT_F64 * peak(&truth),
             "{method:?}"
         );
     }
-    let lit_outside = scene.with_frame(region(200, 2, 100, 20)).unwrap();
+    let lit_outside = scene.with_frame(region(200, 2, 100, 20));
     for method in [
         &BasisConvolution::default() as &dyn ConvolutionMethod<f64>,
         &exact,
     ] {
-        let refused = method.convolve(&island, &lit_outside);
+        let refused = lit_outside.through(&island, method);
         assert!(
             matches!(
                 refused,
@@ -474,8 +465,8 @@ fn light_at_the_ends_of_the_range_is_convolved_like_light_near_one() {
     let model = model_with(Arc::new(Waves), (16, 9), (8, 4), true, Normalisation::Unit);
     let scene = scene(67, 53, 5);
     let scaled = |power: i32| {
-        let light = scene.pixels().unwrap().mapv(|v| (v * 2_f64.powi(power)) as f32);
-        Scene::from_image(Image::new(light).unwrap())
+        let light = scene.pixels().mapv(|v| (v * 2_f64.powi(power)) as f32);
+        Scene::new(light)
     };
     for anchor in ANCHORS {
         let truth = double_sum(&model, &scene, anchor);
@@ -489,7 +480,7 @@ fn light_at_the_ends_of_the_range_is_convolved_like_light_near_one() {
         // The brightest pixel is about 1; 2^127 is the last power of f32.
         for power in [-115, -85, 0, 85, 123] {
             for method in &methods {
-                let image = method.convolve(&model, &scaled(power)).unwrap();
+                let image = scaled(power).through(&model, &**method).unwrap();
                 let back = image.pixels().mapv(|v| f64::from(v) * 2_f64.powi(-power));
                 assert!(
                     largest_difference(&back, &truth) <= FFT_F32 * peak(&truth),
@@ -498,14 +489,11 @@ fn light_at_the_ends_of_the_range_is_convolved_like_light_near_one() {
                 );
             }
             let adjoint = |scene: &Scene<f32>| {
-                let image = scene.image().unwrap();
+                let image = &scene.light;
                 let whole = BasisConvolution::new(anchor)
-                    .adjoint(&model, image, scene)
+                    .adjoint(&model, &image.view(), scene.shape(), scene.frame)
                     .unwrap();
-                let tiles = Plan::for_scene(&model, scene, options)
-                    .unwrap()
-                    .adjoint(image)
-                    .unwrap();
+                let tiles = scene.engine(&model, options).adjoint(image).unwrap();
                 [whole, tiles].map(|image| image.pixels().mapv(f64::from))
             };
             for (near_one, far) in adjoint(&scaled(0)).iter().zip(adjoint(&scaled(power))) {

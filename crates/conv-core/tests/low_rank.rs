@@ -6,12 +6,12 @@ mod common;
 use std::sync::Arc;
 
 use common::{
-    ANCHORS, Constant, KINDS, PATHS, STAMPS, Waves, double_sum, largest_difference, model_with, noise,
-    options, peak, region, scene, single,
+    ANCHORS, Constant, Execute, KINDS, PATHS, STAMPS, Scene, Waves, double_sum, largest_difference,
+    model_with, noise, options, peak, region, scene, single,
 };
-use conv_core::{ConvError, ConvolutionMethod, Direct, LowRank, Paths, Plan, PlanOptions, RowStream};
+use conv_core::{ConvError, Direct, LowRank, Paths, Plan, PlanOptions, RowStream};
 use ndarray::{Array2, s};
-use psf_types::{Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfModel, Scene};
+use psf_types::{Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, Position, PsfModel};
 
 /// Transforms of a few thousand values, and the rounding of the modes, in double precision.
 const ROUNDING_F64: f64 = 1e-12;
@@ -29,7 +29,7 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
             // Every other scene through a frame that is smaller.
             let frame = region((nx / 3) as i64, (ny / 4) as i64, nx - nx / 3, ny.div_ceil(2));
             let scene = if (n + m) % 2 == 0 {
-                scene.with_frame(frame).unwrap()
+                scene.with_frame(frame)
             } else {
                 scene
             };
@@ -40,15 +40,13 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
 
 /// Every fifth pixel is a star: a light that every path treats.
 fn sparse(scene: &Scene<f64>) -> Scene<f64> {
-    let mut light = scene.pixels().unwrap().to_owned();
+    let mut light = scene.pixels().to_owned();
     for ((y, x), value) in light.indexed_iter_mut() {
         if (3 * y + x) % 5 != 0 {
             *value = 0.0;
         }
     }
-    Scene::from_image(Image::new(light).unwrap())
-        .with_frame(scene.frame())
-        .unwrap()
+    Scene::new(light).with_frame(scene.frame)
 }
 
 #[test]
@@ -61,10 +59,10 @@ fn at_tolerance_0_it_is_the_double_sum() {
                 for paths in PATHS {
                     let case = format!("{:?} {:?} {anchor} {paths:?}", model.grid(), scene.shape());
                     let engine = LowRank::new(options(0.0, anchor, paths));
-                    let image = engine.convolve(&model, &scene).unwrap().into_pixels();
+                    let image = scene.through(&model, &engine).unwrap().into_pixels();
                     let error = largest_difference(&image, &truth) / scale;
                     assert!(error <= ROUNDING_F64, "f64, {case}: {error:e}");
-                    let image = engine.convolve(&model, &single(&scene)).unwrap();
+                    let image = single(&scene).through(&model, &engine).unwrap();
                     let error = largest_difference(&image.pixels().mapv(f64::from), &truth) / scale;
                     assert!(error <= ROUNDING_F32, "f32, {case}: {error:e}");
                 }
@@ -78,13 +76,13 @@ fn the_adjoint_is_exact() {
     for (model, scene) in cases() {
         for anchor in ANCHORS {
             for (paths, tolerance) in PATHS.into_iter().flat_map(|paths| [(paths, 0.0), (paths, 1e-2)]) {
-                let plan = Plan::for_scene(&model, &scene, options(tolerance, anchor, paths)).unwrap();
-                let shape = scene.frame().shape();
+                let engine = scene.engine(&model, options(tolerance, anchor, paths));
+                let shape = scene.frame.shape();
                 let g = Image::new(noise(shape.ny(), shape.nx(), 77)).unwrap();
-                let forward = plan.execute(&scene).unwrap();
-                let back = plan.adjoint(&g).unwrap();
+                let forward = engine.execute(&scene).unwrap();
+                let back = engine.adjoint(&g).unwrap();
                 let left = (&forward.pixels() * &g.pixels()).sum();
-                let right = (&scene.pixels().unwrap() * &back.pixels()).sum();
+                let right = (&scene.pixels() * &back.pixels()).sum();
                 let scale =
                     (forward.pixels().mapv(|v| v * v).sum() * g.pixels().mapv(|v| v * v).sum()).sqrt();
                 assert!(
@@ -132,7 +130,7 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
     ] {
         let model = model_with(field, (9, 8), (4, 4), mean, normalisation);
         let light = noise(ny, nx, 5).mapv(|v| v + 1.5);
-        let lit = |light: &Array2<f64>| Scene::from_image(Image::new(light.clone()).unwrap());
+        let lit = |light: &Array2<f64>| Scene::new(light.clone());
         for (tolerance, paths) in [
             (3e-1, PATHS[1]),
             (1e-1, PATHS[0]),
@@ -140,19 +138,19 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
             (1e-3, PATHS[1]),
         ] {
             for anchor in ANCHORS {
-                let plan = Plan::for_scene(&model, &lit(&light), options(tolerance, anchor, paths)).unwrap();
-                let before = plan.execute(&lit(&light)).unwrap().into_pixels();
+                let engine = lit(&light).engine(&model, options(tolerance, anchor, paths));
+                let before = engine.execute(&lit(&light)).unwrap().into_pixels();
                 for n in 0..40 {
                     let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
                     // Output-anchored, the kernel of one output pixel is a row of the operator: a column of its transpose.
                     let response = if anchor == Anchor::Source {
                         let mut more = light.clone();
                         more[[y, x]] += 1.0;
-                        plan.execute(&lit(&more)).unwrap().into_pixels() - &before
+                        engine.execute(&lit(&more)).unwrap().into_pixels() - &before
                     } else {
                         let mut one = Array2::zeros((ny, nx));
                         one[[y, x]] = 1.0;
-                        plan.adjoint(&Image::new(one).unwrap()).unwrap().into_pixels()
+                        engine.adjoint(&Image::new(one).unwrap()).unwrap().into_pixels()
                     };
                     let psf = model.psf_at(Position::of_pixel(x as i64, y as i64)).unwrap();
                     let mut exact = Array2::zeros((ny, nx));
@@ -193,12 +191,12 @@ fn the_result_does_not_depend_on_threads_nor_on_what_is_made_anew() {
                 .unwrap();
             pool.install(|| {
                 let options = options(1e-3, anchor, Paths::Cheapest).with_memory(memory);
-                let plan = Plan::for_scene(&model, &scene, options).unwrap();
-                assert!(plan.summary().blocks > 1);
-                let image = plan.execute(&scene).unwrap();
-                let again = plan.execute(&scene).unwrap();
+                let engine = scene.engine(&model, options);
+                assert!(engine.plan().summary().blocks > 1);
+                let image = engine.execute(&scene).unwrap();
+                let again = engine.execute(&scene).unwrap();
                 assert_eq!(image, again, "workspaces are dirty the second time");
-                (plan.adjoint(&image).unwrap(), image)
+                (engine.adjoint(&image).unwrap(), image)
             })
         };
         let one = with(1, usize::MAX);
@@ -221,7 +219,7 @@ fn flux_is_kept_at_any_tolerance() {
     light
         .slice_mut(s![40..120, 40..160])
         .assign(&noise(80, 120, 4).mapv(|v| v + 1.2));
-    let scene = Scene::from_image(Image::new(light.clone()).unwrap());
+    let scene = Scene::new(light.clone());
     for (field, mean, normalisation) in [
         (
             Arc::new(Waves) as Arc<dyn CoefficientField>,
@@ -246,12 +244,12 @@ fn flux_is_kept_at_any_tolerance() {
         for tolerance in [0.0, 1e-3, 1e-2, 0.1, 0.5] {
             for paths in PATHS {
                 let engine = LowRank::new(options(tolerance, Anchor::Source, paths));
-                let flux = engine.convolve(&model, &scene).unwrap().pixels().sum();
+                let flux = scene.through(&model, &engine).unwrap().pixels().sum();
                 assert!(
                     (flux / exact - 1.0).abs() < 1e-12,
                     "{flux} {exact} at {tolerance:e}"
                 );
-                let image = engine.convolve(&model, &single(&scene)).unwrap();
+                let image = single(&scene).through(&model, &engine).unwrap();
                 let flux: f64 = image.pixels().iter().map(|&v| f64::from(v)).sum();
                 assert!(
                     (flux / exact - 1.0).abs() < 1e-6,
@@ -279,8 +277,8 @@ fn kernels_without_flux_are_kernels_too() {
     let scene = scene(67, 53, 8);
     for anchor in ANCHORS {
         let truth = double_sum(&model, &scene, anchor);
-        let image = LowRank::new(options(0.0, anchor, Paths::Transforms))
-            .convolve(&model, &scene)
+        let image = scene
+            .through(&model, &LowRank::new(options(0.0, anchor, Paths::Transforms)))
             .unwrap()
             .into_pixels();
         assert!(largest_difference(&image, &truth) <= ROUNDING_F64 * peak(&truth));
@@ -318,13 +316,12 @@ fn kernels_whose_flux_nearly_cancels_are_exact_and_keep_it() {
     light
         .slice_mut(s![10..80, 10..100])
         .assign(&noise(70, 90, 2).mapv(|v| v + 2.0));
-    let scene = Scene::from_image(Image::new(light).unwrap());
+    let scene = Scene::new(light);
     for anchor in ANCHORS {
         let truth = double_sum(&model, &scene, anchor);
         for tolerance in [0.0, 1e-3, 1e-1] {
-            let plan =
-                Plan::for_scene(&model, &scene, options(tolerance, anchor, Paths::Transforms)).unwrap();
-            let image = plan.execute(&scene).unwrap().into_pixels();
+            let engine = scene.engine(&model, options(tolerance, anchor, Paths::Transforms));
+            let image = engine.execute(&scene).unwrap().into_pixels();
             let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
             let error = norm(&(&image - &truth)) / norm(&truth);
             // Light of one sign through kernels of both: errors add up a little.
@@ -337,7 +334,7 @@ fn kernels_whose_flux_nearly_cancels_are_exact_and_keep_it() {
                 assert!(lost < 1e-10, "{lost:e} at {tolerance:e}");
             }
             if tolerance == 1e-1 {
-                assert!(plan.summary().most_modes() < 12);
+                assert!(engine.plan().summary().most_modes() < 12);
             }
         }
     }
@@ -351,16 +348,14 @@ fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
         .slice_mut(s![..40, ..40])
         .assign(&noise(40, 40, 3).mapv(|v| v + 2.0));
     light[[400, 300]] = 5.0;
-    let scene = Scene::from_image(Image::new(light).unwrap());
-    let plan = Plan::for_scene(&model, &scene, options(0.0, Anchor::Source, Paths::Cheapest)).unwrap();
-    let summary = plan.summary();
+    let scene = Scene::new(light);
+    let engine = scene.engine(&model, options(0.0, Anchor::Source, Paths::Cheapest));
+    let summary = engine.plan().summary();
     assert_eq!((summary.most_modes(), summary.mean_modes()), (1, 1.0));
-    let (image, counts) = plan
-        .execute_with_progress(&scene, &psf_types::NoProgress)
-        .unwrap();
+    let (image, counts) = engine.counted(&scene, &NoProgress).unwrap();
     assert_eq!(counts.tiles(), summary.tiles);
     assert!(counts.dark > summary.tiles / 2 && counts.drawn >= 1, "{counts:?}");
-    let truth = Direct::default().convolve(&model, &scene).unwrap().into_pixels();
+    let truth = scene.through(&model, &Direct::default()).unwrap().into_pixels();
     assert!(largest_difference(&image.into_pixels(), &truth) < ROUNDING_F64);
     assert!(summary.to_string().contains("tolerance 0e0"), "{summary}");
 }
@@ -371,11 +366,11 @@ fn a_bright_star_does_not_drown_the_faint_light_of_its_tile() {
     let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
     let mut light = noise(200, 200, 5).mapv(|v| v + 1.5);
     light[[100, 90]] = 1e8;
-    let scene = Scene::from_image(Image::new(light).unwrap());
+    let scene = Scene::new(light);
     let truth = double_sum_far_from(&model, &scene);
     for anchor in ANCHORS {
-        let image = LowRank::new(options(0.0, anchor, Paths::Cheapest))
-            .convolve(&model, &single(&scene))
+        let image = single(&scene)
+            .through(&model, &LowRank::new(options(0.0, anchor, Paths::Cheapest)))
             .unwrap();
         let exact = &truth[usize::from(anchor == Anchor::Output)];
         let error = exact
@@ -389,8 +384,8 @@ fn a_bright_star_does_not_drown_the_faint_light_of_its_tile() {
             (error / norm).sqrt()
         );
         // Through transforms alone it does.
-        let drowned = LowRank::new(options(0.0, anchor, Paths::Transforms))
-            .convolve(&model, &single(&scene))
+        let drowned = single(&scene)
+            .through(&model, &LowRank::new(options(0.0, anchor, Paths::Transforms)))
             .unwrap();
         let error = exact
             .iter()
@@ -408,7 +403,7 @@ fn double_sum_far_from(model: &PsfModel, scene: &Scene<f64>) -> [PixelValues; 2]
         .filter(|&(x, y)| x.abs_diff(90) > 12 || y.abs_diff(100) > 12)
         .collect();
     ANCHORS.map(|anchor| {
-        let values = Direct::new(anchor).at_pixels(model, scene, &pixels).unwrap();
+        let values = scene.at_pixels(model, anchor, &pixels).unwrap();
         pixels.iter().copied().zip(values).collect()
     })
 }
@@ -416,13 +411,16 @@ fn double_sum_far_from(model: &PsfModel, scene: &Scene<f64>) -> [PixelValues; 2]
 #[test]
 fn a_plan_refuses_what_it_was_not_made_for() {
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
-    let plan = Plan::for_scene(&model, &scene(30, 20, 1), PlanOptions::default()).unwrap();
+    let engine = scene(30, 20, 1).engine(&model, PlanOptions::default());
     assert!(matches!(
-        plan.execute(&scene(20, 30, 1)),
-        Err(ConvError::PlanShape { .. })
+        engine.execute(&scene(20, 30, 1)),
+        Err(ConvError::LightShape { .. })
     ));
     let wrong = Image::new(noise(3, 3, 1)).unwrap();
-    assert!(matches!(plan.adjoint(&wrong), Err(ConvError::FrameShape { .. })));
+    assert!(matches!(
+        engine.adjoint(&wrong),
+        Err(ConvError::FrameShape { .. })
+    ));
     for frame in [region(-1, 0, 4, 4), region(28, 0, 4, 4)] {
         let plan = Plan::<f64>::new(&model, scene(30, 20, 1).shape(), frame, PlanOptions::default());
         assert!(matches!(plan, Err(ConvError::Frame(_))));
@@ -447,7 +445,7 @@ impl RowStream<f64> for Rows<'_> {
         mut light: ndarray::ArrayViewMut2<'_, f64>,
     ) -> Result<(), ConvError> {
         self.most = self.most.max(rows.len());
-        light.assign(&self.scene.pixels().unwrap().slice(s![rows, ..]));
+        light.assign(&self.scene.pixels().slice(s![rows, ..]));
         Ok(())
     }
     fn write(&mut self, rows: ndarray::ArrayView2<'_, f64>) -> Result<(), ConvError> {
@@ -459,31 +457,22 @@ impl RowStream<f64> for Rows<'_> {
 #[test]
 fn a_streamed_image_has_the_same_bytes() {
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
-    let star = |x, y| psf_types::PointSource::new(Position::new(x, y).unwrap(), 3.0).unwrap();
-    let stars: Vec<_> = (0..60)
-        .map(|n| star(2.5 + f64::from(n % 20), 147.0 * f64::from(n) + 0.3))
-        .collect();
     for frame in [
         region(0, 0, 20, 9000),
         region(7, 33, 9, 8800),
         region(3, 690, 12, 10),
     ] {
-        let scene = scene(20, 9000, 6)
-            .with_sources(stars.clone())
-            .with_frame(frame)
-            .unwrap();
+        let scene = scene(20, 9000, 6).with_frame(frame);
         for anchor in ANCHORS {
-            let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, Paths::Cheapest)).unwrap();
-            let whole = plan.execute(&scene).unwrap();
+            let engine = scene.engine(&model, options(1e-3, anchor, Paths::Cheapest));
+            let whole = engine.execute(&scene).unwrap();
             let mut rows = Rows {
                 scene: &scene,
                 image: Vec::new(),
                 most: 0,
             };
-            let counts = plan
-                .stream(&scene, None, &mut rows, &psf_types::NoProgress)
-                .unwrap();
-            assert_eq!(counts.tiles(), plan.summary().tiles);
+            let counts = engine.stream(&mut rows, &NoProgress).unwrap();
+            assert_eq!(counts.tiles(), engine.plan().summary().tiles);
             assert_eq!(rows.image.len(), frame.shape().pixel_count());
             assert!(rows.image.iter().eq(whole.pixels().iter()), "{anchor}, {frame:?}");
             assert!(rows.most < 5000, "{} rows at once", rows.most);

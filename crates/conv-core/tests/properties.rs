@@ -6,13 +6,12 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Constant, Waves, largest_difference, model_with, peak};
-use conv_core::{BasisConvolution, ConvolutionMethod, Direct, LowRank, PatchConvolution, Plan, PlanOptions};
+use common::{Constant, Execute, Scene, Waves, largest_difference, model_with, peak};
+use conv_core::{BasisConvolution, ConvolutionMethod, Direct, LowRank, PatchConvolution, PlanOptions};
 use ndarray::{Array2, Array3, s};
 use proptest::prelude::*;
 use psf_types::{
-    Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfBasis, PsfModel, Scene,
-    StampGrid,
+    Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfBasis, PsfModel, StampGrid,
 };
 
 /// Transforms and sums of a few thousand values in double precision, relative to the peak.
@@ -37,8 +36,8 @@ fn methods(anchor: Anchor) -> Vec<(&'static str, Box<dyn ConvolutionMethod<f64>>
 }
 
 fn convolved(method: &dyn ConvolutionMethod<f64>, model: &PsfModel, light: &Array2<f64>) -> Array2<f64> {
-    let scene = Scene::from_image(Image::new(light.clone()).unwrap());
-    method.convolve(model, &scene).unwrap().into_pixels()
+    let scene = Scene::new(light.clone());
+    scene.through(model, method).unwrap().into_pixels()
 }
 
 /// Light of up to 30 x 30 pixels, some of it dark, some bright.
@@ -145,17 +144,17 @@ proptest! {
     fn scalar_products_are_the_same_on_both_sides(light in light(-1.0), seed in 0_u64..1000) {
         let model = model_with(Arc::new(Waves), STAMP, CENTRE, true, Normalisation::Unit);
         let (ny, nx) = light.dim();
-        let scene = Scene::from_image(Image::new(light.clone()).unwrap());
+        let scene = Scene::new(light.clone());
         let seen = Image::new(common::noise(ny, nx, seed)).unwrap();
         for anchor in ANCHORS {
             let mut pairs = Vec::new();
             for tolerance in [0.0, 1e-3] {
                 let options = PlanOptions::new(tolerance).unwrap().with_anchor(anchor);
-                let plan = Plan::for_scene(&model, &scene, options).unwrap();
-                pairs.push((plan.execute(&scene).unwrap(), plan.adjoint(&seen).unwrap()));
+                let engine = scene.engine(&model, options);
+                pairs.push((engine.execute(&scene).unwrap(), engine.adjoint(&seen).unwrap()));
             }
             let basis = BasisConvolution::new(anchor);
-            pairs.push((basis.convolve(&model, &scene).unwrap(), basis.adjoint(&model, &seen, &scene).unwrap()));
+            pairs.push((scene.through(&model, &basis).unwrap(), basis.adjoint(&model, &seen.view(), scene.shape(), scene.frame).unwrap()));
             for (image, back) in pairs {
                 let forward = (&image.pixels() * &seen.pixels()).sum();
                 let backward = (&light * &back.pixels()).sum();

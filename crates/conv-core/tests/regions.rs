@@ -6,12 +6,12 @@ mod common;
 use std::sync::Arc;
 
 use common::grid_field::GridField;
-use common::{ANCHORS, PATHS, Waves, model_with, noise, options, region};
-use conv_core::{ConvError, ConvReal, Plan, PlanOptions, RowStream, StarPlan};
+use common::{ANCHORS, Execute, PATHS, Scene, Waves, drawn, model_with, noise, options, region};
+use conv_core::{ConvError, ConvReal, Engine, Plan, PlanOptions, RowStream, StarPlan};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
     Anchor, FrameShape, Image, ImageView, NoProgress, Normalisation, PixelRegion, PointSource, Position,
-    PsfModel, Scene,
+    PsfModel,
 };
 
 /// Pieces against the whole, relative L2: rounding of f32 transforms.
@@ -94,16 +94,22 @@ fn slice_of<T>(whole: ArrayView2<'_, T>, part: PixelRegion) -> ArrayView2<'_, T>
     whole.slice_move(s![y..y + part.shape().ny(), x..x + part.shape().nx()])
 }
 
+/// An engine for another region of the same frame.
+fn other<T: ConvReal>(engine: &Engine<T>, region: PixelRegion) -> Engine<T> {
+    Engine::new(engine.plan().for_other_region(region, &NoProgress).unwrap())
+}
+
 /// The image of a region, from the light that reaches it and no other.
-fn image_of<T: ConvReal>(plan: &Plan<T>, light: &Image<T>) -> Array2<T> {
-    let cut = slice_of(light.pixels(), plan.light_region()).to_owned();
-    let mut image = plan.dark_image();
-    plan.add_light_to(
-        &ImageView::new(cut.view()).unwrap(),
-        image.view_mut(),
-        &NoProgress,
-    )
-    .unwrap();
+fn image_of<T: ConvReal>(engine: &Engine<T>, light: &Image<T>) -> Array2<T> {
+    let cut = slice_of(light.pixels(), engine.plan().light_region()).to_owned();
+    let mut image = engine.plan().zeros();
+    engine
+        .convolve_into(
+            &ImageView::new(cut.view()).unwrap(),
+            image.view_mut(),
+            &NoProgress,
+        )
+        .unwrap();
     image
 }
 
@@ -117,30 +123,29 @@ fn relative_l2<T: ConvReal>(image: ArrayView2<'_, T>, truth: ArrayView2<'_, T>) 
 /// Plans of all pieces put together, forward and back, against the whole.
 fn compare<T: ConvReal>(
     case: &str,
-    whole: &Plan<T>,
+    whole: &Engine<T>,
     light: &Image<T>,
     regions: &[PixelRegion],
-    ((same, same_back), make): ((f64, f64), &dyn Fn(PixelRegion) -> Plan<T>),
+    ((same, same_back), make): ((f64, f64), &dyn Fn(PixelRegion) -> Engine<T>),
 ) {
-    let scene = Scene::from_image(light.clone())
-        .with_frame(whole.frame())
-        .unwrap();
+    let scene = Scene::new(light.pixels().to_owned()).with_frame(whole.plan().frame());
     let truth = whole.execute(&scene).unwrap();
     let seen = of_precision::<T>(&Image::new(noise(truth.shape().ny(), truth.shape().nx(), 31)).unwrap());
     let back = whole.adjoint(&seen).unwrap();
     let mut image = Array2::from_elem(truth.pixels().dim(), T::nan());
     let mut sum = Array2::zeros(back.pixels().dim());
     for &part in regions {
-        let plan = make(part);
-        assert_eq!(plan.region(), part);
-        let made = image_of(&plan, light);
+        let engine = make(part);
+        assert_eq!(engine.plan().region(), part);
+        let made = image_of(&engine, light);
         let (x, y) = (part.x0() as usize, part.y0() as usize);
         image
             .slice_mut(s![y..y + made.nrows(), x..x + made.ncols()])
             .assign(&made);
         // The transpose of the whole is the sum of those of its parts.
         let cut = slice_of(seen.pixels(), part);
-        plan.add_adjoint_to(&ImageView::new(cut).unwrap(), sum.view_mut(), &NoProgress)
+        engine
+            .adjoint_into(&ImageView::new(cut).unwrap(), sum.view_mut(), &NoProgress)
             .unwrap();
     }
     let error = relative_l2(image.view(), truth.pixels());
@@ -158,8 +163,8 @@ fn pieces_put_together_are_the_whole() {
                     let options = options(tolerance, anchor, PATHS[(n + m) % 2]);
                     let (nx, ny) = SCENE;
                     let shape = FrameShape::new(nx, ny).unwrap();
-                    let whole = Plan::<f64>::new(&model, shape, frame, options).unwrap();
-                    let single = Plan::<f32>::new(&model, shape, frame, options).unwrap();
+                    let whole = Engine::new(Plan::<f64>::new(&model, shape, frame, options).unwrap());
+                    let single = Engine::new(Plan::<f32>::new(&model, shape, frame, options).unwrap());
                     for (across, up) in [(1, 1), (2, 2), (5, 7)] {
                         let regions = pieces(frame.shape(), across, up);
                         for full in [true, false] {
@@ -167,10 +172,10 @@ fn pieces_put_together_are_the_whole() {
                                 "{name} {anchor} {tolerance} {across} x {up}, full {full}, {frame:?}"
                             );
                             let light = light(full);
-                            let make = |part| whole.for_other_region(part, &NoProgress).unwrap();
+                            let make = |part| other(&whole, part);
                             compare(&case, &whole, &light, &regions, (F64, &make));
                             let light = of_precision(&light);
-                            let make = |part| single.for_other_region(part, &NoProgress).unwrap();
+                            let make = |part| other(&single, part);
                             compare(&case, &single, &light, &regions, (F32, &make));
                         }
                     }
@@ -187,9 +192,11 @@ fn a_region_chooses_the_tiles_of_the_whole() {
     for (name, model) in models() {
         for anchor in ANCHORS {
             let options = options(1e-3, anchor, PATHS[0]);
-            let whole = Plan::<f64>::new(&model, shape, frame, options).unwrap();
+            let whole = Engine::new(Plan::<f64>::new(&model, shape, frame, options).unwrap());
             let regions = pieces(frame.shape(), 2, 3);
-            let make = |part| Plan::for_region(&model, shape, frame, part, options).unwrap();
+            let make = |part| {
+                Engine::new(Plan::for_region(&model, shape, frame, part, options, &NoProgress).unwrap())
+            };
             compare(
                 &format!("{name} {anchor}"),
                 &whole,
@@ -198,17 +205,18 @@ fn a_region_chooses_the_tiles_of_the_whole() {
                 (F64, &make),
             );
             for part in regions {
-                let (chosen, taken) = (make(part), whole.for_other_region(part, &NoProgress).unwrap());
-                assert_eq!(chosen.summary(), taken.summary());
-                assert_eq!(chosen.summary().transform, whole.summary().transform);
+                let (chosen, taken) = (make(part), other(&whole, part));
+                assert_eq!(chosen.plan().summary(), taken.plan().summary());
+                assert_eq!(
+                    chosen.plan().summary().transform,
+                    whole.plan().summary().transform
+                );
                 assert_eq!(image_of(&chosen, &light(true)), image_of(&taken, &light(true)));
             }
             // The region that is everything is the plan itself, from whichever region it comes.
             let part = make(region(3, 4, 1, 1));
-            let again = part
-                .for_other_region(frame.shape().region(), &NoProgress)
-                .unwrap();
-            assert_eq!(again.summary(), whole.summary());
+            let again = other(&part, frame.shape().region());
+            assert_eq!(again.plan().summary(), whole.plan().summary());
             assert_eq!(image_of(&again, &light(true)), image_of(&whole, &light(true)));
         }
     }
@@ -221,10 +229,12 @@ fn single_pixels_and_thin_regions_anywhere() {
         for frame in frames() {
             let (nx, ny) = (frame.shape().nx() as i64, frame.shape().ny() as i64);
             for anchor in ANCHORS {
-                let plan = Plan::<f64>::new(&model, shape, frame, options(1e-3, anchor, PATHS[0])).unwrap();
+                let engine = Engine::new(
+                    Plan::<f64>::new(&model, shape, frame, options(1e-3, anchor, PATHS[0])).unwrap(),
+                );
                 let light = light(true);
-                let scene = Scene::from_image(light.clone()).with_frame(frame).unwrap();
-                let truth = plan.execute(&scene).unwrap();
+                let scene = Scene::new(light.pixels().to_owned()).with_frame(frame);
+                let truth = engine.execute(&scene).unwrap();
                 for part in [
                     region(0, 0, 1, 1),
                     region(nx - 1, 0, 1, 1),
@@ -237,12 +247,12 @@ fn single_pixels_and_thin_regions_anywhere() {
                     region(11, ny - 3, 97, 3),
                 ] {
                     let case = format!("{name} {anchor} {part:?} of {frame:?}");
-                    let plan = plan.for_other_region(part, &NoProgress).unwrap();
-                    let error = relative_l2(image_of(&plan, &light).view(), slice_of(truth.pixels(), part));
+                    let engine = other(&engine, part);
+                    let error = relative_l2(image_of(&engine, &light).view(), slice_of(truth.pixels(), part));
                     assert!(error <= SAME_F64, "{case}: {error:e}");
                     // Light of the whole scene does as well, and so does the scene itself.
-                    let image = plan.execute(&scene).unwrap();
-                    assert_eq!(image.pixels(), image_of(&plan, &light), "{case}");
+                    let image = engine.execute(&scene).unwrap();
+                    assert_eq!(image.pixels(), image_of(&engine, &light), "{case}");
                 }
             }
         }
@@ -257,21 +267,24 @@ fn a_region_has_its_own_adjoint() {
     for (name, model) in models() {
         for anchor in ANCHORS {
             let options = options(1e-2, anchor, PATHS[0]);
-            let plan = Plan::<f64>::for_region(&model, shape, frame, part, options).unwrap();
+            let engine = Engine::new(
+                Plan::<f64>::for_region(&model, shape, frame, part, options, &NoProgress).unwrap(),
+            );
             let light = light(true);
             let seen = Image::new(noise(47, 53, 3)).unwrap();
-            let image = image_of(&plan, &light);
-            let back = plan.adjoint(&seen).unwrap();
+            let image = image_of(&engine, &light);
+            let back = engine.adjoint(&seen).unwrap();
             assert_eq!(back.shape(), shape);
             let left = (&image * &seen.pixels()).sum();
             let right = (&light.pixels() * &back.pixels()).sum();
             let norm = |a: ArrayView2<'_, f64>| a.iter().map(|v| v * v).sum::<f64>().sqrt();
             let scale = norm(image.view()) * norm(seen.pixels());
             assert!((left - right).abs() <= ROUNDING_F64 * scale, "{name} {anchor}");
-            let mut plane = Array2::zeros(slice_of(back.pixels(), plan.light_region()).dim());
-            plan.add_adjoint_to(&seen.view(), plane.view_mut(), &NoProgress)
+            let mut plane = Array2::zeros(slice_of(back.pixels(), engine.plan().light_region()).dim());
+            engine
+                .adjoint_into(&seen.view(), plane.view_mut(), &NoProgress)
                 .unwrap();
-            assert_eq!(plane, slice_of(back.pixels(), plan.light_region()));
+            assert_eq!(plane, slice_of(back.pixels(), engine.plan().light_region()));
             let outside = norm(back.pixels()).powi(2) - norm(plane.view()).powi(2);
             assert!(outside.abs() <= 1e-12 * norm(plane.view()).powi(2));
         }
@@ -303,29 +316,29 @@ impl RowStream<f64> for Rows<'_> {
 }
 
 #[test]
-fn a_region_streams_its_rows_with_their_stars() {
+fn a_region_streams_its_rows_and_draws_its_stars() {
     let (frame, part) = (frames()[1], region(40, 31, 53, 47));
     let star = |i: usize| {
         let (x, y) = ((i * 37 % SCENE.0) as f64 + 0.3, (i * 53 % SCENE.1) as f64 - 0.1);
         PointSource::new(Position::new(x, y).unwrap(), 1.0 + i as f64).unwrap()
     };
-    let scene = Scene::from_image(light(true))
-        .with_frame(frame)
-        .unwrap()
-        .with_sources((0..60).map(star).collect());
+    let scene = Scene::new(light(true).into_pixels()).with_frame(frame);
+    let sources: Vec<PointSource> = (0..60).map(star).collect();
     for (name, model) in models() {
         for anchor in ANCHORS {
             let options = options(1e-2, anchor, PATHS[0]);
-            let plan = Plan::for_region(&model, scene.shape(), frame, part, options).unwrap();
-            let image = plan.execute(&scene).unwrap();
+            let engine = Engine::new(
+                Plan::for_region(&model, scene.shape(), frame, part, options, &NoProgress).unwrap(),
+            );
+            let image = engine.execute(&scene).unwrap();
             let mut rows = Rows {
-                light: scene.pixels().unwrap(),
+                light: scene.pixels(),
                 read: Vec::new(),
                 written: Vec::new(),
             };
-            plan.stream(&scene, None, &mut rows, &NoProgress).unwrap();
+            engine.stream(&mut rows, &NoProgress).unwrap();
             assert!(image.pixels().iter().eq(&rows.written), "{name} {anchor}");
-            let reach = plan.light_region();
+            let reach = engine.plan().light_region();
             let (first, last) = (reach.y0() as usize, reach.y0() as usize + reach.shape().ny() - 1);
             assert!(
                 rows.read.iter().all(|row| (first..=last).contains(row)),
@@ -333,12 +346,11 @@ fn a_region_streams_its_rows_with_their_stars() {
             );
 
             // Stars of the region are those of the whole, byte by byte.
-            let stars = StarPlan::new(&model, options, None).unwrap();
-            let mut whole = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
-            stars.add_to(&scene, &mut whole).unwrap();
+            let stars = StarPlan::<f64>::new(&model, options, None).unwrap();
+            let whole = drawn(&stars, &sources, frame);
             let mut of_part = Array2::zeros((47, 53));
             stars
-                .add_to_region(&scene, part, of_part.view_mut(), &NoProgress)
+                .draw_into(&sources, frame, part, of_part.view_mut(), &NoProgress)
                 .unwrap();
             assert_eq!(of_part, slice_of(whole.view(), part), "{name} {anchor}");
         }
@@ -358,21 +370,23 @@ fn regions_lie_within_the_frame() {
         region(i64::MAX, 0, 1, 1),
         region(0, i64::MIN, 1, 1),
     ] {
-        let refused = Plan::<f64>::for_region(&model, shape, frame, bad, options);
+        let refused = Plan::<f64>::for_region(&model, shape, frame, bad, options, &NoProgress);
         assert!(
             matches!(refused, Err(ConvError::RegionOutsideFrame { .. })),
             "{bad:?}"
         );
     }
-    let plan = Plan::<f64>::for_region(&model, shape, frame, region(5, 6, 20, 10), options).unwrap();
+    let engine = Engine::new(
+        Plan::<f64>::for_region(&model, shape, frame, region(5, 6, 20, 10), options, &NoProgress).unwrap(),
+    );
     let wrong = light(true);
     let mut image = Array2::zeros((127, 151));
-    let refused = plan.add_light_to(&wrong.view(), image.view_mut(), &NoProgress);
+    let refused = engine.convolve_into(&wrong.view(), image.view_mut(), &NoProgress);
     assert!(
         matches!(refused, Err(ConvError::FrameShape { .. })),
         "{refused:?}"
     );
-    let text = plan.summary().to_string();
+    let text = engine.plan().summary().to_string();
     assert!(
         text.starts_with("20 x 10 at (5, 6) of 151 x 127 pixels in f64"),
         "{text}"

@@ -5,12 +5,12 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{Waves, largest_difference, peak, region};
+use common::{Waves, drawn, largest_difference, peak, region};
 use conv_core::{ConvReal, PlanOptions, StarPainter, StarPlan};
 use ndarray::{Array2, Array3};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, FrameShape, Normalisation, PointSource, Position, PsfBasis,
-    PsfModel, Scene, StampGrid, StampInterpolation,
+    Anchor, CoefficientField, FieldError, NoProgress, Normalisation, PixelRegion, PointSource, Position,
+    PsfBasis, PsfModel, StampGrid, StampInterpolation,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -59,42 +59,39 @@ fn stars(count: usize) -> Vec<PointSource> {
     stars
 }
 
-fn scene<T: ConvReal>(stars: Vec<PointSource>) -> Scene<T> {
-    Scene::dark(FrameShape::new(FRAME.0, FRAME.1).unwrap()).with_sources(stars)
+fn frame() -> PixelRegion {
+    region(0, 0, FRAME.0, FRAME.1)
 }
 
 fn planned<T: ConvReal>(
     model: &PsfModel,
-    scene: &Scene<T>,
+    stars: &[PointSource],
     options: PlanOptions,
     size: Option<usize>,
 ) -> Array2<f64> {
-    let shape = scene.frame().shape();
-    let mut image = Array2::<T>::zeros((shape.ny(), shape.nx()));
-    StarPlan::new(model, options, size)
-        .unwrap()
-        .add_to(scene, &mut image)
-        .unwrap();
-    image.mapv(T::as_f64)
+    let plan = StarPlan::<T>::new(model, options, size).unwrap();
+    drawn(&plan, stars, frame()).mapv(T::as_f64)
 }
 
-fn painted<T: ConvReal>(
+fn painted(
     model: &PsfModel,
-    scene: &Scene<T>,
+    stars: &[PointSource],
+    frame: PixelRegion,
     anchor: Anchor,
     size: Option<usize>,
 ) -> Array2<f64> {
-    let shape = scene.frame().shape();
-    let mut image = Array2::<f64>::zeros((shape.ny(), shape.nx()));
-    let painter = StarPainter::new(model, scene.frame(), anchor, size).unwrap();
-    painter.add_to(scene.sources(), &mut image).unwrap();
+    let mut image = Array2::<f64>::zeros((frame.shape().ny(), frame.shape().nx()));
+    let painter = StarPainter::new(model, frame, anchor, size).unwrap();
+    painter
+        .draw_into(stars, frame.shape().region(), image.view_mut(), &NoProgress)
+        .unwrap();
     image
 }
 
 /// Every sampling, kernel, centre and cut: without a tolerance, the same but for rounding.
 #[test]
 fn a_plan_draws_what_the_painter_draws() {
-    let scene = scene::<f64>(stars(300));
+    let stars = stars(300);
     let exact = PlanOptions::new(0.0).unwrap();
     {
         let model = model(Normalisation::Keep);
@@ -108,8 +105,8 @@ fn a_plan_draws_what_the_painter_draws() {
             ] {
                 let model = resampled(&model, oversampling, centre, kernel);
                 for size in [None, Some(5), Some(4), Some(60)] {
-                    let reference = painted(&model, &scene, Anchor::Source, size);
-                    let image = planned(&model, &scene, exact, size);
+                    let reference = painted(&model, &stars, frame(), Anchor::Source, size);
+                    let image = planned::<f64>(&model, &stars, exact, size);
                     let largest = largest_difference(&image, &reference) / peak(&reference);
                     assert!(largest < SAME, "{kernel} {oversampling} {size:?}: {largest}");
                     assert!(peak(&reference) > 0.1, "the test must see stars");
@@ -146,11 +143,11 @@ fn scaling_and_means_are_kept() {
     let components: Array3<f64> = (component / norm).insert_axis(ndarray::Axis(0));
     let grid = StampGrid::new(17, 17).unwrap().with_oversampling(2.0).unwrap();
     let basis = PsfBasis::new(Some(mean), components, grid).unwrap();
-    let scene = scene::<f64>(stars(100));
+    let stars = stars(100);
     for normalisation in [Normalisation::Unit, Normalisation::Keep] {
         let model = PsfModel::new(&basis, Arc::new(One(positive)), normalisation, None).unwrap();
-        let reference = painted(&model, &scene, Anchor::Source, None);
-        let image = planned(&model, &scene, PlanOptions::new(0.0).unwrap(), None);
+        let reference = painted(&model, &stars, frame(), Anchor::Source, None);
+        let image = planned::<f64>(&model, &stars, PlanOptions::new(0.0).unwrap(), None);
         assert!(largest_difference(&image, &reference) < SAME * peak(&reference));
     }
 }
@@ -167,10 +164,10 @@ fn every_star_is_within_the_tolerance() {
     for tolerance in [0.3, 1e-1, 1e-2] {
         let mut largest = 0.0f64;
         for star in stars(40).into_iter().filter(|s| s.flux() != 0.0) {
-            let scene = scene::<f64>(vec![star]);
+            let options = PlanOptions::new(tolerance).unwrap();
             let (a, b) = (
-                planned(&model, &scene, PlanOptions::new(tolerance).unwrap(), None),
-                painted(&model, &scene, Anchor::Source, None),
+                planned::<f64>(&model, &[star], options, None),
+                painted(&model, &[star], frame(), Anchor::Source, None),
             );
             let l2 = |v: &Array2<f64>| v.mapv(|v| v * v).sum().sqrt();
             if l2(&b) > 0.0 {
@@ -194,13 +191,8 @@ fn single_precision_is_rounding_off() {
         (11.0, 9.0),
         StampInterpolation::CubicSpline,
     );
-    let reference = painted(&model, &scene::<f64>(stars(200)), Anchor::Source, None);
-    let image = planned(
-        &model,
-        &scene::<f32>(stars(200)),
-        PlanOptions::new(0.0).unwrap(),
-        None,
-    );
+    let reference = painted(&model, &stars(200), frame(), Anchor::Source, None);
+    let image = planned::<f32>(&model, &stars(200), PlanOptions::new(0.0).unwrap(), None);
     let largest = largest_difference(&image, &reference) / peak(&reference);
     assert!(largest < 1e-6 && largest > 1e-10, "{largest}");
 }
@@ -214,12 +206,10 @@ fn frames_anchors_threads_and_repetition() {
         (11.0, 9.0),
         StampInterpolation::CubicSpline,
     );
-    let scene = scene::<f64>(stars(300))
-        .with_frame(region(13, 7, 101, 64))
-        .unwrap();
+    let (stars, frame) = (stars(300), region(13, 7, 101, 64));
     for anchor in [Anchor::Source, Anchor::Output] {
         let options = PlanOptions::new(0.0).unwrap().with_anchor(anchor);
-        let reference = painted(&model, &scene, anchor, None);
+        let reference = painted(&model, &stars, frame, anchor, None);
         let plan = StarPlan::new(&model, options, None).unwrap();
         let mut first = None;
         for threads in [1, 2, 5] {
@@ -227,8 +217,7 @@ fn frames_anchors_threads_and_repetition() {
                 .num_threads(threads)
                 .build()
                 .unwrap();
-            let mut image = Array2::<f64>::zeros((64, 101));
-            pool.install(|| plan.add_to(&scene, &mut image)).unwrap();
+            let image = pool.install(|| drawn(&plan, &stars, frame));
             assert!(
                 largest_difference(&image, &reference) < SAME * peak(&reference),
                 "{anchor}"
@@ -262,9 +251,9 @@ fn a_star_without_a_psf_is_an_error() {
     let whole = common::model_with(Arc::new(Half), (9, 9), (4, 4), false, Normalisation::Keep);
     let star = |x: f64| vec![PointSource::new(Position::new(x, 40.3).unwrap(), 1.0).unwrap()];
     let plan = StarPlan::<f64>::new(&whole, PlanOptions::default(), None).unwrap();
-    let mut image = Array2::zeros((FRAME.1, FRAME.0));
-    plan.add_to(&scene(star(70.2)), &mut image).unwrap();
-    let reference = painted(&whole, &scene::<f64>(star(70.2)), Anchor::Source, None);
+    let mut image = drawn(&plan, &star(70.2), frame());
+    let reference = painted(&whole, &star(70.2), frame(), Anchor::Source, None);
     assert!(largest_difference(&image, &reference) < 1e-3 * peak(&reference));
-    assert!(plan.add_to(&scene(star(70.3)), &mut image).is_err());
+    let refused = plan.draw_into(&star(70.3), frame(), frame(), image.view_mut(), &NoProgress);
+    assert!(refused.is_err());
 }

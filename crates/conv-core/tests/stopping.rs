@@ -5,15 +5,13 @@ mod common;
 
 use std::sync::Arc;
 
-use common::{ANCHORS, Patience, Waves, model_with, noise};
+use common::{ANCHORS, Execute, Patience, Scene, Waves, model_with, noise};
 use conv_core::{
-    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, Plan,
-    PlanOptions, StarPlan,
+    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, PlanOptions,
+    StarPlan,
 };
 use ndarray::Array2;
-use psf_types::{
-    FrameShape, Image, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid,
-};
+use psf_types::{Normalisation, PointSource, Position, PsfBasis, PsfModel, StampGrid};
 use rayon::ThreadPoolBuilder;
 
 const FRAME: (usize, usize) = (230, 190);
@@ -22,8 +20,8 @@ fn model() -> PsfModel {
     model_with(Arc::new(Waves), (9, 7), (4, 3), true, Normalisation::Unit)
 }
 
-fn light() -> Image<f64> {
-    Image::new(noise(FRAME.1, FRAME.0, 3)).unwrap()
+fn scene() -> Scene<f64> {
+    Scene::new(noise(FRAME.1, FRAME.0, 3))
 }
 
 fn sources(count: usize) -> Vec<PointSource> {
@@ -69,27 +67,26 @@ const BLOCKS: usize = 100;
 
 #[test]
 fn a_plan_stops_soon_and_serves_again() {
-    let light = light();
+    let scene = scene();
     for anchor in ANCHORS {
         for paths in [Paths::Cheapest, Paths::Transforms] {
             let options = PlanOptions::new(1e-3)
                 .unwrap()
                 .with_anchor(anchor)
                 .with_paths(paths);
-            let scene = Scene::from_image(light.clone());
-            let plan = Plan::for_scene(&model(), &scene, options).unwrap();
-            let tiles = plan.summary().tiles;
-            let before = plan.execute(&scene).unwrap();
-            let back = plan.adjoint(&before).unwrap();
+            let engine = scene.engine(&model(), options);
+            let tiles = engine.plan().summary().tiles;
+            let before = engine.execute(&scene).unwrap();
+            let back = engine.adjoint(&before).unwrap();
             stops("forward", (tiles, BLOCKS), |patience| {
-                let mut image = plan.dark_image();
-                plan.add_light_to(&light.view(), image.view_mut(), patience)
+                let mut image = engine.plan().zeros();
+                engine.convolve_into(&scene.light.view(), image.view_mut(), patience)
             });
             stops("adjoint", (tiles, BLOCKS), |patience| {
-                plan.adjoint_with_progress(&before.view(), patience)
+                engine.adjoint_of(&before.view(), patience)
             });
-            assert_eq!(plan.execute(&scene).unwrap(), before);
-            assert_eq!(plan.adjoint(&before).unwrap(), back);
+            assert_eq!(engine.execute(&scene).unwrap(), before);
+            assert_eq!(engine.adjoint(&before).unwrap(), back);
         }
     }
 }
@@ -104,21 +101,17 @@ fn stars_stop_soon_and_are_drawn_again() {
         let basis = PsfBasis::new(None, model.stamps().to_owned(), grid).unwrap();
         PsfModel::new(&basis, Arc::new(Waves), Normalisation::Keep, None).unwrap()
     };
-    let frame = FrameShape::new(FRAME.0, FRAME.1).unwrap();
-    let scene = Scene::<f64>::dark(frame).with_sources(sources(5000));
+    let (frame, stars) = (scene().frame, sources(5000));
     for (name, model) in [("fine", fine), ("exactly", model())] {
         for anchor in ANCHORS {
             let plan =
-                StarPlan::new(&model, PlanOptions::new(1e-3).unwrap().with_anchor(anchor), None).unwrap();
-            let drawn = || {
-                let mut image = Array2::zeros((FRAME.1, FRAME.0));
-                plan.add_to(&scene, &mut image).unwrap();
-                image
-            };
+                StarPlan::<f64>::new(&model, PlanOptions::new(1e-3).unwrap().with_anchor(anchor), None)
+                    .unwrap();
+            let drawn = || common::drawn(&plan, &stars, frame);
             let before = drawn();
             stops(name, (5, 40), |patience| {
                 let mut image = Array2::zeros((FRAME.1, FRAME.0));
-                plan.add_to_region(&scene, frame.region(), image.view_mut(), patience)
+                plan.draw_into(&stars, frame, frame, image.view_mut(), patience)
             });
             assert_eq!(drawn(), before);
         }
@@ -127,7 +120,7 @@ fn stars_stop_soon_and_are_drawn_again() {
 
 #[test]
 fn every_method_stops() {
-    let scene = Scene::from_image(light()).with_sources(sources(100));
+    let scene = scene();
     let model = model();
     for anchor in ANCHORS {
         let options = PlanOptions::new(1e-3).unwrap().with_anchor(anchor);
@@ -140,13 +133,13 @@ fn every_method_stops() {
         for (name, method) in methods {
             // Columns of a plane are skipped one by one: each asks.
             stops(name, (4, 600), |patience| {
-                method.convolve_with_progress(&model, &scene, patience)
+                method.convolve(&model, &scene.light.view(), scene.frame, patience)
             });
         }
         let pixels: Vec<(usize, usize)> = (0..90).map(|i| (2 * i, i)).collect();
         stops("single pixels", (90, 90), |patience| {
-            let light = scene.pixels().map(|light| (light, (0, 0)));
-            Direct::new(anchor).at_pixels_of_part(&model, &scene, light, &pixels, patience)
+            let light = (scene.pixels(), (0, 0));
+            Direct::new(anchor).at_pixels(&model, light, scene.shape(), scene.frame, &pixels, patience)
         });
     }
 }

@@ -1,8 +1,8 @@
 //! The cost of an exposure, step by step.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
-use detector::{Detector, DetectorParams, PhotonNoise};
 use ndarray::Array2;
+use psf_detector::{Detector, DetectorParams, PhotonNoise};
 use psf_types::Image;
 
 const SIZE: usize = 1024;
@@ -41,7 +41,7 @@ fn exposures(criterion: &mut Criterion) {
                 gain_e_per_adu: Some(1.5),
                 bias_adu: Some(300.0),
                 bits: Some(16),
-                bad_pixels: detector::BadPixelParams {
+                bad_pixels: psf_detector::BadPixelParams {
                     dead_fraction: 1e-3,
                     ..Default::default()
                 },

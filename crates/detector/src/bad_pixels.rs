@@ -1,82 +1,114 @@
-//! Bad pixels drawn at random.
+//! Pixels that do not work as the others: their flags, masks that the caller knows, and those drawn
+//! at random.
 
+use ndarray::{Array2, ArrayView2};
+use psf_types::{FrameShape, Real};
 use rand::RngExt;
 
-use crate::error::{at_least_zero, require};
-use crate::noise_stream::{Step, noise_stream};
-use crate::{DetectorError, DetectorParams, PixelFlags};
+use crate::noise::{Step, noise_stream};
+use crate::{DetectorError, DetectorParams};
 
-/// Dead and hot pixels and bad columns, each with its chance. They belong to the sensor and are the same in every exposure.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct BadPixels {
-    dead: f64,
-    dead_or_hot: f64,
-    column: f64,
-    seed: u64,
-    /// Dark current of hot pixels, electrons a second.
-    pub(crate) hot_dark_e_per_s: f64,
+/// Flags of a pixel, as sums of these numbers in a `u8`: the values of quality images and of bad-pixel masks.
+#[derive(Debug, Clone, Copy)]
+pub struct PixelFlags;
+
+impl PixelFlags {
+    /// The pixel never holds charge.
+    pub const DEAD: u8 = 1;
+    /// The pixel has a dark current of its own.
+    pub const HOT: u8 = 2;
+    /// The pixel's column holds no charge.
+    pub const BAD_COLUMN: u8 = 4;
+    /// The pixel is at its full well or at the upper end of the converter. Of an exposure, not of the sensor.
+    pub const SATURATED: u8 = 8;
+    /// What belongs to the sensor.
+    pub const BAD: u8 = Self::DEAD | Self::HOT | Self::BAD_COLUMN;
+    /// All there are.
+    pub const ALL: u8 = Self::BAD | Self::SATURATED;
+    /// Without charge.
+    pub(crate) const NO_CHARGE: u8 = Self::DEAD | Self::BAD_COLUMN;
 }
 
-impl BadPixels {
-    pub(crate) fn new(params: &DetectorParams) -> Result<Self, DetectorError> {
-        let bad = params.bad_pixels;
-        let fraction = |key, value| require(key, "a number from 0 to 1", value, |v| (0.0..=1.0).contains(&v));
-        let dead = fraction("bad_pixels.dead_fraction", bad.dead_fraction)?;
-        let hot = fraction("bad_pixels.hot_fraction", bad.hot_fraction)?;
-        require(
-            "bad_pixels.hot_fraction",
-            "at most 1 with bad_pixels.dead_fraction",
-            hot,
-            |hot| dead + hot <= 1.0,
-        )?;
-        let hot_dark_e_per_s = at_least_zero("bad_pixels.hot_dark_e_per_s", bad.hot_dark_e_per_s)?;
-        if hot > 0.0 && hot_dark_e_per_s == 0.0 {
-            return Err(DetectorError::Needs {
-                key: "bad_pixels.hot_fraction",
-                other: "bad_pixels.hot_dark_e_per_s",
-            });
+/// A mask `[y, x]` of bad pixels: sums of [`PixelFlags`], 0 for good ones.
+///
+/// ```
+/// use psf_detector::{BadPixelMask, PixelFlags};
+/// use ndarray::array;
+/// let mask = BadPixelMask::new(array![[0.0_f32, 1.0], [6.0, 0.0]].view())?;
+/// assert_eq!(mask.flags()[[1, 0]], PixelFlags::HOT | PixelFlags::BAD_COLUMN);
+/// assert!(BadPixelMask::new(array![[0.5_f32]].view()).is_err());
+/// # Ok::<(), psf_detector::DetectorError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BadPixelMask {
+    flags: Array2<u8>,
+    shape: FrameShape,
+}
+
+impl BadPixelMask {
+    /// A mask from the values of an image. [`PixelFlags::SATURATED`] is of an exposure, not of the sensor, and is left out.
+    ///
+    /// # Errors
+    /// [`DetectorError::MaskValue`] for the first value that is no sum of flags, [`DetectorError::Data`] for a mask without pixels.
+    pub fn new<T: Real>(values: ArrayView2<'_, T>) -> Result<Self, DetectorError> {
+        let (ny, nx) = values.dim();
+        let shape = FrameShape::new(nx, ny)?;
+        let mut flags = Array2::zeros((ny, nx));
+        for (((y, x), value), flag) in values.indexed_iter().zip(&mut flags) {
+            let value = value.as_f64();
+            if !((0.0..=f64::from(PixelFlags::ALL)).contains(&value) && value.fract() == 0.0) {
+                return Err(DetectorError::MaskValue { index: [y, x], value });
+            }
+            *flag = value as u8 & PixelFlags::BAD;
         }
-        if hot_dark_e_per_s > 0.0 && params.exposure_s.is_none() {
-            return Err(DetectorError::Needs {
-                key: "bad_pixels.hot_dark_e_per_s",
-                other: "exposure_s",
-            });
-        }
-        Ok(Self {
-            dead,
-            dead_or_hot: dead + hot,
-            column: fraction("bad_pixels.bad_column_fraction", bad.bad_column_fraction)?,
-            seed: params.pattern_seed,
-            hot_dark_e_per_s,
-        })
+        Ok(Self { flags, shape })
     }
 
-    /// The flags that a frame's columns give to all their pixels.
-    pub(crate) fn columns(&self, nx: usize) -> Vec<u8> {
-        let mut rng = noise_stream(self.seed, Step::BadColumns, 0);
-        let mut flag = || {
-            if rng.random::<f64>() < self.column {
-                PixelFlags::BAD_COLUMN
-            } else {
-                0
-            }
-        };
-        (0..nx).map(|_| flag()).collect()
+    /// The flags `[y, x]`.
+    pub fn flags(&self) -> ArrayView2<'_, u8> {
+        self.flags.view()
     }
 
-    /// Adds the flags of single pixels of a row.
-    pub(crate) fn mark(&self, row: usize, flags: &mut [u8]) {
-        if self.dead_or_hot == 0.0 {
-            return;
+    /// Columns and rows.
+    pub fn shape(&self) -> FrameShape {
+        self.shape
+    }
+
+    /// Whether a pixel is hot.
+    pub(crate) fn has_hot(&self) -> bool {
+        self.flags.iter().any(|flag| flag & PixelFlags::HOT != 0)
+    }
+}
+
+/// The flags that a frame's columns give to all their pixels. They belong to the sensor and are the
+/// same in every exposure.
+pub(crate) fn bad_columns(params: &DetectorParams, nx: usize) -> Vec<u8> {
+    let mut rng = noise_stream(params.pattern_seed, Step::BadColumns, 0);
+    let mut flag = || {
+        if rng.random::<f64>() < params.bad_pixels.bad_column_fraction {
+            PixelFlags::BAD_COLUMN
+        } else {
+            0
         }
-        let mut rng = noise_stream(self.seed, Step::BadPixels, row);
-        for flag in flags {
-            let chance: f64 = rng.random();
-            if chance < self.dead {
-                *flag |= PixelFlags::DEAD;
-            } else if chance < self.dead_or_hot {
-                *flag |= PixelFlags::HOT;
-            }
+    };
+    (0..nx).map(|_| flag()).collect()
+}
+
+/// Adds the flags of single dead and hot pixels of a row, each with its chance. They belong to the
+/// sensor as well.
+pub(crate) fn mark_bad_pixels(params: &DetectorParams, row: usize, flags: &mut [u8]) {
+    let dead = params.bad_pixels.dead_fraction;
+    let dead_or_hot = dead + params.bad_pixels.hot_fraction;
+    if dead_or_hot == 0.0 {
+        return;
+    }
+    let mut rng = noise_stream(params.pattern_seed, Step::BadPixels, row);
+    for flag in flags {
+        let chance: f64 = rng.random();
+        if chance < dead {
+            *flag |= PixelFlags::DEAD;
+        } else if chance < dead_or_hot {
+            *flag |= PixelFlags::HOT;
         }
     }
 }

@@ -1,23 +1,163 @@
-//! The detector.
+//! A detector: its description, as a TOML file or code gives it, and the check of it.
 
 use std::path::Path;
 
-use psf_types::{FrameShape, Image, Real};
+use serde::{Deserialize, Serialize};
 
-use crate::amplifier::Amplifier;
-use crate::bad_pixels::BadPixels;
-use crate::converter::Converter;
-use crate::error::{above_zero, at_least_zero};
-use crate::full_well::FullWell;
-use crate::pixel_response::PixelResponse;
-use crate::read_noise::ReadNoise;
-use crate::sky::Sky;
-use crate::{CountUnit, DetectorError, DetectorParams, Exposer, Exposure};
+use crate::DetectorError;
+use crate::error::{above_zero, at_least_zero, require};
+
+/// Everything that describes a detector and an exposure, with the keys of the TOML file. Nothing is checked here:
+/// [`Detector::new`] does it, in one place, for files and for code alike.
+///
+/// All keys may be left out; unknown keys are errors. The default is a perfect detector, which counts electrons without noise.
+/// The steps are in the [crate's table](crate#the-chain).
+///
+/// | key | unit, range | default |
+/// |---|---|---|
+/// | `name` | any text | empty |
+/// | `electrons_per_flux` | electrons in the exposure per unit of the image's flux, above 0 | 1 |
+/// | `exposure_s` | s, 0 and above | none |
+/// | `photon_noise` | `true` or `false` | `false` |
+/// | `sky_e` | electrons a pixel in the exposure, 0 and above | 0 |
+/// | `sky_gradient_e_per_px` | [`SkyGradient`] | none |
+/// | `dark_e_per_s` | electrons a pixel and second, 0 and above; needs `exposure_s` | 0 |
+/// | `response_rms` | relative, 0 to below 1 | 0 |
+/// | `full_well_e` | electrons, above 0 | none |
+/// | `read_noise_e` | electrons, standard deviation, 0 and above | 0 |
+/// | `gain_e_per_adu` | electrons per ADU, above 0 | 1 |
+/// | `bias_adu` | ADU | 0 |
+/// | `bits` | 1 to 24 | none: no digitisation |
+/// | `pattern_seed` | of the response and the bad pixels | 0 |
+/// | `bad_pixels` | [`BadPixelParams`] | none |
+///
+/// ```toml
+/// name = "survey CCD"
+/// exposure_s = 150.0
+/// photon_noise = true
+/// sky_e = 45.0
+/// dark_e_per_s = 0.02
+/// response_rms = 0.005
+/// full_well_e = 90000.0
+/// read_noise_e = 5.0
+/// gain_e_per_adu = 1.5
+/// bias_adu = 500.0
+/// bits = 16
+///
+/// [bad_pixels]
+/// dead_fraction = 1e-4
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DetectorParams {
+    /// A name for people.
+    pub name: String,
+    /// Electrons that one unit of the image's flux gives in the exposure.
+    pub electrons_per_flux: f64,
+    /// Exposure time in s; it scales the dark current, not the light.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub exposure_s: Option<f64>,
+    /// Whether charge is Poisson distributed about its expected value.
+    pub photon_noise: bool,
+    /// Sky in electrons a pixel, in the exposure; with a gradient: at the middle of the frame.
+    pub sky_e: f64,
+    /// How the sky changes over the frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sky_gradient_e_per_px: Option<SkyGradient>,
+    /// Dark current in electrons a pixel and second.
+    pub dark_e_per_s: f64,
+    /// Standard deviation of the pixels' response to light about 1 (pixel-response non-uniformity).
+    pub response_rms: f64,
+    /// The largest charge of a pixel in electrons.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub full_well_e: Option<f64>,
+    /// Standard deviation of the read noise in electrons.
+    pub read_noise_e: f64,
+    /// Electrons per ADU.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gain_e_per_adu: Option<f64>,
+    /// The level of no charge in ADU.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bias_adu: Option<f64>,
+    /// Bits of the converter: counts are whole numbers from 0 to `2^bits - 1`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub bits: Option<u32>,
+    /// Seed of what belongs to the sensor: its response and its bad pixels.
+    pub pattern_seed: u64,
+    /// Pixels that do not work as the others.
+    pub bad_pixels: BadPixelParams,
+}
+
+/// The slope of the sky, in electrons a pixel per pixel, about the middle of the frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SkyGradient {
+    /// Along a row.
+    pub x: f64,
+    /// Along a column.
+    pub y: f64,
+}
+
+/// How many pixels do not work as the others. Which ones follows from `pattern_seed` and the shape of the frame.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct BadPixelParams {
+    /// Chance of a pixel to hold no charge ever, 0 to 1.
+    pub dead_fraction: f64,
+    /// Chance of a pixel to have a dark current of its own, 0 to 1; not more than 1 with `dead_fraction`.
+    pub hot_fraction: f64,
+    /// Dark current of hot pixels in electrons a second, on top of that of all pixels; needs `exposure_s`.
+    pub hot_dark_e_per_s: f64,
+    /// Chance of a column to hold no charge, 0 to 1.
+    pub bad_column_fraction: f64,
+}
+
+impl Default for DetectorParams {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            electrons_per_flux: 1.0,
+            exposure_s: None,
+            photon_noise: false,
+            sky_e: 0.0,
+            sky_gradient_e_per_px: None,
+            dark_e_per_s: 0.0,
+            response_rms: 0.0,
+            full_well_e: None,
+            read_noise_e: 0.0,
+            gain_e_per_adu: None,
+            bias_adu: None,
+            bits: None,
+            pattern_seed: 0,
+            bad_pixels: BadPixelParams::default(),
+        }
+    }
+}
+
+/// The unit of counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CountUnit {
+    /// Electrons: no gain, bias or bits are given.
+    Electron,
+    /// Analogue-to-digital units.
+    Adu,
+}
+
+impl std::fmt::Display for CountUnit {
+    /// As FITS writes it: `electron` or `adu`.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Electron => "electron",
+            Self::Adu => "adu",
+        })
+    }
+}
 
 /// A detector that turns the light of an image into counts. See the [crate's page](crate) for the steps, their order and units.
 ///
 /// ```
-/// use detector::Detector;
+/// use psf_detector::Detector;
 /// use psf_types::{FrameShape, Image};
 /// let ccd = Detector::from_toml_str("
 ///     photon_noise = true
@@ -35,17 +175,14 @@ use crate::{CountUnit, DetectorError, DetectorParams, Exposer, Exposure};
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detector {
+    /// Checked: every step takes its settings from here.
     params: DetectorParams,
-    pub(crate) sky: Sky,
-    pub(crate) response: Option<PixelResponse>,
-    pub(crate) bad_pixels: BadPixels,
-    pub(crate) full_well: Option<FullWell>,
-    pub(crate) read_noise: Option<ReadNoise>,
-    pub(crate) amplifier: Amplifier,
-    pub(crate) converter: Option<Converter>,
 }
 
 impl Detector {
+    /// Every count is exact in single precision.
+    const MAX_BITS: u32 = f32::MANTISSA_DIGITS;
+
     /// A detector from its parameters. Checks all of them.
     ///
     /// # Errors
@@ -61,16 +198,60 @@ impl Detector {
                 other: "exposure_s",
             });
         }
-        Ok(Self {
-            sky: Sky::new(&params)?,
-            response: PixelResponse::new(&params)?,
-            bad_pixels: BadPixels::new(&params)?,
-            full_well: FullWell::new(&params)?,
-            read_noise: ReadNoise::new(&params)?,
-            amplifier: Amplifier::new(&params)?,
-            converter: Converter::new(&params)?,
-            params,
-        })
+        let finite = |key, value| require(key, "a finite number", value, |_| true);
+        let gradient = params.sky_gradient_e_per_px.unwrap_or_default();
+        finite("sky_gradient_e_per_px.x", gradient.x)?;
+        finite("sky_gradient_e_per_px.y", gradient.y)?;
+        at_least_zero("sky_e", params.sky_e)?;
+        require(
+            "response_rms",
+            "a number from 0 to below 1",
+            params.response_rms,
+            |v| (0.0..1.0).contains(&v),
+        )?;
+        Self::check_bad_pixels(&params)?;
+        if let Some(electrons) = params.full_well_e {
+            above_zero("full_well_e", electrons)?;
+        }
+        at_least_zero("read_noise_e", params.read_noise_e)?;
+        above_zero("gain_e_per_adu", params.gain_e_per_adu.unwrap_or(1.0))?;
+        finite("bias_adu", params.bias_adu.unwrap_or(0.0))?;
+        match params.bits {
+            Some(bits) if !(1..=Self::MAX_BITS).contains(&bits) => Err(DetectorError::Setting {
+                key: "bits",
+                allowed: "a whole number from 1 to 24",
+                got: f64::from(bits),
+            }),
+            _ => Ok(Self { params }),
+        }
+    }
+
+    fn check_bad_pixels(params: &DetectorParams) -> Result<(), DetectorError> {
+        let bad = params.bad_pixels;
+        let fraction = |key, value| require(key, "a number from 0 to 1", value, |v| (0.0..=1.0).contains(&v));
+        let dead = fraction("bad_pixels.dead_fraction", bad.dead_fraction)?;
+        let hot = fraction("bad_pixels.hot_fraction", bad.hot_fraction)?;
+        require(
+            "bad_pixels.hot_fraction",
+            "at most 1 with bad_pixels.dead_fraction",
+            hot,
+            |hot| dead + hot <= 1.0,
+        )?;
+        let hot_dark = at_least_zero("bad_pixels.hot_dark_e_per_s", bad.hot_dark_e_per_s)?;
+        if hot > 0.0 && hot_dark == 0.0 {
+            return Err(DetectorError::Needs {
+                key: "bad_pixels.hot_fraction",
+                other: "bad_pixels.hot_dark_e_per_s",
+            });
+        }
+        if hot_dark > 0.0 && params.exposure_s.is_none() {
+            return Err(DetectorError::Needs {
+                key: "bad_pixels.hot_dark_e_per_s",
+                other: "exposure_s",
+            });
+        }
+        fraction("bad_pixels.bad_column_fraction", bad.bad_column_fraction)?;
+        Ok(())
     }
 
     /// A detector from TOML text with the keys of [`DetectorParams`].
@@ -114,15 +295,24 @@ impl Detector {
 
     /// Electrons per unit of its counts.
     pub fn gain(&self) -> f64 {
-        self.amplifier.gain()
+        self.params.gain_e_per_adu.unwrap_or(1.0)
+    }
+
+    /// The counts that the amplifier makes of a charge, `electrons / gain + bias`.
+    pub(crate) fn counts(&self, electrons: f64) -> f64 {
+        electrons / self.gain() + self.params.bias_adu.unwrap_or(0.0)
+    }
+
+    /// The upper end of the converter.
+    pub(crate) fn highest_count(&self) -> Option<f64> {
+        self.params.bits.map(|bits| f64::from((1_u32 << bits) - 1))
     }
 
     /// The count at which a pixel is saturated, without read noise: that of the full well, or the upper end of the converter if that is
     /// lower; none where nothing limits it.
     pub fn saturation(&self) -> Option<f64> {
-        let full = self.full_well.map(|well| self.amplifier.counts(well.electrons));
-        let highest = self.converter.map(|converter| converter.highest);
-        match (full, highest) {
+        let full = self.params.full_well_e.map(|electrons| self.counts(electrons));
+        match (full, self.highest_count()) {
             (Some(full), Some(highest)) => Some(full.min(highest)),
             (full, highest) => full.or(highest),
         }
@@ -142,34 +332,5 @@ impl Detector {
             ..DetectorParams::default()
         };
         self.params == on
-    }
-
-    /// Made ready for a frame and a seed: for images that come by bands of rows, and for masks of bad pixels.
-    ///
-    /// # Errors
-    /// [`DetectorError::NegativeSky`] for a sky that falls below 0 in this frame.
-    pub fn exposer(&self, frame: FrameShape, seed: u64) -> Result<Exposer<'_>, DetectorError> {
-        Exposer::new(self, frame, seed)
-    }
-
-    /// Exposes an image. The same seed gives the same counts, whatever the number of threads.
-    ///
-    /// # Errors
-    /// [`DetectorError::NegativeSky`], [`DetectorError::NonFinite`] for charges beyond double precision, and
-    /// [`DetectorError::TooLarge`] for counts that `T` cannot hold.
-    pub fn expose<T: Real>(&self, light: &Image<T>, seed: u64) -> Result<Exposure<T>, DetectorError> {
-        self.exposer(light.shape(), seed)?.expose(light)
-    }
-
-    /// The noise-free image in the unit of the counts: light, sky and dark charge as a detector would give them that had no noise,
-    /// no limits and no bad pixels, whose pixels were all alike.
-    ///
-    /// `(c F + sky + D t) / g + b` with the letters of the [crate's page](crate#the-chain). Negative pixels stay.
-    ///
-    /// # Errors
-    /// As [`expose`](Self::expose).
-    pub fn truth<T: Real>(&self, light: &Image<T>) -> Result<Image<T>, DetectorError> {
-        let exposer = self.exposer(light.shape(), 0)?;
-        Ok(Image::new(exposer.truth_rows(0, light.pixels())?)?)
     }
 }

@@ -1,9 +1,386 @@
-//! An exposure.
+//! Exposures: the whole chain, by rows, and what came of it.
 
-use ndarray::{Array2, ArrayView2};
-use psf_types::{Image, Real};
+use ndarray::{Array2, ArrayView1, ArrayView2};
+use psf_types::{FrameShape, Image, Real};
+use rayon::prelude::*;
+use serde::Serialize;
 
-use crate::{DetectorError, ExposedRows, ExposureReport};
+use crate::bad_pixels::{BadPixelMask, PixelFlags, bad_columns, mark_bad_pixels};
+use crate::levels::{FrameSky, clip, convert};
+use crate::noise::{add_read_noise, apply_response, catch_photons};
+use crate::{Detector, DetectorError, DetectorParams};
+
+impl Detector {
+    /// Made ready for a frame and a seed: for images that come by bands of rows, and for masks of bad pixels.
+    ///
+    /// # Errors
+    /// [`DetectorError::NegativeSky`] for a sky that falls below 0 in this frame.
+    pub fn exposer(&self, frame: FrameShape, seed: u64) -> Result<Exposer<'_>, DetectorError> {
+        Exposer::new(self, frame, seed)
+    }
+
+    /// Exposes an image. The same seed gives the same counts, whatever the number of threads.
+    ///
+    /// # Errors
+    /// [`DetectorError::NegativeSky`], [`DetectorError::NonFinite`] for charges beyond double precision, and
+    /// [`DetectorError::TooLarge`] for counts that `T` cannot hold.
+    pub fn expose<T: Real>(&self, light: &Image<T>, seed: u64) -> Result<Exposure<T>, DetectorError> {
+        self.exposer(light.shape(), seed)?.expose(light)
+    }
+
+    /// The noise-free image in the unit of the counts: light, sky and dark charge as a detector would give them that had no noise,
+    /// no limits and no bad pixels, whose pixels were all alike.
+    ///
+    /// `(c F + sky + D t) / g + b` with the letters of the [crate's page](crate#the-chain). Negative pixels stay.
+    ///
+    /// # Errors
+    /// As [`expose`](Self::expose).
+    pub fn truth<T: Real>(&self, light: &Image<T>) -> Result<Image<T>, DetectorError> {
+        let exposer = self.exposer(light.shape(), 0)?;
+        Ok(Image::new(exposer.truth_rows(0, light.pixels())?)?)
+    }
+}
+
+/// The photon step alone: `N ~ Poisson(S)` in every pixel, `P(N = k) = S^k exp(-S) / k!`.
+///
+/// The mean `S` is the image's flux, in photons (or electrons) in the exposure. Exact at every mean that a picture can have: Knuth's
+/// products of uniform numbers below 12, the rejection method PD of Ahrens and Dieter (1982, ACM Trans. Math. Softw. 8, 163) above, in
+/// double precision. Beyond 1.8e19, where one count is less than the spacing of doubles and the skewness below 3e-10, it is a normal
+/// deviate of variance `S`, rounded.
+///
+/// The same seed gives the same counts as a [`Detector`] with `photon_noise` and nothing else. Means below 0 give 0 and are
+/// counted in the report.
+///
+/// ```
+/// use psf_detector::PhotonNoise;
+/// use psf_types::Image;
+/// let expected = Image::new(ndarray::Array2::from_elem((100, 100), 4.0_f32))?;
+/// let photons = PhotonNoise::new(1).apply(&expected)?;
+/// assert!(photons.counts().pixels().iter().all(|n| *n >= 0.0 && n.fract() == 0.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PhotonNoise {
+    seed: u64,
+}
+
+impl PhotonNoise {
+    /// Photon noise of a seed.
+    pub fn new(seed: u64) -> Self {
+        Self { seed }
+    }
+
+    /// Draws the counts of an image of expected counts.
+    ///
+    /// # Errors
+    /// [`DetectorError::TooLarge`] for counts that `T` cannot hold.
+    pub fn apply<T: Real>(&self, expected: &Image<T>) -> Result<Exposure<T>, DetectorError> {
+        Self::detector().expose(expected, self.seed)
+    }
+
+    /// Draws the counts of some rows `[y, x]` of an image that is `rows_in_all` high, the first of which is row `first_row`.
+    ///
+    /// # Errors
+    /// [`DetectorError::NonFinite`] for NaN and infinities, [`DetectorError::Rows`], and as [`apply`](Self::apply).
+    pub fn apply_to_rows<T: Real>(
+        &self,
+        rows_in_all: usize,
+        first_row: usize,
+        expected: ArrayView2<'_, T>,
+    ) -> Result<ExposedRows<T>, DetectorError> {
+        let frame = FrameShape::new(expected.ncols(), rows_in_all)?;
+        Self::detector()
+            .exposer(frame, self.seed)?
+            .expose_rows(first_row, expected)
+    }
+
+    fn detector() -> Detector {
+        Detector::new(DetectorParams {
+            photon_noise: true,
+            ..DetectorParams::default()
+        })
+        .expect("a valid detector")
+    }
+}
+
+/// A detector made ready for a frame and a seed.
+///
+/// Rows may be exposed in any order and in bands of any height: the counts put together are those of the whole image.
+///
+/// ```
+/// use psf_detector::{Detector, DetectorParams};
+/// use ndarray::{Array2, s};
+/// use psf_types::{FrameShape, Image};
+/// let ccd = Detector::new(DetectorParams { photon_noise: true, sky_e: 9.0, ..DetectorParams::default() })?;
+/// let light = Image::new(Array2::from_elem((20, 30), 1.0_f32))?;
+/// let whole = ccd.expose(&light, 7)?;
+///
+/// let exposer = ccd.exposer(light.shape(), 7)?;
+/// let band = exposer.expose_rows(8, light.pixels().slice(s![8..13, ..]))?;
+/// assert_eq!(band.counts, whole.counts().pixels().slice(s![8..13, ..]));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Exposer<'a> {
+    detector: &'a Detector,
+    frame: FrameShape,
+    seed: u64,
+    sky: FrameSky,
+    /// Electrons that dark current gives good and hot pixels.
+    dark_e: f64,
+    hot_dark_e: f64,
+    columns: Vec<u8>,
+    mask: Option<&'a BadPixelMask>,
+}
+
+/// Rows of an exposure.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ExposedRows<T> {
+    /// Counts `[y, x]` in the detector's unit.
+    pub counts: Array2<T>,
+    /// Sums of [`PixelFlags`], `[y, x]`.
+    pub flags: Array2<u8>,
+    /// What happened in these rows.
+    pub report: ExposureReport,
+}
+
+impl<'a> Exposer<'a> {
+    pub(crate) fn new(detector: &'a Detector, frame: FrameShape, seed: u64) -> Result<Self, DetectorError> {
+        let params = detector.params();
+        Ok(Self {
+            detector,
+            frame,
+            seed,
+            sky: FrameSky::new(params, frame)?,
+            dark_e: detector.dark_e(),
+            hot_dark_e: params.bad_pixels.hot_dark_e_per_s * params.exposure_s.unwrap_or(0.0),
+            columns: bad_columns(params, frame.nx()),
+            mask: None,
+        })
+    }
+
+    /// With bad pixels beside those that the detector draws.
+    ///
+    /// # Errors
+    /// [`DetectorError::MaskShape`], and [`DetectorError::Needs`] for hot pixels without `bad_pixels.hot_dark_e_per_s`.
+    pub fn with_mask(self, mask: &'a BadPixelMask) -> Result<Self, DetectorError> {
+        if mask.shape() != self.frame {
+            return Err(DetectorError::MaskShape {
+                mask: mask.shape(),
+                frame: self.frame,
+            });
+        }
+        if mask.has_hot() && self.detector.params().bad_pixels.hot_dark_e_per_s == 0.0 {
+            return Err(DetectorError::Needs {
+                key: "a bad-pixel mask with hot pixels",
+                other: "bad_pixels.hot_dark_e_per_s",
+            });
+        }
+        Ok(Self {
+            mask: Some(mask),
+            ..self
+        })
+    }
+
+    /// Exposes a whole image, in parallel.
+    ///
+    /// # Errors
+    /// As [`Detector::expose`]; [`DetectorError::Rows`] or [`DetectorError::RowWidth`] for an image of another shape.
+    pub fn expose<T: Real>(&self, light: &Image<T>) -> Result<Exposure<T>, DetectorError> {
+        if light.shape().ny() != self.frame.ny() {
+            return Err(DetectorError::Rows {
+                rows: 0..light.shape().ny(),
+                frame: self.frame,
+            });
+        }
+        let rows = self.expose_rows(0, light.pixels())?;
+        Ok(Exposure {
+            counts: Image::new(rows.counts)?,
+            flags: rows.flags,
+            report: rows.report,
+        })
+    }
+
+    /// Exposes rows `[y, x]`, the first of which is row `first_row` of the frame, in parallel.
+    ///
+    /// # Errors
+    /// As [`Detector::expose`]; [`DetectorError::NonFinite`] also for NaN and infinities among the rows, [`DetectorError::Rows`],
+    /// [`DetectorError::RowWidth`]. Of several bad pixels the first is named.
+    pub fn expose_rows<T: Real>(
+        &self,
+        first_row: usize,
+        light: ArrayView2<'_, T>,
+    ) -> Result<ExposedRows<T>, DetectorError> {
+        self.check_rows(first_row, light)?;
+        let nx = self.frame.nx();
+        let mut counts = Array2::zeros(light.dim());
+        let mut flags = Array2::zeros(light.dim());
+        let tallies: Vec<Result<ExposureReport, DetectorError>> = as_rows(&mut counts, nx)
+            .zip(as_rows(&mut flags, nx))
+            .enumerate()
+            .map(|(k, (counts, flags))| self.expose_row(first_row + k, light.row(k), counts, flags))
+            .collect();
+        let mut report = self.report();
+        for tally in tallies {
+            report.add(&tally?);
+        }
+        Ok(ExposedRows {
+            counts,
+            flags,
+            report,
+        })
+    }
+
+    /// Rows of the noise-free image ([`Detector::truth`]).
+    ///
+    /// # Errors
+    /// As [`expose_rows`](Self::expose_rows).
+    pub fn truth_rows<T: Real>(
+        &self,
+        first_row: usize,
+        light: ArrayView2<'_, T>,
+    ) -> Result<Array2<T>, DetectorError> {
+        self.check_rows(first_row, light)?;
+        let mut truth = Array2::zeros(light.dim());
+        let done: Vec<Result<(), DetectorError>> = as_rows(&mut truth, self.frame.nx())
+            .enumerate()
+            .map(|(k, truth)| {
+                let row = first_row + k;
+                let mut electrons = self.collected(row, light.row(k))?;
+                for value in &mut electrons {
+                    *value = self.detector.counts(*value + self.dark_e);
+                }
+                store(row, &electrons, truth)
+            })
+            .collect();
+        done.into_iter().collect::<Result<(), _>>()?;
+        Ok(truth)
+    }
+
+    /// The whole chain for a row.
+    fn expose_row<T: Real>(
+        &self,
+        row: usize,
+        light: ArrayView1<'_, T>,
+        counts: &mut [T],
+        flags: &mut [u8],
+    ) -> Result<ExposureReport, DetectorError> {
+        let (detector, params) = (self.detector, self.detector.params());
+        let mut report = self.report();
+        let mut values = self.collected(row, light)?;
+        if params.response_rms > 0.0 {
+            apply_response(params.pattern_seed, row, params.response_rms, &mut values);
+        }
+        self.mark(row, flags);
+        for (value, flag) in values.iter_mut().zip(&*flags) {
+            *value += self.dark_e;
+            if flag & PixelFlags::HOT != 0 {
+                *value += self.hot_dark_e;
+            }
+            if flag & PixelFlags::NO_CHARGE != 0 {
+                *value = 0.0;
+            }
+            report.count_expected(*value);
+            *value = value.max(0.0);
+        }
+        if params.photon_noise {
+            catch_photons(self.seed, row, &mut values);
+        }
+        if let Some(full_well_e) = params.full_well_e {
+            clip(full_well_e, &mut values, flags);
+        }
+        if params.read_noise_e > 0.0 {
+            add_read_noise(self.seed, row, params.read_noise_e, &mut values);
+        }
+        for value in &mut values {
+            *value = detector.counts(*value);
+        }
+        if let Some(highest) = detector.highest_count() {
+            report.below_zero_pixels += convert(highest, &mut values, flags);
+        }
+        report.count_flags(flags);
+        store(row, &values, counts)?;
+        Ok(report)
+    }
+
+    /// Electrons that light and sky give a row of pixels alike.
+    fn collected<T: Real>(&self, row: usize, light: ArrayView1<'_, T>) -> Result<Vec<f64>, DetectorError> {
+        let per_flux = self.detector.params().electrons_per_flux;
+        let electrons: Vec<f64> = light
+            .iter()
+            .enumerate()
+            .map(|(x, flux)| per_flux * flux.as_f64() + self.sky.at(x, row))
+            .collect();
+        match electrons.iter().position(|value| !value.is_finite()) {
+            None => Ok(electrons),
+            Some(x) => Err(DetectorError::NonFinite {
+                index: [row, x],
+                value: electrons[x],
+            }),
+        }
+    }
+
+    /// Flags the bad pixels of a row.
+    fn mark(&self, row: usize, flags: &mut [u8]) {
+        flags.copy_from_slice(&self.columns);
+        mark_bad_pixels(self.detector.params(), row, flags);
+        if let Some(mask) = self.mask {
+            for (flag, more) in flags.iter_mut().zip(mask.flags().row(row)) {
+                *flag |= more;
+            }
+        }
+    }
+
+    /// A report of no pixels.
+    fn report(&self) -> ExposureReport {
+        ExposureReport {
+            seed: self.seed,
+            mean_sky_e: self.detector.params().sky_e,
+            dark_e: self.dark_e,
+            ..ExposureReport::default()
+        }
+    }
+
+    fn check_rows<T>(&self, first_row: usize, light: ArrayView2<'_, T>) -> Result<(), DetectorError> {
+        let (ny, nx) = light.dim();
+        if nx != self.frame.nx() {
+            return Err(DetectorError::RowWidth {
+                expected: self.frame.nx(),
+                got: nx,
+            });
+        }
+        let rows = first_row..first_row.saturating_add(ny);
+        if rows.end > self.frame.ny() {
+            return Err(DetectorError::Rows {
+                rows,
+                frame: self.frame,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// The rows of an array that was just made.
+fn as_rows<T: Send>(array: &mut Array2<T>, nx: usize) -> rayon::slice::ChunksMut<'_, T> {
+    let values = array.as_slice_mut().expect("a new array is contiguous");
+    values.par_chunks_mut(nx)
+}
+
+/// Values in the type of the image.
+fn store<T: Real>(row: usize, values: &[f64], out: &mut [T]) -> Result<(), DetectorError> {
+    for (x, (value, out)) in values.iter().zip(out).enumerate() {
+        *out = T::nearest(*value);
+        if !out.is_finite() {
+            return Err(DetectorError::TooLarge {
+                index: [row, x],
+                value: *value,
+                precision: T::NAME,
+            });
+        }
+    }
+    Ok(())
+}
 
 /// The counts of an exposure, with what is to know of its pixels.
 #[derive(Debug, Clone, PartialEq)]
@@ -14,20 +391,12 @@ pub struct Exposure<T = f32> {
 }
 
 impl<T: Real> Exposure<T> {
-    pub(crate) fn new(rows: ExposedRows<T>) -> Result<Self, DetectorError> {
-        Ok(Self {
-            counts: Image::new(rows.counts)?,
-            flags: rows.flags,
-            report: rows.report,
-        })
-    }
-
-    /// The counts, in the unit of [`Detector::unit`](crate::Detector::unit). Digitised ones are whole numbers.
+    /// The counts, in the unit of [`Detector::unit`]. Digitised ones are whole numbers.
     pub fn counts(&self) -> &Image<T> {
         &self.counts
     }
 
-    /// Sums of [`PixelFlags`](crate::PixelFlags), `[y, x]`.
+    /// Sums of [`PixelFlags`], `[y, x]`.
     pub fn flags(&self) -> ArrayView2<'_, u8> {
         self.flags.view()
     }
@@ -40,5 +409,75 @@ impl<T: Real> Exposure<T> {
     /// The counts, without a copy.
     pub fn into_counts(self) -> Image<T> {
         self.counts
+    }
+}
+
+/// Counts of pixels and levels of an exposure, or of some rows of it.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
+#[non_exhaustive]
+pub struct ExposureReport {
+    /// The seed of the noise.
+    pub seed: u64,
+    /// Pixels exposed.
+    pub pixels: usize,
+    /// Pixels at their full well or at the upper end of the converter.
+    pub saturated_pixels: usize,
+    /// Pixels that the converter cut at 0.
+    pub below_zero_pixels: usize,
+    /// Pixels that expected less than no charge and were taken as dark.
+    pub negative_pixels: usize,
+    /// The lowest charge expected in any pixel, in electrons, negative ones as they were; 0 without pixels.
+    pub lowest_expected_e: f64,
+    /// Pixels with any flag of [`PixelFlags::BAD`].
+    pub bad_pixels: usize,
+    /// Dead pixels among them.
+    pub dead_pixels: usize,
+    /// Hot pixels among them.
+    pub hot_pixels: usize,
+    /// Pixels of bad columns among them.
+    pub bad_column_pixels: usize,
+    /// Mean sky over the frame in electrons a pixel.
+    pub mean_sky_e: f64,
+    /// Dark charge of a good pixel in electrons.
+    pub dark_e: f64,
+}
+
+impl ExposureReport {
+    /// Adds what happened in other rows of the same exposure.
+    pub fn add(&mut self, other: &Self) {
+        self.lowest_expected_e = match (self.pixels, other.pixels) {
+            (0, _) => other.lowest_expected_e,
+            (_, 0) => self.lowest_expected_e,
+            _ => self.lowest_expected_e.min(other.lowest_expected_e),
+        };
+        self.pixels += other.pixels;
+        self.saturated_pixels += other.saturated_pixels;
+        self.below_zero_pixels += other.below_zero_pixels;
+        self.negative_pixels += other.negative_pixels;
+        self.bad_pixels += other.bad_pixels;
+        self.dead_pixels += other.dead_pixels;
+        self.hot_pixels += other.hot_pixels;
+        self.bad_column_pixels += other.bad_column_pixels;
+    }
+
+    /// A pixel with its expected charge.
+    pub(crate) fn count_expected(&mut self, electrons: f64) {
+        self.lowest_expected_e = if self.pixels == 0 {
+            electrons
+        } else {
+            self.lowest_expected_e.min(electrons)
+        };
+        self.pixels += 1;
+        self.negative_pixels += usize::from(electrons < 0.0);
+    }
+
+    /// The flags of pixels that are counted already.
+    pub(crate) fn count_flags(&mut self, flags: &[u8]) {
+        let with = |bits: u8| flags.iter().filter(|&flag| flag & bits != 0).count();
+        self.saturated_pixels += with(PixelFlags::SATURATED);
+        self.bad_pixels += with(PixelFlags::BAD);
+        self.dead_pixels += with(PixelFlags::DEAD);
+        self.hot_pixels += with(PixelFlags::HOT);
+        self.bad_column_pixels += with(PixelFlags::BAD_COLUMN);
     }
 }

@@ -39,7 +39,7 @@
 //! in the [`ExposureReport`]. NaN and infinities are refused.
 //!
 //! ```
-//! use detector::{Detector, DetectorParams};
+//! use psf_detector::{Detector, DetectorParams};
 //! use psf_types::{FrameShape, Image};
 //! let ccd = Detector::new(DetectorParams {
 //!     photon_noise: true,
@@ -56,31 +56,14 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-mod amplifier;
-mod bad_pixel_mask;
 mod bad_pixels;
-mod converter;
 mod detector;
 mod error;
-mod exposer;
 mod exposure;
-mod exposure_report;
-mod full_well;
-mod noise_stream;
-mod params;
-mod photon_noise;
-mod pixel_flags;
-mod pixel_response;
-mod read_noise;
-mod sky;
+mod levels;
+mod noise;
 
-pub use amplifier::CountUnit;
-pub use bad_pixel_mask::BadPixelMask;
-pub use detector::Detector;
+pub use bad_pixels::{BadPixelMask, PixelFlags};
+pub use detector::{BadPixelParams, CountUnit, Detector, DetectorParams, SkyGradient};
 pub use error::DetectorError;
-pub use exposer::{ExposedRows, Exposer};
-pub use exposure::Exposure;
-pub use exposure_report::ExposureReport;
-pub use params::{BadPixelParams, DetectorParams, SkyGradient};
-pub use photon_noise::PhotonNoise;
-pub use pixel_flags::PixelFlags;
+pub use exposure::{ExposedRows, Exposer, Exposure, ExposureReport, PhotonNoise};

@@ -3,8 +3,8 @@
 mod common;
 
 use common::{NX, NY, PIXELS, assert_within, detector, flat, moments};
-use detector::{BadPixelMask, CountUnit, DetectorError, PixelFlags, SkyGradient};
 use ndarray::{Array2, array};
+use psf_detector::{BadPixelMask, CountUnit, DetectorError, PixelFlags, SkyGradient};
 use psf_types::{FrameShape, Image};
 
 /// Rounding of a few sums and products in double precision.

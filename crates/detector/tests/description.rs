@@ -1,6 +1,6 @@
 //! Descriptions of detectors, good and bad.
 
-use detector::{Detector, DetectorError, DetectorParams};
+use psf_detector::{Detector, DetectorError, DetectorParams};
 
 const ALL: &str = r#"
     name = "CCD"

@@ -3,15 +3,15 @@
 mod common;
 
 use common::{NX, NY, PIXELS, SIGMAS, correlation, detector, flat};
-use detector::Detector;
 use ndarray::{Array2, s};
+use psf_detector::Detector;
 
 fn everything() -> Detector {
     detector(|d| {
         d.photon_noise = true;
         d.exposure_s = Some(10.0);
         d.sky_e = 20.0;
-        d.sky_gradient_e_per_px = Some(detector::SkyGradient { x: 0.01, y: -0.01 });
+        d.sky_gradient_e_per_px = Some(psf_detector::SkyGradient { x: 0.01, y: -0.01 });
         d.dark_e_per_s = 0.3;
         d.response_rms = 0.02;
         d.full_well_e = Some(60.0);

@@ -3,8 +3,8 @@
 mod common;
 
 use common::{NX, NY, PIXELS, SIGMAS, assert_within, flat, moments, within};
-use detector::PhotonNoise;
 use ndarray::{Array2, ArrayView2};
+use psf_detector::PhotonNoise;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};

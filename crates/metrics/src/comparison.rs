@@ -1,11 +1,10 @@
-//! How far an image is from its reference.
+//! How far an image is from its reference, and what many numbers say together.
 
 use ndarray::{ArrayView, ArrayView3, Axis, Dimension};
-use psf_types::Real;
+use psf_types::{Real, getters};
 use serde::Serialize;
 
 use crate::MetricsError;
-use crate::compensated_sum::CompensatedSum;
 
 /// The difference of a result `F` from its reference `T`, arrays of equal shape and any number of dimensions.
 ///
@@ -25,13 +24,13 @@ use crate::compensated_sum::CompensatedSum;
 /// Serialised, a comparison is a record of these measures, with `null` for those that do not exist.
 ///
 /// ```
-/// use metrics::Comparison;
+/// use psf_metrics::Comparison;
 /// use ndarray::array;
 /// let comparison = Comparison::of(array![[3.0, 0.0]].view(), array![[3.0, 4.0]].view())?;
 /// assert_eq!((comparison.mae(), comparison.mse(), comparison.max_abs()), (2.0, 8.0, 4.0));
 /// assert_eq!(comparison.relative_l2()?, 0.8);
 /// assert_eq!(comparison.max_abs_index(), [0, 1]);
-/// # Ok::<(), metrics::MetricsError>(())
+/// # Ok::<(), psf_metrics::MetricsError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(into = "ComparisonRecord")]
@@ -124,7 +123,7 @@ impl Comparison {
         }
     }
 
-    /// Compares two cubes plane by plane along their first axis; [`Summary`](crate::Summary) condenses the outcome.
+    /// Compares two cubes plane by plane along their first axis; [`Summary`] condenses the outcome.
     ///
     /// # Errors
     /// As [`of`](Self::of), and what is wrong in a single plane comes as [`MetricsError::Plane`].
@@ -153,24 +152,15 @@ impl Comparison {
             .collect()
     }
 
-    /// Mean absolute error, `mean abs(F - T)`.
-    pub fn mae(&self) -> f64 {
-        self.mae
-    }
-
-    /// Mean squared error, `mean (F - T)^2`.
-    pub fn mse(&self) -> f64 {
-        self.mse
-    }
-
-    /// Largest error, `max abs(F - T)`.
-    pub fn max_abs(&self) -> f64 {
-        self.max_abs
-    }
-
-    /// Index of the largest error, in the arrays' order of axes; the first of several, all zeros when there is no error.
-    pub fn max_abs_index(&self) -> &[usize] {
-        &self.max_abs_index
+    getters! { &self;
+        /// Mean absolute error, `mean abs(F - T)`.
+        mae: f64,
+        /// Mean squared error, `mean (F - T)^2`.
+        mse: f64,
+        /// Largest error, `max abs(F - T)`.
+        max_abs: f64,
+        /// Index of the largest error, in the arrays' order of axes; the first of several, all zeros when there is no error.
+        max_abs_index: &[usize],
     }
 
     /// Relative L2 error, `norm(F - T) / norm(T)`.
@@ -284,4 +274,203 @@ fn unravel(mut i: usize, shape: &[usize]) -> Vec<usize> {
         .collect();
     index.reverse();
     index
+}
+
+/// Minimum, median, maximum, mean, root mean square and any quantile of a list of finite values.
+///
+/// ```
+/// use psf_metrics::Summary;
+/// let summary = Summary::of([4.0, 1.0, 2.0, 3.0])?;
+/// assert_eq!((summary.min(), summary.median(), summary.max()), (1.0, 2.5, 4.0));
+/// assert_eq!(summary.quantile(0.9)?, 3.7);
+/// # Ok::<(), psf_metrics::MetricsError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(into = "SummaryRecord")]
+pub struct Summary {
+    sorted: Vec<f64>,
+    mean: f64,
+    rms: f64,
+}
+
+#[derive(Serialize)]
+struct SummaryRecord {
+    count: usize,
+    min: f64,
+    median: f64,
+    max: f64,
+    mean: f64,
+    rms: f64,
+}
+
+impl Summary {
+    /// Summarises `values`, in any order.
+    ///
+    /// # Errors
+    /// [`MetricsError::Empty`]; [`MetricsError::NonFinite`]; [`MetricsError::Overflow`] when the squares exceed double
+    /// precision.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Result<Self, MetricsError> {
+        let mut sorted: Vec<f64> = values.into_iter().collect();
+        if sorted.is_empty() {
+            return Err(MetricsError::Empty);
+        }
+        if let Some(i) = sorted.iter().position(|v| !v.is_finite()) {
+            return Err(MetricsError::NonFinite {
+                index: vec![i],
+                value: sorted[i],
+            });
+        }
+        sorted.sort_unstable_by(f64::total_cmp);
+        let [mut sum, mut squares] = [CompensatedSum::default(); 2];
+        for &v in &sorted {
+            sum.add(v);
+            squares.add(v * v);
+        }
+        let n = sorted.len() as f64;
+        let (mean, rms) = (sum.value() / n, (squares.value() / n).sqrt());
+        if mean.is_finite() && rms.is_finite() {
+            Ok(Self { sorted, mean, rms })
+        } else {
+            let largest = sorted[0].abs().max(sorted[sorted.len() - 1].abs());
+            Err(MetricsError::Overflow { largest })
+        }
+    }
+
+    /// Number of values.
+    pub fn count(&self) -> usize {
+        self.sorted.len()
+    }
+
+    /// Smallest value.
+    pub fn min(&self) -> f64 {
+        self.sorted[0]
+    }
+
+    /// Largest value.
+    pub fn max(&self) -> f64 {
+        self.sorted[self.sorted.len() - 1]
+    }
+
+    /// The middle value, or the mean of the two middle ones.
+    pub fn median(&self) -> f64 {
+        self.at(0.5)
+    }
+
+    getters! { &self;
+        /// Arithmetic mean.
+        mean: f64,
+        /// Root of the mean square.
+        rms: f64,
+    }
+
+    /// The value below which the fraction `q` of the values lies: linear between the sorted values, the first at `q = 0`
+    /// and the last at `q = 1` (definition 7 of Hyndman & Fan 1996).
+    ///
+    /// # Errors
+    /// [`MetricsError::Quantile`] when `q` is not in 0 to 1.
+    pub fn quantile(&self, q: f64) -> Result<f64, MetricsError> {
+        if (0.0..=1.0).contains(&q) {
+            Ok(self.at(q))
+        } else {
+            Err(MetricsError::Quantile { got: q })
+        }
+    }
+
+    fn at(&self, q: f64) -> f64 {
+        let last = self.sorted.len() - 1;
+        let place = q * last as f64;
+        let below = (place.floor() as usize).min(last);
+        let (low, high) = (self.sorted[below], self.sorted[(below + 1).min(last)]);
+        low + (high - low) * (place - below as f64)
+    }
+}
+
+impl From<Summary> for SummaryRecord {
+    fn from(s: Summary) -> Self {
+        Self {
+            count: s.count(),
+            min: s.min(),
+            median: s.median(),
+            max: s.max(),
+            mean: s.mean,
+            rms: s.rms,
+        }
+    }
+}
+
+/// A running sum whose rounding error does not grow with the number of terms.
+///
+/// Neumaier's (1974) compensated summation with Knuth's branch-free two-sum: the relative error of the result is about
+/// one rounding, plus the square of the machine precision times the condition of the sum.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct CompensatedSum {
+    sum: f64,
+    lost: f64,
+}
+
+impl CompensatedSum {
+    pub(crate) fn add(&mut self, term: f64) {
+        let sum = self.sum + term;
+        let taken = sum - self.sum;
+        self.lost += (self.sum - (sum - taken)) + (term - taken);
+        self.sum = sum;
+    }
+
+    pub(crate) fn value(self) -> f64 {
+        self.sum + self.lost
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_linear_between_sorted_values() {
+        let summary = Summary::of([30.0, 10.0, 20.0]).unwrap();
+        for (q, expected) in [(0.0, 10.0), (0.25, 15.0), (0.5, 20.0), (0.75, 25.0), (1.0, 30.0)] {
+            assert_eq!(summary.quantile(q).unwrap(), expected);
+        }
+        assert_eq!(Summary::of([7.0]).unwrap().quantile(0.3).unwrap(), 7.0);
+        let summary = Summary::of([3.0, -4.0]).unwrap();
+        assert_eq!((summary.mean(), summary.rms()), (-0.5, 12.5f64.sqrt()));
+    }
+
+    #[test]
+    fn bad_lists_and_quantiles_are_refused() {
+        assert_eq!(Summary::of([]).unwrap_err(), MetricsError::Empty);
+        assert!(matches!(
+            Summary::of([1.0, f64::NAN]),
+            Err(MetricsError::NonFinite { index, .. }) if index == [1]
+        ));
+        assert!(matches!(Summary::of([1e200]), Err(MetricsError::Overflow { .. })));
+        let summary = Summary::of([1.0, 2.0]).unwrap();
+        for got in [-0.1, 1.1, f64::NAN] {
+            assert!(matches!(
+                summary.quantile(got),
+                Err(MetricsError::Quantile { .. })
+            ));
+        }
+    }
+
+    #[test]
+    fn small_terms_survive_large_ones() {
+        let mut sum = CompensatedSum::default();
+        for term in [1.0, 1e100, 1.0, -1e100] {
+            sum.add(term);
+        }
+        assert_eq!(sum.value(), 2.0);
+    }
+
+    #[test]
+    fn ten_million_tenths_are_a_million_to_one_rounding() {
+        let mut sum = CompensatedSum::default();
+        let mut plain = 0.0;
+        for _ in 0..10_000_000 {
+            sum.add(0.1);
+            plain += 0.1;
+        }
+        assert_eq!(sum.value(), 1e6);
+        assert_ne!(plain, 1e6);
+    }
 }

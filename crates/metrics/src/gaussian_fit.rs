@@ -1,12 +1,17 @@
-//! What a Gaussian fit found.
+//! Gaussian fits by least squares.
 
 use std::f64::consts::TAU;
 
+use ndarray::ArrayView2;
+use psf_types::{Real, getters, setters};
 use serde::Serialize;
 
-use crate::{Covariance, FWHM_PER_SIGMA};
+use crate::gaussian_model::{GaussianModel, Profile, coarse_search};
+use crate::levenberg_marquardt::minimise;
+use crate::window::Cutout;
+use crate::{Covariance, FWHM_PER_SIGMA, MetricsError, Window};
 
-/// What a [`GaussianFitter`](crate::GaussianFitter) found. Lengths are in pixels of the stamp, every number is finite.
+/// What a [`GaussianFitter`] found. Lengths are in pixels of the stamp, every number is finite.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GaussianFit {
     flux: f64,
@@ -24,104 +29,236 @@ pub struct GaussianFit {
     covariance: Covariance,
 }
 
-/// A Gaussian without its background.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Ellipse {
-    pub(crate) amplitude: f64,
-    pub(crate) x_centroid: f64,
-    pub(crate) y_centroid: f64,
-    pub(crate) covariance: Covariance,
+impl GaussianFit {
+    getters! { &self;
+        /// The integral of the Gaussian, `2 pi A sigma_major sigma_minor`, in units of the stamp; without the background, with
+        /// what lies beyond the window.
+        flux: f64,
+        /// The Gaussian's value at its centre above the background.
+        amplitude: f64,
+        /// Column coordinate of the centre, a 0-based index of the stamp.
+        x_centroid: f64,
+        /// Row coordinate of the centre, a 0-based index of the stamp.
+        y_centroid: f64,
+        /// Geometric mean of the two FWHM.
+        fwhm_px: f64,
+        /// FWHM along the major axis.
+        fwhm_major_px: f64,
+        /// FWHM along the minor axis.
+        fwhm_minor_px: f64,
+        /// Direction of the major axis from +x towards +y, in (-pi/2, pi/2]; 0 for a round fit.
+        angle_rad: f64,
+        /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`; not a distortion, which
+        /// [`covariance`](Self::covariance) gives.
+        ellipticity: f64,
+        /// The constant background, where it was fitted.
+        background: Option<f64>,
+        /// Root of the mean squared residual over the window, in units of the stamp.
+        residual_rms: f64,
+        /// Iterations that the fit took.
+        iterations: usize,
+        /// The Gaussian's covariance, with its distortion and its reduced shear.
+        covariance: Covariance,
+    }
 }
 
-impl GaussianFit {
-    pub(crate) fn new(
-        ellipse: Ellipse,
-        background: Option<f64>,
-        residual_rms: f64,
-        iterations: usize,
-    ) -> Self {
-        let c = ellipse.covariance;
+/// Fits a Gaussian to a stamp by unweighted least squares.
+///
+/// ```text
+/// minimise  sum over pixels [A exp(-(r - r0)^T C^-1 (r - r0) / 2) + B - stamp]^2
+/// ```
+///
+/// over the amplitude `A`, the centre `r0`, the covariance `C` (round or elliptical) and, if asked for, the constant
+/// background `B`. The model is the Gaussian *at pixel centres*, not its integral over the pixel: the FWHM is that of the
+/// stamp as it stands, pixel response included where the stamp has it. The minimum is found by Levenberg-Marquardt
+/// (Marquardt 1963) with an analytic Jacobian, in parameters (logarithmic Cholesky factor of `C^-1`) that have no bounds and
+/// no singularity at a round PSF; it starts at the best of a coarse grid of round Gaussians.
+///
+/// The stamp is `[y, x]`, `f32` or `f64`, in any units.
+///
+/// ```
+/// use psf_metrics::{FWHM_PER_SIGMA, GaussianFitter, Window};
+/// use ndarray::Array2;
+/// let stamp = Array2::from_shape_fn((64, 64), |(y, x)| {
+///     let (dx, dy) = (x as f64 - 32.2, y as f64 - 31.9);
+///     5.0 * (-0.5 * (dx * dx / 4.0 + dy * dy / 2.25)).exp()
+/// });
+/// let fit = GaussianFitter::elliptical().with_window(Window::central(15)).fit(stamp.view())?;
+/// assert!((fit.x_centroid() - 32.2).abs() < 1e-9);
+/// assert!((fit.fwhm_major_px() - 2.0 * FWHM_PER_SIGMA).abs() < 1e-9);
+/// assert!((fit.ellipticity() - (1.0f64 - 2.25 / 4.0).sqrt()).abs() < 1e-9);
+/// # Ok::<(), psf_metrics::MetricsError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct GaussianFitter {
+    profile: Profile,
+    background: bool,
+    window: Window,
+}
+
+/// Fewest pixels along an axis: three tell a centre and a width apart.
+const SMALLEST_SIDE: usize = 3;
+/// Narrower Gaussians touch one pixel only: at sigma 0.2 the neighbours hold 4e-6 of the peak.
+const SMALLEST_SIGMA_PX: f64 = 0.2;
+/// Wider Gaussians than this many sides of the window are flat on it.
+const LARGEST_SIGMA_SIDES: f64 = 2.0;
+
+impl GaussianFitter {
+    /// Fits an elliptical Gaussian without background to all pixels.
+    pub fn elliptical() -> Self {
         Self {
-            flux: TAU * ellipse.amplitude * c.determinant().sqrt(),
-            amplitude: ellipse.amplitude,
-            x_centroid: ellipse.x_centroid,
-            y_centroid: ellipse.y_centroid,
-            fwhm_px: FWHM_PER_SIGMA * c.sigma_px(),
-            fwhm_major_px: FWHM_PER_SIGMA * c.sigma_major_px(),
-            fwhm_minor_px: FWHM_PER_SIGMA * c.sigma_minor_px(),
-            angle_rad: c.angle_rad(),
-            ellipticity: c.ellipticity(),
-            background,
-            residual_rms,
-            iterations,
-            covariance: c,
+            profile: Profile::Elliptical,
+            background: false,
+            window: Window::whole(),
         }
     }
 
-    /// The integral of the Gaussian, `2 pi A sigma_major sigma_minor`, in units of the stamp; without the background, with
-    /// what lies beyond the window.
-    pub fn flux(&self) -> f64 {
-        self.flux
+    /// Fits a round Gaussian without background to all pixels.
+    pub fn round() -> Self {
+        Self {
+            profile: Profile::Round,
+            ..Self::elliptical()
+        }
     }
 
-    /// The Gaussian's value at its centre above the background.
-    pub fn amplitude(&self) -> f64 {
-        self.amplitude
+    setters! {
+        /// The same fit, with or without a constant background as a further parameter.
+        with_background => background: bool,
+        /// The same fit on the pixels of a window alone.
+        with_window => window: Window,
     }
 
-    /// Column coordinate of the centre, a 0-based index of the stamp.
-    pub fn x_centroid(&self) -> f64 {
-        self.x_centroid
+    /// Fits `stamp`, `[y, x]`. Centroids come back as 0-based indices of the whole stamp, whatever the window.
+    ///
+    /// # Errors
+    /// * [`MetricsError::WindowOutsideStamp`]: the window does not fit on the stamp.
+    /// * [`MetricsError::TooFewPixels`]: fewer than 3 pixels along an axis.
+    /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
+    /// * [`MetricsError::NoPeak`]: no Gaussian with a positive amplitude fits.
+    /// * [`MetricsError::NotConverged`]: the iteration did not settle. So it is where there is no best width: noise on an
+    ///   undersampled star between pixels can favour ever narrower and higher Gaussians. A round fit has less freedom.
+    /// * [`MetricsError::CentreLeftWindow`]: the best centre lies off the window.
+    /// * [`MetricsError::WidthOutOfRange`]: a sigma below 0.2 pixels or above twice the window's longer side, where the
+    ///   stamp is one bright pixel or flat.
+    /// * [`MetricsError::DegenerateCovariance`], [`MetricsError::Undetermined`]: the pixels do not fix the ellipse.
+    /// * [`MetricsError::Overflow`]: values near the end of double precision.
+    pub fn fit<T: Real>(&self, stamp: ArrayView2<'_, T>) -> Result<GaussianFit, MetricsError> {
+        let mut cutout = self.window.cut(stamp, SMALLEST_SIDE)?;
+        let largest = cutout.largest();
+        let units = Units::take_off(&mut cutout, self.background)?;
+        match (self.profile, self.background) {
+            (Profile::Round, false) => self.fit_parameters::<4>(&cutout, units, largest),
+            (Profile::Round, true) => self.fit_parameters::<5>(&cutout, units, largest),
+            (Profile::Elliptical, false) => self.fit_parameters::<6>(&cutout, units, largest),
+            (Profile::Elliptical, true) => self.fit_parameters::<7>(&cutout, units, largest),
+        }
     }
 
-    /// Row coordinate of the centre, a 0-based index of the stamp.
-    pub fn y_centroid(&self) -> f64 {
-        self.y_centroid
+    fn fit_parameters<const N: usize>(
+        &self,
+        cutout: &Cutout,
+        units: Units,
+        largest: f64,
+    ) -> Result<GaussianFit, MetricsError> {
+        let no_peak = |amplitude| MetricsError::NoPeak { largest, amplitude };
+        let start = coarse_search(cutout, self.background).ok_or_else(|| no_peak(0.0))?;
+        let model = GaussianModel::new(self.profile, self.background);
+        let data_norm = cutout.values.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let minimum = match minimise(model.parameters::<N>(start), data_norm, |p| {
+            model.linearise(p, cutout)
+        }) {
+            Ok(minimum) => minimum,
+            Err(unsettled) => {
+                // A width that grows for ever is what happened, whenever the iteration was cut off.
+                check_width(model.covariance(&unsettled.parameters)?, cutout)?;
+                return Err(MetricsError::NotConverged {
+                    iterations: unsettled.iterations,
+                    change: unsettled.change,
+                });
+            }
+        };
+        let p = minimum.parameters;
+        if p[0] <= 0.0 {
+            return Err(no_peak(p[0] * units.scale));
+        }
+        let covariance = model.covariance(&p)?;
+        check_width(covariance, cutout)?;
+        cutout.check_centre(p[1], p[2])?;
+        if !minimum.at.is_determined() {
+            return Err(MetricsError::Undetermined { parameters: N });
+        }
+        let (x_centroid, y_centroid) = cutout.on_stamp(p[1], p[2]);
+        let amplitude = p[0] * units.scale;
+        let fit = GaussianFit {
+            flux: TAU * amplitude * covariance.determinant().sqrt(),
+            amplitude,
+            x_centroid,
+            y_centroid,
+            fwhm_px: FWHM_PER_SIGMA * covariance.sigma_px(),
+            fwhm_major_px: FWHM_PER_SIGMA * covariance.sigma_major_px(),
+            fwhm_minor_px: FWHM_PER_SIGMA * covariance.sigma_minor_px(),
+            angle_rad: covariance.angle_rad(),
+            ellipticity: covariance.ellipticity(),
+            background: model.background(&p).map(|b| b * units.scale + units.offset),
+            residual_rms: (2.0 * minimum.at.cost / cutout.values.len() as f64).sqrt() * units.scale,
+            iterations: minimum.iterations,
+            covariance,
+        };
+        // The flux is the largest of its numbers, a background beside it is about that of the values.
+        if fit.flux.is_finite() && fit.amplitude.is_finite() && fit.background.is_none_or(f64::is_finite) {
+            Ok(fit)
+        } else {
+            Err(MetricsError::Overflow { largest })
+        }
     }
+}
 
-    /// Geometric mean of the two FWHM.
-    pub fn fwhm_px(&self) -> f64 {
-        self.fwhm_px
+fn check_width(covariance: Covariance, cutout: &Cutout) -> Result<(), MetricsError> {
+    let (rows, columns) = cutout.values.dim();
+    let largest_px = LARGEST_SIGMA_SIDES * rows.max(columns) as f64;
+    if covariance.sigma_minor_px() >= SMALLEST_SIGMA_PX && covariance.sigma_major_px() <= largest_px {
+        return Ok(());
     }
+    Err(MetricsError::WidthOutOfRange {
+        major_px: covariance.sigma_major_px(),
+        minor_px: covariance.sigma_minor_px(),
+        smallest_px: SMALLEST_SIGMA_PX,
+        largest_px,
+    })
+}
 
-    /// FWHM along the major axis.
-    pub fn fwhm_major_px(&self) -> f64 {
-        self.fwhm_major_px
-    }
+/// What was taken off the values so that they are of order 1 about 0: `value = scaled * scale + offset`.
+#[derive(Debug, Clone, Copy)]
+struct Units {
+    offset: f64,
+    scale: f64,
+}
 
-    /// FWHM along the minor axis.
-    pub fn fwhm_minor_px(&self) -> f64 {
-        self.fwhm_minor_px
-    }
-
-    /// Direction of the major axis from +x towards +y, in (-pi/2, pi/2]; 0 for a round fit.
-    pub fn angle_rad(&self) -> f64 {
-        self.angle_rad
-    }
-
-    /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`; not a distortion, which
-    /// [`covariance`](Self::covariance) gives.
-    pub fn ellipticity(&self) -> f64 {
-        self.ellipticity
-    }
-
-    /// The constant background, where it was fitted.
-    pub fn background(&self) -> Option<f64> {
-        self.background
-    }
-
-    /// Root of the mean squared residual over the window, in units of the stamp.
-    pub fn residual_rms(&self) -> f64 {
-        self.residual_rms
-    }
-
-    /// Iterations that the fit took.
-    pub fn iterations(&self) -> usize {
-        self.iterations
-    }
-
-    /// The Gaussian's covariance, with its distortion and its reduced shear.
-    pub fn covariance(&self) -> Covariance {
-        self.covariance
+impl Units {
+    /// Scales the cutout's values in place. A fit with background loses its median first, so that a high sky costs no digits.
+    fn take_off(cutout: &mut Cutout, background: bool) -> Result<Self, MetricsError> {
+        let largest = cutout.largest();
+        let offset = if background {
+            let mut values: Vec<f64> = cutout.values.iter().copied().collect();
+            let middle = values.len() / 2;
+            *values.select_nth_unstable_by(middle, f64::total_cmp).1
+        } else {
+            0.0
+        };
+        let scale = cutout
+            .values
+            .iter()
+            .fold(0.0, |most: f64, v| most.max((v - offset).abs()));
+        if scale == 0.0 {
+            return Err(MetricsError::NoPeak {
+                largest,
+                amplitude: 0.0,
+            });
+        }
+        if !scale.is_finite() {
+            return Err(MetricsError::Overflow { largest });
+        }
+        cutout.values.mapv_inplace(|v| (v - offset) / scale);
+        Ok(Self { offset, scale })
     }
 }

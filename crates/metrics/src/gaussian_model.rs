@@ -1,7 +1,9 @@
-//! The Gaussian that is fitted, and its derivatives.
+//! The Gaussian that is fitted, its derivatives, and where the fit starts.
 
-use nalgebra::SVector;
+use nalgebra::{SMatrix, SVector};
+use ndarray::{Array2, s};
 
+use crate::levenberg_marquardt::Linearised;
 use crate::window::Cutout;
 use crate::{Covariance, MetricsError};
 
@@ -112,13 +114,125 @@ impl GaussianModel {
             visit(gauss + background - value, &derivatives);
         }
     }
+
+    /// The sum of squares over the pixels about parameters.
+    pub(crate) fn linearise<const N: usize>(self, p: &SVector<f64, N>, cutout: &Cutout) -> Linearised<N> {
+        let mut cost = 0.0;
+        let mut gradient = [0.0; N];
+        let mut normal = [[0.0; N]; N];
+        self.residuals(p, cutout, |residual, derivatives| {
+            cost += 0.5 * residual * residual;
+            for i in 0..N {
+                gradient[i] += residual * derivatives[i];
+                for j in 0..=i {
+                    normal[i][j] += derivatives[i] * derivatives[j];
+                }
+            }
+        });
+        Linearised {
+            cost,
+            gradient: SVector::from(gradient),
+            normal: SMatrix::from_fn(|i, j| normal[i.max(j)][i.min(j)]),
+        }
+    }
+}
+
+const FIRST_SIGMA_PX: f64 = 0.4;
+const SIGMA_RATIO: f64 = 1.5;
+
+/// The best round Gaussian of a coarse search, `None` where none has a positive amplitude.
+///
+/// Centres: the brightest pixel, and the brightest box mean for boxes of 3 pixels and of a quarter of the window (these
+/// see wide PSFs under noise). Sigmas: a geometric series from 0.4 pixels to the window. For each pair the amplitude and
+/// the background follow from linear least squares; the pair that leaves the smallest sum of squares wins.
+pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> {
+    let (rows, columns) = cutout.values.dim();
+    let mut centres = Vec::new();
+    for half in [0, 1, rows.min(columns) / 8] {
+        let centre = brightest_box(&cutout.values, half);
+        if !centres.contains(&centre) {
+            centres.push(centre);
+        }
+    }
+    let mut best: Option<(f64, Start)> = None;
+    for (row, column) in centres {
+        let mut sigma = FIRST_SIGMA_PX;
+        while sigma <= rows.max(columns) as f64 {
+            if let Some((gain, start)) = linear_fit(cutout, column as f64, row as f64, sigma, background)
+                && best.is_none_or(|(most, _)| gain > most)
+            {
+                best = Some((gain, start));
+            }
+            sigma *= SIGMA_RATIO;
+        }
+    }
+    best.map(|(_, start)| start)
+}
+
+/// Amplitude (and background) of a given round Gaussian, with the sum of squares that it explains; `None` unless positive.
+fn linear_fit(cutout: &Cutout, x: f64, y: f64, sigma: f64, background: bool) -> Option<(f64, Start)> {
+    let (rows, columns) = cutout.values.dim();
+    let profile = |n: usize, centre: f64| -> Vec<f64> {
+        (0..n)
+            .map(|i| (-0.5 * ((i as f64 - centre) / sigma).powi(2)).exp())
+            .collect()
+    };
+    let (along_x, along_y) = (profile(columns, x), profile(rows, y));
+    let (mut gg, mut gd, mut g, mut d) = (0.0, 0.0, 0.0, 0.0);
+    for (row, wy) in cutout.values.rows().into_iter().zip(&along_y) {
+        for (value, wx) in row.iter().zip(&along_x) {
+            let w = wx * wy;
+            gg += w * w;
+            gd += w * value;
+            g += w;
+            d += value;
+        }
+    }
+    let n = cutout.values.len() as f64;
+    let (power, product) = if background {
+        (gg - g * g / n, gd - g * d / n)
+    } else {
+        (gg, gd)
+    };
+    let amplitude = product / power;
+    (amplitude > 0.0 && amplitude.is_finite()).then(|| {
+        let start = Start {
+            amplitude,
+            x,
+            y,
+            sigma,
+            background: if background { (d - amplitude * g) / n } else { 0.0 },
+        };
+        (amplitude * product, start)
+    })
+}
+
+/// Row and column of the largest mean over the boxes of `2 half + 1` pixels that lie on the array.
+fn brightest_box(values: &Array2<f64>, half: usize) -> (usize, usize) {
+    let side = 2 * half + 1;
+    let along_x = running_sums(values, side);
+    let sums = running_sums(&along_x.t().to_owned(), side);
+    let mut best = (f64::NEG_INFINITY, (half, half));
+    for ((column, row), &sum) in sums.indexed_iter() {
+        if sum > best.0 {
+            best = (sum, (row + half, column + half));
+        }
+    }
+    best.1
+}
+
+/// Sums over `side` neighbours along the last axis.
+fn running_sums(values: &Array2<f64>, side: usize) -> Array2<f64> {
+    let (rows, columns) = values.dim();
+    Array2::from_shape_fn((rows, columns + 1 - side), |(i, j)| {
+        values.slice(s![i, j..j + side]).sum()
+    })
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Window;
-    use ndarray::Array2;
 
     /// Central differences with step h err by h^2, relative to values of order 1.
     const DIFFERENCE_TOLERANCE: f64 = 1e-8;
@@ -180,5 +294,14 @@ mod tests {
             product.iter().all(|v| v.abs() < 8.0 * f64::EPSILON),
             "{product:?}"
         );
+    }
+
+    #[test]
+    fn the_brightest_box_is_found() {
+        let mut values = Array2::zeros((8, 11));
+        values[[1, 2]] = 5.0;
+        values.slice_mut(s![4..7, 6..9]).fill(1.0);
+        assert_eq!(brightest_box(&values, 0), (1, 2));
+        assert_eq!(brightest_box(&values, 1), (5, 7));
     }
 }

@@ -37,32 +37,19 @@
 //! Both describe a PSF by one ellipse, and agree for a Gaussian. For a real PSF with wings they differ: the fit matches the
 //! core, where the squared light is; the moments match second moments under a weight of the PSF's own size.
 
-mod adaptive_moment_finder;
-mod adaptive_moments;
 mod comparison;
-mod compensated_sum;
-mod covariance;
-mod distortion;
+mod ellipse;
 mod error;
 mod gaussian_fit;
-mod gaussian_fitter;
 mod gaussian_model;
-mod gaussian_start;
 mod levenberg_marquardt;
-mod quadrupole_moments;
-mod reduced_shear;
-mod summary;
+mod moments;
 mod window;
 
-pub use adaptive_moment_finder::AdaptiveMomentFinder;
-pub use adaptive_moments::AdaptiveMoments;
-pub use comparison::Comparison;
-pub use covariance::{Covariance, FWHM_PER_SIGMA};
-pub use distortion::Distortion;
+pub use comparison::{Comparison, Summary};
+pub use ellipse::{Covariance, Distortion, ReducedShear};
 pub use error::MetricsError;
-pub use gaussian_fit::GaussianFit;
-pub use gaussian_fitter::GaussianFitter;
-pub use quadrupole_moments::QuadrupoleMoments;
-pub use reduced_shear::ReducedShear;
-pub use summary::Summary;
+pub use gaussian_fit::{GaussianFit, GaussianFitter};
+pub use moments::{AdaptiveMomentFinder, AdaptiveMoments, QuadrupoleMoments};
+pub use psf_types::maths::FWHM_PER_SIGMA;
 pub use window::Window;

@@ -12,43 +12,40 @@ use crate::MetricsError;
 /// rule that centres a stamp. It must lie wholly on the stamp; pixels outside it are not looked at.
 ///
 /// ```
-/// use metrics::Window;
+/// use psf_metrics::Window;
 /// let window = Window::central(15);                  // of a 64 x 64 stamp:
 /// assert_eq!(window.ranges(64, 64)?, (25..40, 25..40)); // columns and rows 25 to 39
 /// assert!(Window::about(15, 3, 30).ranges(64, 64).is_err());
-/// # Ok::<(), metrics::MetricsError>(())
+/// # Ok::<(), psf_metrics::MetricsError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Window(Choice);
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-enum Choice {
-    #[default]
-    Whole,
-    Central {
-        size: usize,
-    },
-    About {
-        size: usize,
-        column: usize,
-        row: usize,
-    },
+pub struct Window {
+    /// None for every pixel.
+    size: Option<usize>,
+    /// Column and row, none for the middle of the stamp.
+    about: Option<(usize, usize)>,
 }
 
 impl Window {
     /// Every pixel.
     pub fn whole() -> Self {
-        Self(Choice::Whole)
+        Self::default()
     }
 
     /// `size` x `size` pixels about index `n / 2` of each axis.
     pub fn central(size: usize) -> Self {
-        Self(Choice::Central { size })
+        Self {
+            size: Some(size),
+            about: None,
+        }
     }
 
     /// `size` x `size` pixels about the pixel in column `column` and row `row`.
     pub fn about(size: usize, column: usize, row: usize) -> Self {
-        Self(Choice::About { size, column, row })
+        Self {
+            size: Some(size),
+            about: Some((column, row)),
+        }
     }
 
     /// The columns and the rows of the window on a stamp of `nx` columns and `ny` rows.
@@ -60,11 +57,10 @@ impl Window {
         nx: usize,
         ny: usize,
     ) -> Result<(std::ops::Range<usize>, std::ops::Range<usize>), MetricsError> {
-        let (size, column, row) = match self.0 {
-            Choice::Whole => return Ok((0..nx, 0..ny)),
-            Choice::Central { size } => (size, nx / 2, ny / 2),
-            Choice::About { size, column, row } => (size, column, row),
+        let Some(size) = self.size else {
+            return Ok((0..nx, 0..ny));
         };
+        let (column, row) = self.about.unwrap_or((nx / 2, ny / 2));
         let range = |centre: usize, n: usize| {
             let first = centre.checked_sub(size / 2)?;
             let end = first.checked_add(size)?;

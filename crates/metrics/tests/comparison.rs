@@ -1,8 +1,8 @@
 //! Error norms against values worked out by hand.
 
-use metrics::{Comparison, MetricsError, Summary};
 use ndarray::{Array2, Array3, ShapeBuilder, array};
 use proptest::prelude::*;
+use psf_metrics::{Comparison, MetricsError, Summary};
 
 /// A few roundings.
 const ROUNDING: f64 = 1e-14;

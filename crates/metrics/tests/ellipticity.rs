@@ -2,8 +2,8 @@
 
 use std::f64::consts::PI;
 
-use metrics::{Covariance, Distortion, MetricsError, ReducedShear};
 use proptest::prelude::*;
+use psf_metrics::{Covariance, Distortion, MetricsError, ReducedShear};
 
 /// A few roundings of values of order 1.
 const ROUNDING: f64 = 1e-14;

@@ -3,8 +3,8 @@
 mod common;
 
 use common::Gaussian;
-use metrics::{AdaptiveMomentFinder, GaussianFitter, MetricsError, QuadrupoleMoments, Window};
 use ndarray::{Array2, array};
+use psf_metrics::{AdaptiveMomentFinder, GaussianFitter, MetricsError, QuadrupoleMoments, Window};
 
 fn star(x: f64, y: f64, sigma: f64) -> Array2<f64> {
     Gaussian {

@@ -5,9 +5,9 @@ mod common;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use common::Gaussian;
-use metrics::{FWHM_PER_SIGMA, GaussianFit, GaussianFitter, Window};
 use ndarray::{Array2, s};
 use proptest::prelude::*;
+use psf_metrics::{FWHM_PER_SIGMA, GaussianFit, GaussianFitter, Window};
 
 /// The iteration ends when the model changes by 1e-11; a wide ellipse with background turns that into this.
 const EXACT: f64 = 1e-8;

@@ -5,7 +5,7 @@ mod common;
 use std::f64::consts::PI;
 
 use common::{Gaussian, MOFFATS};
-use metrics::{FWHM_PER_SIGMA, GaussianFitter, Window};
+use psf_metrics::{FWHM_PER_SIGMA, GaussianFitter, Window};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 

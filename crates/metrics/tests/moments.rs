@@ -3,9 +3,9 @@
 mod common;
 
 use common::{Gaussian, MOFFATS, Moffat};
-use metrics::{AdaptiveMomentFinder, AdaptiveMoments, QuadrupoleMoments, ReducedShear, Window};
 use ndarray::{Array2, s};
 use proptest::prelude::*;
+use psf_metrics::{AdaptiveMomentFinder, AdaptiveMoments, QuadrupoleMoments, ReducedShear, Window};
 
 /// The iteration ends at a relative change of 1e-11.
 const EXACT: f64 = 1e-9;

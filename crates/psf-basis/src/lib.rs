@@ -19,22 +19,12 @@
 //! Stamps are taken as they are. Of samples of unit flux, mean-centred, every component has zero flux, so that any
 //! truncation keeps the flux: scale samples first ([`psf_types::PsfSamples::into_unit_flux`]).
 
-mod basis_fit;
-mod elbow;
-mod error;
-mod given_stamps;
+mod decomposition;
+mod fit;
 mod noise;
-mod orthonormal;
-mod rank_selection;
-mod spectrum;
-mod svd;
-mod uneven_noise;
+mod rank;
 
-pub use basis_fit::{BasisFit, BasisMethod};
-pub use error::BasisError;
-pub use given_stamps::GivenStamps;
+pub use decomposition::{BasisError, orthonormal};
+pub use fit::{BasisFit, BasisMethod, Centring, GivenStamps, Svd};
 pub use noise::PixelNoise;
-pub use orthonormal::orthonormal;
-pub use rank_selection::RankSelection;
-pub use spectrum::Spectrum;
-pub use svd::{Centring, Svd};
+pub use rank::{RankSelection, Spectrum};

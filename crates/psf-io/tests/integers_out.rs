@@ -31,7 +31,9 @@ fn every_kind_holds_its_ends() {
             let pixels = array![[0.0, 0.0], [0.0, bad]];
             let before = std::fs::read(&path).unwrap();
             match write_integers(&path, pixels.view(), kind, &HeaderCards::new(), &[], true) {
-                Err(IoError::NotWhole { index: [1, 1], .. }) => {}
+                Err(IoError::Request { problem, .. }) => {
+                    assert!(problem.starts_with("the pixel [1, 1] ([y, x]) is "), "{problem}");
+                }
                 other => panic!("{bad}: {other:?}"),
             }
             assert_eq!(std::fs::read(&path).unwrap(), before, "an old file stays");

@@ -42,46 +42,12 @@ pub enum OpticsError {
         /// What was given.
         got: String,
     },
-    /// None or several of keys of which exactly one is needed.
-    #[error("exactly one of {keys} must be given, got {given}")]
-    OneOf {
-        /// The keys.
-        keys: &'static str,
-        /// How many were given.
-        given: usize,
-    },
-    /// Something that may be listed once.
-    #[error("{key} repeats {what}: merge the two")]
-    Repeated {
-        /// The later of the two keys.
-        key: String,
-        /// What it repeats.
-        what: String,
-    },
-    /// A computation that would need more memory than is sensible.
-    #[error(
-        "the PSF would need transforms of {got} x {got} points, at most {limit} x {limit} are supported: make the stamp or \
-         its padding smaller, or choose a pixel scale closer to lambda / D"
-    )]
-    TooLarge {
-        /// Points an axis.
-        got: usize,
-        /// The limit.
-        limit: usize,
-    },
-    /// The wavefront sends light further out than the computed part of the focal plane.
-    #[error(
-        "the wavefront at {position} sends light {got_px:.1} frame pixels off the PSF's centre, the computed focal plane \
-         reaches {limit_px:.1}: enlarge the stamp or stamp.padding, or check the Zernike coefficients"
-    )]
-    WavefrontTooSteep {
-        /// The field position.
-        position: Position,
-        /// Where the steepest part of the wavefront sends its light, in frame pixels.
-        got_px: f64,
-        /// Half the width of the computed focal plane, in frame pixels.
-        limit_px: f64,
-    },
+    /// A description that cannot be used, in words: none or several of keys of which exactly one is
+    /// needed, something listed twice that may be listed once, a computation that would need more
+    /// memory than is sensible, or a wavefront that sends light further out than the computed part
+    /// of the focal plane.
+    #[error("{0}")]
+    Unusable(String),
     /// A profile without a size.
     #[error("the profile's FWHM at {position} is {fwhm_px} pixels: it must be finite and above 0")]
     ProfileSize {
@@ -106,6 +72,11 @@ pub enum OpticsError {
 }
 
 impl OpticsError {
+    /// The error for something that may be listed once; `key` is the later of the two.
+    pub(crate) fn repeated(key: &str, what: &str) -> Self {
+        Self::Unusable(format!("{key} repeats {what}: merge the two"))
+    }
+
     pub(crate) fn setting(
         key: impl Into<String>,
         allowed: &'static str,

@@ -1,6 +1,6 @@
 //! Polynomials of the field position.
 
-use psf_types::{FrameShape, Position};
+use psf_types::{FrameShape, Position, getters};
 use serde::{Deserialize, Serialize};
 
 use crate::OpticsError;
@@ -41,14 +41,11 @@ impl FieldCoordinates {
         }
     }
 
-    /// The column coordinate.
-    pub fn u(self) -> f64 {
-        self.u
-    }
-
-    /// The row coordinate.
-    pub fn v(self) -> f64 {
-        self.v
+    getters! { self;
+        /// The column coordinate.
+        u: f64,
+        /// The row coordinate.
+        v: f64,
     }
 }
 
@@ -94,7 +91,7 @@ impl FieldPolynomial {
     ///
     /// # Errors
     /// [`OpticsError::Setting`] for a value that is not finite or a power above [`Self::MAX_POWER`],
-    /// [`OpticsError::Repeated`] for two terms of the same powers.
+    /// [`OpticsError::Unusable`] for two terms of the same powers.
     pub fn new(terms: Vec<FieldTerm>) -> Result<Self, OpticsError> {
         Self::named("", terms)
     }
@@ -110,10 +107,8 @@ impl FieldPolynomial {
                 }
             }
             if terms[..i].iter().any(|t| (t.x, t.y) == (term.x, term.y)) {
-                return Err(OpticsError::Repeated {
-                    key: name(""),
-                    what: format!("the term x = {}, y = {}", term.x, term.y),
-                });
+                let (key, x, y) = (name(""), term.x, term.y);
+                return Err(OpticsError::repeated(&key, &format!("the term x = {x}, y = {y}")));
             }
         }
         Ok(Self { terms })

@@ -6,10 +6,8 @@ use ndarray::ArrayViewMut2;
 use rustfft::num_complex::Complex64;
 use rustfft::{Fft, FftPlanner};
 
-use crate::fft_size::even_smooth_at_least;
-use crate::focal_scratch::FocalScratch;
-use crate::pupil_cells::PupilCells;
-use crate::pupil_polynomial::PupilPolynomial;
+use crate::pupil::PupilCells;
+use crate::wavefront::{PupilPolynomial, PupilRowPolynomial, PupilRowValues};
 
 /// Columns that pass through a transform together: 16 complex numbers are four cache lines.
 const BLOCK: usize = 16;
@@ -25,7 +23,8 @@ pub(crate) struct FocalPlane {
     length: usize,
     /// Highest lag that matters.
     lags: usize,
-    period: usize,
+    /// Width of the computed focal plane in stamp pixels.
+    pub(crate) period: usize,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
     /// `1 / sinc^2(m / length)` along an axis: undoes the averaging of the amplitude over a pupil cell.
@@ -41,7 +40,7 @@ pub(crate) struct AxisTransfer(pub(crate) Vec<Complex64>);
 impl std::fmt::Debug for FocalPlane {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("FocalPlane")
-            .field("pupil_side", &self.pupil.side())
+            .field("pupil_side", &self.pupil.side)
             .field("length", &self.length)
             .field("lags", &self.lags)
             .field("period", &self.period)
@@ -56,7 +55,7 @@ impl FocalPlane {
     }
 
     pub(crate) fn new(pupil: PupilCells, lags: usize, period: usize, seeing: Option<Vec<f64>>) -> Self {
-        let length = Self::transform_length(pupil.side(), lags);
+        let length = Self::transform_length(pupil.side, lags);
         let mut planner = FftPlanner::new();
         let cell_correction = (0..length)
             .map(|m| {
@@ -77,11 +76,6 @@ impl FocalPlane {
         }
     }
 
-    /// Width of the computed focal plane in stamp pixels.
-    pub(crate) fn period(&self) -> usize {
-        self.period
-    }
-
     /// Draws the stamp of a pupil phase; `gain` turns the unit-flux density on the period into stamp values.
     ///
     /// Returns the steepest phase gradient in radians per cell; the stamp is not drawn when it exceeds pi.
@@ -99,7 +93,7 @@ impl FocalPlane {
             self.transform_rows(&mut scratch);
             self.correlate_columns(&mut scratch);
             self.fold(&mut scratch, transfer_x, transfer_y);
-            let norm = gain / (self.pupil.lit_cells() * (self.length * self.length) as f64);
+            let norm = gain / (self.pupil.lit_cells * (self.length * self.length) as f64);
             self.transform_back(&mut scratch, norm, stamp);
         }
         if let Ok(mut pool) = self.scratch.lock() {
@@ -109,11 +103,21 @@ impl FocalPlane {
     }
 
     fn new_scratch(&self) -> FocalScratch {
+        let zeros = |n: usize| vec![Complex64::ZERO; n];
         let fft = self
             .forward
             .get_inplace_scratch_len()
             .max(self.inverse.get_inplace_scratch_len());
-        FocalScratch::new(self.pupil.side(), self.length, self.lags, self.period, BLOCK, fft)
+        FocalScratch {
+            amplitude: zeros(self.pupil.side * self.length),
+            block: zeros((BLOCK * self.length).max(self.period)),
+            lags: zeros((self.lags + 1) * self.length),
+            folded: zeros(self.period * self.period),
+            fft: zeros(fft),
+            row: PupilRowPolynomial::default(),
+            values: PupilRowValues::default(),
+            coverage: Vec::new(),
+        }
     }
 
     /// Pupil rows to focal-plane columns; the rows beyond the pupil are zero and not transformed.
@@ -125,7 +129,7 @@ impl FocalPlane {
 
     /// Along each column: amplitude to intensity and on to lags, two real columns in one complex transform.
     fn correlate_columns(&self, s: &mut FocalScratch) {
-        let (n, side) = (self.length, self.pupil.side());
+        let (n, side) = (self.length, self.pupil.side);
         for first in (0..n).step_by(BLOCK) {
             let width = BLOCK.min(n - first);
             s.block.fill(Complex64::ZERO);
@@ -189,5 +193,102 @@ impl FocalPlane {
                 *value = z.re * norm;
             }
         }
+    }
+}
+
+/// Buffers that a drawing overwrites entirely: what they held before never matters.
+#[derive(Debug)]
+struct FocalScratch {
+    /// Pupil rows `[row][length]`, then their transforms.
+    amplitude: Vec<Complex64>,
+    /// Some columns, `[column][length]`.
+    block: Vec<Complex64>,
+    /// `[lag in y][length]`.
+    lags: Vec<Complex64>,
+    /// `[period][period]`.
+    folded: Vec<Complex64>,
+    /// Scratch of the transforms.
+    fft: Vec<Complex64>,
+    row: PupilRowPolynomial,
+    values: PupilRowValues,
+    coverage: Vec<f64>,
+}
+
+impl FocalScratch {
+    /// Writes the amplitude of every cell: the mean over the cell of `exp(i phase)` where it is lit, the phase taken as
+    /// linear within the cell. Returns the steepest gradient along an axis in radians per cell.
+    fn fill_amplitude(&mut self, pupil: &PupilCells, phase: &PupilPolynomial, length: usize) -> f64 {
+        if !phase.is_finite() {
+            return f64::INFINITY;
+        }
+        self.amplitude.fill(Complex64::ZERO);
+        let mut steepest = 0f64;
+        for row in &pupil.rows {
+            phase.at_y(pupil.y(row), &mut self.row);
+            self.row.evaluate(pupil.x(row), &mut self.values);
+            let v = &mut self.values;
+            self.coverage.clear();
+            self.coverage.resize(row.columns.len(), 1.0);
+            for grey in pupil.grey(row) {
+                let i = grey.column - row.columns.start;
+                self.coverage[i] = grey.coverage;
+                v.value[i] += grey.dx * v.dx[i] + grey.dy * v.dy[i];
+            }
+            let start = row.row * length + row.columns.start;
+            let target = &mut self.amplitude[start..start + row.columns.len()];
+            let gradients = v.dx.iter().zip(&v.dy);
+            for (((a, &coverage), &phase), (&dx, &dy)) in
+                target.iter_mut().zip(&self.coverage).zip(&v.value).zip(gradients)
+            {
+                if coverage > 0.0 {
+                    let (gx, gy) = (dx * pupil.cell, dy * pupil.cell);
+                    steepest = steepest.max(gx.abs()).max(gy.abs());
+                    let (sin, cos) = phase.sin_cos();
+                    let mean = coverage * mean_over_cell(gx) * mean_over_cell(gy);
+                    *a = Complex64::new(mean * cos, mean * sin);
+                }
+            }
+        }
+        steepest
+    }
+}
+
+/// The mean of `exp(i g t)` over `-1/2 <= t <= 1/2`, `sin(g/2) / (g/2)`, by its series: 2e-6 off at most for `|g| <= pi`.
+fn mean_over_cell(g: f64) -> f64 {
+    let z2 = g * g / 4.0;
+    1.0 - z2 / 6.0 * (1.0 - z2 / 20.0 * (1.0 - z2 / 42.0 * (1.0 - z2 / 72.0)))
+}
+
+/// The smallest even length of at least `n` whose prime factors are 2, 3, 5 and 7.
+pub(crate) fn even_smooth_at_least(n: usize) -> usize {
+    let smooth = |mut n: usize| {
+        for p in [2, 3, 5, 7] {
+            while n.is_multiple_of(p) {
+                n /= p;
+            }
+        }
+        n == 1
+    };
+    (n.max(2)..usize::MAX)
+        .find(|&n| n.is_multiple_of(2) && smooth(n))
+        .expect("a power of 2 is found")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_over_a_cell() {
+        for g in [-3.1, -1.0, 1e-3, 0.5, 2.0, 3.13] {
+            let exact = (g / 2.0f64).sin() / (g / 2.0);
+            assert!((mean_over_cell(g) - exact).abs() < 3e-6, "{g}");
+        }
+    }
+
+    #[test]
+    fn lengths() {
+        let got: Vec<_> = [0, 2, 11, 12, 129, 291, 977].map(even_smooth_at_least).into();
+        assert_eq!(got, [2, 2, 12, 12, 140, 294, 980]);
     }
 }

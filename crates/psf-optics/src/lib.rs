@@ -42,39 +42,28 @@
 //! Light beyond it comes back in. At the default padding of 2 this is up to 5e-5 in the flux and 2e-5 of the peak in the
 //! values (5e-5 for a ring of obscuration 0.6), measured on stamps of 30 lambda / D against the Airy formula; doubling the
 //! padding divides the flux error by more than 2 and takes four times as long. A wavefront so steep that it sends light
-//! beyond the period is refused ([`OpticsError::WavefrontTooSteep`]). The PSF is monochromatic, and the Fraunhofer (scalar,
+//! beyond the period is refused ([`OpticsError::Unusable`]). The PSF is monochromatic, and the Fraunhofer (scalar,
 //! small angle) approximation holds.
 
-mod aperture;
+mod analytic;
 mod error;
-mod fft_size;
 mod field_polynomial;
 mod focal_plane;
-mod focal_scratch;
-mod gaussian_field;
-mod moffat_field;
 mod params;
-mod presets;
-mod profile_field;
-mod pupil_cells;
-mod pupil_polynomial;
+mod pupil;
 mod seeing;
 mod telescope;
 mod wavefront;
-mod zernike;
 
+pub use analytic::{GaussianField, MoffatField, ProfileShape};
 pub use error::OpticsError;
 pub use field_polynomial::{FieldCoordinates, FieldPolynomial, FieldTerm};
-pub use gaussian_field::GaussianField;
-pub use moffat_field::MoffatField;
 pub use params::{
     ApertureParams, DetectorParams, FrameParams, ModeParams, SeeingParams, SpiderParams, StampParams,
     TelescopeParams, WavefrontParams, WavefrontUnit,
 };
-pub use presets::{SURVEY_2M_TOML, WIDE_FIELD_LENS_TOML};
-pub use profile_field::ProfileShape;
-pub use telescope::Telescope;
-pub use zernike::Zernike;
+pub use telescope::{SURVEY_2M_TOML, Telescope, WIDE_FIELD_LENS_TOML};
+pub use wavefront::Zernike;
 
 /// Radians in an angle of so many arcseconds.
 pub(crate) fn arcsec_to_rad(arcsec: f64) -> f64 {

@@ -34,10 +34,10 @@ impl Seeing {
                 KOLMOGOROV_FWHM * at_m / crate::arcsec_to_rad(fwhm)
             }
             (r0, fwhm) => {
-                return Err(OpticsError::OneOf {
-                    keys: "seeing.r0_m and seeing.fwhm_arcsec",
-                    given: usize::from(r0.is_some()) + usize::from(fwhm.is_some()),
-                });
+                let given = usize::from(r0.is_some()) + usize::from(fwhm.is_some());
+                return Err(OpticsError::Unusable(format!(
+                    "exactly one of seeing.r0_m and seeing.fwhm_arcsec must be given, got {given}"
+                )));
             }
         };
         if let Some(scale) = params.outer_scale_m {

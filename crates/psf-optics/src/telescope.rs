@@ -7,14 +7,18 @@ use ndarray::ArrayViewMut2;
 use psf_types::{FrameShape, Position, PsfSource, SourceError, StampGrid};
 use rustfft::num_complex::Complex64;
 
-use crate::aperture::Aperture;
 use crate::error::require;
-use crate::fft_size::even_smooth_at_least;
-use crate::focal_plane::{AxisTransfer, FocalPlane};
-use crate::pupil_cells::PupilCells;
+use crate::focal_plane::{AxisTransfer, FocalPlane, even_smooth_at_least};
+use crate::pupil::{Aperture, PupilCells};
 use crate::seeing::Seeing;
 use crate::wavefront::Wavefront;
 use crate::{FieldCoordinates, OpticsError, TelescopeParams};
+
+/// The TOML text of [`Telescope::survey_2m`].
+pub const SURVEY_2M_TOML: &str = include_str!("../presets/survey_2m.toml");
+
+/// The TOML text of [`Telescope::wide_field_lens`].
+pub const WIDE_FIELD_LENS_TOML: &str = include_str!("../presets/wide_field_lens.toml");
 
 /// A telescope that draws its PSF anywhere on its frame: pupil, wavefront over the field, seeing, pixel and blur.
 ///
@@ -62,31 +66,18 @@ impl Telescope {
     /// # Errors
     /// [`OpticsError`], naming the key and what is allowed.
     pub fn new(params: TelescopeParams) -> Result<Self, OpticsError> {
-        let wavelength_m = 1e-9
-            * require(
-                "wavelength_nm",
-                "a number of nm above 0",
-                params.wavelength_nm,
-                params.wavelength_nm > 0.0,
-            )?;
-        let pixel_rad = crate::arcsec_to_rad(require(
-            "pixel_scale_arcsec",
-            "a number of arcsec above 0",
-            params.pixel_scale_arcsec,
-            params.pixel_scale_arcsec > 0.0,
-        )?);
+        let (nm, arcsec) = (params.wavelength_nm, params.pixel_scale_arcsec);
+        let wavelength_m = 1e-9 * require("wavelength_nm", "a number of nm above 0", nm, nm > 0.0)?;
+        let allowed = "a number of arcsec above 0";
+        let pixel_rad = crate::arcsec_to_rad(require("pixel_scale_arcsec", allowed, arcsec, arcsec > 0.0)?);
         let field = FrameShape::new(params.frame.nx, params.frame.ny)?;
         let grid = Self::check_stamp(&params)?;
         let aperture = Aperture::new(&params.aperture)?;
         let wavefront = Wavefront::new(&params.wavefront, params.wavelength_nm)?;
         let seeing = params.seeing.map(|s| Seeing::new(&s, wavelength_m)).transpose()?;
         let sigma = params.detector.blur_sigma_px;
-        require(
-            "detector.blur_sigma_px",
-            "a number of pixels, 0 or above",
-            sigma,
-            sigma >= 0.0,
-        )?;
+        let allowed = "a number of pixels, 0 or above";
+        require("detector.blur_sigma_px", allowed, sigma, sigma >= 0.0)?;
 
         let oversampling = grid.oversampling();
         let step_rad = pixel_rad / oversampling;
@@ -95,9 +86,12 @@ impl Telescope {
         let wanted = params.stamp.padding * grid.nx().max(grid.ny()) as f64;
         let period = wanted.max(Self::MIN_PUPIL_CELLS / cells_per_pixel).ceil();
         let diameter = period * cells_per_pixel;
-        let too_large = |got: f64| OpticsError::TooLarge {
-            got: got as usize,
-            limit: Self::MAX_TRANSFORM,
+        let too_large = |got: f64| {
+            let (got, limit) = (got as usize, Self::MAX_TRANSFORM);
+            OpticsError::Unusable(format!(
+                "the PSF would need transforms of {got} x {got} points, at most {limit} x {limit} are supported: make the stamp or \
+                 its padding smaller, or choose a pixel scale closer to lambda / D"
+            ))
         };
         if period.max(diameter) > Self::MAX_TRANSFORM as f64 {
             return Err(too_large(period.max(diameter)));
@@ -164,6 +158,22 @@ impl Telescope {
         })
     }
 
+    /// A 2 m off-axis survey telescope in space, without obscuration, at 0.074 arcsec a pixel on 9232 x 9216 pixels (the
+    /// size and sampling of the CSST survey camera; the aberrations are made up, not those of the instrument).
+    ///
+    /// The file is [`SURVEY_2M_TOML`].
+    pub fn survey_2m() -> Self {
+        Self::from_toml_str(SURVEY_2M_TOML).expect("the preset is valid")
+    }
+
+    /// An under-sampled wide-field lens on the ground: 180 mm aperture, 11.7 arcsec a pixel on 4096 x 4096 pixels (the
+    /// class of the GWAC cameras; the aberrations are made up).
+    ///
+    /// The file is [`WIDE_FIELD_LENS_TOML`].
+    pub fn wide_field_lens() -> Self {
+        Self::from_toml_str(WIDE_FIELD_LENS_TOML).expect("the preset is valid")
+    }
+
     /// The parameters it was made from; change a copy and call [`new`](Self::new) for another telescope.
     pub fn params(&self) -> &TelescopeParams {
         &self.params
@@ -187,7 +197,7 @@ impl Telescope {
 
     /// The transfer along an axis with the source at index `centre` of the stamp.
     fn axis_transfer(&self, centre: f64) -> AxisTransfer {
-        let turn = -TAU * centre / self.focal_plane.period() as f64;
+        let turn = -TAU * centre / self.focal_plane.period as f64;
         let lags = self.detector.iter().enumerate();
         AxisTransfer(
             lags.map(|(k, &t)| Complex64::from_polar(t, turn * k as f64))
@@ -220,17 +230,17 @@ impl PsfSource for Telescope {
         let x = self.axis_transfer(self.grid.centre_x() + dx * s);
         let y = self.axis_transfer(self.grid.centre_y() + dy * s);
         let phase = self.wavefront.phase(FieldCoordinates::of(position, self.field));
-        let gain = (s / self.focal_plane.period() as f64).powi(2);
+        let gain = (s / self.focal_plane.period as f64).powi(2);
         let steepest = self.focal_plane.draw(&phase, (&x, &y), gain, stamp);
         if steepest <= PI {
             return Ok(());
         }
-        let period_px = self.focal_plane.period() as f64 / s;
-        let source = OpticsError::WavefrontTooSteep {
-            position,
-            got_px: steepest / TAU * period_px,
-            limit_px: period_px / 2.0,
-        };
+        let period_px = self.focal_plane.period as f64 / s;
+        let (got_px, limit_px) = (steepest / TAU * period_px, period_px / 2.0);
+        let source = OpticsError::Unusable(format!(
+            "the wavefront at {position} sends light {got_px:.1} frame pixels off the PSF's centre, the computed focal plane \
+             reaches {limit_px:.1}: enlarge the stamp or stamp.padding, or check the Zernike coefficients"
+        ));
         Err(SourceError::External {
             position,
             source: Box::new(source),

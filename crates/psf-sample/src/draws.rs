@@ -1,24 +1,19 @@
-//! Drawing many PSFs at once.
+//! Drawing many PSFs at once: anywhere, on a regular grid, and at sub-pixel shifts.
 
 use std::collections::HashMap;
 
 use ndarray::{Array2, Array3, Axis};
-use psf_types::{Position, Progress, PsfSamples, PsfSource, SamplePositions, Stamp};
+use psf_types::{FrameShape, Position, Progress, PsfSamples, PsfSource, SamplePositions, Stamp};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
 use rayon::prelude::*;
 
-use crate::SampleError;
-use crate::mesh::Node;
+use crate::criteria::DifferenceMeasure;
+use crate::mesh::{Mesh, Node};
+use crate::sampling::{SampleError, Sampling, SamplingMethod, SamplingReport};
 
 /// One checked PSF: finite, with light.
-pub(crate) fn draw(source: &dyn PsfSource, position: Position) -> Result<Array2<f64>, SampleError> {
-    draw_shifted(source, position, (0.0, 0.0))
-}
-
-pub(crate) fn draw_shifted(
-    source: &dyn PsfSource,
-    position: Position,
-    shift: (f64, f64),
-) -> Result<Array2<f64>, SampleError> {
+fn draw(source: &dyn PsfSource, position: Position, shift: (f64, f64)) -> Result<Array2<f64>, SampleError> {
     let grid = source.grid();
     let mut values = Array2::zeros(grid.dim());
     let drawn = if shift == (0.0, 0.0) {
@@ -37,7 +32,7 @@ pub(crate) fn draw_shifted(
 }
 
 /// Draws in parallel; the first error in the order of the positions wins, whatever the threads did.
-pub(crate) fn draw_all(
+fn draw_all(
     source: &dyn PsfSource,
     positions: &[Position],
     progress: &dyn Progress,
@@ -45,7 +40,7 @@ pub(crate) fn draw_all(
     let drawn: Vec<_> = positions
         .par_iter()
         .map(|&position| {
-            let stamp = draw(source, position);
+            let stamp = draw(source, position, (0.0, 0.0));
             progress.advance(1);
             stamp
         })
@@ -70,12 +65,12 @@ impl DrawnStamps {
         self.stamps.len()
     }
 
-    /// Draws those of `nodes` that are not here yet. `position` maps a node to the field.
+    /// Draws the `nodes` of a mesh that are not here yet.
     pub(crate) fn add(
         &mut self,
         source: &dyn PsfSource,
         nodes: impl Iterator<Item = Node>,
-        position: impl Fn(Node) -> Result<Position, SampleError>,
+        mesh: &Mesh,
         progress: &dyn Progress,
     ) -> Result<(), SampleError> {
         let mut missing: Vec<Node> = nodes.filter(|n| !self.stamps.contains_key(n)).collect();
@@ -86,37 +81,30 @@ impl DrawnStamps {
         }
         self.announced += missing.len() as u64;
         progress.start(self.announced);
-        let positions = missing
-            .iter()
-            .map(|&n| position(n))
-            .collect::<Result<Vec<_>, _>>()?;
+        let positions = mesh.positions(&missing)?;
         let drawn = draw_all(source, &positions, progress)?;
         self.stamps.extend(missing.into_iter().zip(drawn));
         Ok(())
     }
 
-    /// The samples at `nodes`, in that order.
+    /// The samples at the nodes of a mesh, by y, then x.
     pub(crate) fn into_samples(
         mut self,
         source: &dyn PsfSource,
-        nodes: &[Node],
-        position: impl Fn(Node) -> Result<Position, SampleError>,
+        mesh: &Mesh,
     ) -> Result<PsfSamples, SampleError> {
-        let taken: Vec<_> = nodes
+        let nodes = mesh.sorted_nodes();
+        let taken = nodes
             .iter()
             .map(|n| self.stamps.remove(n).expect("samples are drawn"))
             .collect();
         drop(self);
-        let positions = nodes
-            .iter()
-            .map(|&n| position(n))
-            .collect::<Result<Vec<_>, _>>()?;
-        into_samples(source, positions, taken)
+        into_samples(source, mesh.positions(&nodes)?, taken)
     }
 }
 
 /// Samples from stamps and positions of a source.
-pub(crate) fn into_samples(
+fn into_samples(
     source: &dyn PsfSource,
     positions: Vec<Position>,
     stamps: Vec<Array2<f64>>,
@@ -129,4 +117,180 @@ pub(crate) fn into_samples(
     }
     let positions = SamplePositions::new(positions, Some(source.field()))?;
     Ok(PsfSamples::new(stack, positions, source.grid())?)
+}
+
+/// Samples on a regular grid whose outermost positions are the pixel centres of the field's corners, 0 and `n - 1`.
+///
+/// ```
+/// use psf_sample::UniformSampling;
+/// use psf_types::FrameShape;
+/// let positions = UniformSampling::new(3, 2)?.positions(FrameShape::new(101, 51)?)?;
+/// assert_eq!((positions[4].x(), positions[4].y()), (50.0, 50.0));
+/// # Ok::<(), psf_sample::SampleError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct UniformSampling {
+    nx: usize,
+    ny: usize,
+    measure: DifferenceMeasure,
+}
+
+impl UniformSampling {
+    /// A grid of `nx` by `ny` samples.
+    ///
+    /// # Errors
+    /// [`SampleError::Setting`] when either is 0.
+    pub fn new(nx: usize, ny: usize) -> Result<Self, SampleError> {
+        for n in [nx, ny] {
+            SampleError::check(n > 0, "samples along an axis", "at least 1", n)?;
+        }
+        Ok(Self {
+            nx,
+            ny,
+            measure: DifferenceMeasure::default(),
+        })
+    }
+
+    /// The same grid; the report measures the largest difference of neighbours in this way.
+    #[must_use]
+    pub fn with_measure(self, measure: DifferenceMeasure) -> Self {
+        Self { measure, ..self }
+    }
+
+    /// The positions on a field, ordered by y, then x.
+    ///
+    /// # Errors
+    /// [`SampleError::Setting`] when an axis of more than one pixel has a single sample (its two ends would not be
+    /// covered), or an axis of one pixel has several.
+    pub fn positions(&self, field: FrameShape) -> Result<Vec<Position>, SampleError> {
+        let axis = |name, samples: usize, pixels: usize| {
+            let allowed = "1 for an axis of one pixel, at least 2 otherwise";
+            let got = format_args!("{samples} for {pixels} pixels");
+            SampleError::check((samples == 1) == (pixels == 1), name, allowed, got)?;
+            let last = (samples - 1).max(1) as f64;
+            // Multiplied first: the last one is exactly the last pixel.
+            Ok::<_, SampleError>((0..samples).map(move |i| (pixels - 1) as f64 * i as f64 / last))
+        };
+        let xs = axis("samples along x", self.nx, field.nx())?;
+        let ys = axis("samples along y", self.ny, field.ny())?;
+        let grid = ys.flat_map(|y| xs.clone().map(move |x| Position::new(x, y)));
+        Ok(grid.collect::<Result<_, _>>()?)
+    }
+
+    fn worst_neighbours(&self, stamps: &[Array2<f64>]) -> f64 {
+        let at = |x: usize, y: usize| stamps[y * self.nx + x].view();
+        let mut worst = 0f64;
+        for y in 0..self.ny {
+            for x in 0..self.nx {
+                if x + 1 < self.nx {
+                    worst = worst.max(self.measure.between(at(x, y), at(x + 1, y)));
+                }
+                if y + 1 < self.ny {
+                    worst = worst.max(self.measure.between(at(x, y), at(x, y + 1)));
+                }
+            }
+        }
+        worst
+    }
+}
+
+impl SamplingMethod for UniformSampling {
+    /// The report's worst value is the largest difference of neighbours along x or y.
+    fn sample(&self, source: &dyn PsfSource, progress: &dyn Progress) -> Result<Sampling, SampleError> {
+        let positions = self.positions(source.field())?;
+        progress.start(positions.len() as u64);
+        let stamps = draw_all(source, &positions, progress)?;
+        let report = SamplingReport {
+            cells: (self.nx - 1).max(1) * (self.ny - 1).max(1),
+            worst: self.worst_neighbours(&stamps),
+            ..SamplingReport::of_fixed_positions(stamps.len())
+        };
+        let samples = into_samples(source, positions, stamps)?;
+        Ok(Sampling { samples, report })
+    }
+}
+
+/// Draws every sample again at random sub-pixel shifts, so that a basis learns to represent shifted PSFs too.
+///
+/// Shifts are uniform over `-max_shift_px <= dx, dy <= max_shift_px`. Each sample has a ChaCha stream of its own, given by
+/// the seed and the sample's index: the result depends neither on threads nor on the other samples.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ShiftAugmentation {
+    copies_per_sample: usize,
+    max_shift_px: f64,
+    seed: u64,
+}
+
+/// Shifted stamps of samples.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct ShiftedStamps {
+    /// The stamps `[stamp, y, x]`: all copies of the first sample, then those of the next.
+    pub stamps: Array3<f64>,
+    /// Of each stamp, the index of its sample and the shift (dx, dy) in frame pixels.
+    pub shifts: Vec<(usize, (f64, f64))>,
+}
+
+impl ShiftAugmentation {
+    /// `copies_per_sample` shifted stamps of each sample, shifted by at most `max_shift_px` frame pixels along each axis.
+    ///
+    /// # Errors
+    /// [`SampleError::Setting`] when there are no copies or the shift is not above 0 and at most 0.5.
+    pub fn new(copies_per_sample: usize, max_shift_px: f64, seed: u64) -> Result<Self, SampleError> {
+        let copies = copies_per_sample;
+        SampleError::check(copies > 0, "copies per sample", "at least 1", copies)?;
+        let (is_sound, allowed) = (
+            max_shift_px > 0.0 && max_shift_px <= 0.5,
+            "above 0 and at most 0.5 pixels",
+        );
+        SampleError::check(is_sound, "the largest shift", allowed, max_shift_px)?;
+        Ok(Self {
+            copies_per_sample,
+            max_shift_px,
+            seed,
+        })
+    }
+
+    /// The shifts of one sample.
+    fn shifts(self, sample: usize) -> impl Iterator<Item = (f64, f64)> {
+        let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
+        rng.set_stream(sample as u64);
+        let mut uniform = move || {
+            // 53 random bits: every multiple of 2^-53 in [0, 1).
+            let unit = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
+            (2.0 * unit - 1.0) * self.max_shift_px
+        };
+        (0..self.copies_per_sample).map(move |_| (uniform(), uniform()))
+    }
+
+    /// Draws the shifted stamps of the samples at `positions`, in parallel.
+    ///
+    /// # Errors
+    /// [`SampleError::Draw`] when the source cannot shift, or cannot draw; [`SampleError::Stamp`] or
+    /// [`SampleError::NoLight`] when what it draws is no PSF.
+    pub fn draw(
+        &self,
+        source: &dyn PsfSource,
+        positions: &SamplePositions,
+        progress: &dyn Progress,
+    ) -> Result<ShiftedStamps, SampleError> {
+        let shifts: Vec<_> = (0..positions.len())
+            .flat_map(|sample| self.shifts(sample).map(move |shift| (sample, shift)))
+            .collect();
+        progress.start(shifts.len() as u64);
+        let (ny, nx) = source.grid().dim();
+        let mut stamps = Array3::zeros((shifts.len(), ny, nx));
+        let planes: Vec<_> = stamps.axis_iter_mut(Axis(0)).collect();
+        let done: Vec<_> = planes
+            .into_par_iter()
+            .zip(&shifts)
+            .map(|(mut plane, &(sample, shift))| {
+                let drawn = draw(source, positions.as_slice()[sample], shift);
+                progress.advance(1);
+                drawn.map(|stamp| plane.assign(&stamp))
+            })
+            .collect();
+        done.into_iter().collect::<Result<(), _>>()?;
+        Ok(ShiftedStamps { stamps, shifts })
+    }
 }

@@ -24,25 +24,16 @@
 //! All PSFs are drawn in parallel on the current rayon pool, each position once; results, order and errors do not depend on
 //! the number of threads.
 
-mod adaptive_run;
-mod adaptive_sampling;
-mod difference_measure;
+mod adaptive;
+mod criteria;
 mod draws;
-mod error;
-mod interpolation_error;
 mod mesh;
-mod neighbour_difference;
-mod refinement_criterion;
 mod sampling;
-mod shift_augmentation;
-mod uniform_sampling;
 
-pub use adaptive_sampling::AdaptiveSampling;
-pub use difference_measure::DifferenceMeasure;
-pub use error::{CapReached, SampleError};
-pub use interpolation_error::InterpolationError;
-pub use neighbour_difference::NeighbourDifference;
-pub use refinement_criterion::{CellProbes, CellStamps, CellVariation, RefinementCriterion};
-pub use sampling::{Sampling, SamplingMethod, SamplingOutcome, SamplingReport};
-pub use shift_augmentation::{ShiftAugmentation, ShiftedStamps};
-pub use uniform_sampling::UniformSampling;
+pub use adaptive::AdaptiveSampling;
+pub use criteria::{
+    CellProbes, CellStamps, CellVariation, DifferenceMeasure, InterpolationError, NeighbourDifference,
+    RefinementCriterion,
+};
+pub use draws::{ShiftAugmentation, ShiftedStamps, UniformSampling};
+pub use sampling::{CapReached, SampleError, Sampling, SamplingMethod, SamplingOutcome, SamplingReport};

@@ -172,6 +172,11 @@ impl Mesh {
         Position::new(self.axes[0].coordinate(node.x), self.axes[1].coordinate(node.y))
     }
 
+    /// Where nodes lie on the field, in their order.
+    pub(crate) fn positions(&self, nodes: &[Node]) -> Result<Vec<Position>, psf_types::DataError> {
+        nodes.iter().map(|&node| self.position(node)).collect()
+    }
+
     /// What can be halved of what is wanted; both axes where one alone would make the cell too long.
     pub(crate) fn allowed(&self, cell: Cell, wanted: Halving) -> Halving {
         let size =

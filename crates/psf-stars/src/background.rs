@@ -1,11 +1,13 @@
-//! The background of a frame and its noise.
+//! The background of a frame and its noise, and the two tools that it shares: the median and the
+//! spline.
 
 use ndarray::{Array2, ArrayView2, s};
+use psf_types::getters;
+use psf_types::maths::{mirrored_index, spline_coefficients, spline_weights};
 use rayon::prelude::*;
 
 use crate::StarError;
 use crate::error::check;
-use crate::spline::Spline;
 
 /// Estimates the background on a mesh, as SExtractor does (Bertin and Arnouts 1996, section 7.1).
 ///
@@ -125,24 +127,15 @@ pub struct Background {
 }
 
 impl Background {
-    /// The background of every pixel `[y, x]`.
-    pub fn level(&self) -> ArrayView2<'_, f64> {
-        self.level.view()
-    }
-
-    /// The standard deviation of its noise `[y, x]`, above 0.
-    pub fn rms(&self) -> ArrayView2<'_, f64> {
-        self.rms.view()
-    }
-
-    /// The median level over the cells of the mesh.
-    pub fn typical_level(&self) -> f64 {
-        self.typical_level
-    }
-
-    /// The median noise over the cells of the mesh.
-    pub fn typical_rms(&self) -> f64 {
-        self.typical_rms
+    getters! { &self;
+        /// The background of every pixel `[y, x]`.
+        level: view ArrayView2<'_, f64>,
+        /// The standard deviation of its noise `[y, x]`, above 0.
+        rms: view ArrayView2<'_, f64>,
+        /// The median level over the cells of the mesh.
+        typical_level: f64,
+        /// The median noise over the cells of the mesh.
+        typical_rms: f64,
     }
 }
 
@@ -236,6 +229,42 @@ fn interpolated(map: &Array2<f64>, (ny, nx): (usize, usize)) -> Array2<f64> {
     pixels
 }
 
+/// The interpolating cubic spline of an array `[y, x]`, continued by mirroring about its outermost
+/// values.
+#[derive(Debug, Clone)]
+pub(crate) struct Spline {
+    coefficients: Array2<f64>,
+}
+
+impl Spline {
+    pub(crate) fn through(values: ArrayView2<'_, f64>) -> Self {
+        Self {
+            coefficients: spline_coefficients(values),
+        }
+    }
+
+    /// The value at column `x` and row `y`, clamped to the array.
+    pub(crate) fn at(&self, x: f64, y: f64) -> f64 {
+        let (rows, columns) = self.coefficients.dim();
+        let near = |t: f64, n: usize| {
+            let t = t.clamp(0.0, (n - 1) as f64);
+            (t.floor() as i64 - 1, spline_weights(t - t.floor()))
+        };
+        let ((first_x, along_x), (first_y, along_y)) = (near(x, columns), near(y, rows));
+        let mut sum = 0.0;
+        for (j, wy) in along_y.iter().enumerate() {
+            let row = self.coefficients.row(mirrored_index(first_y + j as i64, rows));
+            let line: f64 = along_x
+                .iter()
+                .enumerate()
+                .map(|(i, wx)| wx * row[mirrored_index(first_x + i as i64, columns)])
+                .sum();
+            sum += wy * line;
+        }
+        sum
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -300,5 +329,16 @@ mod tests {
                 .iter()
                 .all(|v| (v - found.typical_level()).abs() < 1e-9)
         );
+    }
+
+    #[test]
+    fn it_passes_through_the_values_of_any_shape() {
+        for (ny, nx) in [(1, 1), (1, 4), (2, 3), (9, 6)] {
+            let values = Array2::from_shape_fn((ny, nx), |(y, x)| ((5 * y + 3 * x) % 7) as f64 - 2.0);
+            let spline = Spline::through(values.view());
+            for ((y, x), value) in values.indexed_iter() {
+                assert!((spline.at(x as f64, y as f64) - value).abs() < 1e-13);
+            }
+        }
     }
 }

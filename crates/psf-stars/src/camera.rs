@@ -4,7 +4,7 @@ use ndarray::ArrayView2;
 use serde::Serialize;
 
 use crate::StarError;
-use crate::error::check;
+use crate::error::{at_least, checked_setters};
 
 /// What is known of the camera: gain, read noise, saturation. All may be unknown.
 ///
@@ -27,70 +27,32 @@ impl Camera {
         Self::default()
     }
 
-    /// Electrons per unit of the frame.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is above 0.
-    pub fn with_gain(self, gain: f64) -> Result<Self, StarError> {
-        check(
-            gain.is_finite() && gain > 0.0,
-            "the gain",
-            "a number of electrons per unit, above 0",
-            gain,
-        )?;
-        Ok(Self {
-            gain: Some(gain),
-            ..self
-        })
-    }
-
-    /// Read noise in electrons. It counts only beside a gain.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is 0 or above.
-    pub fn with_read_noise(self, read_noise: f64) -> Result<Self, StarError> {
-        check(
-            read_noise.is_finite() && read_noise >= 0.0,
-            "the read noise",
-            "a number of electrons, 0 or above",
-            read_noise,
-        )?;
-        Ok(Self { read_noise, ..self })
-    }
-
-    /// The value at and above which pixels are saturated, background included.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is finite.
-    pub fn with_saturation(self, level: f64) -> Result<Self, StarError> {
-        check(
-            level.is_finite(),
-            "the saturation level",
-            "a finite number",
-            level,
-        )?;
-        Ok(Self {
-            saturation: Some(level),
-            ..self
-        })
-    }
-
-    /// The level that the frame's header states (`SATURATE`); it counts where no other is given. At or below the background it cannot
-    /// be true, and is ignored ([`Saturation::ignored`]).
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is finite.
-    pub fn with_header_saturation(self, level: f64) -> Result<Self, StarError> {
-        check(
-            level.is_finite(),
-            "the saturation level of the header",
-            "a finite number",
-            level,
-        )?;
-        Ok(Self {
-            header_saturation: Some(level),
-            ..self
-        })
+    checked_setters! {
+        /// Electrons per unit of the frame.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is above 0.
+        with_gain(gain) => gain: Some, if gain.is_finite() && gain > 0.0,
+            else "the gain", "a number of electrons per unit, above 0";
+        /// Read noise in electrons. It counts only beside a gain.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is 0 or above.
+        with_read_noise(read_noise) => read_noise, if at_least(0.0, read_noise),
+            else "the read noise", "a number of electrons, 0 or above";
+        /// The value at and above which pixels are saturated, background included.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is finite.
+        with_saturation(level) => saturation: Some, if level.is_finite(),
+            else "the saturation level", "a finite number";
+        /// The level that the frame's header states (`SATURATE`); it counts where no other is given. At or below the background it cannot
+        /// be true, and is ignored ([`Saturation::ignored`]).
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is finite.
+        with_header_saturation(level) => header_saturation: Some, if level.is_finite(),
+            else "the saturation level of the header", "a finite number";
     }
 
     /// Electrons per unit of the frame, if known.
@@ -120,38 +82,24 @@ impl Camera {
 
     /// The saturation level given, or the header's, or the frame's largest value where several pixels pile up at it.
     pub(crate) fn saturation_of(&self, frame: ArrayView2<'_, f64>, background: f64) -> Saturation {
-        if let Some(level) = self.saturation {
-            return Saturation {
-                level: Some(level),
-                origin: SaturationOrigin::Given,
-                ignored: None,
-            };
-        }
-        let (believed, ignored) = match self.header_saturation {
-            Some(level) if level > background => (Some(level), None),
-            other => (None, other),
+        let found = |level, origin, ignored| Saturation {
+            level,
+            origin,
+            ignored,
         };
-        if believed.is_some() {
-            return Saturation {
-                level: believed,
-                origin: SaturationOrigin::Header,
-                ignored: None,
-            };
+        if self.saturation.is_some() {
+            return found(self.saturation, SaturationOrigin::Given, None);
         }
+        let ignored = match self.header_saturation {
+            Some(level) if level > background => return found(Some(level), SaturationOrigin::Header, None),
+            other => other,
+        };
         let largest = frame.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let at_largest = frame.iter().filter(|&&v| v == largest).count();
         if at_largest >= PILE {
-            Saturation {
-                level: Some(largest),
-                origin: SaturationOrigin::PileUp,
-                ignored,
-            }
+            found(Some(largest), SaturationOrigin::PileUp, ignored)
         } else {
-            Saturation {
-                level: None,
-                origin: SaturationOrigin::Unknown,
-                ignored,
-            }
+            found(None, SaturationOrigin::Unknown, ignored)
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Where the field is covered by samples.
 
 use ndarray::{Array2, ArrayView2};
-use psf_types::{FrameShape, Position};
+use psf_types::maths::ConvexHull;
+use psf_types::{FrameShape, Position, getters};
 use serde::Serialize;
 
 /// How samples cover the field: their number and the distance to the nearest of them, cell by cell, and their convex hull.
@@ -66,7 +67,8 @@ impl CoverageMap {
             };
             counts[[cell(p.y(), ny, rows), cell(p.x(), nx, columns)]] += 1.0;
         }
-        let hull = convex_hull(positions);
+        let hull = ConvexHull::new(&positions.iter().map(|p| [p.x(), p.y()]).collect::<Vec<_>>());
+        let has_area = hull.corners().len() >= 3;
         let at = |(j, i): (usize, usize)| (centre(i, columns, nx), centre(j, rows, ny));
         let distances_px = Array2::from_shape_fn((rows, columns), |cell| {
             let (x, y) = at(cell);
@@ -74,7 +76,7 @@ impl CoverageMap {
         });
         let inside = Array2::from_shape_fn((rows, columns), |cell| {
             let (x, y) = at(cell);
-            f64::from(u8::from(contains(&hull, x, y)))
+            f64::from(u8::from(has_area && hull.contains([x, y])))
         });
         let mean_spacing_px = (nx * ny / positions.len() as f64).sqrt();
         let (worst, largest_gap_px) =
@@ -92,7 +94,7 @@ impl CoverageMap {
         let report = CoverageReport {
             samples: positions.len(),
             mean_spacing_px,
-            outside_hull: (1.0 - area(&hull) / (nx * ny)).max(0.0),
+            outside_hull: (1.0 - hull.area() / (nx * ny)).max(0.0),
             empty: empty as f64 / distances_px.len() as f64,
             largest_gap_px,
             largest_gap_at: at(worst),
@@ -108,14 +110,13 @@ impl CoverageMap {
         }
     }
 
-    /// Number of samples in each cell `[y, x]`.
-    pub fn counts(&self) -> ArrayView2<'_, f64> {
-        self.counts.view()
-    }
-
-    /// Distance from the centre of each cell to the nearest sample `[y, x]`, pixels of the frame.
-    pub fn distances_px(&self) -> ArrayView2<'_, f64> {
-        self.distances_px.view()
+    getters! { &self;
+        /// Number of samples in each cell `[y, x]`.
+        counts: view ArrayView2<'_, f64>,
+        /// Distance from the centre of each cell to the nearest sample `[y, x]`, pixels of the frame.
+        distances_px: view ArrayView2<'_, f64>,
+        /// The figures.
+        report: &CoverageReport,
     }
 
     /// 1 where the centre of a cell lies inside the convex hull of the samples, else 0 `[y, x]`.
@@ -130,11 +131,6 @@ impl CoverageMap {
             self.frame.nx() as f64 / columns as f64,
             self.frame.ny() as f64 / rows as f64,
         )
-    }
-
-    /// The figures.
-    pub fn report(&self) -> &CoverageReport {
-        &self.report
     }
 
     /// What a user must know before relying on the samples everywhere, in plain words; nothing where they cover the field well.
@@ -169,47 +165,6 @@ impl CoverageMap {
         }
         said
     }
-}
-
-/// Corners of the convex hull, counter-clockwise (Andrew 1979).
-fn convex_hull(positions: &[Position]) -> Vec<(f64, f64)> {
-    let mut points: Vec<(f64, f64)> = positions.iter().map(|p| (p.x(), p.y())).collect();
-    points.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
-    points.dedup();
-    if points.len() < 3 {
-        return points;
-    }
-    let half = |points: &mut dyn Iterator<Item = (f64, f64)>| {
-        let mut chain: Vec<(f64, f64)> = Vec::new();
-        for p in points {
-            while chain.len() >= 2 && turn(chain[chain.len() - 2], chain[chain.len() - 1], p) <= 0.0 {
-                chain.pop();
-            }
-            chain.push(p);
-        }
-        chain.pop();
-        chain
-    };
-    let mut hull = half(&mut points.iter().copied());
-    hull.extend(half(&mut points.iter().rev().copied()));
-    hull
-}
-
-/// Twice the area of the triangle `a b c`, positive for a turn to the left.
-fn turn(a: (f64, f64), b: (f64, f64), c: (f64, f64)) -> f64 {
-    (b.0 - a.0) * (c.1 - a.1) - (b.1 - a.1) * (c.0 - a.0)
-}
-
-fn edges(hull: &[(f64, f64)]) -> impl Iterator<Item = ((f64, f64), (f64, f64))> + '_ {
-    (0..hull.len()).map(|k| (hull[k], hull[(k + 1) % hull.len()]))
-}
-
-fn area(hull: &[(f64, f64)]) -> f64 {
-    edges(hull).map(|(a, b)| a.0 * b.1 - a.1 * b.0).sum::<f64>() / 2.0
-}
-
-fn contains(hull: &[(f64, f64)], x: f64, y: f64) -> bool {
-    hull.len() >= 3 && edges(hull).all(|(a, b)| turn(a, b, (x, y)) >= 0.0)
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! Where there are sources.
 
 use ndarray::{Array2, ArrayView2};
+use psf_types::getters;
+use psf_types::maths::FWHM_PER_SIGMA;
 use rayon::prelude::*;
 
-use crate::error::check;
-use crate::{Background, FWHM_PER_SIGMA, StarError};
+use crate::error::{at_least, check, checked_setters};
+use crate::{Background, StarError};
 
 /// Finds sources as separate peaks of the matched-filtered significance.
 ///
@@ -34,7 +36,7 @@ impl Detection {
     /// [`StarError::Setting`] unless it is at least 1.
     pub fn new(threshold: f64) -> Result<Self, StarError> {
         check(
-            threshold.is_finite() && threshold >= 1.0,
+            at_least(1.0, threshold),
             "the detection threshold",
             "a number of sigma, at least 1",
             threshold,
@@ -45,45 +47,26 @@ impl Detection {
         })
     }
 
-    /// The kernel for stars of this width.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is between 0.5 and 50 pixels.
-    pub fn with_kernel_fwhm_px(self, kernel_fwhm_px: f64) -> Result<Self, StarError> {
-        check(
-            (0.5..=50.0).contains(&kernel_fwhm_px),
-            "the FWHM of the detection kernel",
-            "between 0.5 and 50 pixels",
-            kernel_fwhm_px,
-        )?;
-        Ok(Self {
-            kernel_fwhm_px,
-            ..self
-        })
+    checked_setters! {
+        /// The kernel for stars of this width.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is between 0.5 and 50 pixels.
+        with_kernel_fwhm_px(kernel_fwhm_px) => kernel_fwhm_px, if (0.5..=50.0).contains(&kernel_fwhm_px),
+            else "the FWHM of the detection kernel", "between 0.5 and 50 pixels";
+        /// How many sigma a peak must rise above the saddle to a higher one.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is 0 or above.
+        with_prominence(prominence) => prominence, if at_least(0.0, prominence),
+            else "the prominence of a peak", "a number of sigma, 0 or above";
     }
 
-    /// How many sigma a peak must rise above the saddle to a higher one.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is 0 or above.
-    pub fn with_prominence(self, prominence: f64) -> Result<Self, StarError> {
-        check(
-            prominence.is_finite() && prominence >= 0.0,
-            "the prominence of a peak",
-            "a number of sigma, 0 or above",
-            prominence,
-        )?;
-        Ok(Self { prominence, ..self })
-    }
-
-    /// The threshold in sigma.
-    pub fn threshold(&self) -> f64 {
-        self.threshold
-    }
-
-    /// The kernel's width in pixels.
-    pub fn kernel_fwhm_px(&self) -> f64 {
-        self.kernel_fwhm_px
+    getters! { &self;
+        /// The threshold in sigma.
+        threshold: f64,
+        /// The kernel's width in pixels.
+        kernel_fwhm_px: f64,
     }
 
     /// The peaks in a frame `[y, x]`, the most significant first.

@@ -1,12 +1,147 @@
-//! The linear step of the oversampled PSF: its coefficients from the stars' pixels.
+//! The linear step of the oversampled PSF: the spline between its nodes, and its coefficients from
+//! the stars' pixels.
 
+use ndarray::Array2;
+use psf_types::maths::{FWHM_PER_SIGMA, spline_slopes, spline_weights};
 use rayon::prelude::*;
 
-use crate::FWHM_PER_SIGMA;
-use crate::epsf::combined;
-use crate::field_trend::FieldTerms;
-use crate::star::Star;
-use crate::surface::SurfaceGrid;
+use crate::Camera;
+use crate::frame::Star;
+use crate::registration::FineGrid;
+use crate::selection::FieldTerms;
+
+/// Rows and columns of B-spline coefficients beyond the grid: one before, two after (the second with weight 0).
+const BEFORE: usize = 1;
+const AFTER: usize = 2;
+
+/// A cubic B-spline at a node, from the coefficients before, at and after it.
+const NODE: [f64; 3] = [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0];
+
+/// The B-spline coefficients of a PSF on a grid, row by row, with a border.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct SurfaceGrid {
+    pub(crate) grid: FineGrid,
+}
+
+/// The coefficients that a place needs: the first of 4 x 4, and along x and y their weights and those of
+/// the derivative.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Place {
+    first: usize,
+    weights: [[f64; 4]; 2],
+    slopes: [[f64; 4]; 2],
+}
+
+impl SurfaceGrid {
+    pub(crate) fn new(grid: FineGrid) -> Self {
+        Self { grid }
+    }
+
+    pub(crate) fn side(self) -> usize {
+        self.grid.side() + BEFORE + AFTER
+    }
+
+    pub(crate) fn len(self) -> usize {
+        self.side() * self.side()
+    }
+
+    /// The place at the offset `(dx, dy)` from the star in pixels of the frame, if it is on the grid.
+    pub(crate) fn place(self, dx: f64, dy: f64) -> Option<Place> {
+        let (scale, middle) = (self.grid.scale as f64, self.grid.middle() as f64);
+        let (tx, ty) = (middle + scale * dx, middle + scale * dy);
+        let last = 2.0 * middle;
+        ((0.0..=last).contains(&tx) && (0.0..=last).contains(&ty)).then(|| {
+            // The node before the one at or below.
+            let first = |t: f64| t.floor() as usize + BEFORE - 1;
+            let within = [tx - tx.floor(), ty - ty.floor()];
+            Place {
+                first: first(ty) * self.side() + first(tx),
+                weights: within.map(spline_weights),
+                slopes: within.map(spline_slopes),
+            }
+        })
+    }
+
+    /// The offsets in pixels of the frame of every coefficient, in their order.
+    pub(crate) fn offsets(self) -> impl Iterator<Item = (f64, f64)> {
+        let (side, middle, scale) = (self.side(), self.grid.middle() as f64, self.grid.scale as f64);
+        let offset = move |k: usize| (k as f64 - BEFORE as f64 - middle) / scale;
+        (0..side * side).map(move |k| (offset(k % side), offset(k / side)))
+    }
+
+    pub(crate) fn value(self, coefficients: &[f64], place: &Place) -> f64 {
+        self.weighted(coefficients, place.first, place.weights)
+    }
+
+    /// The derivatives by the offset, in values per pixel of the frame.
+    pub(crate) fn slopes(self, coefficients: &[f64], place: &Place) -> (f64, f64) {
+        let scale = self.grid.scale as f64;
+        (
+            scale * self.weighted(coefficients, place.first, [place.slopes[0], place.weights[1]]),
+            scale * self.weighted(coefficients, place.first, [place.weights[0], place.slopes[1]]),
+        )
+    }
+
+    fn weighted(self, coefficients: &[f64], first: usize, [wx, wy]: [[f64; 4]; 2]) -> f64 {
+        let side = self.side();
+        let line = |j: usize| -> f64 {
+            let at = first + j * side;
+            coefficients[at..at + 4].iter().zip(&wx).map(|(c, w)| c * w).sum()
+        };
+        wy.iter().enumerate().map(|(j, w)| w * line(j)).sum()
+    }
+
+    /// The transpose of [`value`](Self::value): adds `amount` to the coefficients that a place sees, by their weights.
+    pub(crate) fn spread(self, coefficients: &mut [f64], place: &Place, amount: f64) {
+        let side = self.side();
+        for (j, wy) in place.weights[1].iter().enumerate() {
+            let first = place.first + j * side;
+            for (c, wx) in coefficients[first..first + 4].iter_mut().zip(&place.weights[0]) {
+                *c += amount * wy * wx;
+            }
+        }
+    }
+
+    /// The values at the nodes `[y, x]`.
+    pub(crate) fn at_nodes(self, coefficients: &[f64]) -> Array2<f64> {
+        let (n, side) = (self.grid.side(), self.side());
+        Array2::from_shape_fn((n, n), |(j, i)| {
+            let mut sum = 0.0;
+            for (dj, wy) in NODE.iter().enumerate() {
+                for (di, wx) in NODE.iter().enumerate() {
+                    sum += wx * wy * coefficients[(j + dj) * side + i + di];
+                }
+            }
+            sum
+        })
+    }
+
+    /// The flux of a PSF: the sum over its nodes, over the nodes of a pixel.
+    pub(crate) fn flux(self, coefficients: &[f64]) -> f64 {
+        self.at_nodes(coefficients).sum() / (self.grid.scale * self.grid.scale) as f64
+    }
+}
+
+/// The PSF is known to this part of a pixel's light at best: bright stars do not count for more (PSFEx's PSF_ACCURACY).
+pub(crate) const ACCURACY: f64 = 0.02;
+
+/// The weight of a pixel in units of flux fractions: `F^2 / variance`.
+pub(crate) fn weight(star: &Star, model: f64, rms: f64, camera: &Camera) -> f64 {
+    let signal = star.flux * model.max(0.0);
+    let variance = camera.variance(signal, rms) + (ACCURACY * signal).powi(2);
+    star.flux * star.flux / variance
+}
+
+/// `sum_j P_j E_j`.
+pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
+    let mut sum = vec![0.0; planes[0].len()];
+    for (plane, term) in planes.iter().zip(terms) {
+        for (s, v) in sum.iter_mut().zip(plane) {
+            *s += term * v;
+        }
+    }
+    sum
+}
 
 /// What is known of the PSF before: a round Gaussian of the stars' FWHM, and how far its coefficients may be from the truth.
 ///
@@ -14,7 +149,7 @@ use crate::surface::SurfaceGrid;
 /// pixel of any star determines stay where they are.
 #[derive(Debug)]
 pub(crate) struct Prior {
-    mean: Vec<f64>,
+    pub(crate) mean: Vec<f64>,
     /// Standard deviations of the constant term.
     spread: Vec<f64>,
 }
@@ -33,7 +168,7 @@ impl Prior {
     pub(crate) fn gaussian(surface: SurfaceGrid, fwhm_px: f64) -> Self {
         let sigma2 = (fwhm_px / FWHM_PER_SIGMA).powi(2);
         // B-splines widen what their coefficients say by a third of a node's width squared.
-        let scale = surface.grid().scale as f64;
+        let scale = surface.grid.scale as f64;
         let narrowed = (sigma2 - 1.0 / (3.0 * scale * scale)).max(0.3 * sigma2);
         let mut mean: Vec<f64> = surface
             .offsets()
@@ -57,10 +192,6 @@ impl Prior {
             .collect();
         Self { mean, spread }
     }
-
-    pub(crate) fn mean(&self) -> &[f64] {
-        &self.mean
-    }
 }
 
 /// Ends the iteration at this part of the first residual.
@@ -70,19 +201,18 @@ const MOST_ITERATIONS: usize = 300;
 const PIECE: usize = 32;
 
 /// The planes `E_j` from the stars as they are: minimises `sum w (d / F - E)^2 + |(E - prior) / spread|^2` by conjugate gradients.
-/// `weight(star, model, rms)` is that of a pixel.
 pub(crate) fn solve(
     stars: &[Star],
     prior: &Prior,
     surface: SurfaceGrid,
     terms: FieldTerms,
-    weight: impl Fn(&Star, f64, f64) -> f64 + Sync,
+    camera: &Camera,
 ) -> Vec<Vec<f64>> {
     let count = terms.count();
     let size = surface.len();
     let rows: Vec<StarRows> = stars
         .par_iter()
-        .map(|star| StarRows::new(star, prior, surface, terms, &weight))
+        .map(|star| StarRows::new(star, prior, surface, terms, camera))
         .collect();
     let spread = |j: usize, k: usize| prior.spread[k] * if j == 0 { 1.0 } else { FIELD_PART };
 
@@ -173,17 +303,11 @@ fn add(to: &mut [Vec<f64>], factor: f64, what: &[Vec<f64>]) {
 struct StarRows {
     terms: Vec<f64>,
     /// Place, weight and what is left of the prior.
-    pixels: Vec<(crate::surface::Place, f64, f64)>,
+    pixels: Vec<(Place, f64, f64)>,
 }
 
 impl StarRows {
-    fn new(
-        star: &Star,
-        prior: &Prior,
-        surface: SurfaceGrid,
-        terms: FieldTerms,
-        weight: &(impl Fn(&Star, f64, f64) -> f64 + Sync),
-    ) -> Self {
+    fn new(star: &Star, prior: &Prior, surface: SurfaceGrid, terms: FieldTerms, camera: &Camera) -> Self {
         let pixels = star
             .pixels
             .iter()
@@ -191,7 +315,7 @@ impl StarRows {
             .filter_map(|p| {
                 let place = surface.place(p.x - star.x, p.y - star.y)?;
                 let expected = surface.value(&prior.mean, &place);
-                let w = p.trust * weight(star, expected, p.rms);
+                let w = p.trust * weight(star, expected, p.rms, camera);
                 Some((place, w, (p.value - star.offset) / star.flux - expected))
             })
             .collect();
@@ -217,5 +341,41 @@ impl StarRows {
             surface.spread(&mut back, place, w * left);
         }
         back
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn grid() -> SurfaceGrid {
+        SurfaceGrid::new(FineGrid { reach: 3, scale: 2 })
+    }
+
+    fn bumpy() -> Vec<f64> {
+        (0..grid().len()).map(|k| ((k * 29) % 31) as f64 - 11.0).collect()
+    }
+
+    #[test]
+    fn nodes_slopes_and_the_transpose_agree_with_values() {
+        let (surface, c) = (grid(), bumpy());
+        let nodes = surface.at_nodes(&c);
+        for (j, i) in [(0, 0), (12, 12), (3, 7)] {
+            let at = |k: usize| (k as f64 - 6.0) / 2.0;
+            let place = surface.place(at(i), at(j)).unwrap();
+            assert!((surface.value(&c, &place) - nodes[[j, i]]).abs() < 1e-12);
+        }
+        let step = 1e-6;
+        let value = |x: f64, y: f64| surface.value(&c, &surface.place(x, y).unwrap());
+        let (x, y) = (0.31, -1.77);
+        let place = surface.place(x, y).unwrap();
+        let (sx, sy) = surface.slopes(&c, &place);
+        assert!((sx - (value(x + step, y) - value(x - step, y)) / (2.0 * step)).abs() < 1e-6);
+        assert!((sy - (value(x, y + step) - value(x, y - step)) / (2.0 * step)).abs() < 1e-6);
+        let mut spread = vec![0.0; c.len()];
+        surface.spread(&mut spread, &place, 2.5);
+        let product: f64 = spread.iter().zip(&c).map(|(a, b)| a * b).sum();
+        assert!((product - 2.5 * surface.value(&c, &place)).abs() < 1e-10);
+        assert!(surface.place(3.01, 0.0).is_none());
     }
 }

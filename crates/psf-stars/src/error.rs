@@ -1,6 +1,6 @@
 //! Why a frame gave no samples.
 
-use psf_types::{DataError, FrameShape};
+use psf_types::DataError;
 use thiserror::Error;
 
 /// What went wrong while stars were turned into PSF samples.
@@ -17,57 +17,16 @@ pub enum StarError {
         /// What was given.
         got: f64,
     },
-    /// A frame in which no star has room.
-    #[error("a frame of {frame} pixels is too small: at least {need} pixels each way are needed")]
-    FrameTooSmall {
-        /// The frame.
-        frame: FrameShape,
-        /// Pixels needed along each axis.
-        need: usize,
-    },
     /// A background without noise, so that a threshold in sigma means nothing.
     #[error(
         "the background has no noise (r.m.s. 0): sources are found by their excess over the noise, so add some to a noise-free image"
     )]
     NoNoise,
-    /// No source at all.
-    #[error("no source exceeds {threshold} sigma of the background noise: lower the threshold")]
-    NoSources {
-        /// The threshold in sigma.
-        threshold: f64,
-    },
-    /// No source that is fit to be a PSF sample.
-    #[error(
-        "none of the {detected} sources can serve as a PSF sample: {reasons}. Loosen the cut that rejects most of them"
-    )]
-    NoStars {
-        /// Number of sources found.
-        detected: usize,
-        /// How many were rejected for which reason.
-        reasons: String,
-    },
-    /// Too few stars for a method that was asked for by name.
-    #[error(
-        "an oversampled PSF (epsf) at {oversampling} x needs at least {need} stars, {got} were accepted: use the stars' own stamps, or loosen the cuts"
-    )]
-    TooFewForEpsf {
-        /// Accepted stars.
-        got: usize,
-        /// Stars needed.
-        need: usize,
-        /// The oversampling.
-        oversampling: usize,
-    },
-    /// A distance from the frame's edge at which a stamp does not fit into the frame.
-    #[error(
-        "{edge_px} pixels from the frame's edge are less than half a stamp, {half_stamp} pixels: ask for at least as many, or for smaller stamps"
-    )]
-    EdgeInsideStamp {
-        /// The distance asked for.
-        edge_px: f64,
-        /// Pixels from a stamp's centre to its edge.
-        half_stamp: usize,
-    },
+    /// A frame that gives no samples with these settings: it is too small, nothing in it is bright
+    /// enough, no source is fit to be a sample, the stars are too few for an oversampled PSF that
+    /// was asked for by name, or stamps have no room at the distance from the edge asked for.
+    #[error("{0}")]
+    NoSamples(String),
     /// Data that break an invariant.
     #[error(transparent)]
     Data(#[from] DataError),
@@ -86,3 +45,26 @@ pub(crate) fn check(
         Err(StarError::Setting { name, allowed, got })
     }
 }
+
+/// Whether a value is a number, `least` or above.
+pub(crate) fn at_least(least: f64, value: f64) -> bool {
+    value.is_finite() && value >= least
+}
+
+/// Methods that change one setting, inside an `impl`: a table of method, number given and field
+/// (`: Some` where the field is an option), the condition that the number must meet, its name, and
+/// what is allowed, in words.
+macro_rules! checked_setters {
+    ($(
+        $(#[$doc:meta])*
+        $method:ident($given:ident) => $field:ident $(: $option:ident)?, if $holds:expr,
+        else $name:literal, $allowed:literal;
+    )+) => {$(
+        $(#[$doc])*
+        pub fn $method(self, $given: f64) -> Result<Self, StarError> {
+            $crate::error::check($holds, $name, $allowed, $given)?;
+            Ok(Self { $field: $($option)?($given), ..self })
+        }
+    )+};
+}
+pub(crate) use checked_setters;

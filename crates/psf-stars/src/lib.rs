@@ -18,26 +18,16 @@
 
 mod background;
 mod camera;
-mod collected;
 mod coverage;
 mod detection;
 mod epsf;
 mod epsf_solver;
 mod error;
-mod field_trend;
-mod frame_view;
-mod gaussian;
-mod neighbours;
-mod own_stamps;
-mod ownership;
+mod frame;
 mod registration;
 mod selection;
 mod source;
-mod spline;
-mod star;
-mod star_samples;
 mod star_sampling;
-mod surface;
 
 pub use background::{Background, BackgroundMesh};
 pub use camera::{Camera, Saturation, SaturationOrigin};
@@ -47,8 +37,4 @@ pub use error::StarError;
 pub use registration::{Registration, RegistrationMethod, RegistrationReport};
 pub use selection::Selection;
 pub use source::{Rejection, Rejections, SOURCE_COLUMNS, Source};
-pub use star_samples::StarSamples;
-pub use star_sampling::StarSampling;
-
-/// `2 sqrt(2 ln 2)`.
-pub(crate) const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949;
+pub use star_sampling::{StarSamples, StarSampling};

@@ -1,13 +1,14 @@
-//! Which sources can serve as PSF samples.
+//! Which sources can serve as PSF samples, and the trends over the field against which their shapes
+//! are judged.
 
+use nalgebra::{DMatrix, DVector};
 use psf_types::FrameShape;
+use psf_types::maths::legendre;
 
 use crate::background::median;
-use crate::error::check;
-use crate::field_trend::{FieldTerms, Trend, trend};
-use crate::gaussian::Gaussian;
-use crate::neighbours::Neighbours;
-use crate::{Rejection, Rejections, StarError};
+use crate::error::{at_least, checked_setters};
+use crate::frame::Neighbours;
+use crate::{Rejection, Source, StarError};
 
 /// Which sources serve as PSF samples: cuts, each with its reason ([`Rejection`]).
 ///
@@ -34,83 +35,37 @@ impl Selection {
     /// Sigma at which shapes are clipped.
     pub const DEFAULT_SHAPE_SIGMA: f64 = 3.0;
 
-    /// Stars above this signal-to-noise ratio.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is 0 or above.
-    pub fn with_snr(self, snr: f64) -> Result<Self, StarError> {
-        check(
-            snr.is_finite() && snr >= 0.0,
-            "the signal-to-noise limit",
-            "a number, 0 or above",
-            snr,
-        )?;
-        Ok(Self { snr, ..self })
-    }
-
-    /// The smallest distance of a star from the frame's edge in pixels; by default half a stamp, and not below it: a stamp has to fit.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is 0 or above.
-    pub fn with_edge_px(self, edge_px: f64) -> Result<Self, StarError> {
-        check(
-            edge_px.is_finite() && edge_px >= 0.0,
-            "the distance from the edge",
-            "a number of pixels, 0 or above",
-            edge_px,
-        )?;
-        Ok(Self {
-            edge_px: Some(edge_px),
-            ..self
-        })
-    }
-
-    /// The radius in pixels in which no bright neighbour may be; by default 2.5 FWHM.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is 0 or above.
-    pub fn with_isolation_px(self, isolation_px: f64) -> Result<Self, StarError> {
-        check(
-            isolation_px.is_finite() && isolation_px >= 0.0,
-            "the isolation radius",
-            "a number of pixels, 0 or above",
-            isolation_px,
-        )?;
-        Ok(Self {
-            isolation_px: Some(isolation_px),
-            ..self
-        })
-    }
-
-    /// The part of a star's own flux that a neighbour may have.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is 0 or above.
-    pub fn with_neighbour_flux(self, neighbour_flux: f64) -> Result<Self, StarError> {
-        check(
-            neighbour_flux.is_finite() && neighbour_flux >= 0.0,
-            "the flux of a neighbour",
-            "a part of the star's flux, 0 or above",
-            neighbour_flux,
-        )?;
-        Ok(Self {
-            neighbour_flux,
-            ..self
-        })
-    }
-
-    /// Sigma at which shapes are clipped.
-    ///
-    /// # Errors
-    /// [`StarError::Setting`] unless it is at least 1.
-    pub fn with_shape_sigma(self, shape_sigma: f64) -> Result<Self, StarError> {
-        check(
-            shape_sigma.is_finite() && shape_sigma >= 1.0,
-            "the clipping of shapes",
-            "a number of sigma, at least 1",
-            shape_sigma,
-        )?;
-        Ok(Self { shape_sigma, ..self })
+    checked_setters! {
+        /// Stars above this signal-to-noise ratio.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is 0 or above.
+        with_snr(snr) => snr, if at_least(0.0, snr),
+            else "the signal-to-noise limit", "a number, 0 or above";
+        /// The smallest distance of a star from the frame's edge in pixels; by default half a stamp, and not below it: a stamp has to fit.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is 0 or above.
+        with_edge_px(edge_px) => edge_px: Some, if at_least(0.0, edge_px),
+            else "the distance from the edge", "a number of pixels, 0 or above";
+        /// The radius in pixels in which no bright neighbour may be; by default 2.5 FWHM.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is 0 or above.
+        with_isolation_px(isolation_px) => isolation_px: Some, if at_least(0.0, isolation_px),
+            else "the isolation radius", "a number of pixels, 0 or above";
+        /// The part of a star's own flux that a neighbour may have.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is 0 or above.
+        with_neighbour_flux(neighbour_flux) => neighbour_flux, if at_least(0.0, neighbour_flux),
+            else "the flux of a neighbour", "a part of the star's flux, 0 or above";
+        /// Sigma at which shapes are clipped.
+        ///
+        /// # Errors
+        /// [`StarError::Setting`] unless it is at least 1.
+        with_shape_sigma(shape_sigma) => shape_sigma, if at_least(1.0, shape_sigma),
+            else "the clipping of shapes", "a number of sigma, at least 1";
     }
 
     /// The signal-to-noise ratio that a star must exceed.
@@ -121,52 +76,42 @@ impl Selection {
     /// Refuses a distance from the edge at which no stamp has room.
     pub(crate) fn check_edge(&self, half_stamp: usize) -> Result<(), StarError> {
         match self.edge_px {
-            Some(edge_px) if edge_px < half_stamp as f64 => {
-                Err(StarError::EdgeInsideStamp { edge_px, half_stamp })
-            }
+            Some(edge_px) if edge_px < half_stamp as f64 => Err(StarError::NoSamples(format!(
+                "{edge_px} pixels from the frame's edge are less than half a stamp, {half_stamp} pixels: ask for at least as many, or for smaller stamps"
+            ))),
             _ => Ok(()),
         }
     }
 
     /// Flags what can be told of each source and its neighbours, then the shapes that do not belong.
-    pub(crate) fn apply(
-        &self,
-        candidates: &mut [Candidate],
-        frame: FrameShape,
-        half_stamp: usize,
-        fwhm_px: f64,
-    ) {
+    pub(crate) fn apply(&self, sources: &mut [Source], frame: FrameShape, half_stamp: usize, fwhm_px: f64) {
         let reach = half_stamp as f64;
         let edge = self.edge_px.unwrap_or(reach);
         let isolation = self.isolation_px.unwrap_or(ISOLATION_FWHM * fwhm_px);
         let inside = |v: f64, n: usize| (edge..=(n - 1) as f64 - edge).contains(&v);
-        let neighbours = Neighbours::new(candidates.iter().map(|c| (c.x, c.y)));
-        for k in 0..candidates.len() {
-            let (x, y, flux) = (candidates[k].x, candidates[k].y, candidates[k].flux);
+        let neighbours = Neighbours::of(sources);
+        for k in 0..sources.len() {
+            let (x, y, flux) = (sources[k].x, sources[k].y, sources[k].flux);
             let crowded = neighbours
                 .within(x, y, isolation)
-                .any(|(j, _)| j != k && candidates[j].flux > self.neighbour_flux * flux);
-            let candidate = &mut candidates[k];
+                .any(|(j, _)| j != k && sources[j].flux > self.neighbour_flux * flux);
+            let (snr, fitted) = (sources[k].snr, sources[k].fwhm_px.is_some());
             let mut flag = |holds: bool, reason| {
                 if holds {
-                    candidate.rejected.insert(reason);
+                    sources[k].rejected.insert(reason);
                 }
             };
             flag(!(inside(x, frame.nx()) && inside(y, frame.ny())), Rejection::Edge);
             flag(crowded, Rejection::Neighbour);
-            let low = candidate.snr.partial_cmp(&self.snr) != Some(std::cmp::Ordering::Greater);
-            if low {
-                candidate.rejected.insert(Rejection::LowSnr);
-            }
-            if candidate.gaussian.is_none() {
-                candidate.rejected.insert(Rejection::NoFit);
-            }
+            // A ratio that is not a number is too low as well.
+            flag(snr.is_nan() || snr <= self.snr, Rejection::LowSnr);
+            flag(!fitted, Rejection::NoFit);
         }
-        self.flag_shapes(candidates, frame, fwhm_px.ln());
+        self.flag_shapes(sources, frame, fwhm_px.ln());
     }
 
-    fn flag_shapes(&self, candidates: &mut [Candidate], frame: FrameShape, mode: f64) {
-        let shapes: Vec<Shape> = candidates
+    fn flag_shapes(&self, sources: &mut [Source], frame: FrameShape, mode: f64) {
+        let shapes: Vec<Shape> = sources
             .iter()
             .enumerate()
             .filter(|(_, c)| c.rejected.is_empty())
@@ -191,7 +136,7 @@ impl Selection {
             kept = now;
         }
         for (k, shape) in shapes.iter().enumerate() {
-            let reasons = &mut candidates[shape.index].rejected;
+            let reasons = &mut sources[shape.index].rejected;
             if judged[0][k] < -1.0 {
                 reasons.insert(Rejection::TooSharp);
             }
@@ -247,27 +192,6 @@ impl Default for Selection {
     }
 }
 
-/// A source while it is judged.
-#[derive(Debug, Clone)]
-pub(crate) struct Candidate {
-    pub(crate) x: f64,
-    pub(crate) y: f64,
-    /// In an aperture.
-    pub(crate) flux: f64,
-    pub(crate) snr: f64,
-    pub(crate) significance: f64,
-    pub(crate) peak: f64,
-    pub(crate) pixel_count: usize,
-    pub(crate) gaussian: Option<Gaussian>,
-    pub(crate) rejected: Rejections,
-}
-
-impl Candidate {
-    pub(crate) fn fwhm_px(&self) -> Option<f64> {
-        self.gaussian.map(|g| g.fwhm_px)
-    }
-}
-
 /// ln FWHM and the distortion, with the variances that noise gives them.
 struct Shape {
     index: usize,
@@ -278,15 +202,14 @@ struct Shape {
 }
 
 impl Shape {
-    fn of(index: usize, candidate: &Candidate) -> Option<Self> {
-        let g = candidate.gaussian?;
+    fn of(index: usize, source: &Source) -> Option<Self> {
         // A width is known to 1 / SNR of the fit, an axis difference to sqrt(2) of that.
-        let width = candidate.significance.powi(-2);
+        let width = source.significance.powi(-2);
         Some(Self {
             index,
-            x: g.x,
-            y: g.y,
-            values: [g.fwhm_px.ln(), g.e1, g.e2],
+            x: source.x,
+            y: source.y,
+            values: [source.fwhm_px?.ln(), source.e1?, source.e2?],
             variances: [width, 2.0 * width, 2.0 * width],
         })
     }
@@ -326,32 +249,108 @@ const BRIGHT: usize = 10;
 /// Widths are alike within this, in ln FWHM.
 const ALIKE: f64 = 0.1;
 
+/// The terms of a polynomial over the field, in coordinates that run from -1 to 1 over the frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct FieldTerms {
+    pub(crate) degree: usize,
+    frame: FrameShape,
+}
+
+impl FieldTerms {
+    pub(crate) fn new(degree: usize, frame: FrameShape) -> Self {
+        Self { degree, frame }
+    }
+
+    pub(crate) fn frame(self) -> FrameShape {
+        self.frame
+    }
+
+    pub(crate) fn count(self) -> usize {
+        Self::count_of(self.degree)
+    }
+
+    pub(crate) fn count_of(degree: usize) -> usize {
+        (degree + 1) * (degree + 2) / 2
+    }
+
+    /// Products of Legendre polynomials, `P_i(x) P_j(y)` with `i + j <= degree`: of one size over the field.
+    pub(crate) fn at(self, x: f64, y: f64) -> Vec<f64> {
+        let scaled = |v: f64, n: usize| (2.0 * v - (n - 1) as f64) / n as f64;
+        let (px, py) = (
+            legendre(self.degree, scaled(x, self.frame.nx())),
+            legendre(self.degree, scaled(y, self.frame.ny())),
+        );
+        (0..=self.degree)
+            .flat_map(|j| (0..=self.degree - j).map(move |i| (i, j)))
+            .map(|(i, j)| px[i] * py[j])
+            .collect()
+    }
+}
+
+/// Points `(x, y, value, weight)`; the weighted least-squares polynomial through them, if there are any.
+fn trend(points: &[(f64, f64, f64, f64)], terms: FieldTerms) -> Option<Trend> {
+    if points.is_empty() {
+        return None;
+    }
+    let (mut rows, mut right) = (
+        DMatrix::zeros(points.len(), terms.count()),
+        DVector::zeros(points.len()),
+    );
+    for (k, &(x, y, value, weight)) in points.iter().enumerate() {
+        let root = weight.sqrt();
+        for (j, term) in terms.at(x, y).into_iter().enumerate() {
+            rows[(k, j)] = root * term;
+        }
+        right[k] = root * value;
+    }
+    // Least squares by SVD: clustered points leave terms undetermined, which get the smallest values that do.
+    let found = rows.svd(true, true).solve(&right, 1e-9).ok()?;
+    Some(Trend {
+        terms,
+        coefficients: found.iter().copied().collect(),
+    })
+}
+
+/// A polynomial over the field.
+#[derive(Debug, Clone)]
+struct Trend {
+    terms: FieldTerms,
+    coefficients: Vec<f64>,
+}
+
+impl Trend {
+    fn at(&self, x: f64, y: f64) -> f64 {
+        let terms = self.terms.at(x, y);
+        terms.iter().zip(&self.coefficients).map(|(t, c)| t * c).sum()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Rejections;
 
-    fn candidate(x: f64, y: f64, fwhm_px: f64) -> Candidate {
-        Candidate {
+    fn candidate(x: f64, y: f64, fwhm_px: f64) -> Source {
+        Source {
             x,
             y,
             flux: 100.0,
             snr: 50.0,
             significance: 50.0,
             peak: 100.0,
+            background: 0.0,
+            background_rms: 1.0,
+            fwhm_px: Some(fwhm_px),
+            e1: Some(0.0),
+            e2: Some(0.0),
             pixel_count: 9,
-            gaussian: Some(Gaussian {
-                amplitude: 10.0,
-                x,
-                y,
-                fwhm_px,
-                e1: 0.0,
-                e2: 0.0,
-            }),
+            nearest_px: None,
+            sample: None,
             rejected: Rejections::default(),
         }
     }
 
-    fn field() -> Vec<Candidate> {
+    fn field() -> Vec<Source> {
         // The FWHM grows by 40 % over the field: more than any outlier here.
         (0..100)
             .map(|k| (20.0 + 20.0 * f64::from(k % 10), 20.0 + 20.0 * f64::from(k / 10)))
@@ -365,9 +364,9 @@ mod tests {
         let mut sources = field();
         // Normal on the right-hand side of the field, not on the left.
         for (k, fwhm) in [(40, 2.1), (49, 1.55)] {
-            sources[k].gaussian.as_mut().unwrap().fwhm_px = fwhm;
+            sources[k].fwhm_px = Some(fwhm);
         }
-        sources[55].gaussian.as_mut().unwrap().e2 = 0.4;
+        sources[55].e2 = Some(0.4);
         Selection::default().apply(&mut sources, frame, 7, 1.8);
         let reasons = |k: usize| sources[k].rejected.to_string();
         assert_eq!(
@@ -384,7 +383,7 @@ mod tests {
         let mut sources = field();
         sources[0].snr = 9.9;
         sources[11].snr = f64::NAN;
-        sources[22].gaussian = None;
+        sources[22].fwhm_px = None;
         sources.push(candidate(6.9, 100.0, 1.5));
         let mut faint = candidate(60.0, 64.0, 1.7);
         faint.flux = 19.0;
@@ -419,5 +418,23 @@ mod tests {
         let width = most_frequent_width(widths).unwrap();
         assert!((2.1..2.3).contains(&width), "{width}");
         assert_eq!(most_frequent_width(vec![]), None);
+    }
+
+    #[test]
+    fn a_parabola_is_found_exactly() {
+        let frame = FrameShape::new(100, 60).unwrap();
+        let truth = |x: f64, y: f64| 2.0 + 0.01 * x - 0.02 * y + 1e-4 * x * y - 2e-4 * y * y;
+        let points: Vec<_> = (0..30)
+            .map(|k| (f64::from(k * 37 % 100), f64::from(k * 23 % 60)))
+            .map(|(x, y)| (x, y, truth(x, y), 1.0 + x))
+            .collect();
+        let found = trend(&points, FieldTerms::new(2, frame)).unwrap();
+        for (x, y) in [(0.0, 0.0), (99.0, 59.0), (50.0, 10.0)] {
+            assert!((found.at(x, y) - truth(x, y)).abs() < 1e-10);
+        }
+        assert_eq!(
+            FieldTerms::new(3, frame).at(1.0, 2.0).len(),
+            FieldTerms::count_of(3)
+        );
     }
 }

@@ -1,28 +1,26 @@
 //! From a frame to PSF samples.
 
-use ndarray::Array2;
-use psf_types::{Image, Real};
+use ndarray::{Array2, Array3, Axis};
+use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid, setters};
 use rayon::prelude::*;
 
-use crate::collected::Registered;
+use crate::background::Spline;
 use crate::epsf::Epsf;
-use crate::frame_view::FrameView;
-use crate::own_stamps::own_stamp;
-use crate::ownership::Ownership;
-use crate::registration::FineGrid;
-use crate::selection::{Candidate, most_frequent_width};
-use crate::star::Star;
+use crate::frame::{FrameView, Neighbours, Ownership, Star, aperture_px};
+use crate::registration::{FineGrid, own_stamp};
+use crate::selection::most_frequent_width;
 use crate::{
-    BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, RegistrationReport, Rejection,
-    Selection, StarError, StarSamples,
+    Background, BackgroundMesh, Camera, CoverageMap, Detection, Registration, RegistrationMethod,
+    RegistrationReport, Rejection, Saturation, Selection, Source, StarError,
 };
 
 /// Makes PSF samples from the stars of a frame.
 ///
-/// The steps, each with its own settings: background and its noise ([`BackgroundMesh`]); sources ([`Detection`], a second time with a
-/// wider kernel where the stars turn out wide); centre and shape of each by a Gaussian fit; signal-to-noise and saturation
-/// ([`Camera`]); cuts ([`Selection`]); registration on a common grid ([`Registration`]); coverage ([`CoverageMap`](crate::CoverageMap)). The
-/// result does not depend on the number of threads.
+/// The steps, each with its own settings: background and its noise ([`BackgroundMesh`]); sources
+/// ([`Detection`], a second time with a wider kernel where the stars turn out wide); centre and
+/// shape of each by a Gaussian fit; signal-to-noise and saturation ([`Camera`]); cuts
+/// ([`Selection`]); registration on a common grid ([`Registration`]); coverage ([`CoverageMap`]).
+/// The result does not depend on the number of threads.
 ///
 /// ```
 /// use ndarray::Array2;
@@ -58,34 +56,17 @@ const LEAST_PIXELS: usize = 24;
 const WIDER: f64 = 1.5;
 
 impl StarSampling {
-    /// With other settings of the background.
-    #[must_use]
-    pub fn with_background(self, background: BackgroundMesh) -> Self {
-        Self { background, ..self }
-    }
-
-    /// With other settings of the detection.
-    #[must_use]
-    pub fn with_detection(self, detection: Detection) -> Self {
-        Self { detection, ..self }
-    }
-
-    /// With what is known of the camera.
-    #[must_use]
-    pub fn with_camera(self, camera: Camera) -> Self {
-        Self { camera, ..self }
-    }
-
-    /// With other cuts.
-    #[must_use]
-    pub fn with_selection(self, selection: Selection) -> Self {
-        Self { selection, ..self }
-    }
-
-    /// With another registration.
-    #[must_use]
-    pub fn with_registration(self, registration: Registration) -> Self {
-        Self { registration, ..self }
+    setters! {
+        /// With other settings of the background.
+        with_background => background: BackgroundMesh,
+        /// With other settings of the detection.
+        with_detection => detection: Detection,
+        /// With what is known of the camera.
+        with_camera => camera: Camera,
+        /// With other cuts.
+        with_selection => selection: Selection,
+        /// With another registration.
+        with_registration => registration: Registration,
     }
 
     /// Samples of the PSF from the stars of `frame`.
@@ -96,10 +77,9 @@ impl StarSampling {
     pub fn run<T: Real>(&self, frame: &Image<T>) -> Result<StarSamples, StarError> {
         let shape = frame.shape();
         if shape.nx().min(shape.ny()) < LEAST_PIXELS {
-            return Err(StarError::FrameTooSmall {
-                frame: shape,
-                need: LEAST_PIXELS,
-            });
+            return Err(StarError::NoSamples(format!(
+                "a frame of {shape} pixels is too small: at least {LEAST_PIXELS} pixels each way are needed"
+            )));
         }
         let pixels = frame.pixels().mapv(T::as_f64);
         let background = self.background.estimate(pixels.view())?;
@@ -115,45 +95,45 @@ impl StarSampling {
         };
 
         let mut detection = self.detection;
-        let mut candidates = view.measured(&view.peaks(&detection)?, detection.kernel_fwhm_px());
-        let mut fwhm_px = self.typical_fwhm(&candidates, detection.kernel_fwhm_px());
+        let mut sources = view.measured(&view.peaks(&detection)?, detection.kernel_fwhm_px());
+        let mut fwhm_px = self.typical_fwhm(&sources, detection.kernel_fwhm_px());
         if fwhm_px > WIDER * detection.kernel_fwhm_px() {
             detection = detection.with_kernel_fwhm_px(fwhm_px.min(50.0))?;
-            candidates = view.measured(&view.peaks(&detection)?, fwhm_px);
-            fwhm_px = self.typical_fwhm(&candidates, fwhm_px);
+            sources = view.measured(&view.peaks(&detection)?, fwhm_px);
+            fwhm_px = self.typical_fwhm(&sources, fwhm_px);
         }
-        candidates = view.measured(&view.peaks(&detection)?, fwhm_px);
-        fwhm_px = self.typical_fwhm(&candidates, fwhm_px);
+        sources = view.measured(&view.peaks(&detection)?, fwhm_px);
+        fwhm_px = self.typical_fwhm(&sources, fwhm_px);
 
         let reach = self.registration.reach(fwhm_px);
         self.selection.check_edge(reach)?;
-        self.selection.apply(&mut candidates, shape, reach, fwhm_px);
-        let accepted = candidates.iter().filter(|c| c.rejected.is_empty()).count();
+        self.selection.apply(&mut sources, shape, reach, fwhm_px);
+        let accepted = sources.iter().filter(|s| s.rejected.is_empty()).count();
         let grid = self.registration.grid(fwhm_px, accepted);
-        let registered = self.register(&view, &mut candidates, grid, fwhm_px)?;
-        view.collected(&candidates, registered, fwhm_px)
+        let registered = self.register(&view, &mut sources, grid, fwhm_px)?;
+        view.collected(sources, registered, fwhm_px)
     }
 
     /// The most frequent FWHM of bright sources.
-    fn typical_fwhm(&self, candidates: &[Candidate], otherwise: f64) -> f64 {
-        let good = |c: &&Candidate| c.rejected.is_empty() && c.snr > self.selection.snr();
+    fn typical_fwhm(&self, sources: &[Source], otherwise: f64) -> f64 {
+        let good = |s: &&Source| s.rejected.is_empty() && s.snr > self.selection.snr();
         // The most significant ones come first.
-        let widths = candidates.iter().filter(good).filter_map(Candidate::fwhm_px);
+        let widths = sources.iter().filter(good).filter_map(|s| s.fwhm_px);
         most_frequent_width(widths.collect()).unwrap_or(otherwise)
     }
 
     fn register(
         &self,
         view: &FrameView,
-        candidates: &mut [Candidate],
+        sources: &mut [Source],
         grid: FineGrid,
         fwhm_px: f64,
     ) -> Result<Registered, StarError> {
-        let ownership = Ownership::new(candidates, fwhm_px);
-        let stars: Vec<Star> = candidates
+        let ownership = Ownership::new(sources, fwhm_px);
+        let stars: Vec<Star> = sources
             .iter()
             .enumerate()
-            .filter(|(_, c)| c.rejected.is_empty())
+            .filter(|(_, s)| s.rejected.is_empty())
             .map(|(k, c)| view.star(k, c, &ownership, grid))
             .collect();
         let method = self.registration.resolve(fwhm_px, stars.len(), grid.scale)?;
@@ -167,12 +147,12 @@ impl StarSampling {
         };
         let (stars, stamps): (Vec<Star>, Vec<Option<StampAndFlux>>) = if method == RegistrationMethod::Epsf {
             let epsf = Epsf::fit(stars, grid, fwhm_px, view.shape(), &self.camera);
-            report.field_degree = Some(epsf.terms.degree());
+            report.field_degree = Some(epsf.field_degree());
             report.median_chi = Some(epsf.median_chi);
             for &source in &epsf.mismatched {
-                candidates[source].rejected.insert(Rejection::PsfMismatch);
+                sources[source].rejected.insert(Rejection::PsfMismatch);
             }
-            let own_shapes = self.registration.own_shapes();
+            let own_shapes = self.registration.own_shapes;
             let stamps = epsf
                 .stars
                 .par_iter()
@@ -183,10 +163,10 @@ impl StarSampling {
             let stamps = stars
                 .par_iter()
                 .map(|star| {
-                    let own = &candidates[star.source];
+                    let own = &sources[star.source];
                     own_stamp(
                         view.excess.view(),
-                        star,
+                        (star.x, star.y),
                         |x, y| ownership.allows(star.source, own.flux, x as f64, y as f64),
                         grid,
                     )
@@ -198,7 +178,7 @@ impl StarSampling {
         for (star, stamp) in stars.into_iter().zip(stamps) {
             match stamp {
                 Some((stamp, flux)) => samples.push((star, stamp, flux)),
-                None => candidates[star.source].rejected.insert(Rejection::LowSnr),
+                None => sources[star.source].rejected.insert(Rejection::LowSnr),
             }
         }
         Ok(Registered {
@@ -207,4 +187,141 @@ impl StarSampling {
             report,
         })
     }
+}
+
+/// Stars with their samples `[y, x]` of unit flux and their fluxes.
+struct Registered {
+    samples: Vec<(Star, Array2<f64>, f64)>,
+    grid: FineGrid,
+    report: RegistrationReport,
+}
+
+impl FrameView {
+    /// Samples and sources in their final form.
+    fn collected(
+        self,
+        mut sources: Vec<Source>,
+        registered: Registered,
+        fwhm_px: f64,
+    ) -> Result<StarSamples, StarError> {
+        let shape = self.shape();
+        self.complete(&mut sources);
+        if registered.samples.is_empty() {
+            let counts = rejection_counts(&sources);
+            let reasons: Vec<String> = counts
+                .iter()
+                .map(|(reason, n)| match reason {
+                    Rejection::Saturated => format!("{n} {} at {}", reason.name(), self.saturation),
+                    _ => format!("{n} {}", reason.name()),
+                })
+                .collect();
+            return Err(StarError::NoSamples(format!(
+                "none of the {} sources can serve as a PSF sample: {}. Loosen the cut that rejects most of them",
+                sources.len(),
+                reasons.join(", ")
+            )));
+        }
+        let side = registered.grid.side();
+        let mut stamps = Array3::zeros((registered.samples.len(), side, side));
+        let mut positions = Vec::with_capacity(registered.samples.len());
+        for (k, (star, stamp, flux)) in registered.samples.iter().enumerate() {
+            stamps.index_axis_mut(Axis(0), k).assign(stamp);
+            positions.push(Position::new(star.x, star.y)?);
+            let source = &mut sources[star.source];
+            (source.x, source.y, source.flux) = (star.x, star.y, *flux);
+            source.sample = Some(k);
+        }
+        self.measure_psf_fluxes(&mut sources, &registered, fwhm_px);
+        let coverage = CoverageMap::new(&positions, shape);
+        let grid = StampGrid::new(side, side)?.with_oversampling(registered.grid.scale as f64)?;
+        Ok(StarSamples {
+            samples: PsfSamples::new(stamps, SamplePositions::new(positions, Some(shape))?, grid)?,
+            sources,
+            coverage,
+            fwhm_px,
+            saturation: self.saturation,
+            background: self.background,
+            registration: registered.report,
+        })
+    }
+
+    /// Fluxes of the sources that are no samples: the nearest sample's PSF fitted to them.
+    fn measure_psf_fluxes(&self, sources: &mut [Source], registered: &Registered, fwhm_px: f64) {
+        let splines: Vec<Spline> = registered
+            .samples
+            .iter()
+            .map(|(_, stamp, _)| Spline::through(stamp.view()))
+            .collect();
+        let nearest = Neighbours::new(registered.samples.iter().map(|(star, ..)| (star.x, star.y)));
+        let grid = registered.grid;
+        let (middle, scale) = (grid.middle() as f64, grid.scale as f64);
+        let aperture = aperture_px(fwhm_px);
+        sources
+            .par_iter_mut()
+            .filter(|source| source.sample.is_none())
+            .for_each(|source| {
+                let Some((k, _)) = nearest.nearest(source.x, source.y, |_| true) else {
+                    return;
+                };
+                // What is left of a saturated star are its wings.
+                let radius = if source.rejected.contains(Rejection::Saturated) {
+                    grid.reach as f64
+                } else {
+                    aperture.min(grid.reach as f64)
+                };
+                let (mut product, mut power) = (0.0, 0.0);
+                for (column, row) in self.disc(source.x, source.y, radius) {
+                    if self.saturation.reached_by(self.pixels[[row, column]]) {
+                        continue;
+                    }
+                    let at = |pixel: usize, centre: f64| middle + scale * (pixel as f64 - centre);
+                    let psf = splines[k].at(at(column, source.x), at(row, source.y));
+                    product += psf * self.excess[[row, column]];
+                    power += psf * psf;
+                }
+                if power > 0.0 {
+                    source.flux = product / power;
+                }
+            });
+    }
+}
+
+/// PSF samples from the stars of a frame, and all that is known of how they came about.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct StarSamples {
+    /// The samples, of unit flux, in the order of their sources.
+    pub samples: PsfSamples,
+    /// Every source found, the most significant first; none is left out, each rejected one carries its reasons.
+    pub sources: Vec<Source>,
+    /// Where the samples cover the field.
+    pub coverage: CoverageMap,
+    /// The frame's background.
+    pub background: Background,
+    /// The most frequent FWHM of the stars in pixels.
+    pub fwhm_px: f64,
+    /// The saturation level in force.
+    pub saturation: Saturation,
+    /// How the stars were registered.
+    pub registration: RegistrationReport,
+}
+
+impl StarSamples {
+    /// How many sources were rejected for each reason; a source may have several.
+    pub fn rejection_counts(&self) -> Vec<(Rejection, usize)> {
+        rejection_counts(&self.sources)
+    }
+}
+
+fn rejection_counts(sources: &[Source]) -> Vec<(Rejection, usize)> {
+    Rejection::ALL
+        .into_iter()
+        .map(|reason| {
+            (
+                reason,
+                sources.iter().filter(|s| s.rejected.contains(reason)).count(),
+            )
+        })
+        .filter(|(_, count)| *count > 0)
+        .collect()
 }

@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-use crate::DataError;
+use crate::frame::DataError;
 
 /// Which interpolator carries coefficients from the samples to the field.
 ///
@@ -64,11 +64,8 @@ impl std::fmt::Display for Interpolation {
 impl FromStr for Interpolation {
     type Err = DataError;
     fn from_str(text: &str) -> Result<Self, DataError> {
-        let refused = || DataError::Setting {
-            name: "interpolation",
-            allowed: "auto, delaunay, natural-neighbour, idw, idw=POWER (above 0), bilinear, bicubic, polynomial=DEGREE (0 to 20) or nearest",
-            got: text.to_owned(),
-        };
+        const ALLOWED: &str = "auto, delaunay, natural-neighbour, idw, idw=POWER (above 0), bilinear, bicubic, polynomial=DEGREE (0 to 20) or nearest";
+        let refused = || DataError::setting("interpolation", ALLOWED, text);
         match text.split_once('=') {
             None => match text {
                 "auto" => Ok(Self::Auto),
@@ -145,20 +142,31 @@ pub enum StampInterpolation {
     Lanczos3,
 }
 
-/// `Display` and `FromStr` of a choice without parameters, from one table.
+/// `Display` and `FromStr` of a choice without parameters, from one table. A text that is not in it
+/// is [`DataError::Setting`], or another error made of the text.
+#[doc(hidden)]
+#[macro_export]
 macro_rules! named {
     ($type:ident, $what:literal, $allowed:literal, $($name:literal => $variant:ident),+) => {
+        $crate::named!(
+            $type,
+            $crate::DataError,
+            |text| $crate::DataError::setting($what, $allowed, text),
+            $($name => $variant),+
+        );
+    };
+    ($type:ident, $error:ty, |$text:ident| $refused:expr, $($name:literal => $variant:ident),+) => {
         impl std::fmt::Display for $type {
             fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
                 f.write_str(match self { $(Self::$variant => $name),+ })
             }
         }
-        impl FromStr for $type {
-            type Err = DataError;
-            fn from_str(text: &str) -> Result<Self, DataError> {
-                match text {
+        impl std::str::FromStr for $type {
+            type Err = $error;
+            fn from_str($text: &str) -> Result<Self, $error> {
+                match $text {
                     $($name => Ok(Self::$variant),)+
-                    _ => Err(DataError::Setting { name: $what, allowed: $allowed, got: text.to_owned() }),
+                    _ => Err($refused),
                 }
             }
         }
@@ -171,11 +179,13 @@ named!(StampInterpolation, "stamp interpolation", "cubic-spline or lanczos3", "c
 named!(Anchor, "anchor", "source or output", "source" => Source, "output" => Output);
 
 /// Serde through the text forms above, so that a file cannot hold what the command line would refuse.
+#[doc(hidden)]
+#[macro_export]
 macro_rules! through_text {
     ($($type:ident),+) => {$(
         impl TryFrom<String> for $type {
-            type Error = DataError;
-            fn try_from(text: String) -> Result<Self, DataError> {
+            type Error = $crate::DataError;
+            fn try_from(text: String) -> Result<Self, $crate::DataError> {
                 text.parse()
             }
         }

@@ -1,22 +1,178 @@
-//! Frame shapes and rectangles of pixels.
+//! Positions on the frame, frame shapes and rectangles of pixels; what makes data invalid.
 
 use serde::{Deserialize, Serialize};
 
-use crate::{DataError, Position};
+use thiserror::Error;
+
+/// Reads a type from a file through its constructor, so that no file brings in what the constructor
+/// refuses: with [`DataError`], or another error.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! read_through_new {
+    ($raw:ident => $checked:ident { $($fields:tt)+ }) => {
+        $crate::read_through_new!($raw => $checked, $crate::DataError { $($fields)+ });
+    };
+    ($raw:ident => $checked:ident, $error:ty { $($field:ident: $kind:ty),+ }) => {
+        #[derive(serde::Deserialize)]
+        struct $raw {
+            $($field: $kind),+
+        }
+
+        impl TryFrom<$raw> for $checked {
+            type Error = $error;
+            fn try_from(raw: $raw) -> Result<Self, $error> {
+                Self::new($(raw.$field),+)
+            }
+        }
+    };
+}
+pub(crate) use crate::read_through_new;
+
+/// The methods of a type that give its fields away, inside an `impl`: a table of field and kind, by
+/// value; by reference where `&` stands before the kind, and as a view where `view` does.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! getters {
+    (&$self:ident; $($fields:tt)*) => { $crate::getters!(@ (&$self) $self $($fields)*); };
+    ($self:ident; $($fields:tt)*) => { $crate::getters!(@ ($self) $self $($fields)*); };
+    (@ ($($by:tt)+) $self:ident) => {};
+    (@ ($($by:tt)+) $self:ident $(#[$doc:meta])* $field:ident: &$kind:ty, $($rest:tt)*) => {
+        $(#[$doc])*
+        pub fn $field($($by)+) -> &$kind {
+            &$self.$field
+        }
+        $crate::getters!(@ ($($by)+) $self $($rest)*);
+    };
+    (@ ($($by:tt)+) $self:ident $(#[$doc:meta])* $field:ident: view $kind:ty, $($rest:tt)*) => {
+        $(#[$doc])*
+        pub fn $field(&$self) -> $kind {
+            $self.$field.view()
+        }
+        $crate::getters!(@ ($($by)+) $self $($rest)*);
+    };
+    (@ ($($by:tt)+) $self:ident $(#[$doc:meta])* $field:ident: $kind:ty, $($rest:tt)*) => {
+        $(#[$doc])*
+        pub fn $field($($by)+) -> $kind {
+            $self.$field
+        }
+        $crate::getters!(@ ($($by)+) $self $($rest)*);
+    };
+}
+
+/// The methods of a type that change one field of it, inside an `impl`: a table of method, field and
+/// kind; where the kind stands in `Some`, the field is an option.
+#[doc(hidden)]
+#[macro_export]
+macro_rules! setters {
+    () => {};
+    ($(#[$doc:meta])* $method:ident => $field:ident: Some($kind:ty), $($rest:tt)*) => {
+        $(#[$doc])*
+        #[must_use]
+        pub fn $method(self, $field: $kind) -> Self {
+            let $field = Some($field);
+            Self { $field, ..self }
+        }
+        $crate::setters!($($rest)*);
+    };
+    ($(#[$doc:meta])* $method:ident => $field:ident: $kind:ty, $($rest:tt)*) => {
+        $(#[$doc])*
+        #[must_use]
+        pub fn $method(self, $field: $kind) -> Self {
+            Self { $field, ..self }
+        }
+        $crate::setters!($($rest)*);
+    };
+}
+
+/// A position in pixels of the frame: 0-based, an integer is the centre of a pixel.
+///
+/// Both coordinates are finite. Positions may lie between pixels and outside the frame.
+///
+/// ```
+/// use psf_types::Position;
+/// let p = Position::new(10.5, -3.0)?;
+/// assert_eq!((p.x(), p.y()), (10.5, -3.0));
+/// assert!(Position::new(f64::NAN, 0.0).is_err());
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "(f64, f64)", into = "(f64, f64)")]
+pub struct Position {
+    x: f64,
+    y: f64,
+}
+
+impl Position {
+    /// A position from its coordinates in pixels.
+    ///
+    /// # Errors
+    /// [`DataError::NonFinitePosition`] when a coordinate is NaN or infinite.
+    pub fn new(x: f64, y: f64) -> Result<Self, DataError> {
+        if x.is_finite() && y.is_finite() {
+            Ok(Self { x, y })
+        } else {
+            Err(DataError::NonFinitePosition { x, y })
+        }
+    }
+
+    /// The centre of the pixel in column `column` and row `row` (negative left of or below the frame).
+    pub fn of_pixel(column: i64, row: i64) -> Self {
+        Self {
+            x: column as f64,
+            y: row as f64,
+        }
+    }
+
+    getters! { self;
+        /// Column coordinate in pixels.
+        x: f64,
+        /// Row coordinate in pixels.
+        y: f64,
+    }
+
+    /// The point half way to `other`.
+    #[must_use]
+    pub fn midpoint(self, other: Self) -> Self {
+        Self {
+            x: f64::midpoint(self.x, other.x),
+            y: f64::midpoint(self.y, other.y),
+        }
+    }
+
+    /// Euclidean distance to `other` in pixels.
+    pub fn distance(self, other: Self) -> f64 {
+        (self.x - other.x).hypot(self.y - other.y)
+    }
+}
+
+impl std::fmt::Display for Position {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "({}, {})", self.x, self.y)
+    }
+}
+
+impl TryFrom<(f64, f64)> for Position {
+    type Error = DataError;
+    fn try_from((x, y): (f64, f64)) -> Result<Self, DataError> {
+        Self::new(x, y)
+    }
+}
+
+impl From<Position> for (f64, f64) {
+    fn from(p: Position) -> Self {
+        (p.x, p.y)
+    }
+}
 
 /// The shape of a frame (detector, field of view): `nx` columns by `ny` rows, both at least 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(try_from = "RawFrameShape", into = "RawFrameShape")]
+#[serde(try_from = "RawFrameShape")]
 pub struct FrameShape {
     nx: usize,
     ny: usize,
 }
 
-#[derive(Serialize, Deserialize)]
-struct RawFrameShape {
-    nx: usize,
-    ny: usize,
-}
+read_through_new!(RawFrameShape => FrameShape { nx: usize, ny: usize });
 
 impl FrameShape {
     /// A frame of `nx` columns and `ny` rows.
@@ -33,14 +189,11 @@ impl FrameShape {
         }
     }
 
-    /// Number of columns.
-    pub fn nx(self) -> usize {
-        self.nx
-    }
-
-    /// Number of rows.
-    pub fn ny(self) -> usize {
-        self.ny
+    getters! { self;
+        /// Number of columns.
+        nx: usize,
+        /// Number of rows.
+        ny: usize,
     }
 
     /// Number of pixels.
@@ -70,22 +223,6 @@ impl std::fmt::Display for FrameShape {
     }
 }
 
-impl TryFrom<RawFrameShape> for FrameShape {
-    type Error = DataError;
-    fn try_from(raw: RawFrameShape) -> Result<Self, DataError> {
-        Self::new(raw.nx, raw.ny)
-    }
-}
-
-impl From<FrameShape> for RawFrameShape {
-    fn from(shape: FrameShape) -> Self {
-        Self {
-            nx: shape.nx,
-            ny: shape.ny,
-        }
-    }
-}
-
 /// A rectangle of pixels: columns `x0 .. x0 + nx` and rows `y0 .. y0 + ny`, never empty.
 ///
 /// The origin may be negative: a scene may reach beyond the frame.
@@ -102,19 +239,13 @@ impl PixelRegion {
         Self { x0, y0, shape }
     }
 
-    /// First column.
-    pub fn x0(self) -> i64 {
-        self.x0
-    }
-
-    /// First row.
-    pub fn y0(self) -> i64 {
-        self.y0
-    }
-
-    /// Number of columns and rows.
-    pub fn shape(self) -> FrameShape {
-        self.shape
+    getters! { self;
+        /// First column.
+        x0: i64,
+        /// First row.
+        y0: i64,
+        /// Number of columns and rows.
+        shape: FrameShape,
     }
 
     /// The same rectangle moved by (`dx`, `dy`) pixels.
@@ -140,6 +271,242 @@ impl PixelRegion {
     pub fn position(self, column: usize, row: usize) -> Position {
         Position::of_pixel(self.x0 + column as i64, self.y0 + row as i64)
     }
+}
+
+/// Which values an error speaks of, and the meaning of the index beside it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Quantity {
+    /// A pixel of an image `[y, x]`.
+    Pixel,
+    /// A value of a stamp `[y, x]`.
+    StampValue,
+    /// A value of a stack of PSF samples `[sample, y, x]`.
+    SampleValue,
+    /// A value of the mean stamp `[y, x]`.
+    MeanValue,
+    /// A value of the basis stamps `[component, y, x]`.
+    BasisValue,
+    /// A coefficient `[sample, component]`.
+    Coefficient,
+}
+
+impl std::fmt::Display for Quantity {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Pixel => "pixel [y, x]",
+            Self::StampValue => "stamp value [y, x]",
+            Self::SampleValue => "PSF sample value [sample, y, x]",
+            Self::MeanValue => "mean stamp value [y, x]",
+            Self::BasisValue => "basis value [component, y, x]",
+            Self::Coefficient => "coefficient [sample, component]",
+        })
+    }
+}
+
+impl DataError {
+    /// [`DataError::Setting`] for something given that is not what is allowed.
+    pub fn setting(name: &'static str, allowed: &'static str, got: impl std::fmt::Display) -> Self {
+        let got = got.to_string();
+        Self::Setting { name, allowed, got }
+    }
+
+    /// [`DataError::CountMismatch`] unless the number found is the one needed.
+    ///
+    /// # Errors
+    /// That one.
+    pub fn check_count(what: &'static str, expected: usize, got: usize) -> Result<(), Self> {
+        if got == expected {
+            return Ok(());
+        }
+        Err(Self::CountMismatch { what, expected, got })
+    }
+}
+
+/// Data that breaks an invariant of its type. Indices and counts are 0-based.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum DataError {
+    /// A coordinate that is NaN or infinite.
+    #[error("position ({x}, {y}) is not finite")]
+    NonFinitePosition {
+        /// Column coordinate.
+        x: f64,
+        /// Row coordinate.
+        y: f64,
+    },
+    /// A frame without pixels.
+    #[error("a frame of {nx} x {ny} pixels is empty")]
+    EmptyFrame {
+        /// Columns.
+        nx: usize,
+        /// Rows.
+        ny: usize,
+    },
+    /// A frame that no memory holds.
+    #[error("a frame of {nx} x {ny} pixels is larger than any memory")]
+    FrameTooLarge {
+        /// Columns.
+        nx: usize,
+        /// Rows.
+        ny: usize,
+    },
+    /// A stamp without pixels.
+    #[error("a stamp of {nx} x {ny} pixels is empty")]
+    EmptyStamp {
+        /// Columns.
+        nx: usize,
+        /// Rows.
+        ny: usize,
+    },
+    /// A stamp centre off the stamp.
+    #[error("the stamp centre ({x}, {y}) does not lie on the {nx} x {ny} stamp")]
+    StampCentre {
+        /// Column index.
+        x: f64,
+        /// Row index.
+        y: f64,
+        /// Columns of the stamp.
+        nx: usize,
+        /// Rows of the stamp.
+        ny: usize,
+    },
+    /// An oversampling that is not a positive number.
+    #[error("oversampling must be finite and above 0, got {got}")]
+    Oversampling {
+        /// The value given.
+        got: f64,
+    },
+    /// An array whose last two axes are not the stamp's.
+    #[error("the stamp array is {got:?} [y, x], its grid says {expected:?}")]
+    StampShape {
+        /// Shape of the grid.
+        expected: (usize, usize),
+        /// Shape of the array.
+        got: (usize, usize),
+    },
+    /// An array whose shape is not the one that goes with it.
+    #[error("an image of {got:?} [y, x] was given where {expected:?} is needed")]
+    ImageShape {
+        /// Shape needed.
+        expected: (usize, usize),
+        /// Shape of the array.
+        got: (usize, usize),
+    },
+    /// NaN or infinity among the values.
+    #[error("{quantity} {index:?} is {value}")]
+    NonFinite {
+        /// Which values.
+        quantity: Quantity,
+        /// Where, 0-based.
+        index: Vec<usize>,
+        /// NaN or an infinity.
+        value: f64,
+    },
+    /// Two arrays that should have one row or plane for the same thing.
+    #[error("{what}: expected {expected}, got {got}")]
+    CountMismatch {
+        /// What is counted.
+        what: &'static str,
+        /// The number needed.
+        expected: usize,
+        /// The number found.
+        got: usize,
+    },
+    /// No samples at all.
+    #[error("there are no samples: at least one is needed")]
+    NoSamples,
+    /// Two samples at the same place.
+    #[error(
+        "samples {first} and {second} (0-based) share the position {position}: remove one, or average them"
+    )]
+    DuplicatePosition {
+        /// The earlier of the two.
+        first: usize,
+        /// The later one.
+        second: usize,
+        /// Where they are.
+        position: Position,
+    },
+    /// A sample off the field.
+    #[error(
+        "sample {sample} (0-based) at {position} lies outside the field of {field} pixels (pixel centres are 0-based integers)"
+    )]
+    OutsideField {
+        /// Index of the sample.
+        sample: usize,
+        /// Where it is.
+        position: Position,
+        /// The field.
+        field: FrameShape,
+    },
+    /// A PSF that holds no light.
+    #[error("PSF sample {sample} (0-based) has flux {flux}: a PSF must have positive flux")]
+    NonPositiveFlux {
+        /// Index of the sample.
+        sample: usize,
+        /// Its flux.
+        flux: f64,
+    },
+    /// A basis that spans nothing.
+    #[error("a basis needs a mean stamp or at least one component")]
+    EmptyBasis,
+    /// Basis stamps that are not orthonormal.
+    #[error(
+        "basis stamps {first} and {second} have the inner product {product}, expected {expected} within {tolerance:e}"
+    )]
+    NotOrthonormal {
+        /// First component.
+        first: usize,
+        /// Second component.
+        second: usize,
+        /// Their inner product.
+        product: f64,
+        /// 1 on the diagonal, else 0.
+        expected: f64,
+        /// The tolerance applied.
+        tolerance: f64,
+    },
+    /// A point source whose flux is NaN or infinite.
+    #[error("the point source at {position} has flux {flux}")]
+    SourceFlux {
+        /// Where it is.
+        position: Position,
+        /// Its flux.
+        flux: f64,
+    },
+    /// A galaxy whose profile is not one that can be drawn.
+    #[error("{parameter} must be {allowed}, got {got}")]
+    Galaxy {
+        /// The parameter.
+        parameter: &'static str,
+        /// What is allowed, in words.
+        allowed: &'static str,
+        /// What was given.
+        got: f64,
+    },
+    /// A frame that reaches beyond the scene.
+    #[error("the frame (first pixel {x0}, {y0}; {shape} pixels) reaches beyond the scene of {scene} pixels")]
+    FrameOutsideScene {
+        /// First column.
+        x0: i64,
+        /// First row.
+        y0: i64,
+        /// Shape of the frame.
+        shape: FrameShape,
+        /// Shape of the scene.
+        scene: FrameShape,
+    },
+    /// A setting that is out of range.
+    #[error("{name} must be {allowed}, got {got}")]
+    Setting {
+        /// Name of the setting.
+        name: &'static str,
+        /// What is allowed, in words.
+        allowed: &'static str,
+        /// What was given.
+        got: String,
+    },
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
-//! Images.
+//! Images, owned and borrowed, in the two working precisions.
 
-use ndarray::{Array2, ArrayView2};
+use ndarray::{Array, Array2, ArrayView2, ArrayView3, CowArray, Dimension, Ix2, NdFloat};
 
-use crate::check::{self, Quantity};
-use crate::{DataError, FrameShape, ImageView, Real};
+use crate::frame::{DataError, FrameShape, Quantity};
+use crate::getters;
 
 /// An image `[y, x]` in flux per pixel; not empty, every pixel finite.
 #[derive(Debug, Clone, PartialEq)]
@@ -20,9 +20,9 @@ impl<T: Real> Image<T> {
     pub fn new(pixels: Array2<T>) -> Result<Self, DataError> {
         let (ny, nx) = pixels.dim();
         let shape = FrameShape::new(nx, ny)?;
-        check::finite2(Quantity::Pixel, pixels.view())?;
+        finite2(Quantity::Pixel, pixels.view())?;
         Ok(Self {
-            pixels: check::row_major(pixels),
+            pixels: row_major(pixels),
             shape,
         })
     }
@@ -35,9 +35,11 @@ impl<T: Real> Image<T> {
         }
     }
 
-    /// The pixels `[y, x]`, row-major.
-    pub fn pixels(&self) -> ArrayView2<'_, T> {
-        self.pixels.view()
+    getters! { &self;
+        /// The pixels `[y, x]`, row-major.
+        pixels: view ArrayView2<'_, T>,
+        /// Columns and rows.
+        shape: FrameShape,
     }
 
     /// The image, borrowed.
@@ -49,9 +51,247 @@ impl<T: Real> Image<T> {
     pub fn into_pixels(self) -> Array2<T> {
         self.pixels
     }
+}
 
-    /// Columns and rows.
-    pub fn shape(&self) -> FrameShape {
-        self.shape
+/// An image `[y, x]` in flux per pixel whose pixels are borrowed: the twin of [`Image`]. Not empty, every pixel finite.
+///
+/// Any layout is taken. Where the pixels of a row are neighbours in memory nothing is copied, however far apart the rows are and
+/// whichever way they follow each other; other layouts are copied to row-major memory.
+///
+/// ```
+/// use ndarray::{Array2, s};
+/// use psf_types::ImageView;
+/// let sky = Array2::<f32>::ones((60, 80));
+/// let part = ImageView::new(sky.slice(s![10..50, 20..]))?;
+/// assert_eq!((part.shape().nx(), part.shape().ny()), (60, 40));
+/// assert!(part.is_borrowed());
+/// assert!(!ImageView::new(sky.t())?.is_borrowed());
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct ImageView<'a, T = f64> {
+    /// The pixels of a row are neighbours.
+    pixels: CowArray<'a, T, Ix2>,
+    shape: FrameShape,
+}
+
+impl<'a, T: Real> ImageView<'a, T> {
+    /// An image from somebody else's pixels `[y, x]`.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyFrame`] or [`DataError::NonFinite`].
+    pub fn new(pixels: ArrayView2<'a, T>) -> Result<Self, DataError> {
+        let (ny, nx) = pixels.dim();
+        let shape = FrameShape::new(nx, ny)?;
+        let pixels = if pixels.row(0).as_slice().is_some() {
+            CowArray::from(pixels)
+        } else {
+            CowArray::from(pixels.as_standard_layout().into_owned())
+        };
+        finite2(Quantity::Pixel, pixels.view())?;
+        Ok(Self { pixels, shape })
+    }
+
+    /// An image, which was checked before.
+    pub(crate) fn of_image(image: &'a Image<T>) -> Self {
+        Self {
+            pixels: image.pixels().into(),
+            shape: image.shape(),
+        }
+    }
+
+    /// Borrows these pixels once more.
+    pub fn view(&self) -> ImageView<'_, T> {
+        ImageView {
+            pixels: self.pixels.view().into(),
+            shape: self.shape,
+        }
+    }
+
+    getters! { &self;
+        /// The pixels `[y, x]`. Those of a row are neighbours in memory; rows may be apart.
+        pixels: view ArrayView2<'_, T>,
+        /// Columns and rows.
+        shape: FrameShape,
+    }
+
+    /// Whether the pixels are where they were, rather than copied because of their layout.
+    pub fn is_borrowed(&self) -> bool {
+        self.pixels.is_view()
+    }
+}
+
+/// A working precision: `f32` or `f64`. Sealed.
+pub trait Real: NdFloat + Default + sealed::Sealed {
+    /// `f32` or `f64`.
+    const NAME: &'static str;
+    /// The nearest value of this type.
+    fn nearest(value: f64) -> Self;
+    /// The same value in double precision.
+    fn as_f64(self) -> f64;
+}
+
+impl Real for f32 {
+    const NAME: &'static str = "f32";
+    fn nearest(value: f64) -> Self {
+        value as Self
+    }
+    fn as_f64(self) -> f64 {
+        f64::from(self)
+    }
+}
+
+impl Real for f64 {
+    const NAME: &'static str = "f64";
+    fn nearest(value: f64) -> Self {
+        value
+    }
+    fn as_f64(self) -> f64 {
+        self
+    }
+}
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for f32 {}
+    impl Sealed for f64 {}
+}
+
+/// Values that are looked at between two questions whether one of them is not finite: enough that the loop over them has no way out
+/// and fills vectors, few enough that they stay in the first cache.
+const AT_ONCE: usize = 1024;
+
+/// Whether all values are finite, at the speed of memory.
+fn all_finite<T: Real>(values: &[T]) -> bool {
+    values
+        .chunks(AT_ONCE)
+        .all(|some| some.iter().fold(true, |finite, v| finite & v.is_finite()))
+}
+
+pub(crate) fn finite2<T: Real>(quantity: Quantity, values: ArrayView2<'_, T>) -> Result<(), DataError> {
+    // Without indices this is as fast as memory; nearly always it is enough.
+    let finite = match values.as_slice() {
+        Some(values) => all_finite(values),
+        None => values
+            .outer_iter()
+            .all(|row| row.to_slice().is_some_and(all_finite)),
+    };
+    if finite {
+        return Ok(());
+    }
+    match values.indexed_iter().find(|(_, v)| !v.is_finite()) {
+        None => Ok(()),
+        Some(((i, j), v)) => Err(DataError::NonFinite {
+            quantity,
+            index: vec![i, j],
+            value: v.as_f64(),
+        }),
+    }
+}
+
+pub(crate) fn finite3(quantity: Quantity, values: ArrayView3<'_, f64>) -> Result<(), DataError> {
+    match values.indexed_iter().find(|(_, v)| !v.is_finite()) {
+        None => Ok(()),
+        Some(((i, j, k), &value)) => Err(DataError::NonFinite {
+            quantity,
+            index: vec![i, j, k],
+            value,
+        }),
+    }
+}
+
+/// Row-major without a copy where the array already is.
+pub(crate) fn row_major<T: Clone, D: Dimension>(array: Array<T, D>) -> Array<T, D> {
+    if array.is_standard_layout() {
+        array
+    } else {
+        array.as_standard_layout().into_owned()
+    }
+}
+
+impl<T: Real> From<Image<T>> for ImageView<'_, T> {
+    /// An image that the view owns.
+    fn from(image: Image<T>) -> Self {
+        Self {
+            shape: image.shape(),
+            pixels: image.into_pixels().into(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::s;
+
+    fn numbered() -> Array2<f64> {
+        Array2::from_shape_fn((7, 5), |(y, x)| (10 * y + x) as f64)
+    }
+
+    #[test]
+    fn any_layout_shows_the_same_pixels() {
+        let whole = numbered();
+        for (pixels, borrowed) in [
+            (whole.view(), true),
+            (whole.slice(s![2..5, 1..4]), true),
+            (whole.slice(s![..;2, ..]), true),
+            (whole.slice(s![..;-1, ..]), true),
+            (whole.slice(s![3..4, ..]), true),
+            (whole.slice(s![.., 2..3]), true),
+            (whole.slice(s![.., ..;2]), false),
+            (whole.slice(s![.., ..;-1]), false),
+            (whole.t(), false),
+            (
+                whole
+                    .row(3)
+                    .insert_axis(ndarray::Axis(0))
+                    .broadcast((4, 5))
+                    .unwrap(),
+                true,
+            ),
+        ] {
+            let view = ImageView::new(pixels).unwrap();
+            assert_eq!(view.pixels(), pixels);
+            assert_eq!(
+                view.is_borrowed(),
+                borrowed,
+                "{:?} {:?}",
+                pixels.dim(),
+                pixels.strides()
+            );
+            assert!(view.pixels().outer_iter().all(|row| row.to_slice().is_some()));
+        }
+        let image = Image::new(whole.clone()).unwrap();
+        assert_eq!(image.view().pixels(), whole);
+    }
+
+    #[test]
+    fn nothing_gets_by_that_is_no_number() {
+        // Pieces that are looked at together, their ends, and rows that are apart.
+        for (ny, nx) in [(1, 1), (3, 1023), (2, 1025), (5, 700)] {
+            for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
+                for (y, x) in [(0, 0), (ny - 1, nx - 1), (ny / 2, nx / 2)] {
+                    let mut pixels = Array2::from_elem((ny + 1, nx + 2), f32::MAX);
+                    pixels[[y, x]] = bad;
+                    for part in [pixels.view(), pixels.slice(s![..ny, ..nx])] {
+                        match ImageView::new(part) {
+                            Err(DataError::NonFinite { index, value, .. }) => {
+                                assert_eq!(index, [y, x]);
+                                assert!(!value.is_finite());
+                            }
+                            other => panic!("{bad} at ({x}, {y}) of {nx} x {ny}: {other:?}"),
+                        }
+                    }
+                }
+            }
+        }
+        // Beside the part that is shown.
+        let mut pixels = Array2::zeros((4, 6));
+        pixels[[1, 5]] = f64::NAN;
+        assert!(ImageView::new(pixels.slice(s![.., ..5])).is_ok());
+        assert!(matches!(
+            ImageView::new(pixels.slice(s![.., ..0])),
+            Err(DataError::EmptyFrame { nx: 0, ny: 4 })
+        ));
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //! PsfSource --sample--> PsfSamples --basis--> PsfBasis + SampleCoefficients --field--> CoefficientField
 //!                                                                                            |
-//!                                      Scene --conv--> Image  <---------- PsfModel <---------+
+//!                                      Image --conv--> Image  <---------- PsfModel <---------+
 //! ```
 //!
 //! # Conventions
@@ -13,45 +13,23 @@
 //!   in a *frame* pixel, so a stamp oversampled `s` times holds unit flux when its values sum to `s^2`.
 //! * Every type checks its invariants once, in its constructor; serde goes through the same check.
 
-mod check;
+mod basis;
 mod choices;
-mod coefficient_field;
-mod error;
 mod frame;
 mod image;
-mod image_view;
-mod point_source;
-mod position;
+pub mod maths;
+mod model;
 mod progress;
-mod psf_basis;
-mod psf_model;
-mod psf_model_record;
-mod psf_samples;
-mod psf_source;
-mod real;
-mod sample_coefficients;
-mod sample_positions;
-mod scene;
-mod sersic_source;
+mod samples;
+mod sources;
 mod stamp;
 
+pub use basis::{PsfBasis, SampleCoefficients};
 pub use choices::{Anchor, Interpolation, Normalisation, OutsidePolicy, StampInterpolation};
-pub use coefficient_field::{CoefficientField, FieldError, RowRun};
-pub use error::{DataError, Quantity};
-pub use frame::{FrameShape, PixelRegion};
-pub use image::Image;
-pub use image_view::ImageView;
-pub use point_source::PointSource;
-pub use position::Position;
+pub use frame::{DataError, FrameShape, PixelRegion, Position, Quantity};
+pub use image::{Image, ImageView, Real};
+pub use model::{CoefficientField, FieldError, PsfModel, PsfModelRecord, RowRun};
 pub use progress::{Cancelled, NoProgress, Progress, Uncounted};
-pub use psf_basis::PsfBasis;
-pub use psf_model::PsfModel;
-pub use psf_model_record::PsfModelRecord;
-pub use psf_samples::PsfSamples;
-pub use psf_source::{PsfSource, SourceError};
-pub use real::Real;
-pub use sample_coefficients::SampleCoefficients;
-pub use sample_positions::SamplePositions;
-pub use scene::Scene;
-pub use sersic_source::{SersicProfile, SersicSource};
+pub use samples::{PsfSamples, PsfSource, SamplePositions, SourceError};
+pub use sources::{PointSource, SersicProfile, SersicSource};
 pub use stamp::{Stamp, StampGrid};

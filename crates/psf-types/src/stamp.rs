@@ -3,8 +3,10 @@
 use ndarray::{Array2, ArrayView2};
 use serde::{Deserialize, Serialize};
 
-use crate::check::{self, Quantity};
-use crate::{DataError, StampInterpolation};
+use crate::choices::StampInterpolation;
+use crate::frame::{DataError, Quantity, read_through_new};
+use crate::image::{finite2, row_major};
+use crate::{getters, setters};
 
 /// The pixel grid of a stamp: shape, centre, oversampling, whether the pixel response is in the values, and how they continue
 /// between the pixels.
@@ -22,7 +24,7 @@ use crate::{DataError, StampInterpolation};
 /// # Ok::<(), psf_types::DataError>(())
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawStampGrid", into = "RawStampGrid")]
+#[serde(try_from = "RawStampGrid")]
 pub struct StampGrid {
     nx: usize,
     ny: usize,
@@ -33,7 +35,7 @@ pub struct StampGrid {
     interpolation: StampInterpolation,
 }
 
-#[derive(Serialize, Deserialize)]
+#[derive(Deserialize)]
 struct RawStampGrid {
     nx: usize,
     ny: usize,
@@ -100,32 +102,28 @@ impl StampGrid {
         }
     }
 
-    /// The same grid, told whether the stamps hold the response of a frame pixel already.
-    #[must_use]
-    pub fn with_pixel_response_included(self, included: bool) -> Self {
-        Self {
-            pixel_response_included: included,
-            ..self
-        }
+    setters! {
+        /// The same grid, told whether the stamps hold the response of a frame pixel already.
+        with_pixel_response_included => pixel_response_included: bool,
+        /// The same grid with another rule for the values between the stamps' pixels.
+        with_interpolation => interpolation: StampInterpolation,
     }
 
-    /// The same grid with another rule for the values between the stamps' pixels.
-    #[must_use]
-    pub fn with_interpolation(self, interpolation: StampInterpolation) -> Self {
-        Self {
-            interpolation,
-            ..self
-        }
-    }
-
-    /// Number of columns.
-    pub fn nx(self) -> usize {
-        self.nx
-    }
-
-    /// Number of rows.
-    pub fn ny(self) -> usize {
-        self.ny
+    getters! { self;
+        /// Number of columns.
+        nx: usize,
+        /// Number of rows.
+        ny: usize,
+        /// Column index of the PSF's reference point.
+        centre_x: f64,
+        /// Row index of the PSF's reference point.
+        centre_y: f64,
+        /// Stamp pixels per frame pixel.
+        oversampling: f64,
+        /// Whether the values hold the response of a frame pixel already.
+        pixel_response_included: bool,
+        /// How the values continue between the stamps' pixels.
+        interpolation: StampInterpolation,
     }
 
     /// `[rows, columns]`, the shape of the arrays.
@@ -138,29 +136,16 @@ impl StampGrid {
         self.nx.saturating_mul(self.ny)
     }
 
-    /// Column index of the PSF's reference point.
-    pub fn centre_x(self) -> f64 {
-        self.centre_x
-    }
-
-    /// Row index of the PSF's reference point.
-    pub fn centre_y(self) -> f64 {
-        self.centre_y
-    }
-
-    /// Stamp pixels per frame pixel.
-    pub fn oversampling(self) -> f64 {
-        self.oversampling
-    }
-
-    /// Whether the values hold the response of a frame pixel already.
-    pub fn pixel_response_included(self) -> bool {
-        self.pixel_response_included
-    }
-
-    /// How the values continue between the stamps' pixels.
-    pub fn interpolation(self) -> StampInterpolation {
-        self.interpolation
+    /// [`DataError::StampShape`] unless arrays of this shape hold stamps of this grid.
+    pub(crate) fn check_dim(self, got: (usize, usize)) -> Result<(), DataError> {
+        if got == self.dim() {
+            Ok(())
+        } else {
+            Err(DataError::StampShape {
+                expected: self.dim(),
+                got,
+            })
+        }
     }
 
     /// The centre as whole `(column, row)` indices, if it lies on a pixel centre.
@@ -186,33 +171,15 @@ impl TryFrom<RawStampGrid> for StampGrid {
     }
 }
 
-impl From<StampGrid> for RawStampGrid {
-    fn from(grid: StampGrid) -> Self {
-        Self {
-            nx: grid.nx,
-            ny: grid.ny,
-            centre_x: grid.centre_x,
-            centre_y: grid.centre_y,
-            oversampling: grid.oversampling,
-            pixel_response_included: grid.pixel_response_included,
-            interpolation: grid.interpolation,
-        }
-    }
-}
-
 /// One PSF image `[y, x]` on its [`StampGrid`]; every value is finite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawStamp", into = "RawStamp")]
+#[serde(try_from = "RawStamp")]
 pub struct Stamp {
     values: Array2<f64>,
     grid: StampGrid,
 }
 
-#[derive(Serialize, Deserialize)]
-struct RawStamp {
-    values: Array2<f64>,
-    grid: StampGrid,
-}
+read_through_new!(RawStamp => Stamp { values: Array2<f64>, grid: StampGrid });
 
 impl Stamp {
     /// A stamp from its values `[y, x]`.
@@ -221,27 +188,24 @@ impl Stamp {
     /// [`DataError::StampShape`] when the array does not have the grid's shape, [`DataError::NonFinite`] for a NaN or an
     /// infinity.
     pub fn new(values: Array2<f64>, grid: StampGrid) -> Result<Self, DataError> {
-        check::stamp_shape(values.dim(), grid)?;
-        check::finite2(Quantity::StampValue, values.view())?;
+        grid.check_dim(values.dim())?;
+        finite2(Quantity::StampValue, values.view())?;
         Ok(Self {
-            values: check::row_major(values),
+            values: row_major(values),
             grid,
         })
     }
 
-    /// The values `[y, x]`.
-    pub fn values(&self) -> ArrayView2<'_, f64> {
-        self.values.view()
+    getters! { &self;
+        /// The values `[y, x]`.
+        values: view ArrayView2<'_, f64>,
+        /// The pixel grid.
+        grid: StampGrid,
     }
 
     /// The values, without a copy.
     pub fn into_values(self) -> Array2<f64> {
         self.values
-    }
-
-    /// The pixel grid.
-    pub fn grid(&self) -> StampGrid {
-        self.grid
     }
 
     /// The fraction of the source's light in the stamp: the sum over `oversampling^2`.
@@ -260,24 +224,8 @@ impl Stamp {
             ..self.grid
         };
         Self {
-            values: check::row_major(self.values.slice(ndarray::s![..;-1, ..;-1]).to_owned()),
+            values: row_major(self.values.slice(ndarray::s![..;-1, ..;-1]).to_owned()),
             grid,
-        }
-    }
-}
-
-impl TryFrom<RawStamp> for Stamp {
-    type Error = DataError;
-    fn try_from(raw: RawStamp) -> Result<Self, DataError> {
-        Self::new(raw.values, raw.grid)
-    }
-}
-
-impl From<Stamp> for RawStamp {
-    fn from(stamp: Stamp) -> Self {
-        Self {
-            values: stamp.values,
-            grid: stamp.grid,
         }
     }
 }

@@ -1,13 +1,14 @@
-//! Catalogues from files.
+//! Catalogues: from files, and from columns of numbers.
 
 use std::path::PathBuf;
 
-use numpy::{IntoPyArray, PyArray1};
+use numpy::{IntoPyArray, PyArray1, PyReadonlyArray1};
 use psfield::psf_io::{CatalogOptions, HduChoice, SkyCoordinates, read_cards, read_catalog_with};
+use psfield::psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 use pyo3::prelude::*;
 
-use crate::choices::parsed;
 use crate::error::{Failure, invalid};
+use crate::words::parsed;
 
 /// A column of doubles.
 type Column<'py> = Bound<'py, PyArray1<f64>>;
@@ -17,11 +18,6 @@ type Read<'py> = ([Column<'py>; 3], [Column<'py>; 7], usize, usize);
 
 /// Reads a catalogue as the command line does.
 #[pyfunction]
-#[pyo3(signature = (path, columns, one_based, zero_point, skip_invalid, table, wcs, wcs_extension))]
-#[allow(
-    clippy::too_many_arguments,
-    reason = "called by name from one place in Python"
-)]
 pub(crate) fn read_catalog<'py>(
     py: Python<'py>,
     path: PathBuf,
@@ -58,28 +54,93 @@ pub(crate) fn read_catalog<'py>(
         .map_err(Failure::from)?;
     let left_out = (catalog.invalid_rows(), catalog.rows_off_projection());
     let (stars, galaxies) = catalog.into_parts();
-    let column = |values: Vec<f64>| values.into_pyarray(py);
-    let of_stars = [
-        stars.iter().map(|s| s.position().x()).collect(),
-        stars.iter().map(|s| s.position().y()).collect(),
-        stars.iter().map(|s| s.flux()).collect(),
+    let of_star = |value: fn(&PointSource) -> f64| -> Column<'py> {
+        stars.iter().map(value).collect::<Vec<_>>().into_pyarray(py)
+    };
+    let of_galaxy = |value: fn(&SersicSource) -> f64| -> Column<'py> {
+        galaxies.iter().map(value).collect::<Vec<_>>().into_pyarray(py)
+    };
+    let star_columns = [
+        of_star(|star| star.position().x()),
+        of_star(|star| star.position().y()),
+        of_star(|star| star.flux()),
     ];
-    let of_galaxies = [
-        galaxies.iter().map(|g| g.position().x()).collect(),
-        galaxies.iter().map(|g| g.position().y()).collect(),
-        galaxies.iter().map(|g| g.flux()).collect(),
-        galaxies
-            .iter()
-            .map(|g| g.profile().half_light_radius_px())
-            .collect(),
-        galaxies.iter().map(|g| g.profile().index()).collect(),
-        galaxies.iter().map(|g| g.profile().axis_ratio()).collect(),
-        galaxies.iter().map(|g| g.profile().angle_deg()).collect(),
+    let galaxy_columns = [
+        of_galaxy(|galaxy| galaxy.position().x()),
+        of_galaxy(|galaxy| galaxy.position().y()),
+        of_galaxy(|galaxy| galaxy.flux()),
+        of_galaxy(|galaxy| galaxy.profile().half_light_radius_px()),
+        of_galaxy(|galaxy| galaxy.profile().index()),
+        of_galaxy(|galaxy| galaxy.profile().axis_ratio()),
+        of_galaxy(|galaxy| galaxy.profile().angle_deg()),
     ];
-    Ok((
-        of_stars.map(column),
-        of_galaxies.map(column),
-        left_out.0,
-        left_out.1,
-    ))
+    Ok((star_columns, galaxy_columns, left_out.0, left_out.1))
+}
+
+/// Sources in pixels of the frame.
+#[derive(Debug, Default)]
+pub(crate) struct Sources {
+    pub(crate) stars: Vec<PointSource>,
+    pub(crate) galaxies: Vec<SersicSource>,
+}
+
+/// The columns of a catalogue, all of one length: a row whose `re` is 0 or NaN is a star.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub(crate) struct SourceColumns<'py> {
+    x: PyReadonlyArray1<'py, f64>,
+    y: PyReadonlyArray1<'py, f64>,
+    flux: PyReadonlyArray1<'py, f64>,
+    re: Option<PyReadonlyArray1<'py, f64>>,
+    n: Option<PyReadonlyArray1<'py, f64>>,
+    q: Option<PyReadonlyArray1<'py, f64>>,
+    angle: Option<PyReadonlyArray1<'py, f64>>,
+}
+
+impl SourceColumns<'_> {
+    /// The sources; the first row that makes none is an error that names it.
+    pub(crate) fn sources(&self) -> PyResult<Sources> {
+        let (x, y, flux) = (self.x.as_array(), self.y.as_array(), self.flux.as_array());
+        let optional = |column: &Option<PyReadonlyArray1<'_, f64>>, otherwise: f64| match column {
+            Some(column) => column.as_array().to_vec(),
+            None => vec![otherwise; x.len()],
+        };
+        let (re, n) = (optional(&self.re, 0.0), optional(&self.n, f64::NAN));
+        let (q, angle) = (optional(&self.q, 1.0), optional(&self.angle, 0.0));
+        for (name, length) in [
+            ("y", y.len()),
+            ("flux", flux.len()),
+            ("re", re.len()),
+            ("n", n.len()),
+            ("q", q.len()),
+            ("angle", angle.len()),
+        ] {
+            if length != x.len() {
+                return Err(invalid(format!(
+                    "catalog: {name} has {length} rows, x has {}",
+                    x.len()
+                )));
+            }
+        }
+        let mut sources = Sources::default();
+        for row in 0..x.len() {
+            let mut place = || -> Result<(), DataError> {
+                let position = Position::new(x[row], y[row])?;
+                if re[row] == 0.0 || re[row].is_nan() {
+                    sources.stars.push(PointSource::new(position, flux[row])?);
+                } else {
+                    let profile = SersicProfile::new(re[row], n[row], q[row], angle[row])?;
+                    sources
+                        .galaxies
+                        .push(SersicSource::new(position, flux[row], profile)?);
+                }
+                Ok(())
+            };
+            place().map_err(|error| {
+                let text = PyErr::from(Failure::from(error));
+                Python::attach(|py| invalid(format!("catalog: row {row} (0-based): {}", text.value(py))))
+            })?;
+        }
+        Ok(sources)
+    }
 }

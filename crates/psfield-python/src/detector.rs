@@ -4,12 +4,12 @@ use std::path::PathBuf;
 
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2};
 use psfield::PsfieldError;
-use psfield::detector::{self, BadPixelMask, DetectorParams, ExposureReport};
+use psfield::detector::{self, BadPixelMask, DetectorParams};
 use psfield::psf_types::{Image, Real};
 use pyo3::prelude::*;
 
 use crate::error::{Failure, invalid};
-use crate::interruptible;
+use crate::threads;
 
 /// The whole chain from light to counts.
 #[pyclass(frozen, module = "psfield._native")]
@@ -31,9 +31,8 @@ impl Detector {
     /// A detector from a TOML file.
     #[staticmethod]
     fn from_toml(path: PathBuf) -> PyResult<Self> {
-        Ok(Self(
-            detector::Detector::from_toml_file(path).map_err(Failure::from)?,
-        ))
+        let detector = detector::Detector::from_toml_file(path);
+        Ok(Self(detector.map_err(Failure::from)?))
     }
 
     /// All parameters as JSON.
@@ -59,19 +58,13 @@ impl Detector {
         seed: u64,
         bad_pixels: Option<PyReadonlyArray2<'py, f64>>,
     ) -> PyResult<Exposed<'py>> {
-        let mask = match bad_pixels {
-            Some(mask) => Some(BadPixelMask::new(mask.as_array()).map_err(Failure::from)?),
-            None => None,
-        };
-        match image.extract::<PyReadonlyArray2<'py, f32>>() {
-            Ok(image) => self.exposed(py, &image, seed, mask.as_ref()),
-            Err(_) => self.exposed(
-                py,
-                &image.extract::<PyReadonlyArray2<'py, f64>>()?,
-                seed,
-                mask.as_ref(),
-            ),
+        let mask = bad_pixels.map(|mask| BadPixelMask::new(mask.as_array()));
+        let mask = mask.transpose().map_err(Failure::from)?;
+        if let Ok(single) = image.extract::<PyReadonlyArray2<'py, f32>>() {
+            return self.exposed(py, &single, seed, mask.as_ref());
         }
+        let double: PyReadonlyArray2<'py, f64> = image.extract()?;
+        self.exposed(py, &double, seed, mask.as_ref())
     }
 }
 
@@ -84,7 +77,7 @@ impl Detector {
         mask: Option<&BadPixelMask>,
     ) -> PyResult<Exposed<'py>> {
         let pixels = image.as_array();
-        let made = interruptible::run(py, None, |_| -> Result<_, PsfieldError> {
+        let made = threads::run(py, None, |_| -> Result<_, PsfieldError> {
             let light = Image::new(pixels.to_owned())?;
             let mut exposer = self.0.exposer(light.shape(), seed)?;
             if let Some(mask) = mask {
@@ -93,13 +86,9 @@ impl Detector {
             Ok(exposer.expose(&light)?)
         })?;
         let exposure = made.map_err(Failure::from)?;
-        let report = text(exposure.report());
+        let report = serde_json::to_string(exposure.report()).expect("figures are plain numbers");
         let flags = exposure.flags().to_owned().into_pyarray(py);
         let counts = exposure.into_counts().into_pixels().into_pyarray(py).into_any();
         Ok((counts, flags, report))
     }
-}
-
-fn text(report: &ExposureReport) -> String {
-    serde_json::to_string(report).expect("figures are plain numbers")
 }

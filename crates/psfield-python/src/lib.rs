@@ -1,29 +1,23 @@
 //! The native part of the Python package `psfield`: its module `psfield._native`.
 //!
 //! It is thin: arguments are checked and handed to [`psfield`], the interpreter is released while the work runs, and errors become
-//! `ValueError` or `OSError` with the texts of the Rust library. What is comfortable (tables, units, defaults, documentation) is in Python,
+//! `ValueError` or `OSError` with the texts of the Rust library. What is comfortable (tables, units, documentation) is in Python,
 //! in `python/psfield`, which alone calls this module; arrays come in the types that the signatures name.
 
+#![allow(
+    clippy::too_many_arguments,
+    reason = "functions are called by name from one place in Python each"
+)]
+
 mod catalog;
-mod choices;
 mod detector;
 mod error;
-mod file_words;
-mod function_source;
-mod interruptible;
-mod kept_psf;
-mod later;
 mod metrics;
-mod overlap;
 mod plan;
-mod planned;
-mod prepared;
 mod psf_model;
 mod sampling;
-mod settings;
-mod sources;
 mod threads;
-mod write_words;
+mod words;
 
 use pyo3::prelude::*;
 
@@ -50,6 +44,7 @@ mod _native {
     #[pymodule_init]
     fn init(module: &super::Bound<'_, super::PyModule>) -> super::PyResult<()> {
         use pyo3::types::PyModuleMethods as _;
-        module.add("__version__", env!("CARGO_PKG_VERSION"))
+        module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+        module.add("DEFAULTS", crate::words::defaults(module.py())?)
     }
 }

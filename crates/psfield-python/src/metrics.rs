@@ -6,9 +6,9 @@ use psfield::{MeasureOptions, Measurement};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::choices::positions;
 use crate::error::Failure;
-use crate::interruptible;
+use crate::threads;
+use crate::words::positions;
 
 /// Figures by name.
 type Figures<'py> = PyResult<Bound<'py, PyDict>>;
@@ -50,21 +50,19 @@ pub(crate) fn fit_gaussian<'py>(
         .with_window(window(size, about))
         .fit(stamp.as_array())
         .map_err(Failure::from)?;
-    let found = figures(
-        py,
-        &[
-            ("flux", fit.flux()),
-            ("amplitude", fit.amplitude()),
-            ("x", fit.x_centroid()),
-            ("y", fit.y_centroid()),
-            ("fwhm", fit.fwhm_px()),
-            ("fwhm_major", fit.fwhm_major_px()),
-            ("fwhm_minor", fit.fwhm_minor_px()),
-            ("angle", fit.angle_rad()),
-            ("ellipticity", fit.ellipticity()),
-            ("residual_rms", fit.residual_rms()),
-        ],
-    )?;
+    let named = [
+        ("flux", fit.flux()),
+        ("amplitude", fit.amplitude()),
+        ("x", fit.x_centroid()),
+        ("y", fit.y_centroid()),
+        ("fwhm", fit.fwhm_px()),
+        ("fwhm_major", fit.fwhm_major_px()),
+        ("fwhm_minor", fit.fwhm_minor_px()),
+        ("angle", fit.angle_rad()),
+        ("ellipticity", fit.ellipticity()),
+        ("residual_rms", fit.residual_rms()),
+    ];
+    let found = figures(py, &named)?;
     found.set_item("background", fit.background())?;
     Ok(found)
 }
@@ -83,19 +81,17 @@ pub(crate) fn adaptive_moments<'py>(
         finder = finder.with_start(x, y, sigma);
     }
     let moments = finder.measure(stamp.as_array()).map_err(Failure::from)?;
-    figures(
-        py,
-        &[
-            ("amplitude", moments.amplitude()),
-            ("x", moments.x_centroid()),
-            ("y", moments.y_centroid()),
-            ("sigma", moments.sigma_px()),
-            ("e1", moments.e1()),
-            ("e2", moments.e2()),
-            ("g1", moments.g1()),
-            ("g2", moments.g2()),
-        ],
-    )
+    let named = [
+        ("amplitude", moments.amplitude()),
+        ("x", moments.x_centroid()),
+        ("y", moments.y_centroid()),
+        ("sigma", moments.sigma_px()),
+        ("e1", moments.e1()),
+        ("e2", moments.e2()),
+        ("g1", moments.g1()),
+        ("g2", moments.g2()),
+    ];
+    figures(py, &named)
 }
 
 /// Plain second moments of a stamp.
@@ -107,19 +103,17 @@ pub(crate) fn quadrupole_moments<'py>(
     about: Option<(usize, usize)>,
 ) -> Figures<'py> {
     let moments = QuadrupoleMoments::measure(stamp.as_array(), window(size, about)).map_err(Failure::from)?;
-    figures(
-        py,
-        &[
-            ("flux", moments.flux()),
-            ("x", moments.x_centroid()),
-            ("y", moments.y_centroid()),
-            ("sigma", moments.sigma_px()),
-            ("e1", moments.e1()),
-            ("e2", moments.e2()),
-            ("g1", moments.g1()),
-            ("g2", moments.g2()),
-        ],
-    )
+    let named = [
+        ("flux", moments.flux()),
+        ("x", moments.x_centroid()),
+        ("y", moments.y_centroid()),
+        ("sigma", moments.sigma_px()),
+        ("e1", moments.e1()),
+        ("e2", moments.e2()),
+        ("g1", moments.g1()),
+        ("g2", moments.g2()),
+    ];
+    figures(py, &named)
 }
 
 /// The difference of two arrays of any shape; what has no meaning for them is none.
@@ -133,14 +127,12 @@ pub(crate) fn compare<'py>(
     let found = py
         .detach(|| Comparison::of(result, reference))
         .map_err(Failure::from)?;
-    let named = figures(
-        py,
-        &[
-            ("mae", found.mae()),
-            ("mse", found.mse()),
-            ("max_abs", found.max_abs()),
-        ],
-    )?;
+    let errors = [
+        ("mae", found.mae()),
+        ("mse", found.mse()),
+        ("max_abs", found.max_abs()),
+    ];
+    let named = figures(py, &errors)?;
     named.set_item("max_abs_index", found.max_abs_index())?;
     named.set_item("relative_l2", found.relative_l2().ok())?;
     named.set_item("max_over_peak", found.max_over_peak().ok())?;
@@ -162,9 +154,7 @@ pub(crate) fn measure_stamps(
         window: size,
         background,
     };
-    Ok(json(&interruptible::run(py, None, |_| {
-        options.cube(stamps, None)
-    })?))
+    Ok(json(&threads::run(py, None, |_| options.cube(stamps, None))?))
 }
 
 /// The same in a window about each position of an image.
@@ -183,9 +173,7 @@ pub(crate) fn measure_image(
         window: size,
         background,
     };
-    Ok(json(&interruptible::run(py, None, |_| {
-        options.image(image, &at)
-    })?))
+    Ok(json(&threads::run(py, None, |_| options.image(image, &at))?))
 }
 
 fn json(measurements: &[Measurement]) -> String {

@@ -1,52 +1,48 @@
 //! Plans.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
-use ndarray::Array2;
+use ndarray::parallel::prelude::*;
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
 use numpy::{Element, IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray2, PyReadwriteArray2};
-use psfield::conv_core::{ConvReal, PlanOptions};
-use psfield::psf_types::PixelRegion;
-use psfield::{Device, DeviceOptions, Method, SimulationOptions};
+use psfield::conv_core::ConvReal;
+use psfield::psf_types::{Image, ImageView, NoProgress};
+use psfield::{Method, Preparation, PsfieldError, Scene, SimulateOptions, SimulationWarning, Simulator};
 use pyo3::exceptions::PyOSError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
+use rayon::ThreadPool;
 
-use crate::choices::{frame_shape, parsed, region};
+use crate::catalog::{SourceColumns, Sources};
 use crate::error::{Failure, invalid};
-use crate::interruptible;
-use crate::planned::Planned;
 use crate::psf_model::PsfModel;
-use crate::settings::Settings;
-use crate::sources::{SourceColumns, Sources};
-use crate::threads::pool;
+use crate::threads::{self, Watch, pool};
+use crate::words::{parsed, region};
 
 /// How scenes of one shape are simulated.
 #[pyclass(frozen, module = "psfield._native")]
-pub(crate) struct Plan(AnyPlan);
+pub(crate) struct Plan {
+    simulator: AnySimulator,
+    /// Held by a thread beside the pool that makes what a new kind of scene needs. Plans for other regions share it as they
+    /// share the plan for stars.
+    making: Arc<Mutex<()>>,
+    /// The process that made it.
+    process: u32,
+}
 
-enum AnyPlan {
-    Single(Arc<Planned<f32>>),
-    Double(Arc<Planned<f64>>),
+enum AnySimulator {
+    Single(Arc<Simulator<f32>>),
+    Double(Arc<Simulator<f64>>),
 }
 
 /// Runs one body in either precision.
 macro_rules! in_precision {
-    ($plan:expr, $planned:ident => $body:expr) => {
-        match &$plan.0 {
-            AnyPlan::Single($planned) => $body,
-            AnyPlan::Double($planned) => $body,
+    ($plan:expr, $simulator:ident => $body:expr) => {
+        match &$plan.simulator {
+            AnySimulator::Single($simulator) => $body,
+            AnySimulator::Double($simulator) => $body,
         }
     };
-}
-
-/// What lies on a GPU cannot be used by a child of the process that put it there.
-fn check_process<T: ConvReal>(planned: &Planned<T>) -> PyResult<()> {
-    if planned.is_on_foreign_gpu() {
-        return Err(PyOSError::new_err(
-            "this plan lies on a GPU that the parent of this process opened: make the plan in the forked process, or start processes with spawn",
-        ));
-    }
-    Ok(())
 }
 
 /// The arguments of a plan by name.
@@ -72,39 +68,23 @@ pub(crate) struct PlanWords {
 }
 
 impl PlanWords {
-    fn settings(&self) -> PyResult<Settings> {
+    fn options(&self) -> PyResult<SimulateOptions> {
         let method: Method = parsed(&self.method)?;
-        let anchor = parsed(&self.anchor)?;
-        let plan = PlanOptions::new(self.tolerance)
-            .map_err(Failure::from)?
-            .with_anchor(anchor)
-            .with_memory(self.memory);
-        if method.plan_options(plan).is_none() {
+        if !method.has_plan() {
             return Err(invalid(format!("method must be auto or lowrank, got {method}")));
         }
-        if self.stamp_size == Some(0) {
-            return Err(invalid("stamp_size must be at least 1"));
-        }
-        let simulation = SimulationOptions::default()
-            .with_stamp_size(self.stamp_size)
-            .with_anchor(anchor)
-            .with_oversample(self.oversample)
-            .map_err(Failure::from)?;
-        let adapter = self.gpu_adapter.clone();
-        let device = match self.device.as_str() {
-            "auto" => Device::Auto { adapter },
-            "cpu" => Device::Cpu,
-            "gpu" => Device::Gpu { adapter },
-            other => return Err(invalid(format!("device must be auto, cpu or gpu, got {other}"))),
-        };
-        Ok(Settings {
-            shape: frame_shape(self.shape)?,
+        Ok(SimulateOptions {
+            method,
+            tolerance: self.tolerance,
+            anchor: parsed(&self.anchor)?,
+            memory: self.memory,
+            oversample: self.oversample,
+            stamp_size: self.stamp_size,
             frame: self.frame.map(region).transpose()?,
             region: self.region.map(region).transpose()?,
-            method,
-            simulation,
-            plan,
-            device: DeviceOptions::new(device).with_gpu_memory(self.gpu_memory),
+            device: parsed(&self.device)?,
+            gpu_adapter: self.gpu_adapter.clone(),
+            gpu_memory: self.gpu_memory,
         })
     }
 }
@@ -117,58 +97,68 @@ impl Plan {
     /// Plans for scenes of one shape.
     #[new]
     fn new(py: Python<'_>, model: &PsfModel, words: PlanWords) -> PyResult<Self> {
-        let settings = words.settings()?;
-        let made = match words.precision.as_str() {
-            "f32" => planned(py, model, settings).map(|plan| AnyPlan::Single(Arc::new(plan))),
-            "f64" => planned(py, model, settings).map(|plan| AnyPlan::Double(Arc::new(plan))),
-            other => Err(invalid(format!("precision must be f32 or f64, got {other}"))),
+        let builder = model.0.simulator(words.shape).options(words.options()?);
+        let simulator = match words.precision.as_str() {
+            "f32" => AnySimulator::Single(planned(py, move |_| builder.build())?),
+            "f64" => AnySimulator::Double(planned(py, move |_| builder.build())?),
+            other => return Err(invalid(format!("precision must be f32 or f64, got {other}"))),
         };
-        made.map(Self)
+        Ok(Self {
+            simulator,
+            making: Arc::default(),
+            process: std::process::id(),
+        })
     }
 
     /// The same for another region of the frame.
     fn for_region(&self, py: Python<'_>, at: (i64, i64, usize, usize)) -> PyResult<Self> {
         let at = region(at)?;
-        let made = match &self.0 {
-            AnyPlan::Single(planned) => {
-                of_region(py, planned, at).map(|plan| AnyPlan::Single(Arc::new(plan)))
+        let simulator = match &self.simulator {
+            AnySimulator::Single(of) => {
+                let of = Arc::clone(of);
+                AnySimulator::Single(planned(py, move |watch| of.for_region(at, watch))?)
             }
-            AnyPlan::Double(planned) => {
-                of_region(py, planned, at).map(|plan| AnyPlan::Double(Arc::new(plan)))
+            AnySimulator::Double(of) => {
+                let of = Arc::clone(of);
+                AnySimulator::Double(planned(py, move |watch| of.for_region(at, watch))?)
             }
         };
-        made.map(Self)
+        Ok(Self {
+            simulator,
+            making: Arc::clone(&self.making),
+            process: std::process::id(),
+        })
     }
 
     /// (x0, y0, nx, ny) of the part of the scene that reaches the image.
-    fn light_region(&self) -> (i64, i64, usize, usize) {
-        let light = in_precision!(self, planned => planned.light_region());
-        (light.x0(), light.y0(), light.shape().nx(), light.shape().ny())
+    fn light_region(&self) -> PyResult<(i64, i64, usize, usize)> {
+        let light =
+            in_precision!(self, simulator => simulator.light_region(&NoProgress)).map_err(Failure::from)?;
+        Ok((light.x0(), light.y0(), light.shape().nx(), light.shape().ny()))
     }
 
     /// (ny, nx) of the image.
     fn frame_shape(&self) -> (usize, usize) {
-        let shape = in_precision!(self, planned => planned.frame_shape());
+        let shape = in_precision!(self, simulator => simulator.image_shape());
         (shape.ny(), shape.nx())
     }
 
     /// The plan in figures.
     fn summary<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let (summary, settings, placement) = in_precision!(self, planned => (
-            planned.summary().ok_or_else(|| invalid("the plan has no figures"))?,
-            planned.settings(),
-            planned.placement(),
-        ));
+        let made = self.preparation()?;
+        let (shape, method) =
+            in_precision!(self, simulator => (simulator.scene_shape(), simulator.options().method));
+        let summary = made.plan.ok_or_else(|| invalid("the plan has no figures"))?;
         let figures = PyDict::new(py);
         figures.set_item("text", summary.to_string())?;
-        figures.set_item("shape", (settings.shape.ny(), settings.shape.nx()))?;
+        figures.set_item("shape", (shape.ny(), shape.nx()))?;
         figures.set_item("frame_shape", self.frame_shape())?;
         figures.set_item("precision", summary.precision)?;
         figures.set_item("tolerance", summary.tolerance)?;
         figures.set_item("anchor", summary.anchor.to_string())?;
-        figures.set_item("method", settings.method.to_string())?;
-        figures.set_item("device", placement.to_string())?;
-        figures.set_item("gpu", placement.adapter())?;
+        figures.set_item("method", method.to_string())?;
+        figures.set_item("device", made.placement.to_string())?;
+        figures.set_item("gpu", made.placement.adapter())?;
         figures.set_item("tile_shape", (summary.tile.1, summary.tile.0))?;
         figures.set_item("transform_shape", (summary.transform.1, summary.transform.0))?;
         figures.set_item("tiles", summary.tiles)?;
@@ -189,7 +179,21 @@ impl Plan {
         out: Option<Bound<'py, PyAny>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Simulated<'py>> {
-        in_precision!(self, planned => simulate(py, planned, scene, sources, out, progress))
+        self.check_process()?;
+        let sources = sources_of(sources)?;
+        in_precision!(self, simulator => {
+            let scene = scene.as_ref().map(|scene| readonly(scene, "scene")).transpose()?;
+            let mut out = out.as_ref().map(writable).transpose()?;
+            let light = scene.as_ref().map(|scene| scene.as_array());
+            let target = out.as_mut().map(|out| out.as_array_mut());
+            let made = threads::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
+                let scene = self.ready(simulator, light, sources, watch, pool)?;
+                pool.install(|| simulated(simulator, &scene, target, watch))
+            })?;
+            let (image, warnings) = made?;
+            let image = image.map(|image| image.into_pyarray(py).into_any());
+            Ok((image, warnings.iter().map(text_of).collect()))
+        })
     }
 
     /// What each pixel of the scene gives to the scalar product of its image with this one.
@@ -199,7 +203,16 @@ impl Plan {
         image: Bound<'py, PyAny>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
-        in_precision!(self, planned => adjoint(py, planned, image, progress))
+        self.check_process()?;
+        in_precision!(self, simulator => {
+            let image = readonly(&image, "image")?;
+            let pixels = image.as_array();
+            let made = threads::run(py, progress.as_ref(), |watch| -> Result<_, Failure> {
+                let image = ImageView::new(pixels).map_err(Failure::of("image"))?;
+                Ok(simulator.adjoint(&image, watch)?)
+            })?;
+            Ok(made?.into_pixels().into_pyarray(py).into_any())
+        })
     }
 
     /// The figures of a check against the direct sum, as JSON.
@@ -212,23 +225,101 @@ impl Plan {
         count: usize,
         seed: u64,
     ) -> PyResult<String> {
-        in_precision!(self, planned => spot_check(py, planned, image, scene, sources, (count, seed)))
+        let sources = sources_of(sources)?;
+        let check = in_precision!(self, simulator => {
+            let image = readonly(&image, "image")?;
+            let scene = scene.as_ref().map(|scene| readonly(scene, "scene")).transpose()?;
+            let (pixels, light) = (image.as_array(), scene.as_ref().map(|scene| scene.as_array()));
+            threads::run_beside(py, None, &*pool()?, |watch, pool| {
+                let scene = self.ready(simulator, light, sources, watch, pool)?;
+                pool.install(|| -> Result<_, Failure> {
+                    let image = Image::new(pixels.to_owned())?;
+                    Ok(simulator.spot_check(&scene, &image, (count, seed), watch)?)
+                })
+            })?
+        });
+        Ok(serde_json::to_string(&check?).expect("figures are plain numbers"))
     }
 }
 
-fn planned<T: ConvReal>(py: Python<'_>, model: &PsfModel, settings: Settings) -> PyResult<Planned<T>> {
-    let psf = model.psf();
-    let made = interruptible::run_apart(py, move |watch, pool| Planned::new(psf, settings, watch, pool))?;
-    Ok(made?)
+impl Plan {
+    /// A scene for which everything is made. Of threads that need the same, one makes it and the others wait, for as long as
+    /// they want it.
+    fn ready<'a, T: ConvReal>(
+        &self,
+        simulator: &Simulator<T>,
+        light: Option<ArrayView2<'a, T>>,
+        sources: Sources,
+        watch: &Watch,
+        pool: &ThreadPool,
+    ) -> Result<Scene<'a, T>, Failure> {
+        let scene = match light {
+            Some(light) => pool
+                .install(|| ImageView::new(light))
+                .map_err(Failure::of("scene"))?
+                .into(),
+            None => Scene::dark(),
+        };
+        let scene = scene.with_stars(sources.stars).with_galaxies(sources.galaxies);
+        if !simulator.is_prepared(&scene, false) {
+            let _making = threads::turn(&self.making, watch)?;
+            pool.install(|| simulator.prepare(&scene, false, watch))?;
+        }
+        Ok(scene)
+    }
+
+    /// What lies on a GPU cannot be used by a child of the process that put it there.
+    fn check_process(&self) -> PyResult<()> {
+        if self.process == std::process::id() || self.preparation()?.placement.adapter().is_none() {
+            return Ok(());
+        }
+        Err(PyOSError::new_err(
+            "this plan lies on a GPU that the parent of this process opened: make the plan in the forked process, or start processes with spawn",
+        ))
+    }
+
+    /// What was made for images.
+    fn preparation(&self) -> PyResult<Preparation<'_>> {
+        let made = in_precision!(self, simulator => simulator.prepare(&Scene::dark(), true, &NoProgress));
+        Ok(made.map_err(Failure::from)?)
+    }
 }
 
-fn of_region<T: ConvReal>(
+/// The image of a scene for which everything is made, none where it went to an array of the caller's, and what should be known
+/// of it.
+fn simulated<T: ConvReal>(
+    simulator: &Simulator<T>,
+    scene: &Scene<'_, T>,
+    out: Option<ArrayViewMut2<'_, T>>,
+    watch: &Watch,
+) -> Result<(Option<Array2<T>>, Vec<SimulationWarning>), Failure> {
+    let mut made = None;
+    let mut image = match out {
+        Some(mut out) => {
+            let rows = out.axis_iter_mut(Axis(0)).into_par_iter();
+            rows.for_each(|mut row| row.fill(T::zero()));
+            out
+        }
+        None => made.insert(simulator.zeros()).view_mut(),
+    };
+    simulator.simulate_into(scene, image.view_mut(), watch)?;
+    // As the library checks its own results.
+    ImageView::new(image.view())?;
+    Ok((made, simulator.warnings(scene)))
+}
+
+/// A simulator that has its plan for images.
+fn planned<T: ConvReal>(
     py: Python<'_>,
-    planned: &Arc<Planned<T>>,
-    region: PixelRegion,
-) -> PyResult<Planned<T>> {
-    let planned = Arc::clone(planned);
-    let made = interruptible::run_apart(py, move |watch, pool| planned.for_region(region, watch, pool))?;
+    make: impl FnOnce(&Watch) -> Result<Simulator<T>, PsfieldError> + Send + 'static,
+) -> PyResult<Arc<Simulator<T>>> {
+    let made = threads::run_apart(py, move |watch, pool| {
+        pool.install(|| -> Result<_, Failure> {
+            let simulator = make(watch)?;
+            simulator.prepare(&Scene::dark(), true, watch)?;
+            Ok(Arc::new(simulator))
+        })
+    })?;
     Ok(made?)
 }
 
@@ -254,67 +345,7 @@ fn sources_of(columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
     columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())
 }
 
-fn simulate<'py, T: ConvReal + Element>(
-    py: Python<'py>,
-    planned: &Planned<T>,
-    scene: Option<Bound<'py, PyAny>>,
-    sources: Option<SourceColumns<'py>>,
-    out: Option<Bound<'py, PyAny>>,
-    progress: Option<Py<PyAny>>,
-) -> PyResult<Simulated<'py>> {
-    check_process(planned)?;
-    let scene = scene
-        .as_ref()
-        .map(|scene| readonly::<T>(scene, "scene"))
-        .transpose()?;
-    let mut out = out.as_ref().map(writable::<T>).transpose()?;
-    let sources = sources_of(sources)?;
-    let (light, target) = (
-        scene.as_ref().map(|s| s.as_array()),
-        out.as_mut().map(|o| o.as_array_mut()),
-    );
-    let made = interruptible::run_beside(py, progress.as_ref(), &*pool()?, |watch, pool| {
-        planned.simulate(light, sources, target, watch, pool)
-    })?;
-    let (image, warnings) = made?;
-    let image = image.map(|image| image.into_pyarray(py).into_any());
-    Ok((image, warnings.iter().map(ToString::to_string).collect()))
-}
-
-fn adjoint<'py, T: ConvReal + Element>(
-    py: Python<'py>,
-    planned: &Planned<T>,
-    image: Bound<'py, PyAny>,
-    progress: Option<Py<PyAny>>,
-) -> PyResult<Bound<'py, PyAny>> {
-    check_process(planned)?;
-    let image = readonly::<T>(&image, "image")?;
-    let pixels = image.as_array();
-    let made = interruptible::run(py, progress.as_ref(), |watch| planned.adjoint(pixels, watch))?;
-    let scene: Array2<T> = made?;
-    Ok(scene.into_pyarray(py).into_any())
-}
-
-fn spot_check<'py, T: ConvReal + Element>(
-    py: Python<'py>,
-    planned: &Planned<T>,
-    image: Bound<'py, PyAny>,
-    scene: Option<Bound<'py, PyAny>>,
-    sources: Option<SourceColumns<'py>>,
-    pixels: (usize, u64),
-) -> PyResult<String> {
-    let (image, scene) = (
-        readonly::<T>(&image, "image")?,
-        scene
-            .as_ref()
-            .map(|scene| readonly::<T>(scene, "scene"))
-            .transpose()?,
-    );
-    let sources = sources_of(sources)?;
-    let (image, light) = (image.as_array(), scene.as_ref().map(|s| s.as_array()));
-    let check = interruptible::run_beside(py, None, &*pool()?, |watch, pool| {
-        planned.spot_check(light, sources, image, pixels, watch, pool)
-    })?;
-    let check = check?;
-    Ok(serde_json::to_string(&check).expect("figures are plain numbers"))
+/// A warning whose remedy is an option, with the option as Python writes it.
+fn text_of(warning: &SimulationWarning) -> String {
+    warning.to_string().replace("--oversample 4", "oversample=4")
 }

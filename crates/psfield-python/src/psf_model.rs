@@ -1,34 +1,29 @@
 //! A PSF that changes over the field.
 
-use std::path::PathBuf;
-use std::sync::Arc;
+use std::path::{Path, PathBuf};
 
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
 };
-use psfield::convert::to_gridded;
+use psfield::convert::{SamplesAt, to_gridded, to_psfex, to_samples};
 use psfield::psf_basis::PixelNoise;
+use psfield::psf_io::{self, Precision};
 use psfield::psf_types::{
     FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
 };
-use psfield::{EvaluateOptions, Fit, FitOptions, OutputGrid, PsfInput, PsfieldError, evaluate_stamps};
+use psfield::{
+    EvaluateOptions, Fit, FitOptions, OutputGrid, Psf, PsfieldError, evaluate_stamps, provenance_cards,
+};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::choices::{FitWords, GridWords, frame_shape, parsed, positions};
-use crate::error::Failure;
-use crate::file_words::FileWords;
-use crate::interruptible;
-use crate::kept_psf::KeptPsf;
-use crate::write_words::{WriteWords, samples_at};
+use crate::error::{Failure, invalid};
+use crate::threads;
+use crate::words::{FileWords, FitWords, GridWords, frame_shape, parsed, positions};
 
 /// A PSF that changes over the field.
 #[pyclass(frozen, module = "psfield._native")]
-pub(crate) struct PsfModel {
-    psf: Arc<KeptPsf>,
-    /// How the file was read, in plain sentences.
-    notes: Vec<String>,
-}
+pub(crate) struct PsfModel(pub(crate) Psf);
 
 /// A stamp or a table of doubles.
 type Plane<'py> = Bound<'py, PyArray2<f64>>;
@@ -42,34 +37,20 @@ type Choices = (String, String, String);
 type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
 impl PsfModel {
-    pub(crate) fn new(input: PsfInput, notes: Vec<String>) -> Self {
-        Self {
-            psf: Arc::new(KeptPsf::new(input)),
-            notes,
-        }
-    }
-
-    pub(crate) fn psf(&self) -> Arc<KeptPsf> {
-        Arc::clone(&self.psf)
-    }
-
     /// What takes long, in a way that can be interrupted.
     fn apart<R: Send + 'static>(
         &self,
         py: Python<'_>,
-        work: impl FnOnce(&KeptPsf) -> Result<R, PsfieldError> + Send + 'static,
+        work: impl FnOnce(&Psf) -> Result<R, PsfieldError> + Send + 'static,
     ) -> PyResult<R> {
-        let psf = self.psf();
-        Ok(
-            interruptible::run_apart(py, move |_, pool| pool.install(|| work(&psf)))?
-                .map_err(Failure::from)?,
-        )
+        let psf = self.0.clone();
+        Ok(threads::run_apart(py, move |_, pool| pool.install(|| work(&psf)))?.map_err(Failure::from)?)
     }
 
     /// The model as it is stored.
     fn record(&self, py: Python<'_>) -> PyResult<&PsfModelRecord> {
         self.apart(py, |psf| psf.record().map(drop))?;
-        Ok(self.psf.record().map_err(Failure::from)?)
+        Ok(self.0.record().map_err(Failure::from)?)
     }
 }
 
@@ -77,10 +58,6 @@ impl PsfModel {
 impl PsfModel {
     /// Samples `[sample, y, x]` at positions.
     #[staticmethod]
-    #[allow(
-        clippy::too_many_arguments,
-        reason = "called by name from one place in Python"
-    )]
     fn from_samples(
         py: Python<'_>,
         stamps: PyReadonlyArray3<'_, f64>,
@@ -104,15 +81,11 @@ impl PsfModel {
         let samples = py
             .detach(|| PsfSamples::new(stamps.to_owned(), positions, grid))
             .map_err(Failure::from)?;
-        Ok(Self::new(PsfInput::Samples(samples, options), Vec::new()))
+        Ok(Self(Psf::new(samples, options)))
     }
 
     /// A mean stamp, components `[component, y, x]` and their coefficients `[sample, component]` at positions.
     #[staticmethod]
-    #[allow(
-        clippy::too_many_arguments,
-        reason = "called by name from one place in Python"
-    )]
     fn from_basis(
         mean: Option<PyReadonlyArray2<'_, f64>>,
         components: PyReadonlyArray3<'_, f64>,
@@ -127,72 +100,54 @@ impl PsfModel {
         let grid = grid.grid((ny, nx))?;
         let positions = sample_positions(&x, &y, field)?;
         let (interpolation, outside, normalise) = (parsed(&words.0)?, parsed(&words.1)?, parsed(&words.2)?);
-        let made = || -> Result<PsfModelRecord, PsfieldError> {
-            let mean = mean.as_ref().map(|mean| mean.as_array().to_owned());
-            let basis = PsfBasis::new(mean, components.as_array().to_owned(), grid)?;
-            let coefficients = SampleCoefficients::new(coefficients.as_array().to_owned(), positions)?;
-            Ok(PsfModelRecord::new(
-                basis,
-                coefficients,
-                interpolation,
-                outside,
-                normalise,
-            )?)
-        };
-        Ok(Self::new(
-            PsfInput::Model(made().map_err(Failure::from)?),
-            Vec::new(),
-        ))
+        let mean = mean.map(|mean| mean.as_array().to_owned());
+        let basis = PsfBasis::new(mean, components.as_array().to_owned(), grid).map_err(Failure::from)?;
+        let coefficients = SampleCoefficients::new(coefficients.as_array().to_owned(), positions);
+        let coefficients = coefficients.map_err(Failure::from)?;
+        let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalise);
+        Ok(Self(Psf::from(record.map_err(Failure::from)?)))
     }
 
     /// Any PSF file.
     #[staticmethod]
     fn read(py: Python<'_>, path: PathBuf, file: FileWords, fit: FitWords) -> PyResult<Self> {
         let (file, choices) = (file.options()?, fit.choices()?);
-        let opened = interruptible::run_apart(py, move |_, pool| {
-            pool.install(|| PsfInput::open_with(&path, &file, &choices))
+        let psf = threads::run_apart(py, move |_, pool| {
+            pool.install(|| Psf::open_with(&path, &file, &choices))
         })?;
-        let opened = opened.map_err(Failure::from)?;
-        Ok(Self::new(opened.input, opened.notes))
+        Ok(Self(psf.map_err(Failure::from)?))
     }
 
     /// How the file was read, in plain sentences.
     fn notes(&self) -> Vec<String> {
-        self.notes.clone()
+        self.0.notes().to_vec()
     }
 
     /// What makes the same model again: the name of a constructor and its arguments.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<(&'static str, Bound<'py, PyAny>)> {
         let (x, y) = self.positions(py);
         let (field, grid) = (self.field(), self.grid(py)?);
-        match self.psf.input() {
-            PsfInput::Samples(samples, options) => {
-                let fit = words_of(py, options)?;
-                let stamps = samples.stamps().to_owned().into_pyarray(py);
-                Ok((
-                    "from_samples",
-                    (stamps, x, y, field, grid, fit, false)
-                        .into_pyobject(py)?
-                        .into_any(),
-                ))
-            }
-            PsfInput::Model(record) => {
-                let words = choices_of(record);
-                let (mean, components, coefficients) = arrays_of(py, record);
-                let state = (mean, components, coefficients, x, y, field, grid, words);
-                Ok(("from_basis", state.into_pyobject(py)?.into_any()))
-            }
+        if let Some((samples, options)) = self.0.samples() {
+            let stamps = samples.stamps().to_owned().into_pyarray(py);
+            let fit = words_of(py, options)?;
+            let state = (stamps, x, y, field, grid, fit, false);
+            return Ok(("from_samples", state.into_pyobject(py)?.into_any()));
         }
+        let record = self.record(py)?;
+        let (mean, components, coefficients) = arrays_of(py, record);
+        let words = choices_of(record);
+        let state = (mean, components, coefficients, x, y, field, grid, words);
+        Ok(("from_basis", state.into_pyobject(py)?.into_any()))
     }
 
     /// Whether there are samples behind it.
     fn has_samples(&self) -> bool {
-        matches!(self.psf.input(), PsfInput::Samples(..))
+        self.0.samples().is_some()
     }
 
     /// The stamps' grid, as the constructors take it.
     fn grid<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let grid = self.psf.input().grid();
+        let grid = self.0.grid();
         let words = PyDict::new(py);
         words.set_item("oversampling", grid.oversampling())?;
         words.set_item("centre", (grid.centre_x(), grid.centre_y()))?;
@@ -203,21 +158,18 @@ impl PsfModel {
 
     /// (ny, nx) of the stamps.
     fn stamp_shape(&self) -> (usize, usize) {
-        self.psf.input().grid().dim()
+        self.0.grid().dim()
     }
 
     /// Where the samples or the nodes lie.
     fn positions<'py>(&self, py: Python<'py>) -> Points<'py> {
-        points(py, self.psf.input().positions())
+        points(py, self.0.positions())
     }
 
     /// (ny, nx) of the field, if it is known.
     fn field(&self) -> Option<(usize, usize)> {
-        self.psf
-            .input()
-            .positions()
-            .field()
-            .map(|field| (field.ny(), field.nx()))
+        let field = self.0.positions().field()?;
+        Some((field.ny(), field.nx()))
     }
 
     /// The words of interpolation, outside and normalise.
@@ -232,7 +184,7 @@ impl PsfModel {
 
     /// The figures of the fit as JSON; none for a model.
     fn fit_report(&self, py: Python<'_>) -> PyResult<Option<String>> {
-        let report = self.apart(py, |psf| psf.fitted()?.map(Fit::report).transpose())?;
+        let report = self.apart(py, |psf| psf.fit()?.map(Fit::report).transpose())?;
         Ok(report.map(|report| serde_json::to_string(&report).expect("figures are plain numbers")))
     }
 
@@ -247,12 +199,13 @@ impl PsfModel {
         sub_pixel: bool,
     ) -> PyResult<Cube<'py>> {
         let at = positions(&x.as_array().to_vec(), &y.as_array().to_vec())?;
+        let grid = if native {
+            OutputGrid::Native
+        } else {
+            OutputGrid::Model
+        };
         let options = EvaluateOptions {
-            grid: if native {
-                OutputGrid::Native
-            } else {
-                OutputGrid::Model
-            },
+            grid,
             size,
             sub_pixel,
         };
@@ -266,7 +219,7 @@ impl PsfModel {
         py: Python<'py>,
         at: Option<(usize, usize)>,
     ) -> PyResult<(Cube<'py>, Points<'py>, f64, Option<f64>)> {
-        let converted = self.apart(py, move |psf| to_gridded(psf.input().clone(), &samples_at(at)))?;
+        let converted = self.apart(py, move |psf| to_gridded(psf, &samples_at(at)))?;
         let samples = converted.samples;
         let oversampling = samples.grid().oversampling();
         Ok((
@@ -279,7 +232,7 @@ impl PsfModel {
 
     /// Writes a file; returns what should be known of it.
     fn write(&self, py: Python<'_>, path: PathBuf, words: WriteWords) -> PyResult<Vec<String>> {
-        interruptible::run(py, None, |_| words.write(&path, &self.psf))?
+        threads::run(py, None, |_| words.write(&path, &self.0))?
     }
 }
 
@@ -294,12 +247,8 @@ fn sample_positions(
 }
 
 fn points<'py>(py: Python<'py>, of: &SamplePositions) -> Points<'py> {
-    let column = |of: Vec<f64>| of.into_pyarray(py);
-    let positions = of.as_slice();
-    (
-        column(positions.iter().map(|p| p.x()).collect()),
-        column(positions.iter().map(|p| p.y()).collect()),
-    )
+    let (x, y): (Vec<f64>, Vec<f64>) = of.as_slice().iter().map(|p| (p.x(), p.y())).unzip();
+    (x.into_pyarray(py), y.into_pyarray(py))
 }
 
 fn words_of<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'py, PyDict>> {
@@ -332,4 +281,69 @@ fn arrays_of<'py>(py: Python<'py>, record: &PsfModelRecord) -> Basis<'py> {
         basis.components().to_owned().into_pyarray(py),
         record.coefficients().values().to_owned().into_pyarray(py),
     )
+}
+
+/// What is written, by name.
+#[derive(Debug, FromPyObject)]
+#[pyo3(from_item_all)]
+struct WriteWords {
+    format: String,
+    /// Of PSFEx's polynomial.
+    degree: Option<usize>,
+    /// (ny, nx) of a grid of positions.
+    at: Option<(usize, usize)>,
+    /// Samples in double precision.
+    double: bool,
+    overwrite: bool,
+}
+
+/// The words of a file's HISTORY.
+const COMMAND: &str = "psfield for Python";
+
+impl WriteWords {
+    /// Writes the file; returns what should be known of it.
+    fn write(&self, path: &Path, psf: &Psf) -> PyResult<Vec<String>> {
+        let (cards, at) = (provenance_cards(COMMAND), samples_at(self.at));
+        let written = || -> Result<Option<Vec<String>>, PsfieldError> {
+            Ok(Some(match self.format.as_str() {
+                "psf-model" => {
+                    let singular_values = psf.fit()?.map_or(&[][..], Fit::singular_values);
+                    psf_io::write_model(path, psf.record()?, singular_values, &cards, self.overwrite)?;
+                    Vec::new()
+                }
+                "psf-samples" => {
+                    let precision = if self.double {
+                        Precision::Double
+                    } else {
+                        Precision::Single
+                    };
+                    psf_io::write_samples(path, &to_samples(psf, &at)?, &cards, precision, self.overwrite)?;
+                    Vec::new()
+                }
+                "psfex" => {
+                    let converted = to_psfex(psf, self.degree)?;
+                    psf_io::write_psfex(path, &converted.model, &cards, self.overwrite)?;
+                    converted.notes
+                }
+                "gridded" => {
+                    let converted = to_gridded(psf, &at)?;
+                    psf_io::write_gridded(path, &converted.samples, &cards, self.overwrite)?;
+                    converted.notes
+                }
+                _ => return Ok(None),
+            }))
+        };
+        written().map_err(Failure::from)?.ok_or_else(|| {
+            let known = "psf-model, psf-samples, psfex or gridded";
+            invalid(format!("format must be {known}, got {}", self.format))
+        })
+    }
+}
+
+/// A grid of (ny, nx) positions, or the PSF's own.
+fn samples_at(at: Option<(usize, usize)>) -> SamplesAt {
+    match at {
+        Some((ny, nx)) => SamplesAt::Grid { nx, ny },
+        None => SamplesAt::Own,
+    }
 }

@@ -1,21 +1,22 @@
 //! PSFs that a Python function draws, sampled where they vary.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
+use ndarray::ArrayViewMut2;
+use numpy::PyReadonlyArray2;
 use psfield::psf_sample::{
     AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion,
     SampleError, Sampling, SamplingMethod, SamplingOutcome, UniformSampling,
 };
-use psfield::{FitOptions, PsfInput, PsfieldError};
+use psfield::psf_types::{FrameShape, Position, Progress, PsfSource, SourceError, StampGrid};
+use psfield::{FitOptions, Psf, PsfieldError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::choices::{FitWords, GridWords, frame_shape};
 use crate::error::{Failure, invalid};
-use crate::function_source::FunctionSource;
-use crate::interruptible;
 use crate::psf_model::PsfModel;
-use crate::threads::{made, threads};
+use crate::threads::{self, Watch};
+use crate::words::{FitWords, GridWords, frame_shape};
 
 /// How a field is sampled.
 #[derive(Debug, FromPyObject)]
@@ -65,11 +66,6 @@ impl SamplingWords {
 
 /// Samples the function `f(x, y)` over a field; returns the model and how the sampling ended.
 #[pyfunction]
-#[pyo3(signature = (function, stamp_shape, field, grid, sampling, fit, progress))]
-#[allow(
-    clippy::too_many_arguments,
-    reason = "called by name from one place in Python"
-)]
 pub(crate) fn sample_function(
     py: Python<'_>,
     function: Py<PyAny>,
@@ -86,9 +82,15 @@ pub(crate) fn sample_function(
         psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }
     // Threads of its own: the function may call psfield itself, and those that wait for it are no use to anybody.
-    let pool = made(threads()?)?;
-    let sampled = interruptible::run_beside(py, progress.as_ref(), &pool, |watch, pool| {
-        let source = FunctionSource::new(&function, grid, field, watch);
+    let pool = threads::made(threads::threads()?)?;
+    let sampled = threads::run_beside(py, progress.as_ref(), &pool, |watch, pool| {
+        let source = FunctionSource {
+            function: &function,
+            grid,
+            field,
+            watch,
+            turn: Mutex::new(()),
+        };
         pool.install(|| method.sample(&source, watch))
     })?;
     let Sampling { samples, report } = match sampled {
@@ -111,8 +113,51 @@ pub(crate) fn sample_function(
         _ => "cap-reached",
     };
     found.set_item("outcome", outcome)?;
-    Ok((
-        PsfModel::new(PsfInput::Samples(samples, options), Vec::new()),
-        found,
-    ))
+    Ok((PsfModel(Psf::new(samples, options)), found))
+}
+
+/// A PSF that a Python function draws: `f(x, y)` gives the stamp `[y, x]` of the PSF at a position, in doubles. It is never called twice at a time.
+struct FunctionSource<'a> {
+    function: &'a Py<PyAny>,
+    grid: StampGrid,
+    field: FrameShape,
+    watch: &'a Watch,
+    /// Held while the function runs. It is taken without the interpreter, lest one thread waits for it while it keeps the interpreter from
+    /// another.
+    turn: Mutex<()>,
+}
+
+impl PsfSource for FunctionSource<'_> {
+    fn grid(&self) -> StampGrid {
+        self.grid
+    }
+
+    fn field(&self) -> FrameShape {
+        self.field
+    }
+
+    fn draw_into(&self, position: Position, mut stamp: ArrayViewMut2<'_, f64>) -> Result<(), SourceError> {
+        let failed =
+            |source: Box<dyn std::error::Error + Send + Sync>| SourceError::External { position, source };
+        let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
+        if self.watch.cancelled() {
+            return Err(failed("sampling was stopped".into()));
+        }
+        Python::attach(|py| {
+            let drawn = self
+                .function
+                .call1(py, (position.x(), position.y()))
+                .map_err(|e| failed(e.into()))?;
+            let drawn: PyReadonlyArray2<'_, f64> = drawn.extract(py).map_err(|e: PyErr| failed(e.into()))?;
+            let values = drawn.as_array();
+            if values.dim() != stamp.dim() {
+                let (got, expected) = (values.dim(), stamp.dim());
+                return Err(failed(
+                    format!("its stamp has the shape {got:?}, others have {expected:?}").into(),
+                ));
+            }
+            stamp.assign(&values);
+            Ok(())
+        })
+    }
 }

@@ -4,9 +4,8 @@
 use std::time::Instant;
 
 use ndarray::Array2;
-use psfield::conv_core::PlanOptions;
-use psfield::psf_types::{Image, NoProgress, Scene};
-use psfield::{FitOptions, PsfInput, Simulation, SimulationOptions};
+use psfield::psf_types::NoProgress;
+use psfield::{Device, Psf, Scene};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -16,20 +15,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let (size, repeat): (usize, usize) = (size.parse()?, repeat.parse()?);
     // Every pixel is lit.
     let light = Array2::from_shape_fn((size, size), |(y, x)| 1.0 + ((3 * x + 5 * y) % 7) as f32);
-    let scene = Scene::from_image(Image::new(light.clone())?);
-    let simulation = Simulation::new(
-        PsfInput::open(path, FitOptions::default())?,
-        &scene,
-        SimulationOptions::default(),
-    )?;
-    let plan = simulation.plan(&scene, PlanOptions::new(tolerance.parse()?)?)?;
-    drop(scene);
+    let simulator = Psf::open(path)?
+        .simulator((size, size))
+        .tolerance(tolerance.parse()?)
+        .device(Device::Cpu)
+        .build()?;
+    simulator.prepare(&Scene::dark(), true, &NoProgress)?;
     for _ in 0..repeat {
         let pixels = light.clone();
         let clock = Instant::now();
-        let scene = Scene::from_image(Image::new(pixels)?);
+        let scene = Scene::new(pixels)?;
         let checked = clock.elapsed().as_secs_f64();
-        let (image, _) = simulation.run_planned(&plan, &scene, &NoProgress)?;
+        let image = simulator.simulate(&scene)?;
         println!("{:e} {checked:e}", clock.elapsed().as_secs_f64());
         drop(image);
     }

@@ -1,13 +1,13 @@
 //! What can go wrong in the pipeline.
 
+use std::error::Error;
 use std::path::PathBuf;
 
 use psf_io::FileKind;
 use psf_types::{DataError, FrameShape};
-use thiserror::Error;
 
 /// Errors of the pipeline: those of its stages, and of what joins them.
-#[derive(Debug, Error)]
+#[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PsfieldError {
     /// Data that break an invariant.
@@ -54,16 +54,6 @@ pub enum PsfieldError {
     /// The stars of a frame gave no samples.
     #[error(transparent)]
     Stars(Box<psf_stars::StarError>),
-    /// No star can be measured in a frame and its simulation.
-    #[error(
-        "none of the {stars} stars could be measured in both frames in windows of {window} pixels: try another window (--window)"
-    )]
-    NothingMeasured {
-        /// Stars that became samples.
-        stars: usize,
-        /// Pixels along each side of the window.
-        window: usize,
-    },
     /// The frame is larger than the field over which the PSF is known.
     #[error(
         "the frame is {frame} pixels, but the PSF is known over a field of {field} pixels: cut the scene to the field \
@@ -208,18 +198,6 @@ pub enum PsfieldError {
         /// The most.
         most: usize,
     },
-    /// A frame that does not cover whole pixels of its own.
-    #[error(
-        "the frame at ({}, {}) of {} scene pixels does not hold whole frame pixels of {oversample} x {oversample}: all four numbers \
-         must be multiples of {oversample} (--oversample)",
-        frame.x0(), frame.y0(), frame.shape()
-    )]
-    FinerFrame {
-        /// Scene pixels along each side of a frame pixel.
-        oversample: usize,
-        /// The frame, in pixels of the scene.
-        frame: psf_types::PixelRegion,
-    },
     /// A scene that holds no whole number of pixels of its image.
     #[error(
         "the scene is {shape} pixels, which is no multiple of --oversample {oversample}: cut it, or choose a part of it with --frame"
@@ -259,20 +237,26 @@ pub enum PsfieldError {
         /// Its flux.
         flux: f64,
     },
-    /// A plan without an image asked to stream one.
-    #[error("only scenes that are images can be streamed: this plan is for stars alone")]
-    NothingToStream,
-    /// Light for a plan without an image.
-    #[error("this plan is for stars alone: plan for scenes with an image (Simulation::plan_for_images)")]
-    PlanForStars,
+    /// A region of the frame asked of a method without a plan.
+    #[error("a region of the frame can be made by the methods auto and lowrank alone: make the whole frame")]
+    RegionNeedsPlan,
+    /// The transpose asked of a method without a plan.
+    #[error("the adjoint can be made by the methods auto and lowrank alone")]
+    AdjointNeedsPlan,
+    /// A stream asked of a method without a plan.
+    #[error("rows can be streamed by the methods auto and lowrank alone")]
+    StreamNeedsPlan,
+    /// A device that cannot be read.
+    #[error("device must be auto, cpu or gpu, got {got}")]
+    BadDevice {
+        /// What was given.
+        got: String,
+    },
     /// A GPU asked of a build without support of GPUs.
     #[error(
-        "this psfield was built without support of GPUs: build it with its feature gpu (cargo build --release -p psfield --features gpu)"
+        "this psfield was built without support of GPUs: build it with its feature gpu (cargo build --release -p psfield-cli --features gpu)"
     )]
     NoGpuSupport,
-    /// A figure that could not be drawn.
-    #[error(transparent)]
-    Plot(#[from] crate::plot::PlotError),
     /// Sampling a PSF over its field failed.
     #[error(transparent)]
     Sampling(Box<psf_sample::SampleError>),
@@ -282,25 +266,6 @@ pub enum PsfieldError {
     /// A telescope that cannot be.
     #[error(transparent)]
     Optics(#[from] psf_optics::OpticsError),
-    /// Objects that would overlap.
-    #[error(
-        "{across} x {across} objects do not fit onto a frame of {frame} pixels: neighbours must be {least_apart} pixels apart; ask for \
-         fewer objects or a larger frame"
-    )]
-    ObjectsTooClose {
-        /// The frame.
-        frame: FrameShape,
-        /// Objects along each axis.
-        across: usize,
-        /// Pixels that neighbours need.
-        least_apart: usize,
-    },
-    /// A model and true PSFs on pixels that cannot be compared.
-    #[error(
-        "the true PSFs are without the response of a pixel and the model's are with it: they cannot be compared; sample the model from PSFs \
-         without it (PIXCONV)"
-    )]
-    TruthWithoutPixels,
 }
 
 impl PsfieldError {
@@ -318,4 +283,33 @@ impl From<psf_sample::SampleError> for PsfieldError {
     fn from(error: psf_sample::SampleError) -> Self {
         Self::Sampling(Box::new(error))
     }
+}
+
+impl From<psf_stars::StarError> for PsfieldError {
+    fn from(error: psf_stars::StarError) -> Self {
+        Self::Stars(Box::new(error))
+    }
+}
+
+/// An error with its causes in one line, `what: why: why that`. Errors that show their cause themselves repeat it in the chain; everything is
+/// said once.
+///
+/// ```
+/// use psfield::{Psf, error_text};
+/// let error = Psf::open("no such file.fits").unwrap_err();
+/// assert!(error_text(&error).starts_with("no such file.fits: cannot read the file: "));
+/// ```
+pub fn error_text(error: &dyn Error) -> String {
+    let mut last = error.to_string();
+    let mut all = last.clone();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        let text = error.to_string();
+        if !last.contains(&text) {
+            all = format!("{all}: {text}");
+            last = text;
+        }
+        cause = error.source();
+    }
+    all
 }

@@ -16,7 +16,7 @@ pub enum OutputGrid {
     #[default]
     Model,
     /// The frame's pixels, and what falls into each of them: a model whose stamps lack the pixel response gets it here, as in a
-    /// [`Simulation`](crate::Simulation).
+    /// [`Simulator`](crate::Simulator).
     Native,
 }
 
@@ -36,7 +36,7 @@ pub struct EvaluateOptions {
 ///
 /// # Errors
 /// [`PsfieldError::OutsideField`] for the first that does not.
-pub(crate) fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), PsfieldError> {
+pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), PsfieldError> {
     if let Some(field) = model.field_shape()
         && let Some(index) = positions.iter().position(|&p| !field.contains(p))
     {
@@ -81,7 +81,7 @@ pub fn evaluate(
 /// The PSFs of a model at positions, as plain stamps `[position, y, x]` and the grid of their pixels. Positions may be repeated, and
 /// there may be none.
 ///
-/// On the frame's pixels with `sub_pixel`, a stamp is the image of a star of unit flux at its position, as [`Simulation`](crate::Simulation)
+/// On the frame's pixels with `sub_pixel`, a stamp is the image of a star of unit flux at its position, as [`Simulator`](crate::Simulator)
 /// draws it.
 ///
 /// # Errors
@@ -90,11 +90,11 @@ pub fn evaluate(
 ///
 /// ```no_run
 /// use psfield::psf_types::Position;
-/// use psfield::{EvaluateOptions, OutputGrid, PsfInput, evaluate_stamps};
-/// let model = PsfInput::open("psf.fits", Default::default())?.into_model()?;
+/// use psfield::{EvaluateOptions, OutputGrid, Psf, evaluate_stamps};
+/// let psf = Psf::open("psf.fits")?;
 /// let options = EvaluateOptions { grid: OutputGrid::Native, sub_pixel: true, ..Default::default() };
 /// let stars = [Position::new(100.25, 80.5)?, Position::new(100.25, 80.5)?];
-/// let (stamps, grid) = evaluate_stamps(&model, &stars, options)?;
+/// let (stamps, grid) = evaluate_stamps(psf.model()?, &stars, options)?;
 /// assert_eq!(stamps.dim(), (2, grid.ny(), grid.nx()));
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

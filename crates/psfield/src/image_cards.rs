@@ -1,10 +1,9 @@
 //! Header cards of simulated images.
 
-use conv_core::PlanOptions;
-use psf_io::{Card, CardError};
-use psf_types::{PsfModel, Real};
+use conv_core::ConvReal;
+use psf_io::{Card, CardError, HeaderCards};
 
-use crate::{Method, Placement};
+use crate::{Preparation, Simulator, SpotCheck};
 
 /// The keyword of the digest of the options of the job of a batch that made a file.
 pub const JOB_KEYWORD: &str = "PSFJOB";
@@ -22,60 +21,66 @@ pub fn provenance_cards(command: &str) -> Vec<Card> {
     ]
 }
 
-/// How an image was made, in the working precision `T`: method, anchoring, device, the model's components and normalisation, and the
-/// tolerance of methods that have one.
-///
-/// A simulated image holds, after the scene's own cards ([`SceneSources::carried_header`](crate::SceneSources::carried_header)), those
-/// of [`provenance_cards`], these, and those of its [`SpotCheck`](crate::SpotCheck), if any.
-///
-/// # Errors
-/// [`CardError`] for the name of a GPU that no header can hold.
-///
-/// ```no_run
-/// use psfield::conv_core::PlanOptions;
-/// use psfield::{CpuReason, Method, Placement, PsfInput, simulation_cards};
-/// let model = PsfInput::open("psf.fits", Default::default())?.into_model()?;
-/// let placement = Placement::cpu(CpuReason::Asked);
-/// let cards = simulation_cards::<f32>(&model, Method::Auto, PlanOptions::new(1e-3)?, &placement)?;
-/// assert_eq!(cards.last().map(|card| card.keyword()), Some("PSFTOL".to_owned()));
-/// # Ok::<(), Box<dyn std::error::Error>>(())
-/// ```
-pub fn simulation_cards<T: Real>(
-    model: &PsfModel,
-    method: Method,
-    options: PlanOptions,
-    placement: &Placement,
-) -> Result<Vec<Card>, CardError> {
-    let mut cards = vec![
-        Card::new("PSFMETH", method.to_string(), "convolution method")?,
-        Card::new(
-            "PSFANCH",
-            options.anchor().to_string(),
-            "whose PSF applies: source or output pixel",
-        )?,
-        Card::new("PSFPREC", T::NAME, "working precision")?,
-        Card::new(
-            "PSFDEV",
-            placement.adapter().unwrap_or("CPU"),
-            "device that convolved images",
-        )?,
-        Card::new(
-            "PSFRANK",
-            model.rank(),
-            "components of the PSF model (mean not counted)",
-        )?,
-        Card::new(
-            "PSFNORM",
-            model.normalisation().to_string(),
-            "unit: every PSF has unit flux",
-        )?,
-    ];
-    if let Some(options) = method.plan_options(options) {
-        cards.push(Card::new(
-            "PSFTOL",
-            options.tolerance(),
-            "relative L2 error allowed for any pixel's PSF",
-        )?);
+impl<T: ConvReal> Simulator<T> {
+    /// Cards that say how an image was made: method, anchoring, precision, device, the model's components and
+    /// normalisation, and the tolerance of methods that have one.
+    ///
+    /// A simulated image holds, after the scene's own cards ([`carried_header`](Self::carried_header)), those of
+    /// [`provenance_cards`], these, and those of its [`SpotCheck`], if any.
+    ///
+    /// # Errors
+    /// [`CardError`] for the name of a GPU that no header can hold.
+    pub fn cards(&self, made: &Preparation<'_>) -> Result<Vec<Card>, CardError> {
+        let options = self.options();
+        let mut cards = vec![
+            Card::new("PSFMETH", options.method.to_string(), "convolution method")?,
+            Card::new(
+                "PSFANCH",
+                options.anchor.to_string(),
+                "whose PSF applies: source or output pixel",
+            )?,
+            Card::new("PSFPREC", T::NAME, "working precision")?,
+            Card::new(
+                "PSFDEV",
+                made.placement.adapter().unwrap_or("CPU"),
+                "device that convolved images",
+            )?,
+            Card::new(
+                "PSFRANK",
+                made.model.rank(),
+                "components of the PSF model (mean not counted)",
+            )?,
+            Card::new(
+                "PSFNORM",
+                made.model.normalisation().to_string(),
+                "unit: every PSF has unit flux",
+            )?,
+        ];
+        if options.method.has_plan() {
+            cards.push(Card::new(
+                "PSFTOL",
+                options.tolerance,
+                "relative L2 error allowed for any pixel's PSF",
+            )?);
+        }
+        Ok(cards)
     }
-    Ok(cards)
+
+    /// The cards of a scene as its image carries them: world coordinates of the frame's pixels, without what was noted of the
+    /// scene's own making. `header` is that of the scene's image and counts its pixels (`of_image`), or counts frame
+    /// pixels.
+    pub fn carried_header(&self, header: &HeaderCards, of_image: bool) -> HeaderCards {
+        let (frame, s) = (self.frame(), self.options().oversample);
+        let mut header = if of_image {
+            let s0 = s as i64;
+            header.shifted_origin(frame.x0() * s0, frame.y0() * s0).binned(s)
+        } else {
+            header.shifted_origin(frame.x0(), frame.y0())
+        };
+        // A scene that is itself a result must not lend its own check and job to this one.
+        for keyword in SpotCheck::KEYWORDS.into_iter().chain([JOB_KEYWORD]) {
+            header.remove(keyword);
+        }
+        header
+    }
 }

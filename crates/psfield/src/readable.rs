@@ -2,7 +2,7 @@
 
 /// A number to so many figures (1 at least) without needless zeros: `0.05`, `9216`, `2.5e-7`. Below a thousandth, and where it has more digits
 /// before the point than figures (five at least), it has an exponent.
-pub(crate) fn readable(value: f64, figures: usize) -> String {
+pub fn readable(value: f64, figures: usize) -> String {
     if value == 0.0 {
         return "0".to_owned();
     }
@@ -18,16 +18,6 @@ pub(crate) fn readable(value: f64, figures: usize) -> String {
         without_end_zeros(&format!("{value:.decimals$}")).to_owned()
     } else {
         format!("{}e{exponent}", without_end_zeros(mantissa))
-    }
-}
-
-/// A number of a table or a sentence: three decimals, or two figures and an exponent where it is small or large; a dash for none.
-pub(crate) fn short(value: Option<f64>) -> String {
-    match value {
-        None => "-".to_owned(),
-        Some(0.0) => "0".to_owned(),
-        Some(v) if (0.01..1e4).contains(&v.abs()) => format!("{v:.3}"),
-        Some(v) => format!("{v:.1e}"),
     }
 }
 
@@ -67,19 +57,5 @@ mod tests {
         assert_eq!(readable(-6.795_561_234e-16, 6), "-6.79556e-16");
         assert_eq!(readable(65_535.25, 6), "65535.2");
         assert_eq!(readable(1_234_567.0, 6), "1.23457e6");
-    }
-
-    #[test]
-    fn numbers_of_a_table_have_three_decimals_or_an_exponent() {
-        for (value, text) in [
-            (None, "-"),
-            (Some(0.0), "0"),
-            (Some(0.0901), "0.090"),
-            (Some(-2.0), "-2.000"),
-            (Some(1.23e-4), "1.2e-4"),
-            (Some(12_345.0), "1.2e4"),
-        ] {
-            assert_eq!(short(value), text);
-        }
     }
 }

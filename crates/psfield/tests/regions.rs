@@ -1,12 +1,14 @@
 //! Simulations on pixels that belong to somebody else, whole and in pieces.
 
 use ndarray::{Array2, Array3, ArrayView2, s};
-use psfield::conv_core::{ConvError, ConvReal, PlanOptions, RowStream};
+use psfield::conv_core::{ConvError, ConvReal, RowStream};
 use psfield::psf_types::{
     Anchor, FrameShape, Image, ImageView, Interpolation, NoProgress, Normalisation, OutsidePolicy,
-    PixelRegion, PointSource, Position, Progress, PsfSamples, Real, SamplePositions, Scene, StampGrid,
+    PixelRegion, PointSource, Position, Progress, PsfSamples, Real, SamplePositions, StampGrid,
 };
-use psfield::{FitOptions, PsfInput, PsfieldError, Simulation, SimulationOptions};
+use psfield::{
+    Device, FitOptions, Method, Psf, PsfieldError, Scene, SimulateOptions, Simulator, SimulatorBuilder,
+};
 
 /// Columns and rows of the frame, in its own pixels: primes.
 const FRAME: (usize, usize) = (97, 83);
@@ -23,7 +25,7 @@ fn gauss(d: f64, sigma: f64) -> f64 {
 }
 
 /// Gaussians that widen and move over the field, two samples to a frame pixel, at places on a grid or scattered.
-fn samples(interpolation: Interpolation) -> PsfInput {
+fn psf(interpolation: Interpolation) -> Psf {
     let n = 25;
     let grid = StampGrid::new(n, n)
         .and_then(|grid| grid.with_oversampling(2.0))
@@ -55,38 +57,64 @@ fn samples(interpolation: Interpolation) -> PsfInput {
         outside: OutsidePolicy::Nearest,
         ..FitOptions::default()
     };
-    PsfInput::Samples(PsfSamples::new(stamps, positions, grid).unwrap(), options)
+    Psf::new(PsfSamples::new(stamps, positions, grid).unwrap(), options)
 }
 
-/// A scene with light around the frame and stars, some of them off the frame.
-fn scene<T: Real>(finer: usize) -> Scene<T> {
-    let (nx, ny) = ((FRAME.0 + 2 * MARGIN) * finer, (FRAME.1 + 2 * MARGIN) * finer);
+/// Columns and rows of a scene, in its own pixels.
+fn scene_size(finer: usize) -> (usize, usize) {
+    ((FRAME.0 + 2 * MARGIN) * finer, (FRAME.1 + 2 * MARGIN) * finer)
+}
+
+/// Light in the frame and around it.
+fn light<T: Real>(finer: usize) -> Image<T> {
+    let (nx, ny) = scene_size(finer);
     let light = Array2::from_shape_fn((ny, nx), |(y, x)| {
         let pixel = (x * 7919 + y * 104_729 + x * y) % 1000;
         T::nearest(if pixel == 7 { 300.0 } else { pixel as f64 / 500.0 })
     });
-    let shape = FrameShape::new(FRAME.0 * finer, FRAME.1 * finer).unwrap();
-    let first = (MARGIN * finer) as i64;
+    Image::new(light).unwrap()
+}
+
+/// Stars, some of them off the frame.
+fn stars(finer: usize) -> Vec<PointSource> {
+    let (nx, ny) = scene_size(finer);
     let star = |i: usize| {
         let place = |factor: usize, limit: usize| ((i * factor) % (limit * 10)) as f64 / 10.0;
-        PointSource::new(Position::new(place(7919, nx), place(104_729, ny)).unwrap(), 50.0).unwrap()
+        // From pixels of the scene to those of the frame.
+        let of_frame = |v: f64| (v - (finer as f64 - 1.0) / 2.0) / finer as f64;
+        let position = Position::new(of_frame(place(7919, nx)), of_frame(place(104_729, ny)));
+        PointSource::new(position.unwrap(), 50.0).unwrap()
     };
-    Scene::from_image(Image::new(light).unwrap())
-        .with_frame(PixelRegion::new(first, first, shape))
-        .unwrap()
-        .with_sources((0..120).map(star).collect())
+    (0..120).map(star).collect()
 }
 
 fn region(x0: usize, y0: usize, nx: usize, ny: usize) -> PixelRegion {
     PixelRegion::new(x0 as i64, y0 as i64, FrameShape::new(nx, ny).unwrap())
 }
 
-fn simulation(interpolation: Interpolation, finer: usize, anchor: Anchor) -> Simulation {
-    let options = SimulationOptions::default()
-        .with_oversample(finer)
-        .unwrap()
-        .with_anchor(anchor);
-    Simulation::new(samples(interpolation), &scene::<f32>(finer), options).unwrap()
+fn options(finer: usize, anchor: Anchor, tolerance: f64) -> SimulateOptions {
+    SimulateOptions {
+        tolerance,
+        anchor,
+        oversample: finer,
+        frame: Some(region(MARGIN, MARGIN, FRAME.0, FRAME.1)),
+        device: Device::Cpu,
+        ..SimulateOptions::default()
+    }
+}
+
+/// For scenes that reach beyond the frame.
+fn builder(interpolation: Interpolation, finer: usize) -> SimulatorBuilder {
+    let (nx, ny) = scene_size(finer);
+    psf(interpolation).simulator((ny, nx))
+}
+
+/// The same options for a part of the frame.
+fn of_region(options: &SimulateOptions, part: PixelRegion) -> SimulateOptions {
+    SimulateOptions {
+        region: Some(part),
+        ..options.clone()
+    }
 }
 
 fn slice_of<T>(whole: ArrayView2<'_, T>, part: PixelRegion) -> ArrayView2<'_, T> {
@@ -98,46 +126,32 @@ fn norm<T: Real>(values: impl IntoIterator<Item = T>) -> f64 {
     values.into_iter().map(|v| v.as_f64().powi(2)).sum::<f64>().sqrt()
 }
 
-/// The same scene without its light: what is at hand on a machine that makes a piece.
-fn outline<T: ConvReal>(scene: &Scene<T>) -> Scene<T> {
-    Scene::dark(scene.shape())
-        .with_frame(scene.frame())
-        .unwrap()
-        .with_sources(scene.sources().to_vec())
-}
-
 fn pieces_are_the_whole<T: ConvReal>(interpolation: Interpolation, finer: usize, anchor: Anchor, same: f64) {
     let case = format!("{interpolation:?} {} {finer} {anchor}", T::NAME);
-    let simulation = simulation(interpolation, finer, anchor);
-    let scene = scene::<T>(finer);
-    let options = PlanOptions::new(1e-3).unwrap().with_anchor(anchor);
-    let plan = simulation.plan(&scene, options).unwrap();
-    let (whole, _) = simulation.run_planned(&plan, &scene, &NoProgress).unwrap();
-    let outline = outline(&scene);
-    let first = simulation
-        .plan_for_region(&outline, region(0, 0, 1, 1), options, &NoProgress)
-        .unwrap();
+    let (builder, options) = (builder(interpolation, finer), options(finer, anchor, 1e-3));
+    let build = |options| builder.clone().options(options).build::<T>().unwrap();
+    let (light, stars) = (light::<T>(finer), stars(finer));
+    let scene = Scene::from(&light).with_stars(&stars[..]);
+    let whole = build(options.clone()).simulate(&scene).unwrap();
+    let first = build(of_region(&options, region(0, 0, 1, 1)));
     let mut image = Array2::from_elem((FRAME.1, FRAME.0), T::nan());
     let (columns, rows) = ([0, 30, 61, 62, FRAME.0], [0, 41, FRAME.1]);
     for x in columns.windows(2) {
         for y in rows.windows(2) {
             let part = region(x[0], y[0], x[1] - x[0], y[1] - y[0]);
-            let plan = simulation
-                .plan_for_other_region(&first, &outline, part, &NoProgress)
-                .unwrap();
-            assert_eq!(plan.region(), Some(part));
-            let light = slice_of(scene.pixels().unwrap(), plan.light_region().unwrap()).to_owned();
+            let simulator = first.for_region(part, &NoProgress).unwrap();
+            assert_eq!(simulator.options().region, Some(part));
+            assert_eq!(simulator.image_shape(), part.shape());
+            // What is at hand on a machine that makes a piece.
+            let reach = simulator.light_region(&NoProgress).unwrap();
+            let at_hand = slice_of(light.pixels(), reach).to_owned();
+            let at_hand = ImageView::new(at_hand.view()).unwrap();
             let mut piece = image.slice_mut(s![y[0]..y[1], x[0]..x[1]]);
             piece.fill(T::zero());
-            let light = ImageView::new(light.view()).unwrap();
-            simulation
-                .add_planned_to(&plan, &outline, Some(&light), piece, &NoProgress)
-                .unwrap();
+            let of_piece = Scene::from(at_hand).with_stars(&stars[..]);
+            simulator.simulate_into(&of_piece, piece, &NoProgress).unwrap();
             // The plan that is made at once, and the scene as a whole.
-            let plan = simulation
-                .plan_for_region(&outline, part, options, &NoProgress)
-                .unwrap();
-            let (again, _) = simulation.run_planned(&plan, &scene, &NoProgress).unwrap();
+            let again = build(of_region(&options, part)).simulate(&scene).unwrap();
             assert_eq!(again.pixels(), slice_of(image.view(), part), "{case}");
         }
     }
@@ -161,55 +175,56 @@ fn pieces_put_together_are_the_whole() {
 fn the_adjoint_is_that_of_light_sampled_at_the_frames_pixels() {
     for finer in [1, 2, 3] {
         for anchor in ANCHORS {
-            let simulation = simulation(Interpolation::Delaunay, finer, anchor);
-            let scene = scene::<f64>(finer).with_sources(Vec::new());
-            let options = PlanOptions::new(1e-2).unwrap().with_anchor(anchor);
-            let whole = simulation.plan_for_images(&scene, options).unwrap();
-            let part = simulation
-                .plan_for_region(&scene, region(31, 17, 41, 29), options, &NoProgress)
-                .unwrap();
-            for plan in [whole, part] {
-                let (image, _) = simulation.run_planned(&plan, &scene, &NoProgress).unwrap();
+            let (builder, options) = (
+                builder(Interpolation::Delaunay, finer),
+                options(finer, anchor, 1e-2),
+            );
+            let light = light::<f64>(finer);
+            let part = of_region(&options, region(31, 17, 41, 29));
+            for (whole, options) in [(true, options), (false, part)] {
+                let simulator = builder.clone().options(options).build().unwrap();
+                let image = simulator.simulate(&Scene::from(&light)).unwrap();
                 let (ny, nx) = image.pixels().dim();
                 let seen = Array2::from_shape_fn((ny, nx), |(y, x)| ((x * 31 + y * 17) % 23) as f64 - 11.0);
                 let view = ImageView::new(seen.view()).unwrap();
-                let back = simulation.adjoint_planned(&plan, &view, &NoProgress).unwrap();
-                assert_eq!(back.shape(), scene.shape());
+                let back = simulator.adjoint(&view, &NoProgress).unwrap();
+                let reach = simulator.light_region(&NoProgress).unwrap();
+                let of_light = if whole { light.shape().region() } else { reach };
+                assert_eq!(back.shape(), of_light.shape());
                 let left = (&image.pixels() * &seen).sum();
-                let right = (&scene.pixels().unwrap() * &back.pixels()).sum();
+                let right = (&slice_of(light.pixels(), of_light) * &back.pixels()).sum();
                 let scale = norm(image.pixels().iter().copied()) * norm(seen.iter().copied());
                 assert!(
                     (left - right).abs() <= 1e-12 * scale,
                     "{finer} {anchor}: {left} {right}"
                 );
-                let reach = plan.light_region().unwrap();
-                let mut plane = Array2::zeros((reach.shape().ny(), reach.shape().nx()));
-                simulation
-                    .add_adjoint_planned_to(&plan, &view, plane.view_mut(), &NoProgress)
-                    .unwrap();
-                assert_eq!(plane, slice_of(back.pixels(), reach));
+                // Nothing comes back to light that does not reach the image.
+                let lit = |pixels: ArrayView2<'_, f64>| pixels.iter().filter(|v| **v != 0.0).count();
+                if whole {
+                    assert_eq!(lit(back.pixels()), lit(slice_of(back.pixels(), reach)));
+                }
             }
         }
     }
 }
 
 /// Images of a region, row by row.
-struct Rows<'a> {
-    light: ArrayView2<'a, f64>,
-    written: Vec<f64>,
+struct Rows<'a, T> {
+    light: ArrayView2<'a, T>,
+    written: Vec<T>,
 }
 
-impl RowStream<f64> for Rows<'_> {
+impl<T: ConvReal> RowStream<T> for Rows<'_, T> {
     type Error = PsfieldError;
     fn read(
         &mut self,
         rows: std::ops::Range<usize>,
-        mut light: ndarray::ArrayViewMut2<'_, f64>,
+        mut light: ndarray::ArrayViewMut2<'_, T>,
     ) -> Result<(), PsfieldError> {
         light.assign(&self.light.slice(s![rows, ..]));
         Ok(())
     }
-    fn write(&mut self, rows: ArrayView2<'_, f64>) -> Result<(), PsfieldError> {
+    fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), PsfieldError> {
         self.written.extend(rows);
         Ok(())
     }
@@ -219,32 +234,31 @@ impl RowStream<f64> for Rows<'_> {
 fn a_region_streams_and_is_checked_pixel_by_pixel() {
     for finer in [1, 2] {
         for anchor in ANCHORS {
-            let simulation = simulation(Interpolation::Bilinear, finer, anchor);
-            let scene = scene::<f64>(finer);
-            let options = PlanOptions::new(0.0).unwrap().with_anchor(anchor);
             let part = region(31, 17, 41, 29);
-            let plan = simulation
-                .plan_for_region(&scene, part, options, &NoProgress)
-                .unwrap();
-            let (image, _) = simulation.run_planned(&plan, &scene, &NoProgress).unwrap();
+            let options = of_region(&options(finer, anchor, 0.0), part);
+            let builder = builder(Interpolation::Bilinear, finer).options(options);
+            let simulator: Simulator<f64> = builder.build().unwrap();
+            let (light, stars) = (light::<f64>(finer), stars(finer));
+            let scene = Scene::from(&light).with_stars(&stars[..]);
+            let image = simulator.simulate(&scene).unwrap();
             let mut rows = Rows {
-                light: scene.pixels().unwrap(),
+                light: light.pixels(),
                 written: Vec::new(),
             };
-            simulation.stream(&plan, &scene, &mut rows, &NoProgress).unwrap();
+            let stars_alone = Scene::dark().with_stars(&stars[..]);
+            simulator.stream(&stars_alone, &mut rows, &NoProgress).unwrap();
             assert!(image.pixels().iter().eq(&rows.written), "{finer} {anchor}");
 
-            let reach = plan.light_region().unwrap();
-            let light = slice_of(scene.pixels().unwrap(), reach);
-            let light = ImageView::new(light).unwrap();
-            let first = (reach.x0() as usize, reach.y0() as usize);
-            let pixels = [(31, 17), (71, 45), (50, 30)];
-            let exact = simulation
-                .exact_at_part(&scene, Some((&light, first)), anchor, &pixels, &NoProgress)
-                .unwrap();
-            for ((x, y), exact) in pixels.into_iter().zip(exact) {
-                let value = image.pixels()[[y - 17, x - 31]];
-                assert!((value - exact).abs() <= 1e-9 * exact.abs(), "{value} {exact}");
+            let reach = simulator.light_region(&NoProgress).unwrap();
+            let at_hand = ImageView::new(slice_of(light.pixels(), reach)).unwrap();
+            let of_piece = Scene::from(at_hand).with_stars(&stars[..]);
+            let pixels = [(0, 0), (40, 28), (19, 13)];
+            for scene in [&scene, &of_piece] {
+                let exact = simulator.exact_at(scene, &pixels, &NoProgress).unwrap();
+                for ((x, y), exact) in pixels.into_iter().zip(exact) {
+                    let value = image.pixels()[[y, x]];
+                    assert!((value - exact).abs() <= 1e-9 * exact.abs(), "{value} {exact}");
+                }
             }
         }
     }
@@ -263,58 +277,48 @@ impl Progress for Impatient {
 
 #[test]
 fn every_call_can_be_stopped_and_errors_say_what_fits() {
-    let simulation = simulation(Interpolation::Bilinear, 2, Anchor::Source);
-    let scene = scene::<f32>(2);
-    let options = PlanOptions::new(1e-3).unwrap();
-    let plan = simulation.plan(&scene, options).unwrap();
+    let (builder, options) = (
+        builder(Interpolation::Bilinear, 2),
+        options(2, Anchor::Source, 1e-3),
+    );
+    let build = |options| builder.clone().options(options).build::<f32>().unwrap();
+    let (light, stars) = (light::<f32>(2), stars(2));
+    let scene = Scene::from(&light).with_stars(&stars[..]);
+    let stars_alone = Scene::dark().with_stars(&stars[..]);
+    let simulator = build(options.clone());
+    simulator.prepare(&scene, false, &NoProgress).unwrap();
     let stopped = |result: Result<(), PsfieldError>| match result {
         Err(PsfieldError::Convolution(ConvError::Cancelled(_))) => {}
         other => panic!("{other:?}"),
     };
-    let light = scene.image().unwrap().view();
     let mut image = Array2::zeros((FRAME.1, FRAME.0));
     let part = region(3, 4, 5, 6);
-    stopped(simulation.run_planned(&plan, &scene, &Impatient).map(|_| ()));
-    for light in [Some(&light), None] {
-        let stars_too = simulation.add_planned_to(&plan, &scene, light, image.view_mut(), &Impatient);
+    for scene in [&scene, &stars_alone] {
+        let stars_too = simulator.simulate_into(scene, image.view_mut(), &Impatient);
         stopped(stars_too.map(|_| ()));
     }
     let view = ImageView::new(image.view()).unwrap();
-    stopped(simulation.adjoint_planned(&plan, &view, &Impatient).map(|_| ()));
-    stopped(
-        simulation
-            .plan_for_region(&scene, part, options, &Impatient)
-            .map(|_| ()),
-    );
-    stopped(
-        simulation
-            .plan_for_other_region(&plan, &scene, part, &Impatient)
-            .map(|_| ()),
-    );
-    stopped(
-        simulation
-            .plan_for_images_with_progress(&scene, options, &Impatient)
-            .map(|_| ()),
-    );
-    let exact = simulation.exact_at_part(
-        &scene,
-        Some((&light, (0, 0))),
-        Anchor::Source,
-        &[(1, 1)],
-        &Impatient,
-    );
-    stopped(exact.map(|_| ()));
+    stopped(simulator.adjoint(&view, &Impatient).map(|_| ()));
+    let of_part = build(of_region(&options, part));
+    stopped(of_part.prepare(&scene, false, &Impatient).map(|_| ()));
+    stopped(simulator.for_region(part, &Impatient).map(|_| ()));
+    let fresh = build(options.clone());
+    stopped(fresh.prepare(&stars_alone, true, &Impatient).map(|_| ()));
+    stopped(simulator.exact_at(&scene, &[(1, 1)], &Impatient).map(|_| ()));
+    let mut rows = Rows {
+        light: light.pixels(),
+        written: Vec::new(),
+    };
+    stopped(simulator.stream(&stars_alone, &mut rows, &Impatient).map(|_| ()));
 
-    let beyond = simulation.plan_for_region(&scene, region(90, 0, 8, 4), options, &NoProgress);
+    let beyond = of_region(&options, region(90, 0, 8, 4));
+    let beyond = builder.clone().options(beyond).build::<f32>();
     assert_eq!(
         beyond.unwrap_err().to_string(),
         "the region of 8 x 4 pixels at (90, 0) reaches beyond the frame of 97 x 83 pixels"
     );
-    let stars = simulation.plan(&outline(&scene), options).unwrap();
-    let refused = simulation.add_planned_to(&stars, &scene, Some(&light), image.view_mut(), &NoProgress);
-    assert!(matches!(refused, Err(PsfieldError::PlanForStars)), "{refused:?}");
     let mut wide = Array2::zeros((FRAME.1, FRAME.0 + 1));
-    let refused = simulation.add_planned_to(&plan, &scene, Some(&light), wide.view_mut(), &NoProgress);
+    let refused = simulator.simulate_into(&scene, wide.view_mut(), &NoProgress);
     assert!(
         matches!(
             refused,
@@ -322,4 +326,43 @@ fn every_call_can_be_stopped_and_errors_say_what_fits() {
         ),
         "{refused:?}"
     );
+}
+
+#[test]
+fn methods_without_a_plan_say_what_they_cannot_do() {
+    let options = SimulateOptions {
+        method: Method::Basis,
+        ..options(1, Anchor::Source, 1e-3)
+    };
+    let builder = builder(Interpolation::Bilinear, 1);
+    let part = of_region(&options, region(3, 4, 5, 6));
+    let refused = builder.clone().options(part).build::<f64>();
+    assert!(
+        matches!(refused, Err(PsfieldError::RegionNeedsPlan)),
+        "{refused:?}"
+    );
+
+    let simulator: Simulator<f64> = builder.options(options).build().unwrap();
+    let refused = simulator.for_region(region(3, 4, 5, 6), &NoProgress);
+    assert!(
+        matches!(refused, Err(PsfieldError::RegionNeedsPlan)),
+        "{refused:?}"
+    );
+    let seen = Image::zeros(simulator.image_shape());
+    let refused = simulator.adjoint(&seen.view(), &NoProgress);
+    assert!(
+        matches!(refused, Err(PsfieldError::AdjointNeedsPlan)),
+        "{refused:?}"
+    );
+    let light = light::<f64>(1);
+    let mut rows = Rows {
+        light: light.pixels(),
+        written: Vec::new(),
+    };
+    let refused = simulator.stream(&Scene::dark(), &mut rows, &NoProgress);
+    assert!(
+        matches!(refused, Err(PsfieldError::StreamNeedsPlan)),
+        "{refused:?}"
+    );
+    assert!(rows.written.is_empty());
 }

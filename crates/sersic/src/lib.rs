@@ -25,11 +25,8 @@
 //! values. Otherwise it is divided in four. Polynomials of all galaxies are added up before they are evaluated, so that far wings cost
 //! next to nothing.
 
-mod add_galaxies;
+mod drawing;
 mod profile;
-mod radial_table;
-mod rules;
-mod tile;
 
-pub use add_galaxies::{add_galaxies, add_galaxies_with_progress};
+pub use drawing::{add_galaxies, add_galaxies_with_progress};
 pub use profile::FLUX_LEFT_OUT;

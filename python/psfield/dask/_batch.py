@@ -16,9 +16,9 @@ from dask.base import tokenize
 
 from psfield._arrays import shape_or_none
 from psfield._choices import whole, whole_or_none
+from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
-from psfield._plan import DEFAULT_MEMORY
 from psfield._progress import Progress, as_callback
 from psfield.dask._checks import checked_for_workers
 from psfield.dask._fits import FitsFiles
@@ -35,8 +35,8 @@ def batch(
     jobs: Iterable[Job],
     model: PsfModel,
     output: str | os.PathLike[str] | None = None,
-    tolerance: float = 1e-4,
-    precision: Literal["f32", "f64"] = "f32",
+    tolerance: float = DEFAULTS.tolerance,
+    precision: Literal["f32", "f64"] = DEFAULTS.precision,
     device: Literal["auto", "cpu", "gpu"] = "cpu",
     *,
     shape: tuple[int, int] | None = None,
@@ -48,10 +48,10 @@ def batch(
     threads: int | None = None,
     progress: Progress | None = None,
     frame: tuple[int, int, int, int] | None = None,
-    anchor: Literal["source", "output"] = "source",
-    method: Literal["auto", "lowrank"] = "auto",
-    memory: int = DEFAULT_MEMORY,
-    oversample: int = 1,
+    anchor: Literal["source", "output"] = DEFAULTS.anchor,
+    method: Literal["auto", "lowrank"] = DEFAULTS.method,
+    memory: int = DEFAULTS.memory,
+    oversample: int = DEFAULTS.oversample,
     stamp_size: int | None = None,
 ) -> list[JobResult]:
     """Make many frames on the workers of a Dask cluster, which write them themselves.

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from psfield._arrays import DTYPES, check_real
 from psfield._catalog import columns_of
+from psfield._defaults import DEFAULTS
 from psfield._model import PsfModel
-from psfield._plan import DEFAULT_MEMORY
 from psfield.dask._checks import checked_for_workers
 from psfield.dask._cores import share_cores
 from psfield.dask._reach import Depth, reach
@@ -25,16 +25,16 @@ from psfield.dask._region import Columns, region_image
 def simulate(
     scene: da.Array,
     model: PsfModel,
-    tolerance: float = 1e-4,
-    precision: Literal["f32", "f64"] = "f32",
+    tolerance: float = DEFAULTS.tolerance,
+    precision: Literal["f32", "f64"] = DEFAULTS.precision,
     device: Literal["auto", "cpu", "gpu"] = "cpu",
     *,
     catalog: Any = None,
     frame: tuple[int, int, int, int] | None = None,
-    anchor: Literal["source", "output"] = "source",
-    method: Literal["auto", "lowrank"] = "auto",
-    memory: int = DEFAULT_MEMORY,
-    oversample: int = 1,
+    anchor: Literal["source", "output"] = DEFAULTS.anchor,
+    method: Literal["auto", "lowrank"] = DEFAULTS.method,
+    memory: int = DEFAULTS.memory,
+    oversample: int = DEFAULTS.oversample,
     stamp_size: int | None = None,
 ) -> da.Array:
     """Return the image of a scene that is a chunked Dask array, as a lazy array with the same chunks.

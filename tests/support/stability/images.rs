@@ -1,9 +1,13 @@
 //! Images against the direct sum in double precision.
 
 use ndarray::Array2;
-use psfield::conv_core::{ConvReal, ConvolutionMethod, Direct, PlanOptions};
-use psfield::psf_types::{Anchor, Image, PointSource, PsfModel, Scene};
-use psfield::{Method, PsfieldError};
+use psfield::conv_core::{
+    BasisConvolution, ConvReal, ConvolutionMethod, Direct, LowRank, PatchConvolution, StarPainter, StarPlan,
+};
+use psfield::psf_types::{Anchor, Image, NoProgress, PointSource, PsfModel};
+use psfield::{Method, PsfieldError, SimulateOptions};
+
+use crate::convolve;
 
 /// Both precisions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -79,11 +83,6 @@ impl Light {
         }
     }
 
-    fn scene<T: ConvReal>(&self) -> Result<Scene<T>, PsfieldError> {
-        let image = Image::new(self.pixels.mapv(T::nearest))?;
-        Ok(Scene::from_image(image).with_sources(self.stars.clone()))
-    }
-
     /// The power of two that takes light of this size to about 1.
     fn power(&self) -> i32 {
         let stars = self.stars.iter().map(|s| s.flux());
@@ -103,9 +102,30 @@ fn image_of<T: ConvReal>(
     method: Method,
     anchor: Anchor,
 ) -> Result<Array2<f64>, PsfieldError> {
-    let method = method.build::<T>(PlanOptions::new(0.0)?.with_anchor(anchor))?;
-    let image = method.convolve(model, &light.scene()?)?;
-    Ok(image.pixels().mapv(T::as_f64))
+    let options = SimulateOptions {
+        method,
+        tolerance: 0.0,
+        anchor,
+        ..SimulateOptions::default()
+    };
+    let plan = options.plan_options()?;
+    let method: Box<dyn ConvolutionMethod<T>> = match (method, plan) {
+        (_, Some(plan)) => Box::new(LowRank::new(plan)),
+        (Method::Basis, _) => Box::new(BasisConvolution::new(anchor)),
+        (Method::Patch(size), _) => Box::new(PatchConvolution::new(size, anchor)?),
+        _ => Box::new(Direct::new(anchor)),
+    };
+    let pixels = Image::new(light.pixels.mapv(T::nearest))?;
+    let whole = pixels.shape().region();
+    let mut image = convolve(method.as_ref(), model, &pixels)?.into_pixels();
+    if let Some(plan) = plan {
+        let stars = StarPlan::new(model, plan, None)?;
+        stars.draw_into(&light.stars, whole, whole, image.view_mut(), &NoProgress)?;
+    } else {
+        let stars = StarPainter::new(model, whole, anchor, None)?;
+        stars.draw_into(&light.stars, whole, image.view_mut(), &NoProgress)?;
+    }
+    Ok(image.mapv(T::as_f64))
 }
 
 /// The image of light by a method, in a precision.
@@ -133,8 +153,7 @@ pub(crate) fn truth(
         pixels: light.pixels.mapv(|v| times_power(v, power)),
         stars: light.stars.iter().map(star).collect::<Result<_, _>>()?,
     };
-    let sum = Direct::new(anchor).convolve(model, &near_one.scene::<f64>()?)?;
-    Ok((sum.into_pixels(), power))
+    Ok((image_of::<f64>(model, &near_one, Method::Direct, anchor)?, power))
 }
 
 /// The largest difference of an image from the direct sum over the sum's peak, the larger of both anchorings; only where `counts` says

@@ -1,7 +1,7 @@
 //! GPUs that are there.
 
-use super::error::GpuError;
 use super::fft_source::FftSource;
+use crate::error::GpuError;
 
 /// A GPU (or a driver that runs shaders on the processor) and what it can do.
 #[derive(Debug, Clone, PartialEq, Eq)]

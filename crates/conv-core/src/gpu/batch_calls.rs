@@ -4,18 +4,15 @@ use std::ops::Range;
 
 use pulp::bytemuck::cast_slice;
 
-use super::batch_data::BatchData;
+use super::batch_data::{BatchData, WorkBuffers};
 use super::buffers::Growing;
-use super::device::GpuDevice;
-use super::error::GpuError;
-use super::lit_batch::{DrawnTile, LitBatch};
+use super::device::{GpuDevice, Pipelines};
+use super::lit_batch::LitBatch;
 use super::panels::Batch;
 use super::passes::Calls;
-use super::pipelines::Pipelines;
-use super::shader::{STRIP, Shader};
-use super::words::{Draw, Params, Tile};
-use super::working::Working;
-use crate::lowrank::shared::Direction;
+use super::shader::{Draw, Params, STRIP, Shader, Tile};
+use crate::error::GpuError;
+use crate::plan::geometry::Direction;
 
 /// What the shaders of a batch share.
 pub(super) struct BatchCalls<'a> {
@@ -25,40 +22,31 @@ pub(super) struct BatchCalls<'a> {
     /// What holds for all calls.
     pub(super) params: Params,
     pub(super) data: &'a BatchData,
+    pub(super) batch: &'a Batch,
+    pub(super) lit: &'a LitBatch,
     pub(super) light: &'a wgpu::Buffer,
     pub(super) panel: &'a wgpu::Buffer,
 }
 
 impl<'a> BatchCalls<'a> {
     /// The calls for the tiles of a batch that have light.
-    pub(super) fn calls(
-        &self,
-        working: &mut Working,
-        batch: &Batch,
-        lit: &LitBatch,
-    ) -> Result<Calls<'a>, GpuError> {
-        let tiles = colours(lit.tiles.iter().map(|(colour, _)| *colour));
-        let drawn = colours(lit.drawn.iter().map(|(colour, _)| *colour));
+    pub(super) fn calls(&self, working: &mut WorkBuffers) -> Result<Calls<'a>, GpuError> {
+        let lit = self.lit;
+        let tiles = colours(&lit.tiles);
+        let drawn = colours(&lit.drawn);
         let most = 2 + tiles.len() + drawn.len();
         let mut calls = Calls::new(self.device, self.pipelines, &mut working.params, most);
         if !lit.tiles.is_empty() {
-            self.transforms(&mut calls, working, batch, lit, &tiles);
+            self.transforms(&mut calls, working, &tiles);
         }
         if !lit.drawn.is_empty() {
-            self.draws(&mut calls, working, &lit.drawn, &drawn)?;
+            self.draws(&mut calls, working, &drawn)?;
         }
         Ok(calls)
     }
 
-    fn transforms(
-        &self,
-        calls: &mut Calls<'a>,
-        working: &mut Working,
-        batch: &Batch,
-        lit: &LitBatch,
-        colours: &[Range<usize>],
-    ) {
-        let (device, source) = (self.device, &self.pipelines.source);
+    fn transforms(&self, calls: &mut Calls<'a>, working: &mut WorkBuffers, colours: &[Range<usize>]) {
+        let (device, source, lit) = (self.device, &self.pipelines.source, self.lit);
         let (rows, columns) = (&self.pipelines.row_roots, &self.pipelines.column_roots);
         let spreads = self.direction == Direction::Scatter;
         let words: Vec<u32> = lit.tiles.iter().flat_map(|(_, tile)| tile.words()).collect();
@@ -66,8 +54,8 @@ impl<'a> BatchCalls<'a> {
         let work = planes_of(lit.tiles.iter().map(|(_, tile)| tile), spreads);
         let count = (work.len() / 2) as u32;
         let work = handed_over(device, &mut working.work, &work);
-        let planes = source.bytes() * batch.planes as u64;
-        let planes = working.planes.with_room(device, planes).clone();
+        let planes = source.bytes() * self.batch.planes as u64;
+        let planes = working.planes.with_room(device, planes);
         let tables = &self.data.tables;
         let params = self.params;
         let weigh = Params {
@@ -77,18 +65,20 @@ impl<'a> BatchCalls<'a> {
         };
         calls.add(
             Shader::WeighRows,
-            weigh,
+            weigh.words(),
             &[&tiles, &work, tables, self.light, rows, &planes],
             (source.row_groups(), count),
         );
-        let along_y = if spreads {
-            Shader::SumColumns
+        let (along_y, back, back_buffers) = if spreads {
+            let buffers = vec![&tiles, rows, &planes, self.panel];
+            (Shader::SumColumns, Shader::AddRows, buffers)
         } else {
-            Shader::SpreadColumns
+            let buffers = vec![&tiles, tables, rows, &planes, self.panel];
+            (Shader::SpreadColumns, Shader::GatherRows, buffers)
         };
         calls.add(
             along_y,
-            params,
+            params.words(),
             &[&tiles, columns, &self.data.spectra, &planes],
             (source.column_groups(), lit.tiles.len() as u32),
         );
@@ -98,37 +88,22 @@ impl<'a> BatchCalls<'a> {
                 ..params
             };
             let groups = (source.row_groups(), range.len() as u32);
-            if spreads {
-                calls.add(
-                    Shader::AddRows,
-                    params,
-                    &[&tiles, rows, &planes, self.panel],
-                    groups,
-                );
-            } else {
-                calls.add(
-                    Shader::GatherRows,
-                    params,
-                    &[&tiles, tables, rows, &planes, self.panel],
-                    groups,
-                );
-            }
+            calls.add(back, params.words(), &back_buffers, groups);
         }
     }
 
     fn draws(
         &self,
         calls: &mut Calls<'a>,
-        working: &mut Working,
-        drawn: &[(usize, DrawnTile)],
+        working: &mut WorkBuffers,
         colours: &[Range<usize>],
     ) -> Result<(), GpuError> {
         let device = self.device;
         let (mut draws, mut pixels, mut amounts) = (Vec::new(), Vec::new(), Vec::new());
-        for (_, tile) in drawn {
+        for (_, tile) in &self.lit.drawn {
             let draw = Draw {
-                first_pixel: (pixels.len() / 2) as u32,
-                first_amount: amounts.len() as u32,
+                first_pixel: pixels.len() / 2,
+                first_amount: amounts.len(),
                 ..tile.draw
             };
             draws.extend(draw.words());
@@ -142,7 +117,12 @@ impl<'a> BatchCalls<'a> {
         let draws = handed_over(device, &mut working.draws, &draws);
         let pixels = handed_over(device, &mut working.pixels, &pixels);
         let amounts = handed_over(device, &mut working.amounts, &amounts);
-        let highest = drawn.iter().map(|(_, tile)| tile.draw.out_height).max();
+        let highest = self
+            .lit
+            .drawn
+            .iter()
+            .map(|(_, tile)| tile.draw.place.size.1)
+            .max();
         for range in colours {
             let params = Params {
                 first: range.start as u32,
@@ -151,7 +131,7 @@ impl<'a> BatchCalls<'a> {
             };
             calls.add(
                 Shader::DrawStamps,
-                params,
+                params.words(),
                 &[
                     &draws,
                     &pixels,
@@ -160,7 +140,7 @@ impl<'a> BatchCalls<'a> {
                     &self.data.tables,
                     self.panel,
                 ],
-                (highest.unwrap_or(0).div_ceil(STRIP as u32), range.len() as u32),
+                (highest.unwrap_or(0).div_ceil(STRIP) as u32, range.len() as u32),
             );
         }
         Ok(())
@@ -172,7 +152,7 @@ fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Ve
     tiles
         .enumerate()
         .flat_map(|(tile, of_tile)| {
-            let planes = if each_kernel { of_tile.kernels } else { 1 };
+            let planes = if each_kernel { of_tile.place.kernels } else { 1 };
             (0..planes).flat_map(move |kernel| [tile as u32, kernel])
         })
         .collect()
@@ -180,39 +160,43 @@ fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Ve
 
 /// Words in a buffer, there before whatever is submitted next.
 fn handed_over(device: &GpuDevice, buffer: &mut Growing, words: &[u32]) -> wgpu::Buffer {
-    let buffer = buffer.with_room(device, 4 * words.len() as u64).clone();
+    let buffer = buffer.with_room(device, 4 * words.len() as u64);
     device.queue().write_buffer(&buffer, 0, cast_slice(words));
     buffer
 }
 
 /// Where runs of equal colours lie.
-fn colours(of_all: impl Iterator<Item = usize>) -> Vec<Range<usize>> {
-    let mut runs: Vec<Range<usize>> = Vec::new();
-    let mut last = None;
-    for (place, colour) in of_all.enumerate() {
-        match runs.last_mut() {
-            Some(run) if last == Some(colour) => run.end = place + 1,
-            _ => runs.push(place..place + 1),
-        }
-        last = Some(colour);
-    }
-    runs
+fn colours<V>(of_all: &[(usize, V)]) -> Vec<Range<usize>> {
+    let mut end = 0;
+    let runs = of_all.chunk_by(|a, b| a.0 == b.0).map(|run| {
+        end += run.len();
+        end - run.len()..end
+    });
+    runs.collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::shader::Place;
     use super::*;
 
     #[test]
     fn runs_of_colours() {
-        assert_eq!(colours([0, 0, 2, 3, 3].into_iter()), [0..2, 2..3, 3..5]);
-        assert_eq!(colours(std::iter::empty()), []);
+        assert_eq!(
+            colours(&[0, 0, 2, 3, 3].map(|colour| (colour, ()))),
+            [0..2, 2..3, 3..5]
+        );
+        assert!(colours::<()>(&[]).is_empty());
     }
 
     #[test]
     fn a_plane_for_each_kernel_or_one_a_tile() {
-        let tiles = [2, 1].map(|kernels| Tile {
+        let place = |kernels| Place {
             kernels,
+            ..Place::default()
+        };
+        let tiles = [2, 1].map(|kernels| Tile {
+            place: place(kernels),
             ..Tile::default()
         });
         assert_eq!(planes_of(tiles.iter(), true), [0, 0, 0, 1, 1, 0]);

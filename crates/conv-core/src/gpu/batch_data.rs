@@ -1,18 +1,59 @@
-//! What a batch of a plan needs on the GPU whatever the light.
+//! A batch's data on the GPU that do not depend on the light, and the memory that executions work
+//! in.
+
+use std::ops::Range;
 
 use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
 
-use super::buffers::{Growing, STORAGE};
-use super::device::Attempt;
-use super::error::GpuError;
+use super::buffers::{Growing, Readback, STORAGE, Staging};
+use super::device::{Attempt, GpuDevice, Pipelines};
 use super::panels::{Batch, Part};
-use super::passes::Calls;
-use super::pipelines::Pipelines;
-use super::shader::Shader;
-use super::words::{Params, Tile};
-use crate::lowrank::shared::Prepared;
-use crate::{ConvReal, Plan};
+use super::passes::{Calls, params_buffer};
+use super::shader::{Params, Place, Shader, Tile};
+use super::stopwatch::{Marks, Stopwatch};
+use crate::ConvReal;
+use crate::cpu::processor::BlockKernels;
+use crate::error::GpuError;
+use crate::plan::Plan;
+use crate::plan::coefficient_table::{CoefficientTable, Values};
+
+/// Buffers that executions share, one after the other.
+#[derive(Debug)]
+pub(super) struct WorkBuffers {
+    pub(super) staging: Staging,
+    pub(super) readback: [Readback; 2],
+    pub(super) stopwatch: Option<Stopwatch>,
+    pub(super) params: Growing,
+    pub(super) light: Growing,
+    pub(super) planes: Growing,
+    pub(super) tiles: Growing,
+    pub(super) work: Growing,
+    pub(super) draws: Growing,
+    pub(super) pixels: Growing,
+    pub(super) amounts: Growing,
+    pub(super) panel: Growing,
+}
+
+impl WorkBuffers {
+    pub(super) fn new(device: &GpuDevice) -> Self {
+        let storage = |label| Growing::new(label, STORAGE);
+        Self {
+            staging: Staging::new(),
+            readback: [Readback::new(), Readback::new()],
+            stopwatch: Stopwatch::new(device),
+            params: params_buffer(),
+            light: storage("light"),
+            planes: storage("planes"),
+            tiles: storage("tiles"),
+            work: storage("work"),
+            draws: storage("draws"),
+            pixels: storage("pixels"),
+            amounts: storage("amounts"),
+            panel: storage("panel"),
+        }
+    }
+}
 
 /// Coefficients, stamps and spectra of a batch's kernels.
 #[derive(Debug)]
@@ -25,15 +66,15 @@ pub(super) struct BatchData {
 }
 
 impl BatchData {
-    /// Makes it; `planes` and `params` are working memory. Stamps are turned by 180 degrees where `flip`. `writes` is where the time that shaders take is
-    /// written to.
+    /// Makes it; where that is part of an execution, with `marks` about the work on it. Stamps are
+    /// turned by 180 degrees where `flip`.
     pub(super) fn new<T: ConvReal>(
         device: &Attempt,
         pipelines: &Pipelines,
-        (planes, params): (&mut Growing, &mut Growing),
+        working: &mut WorkBuffers,
         plan: &Plan<T>,
         (batch, flip): (&Batch, bool),
-        writes: Option<wgpu::ComputePassTimestampWrites<'_>>,
+        marks: Option<&mut Marks>,
     ) -> Result<Self, GpuError> {
         let parts: Vec<(Vec<u32>, Vec<u32>)> =
             batch.parts.par_iter().map(|part| words_of(plan, part)).collect();
@@ -60,14 +101,17 @@ impl BatchData {
             spectra,
         };
         device.check()?;
-        let planes = planes.with_room(device, bytes).clone();
+        let planes = working.planes.with_room(device, bytes);
         device.check()?;
         let stamp = Params {
             flip,
-            stamp: plan.stamp(),
+            stamp: plan.geometry.stamp,
             ..Params::default()
         };
-        let calls = data.stamp_calls(device, pipelines, (&planes, params), stamp, batch);
+        let memory = (&planes, &mut working.params);
+        let calls = data.stamp_calls(device, pipelines, memory, stamp, batch);
+        let stopwatch = working.stopwatch.as_ref().zip(marks);
+        let writes = stopwatch.and_then(|(stopwatch, marks)| stopwatch.kernels(marks));
         let mut encoder = device.encoder();
         calls.encode(&mut encoder, writes);
         device.queue().submit([encoder.finish()]);
@@ -96,20 +140,19 @@ impl BatchData {
     ) -> Calls<'a> {
         let stamp = params.stamp;
         // One kernel a tile.
-        let tiles: Vec<u32> = (0..batch.spectra as u32)
-            .flat_map(|kernel| {
-                let tile = Tile {
-                    light: kernel * (stamp.0 * stamp.1) as u32,
-                    width: stamp.0 as u32,
-                    height: stamp.1 as u32,
-                    plane: kernel,
-                    spectrum: kernel,
-                    kernels: 1,
-                    ..Tile::default()
-                };
-                tile.words()
-            })
-            .collect();
+        let place = Place {
+            kernels: 1,
+            ..Place::default()
+        };
+        let tiles = (0..batch.spectra).map(|kernel| Tile {
+            light: kernel * stamp.0 * stamp.1,
+            size: stamp,
+            plane: kernel,
+            spectrum: kernel,
+            place,
+            ..Tile::default()
+        });
+        let tiles: Vec<u32> = tiles.flat_map(|tile| tile.words()).collect();
         let work: Vec<u32> = (0..batch.spectra as u32).flat_map(|kernel| [kernel, 0]).collect();
         let tiles = device.filled("stamps' places", &tiles);
         let work = device.filled("stamps' planes", &work);
@@ -118,7 +161,7 @@ impl BatchData {
         let all = batch.spectra as u32;
         calls.add(
             Shader::WeighRows,
-            params,
+            params.words(),
             &[
                 &tiles,
                 &work,
@@ -131,7 +174,7 @@ impl BatchData {
         );
         calls.add(
             Shader::SpectrumColumns,
-            params,
+            params.words(),
             &[&tiles, &pipelines.column_roots, planes, &self.spectra],
             (source.column_groups(), all),
         );
@@ -141,9 +184,74 @@ impl BatchData {
 
 /// A part's coefficients and stamps.
 fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
-    let mut prepared = Prepared::of_block(plan, part.block);
-    let (table, stamps) = prepared.table_and_stamps();
-    let size = plan.stamp().0 * plan.stamp().1;
+    let kernels = BlockKernels::new(plan, part.block);
+    let (table, stamps) = (kernels.table(), kernels.stamps());
+    let size = plan.geometry.stamp.0 * plan.geometry.stamp.1;
     let stamps = &stamps[part.kernels.start * size..part.kernels.end * size];
     (table.packed(part.kernels.clone()), cast_slice(stamps).to_vec())
+}
+
+/// Words before the table's contents: see `coefficients.wgsl`.
+const HEADER: usize = 9;
+
+impl<T: ConvReal> CoefficientTable<T> {
+    /// What `coefficients.wgsl` reads of some of the kernels, in f32: a header (whether values are given pixel by pixel, number of functions,
+    /// whether they are divided by the first, kernels without a function, columns, rows, and where the row starts, the first columns
+    /// of runs and the values begin), then those three. Places count from the table's first word.
+    pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
+        let functions = self.functions_of(kernels.clone());
+        let plain = kernels
+            .filter(|&kernel| self.role.function_of(kernel).is_none())
+            .count();
+        let (nx, ny) = (self.region.shape().nx(), self.region.shape().ny());
+        let bits = |value: T| (value.as_f64() as f32).to_bits();
+        let mut words = vec![0; HEADER];
+        let (dense, row_starts, runs, values) = match &self.values {
+            Values::Dense(values) => {
+                for &function in &functions {
+                    let plane = &values[function * nx * ny..(function + 1) * nx * ny];
+                    words.extend(plane.iter().map(|&v| bits(v)));
+                }
+                (true, HEADER, HEADER, HEADER)
+            }
+            Values::Linear {
+                row_starts,
+                runs,
+                ramps,
+            } => {
+                words.extend(row_starts);
+                let first_run = words.len();
+                words.extend(runs.iter().map(|run| run.0));
+                let first_value = words.len();
+                for of_run in ramps.chunks_exact(self.functions.max(1)) {
+                    words.extend(functions.iter().flat_map(|&function| of_run[function].map(bits)));
+                }
+                (false, HEADER, first_run, first_value)
+            }
+        };
+        let header = [
+            usize::from(dense),
+            functions.len(),
+            usize::from(self.role.divides()),
+            plain,
+            nx,
+            ny,
+            row_starts,
+            runs,
+            values,
+        ];
+        for (word, value) in words.iter_mut().zip(header) {
+            *word = value as u32;
+        }
+        words
+    }
+
+    /// The functions that some kernels need, the divisor first.
+    fn functions_of(&self, kernels: Range<usize>) -> Vec<usize> {
+        let divisor = self.role.divides().then_some(0);
+        divisor
+            .into_iter()
+            .chain(kernels.filter_map(|kernel| self.role.function_of(kernel)))
+            .collect()
+    }
 }

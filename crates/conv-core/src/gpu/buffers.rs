@@ -1,6 +1,12 @@
-//! Buffers on a GPU and between it and the host.
+//! Buffers on a GPU, and between it and the host.
 
-use super::device::GpuDevice;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Mutex, PoisonError};
+
+use super::device::{Attempt, GpuDevice};
+use super::panels::Rectangle;
+use super::stopwatch::{self, Marks};
+use crate::error::GpuError;
 
 /// What shaders see.
 pub(super) const STORAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE
@@ -53,10 +59,161 @@ impl Growing {
     }
 
     /// The buffer, with room for some bytes; what it holds is undefined.
-    pub(super) fn with_room(&mut self, device: &GpuDevice, bytes: u64) -> &wgpu::Buffer {
+    pub(super) fn with_room(&mut self, device: &GpuDevice, bytes: u64) -> wgpu::Buffer {
         if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes) {
             self.buffer = Some(device.buffer(self.label, bytes, self.usage));
         }
-        self.buffer.as_ref().expect("made above")
+        self.buffer.clone().expect("made above")
+    }
+}
+
+/// Mapped buffers that come back once the GPU has copied from them.
+#[derive(Debug)]
+pub(super) struct Staging {
+    free: Vec<wgpu::Buffer>,
+    sender: Sender<wgpu::Buffer>,
+    receiver: Mutex<Receiver<wgpu::Buffer>>,
+}
+
+impl Staging {
+    pub(super) fn new() -> Self {
+        let (sender, receiver) = channel();
+        Self {
+            free: Vec::new(),
+            sender,
+            receiver: Mutex::new(receiver),
+        }
+    }
+
+    /// A mapped buffer of at least so many bytes.
+    pub(super) fn take(&mut self, device: &GpuDevice, bytes: u64) -> wgpu::Buffer {
+        let receiver = self.receiver.get_mut().unwrap_or_else(PoisonError::into_inner);
+        self.free.extend(receiver.try_iter());
+        // The smallest that suffices.
+        let fitting = self
+            .free
+            .iter()
+            .enumerate()
+            .filter(|(_, buffer)| buffer.size() >= bytes);
+        if let Some((place, _)) = fitting.min_by_key(|(_, buffer)| buffer.size()) {
+            return self.free.swap_remove(place);
+        }
+        // One that is too small will not be asked for again soon.
+        if self.free.len() > KEPT {
+            self.free.swap_remove(0);
+        }
+        device.device().create_buffer(&wgpu::BufferDescriptor {
+            label: Some("staging"),
+            size: bytes.next_multiple_of(ROUNDING),
+            usage: wgpu::BufferUsages::MAP_WRITE | wgpu::BufferUsages::COPY_SRC,
+            mapped_at_creation: true,
+        })
+    }
+
+    /// Takes back a buffer whose copies have been submitted.
+    pub(super) fn give_back(&self, buffer: wgpu::Buffer) {
+        let sender = self.sender.clone();
+        let returned = buffer.clone();
+        buffer.slice(..).map_async(wgpu::MapMode::Write, move |mapped| {
+            if mapped.is_ok() {
+                // Nobody listens any more where the engine is gone.
+                let _ = sender.send(returned);
+            }
+        });
+    }
+}
+
+/// Buffers that wait to be used again at most.
+const KEPT: usize = 16;
+/// Sizes are multiples of this, so that buffers serve again.
+const ROUNDING: u64 = 1 << 16;
+
+/// A buffer for a panel's result, and one for the marks of its stopwatch.
+#[derive(Debug)]
+pub(super) struct Readback {
+    pub(super) values: Growing,
+    pub(super) marks: Growing,
+}
+
+/// A panel that the GPU works on.
+#[derive(Debug)]
+pub(super) struct InFlight {
+    pub(super) output: Rectangle,
+    pub(super) marks: Marks,
+    values: wgpu::Buffer,
+    stopwatch: wgpu::Buffer,
+    submission: wgpu::SubmissionIndex,
+    mapped: Receiver<Result<(), wgpu::BufferAsyncError>>,
+}
+
+const READ: wgpu::BufferUsages = wgpu::BufferUsages::MAP_READ.union(wgpu::BufferUsages::COPY_DST);
+
+impl Readback {
+    pub(super) fn new() -> Self {
+        Self {
+            values: Growing::new("result", READ),
+            marks: Growing::new("marks", READ),
+        }
+    }
+
+    /// The buffers, with room for some bytes of result.
+    pub(super) fn with_room(&mut self, device: &GpuDevice, bytes: u64) -> (wgpu::Buffer, wgpu::Buffer) {
+        (
+            self.values.with_room(device, bytes),
+            self.marks.with_room(device, stopwatch::BYTES),
+        )
+    }
+}
+
+impl InFlight {
+    /// Asks for what was submitted to be readable once it is done.
+    pub(super) fn new(
+        output: Rectangle,
+        marks: Marks,
+        (values, stopwatch): (wgpu::Buffer, wgpu::Buffer),
+        submission: wgpu::SubmissionIndex,
+    ) -> Self {
+        let (sender, mapped) = channel();
+        for (buffer, length) in [(&values, output.bytes()), (&stopwatch, stopwatch::BYTES)] {
+            let sender = sender.clone();
+            buffer
+                .slice(..length)
+                .map_async(wgpu::MapMode::Read, move |result| {
+                    // Nobody listens any more after an error.
+                    let _ = sender.send(result);
+                });
+        }
+        Self {
+            output,
+            marks,
+            values,
+            stopwatch,
+            submission,
+            mapped,
+        }
+    }
+
+    /// Waits for the GPU and shows the result's bytes and the stopwatch's.
+    pub(super) fn read<R>(
+        self,
+        device: &Attempt,
+        read: impl FnOnce(&Self, &[u8], &[u8]) -> R,
+    ) -> Result<R, GpuError> {
+        device.wait(self.submission.clone())?;
+        for _ in 0..2 {
+            // Another thread may be the one that passes the news on, a little later.
+            let mapped = self.mapped.recv();
+            let mapped = mapped.map_err(|_| device.failed(&"the result did not come"))?;
+            mapped.map_err(|error| device.failed(&error))?;
+        }
+        let values = self.values.slice(..self.output.bytes()).get_mapped_range();
+        let values = values.map_err(|error| device.failed(&error))?;
+        let marks = self.stopwatch.slice(..stopwatch::BYTES).get_mapped_range();
+        let marks = marks.map_err(|error| device.failed(&error))?;
+        let result = read(&self, &values, &marks);
+        drop((values, marks));
+        self.values.unmap();
+        self.stopwatch.unmap();
+        Ok(result)
     }
 }

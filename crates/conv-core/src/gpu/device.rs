@@ -1,12 +1,14 @@
-//! An open GPU.
+//! An open GPU, and the shaders that it has ready.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use pulp::bytemuck::cast_slice;
+
 use super::adapter::{Adapter, TIMESTAMPS, choose};
-use super::error::GpuError;
-use super::pipelines::Pipelines;
 use super::plane_source::PlaneSource;
+use super::shader::Shader;
+use crate::error::GpuError;
 
 /// A GPU that plans can run on. Cheap to clone: clones are the same GPU.
 ///
@@ -231,6 +233,62 @@ impl Trouble {
 /// A poisoned lock is only that of a thread that panicked elsewhere.
 pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// The pipelines of one size of planes.
+#[derive(Debug)]
+pub(super) struct Pipelines {
+    pub(super) source: PlaneSource,
+    /// In the order of [`Shader::ALL`], which is that of the enum.
+    of_shaders: [wgpu::ComputePipeline; Shader::ALL.len()],
+    pub(super) row_roots: wgpu::Buffer,
+    pub(super) column_roots: wgpu::Buffer,
+}
+
+impl Pipelines {
+    pub(super) fn new(device: &Attempt, source: PlaneSource) -> Result<Arc<Self>, GpuError> {
+        // Threads of their own: on those of a pool, other work would come between while the caller holds a lock.
+        let of_shaders = std::thread::scope(|scope| {
+            let made = Shader::ALL.map(|shader| {
+                let source = &source;
+                scope.spawn(move || pipeline(device, source, shader))
+            });
+            made.map(|thread| thread.join().expect("errors go to the device"))
+        });
+        let row_roots = device.filled("row roots", cast_slice(source.row_roots().as_flattened()));
+        let column_roots = device.filled("column roots", cast_slice(source.column_roots().as_flattened()));
+        device.check()?;
+        Ok(Arc::new(Self {
+            source,
+            of_shaders,
+            row_roots,
+            column_roots,
+        }))
+    }
+
+    pub(super) fn get(&self, shader: Shader) -> &wgpu::ComputePipeline {
+        &self.of_shaders[shader as usize]
+    }
+}
+
+fn pipeline(device: &GpuDevice, source: &PlaneSource, shader: Shader) -> wgpu::ComputePipeline {
+    let device = device.device();
+    let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(shader.name()),
+        source: wgpu::ShaderSource::Wgsl(source.text(shader).into()),
+    });
+    device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(shader.name()),
+        layout: None,
+        module: &module,
+        entry_point: Some(shader.name()),
+        compilation_options: wgpu::PipelineCompilationOptions {
+            // Every value is written before it is read.
+            zero_initialize_workgroup_memory: false,
+            ..wgpu::PipelineCompilationOptions::default()
+        },
+        cache: None,
+    })
 }
 
 #[cfg(test)]

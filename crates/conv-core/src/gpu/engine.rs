@@ -1,34 +1,32 @@
 //! Plans on a GPU.
 
-use std::sync::{Arc, Mutex, OnceLock};
+use std::sync::{Mutex, OnceLock};
 
 use ndarray::ArrayViewMut2;
 
-use super::device::{Attempt, GpuDevice, locked};
-use super::error::GpuError;
-use super::options::GpuOptions;
-use super::pipelines::Pipelines;
+use super::batch_data::WorkBuffers;
+use super::device::{GpuDevice, locked};
+use super::layout::{GpuOptions, GpuPlan, Layout};
+use super::panels::TileGrid;
 use super::plane_source::PlaneSource;
 use super::run::Run;
-use super::times::GpuTimes;
-use super::work_layout::{Layout, LayoutMaker};
-use super::working::Working;
-use crate::lowrank::TileCounts;
-use crate::lowrank::shared::{Job, PlanView};
-use crate::{ConvError, ConvReal, Plan};
+use super::stopwatch::GpuTimes;
+use crate::cpu::processor::LightPass;
+use crate::cpu::treatment::TileCounts;
+use crate::error::GpuError;
+use crate::plan::Plan;
+use crate::{ConvError, ConvReal};
 
 /// What a plan keeps on a GPU.
 #[derive(Debug)]
 pub(crate) struct GpuEngine {
-    pub(super) device: GpuDevice,
-    pub(super) pipelines: Arc<Pipelines>,
-    pub(super) view: PlanView,
-    options: GpuOptions,
+    pub(crate) device: GpuDevice,
+    plan: GpuPlan,
     forward: Layout,
     /// Of the transpose, made when it is first asked for.
     adjoint: OnceLock<Layout>,
     /// Of executions that are done; those under way at the same time have one each.
-    working: Mutex<Vec<Working>>,
+    working: Mutex<Vec<WorkBuffers>>,
     times: Mutex<Option<GpuTimes>>,
 }
 
@@ -42,32 +40,22 @@ impl GpuEngine {
             return Err(GpuError::Precision { precision: T::NAME });
         }
         let mut attempt = device.attempt()?;
-        let (nx, ny) = plan.transform();
-        let pipelines = attempt.pipelines(PlaneSource::new(nx, ny, device.adapter())?)?;
-        let view = PlanView::new(plan);
-        let mut working = Working::new(device);
-        let layout = LayoutMaker {
-            plan,
-            device: &mut attempt,
-            pipelines: &pipelines,
-            view: &view,
+        let (nx, ny) = plan.tiling.size;
+        let gpu_plan = GpuPlan {
+            pipelines: attempt.pipelines(PlaneSource::new(nx, ny, attempt.adapter())?)?,
+            grid: TileGrid::new(plan),
             options,
         };
-        let forward = layout.make(&mut working, false, options.memory_bytes())?;
+        let mut working = WorkBuffers::new(device);
+        let forward = gpu_plan.layout(plan, &mut attempt, &mut working, false, 0)?;
         Ok(Self {
             forward,
             device: device.clone(),
-            pipelines,
-            view,
-            options,
+            plan: gpu_plan,
             adjoint: OnceLock::new(),
             working: Mutex::new(vec![working]),
             times: Mutex::new(None),
         })
-    }
-
-    pub(crate) fn device(&self) -> &GpuDevice {
-        &self.device
     }
 
     pub(crate) fn times(&self) -> Option<GpuTimes> {
@@ -77,49 +65,27 @@ impl GpuEngine {
     /// Sends light through the operator, to be added to `output`.
     pub(crate) fn run<T: ConvReal>(
         &self,
-        job: &Job<'_, T>,
+        pass: &LightPass<'_, T>,
         output: ArrayViewMut2<'_, T>,
     ) -> Result<TileCounts, ConvError> {
         let mut attempt = self.device.attempt()?;
         // No lock is held while threads work: they may come back here with another execution.
         let taken = locked(&self.working).pop();
-        let mut working = taken.unwrap_or_else(|| Working::new(&self.device));
-        let layout = self.layout(&mut attempt, job, &mut working)?;
-        let (counts, times) = T::dispatch(Run {
-            device: &attempt,
-            engine: self,
-            layout,
-            job,
-            working: &mut working,
-            output,
-        })?;
+        let mut working = taken.unwrap_or_else(|| WorkBuffers::new(&self.device));
+        let layout = match self.adjoint.get() {
+            _ if !pass.flip => &self.forward,
+            Some(layout) => layout,
+            None => {
+                let (plan, taken) = (&pass.processor.plan, self.forward.bytes);
+                let layout = self.plan.layout(plan, &mut attempt, &mut working, true, taken)?;
+                self.adjoint.get_or_init(|| layout)
+            }
+        };
+        let plan = (&self.plan, layout);
+        let (counts, times) = T::dispatch(Run::new(&attempt, plan, pass, &mut working, output))?;
         // After an error it is dropped: what is still under way may write to it.
         locked(&self.working).push(working);
         *locked(&self.times) = Some(times);
         Ok(counts)
-    }
-
-    fn layout<T: ConvReal>(
-        &self,
-        attempt: &mut Attempt,
-        job: &Job<'_, T>,
-        working: &mut Working,
-    ) -> Result<&Layout, GpuError> {
-        if !job.flip {
-            return Ok(&self.forward);
-        }
-        if let Some(layout) = self.adjoint.get() {
-            return Ok(layout);
-        }
-        let maker = LayoutMaker {
-            plan: job.plan,
-            device: attempt,
-            pipelines: &self.pipelines,
-            view: &self.view,
-            options: self.options,
-        };
-        let left = self.options.memory_bytes().saturating_sub(self.forward.bytes);
-        let layout = maker.make(working, true, left)?;
-        Ok(self.adjoint.get_or_init(|| layout))
     }
 }

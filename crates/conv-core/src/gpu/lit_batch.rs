@@ -4,13 +4,13 @@ use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
 
 use super::device::Attempt;
-use super::engine::GpuEngine;
-use super::error::GpuError;
+use super::layout::Layout;
 use super::panels::{Batch, Panel, Part, TileSlot};
-use super::words::{Draw, Tile};
-use super::work_layout::Layout;
-use crate::lowrank::TileCounts;
-use crate::lowrank::shared::{Direction, Job, Prepared, Treatment, Ways, treated};
+use super::shader::{Draw, Place, Tile};
+use crate::cpu::processor::{BlockKernels, LightPass};
+use crate::cpu::treatment::{TileCounts, Treatment, treated};
+use crate::error::GpuError;
+use crate::plan::geometry::{Direction, Geometry};
 use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
@@ -31,8 +31,8 @@ impl LitBatch {
 
     /// Puts the places of the parts' tables where their numbers are.
     pub(super) fn find_tables(&mut self, starts: &[u32]) {
-        let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.table);
-        let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.table);
+        let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.place.table);
+        let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.place.table);
         for table in tables.chain(of_drawn) {
             *table = starts[*table as usize];
         }
@@ -52,33 +52,32 @@ pub(super) struct DrawnTile {
 /// The light of a batch's tiles written to a mapped buffer, and what is to be done with it.
 pub(super) struct Examination<'a, 'j, T: ConvReal> {
     pub(super) device: &'a Attempt,
-    pub(super) engine: &'a GpuEngine,
     pub(super) layout: &'a Layout,
     pub(super) panel: &'a Panel,
     pub(super) batch: &'a Batch,
-    pub(super) job: &'a Job<'j, T>,
+    pub(super) pass: &'a LightPass<'j, T>,
     pub(super) staging: &'a wgpu::Buffer,
 }
 
 impl<T: ConvReal> Examination<'_, '_, T> {
     pub(super) fn examine<S: Lanes<T>>(&self, simd: S) -> Result<LitBatch, ConvError> {
-        let parts = self.batch.parts.iter().zip(0..);
+        let parts = self.batch.parts.iter();
         // Tile by tile, unless a block's tiles share what is made for them.
-        let tasks: Vec<(&Part, u32, &[TileSlot])> = parts
-            .flat_map(|(part, number)| {
-                let together = if self.job.plan.keeps(part.block) {
+        let tasks: Vec<(&Part, &[TileSlot])> = parts
+            .flat_map(|part| {
+                let together = if self.pass.processor.plan.keeps(part.block) {
                     1
                 } else {
                     part.tiles.len()
                 };
                 let tasks = part.tiles.chunks(together.max(1));
-                tasks.map(move |tiles| (part, number, tiles))
+                tasks.map(move |tiles| (part, tiles))
             })
             .collect();
         let parts: Vec<Result<LitBatch, ConvError>> = tasks
             .into_par_iter()
             .with_max_len(1)
-            .map(|(part, number, tiles)| self.tiles(simd, part, number, tiles))
+            .map(|(part, tiles)| self.tiles(simd, part, tiles))
             .collect();
         let mut all = LitBatch::default();
         for part in parts {
@@ -95,25 +94,18 @@ impl<T: ConvReal> Examination<'_, '_, T> {
     }
 
     /// Some tiles of a part.
-    fn tiles<S: Lanes<T>>(
-        &self,
-        simd: S,
-        part: &Part,
-        number: u32,
-        tiles: &[TileSlot],
-    ) -> Result<LitBatch, ConvError> {
-        let plan = self.job.plan;
+    fn tiles<S: Lanes<T>>(&self, simd: S, part: &Part, tiles: &[TileSlot]) -> Result<LitBatch, ConvError> {
+        let processor = self.pass.processor;
         let mut lit = LitBatch::default();
-        let mut prepared = Prepared::of_block(plan, part.block);
-        plan.with_workspace(|workspace| {
+        let kernels = BlockKernels::new(&processor.plan, part.block);
+        processor.with_workspace(|workspace| {
             for slot in tiles {
                 let treatment = treated(
                     simd,
-                    self.job,
-                    &mut prepared,
+                    self.pass,
+                    &kernels,
                     self.layout.direction,
                     slot.tile,
-                    Ways::Transforms,
                     workspace,
                 )?;
                 // A tile whose kernels come in several parts counts once.
@@ -123,18 +115,17 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                     continue;
                 };
                 if first {
-                    lit.counts.count(&treatment, prepared.kernel_count());
+                    lit.counts.count(&treatment, kernels.block.kernel_count());
                 }
-                if treatment.whole.is_some() {
+                if treatment.method.is_some() {
                     let plane = workspace.light.get();
                     self.write_light(plane, slot)?;
                     let (columns, rows) = self.light_size(slot);
                     lit.light.push((slot.light, columns * rows));
-                    lit.tiles
-                        .push((slot.colour, self.tile(part, slot, number, &treatment)));
+                    lit.tiles.push((slot.colour, self.tile(part, slot, &treatment)));
                 }
                 if !treatment.drawn.is_empty() {
-                    let drawn = self.drawn(&mut prepared, part, slot, number, &treatment);
+                    let drawn = self.drawn(&kernels, part, slot, &treatment);
                     lit.drawn.push((slot.colour, drawn));
                 }
             }
@@ -142,9 +133,12 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         })
     }
 
+    fn geometry(&self) -> &Geometry {
+        &self.pass.processor.plan.geometry
+    }
+
     fn light_size(&self, slot: &TileSlot) -> (usize, usize) {
-        self.engine
-            .view
+        self.geometry()
             .light_size(self.layout.direction, slot.tile.part.size)
     }
 
@@ -155,7 +149,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         let range = first..first + (rows * bytes) as u64;
         let view = self.staging.slice(range).get_mapped_range_mut();
         let mut view = view.map_err(|error| self.device.failed(&error))?;
-        let rows_of_plane = plane.chunks_exact(self.job.plan.pitch());
+        let rows_of_plane = plane.chunks_exact(self.pass.processor.fft.pitch());
         for (row, values) in rows_of_plane.take(rows).enumerate() {
             view.slice(row * bytes..(row + 1) * bytes)
                 .copy_from_slice(cast_slice(&values[..columns]));
@@ -163,13 +157,13 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         Ok(())
     }
 
-    /// First pixel of a tile's result within the panel, and the result's size.
-    fn result(&self, slot: &TileSlot) -> ((i32, i32), (usize, usize)) {
-        let view = &self.engine.view;
+    /// The kernels of a part for a tile, and the tile's result within the panel.
+    fn place(&self, part: &Part, slot: &TileSlot) -> Place {
+        let geometry = self.geometry();
         let (first, size) = match self.layout.direction {
             Direction::Scatter => (
-                view.reach_from(slot.tile.first),
-                view.light_size(Direction::Gather, slot.tile.part.size),
+                geometry.reach_from(slot.tile.first.0, slot.tile.first.1),
+                geometry.around(slot.tile.part.size),
             ),
             Direction::Gather => (
                 (slot.tile.first.0 as i64, slot.tile.first.1 as i64),
@@ -177,55 +171,47 @@ impl<T: ConvReal> Examination<'_, '_, T> {
             ),
         };
         let output = self.panel.output;
-        let place = (
+        let out = (
             (first.0 - output.column as i64) as i32,
             (first.1 - output.row as i64) as i32,
         );
-        (place, size)
+        Place {
+            kernels: part.kernels.len() as u32,
+            table: part.number,
+            corner: slot.tile.part.corner,
+            out,
+            size,
+        }
     }
 
     /// Columns and rows by which the light that a tile takes begins before its result.
     fn skip(&self) -> (usize, usize) {
-        let stamp = self.engine.view.stamp();
+        let stamp = self.geometry().stamp;
         match self.layout.direction {
             Direction::Scatter => (0, 0),
             Direction::Gather => (stamp.0 - 1, stamp.1 - 1),
         }
     }
 
-    fn tile(&self, part: &Part, slot: &TileSlot, number: u32, treatment: &Treatment<T>) -> Tile {
-        let (columns, rows) = self.light_size(slot);
-        let (place, size) = self.result(slot);
-        let skip = self.skip();
+    fn tile(&self, part: &Part, slot: &TileSlot, treatment: &Treatment<T>) -> Tile {
         Tile {
-            light: slot.light as u32,
-            width: columns as u32,
-            height: rows as u32,
-            plane: slot.plane as u32,
-            spectrum: part.spectrum as u32,
-            kernels: part.kernels.len() as u32,
-            table: number,
-            column: slot.tile.part.corner.0 as u32,
-            row: slot.tile.part.corner.1 as u32,
-            out_column: place.0,
-            out_row: place.1,
-            out_width: size.0 as u32,
-            out_height: size.1 as u32,
-            skip_column: skip.0 as u32,
-            skip_row: skip.1 as u32,
+            light: slot.light,
+            size: self.light_size(slot),
+            plane: slot.plane,
+            spectrum: part.spectrum,
+            place: self.place(part, slot),
+            skip: self.skip(),
             back: treatment.back.map_or(1.0, |back| back.as_f64() as f32),
         }
     }
 
     fn drawn(
         &self,
-        prepared: &mut Prepared<'_, T>,
+        kernels: &BlockKernels<'_, T>,
         part: &Part,
         slot: &TileSlot,
-        number: u32,
         treatment: &Treatment<T>,
     ) -> DrawnTile {
-        let (place, size) = self.result(slot);
         let skip = self.skip();
         let corner = slot.tile.part.corner;
         let pixels = treatment
@@ -240,8 +226,8 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                 .map(|(_, _, value)| value.as_f64() as f32)
                 .collect(),
             Direction::Scatter => {
-                let ramp = self.job.plan.ramp();
-                let (table, _) = prepared.table_and_stamps();
+                let ramp = &self.pass.processor.ramp;
+                let table = kernels.table();
                 let pairs = treatment
                     .drawn
                     .iter()
@@ -258,16 +244,9 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         };
         DrawnTile {
             draw: Draw {
-                pixels: treatment.drawn.len() as u32,
-                stamps: part.stamp as u32,
-                kernels: part.kernels.len() as u32,
-                table: number,
-                column: corner.0 as u32,
-                row: corner.1 as u32,
-                out_column: place.0,
-                out_row: place.1,
-                out_width: size.0 as u32,
-                out_height: size.1 as u32,
+                pixels: treatment.drawn.len(),
+                stamps: part.stamp,
+                place: self.place(part, slot),
                 ..Draw::default()
             },
             pixels,

@@ -8,11 +8,136 @@
 use std::ops::Range;
 
 use super::adapter::Adapter;
-use super::error::GpuError;
 use super::plane_source::PlaneSource;
-use crate::lowrank::shared::{Direction, PlacedTile, PlanView};
+use crate::ConvReal;
+use crate::error::GpuError;
+use crate::overlap::colours;
+use crate::plan::Plan;
+use crate::plan::axis_cuts::Stretch;
+use crate::plan::block::Block;
+use crate::plan::geometry::{Direction, Geometry, PlacedTile, TilePart};
 
-/// A rectangle of the side that a job writes to.
+/// A plan's tiles along both axes, one by one.
+#[derive(Debug)]
+pub(crate) struct TileGrid {
+    /// Along x and along y.
+    pub(crate) tiles: [Vec<AxisTile>; 2],
+    geometry: Geometry,
+    /// By block, row by row.
+    kernel_counts: Vec<usize>,
+    blocks_across: usize,
+    /// Rows of blocks that are in work at once.
+    band: usize,
+    /// Of tiles whose light spreads, along both axes.
+    colours: [usize; 2],
+}
+
+/// A tile along an axis.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct AxisTile {
+    start: usize,
+    length: usize,
+    block: usize,
+    /// Counted from the block's first pixel.
+    corner: usize,
+}
+
+impl TileGrid {
+    pub(crate) fn new<T: ConvReal>(plan: &Plan<T>) -> Self {
+        let along = |stretches: &[Stretch]| {
+            let tiles = stretches.iter().enumerate().flat_map(|(block, stretch)| {
+                stretch.placed().map(move |(start, length, corner)| AxisTile {
+                    start,
+                    length,
+                    block,
+                    corner,
+                })
+            });
+            tiles.collect::<Vec<_>>()
+        };
+        let mut grid = Self {
+            tiles: [along(&plan.tiling.columns), along(&plan.tiling.rows)],
+            geometry: plan.geometry,
+            kernel_counts: plan.blocks.iter().map(Block::kernel_count).collect(),
+            blocks_across: plan.tiling.columns.len(),
+            band: plan.tiling.band(),
+            colours: [1; 2],
+        };
+        grid.colours = [0, 1].map(|axis| {
+            let tiles = 0..grid.tiles[axis].len();
+            let extents = tiles.map(|tile| grid.extent(Direction::Scatter, axis, tile..tile + 1));
+            colours(&extents.map(|e| (e.start, e.end)).collect::<Vec<_>>())
+        });
+        grid
+    }
+
+    /// The pixels along an axis that some tiles write to.
+    pub(crate) fn extent(&self, direction: Direction, axis: usize, tiles: Range<usize>) -> Range<usize> {
+        let (first, last) = (self.tiles[axis][tiles.start], self.tiles[axis][tiles.end - 1]);
+        let (start, end) = (first.start, last.start + last.length);
+        match direction {
+            Direction::Gather => start..end,
+            Direction::Scatter => self.geometry.reached(axis, start..end),
+        }
+    }
+
+    /// Rows of tiles that belong to rows of blocks which are in work at once.
+    pub(crate) fn bands(&self) -> Vec<Range<usize>> {
+        let rows = &self.tiles[1];
+        let mut bands: Vec<Range<usize>> = Vec::new();
+        for (row, tile) in rows.iter().enumerate() {
+            match bands.last_mut() {
+                Some(band) if rows[band.start].block / self.band == tile.block / self.band => {
+                    band.end = row + 1;
+                }
+                _ => bands.push(row..row + 1),
+            }
+        }
+        bands
+    }
+
+    pub(crate) fn block_of(&self, axis: usize, tile: usize) -> usize {
+        self.tiles[axis][tile].block
+    }
+
+    /// The blocks that some tiles belong to.
+    pub(crate) fn blocks_of(&self, axis: usize, tiles: Range<usize>) -> Range<usize> {
+        self.block_of(axis, tiles.start)..self.block_of(axis, tiles.end - 1) + 1
+    }
+
+    /// Those of some tiles that belong to a block.
+    pub(crate) fn tiles_of(&self, axis: usize, block: usize, among: &Range<usize>) -> Range<usize> {
+        let of_axis = &self.tiles[axis];
+        let first = of_axis.partition_point(|tile| tile.block < block);
+        let end = of_axis.partition_point(|tile| tile.block <= block);
+        first.max(among.start)..end.min(among.end)
+    }
+
+    pub(crate) fn tile(&self, column: usize, row: usize) -> PlacedTile {
+        let (x, y) = (self.tiles[0][column], self.tiles[1][row]);
+        PlacedTile {
+            first: (x.start, y.start),
+            part: TilePart {
+                corner: (x.corner, y.corner),
+                size: (x.length, y.length),
+            },
+        }
+    }
+
+    /// Tiles of one colour do not overlap.
+    pub(crate) fn colour(&self, direction: Direction, column: usize, row: usize) -> usize {
+        match direction {
+            Direction::Scatter => column % self.colours[0] + self.colours[0] * (row % self.colours[1]),
+            Direction::Gather => 0,
+        }
+    }
+
+    pub(crate) fn kernel_count(&self, (column, row): (usize, usize)) -> usize {
+        self.kernel_counts[row * self.blocks_across + column]
+    }
+}
+
+/// A rectangle of the side that light goes to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Rectangle {
     pub(super) column: usize,
@@ -54,6 +179,8 @@ pub(super) struct Batch {
 pub(super) struct Part {
     /// Column and row of the block.
     pub(super) block: (usize, usize),
+    /// Which one of its batch.
+    pub(super) number: u32,
     pub(super) kernels: Range<usize>,
     pub(super) tiles: Vec<TileSlot>,
     /// The first of its spectra and the first value of its stamps.
@@ -86,7 +213,7 @@ const F32: u64 = 4;
 
 /// The work of a direction in panels, from the first row of blocks to the last.
 pub(super) fn panels(
-    plan: &PlanView,
+    plan: &TileGrid,
     source: &PlaneSource,
     direction: Direction,
     limits: Limits<'_>,
@@ -114,7 +241,7 @@ pub(super) fn panels(
 }
 
 struct Packing<'a> {
-    plan: &'a PlanView,
+    plan: &'a TileGrid,
     plane_bytes: u64,
     direction: Direction,
     limits: Limits<'a>,
@@ -247,12 +374,12 @@ impl Packing<'_> {
         let planes = self.planes_a_tile(1) as u64 * self.plane_bytes;
         planes
             .max(F32 * self.light_values(tile) as u64)
-            .max(F32 * self.plan.stamp_values() as u64)
+            .max(F32 * self.plan.geometry.stamp_values() as u64)
     }
 
     /// Values of a tile's light, rounded up so that the next one begins where the host may write.
     fn light_values(&self, slot: &TileSlot) -> usize {
-        let (columns, rows) = self.plan.light_size(self.direction, slot.tile.part.size);
+        let (columns, rows) = self.plan.geometry.light_size(self.direction, slot.tile.part.size);
         (columns * rows).next_multiple_of(4)
     }
 
@@ -274,7 +401,7 @@ impl Packing<'_> {
         let light: usize = tiles.iter().map(|slot| self.light_values(slot)).sum();
         let planes = batch.planes + tiles.len() * self.planes_a_tile(kernels.len());
         let spectra = batch.spectra + kernels.len();
-        let stamps = batch.stamps + kernels.len() * self.plan.stamp_values();
+        let stamps = batch.stamps + kernels.len() * self.plan.geometry.stamp_values();
         let piece = self.limits.piece;
         let fits = planes.max(spectra) as u64 * self.plane_bytes <= piece
             && planes.max(spectra) <= MOST_PLANES
@@ -289,6 +416,7 @@ impl Packing<'_> {
     fn force(&self, batch: &mut Batch, block: (usize, usize), tiles: &[TileSlot], kernels: Range<usize>) {
         let mut part = Part {
             block,
+            number: batch.parts.len() as u32,
             tiles: Vec::with_capacity(tiles.len()),
             spectrum: batch.spectra,
             stamp: batch.stamps,
@@ -304,7 +432,7 @@ impl Packing<'_> {
             batch.planes += self.planes_a_tile(kernels.len());
         }
         batch.spectra += kernels.len();
-        batch.stamps += kernels.len() * self.plan.stamp_values();
+        batch.stamps += kernels.len() * self.plan.geometry.stamp_values();
         batch.parts.push(part);
     }
 }

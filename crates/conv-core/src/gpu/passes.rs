@@ -1,10 +1,15 @@
 //! Shaders one after the other.
 
-use super::buffers::Growing;
-use super::device::GpuDevice;
-use super::pipelines::Pipelines;
-use super::shader::Shader;
-use super::words::Params;
+use pulp::bytemuck::cast_slice;
+
+use super::adapter::Adapter;
+use super::buffers::{Growing, InFlight, Readback};
+use super::device::{GpuDevice, Pipelines};
+use super::panels::Rectangle;
+use super::plane_source::PlaneSource;
+use super::shader::{STRIP, Shader};
+use super::stopwatch::Marks;
+use crate::error::GpuError;
 
 /// What shaders are called with, collected to be handed over at once.
 #[derive(Debug)]
@@ -49,18 +54,19 @@ impl<'a> Calls<'a> {
         Self {
             device,
             pipelines,
-            params: params.with_room(device, (most * step) as u64).clone(),
+            params: params.with_room(device, (most * step) as u64),
             bytes: Vec::with_capacity(most * step),
             step,
             list: Vec::with_capacity(most),
         }
     }
 
-    /// Adds a call of some workgroups; buffers are bound in the order of the shader's bindings, parameters first.
+    /// Adds a call of some workgroups with the words of its [`Params`](super::shader::Params).
+    /// Buffers are bound in the order of the shader's bindings, parameters first.
     pub(super) fn add(
         &mut self,
         shader: Shader,
-        params: Params,
+        params: [u32; 8],
         buffers: &[&wgpu::Buffer],
         groups: (u32, u32),
     ) {
@@ -68,7 +74,7 @@ impl<'a> Calls<'a> {
             return;
         }
         let offset = self.bytes.len() as u64;
-        for word in params.words() {
+        for word in params {
             self.bytes.extend_from_slice(&word.to_le_bytes());
         }
         self.bytes.resize(offset as usize + self.step, 0);
@@ -118,5 +124,94 @@ impl<'a> Calls<'a> {
             pass.set_bind_group(0, &call.bindings, &[]);
             pass.dispatch_workgroups(call.groups.0, call.groups.1, 1);
         }
+    }
+}
+
+/// One call of one shader on a caller's data, so that tests can look at each on its own: no part of
+/// this crate's interface.
+#[doc(hidden)]
+#[derive(Debug)]
+pub struct ShaderTrial<'a> {
+    /// The shader.
+    pub name: &'a str,
+    /// Columns and rows of the planes.
+    pub planes: (usize, usize),
+    /// `Params` of `common.wgsl`.
+    pub params: [u32; 8],
+    /// Words that are bound after the parameters, in order; none for the roots of unity. The shader
+    /// changes the last.
+    pub buffers: Vec<Option<Vec<u32>>>,
+    /// Tiles, or planes where each is one call's.
+    pub count: u32,
+    /// Rows of the highest result that stamps are drawn to.
+    pub highest: u32,
+    /// Whether one root of unity is wrong.
+    pub spoilt: bool,
+}
+
+impl ShaderTrial<'_> {
+    /// The shaders.
+    pub fn names() -> impl Iterator<Item = &'static str> {
+        Shader::ALL.iter().map(|shader| shader.name())
+    }
+
+    /// Rows that a workgroup sized for an adapter transforms together.
+    ///
+    /// # Errors
+    /// [`GpuError::TransformSize`].
+    pub fn row_lines((nx, ny): (usize, usize), adapter: &Adapter) -> Result<usize, GpuError> {
+        Ok(PlaneSource::new(nx, ny, adapter)?.rows.lines)
+    }
+
+    /// Runs the shader and gives the last buffer as it left it; workgroups are sized for `adapter`, which may be
+    /// less than the device's own.
+    ///
+    /// # Errors
+    /// [`GpuError`] where the GPU cannot do it.
+    ///
+    /// # Panics
+    /// For a name that is not a shader's.
+    pub fn run(self, device: &GpuDevice, adapter: &Adapter) -> Result<Vec<f32>, GpuError> {
+        let shader = Shader::ALL.iter().find(|shader| shader.name() == self.name);
+        let shader = *shader.expect("the name of a shader");
+        let source = PlaneSource::new(self.planes.0, self.planes.1, adapter)?;
+        let device = &device.attempt()?;
+        let mut roots = if shader.is_of_columns() {
+            source.column_roots()
+        } else {
+            source.row_roots()
+        };
+        if self.spoilt {
+            roots[1] = [roots[1][0], -roots[1][1]];
+        }
+        let groups = match shader {
+            Shader::DrawStamps => self.highest.div_ceil(STRIP as u32),
+            _ if shader.is_of_columns() => source.column_groups(),
+            _ => source.row_groups(),
+        };
+        let pipelines = device.pipelines(source)?;
+        let filled = |words: &Option<Vec<u32>>| match words {
+            Some(words) => device.filled("given", words),
+            None => device.filled("roots", cast_slice(roots.as_flattened())),
+        };
+        let buffers: Vec<wgpu::Buffer> = self.buffers.iter().map(filled).collect();
+        let mut memory = params_buffer();
+        let mut calls = Calls::new(device, &pipelines, &mut memory, 1);
+        let bound: Vec<&wgpu::Buffer> = buffers.iter().collect();
+        calls.add(shader, self.params, &bound, (groups, self.count));
+        let mut encoder = device.encoder();
+        calls.encode(&mut encoder, None);
+        let length = self.buffers.last().and_then(Option::as_ref).map_or(0, Vec::len);
+        let output = Rectangle {
+            column: 0,
+            row: 0,
+            columns: length,
+            rows: 1,
+        };
+        let read = Readback::new().with_room(device, output.bytes());
+        encoder.copy_buffer_to_buffer(bound[bound.len() - 1], 0, &read.0, 0, Some(output.bytes()));
+        let submission = device.queue().submit([encoder.finish()]);
+        InFlight::new(output, Marks::default(), read, submission)
+            .read(device, |_, values, _| cast_slice(values).to_vec())
     }
 }

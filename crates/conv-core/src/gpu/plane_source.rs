@@ -1,9 +1,9 @@
 //! The text of shaders for one size of planes.
 
 use super::adapter::Adapter;
-use super::error::GpuError;
 use super::fft_source::FftSource;
 use super::shader::{DRAWING_THREADS, STRIP, Shader};
+use crate::error::GpuError;
 
 /// Planes of a size, and how workgroups share the work on them.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -1,27 +1,24 @@
 //! Executions: the host looks at the light of a batch while the GPU works on the one before.
 
 use std::collections::VecDeque;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use ndarray::{ArrayViewMut2, Axis, s};
 use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
 
 use super::batch_calls::BatchCalls;
-use super::batch_data::BatchData;
+use super::batch_data::{BatchData, WorkBuffers};
+use super::buffers::InFlight;
 use super::device::Attempt;
-use super::engine::GpuEngine;
-use super::error::GpuError;
+use super::layout::{GpuPlan, Layout};
 use super::lit_batch::{Examination, LitBatch};
 use super::panels::{Batch, Panel};
-use super::readback::InFlight;
-use super::stopwatch::Marks;
-use super::times::GpuTimes;
-use super::words::Params;
-use super::work_layout::Layout;
-use super::working::{Taken, Working};
-use crate::lowrank::TileCounts;
-use crate::lowrank::shared::Job;
+use super::shader::Params;
+use super::stopwatch::{GpuTimes, Marks, Stopwatch};
+use crate::cpu::processor::LightPass;
+use crate::cpu::treatment::TileCounts;
+use crate::error::GpuError;
 use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
@@ -30,56 +27,13 @@ const MOST_BATCHES: usize = 3;
 
 /// An execution.
 pub(super) struct Run<'a, 'j, T: ConvReal> {
-    pub(super) device: &'a Attempt,
-    pub(super) engine: &'a GpuEngine,
-    pub(super) layout: &'a Layout,
-    pub(super) job: &'a Job<'j, T>,
-    pub(super) working: &'a mut Working,
-    pub(super) output: ArrayViewMut2<'a, T>,
-}
-
-impl<T: ConvReal> WithIsa<T> for Run<'_, '_, T> {
-    type Output = Result<(TileCounts, GpuTimes), ConvError>;
-
-    fn run<S: Lanes<T>>(self, simd: S) -> Self::Output {
-        let clock = Instant::now();
-        let mut execution = Execution {
-            simd,
-            device: self.device,
-            engine: self.engine,
-            layout: self.layout,
-            job: self.job,
-            working: self.working,
-            output: self.output,
-            taken: Taken::default(),
-            counts: TileCounts::default(),
-            pending: None,
-            batches: VecDeque::new(),
-            slot: 0,
-        };
-        execution.all()?;
-        let taken = execution.taken;
-        let measured = execution.working.stopwatch.is_some() && !taken.incomplete;
-        let times = GpuTimes {
-            total: clock.elapsed(),
-            kernels: measured.then_some(taken.kernels),
-            transfers: measured.then_some(taken.transfers),
-            host: taken.host,
-            bytes: (taken.up, taken.down),
-        };
-        Ok((execution.counts, times))
-    }
-}
-
-struct Execution<'a, 'j, T: ConvReal, S> {
-    simd: S,
     device: &'a Attempt,
-    engine: &'a GpuEngine,
+    plan: &'a GpuPlan,
     layout: &'a Layout,
-    job: &'a Job<'j, T>,
-    working: &'a mut Working,
+    pass: &'a LightPass<'j, T>,
+    working: &'a mut WorkBuffers,
     output: ArrayViewMut2<'a, T>,
-    taken: Taken,
+    times: GpuTimes,
     counts: TileCounts,
     /// The panel that the GPU works on while the next one is prepared.
     pending: Option<InFlight>,
@@ -89,35 +43,78 @@ struct Execution<'a, 'j, T: ConvReal, S> {
     slot: usize,
 }
 
-impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
-    fn all(&mut self) -> Result<(), ConvError> {
+impl<T: ConvReal> WithIsa<T> for Run<'_, '_, T> {
+    type Output = Result<(TileCounts, GpuTimes), ConvError>;
+
+    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
+        let clock = Instant::now();
+        self.all(simd)?;
+        let total = clock.elapsed();
+        Ok((self.counts, GpuTimes { total, ..self.times }))
+    }
+}
+
+impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
+    pub(super) fn new(
+        device: &'a Attempt,
+        (plan, layout): (&'a GpuPlan, &'a Layout),
+        pass: &'a LightPass<'j, T>,
+        working: &'a mut WorkBuffers,
+        output: ArrayViewMut2<'a, T>,
+    ) -> Self {
+        let measured = working.stopwatch.is_some().then_some(Duration::ZERO);
+        Self {
+            device,
+            plan,
+            layout,
+            pass,
+            output,
+            times: GpuTimes {
+                kernels: measured,
+                transfers: measured,
+                ..GpuTimes::default()
+            },
+            working,
+            counts: TileCounts::default(),
+            pending: None,
+            batches: VecDeque::new(),
+            slot: 0,
+        }
+    }
+
+    fn all<S: Lanes<T>>(&mut self, simd: S) -> Result<(), ConvError> {
         let layout = self.layout;
-        let rows = &self.job.rows;
+        let rows = &self.pass.rows;
         let mut done = rows.start;
         for (panel, kept) in layout.panels.iter().zip(&layout.kept) {
             if panel.block_rows.start < rows.start || panel.block_rows.end > rows.end {
                 continue;
             }
-            let submitted = self.submit(panel, kept)?;
+            let submitted = self.submit(simd, panel, kept)?;
             self.finish()?;
             self.pending = submitted;
             if panel.block_rows.start > done {
-                self.job.progress.advance((panel.block_rows.start - done) as u64);
+                self.pass.progress.advance((panel.block_rows.start - done) as u64);
                 done = panel.block_rows.start;
             }
         }
         self.finish()?;
-        self.job.progress.advance((rows.end - done) as u64);
+        self.pass.progress.advance((rows.end - done) as u64);
         Ok(())
     }
 
     /// Hands a panel to the GPU, unless it is dark.
-    fn submit(&mut self, panel: &Panel, kept: &[Option<BatchData>]) -> Result<Option<InFlight>, ConvError> {
+    fn submit<S: Lanes<T>>(
+        &mut self,
+        simd: S,
+        panel: &Panel,
+        kept: &[Option<BatchData>],
+    ) -> Result<Option<InFlight>, ConvError> {
         let mut marks = Marks::default();
         let bytes = panel.output.bytes();
         let mut begun = false;
         for (batch, kept) in panel.batches.iter().zip(kept) {
-            let (staging, mut lit) = self.examine(panel, batch)?;
+            let (staging, mut lit) = self.examine(simd, panel, batch)?;
             self.counts += lit.counts;
             if lit.is_dark() {
                 staging.unmap();
@@ -132,12 +129,15 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
             let data = if let Some(data) = kept {
                 data
             } else {
-                let pipelines = &self.engine.pipelines;
-                let what = (batch, self.layout.flip);
-                made =
-                    self.working
-                        .batch_data(self.device, pipelines, self.job.plan, what, Some(&mut marks))?;
-                self.taken.up += made.host_bytes();
+                made = BatchData::new(
+                    self.device,
+                    &self.plan.pipelines,
+                    self.working,
+                    &self.pass.processor.plan,
+                    (batch, self.layout.flip),
+                    Some(&mut marks),
+                )?;
+                self.times.bytes.0 += made.host_bytes();
                 &made
             };
             lit.find_tables(&data.table_starts);
@@ -151,34 +151,43 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
         let readback = self.working.readback[self.slot].with_room(device, bytes);
         self.slot = 1 - self.slot;
         let mut encoder = device.encoder();
-        let result = self.working.panel.with_room(device, bytes).clone();
-        self.working.copies(&mut marks, &mut encoder, |encoder| {
-            encoder.copy_buffer_to_buffer(&result, 0, &readback.0, 0, Some(bytes));
-        });
+        let result = self.working.panel.with_room(device, bytes);
+        Stopwatch::transfers(
+            self.working.stopwatch.as_ref(),
+            &mut marks,
+            &mut encoder,
+            |encoder| {
+                encoder.copy_buffer_to_buffer(&result, 0, &readback.0, 0, Some(bytes));
+            },
+        );
         if let Some(stopwatch) = &self.working.stopwatch {
             stopwatch.read(&marks, &mut encoder, &readback.1);
         }
         let submission = device.queue().submit([encoder.finish()]);
-        self.taken.down += bytes;
+        self.times.bytes.1 += bytes;
         device.check()?;
         Ok(Some(InFlight::new(panel.output, marks, readback, submission)))
     }
 
     /// Looks at the light of a batch and writes it to where the GPU can copy it from.
-    fn examine(&mut self, panel: &Panel, batch: &Batch) -> Result<(wgpu::Buffer, LitBatch), ConvError> {
+    fn examine<S: Lanes<T>>(
+        &mut self,
+        simd: S,
+        panel: &Panel,
+        batch: &Batch,
+    ) -> Result<(wgpu::Buffer, LitBatch), ConvError> {
         let clock = Instant::now();
         let staging = self.working.staging.take(self.device, 4 * batch.light as u64);
         let examination = Examination {
             device: self.device,
-            engine: self.engine,
             layout: self.layout,
             panel,
             batch,
-            job: self.job,
+            pass: self.pass,
             staging: &staging,
         };
-        let lit = examination.examine(self.simd)?;
-        self.taken.host += clock.elapsed();
+        let lit = examination.examine(simd)?;
+        self.times.host += clock.elapsed();
         Ok((staging, lit))
     }
 
@@ -194,12 +203,8 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
     ) -> Result<(), GpuError> {
         let device = self.device;
         let bytes = panel.output.bytes();
-        let light = self
-            .working
-            .light
-            .with_room(device, 4 * batch.light as u64)
-            .clone();
-        let result = self.working.panel.with_room(device, bytes).clone();
+        let light = self.working.light.with_room(device, 4 * batch.light as u64);
+        let result = self.working.panel.with_room(device, bytes);
         device.check()?;
         staging.unmap();
         let mut encoder = device.encoder();
@@ -207,28 +212,30 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
             encoder.clear_buffer(&result, 0, Some(bytes));
         }
         let copied = joined(&lit.light);
-        self.working.copies(marks, &mut encoder, |encoder| {
+        Stopwatch::transfers(self.working.stopwatch.as_ref(), marks, &mut encoder, |encoder| {
             for &(from, count) in &copied {
                 let (from, bytes) = (4 * from as u64, 4 * count as u64);
                 encoder.copy_buffer_to_buffer(&staging, from, &light, from, Some(bytes));
             }
         });
-        self.taken.up += copied.iter().map(|&(_, count)| 4 * count as u64).sum::<u64>();
+        self.times.bytes.0 += copied.iter().map(|&(_, count)| 4 * count as u64).sum::<u64>();
         let work = BatchCalls {
             device,
-            pipelines: &self.engine.pipelines,
+            pipelines: &self.plan.pipelines,
             direction: self.layout.direction,
             params: Params {
                 flip: self.layout.flip,
                 panel: (panel.output.columns, panel.output.rows),
-                stamp: self.engine.view.stamp(),
+                stamp: self.pass.processor.plan.geometry.stamp,
                 ..Params::default()
             },
             data,
+            batch,
+            lit: &lit,
             light: &light,
             panel: &result,
         };
-        let calls = work.calls(self.working, batch, &lit)?;
+        let calls = work.calls(self.working)?;
         let writes = self
             .working
             .stopwatch
@@ -245,7 +252,7 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
         let Some(pending) = self.pending.take() else {
             return Ok(());
         };
-        let (first_output, output, taken) = (self.job.first_output, &mut self.output, &mut self.taken);
+        let (first_output, output, times) = (self.pass.first_output, &mut self.output, &mut self.times);
         let stopwatch = self.working.stopwatch.as_ref();
         pending.read(self.device, |panel, values, marks| {
             let clock = Instant::now();
@@ -263,16 +270,11 @@ impl<T: ConvReal, S: Lanes<T>> Execution<'_, '_, T, S> {
                         *pixel += *value;
                     }
                 });
-            taken.host += clock.elapsed();
-            if let Some(stopwatch) = stopwatch {
-                match stopwatch.durations(&panel.marks, marks) {
-                    None => taken.incomplete = true,
-                    Some((kernels, transfers)) => {
-                        taken.kernels += kernels;
-                        taken.transfers += transfers;
-                    }
-                }
-            }
+            times.host += clock.elapsed();
+            // Nothing at all where some of it was not measured.
+            let taken = stopwatch.and_then(|stopwatch| stopwatch.durations(&panel.marks, marks));
+            times.kernels = times.kernels.zip(taken).map(|(sum, (kernels, _))| sum + kernels);
+            times.transfers = times.transfers.zip(taken).map(|(sum, (_, copies))| sum + copies);
         })
     }
 }

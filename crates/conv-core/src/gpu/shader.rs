@@ -1,4 +1,4 @@
-//! The shaders by name.
+//! The shaders by name, and what they read.
 
 /// The shaders; each has a file of this name in `shaders`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,3 +66,94 @@ impl Shader {
 /// Threads that draw stamps, and the rows of a tile that they draw to.
 pub(super) const DRAWING_THREADS: usize = 64;
 pub(super) const STRIP: usize = 8;
+
+/// Which kernels a batch applies to a tile, and where its result goes: the fields that `Tile` of
+/// `common.wgsl`, which says what they are, and `Draw` of `draw_stamps.wgsl` have in common.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Place {
+    pub(super) kernels: u32,
+    pub(super) table: u32,
+    /// Column and row.
+    pub(super) corner: (usize, usize),
+    /// First column and row of the result.
+    pub(super) out: (i32, i32),
+    /// Columns and rows of the result.
+    pub(super) size: (usize, usize),
+}
+
+impl Place {
+    fn words(&self) -> [u32; 8] {
+        let Self { kernels, table, .. } = *self;
+        let [column, row] = [self.corner.0 as u32, self.corner.1 as u32];
+        let [x, y] = [self.out.0.cast_unsigned(), self.out.1.cast_unsigned()];
+        let [width, height] = [self.size.0 as u32, self.size.1 as u32];
+        [kernels, table, column, row, x, y, width, height]
+    }
+}
+
+/// A tile and the kernels that a batch applies to it: `Tile` of `common.wgsl`, which says what the fields are.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Tile {
+    pub(super) light: usize,
+    /// Width and height.
+    pub(super) size: (usize, usize),
+    pub(super) plane: usize,
+    pub(super) spectrum: usize,
+    pub(super) place: Place,
+    /// Column and row.
+    pub(super) skip: (usize, usize),
+    pub(super) back: f32,
+}
+
+impl Tile {
+    pub(super) fn words(&self) -> Vec<u32> {
+        let (light, (width, height)) = (self.light, self.size);
+        let first = [light, width, height, self.plane, self.spectrum].map(|v| v as u32);
+        let last = [self.skip.0 as u32, self.skip.1 as u32, self.back.to_bits()];
+        [&first[..], &self.place.words(), &last].concat()
+    }
+}
+
+/// What holds for a dispatch: `Params` of `common.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Params {
+    pub(super) first: u32,
+    pub(super) flip: bool,
+    pub(super) weighted: bool,
+    /// Columns and rows.
+    pub(super) panel: (usize, usize),
+    /// Columns and rows.
+    pub(super) stamp: (usize, usize),
+}
+
+impl Params {
+    pub(super) fn words(&self) -> [u32; 8] {
+        [
+            self.first,
+            self.flip.into(),
+            self.weighted.into(),
+            self.panel.0 as u32,
+            self.panel.1 as u32,
+            self.stamp.0 as u32,
+            self.stamp.1 as u32,
+            0,
+        ]
+    }
+}
+
+/// A tile whose single pixels are drawn: `Draw` of `draw_stamps.wgsl`.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct Draw {
+    pub(super) first_pixel: usize,
+    pub(super) pixels: usize,
+    pub(super) first_amount: usize,
+    pub(super) stamps: usize,
+    pub(super) place: Place,
+}
+
+impl Draw {
+    pub(super) fn words(&self) -> Vec<u32> {
+        let first = [self.first_pixel, self.pixels, self.first_amount, self.stamps];
+        [&first.map(|v| v as u32)[..], &self.place.words()].concat()
+    }
+}

@@ -1,8 +1,24 @@
-//! The GPU's own clock.
+//! Where the time goes, by the GPU's own clock.
 
 use std::time::Duration;
 
 use super::device::GpuDevice;
+
+/// How long the parts of an execution took. What the host does overlaps with the rest, so that the sum may be more than the whole.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct GpuTimes {
+    /// From the light in the host's memory to the image there.
+    pub total: Duration,
+    /// Shaders, by the GPU's own clock. None where it has none that can be read.
+    pub kernels: Option<Duration>,
+    /// Copies of the light to the GPU's memory and of the image from it, by the GPU's own clock. None where it has none that can be read.
+    pub transfers: Option<Duration>,
+    /// What the host did meanwhile: looking at the light and handing it over, adding the result to the image.
+    pub host: Duration,
+    /// Bytes copied to the GPU, and from it.
+    pub bytes: (u64, u64),
+}
 
 /// Marks in the work of a panel, and where they are read.
 #[derive(Debug)]
@@ -59,20 +75,20 @@ impl Stopwatch {
         })
     }
 
-    /// Does some copies between two marks.
+    /// Does some copies, between two marks where there is a stopwatch.
     pub(super) fn transfers(
-        &self,
+        stopwatch: Option<&Self>,
         marks: &mut Marks,
         encoder: &mut wgpu::CommandEncoder,
         copies: impl FnOnce(&mut wgpu::CommandEncoder),
     ) {
-        let pair = Self::pair(marks);
-        if let Some(pair) = pair {
-            encoder.write_timestamp(&self.marks, pair.0);
+        let pair = stopwatch.and_then(|stopwatch| Some((stopwatch, Self::pair(marks)?)));
+        if let Some((stopwatch, pair)) = pair {
+            encoder.write_timestamp(&stopwatch.marks, pair.0);
         }
         copies(encoder);
-        if let Some(pair) = pair {
-            encoder.write_timestamp(&self.marks, pair.1);
+        if let Some((stopwatch, pair)) = pair {
+            encoder.write_timestamp(&stopwatch.marks, pair.1);
             marks.transfers.push(pair);
         }
     }

@@ -1,7 +1,10 @@
 //! What an execution has to move.
 
-use super::adapter::AdapterKind;
-use crate::lowrank::shared::Direction;
+use super::adapter::{Adapter, AdapterKind};
+use super::panels::TileGrid;
+use crate::ConvReal;
+use crate::plan::Plan;
+use crate::plan::geometry::Direction;
 
 /// The bytes that an execution on a GPU moves where every pixel is lit: over the hardware's bandwidths, the floor under the time that this engine
 /// takes, but for what planes gain from caches that hold them.
@@ -65,6 +68,57 @@ impl GpuWork {
             AdapterKind::Software => (4e9, 1e9, 1e-3),
         };
         self.bus_bytes as f64 / bus + self.memory_bytes as f64 / memory + start
+    }
+}
+
+impl<T: ConvReal> Plan<T> {
+    /// What an execution on a GPU has to move where every pixel is lit.
+    pub fn gpu_work(&self) -> GpuWork {
+        let mut work = GpuWork::default();
+        let grid = TileGrid::new(self);
+        let direction = self.direction(false);
+        let plane = (self.tiling.size.0 * self.tiling.size.1) as u64;
+        for row in 0..grid.tiles[1].len() {
+            for column in 0..grid.tiles[0].len() {
+                let size = grid.tile(column, row).part.size;
+                let light = self.geometry.light_size(direction, size);
+                let result = match direction {
+                    Direction::Scatter => self.geometry.around(size),
+                    Direction::Gather => size,
+                };
+                // The upper half of the rows is the imaginary part of the lower.
+                let (nx, half) = (self.tiling.size.0, self.tiling.size.1 / 2);
+                let filled = (2 * nx * light.1.min(half)) as u64;
+                let of_tile = ((light.0 * light.1) as u64, (result.0 * result.1) as u64);
+                let kernels = self
+                    .block(grid.block_of(0, column), grid.block_of(1, row))
+                    .kernel_count() as u64;
+                work.add_tile(kernels, (plane, filled), of_tile, direction);
+            }
+        }
+        for block in &self.blocks {
+            work.add_block(block.kernel_count() as u64, plane);
+        }
+        work.add_image(
+            self.geometry.weighted_size(),
+            self.geometry.other_size(),
+            direction,
+        );
+        work
+    }
+
+    /// Predicted seconds of an execution on a GPU where every pixel is lit, from host memory to host memory; to be compared with
+    /// [`PlanSummary::predicted_seconds`](crate::PlanSummary::predicted_seconds) over the number of threads. None where the GPU cannot run the plan.
+    pub fn predicted_gpu_seconds(&self, adapter: &Adapter) -> Option<f64> {
+        let (nx, ny) = self.tiling.size;
+        (size_of::<T>() == size_of::<f32>() && adapter.can_transform(nx, ny))
+            .then(|| self.gpu_work().seconds(adapter.kind))
+    }
+
+    /// Whether a block's coefficients and stamps are there, and need not be made anew.
+    pub(crate) fn keeps(&self, (column, row): (usize, usize)) -> bool {
+        let block = self.block(column, row);
+        block.table.is_some() && block.stamps.is_some()
     }
 }
 

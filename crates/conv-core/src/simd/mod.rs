@@ -6,8 +6,14 @@
 
 mod transpose;
 
+use psf_types::Real;
 use pulp::bytemuck::Pod;
 use pulp::{Simd, WithSimd};
+use rustfft::FftNum;
+
+/// The working precisions of this crate: `f32` and `f64`.
+pub trait ConvReal: Real + FftNum + SimdReal {}
+impl<T: Real + FftNum + SimdReal> ConvReal for T {}
 
 /// Real and imaginary parts of as many complex numbers as a vector has lanes.
 pub(crate) type Pair<V> = [V; 2];
@@ -51,9 +57,13 @@ pub trait Lanes<T>: Isa {
     type V: Copy + Pod + Send + Sync;
     /// Values a vector.
     const LANES: usize;
+    /// `value` in every lane.
     fn splat(self, value: T) -> Self::V;
+    /// `a + b`.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a - b`.
     fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a b`.
     fn mul(self, a: Self::V, b: Self::V) -> Self::V;
     /// `a b + c`.
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
@@ -68,7 +78,10 @@ pub trait Lanes<T>: Isa {
 }
 
 macro_rules! lanes {
-    ($t:ty, $v:ident, $lanes:ident, $splat:ident, $add:ident, $sub:ident, $mul:ident, $mul_add:ident, $neg:ident, $load:ident, $store:ident, $transpose:ident) => {
+    (
+        $t:ty, $v:ident, $lanes:ident, $splat:ident, $load:ident, $store:ident, $transpose:ident,
+        $($method:ident = $of_simd:ident($($arg:ident),+);)+
+    ) => {
         impl<S: Isa> Lanes<$t> for S {
             type V = S::$v;
             const LANES: usize = S::$lanes;
@@ -76,26 +89,12 @@ macro_rules! lanes {
             fn splat(self, value: $t) -> S::$v {
                 Simd::$splat(self, value)
             }
-            #[inline(always)]
-            fn add(self, a: S::$v, b: S::$v) -> S::$v {
-                Simd::$add(self, a, b)
-            }
-            #[inline(always)]
-            fn sub(self, a: S::$v, b: S::$v) -> S::$v {
-                Simd::$sub(self, a, b)
-            }
-            #[inline(always)]
-            fn mul(self, a: S::$v, b: S::$v) -> S::$v {
-                Simd::$mul(self, a, b)
-            }
-            #[inline(always)]
-            fn mul_add(self, a: S::$v, b: S::$v, c: S::$v) -> S::$v {
-                Simd::$mul_add(self, a, b, c)
-            }
-            #[inline(always)]
-            fn neg_mul_add(self, a: S::$v, b: S::$v, c: S::$v) -> S::$v {
-                Simd::$neg(self, a, b, c)
-            }
+            $(
+                #[inline(always)]
+                fn $method(self, $($arg: S::$v),+) -> S::$v {
+                    Simd::$of_simd(self, $($arg),+)
+                }
+            )+
             #[inline(always)]
             fn partial_load(self, from: &[$t]) -> S::$v {
                 Simd::$load(self, from)
@@ -113,32 +112,20 @@ macro_rules! lanes {
 }
 
 lanes!(
-    f32,
-    f32s,
-    F32_LANES,
-    splat_f32s,
-    add_f32s,
-    sub_f32s,
-    mul_f32s,
-    mul_add_f32s,
-    negate_mul_add_f32s,
-    partial_load_f32s,
-    partial_store_f32s,
-    transpose_f32
+    f32, f32s, F32_LANES, splat_f32s, partial_load_f32s, partial_store_f32s, transpose_f32,
+    add = add_f32s(a, b);
+    sub = sub_f32s(a, b);
+    mul = mul_f32s(a, b);
+    mul_add = mul_add_f32s(a, b, c);
+    neg_mul_add = negate_mul_add_f32s(a, b, c);
 );
 lanes!(
-    f64,
-    f64s,
-    F64_LANES,
-    splat_f64s,
-    add_f64s,
-    sub_f64s,
-    mul_f64s,
-    mul_add_f64s,
-    negate_mul_add_f64s,
-    partial_load_f64s,
-    partial_store_f64s,
-    transpose_f64
+    f64, f64s, F64_LANES, splat_f64s, partial_load_f64s, partial_store_f64s, transpose_f64,
+    add = add_f64s(a, b);
+    sub = sub_f64s(a, b);
+    mul = mul_f64s(a, b);
+    mul_add = mul_add_f64s(a, b, c);
+    neg_mul_add = negate_mul_add_f64s(a, b, c);
 );
 
 /// Work that is generic over the instruction set.
@@ -207,4 +194,44 @@ where
 {
     work.run(pulp::Scalar);
     T::dispatch(work);
+}
+/// Values that start at a cache line.
+#[derive(Debug)]
+pub struct Aligned<T> {
+    values: Vec<T>,
+    start: usize,
+    length: usize,
+}
+
+const CACHE_LINE: usize = 64;
+
+impl<T: ConvReal> Aligned<T> {
+    /// So many zeros.
+    pub fn zeros(length: usize) -> Self {
+        let values = vec![T::zero(); length + CACHE_LINE / size_of::<T>()];
+        // A vector is aligned to its values at least.
+        let past = values.as_ptr() as usize % CACHE_LINE;
+        Self {
+            start: (CACHE_LINE - past) % CACHE_LINE / size_of::<T>(),
+            values,
+            length,
+        }
+    }
+
+    /// The values.
+    pub fn get(&self) -> &[T] {
+        &self.values[self.start..self.start + self.length]
+    }
+
+    /// The values, to be changed.
+    pub fn get_mut(&mut self) -> &mut [T] {
+        &mut self.values[self.start..self.start + self.length]
+    }
+
+    /// At least so many values; what they hold is undefined.
+    pub(crate) fn at_least(&mut self, length: usize) {
+        if self.length < length {
+            *self = Self::zeros(length);
+        }
+    }
 }

@@ -1,23 +1,131 @@
-//! Stars of one block, row by row.
+//! Stars of a block, drawn together: row by row into a tile, tiles into bands of rows of the image.
 
+use std::ops::Range;
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayViewMut2, Axis};
 use psf_types::Progress;
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
+use rayon::prelude::*;
 
-use super::star::PreparedStar;
-use super::star_block::{CHUNK, RowLayout, StarBlock};
-use super::tile::Tile;
-use crate::simd::Lanes;
+use super::phases::{PhasedAxis, PhasedStar};
+use super::star_block::{BlockKey, CHUNK, RowLayout, StarBlock};
+use crate::overlap::Piece;
+use crate::simd::{Lanes, WithIsa};
+use crate::stamp_interpolator::MOST_TAPS;
 use crate::{ConvError, ConvReal};
 
-/// Draws stars of one block.
-pub(super) struct BlockDraw<'a, T> {
-    pub(super) oversampling: usize,
+/// Rows of the image to which one task adds.
+const BAND: usize = 32;
+
+/// The order of stars: what a pixel gets depends on it, so it depends on nothing but them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct StarKey {
+    pub(super) block: BlockKey,
+    /// A part of the catalogue, so that no group has more stars than are prepared at a time.
+    pub(super) part: usize,
+    /// Stars of the same phases take the same values.
+    pub(super) phases: (i64, i64),
+    pub(super) index: usize,
+}
+
+/// Stars of one block.
+pub(super) struct Group<T> {
+    block: Arc<StarBlock<T>>,
+    stars: Vec<PhasedStar<T>>,
+    weights: Vec<T>,
+    /// The columns and rows that they may light.
+    columns: Range<i64>,
+    rows: Range<i64>,
+}
+
+impl<T> Group<T> {
+    pub(super) fn new(block: Arc<StarBlock<T>>, stars: Vec<PhasedStar<T>>, weights: Vec<T>) -> Self {
+        Self {
+            block,
+            columns: hull(stars.iter().map(|star| &star.columns)),
+            rows: hull(stars.iter().map(|star| &star.rows)),
+            stars,
+            weights,
+        }
+    }
+}
+
+/// Groups into an image: each into a tile of its own, and these in their order into bands of rows.
+pub(super) struct DrawGroups<'a, T> {
+    pub(super) axes: &'a [PhasedAxis; 2],
     pub(super) layout: RowLayout,
-    pub(super) block: &'a StarBlock<T>,
-    pub(super) stars: &'a [PreparedStar<T>],
-    /// The stars' weights.
-    pub(super) weights: &'a [T],
+    pub(super) groups: &'a [Group<T>],
+    /// Of the frame, from this column and row on.
+    pub(super) image: ArrayViewMut2<'a, T>,
+    pub(super) first: (i64, i64),
     pub(super) progress: &'a dyn Progress,
+}
+
+impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
+    type Output = Result<(), ConvError>;
+    fn run<S: Lanes<T>>(self, simd: S) -> Self::Output {
+        let Self {
+            axes,
+            layout,
+            groups,
+            mut image,
+            first: (first_column, first_row),
+            progress,
+        } = self;
+        let height = image.nrows() as i64;
+        let draw = |group: &Group<T>| {
+            progress.still_wanted()?;
+            let rows = group.rows.start.max(first_row)..group.rows.end.min(first_row + height);
+            let length = |range: &Range<i64>| (range.end - range.start).max(0) as usize;
+            let mut tile = Piece {
+                first_column: group.columns.start,
+                first_row: rows.start,
+                values: Array2::zeros((length(&rows), length(&group.columns))),
+            };
+            let draw = BlockDraw {
+                oversampling: axes[0].oversampling,
+                layout,
+                group,
+                progress,
+            };
+            simd.vectorized(
+                #[inline(always)]
+                || match axes[0].tap_count() {
+                    4 => draw.draw::<S, 4>(simd, &mut tile),
+                    _ => draw.draw::<S, MOST_TAPS>(simd, &mut tile),
+                },
+            )?;
+            Ok(tile)
+        };
+        let tiles: Vec<Piece<T>> = groups.par_iter().map(draw).collect::<Result<_, ConvError>>()?;
+        let bands = image
+            .axis_chunks_iter_mut(Axis(0), BAND)
+            .into_par_iter()
+            .enumerate();
+        bands.for_each(|(band, mut rows)| {
+            for tile in &tiles {
+                tile.add_to(&mut rows, (first_column, first_row + (band * BAND) as i64));
+            }
+        });
+        Ok(())
+    }
+}
+
+/// The smallest range that holds all ranges.
+fn hull<'a>(ranges: impl Iterator<Item = &'a Range<i64>>) -> Range<i64> {
+    ranges
+        .cloned()
+        .reduce(|a, b| a.start.min(b.start)..a.end.max(b.end))
+        .unwrap_or(0..0)
+}
+
+/// Draws stars of one block.
+struct BlockDraw<'a, T> {
+    oversampling: usize,
+    layout: RowLayout,
+    group: &'a Group<T>,
+    progress: &'a dyn Progress,
 }
 
 /// Stars whose rows are worth a question whether they are still wanted.
@@ -29,39 +137,39 @@ impl<T: ConvReal> BlockDraw<'_, T> {
     ///
     /// What a pixel gets comes in an order that does not depend on which rows are at hand.
     #[inline(always)]
-    pub(super) fn draw<S: Lanes<T>, const TAPS: usize>(
-        &self,
-        simd: S,
-        tile: &mut Tile<T>,
-    ) -> Result<(), ConvError> {
-        let longest = self
-            .stars
-            .iter()
-            .map(|star| star.rows.end - star.rows.start)
-            .max();
-        let rows = tile.rows();
-        let row_of_kernels = self.block.kernel_count() * self.layout.kernel;
+    fn draw<S: Lanes<T>, const TAPS: usize>(&self, simd: S, tile: &mut Piece<T>) -> Result<(), ConvError> {
+        let Group {
+            block,
+            stars,
+            weights,
+            ..
+        } = self.group;
+        let longest = stars.iter().map(|star| star.rows.end - star.rows.start).max();
+        let (height, width) = tile.values.dim();
+        let rows = tile.first_row..tile.first_row + height as i64;
+        let values = tile.values.as_slice_mut().expect("new arrays are row-major");
+        let row_of_kernels = block.kernel_count() * self.layout.kernel;
         for j in 0..longest.unwrap_or(0) {
-            if self.stars.len() >= STARS_A_QUESTION {
+            if stars.len() >= STARS_A_QUESTION {
                 self.progress.still_wanted()?;
             }
-            for star in self.stars {
+            for star in stars {
                 let row = star.rows.start + j;
                 if row >= star.rows.end || !rows.contains(&row) {
                     continue;
                 }
                 let kept = star.first_row + j as usize * self.oversampling;
-                let column = (star.columns.start - tile.origin.0) as usize;
+                let column = (star.columns.start - tile.first_column) as usize;
                 let length = (star.columns.end - star.columns.start) as usize;
-                let first = (row - rows.start) as usize * tile.width + column;
+                let first = (row - rows.start) as usize * width + column;
                 StarRow {
-                    values: &self.block.values()[kept * row_of_kernels..],
-                    weights: &self.weights[star.weights.clone()],
+                    values: &block.values()[kept * row_of_kernels..],
+                    weights: &weights[star.weights.clone()],
                     layout: self.layout,
                     first: star.first_residue,
                     taps: star.taps.first_chunk::<TAPS>().expect("taps of the kernel"),
                 }
-                .add_to(simd, &mut tile.values[first..first + length]);
+                .add_to(simd, &mut values[first..first + length]);
             }
         }
         Ok(())

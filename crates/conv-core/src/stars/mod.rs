@@ -5,15 +5,11 @@
 //! `s`, and drawing a star is a combination of contiguous values, kernels and rows of taps in one sum. In a block of the field the
 //! few PSFs of a local basis ([`crate::Plan`] has the same) stand for all components.
 
-mod cache;
 mod draw;
-mod groups;
+mod painter;
 mod phases;
-mod star;
 mod star_block;
 mod star_plan;
-mod star_vectors;
-mod tile;
 
-pub(crate) use star::Window;
+pub use painter::StarPainter;
 pub use star_plan::StarPlan;

@@ -1,9 +1,11 @@
-//! Sub-pixel phases of stamps whose oversampling is a whole number.
+//! Sub-pixel phases of stamps whose oversampling is a whole number, and the stars that take them.
 
-use psf_types::StampGrid;
+use std::ops::Range;
 
-use super::star::Window;
-use crate::stamp_interpolator::Kernel;
+use psf_types::{PixelRegion, PointSource, StampGrid};
+
+use crate::overlap::overlap;
+use crate::stamp_interpolator::{Kernel, MOST_TAPS};
 
 /// Coordinates this close to a pixel of the stamp are on it: rounding, not position.
 const ON_PIXEL: f64 = 1e-9;
@@ -16,13 +18,13 @@ pub(super) struct PhasedAxis {
     kernel: Kernel,
     length: usize,
     centre: f64,
-    oversampling: usize,
+    pub(super) oversampling: usize,
     /// The pixels about a star's own that it may light.
     window: (i64, i64),
     /// Where the first coefficient kept stands in the stamp, and how many there are: those that stars may take, no others, so that
     /// vectors of the first residues start at cache lines.
     first: i64,
-    kept: usize,
+    pub(super) kept: usize,
 }
 
 /// A star's place on an axis.
@@ -33,7 +35,7 @@ pub(super) struct Phase {
     /// The pixels that the stamp reaches, counted from that one.
     pub(super) from: i64,
     pub(super) to: i64,
-    pub(super) weights: [f64; crate::stamp_interpolator::MOST_TAPS],
+    pub(super) weights: [f64; MOST_TAPS],
 }
 
 impl PhasedAxis {
@@ -65,17 +67,8 @@ impl PhasedAxis {
         ])
     }
 
-    pub(super) fn oversampling(&self) -> usize {
-        self.oversampling
-    }
-
     pub(super) fn tap_count(&self) -> usize {
         self.kernel.tap_count()
-    }
-
-    /// Coefficients kept.
-    pub(super) fn kept(&self) -> usize {
-        self.kept
     }
 
     /// Where the coefficient stands in the stamp that is kept at `kept`; none where there is nothing.
@@ -125,9 +118,88 @@ impl Phase {
     }
 }
 
+/// Where a star lies and which pixels it lights.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Star {
+    /// Its number in the catalogue.
+    pub(super) index: usize,
+    /// The pixel of the frame that it lies on.
+    pub(super) pixel: (i64, i64),
+    /// The rest of the way, in pixels.
+    pub(super) shift: (f64, f64),
+    /// Its field position.
+    pub(super) position: (f64, f64),
+    pub(super) flux: f64,
+}
+
+/// Pixels about a star's own that its stamp may light: columns and rows `from..to`.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Window {
+    pub(crate) columns: (i64, i64),
+    pub(crate) rows: (i64, i64),
+}
+
+/// A star with its phases and the coefficients of its block's kernels.
+#[derive(Debug)]
+pub(super) struct PhasedStar<T> {
+    /// The pixels that it lights.
+    pub(super) columns: Range<i64>,
+    pub(super) rows: Range<i64>,
+    /// The coefficients that its first pixel takes first: the row, and the residue of the column.
+    pub(super) first_row: usize,
+    pub(super) first_residue: usize,
+    /// Where its weights lie: for each tap of the rows, those of the kernels, times the star's flux.
+    pub(super) weights: Range<usize>,
+    /// The columns' weights.
+    pub(super) taps: [T; MOST_TAPS],
+}
+
+impl Star {
+    pub(super) fn new(index: usize, source: &PointSource, frame: PixelRegion) -> Self {
+        // Positions of the field count from the frame's first pixel.
+        let x = source.position().x() - frame.x0() as f64;
+        let y = source.position().y() - frame.y0() as f64;
+        let pixel = ((x + 0.5).floor() as i64, (y + 0.5).floor() as i64);
+        Self {
+            index,
+            pixel,
+            shift: (x - pixel.0 as f64, y - pixel.1 as f64),
+            position: (x, y),
+            flux: source.flux(),
+        }
+    }
+
+    /// Whether it may light a pixel of a region of the frame.
+    pub(super) fn reaches(&self, window: Window, region: PixelRegion) -> bool {
+        let (column, row) = self.pixel;
+        let on = |pixel: i64, (from, to): (i64, i64), start: i64, count: usize| {
+            let first = pixel.saturating_add(from).saturating_sub(start);
+            overlap(first, (to - from) as usize, count).is_some()
+        };
+        let shape = region.shape();
+        self.flux != 0.0
+            && on(column, window.columns, region.x0(), shape.nx())
+            && on(row, window.rows, region.y0(), shape.ny())
+    }
+
+    /// Numbers of its phases.
+    pub(super) fn phase_numbers(&self, [columns, rows]: &[PhasedAxis; 2]) -> (i64, i64) {
+        (
+            rows.phase_number(self.shift.1),
+            columns.phase_number(self.shift.0),
+        )
+    }
+
+    /// Columns and rows of its phases; none where no pixel is lit.
+    pub(super) fn phases(&self, [columns, rows]: &[PhasedAxis; 2]) -> Option<[Phase; 2]> {
+        Some([columns.phase(self.shift.0)?, rows.phase(self.shift.1)?])
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
     use crate::stamp_interpolator::Taps;
     use psf_types::StampInterpolation;
 
@@ -173,7 +245,7 @@ mod tests {
                         if let Some(phase) = phase
                             && (phase.from..phase.to).contains(&pixel)
                         {
-                            let first = phase.first_of(pixel, axis.oversampling());
+                            let first = phase.first_of(pixel, axis.oversampling);
                             for tap in 0..axis.tap_count() {
                                 if let Some(index) = axis.index(first + tap) {
                                     dense[index] -= phase.weights[tap];
@@ -188,11 +260,11 @@ mod tests {
                     // None only where a stamp smaller than a pixel misses every centre, as the taps above say.
                     assert!(phase.is_some() || length < s as usize || length == 1);
                     assert!(phase.is_none_or(|phase| {
-                        phase.first_of(phase.from, axis.oversampling()) <= axis.oversampling()
-                            && phase.first_of(0, axis.oversampling()) as i64 == axis.phase_number(shift)
+                        phase.first_of(phase.from, axis.oversampling) <= axis.oversampling
+                            && phase.first_of(0, axis.oversampling) as i64 == axis.phase_number(shift)
                     }));
                     assert!(phase.is_none_or(|phase| {
-                        axis.kept() >= phase.first_of(phase.to - 1, axis.oversampling()) + axis.tap_count()
+                        axis.kept >= phase.first_of(phase.to - 1, axis.oversampling) + axis.tap_count()
                     }));
                 }
             }

@@ -1,17 +1,22 @@
-//! A part of the field whose stars are drawn from one local basis.
+//! Parts of the field whose stars are drawn from one local basis.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
 
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2};
 use psf_types::{PixelRegion, PsfModel, StampGrid};
 
 use super::phases::PhasedAxis;
 use crate::ConvReal;
-use crate::lowrank::internals::{Aligned, LocalModes, PsfSpace, RegionCells};
+use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::plan::region_cells::RegionCells;
+use crate::simd::Aligned;
 use crate::stamp_interpolator::Kernel;
 
 /// The local basis of a block as interpolation coefficients, by phases.
 #[derive(Debug)]
 pub(super) struct StarBlock<T> {
-    modes: LocalModes,
+    pub(super) modes: LocalModes,
     /// `[row, kernel, chunk, residue, pixel]`, rows in the order of the coefficients kept.
     values: Aligned<T>,
 }
@@ -35,8 +40,8 @@ pub(super) const CHUNK: usize = 16;
 impl RowLayout {
     pub(super) fn new(columns: &PhasedAxis) -> Self {
         // The first tap is at residue `s` at most.
-        let residues = columns.oversampling() + columns.tap_count();
-        let chunks = columns.kept().div_ceil(columns.oversampling()).div_ceil(CHUNK);
+        let residues = columns.oversampling + columns.tap_count();
+        let chunks = columns.kept.div_ceil(columns.oversampling).div_ceil(CHUNK);
         Self {
             residues,
             kernel: chunks * residues * CHUNK,
@@ -67,19 +72,15 @@ impl<T: ConvReal> StarBlock<T> {
     ) -> Self {
         let cells = RegionCells::sampled(model.field(), region);
         let modes = LocalModes::new(space, &cells, MARGIN * tolerance);
-        let modes_alone = modes.modes();
+        let modes_alone = &modes.modes;
         let directions = modes.reference().into_iter().chain(modes_alone.outer_iter());
         let kernels: Vec<Array2<f64>> = directions
-            .map(|direction| coefficients_of(space.stamps(), direction, model.grid()))
+            .map(|direction| coefficients_of(space.stamps.view(), direction, model.grid()))
             .collect();
         Self {
             values: by_phases(&kernels, columns, rows),
             modes,
         }
-    }
-
-    pub(super) fn modes(&self) -> &LocalModes {
-        &self.modes
     }
 
     pub(super) fn kernel_count(&self) -> usize {
@@ -98,14 +99,14 @@ impl<T: ConvReal> StarBlock<T> {
 /// Coefficients of kernels in the order in which stars take them.
 fn by_phases<T: ConvReal>(kernels: &[Array2<f64>], columns: &PhasedAxis, rows: &PhasedAxis) -> Aligned<T> {
     let layout = RowLayout::new(columns);
-    let mut aligned = Aligned::zeros(rows.kept() * kernels.len() * layout.kernel);
+    let mut aligned = Aligned::zeros(rows.kept * kernels.len() * layout.kernel);
     for (at, to) in aligned.get_mut().chunks_exact_mut(layout.kernel).enumerate() {
         let (row, kernel) = (at / kernels.len(), at % kernels.len());
         let Some(j) = rows.index(row) else { continue };
         for (at, value) in to.iter_mut().enumerate() {
             let (pixel, residue) = layout.place(at);
-            let column = pixel * columns.oversampling() + residue;
-            if let Some(i) = columns.index(column).filter(|_| column < columns.kept()) {
+            let column = pixel * columns.oversampling + residue;
+            if let Some(i) = columns.index(column).filter(|_| column < columns.kept) {
                 *value = T::nearest(kernels[kernel][[j, i]]);
             }
         }
@@ -127,4 +128,42 @@ fn coefficients_of(
         .into_shape_with_order(grid.dim())
         .expect("a stamp's pixels");
     Kernel::of(grid.interpolation()).coefficients(values.view())
+}
+
+/// Column and row of a block of the field, row first so that blocks are in the order of rows.
+pub(super) type BlockKey = (i64, i64);
+
+/// Blocks, and their bytes.
+type Kept<T> = (BTreeMap<BlockKey, Arc<StarBlock<T>>>, usize);
+
+/// Blocks made so far, as many as the memory allowed holds.
+#[derive(Debug)]
+pub(super) struct BlockCache<T> {
+    blocks: Mutex<Kept<T>>,
+    memory_bytes: usize,
+}
+
+impl<T: ConvReal> BlockCache<T> {
+    pub(super) fn new(memory_bytes: usize) -> Self {
+        Self {
+            blocks: Mutex::default(),
+            memory_bytes,
+        }
+    }
+
+    /// The block, kept or made anew; what is in a block does not depend on which.
+    pub(super) fn get(&self, key: BlockKey, make: impl FnOnce() -> StarBlock<T>) -> Arc<StarBlock<T>> {
+        let kept = self.blocks.lock().ok();
+        if let Some(block) = kept.and_then(|kept| kept.0.get(&key).cloned()) {
+            return block;
+        }
+        let block = Arc::new(make());
+        if let Ok(mut kept) = self.blocks.lock()
+            && kept.1 + block.bytes() <= self.memory_bytes
+        {
+            kept.1 += block.bytes();
+            kept.0.insert(key, Arc::clone(&block));
+        }
+        block
+    }
 }

@@ -1,19 +1,17 @@
 //! Plans for stars.
 
-use ndarray::{Array2, ArrayViewMut2};
-use psf_types::{Anchor, FrameShape, NoProgress, PixelRegion, Position, Progress, PsfModel, Scene};
+use ndarray::{Array1, ArrayViewMut2};
+use psf_types::{Anchor, FieldError, FrameShape, PixelRegion, PointSource, Position, Progress, PsfModel};
 use rayon::prelude::*;
 
-use super::cache::{BlockCache, BlockKey};
-use super::groups::{DrawGroups, Group, StarKey};
-use super::phases::PhasedAxis;
-use super::star::{PreparedStar, Star, Window};
-use super::star_block::{RowLayout, StarBlock};
-use super::star_vectors::StarVectors;
+use super::draw::{DrawGroups, Group, StarKey};
+use super::painter::{StampSplines, StarPainter};
+use super::phases::{PhasedAxis, PhasedStar, Star, Window};
+use super::star_block::{BlockCache, BlockKey, RowLayout, StarBlock};
 use crate::image_memory::{check_shape, with_rows_in_memory};
-use crate::lowrank::internals::{PsfSpace, rounding};
-use crate::point_sources::{StampSplines, StarPainter};
-use crate::{ConvError, ConvReal, PlanOptions};
+use crate::plan::PlanOptions;
+use crate::plan::local_modes::{LocalModes, PsfSpace};
+use crate::{ConvError, ConvReal};
 
 /// The drawing of point sources through one model, prepared.
 ///
@@ -32,7 +30,7 @@ use crate::{ConvError, ConvReal, PlanOptions};
 /// use conv_core::{PlanOptions, StarPlan};
 /// use ndarray::{Array2, Array3};
 /// use psf_types::{
-///     CoefficientField, FieldError, FrameShape, Normalisation, PointSource, Position, PsfBasis, PsfModel, Scene, StampGrid,
+///     CoefficientField, FieldError, FrameShape, NoProgress, Normalisation, PointSource, Position, PsfBasis, PsfModel, StampGrid,
 /// };
 ///
 /// /// No component at all: the mean stamp everywhere.
@@ -53,11 +51,11 @@ use crate::{ConvError, ConvReal, PlanOptions};
 /// let basis = PsfBasis::new(Some(stamp), Array3::zeros((0, 41, 41)), grid)?;
 /// let model = PsfModel::new(&basis, Arc::new(Constant), Normalisation::Unit, None)?;
 ///
-/// let frame = FrameShape::new(32, 32)?;
+/// let frame = FrameShape::new(32, 32)?.region();
 /// let star = PointSource::new(Position::new(12.3, 20.75)?, 1000.0)?;
 /// let plan = StarPlan::<f32>::new(&model, PlanOptions::default(), None)?;
 /// let mut image = Array2::zeros((32, 32));
-/// plan.add_to(&Scene::<f32>::dark(frame).with_sources(vec![star]), &mut image)?;
+/// plan.draw_into(&[star], frame, frame, image.view_mut(), &NoProgress)?;
 /// assert!((image.sum() - 1000.0).abs() < 0.1);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -79,6 +77,14 @@ struct Phased<T> {
     space: PsfSpace,
     tolerance: f64,
     blocks: BlockCache<T>,
+}
+
+/// Stars in pixels of a scene, and the frame that they are seen through.
+#[derive(Clone, Copy)]
+struct Catalogue<'a> {
+    stars: &'a [PointSource],
+    frame: PixelRegion,
+    progress: &'a dyn Progress,
 }
 
 /// Columns and rows of the field that share a local basis: smaller ones need fewer kernels, but the values of all of them pass through the
@@ -108,12 +114,12 @@ impl<T: ConvReal> StarPlan<T> {
             PhasedAxis::both(model.grid(), painter.window()).filter(|_| options.anchor() != Anchor::Output);
         Ok(Self {
             window: painter.window(),
-            splines: painter.splines(),
+            splines: painter.splines.clone(),
             phased: axes.map(|axes| Phased {
                 layout: RowLayout::new(&axes[0]),
                 axes,
                 space: PsfSpace::new(model),
-                tolerance: options.tolerance().max(rounding::<T>()),
+                tolerance: options.tolerance_in::<T>(),
                 blocks: BlockCache::new(options.memory_bytes()),
             }),
             model: model.clone(),
@@ -132,57 +138,50 @@ impl<T: ConvReal> StarPlan<T> {
         self.size
     }
 
-    /// Adds the point sources of a scene to an image of its frame, `[y, x]`. Sources off the frame shine in as far as their
-    /// stamps reach.
-    ///
-    /// # Errors
-    /// [`ConvError`] when the PSF has no value at a source that reaches the frame.
-    ///
-    /// # Panics
-    /// When `image` has not the frame's shape.
-    pub fn add_to(&self, scene: &Scene<T>, image: &mut Array2<T>) -> Result<(), ConvError> {
-        let shape = scene.frame().shape();
-        assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the frame");
-        self.add_to_region(scene, shape.region(), image.view_mut(), &NoProgress)
-    }
-
-    /// The same for any part of the image: `image` is `[y, x]` of `region`, in pixels of the frame. What a pixel gets does not depend on which
-    /// others are at hand. Pixels of a row that are no neighbours in memory are copied and back.
+    /// Adds stars to a part of an image: `image` is `[y, x]` of `region`, in pixels of the frame;
+    /// stars are given in pixels of the scene that `frame` is a region of. Stars off the frame
+    /// shine in as far as their stamps reach. Each pixel gets the same light whichever others are
+    /// at hand. Pixels of a row that are no neighbours in memory are copied and back.
     ///
     /// `progress` is asked whether to go on, and not told how far it has come.
     ///
     /// # Errors
-    /// As [`Self::add_to`]; [`ConvError::FrameShape`] for an image of another shape than the region. [`ConvError::Cancelled`]: some of the stars may
-    /// have been added.
-    pub fn add_to_region(
+    /// [`ConvError`] when the PSF has no value at a star that reaches the region;
+    /// [`ConvError::FrameShape`] for an image of another shape than the region.
+    /// [`ConvError::Cancelled`]: some of the stars may have been added.
+    pub fn draw_into(
         &self,
-        scene: &Scene<T>,
+        stars: &[PointSource],
+        frame: PixelRegion,
         region: PixelRegion,
         image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<(), ConvError> {
         check_shape(region.shape(), image.dim())?;
-        with_rows_in_memory(image, |image| self.add_stars(scene, region, image, progress))
+        let catalogue = Catalogue {
+            stars,
+            frame,
+            progress,
+        };
+        with_rows_in_memory(image, |image| self.draw_catalogue(catalogue, region, image))
     }
 
-    fn add_stars(
+    fn draw_catalogue(
         &self,
-        scene: &Scene<T>,
+        catalogue: Catalogue<'_>,
         region: PixelRegion,
         mut image: ArrayViewMut2<'_, T>,
-        progress: &dyn Progress,
     ) -> Result<(), ConvError> {
         let Some(phased) = &self.phased else {
-            return self.draw_exactly(scene, scene.sources(), region, image, progress);
+            return self.draw_exactly(catalogue, region, image);
         };
-        let frame = scene.frame();
-        let mut stars: Vec<StarKey> = scene
-            .sources()
+        let mut stars: Vec<StarKey> = catalogue
+            .stars
             .par_iter()
             .enumerate()
             .with_min_len(LEAST_AT_ONCE)
             .filter_map(|(index, source)| {
-                let star = Star::new(index, source, frame);
+                let star = Star::new(index, source, catalogue.frame);
                 let lights = star.reaches(self.window, region);
                 lights.then(|| StarKey {
                     block: block_of(star.pixel),
@@ -210,28 +209,28 @@ impl<T: ConvReal> StarPlan<T> {
                 })
                 .count();
             let (now, later) = rest.split_at(count);
-            progress.still_wanted()?;
+            catalogue.progress.still_wanted()?;
             let first = (region.x0(), region.y0());
-            missed.extend(self.draw(phased, scene, now, (first, image.view_mut()), progress)?);
+            missed.extend(self.draw(phased, catalogue, now, (first, image.view_mut()))?);
             rest = later;
         }
         missed.sort_unstable();
-        let missed: Vec<_> = missed.into_iter().map(|index| scene.sources()[index]).collect();
-        self.draw_exactly(scene, &missed, region, image, progress)
+        let missed: Vec<_> = missed.into_iter().map(|index| catalogue.stars[index]).collect();
+        let stars = &missed[..];
+        self.draw_exactly(Catalogue { stars, ..catalogue }, region, image)
     }
 
     /// Draws groups of stars, and tells which would miss the tolerance and were not drawn.
     fn draw(
         &self,
         phased: &Phased<T>,
-        scene: &Scene<T>,
+        catalogue: Catalogue<'_>,
         groups: &[&[StarKey]],
         (first, image): ((i64, i64), ArrayViewMut2<'_, T>),
-        progress: &dyn Progress,
     ) -> Result<Vec<usize>, ConvError> {
         let prepared: Vec<(Group<T>, Vec<usize>)> = groups
             .par_iter()
-            .map(|stars| self.prepare(phased, scene, stars, progress))
+            .map(|stars| self.prepare(phased, catalogue, stars))
             .collect::<Result<_, _>>()?;
         let (groups, missed): (Vec<Group<T>>, Vec<Vec<usize>>) = prepared.into_iter().unzip();
         T::dispatch(DrawGroups {
@@ -240,7 +239,7 @@ impl<T: ConvReal> StarPlan<T> {
             groups: &groups,
             image,
             first,
-            progress,
+            progress: catalogue.progress,
         })?;
         Ok(missed.into_iter().flatten().collect())
     }
@@ -249,21 +248,14 @@ impl<T: ConvReal> StarPlan<T> {
     fn prepare(
         &self,
         phased: &Phased<T>,
-        scene: &Scene<T>,
+        catalogue: Catalogue<'_>,
         stars: &[StarKey],
-        progress: &dyn Progress,
     ) -> Result<(Group<T>, Vec<usize>), ConvError> {
-        progress.still_wanted()?;
+        catalogue.progress.still_wanted()?;
         let key = stars[0].block;
-        let block = phased.blocks.get(key, || {
-            StarBlock::new(
-                &self.model,
-                &phased.space,
-                region_of(key),
-                &phased.axes,
-                phased.tolerance,
-            )
-        });
+        let (region, space, axes) = (region_of(key), &phased.space, &phased.axes);
+        let make = || StarBlock::new(&self.model, space, region, axes, phased.tolerance);
+        let block = phased.blocks.get(key, make);
         let mut vectors = StarVectors::new(&self.model, &phased.space);
         let mut coefficients = Vec::with_capacity(block.kernel_count());
         let taps = phased.axes[1].tap_count();
@@ -271,9 +263,9 @@ impl<T: ConvReal> StarPlan<T> {
         let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
         for (number, &StarKey { index, .. }) in stars.iter().enumerate() {
             if number.is_multiple_of(LEAST_AT_ONCE) {
-                progress.still_wanted()?;
+                catalogue.progress.still_wanted()?;
             }
-            let star = Star::new(index, &scene.sources()[index], scene.frame());
+            let star = Star::new(index, &catalogue.stars[index], catalogue.frame);
             let Some([columns, rows]) = star.phases(&phased.axes) else {
                 continue;
             };
@@ -281,7 +273,7 @@ impl<T: ConvReal> StarPlan<T> {
             let position = Position::new(x, y).map_err(ConvError::Result)?;
             let scale = vectors.set(position)?;
             let whole = vectors.norm();
-            vectors.project(block.modes(), &mut coefficients);
+            vectors.project(&block.modes, &mut coefficients);
             if vectors.norm() > phased.tolerance * whole {
                 missed.push(star.index);
                 continue;
@@ -291,31 +283,31 @@ impl<T: ConvReal> StarPlan<T> {
             for tap in &rows.weights[..taps] {
                 weights.extend(coefficients.iter().map(|c| T::nearest(tap * c * scale)));
             }
-            prepared.push(PreparedStar::new(
-                &star,
-                [columns, rows],
-                first..weights.len(),
-                phased.axes[0].oversampling(),
-            ));
+            let ((column, row), oversampling) = (star.pixel, phased.axes[0].oversampling);
+            prepared.push(PhasedStar {
+                columns: column + columns.from..column + columns.to,
+                rows: row + rows.from..row + rows.to,
+                first_row: rows.first_of(rows.from, oversampling),
+                first_residue: columns.first_of(columns.from, oversampling),
+                weights: first..weights.len(),
+                taps: columns.weights.map(T::nearest),
+            });
         }
         Ok((Group::new(block, prepared, weights), missed))
     }
 
     fn draw_exactly(
         &self,
-        scene: &Scene<T>,
-        sources: &[psf_types::PointSource],
+        catalogue: Catalogue<'_>,
         region: PixelRegion,
         image: ArrayViewMut2<'_, T>,
-        progress: &dyn Progress,
     ) -> Result<(), ConvError> {
-        if sources.is_empty() {
+        if catalogue.stars.is_empty() {
             return Ok(());
         }
-        let painter = StarPainter::new(&self.model, scene.frame(), self.options.anchor(), self.size)?;
-        painter
-            .sharing(self.splines.clone())
-            .add_to_region(sources, region, image, progress)
+        let mut painter = StarPainter::new(&self.model, catalogue.frame, self.options.anchor(), self.size)?;
+        painter.splines.clone_from(&self.splines);
+        painter.draw_into(catalogue.stars, region, image, catalogue.progress)
     }
 }
 
@@ -326,4 +318,65 @@ fn block_of((column, row): (i64, i64)) -> BlockKey {
 fn region_of((row, column): BlockKey) -> PixelRegion {
     let shape = FrameShape::new(BLOCK as usize, BLOCK as usize).expect("blocks have pixels");
     PixelRegion::new(column * BLOCK, row * BLOCK, shape)
+}
+
+/// Vectors of one star after the other, in memory that is used again.
+#[derive(Debug)]
+pub(super) struct StarVectors<'a> {
+    model: &'a PsfModel,
+    space: &'a PsfSpace,
+    coefficients: Vec<f64>,
+    psf: Array1<f64>,
+    flux: f64,
+}
+
+impl<'a> StarVectors<'a> {
+    pub(super) fn new(model: &'a PsfModel, space: &'a PsfSpace) -> Self {
+        Self {
+            model,
+            space,
+            coefficients: vec![0.0; model.stamp_count()],
+            psf: space.mean.clone(),
+            flux: 0.0,
+        }
+    }
+
+    /// Sets the PSF at a position, before any scaling to unit flux, and gives that scale.
+    pub(super) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
+        self.model.coefficients_into(position, &mut self.coefficients)?;
+        let first = usize::from(self.model.is_mean_centred());
+        self.psf.assign(&self.space.mean);
+        for (value, a) in self.psf.iter_mut().zip(&self.coefficients[first..]) {
+            *value += a;
+        }
+        self.flux = self.psf.dot(&self.space.fluxes);
+        if !self.model.needs_flux_scaling() {
+            Ok(1.0)
+        } else if self.flux > 0.0 && self.flux.is_finite() {
+            Ok(1.0 / self.flux)
+        } else {
+            Err(FieldError::NonPositiveFlux {
+                position,
+                flux: self.flux,
+            })
+        }
+    }
+
+    pub(super) fn norm(&self) -> f64 {
+        self.psf.dot(&self.psf).sqrt()
+    }
+
+    /// The coefficients of a block's kernels for this PSF, which becomes what they leave of it.
+    pub(super) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
+        coefficients.clear();
+        if let Some(reference) = modes.reference() {
+            self.psf.scaled_add(-self.flux, &reference);
+            coefficients.push(self.flux);
+        }
+        for mode in modes.modes.outer_iter() {
+            let c = mode.dot(&self.psf);
+            self.psf.scaled_add(-c, &mode);
+            coefficients.push(c);
+        }
+    }
 }

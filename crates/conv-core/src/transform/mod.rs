@@ -4,4 +4,5 @@ mod butterfly;
 mod stages;
 mod tile;
 
-pub(crate) use tile::{TileTransform, X_STEP, Y_STEP};
+pub use tile::TileTransform;
+pub(crate) use tile::{X_STEP, Y_STEP};

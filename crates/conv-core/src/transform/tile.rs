@@ -16,8 +16,8 @@ use pulp::bytemuck::{cast_slice, cast_slice_mut};
 /// A spectrum has an order of its own: groups of as many scrambled y frequencies as a vector has lanes, in
 /// each the x frequencies, scrambled; real and imaginary parts vector by vector.
 #[derive(Debug)]
-pub(crate) struct TileTransform<T> {
-    nx: usize,
+pub struct TileTransform<T> {
+    pub(crate) nx: usize,
     ny: usize,
     across: Stages<T>,
     down: Stages<T>,
@@ -33,7 +33,7 @@ pub(crate) const Y_STEP: usize = 32;
 
 impl<T: ConvReal> TileTransform<T> {
     /// Transforms of `nx` columns, a multiple of [`X_STEP`], and `ny` rows, a multiple of [`Y_STEP`], without prime factors above 5.
-    pub(crate) fn new(nx: usize, ny: usize) -> Self {
+    pub fn new(nx: usize, ny: usize) -> Self {
         assert!(
             nx.is_multiple_of(X_STEP) && ny.is_multiple_of(Y_STEP),
             "{nx} x {ny}"
@@ -57,12 +57,12 @@ impl<T: ConvReal> TileTransform<T> {
     }
 
     /// Values of a plane.
-    pub(crate) fn plane_len(&self) -> usize {
+    pub fn plane_len(&self) -> usize {
         self.pitch() * self.ny
     }
 
     /// Values of a spectrum.
-    pub(crate) fn spectrum_len(&self) -> usize {
+    pub fn spectrum_len(&self) -> usize {
         self.group() * self.ny
     }
 
@@ -71,19 +71,15 @@ impl<T: ConvReal> TileTransform<T> {
         self.nx + 1
     }
 
-    pub(crate) fn nx(&self) -> usize {
-        self.nx
-    }
-
     /// Values of the working memory that transforms need: a column of vectors, whatever the instruction set.
-    pub(crate) fn column_len(&self) -> usize {
+    pub fn column_len(&self) -> usize {
         self.ny * X_STEP
     }
 
     /// The spectrum of a plane `[y, x]`, [`pitch`](Self::pitch) values a row, of which `rows x columns` hold something; what lies in the rows beyond
     /// `columns` up to the next multiple of [`X_STEP`] must be zero, the rest is not read.
     #[inline(always)]
-    pub(crate) fn forward<S: Lanes<T>>(
+    pub fn forward<S: Lanes<T>>(
         &self,
         simd: S,
         plane: &[T],
@@ -180,7 +176,7 @@ impl<T: ConvReal> TileTransform<T> {
 
     /// The plane of a spectrum whose real and imaginary parts are swapped, which is overwritten: its first `rows x columns` values.
     #[inline(always)]
-    pub(crate) fn inverse_of_swapped<S: Lanes<T>>(
+    pub fn inverse_of_swapped<S: Lanes<T>>(
         &self,
         simd: S,
         spectrum: &mut [T],
@@ -216,7 +212,7 @@ impl<T: ConvReal> TileTransform<T> {
 
     /// The product of two spectra with its real and imaginary parts swapped, added to `sum` or put in its place.
     #[inline(always)]
-    pub(crate) fn multiply_swapped<S: Lanes<T>>(&self, simd: S, a: &[T], b: &[T], sum: &mut [T], add: bool) {
+    pub fn multiply_swapped<S: Lanes<T>>(&self, simd: S, a: &[T], b: &[T], sum: &mut [T], add: bool) {
         let a: &[Pair<S::V>] = cast_slice(&a[..self.spectrum_len()]);
         let b: &[Pair<S::V>] = cast_slice(&b[..self.spectrum_len()]);
         let sum: &mut [Pair<S::V>] = cast_slice_mut(&mut sum[..self.spectrum_len()]);

@@ -5,11 +5,13 @@ pub(crate) mod grid_field;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use conv_core::{Paths, PlanOptions};
-use ndarray::{Array2, Array3};
+use conv_core::{
+    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Paths, Plan, PlanOptions, StarPlan, TileCounts,
+};
+use ndarray::{Array2, Array3, ArrayView2};
 use psf_types::{
-    Anchor, CoefficientField, FieldError, FrameShape, Image, Normalisation, PixelRegion, Position, Progress,
-    PsfBasis, PsfModel, Scene, StampGrid,
+    Anchor, CoefficientField, FieldError, FrameShape, Image, ImageView, NoProgress, Normalisation,
+    PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, StampGrid,
 };
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -40,11 +42,106 @@ pub(crate) fn options(tolerance: f64, anchor: Anchor, paths: Paths) -> PlanOptio
         .with_paths(paths)
 }
 
+/// Light, and the frame that it is seen through.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Scene<T = f64> {
+    pub(crate) light: Image<T>,
+    pub(crate) frame: PixelRegion,
+}
+
+impl<T: ConvReal> Scene<T> {
+    pub(crate) fn new(light: Array2<T>) -> Self {
+        let light = Image::new(light).unwrap();
+        let frame = light.shape().region();
+        Self { light, frame }
+    }
+
+    pub(crate) fn with_frame(self, frame: PixelRegion) -> Self {
+        Self { frame, ..self }
+    }
+
+    pub(crate) fn shape(&self) -> FrameShape {
+        self.light.shape()
+    }
+
+    pub(crate) fn pixels(&self) -> ArrayView2<'_, T> {
+        self.light.pixels()
+    }
+
+    pub(crate) fn plan(&self, model: &PsfModel, options: PlanOptions) -> Plan<T> {
+        Plan::new(model, self.shape(), self.frame, options).unwrap()
+    }
+
+    pub(crate) fn engine(&self, model: &PsfModel, options: PlanOptions) -> Engine<T> {
+        Engine::new(self.plan(model, options))
+    }
+
+    pub(crate) fn through(
+        &self,
+        model: &PsfModel,
+        method: &(impl ConvolutionMethod<T> + ?Sized),
+    ) -> Result<Image<T>, ConvError> {
+        method.convolve(model, &self.light.view(), self.frame, &NoProgress)
+    }
+
+    /// Single pixels by the direct sum.
+    pub(crate) fn at_pixels(
+        &self,
+        model: &PsfModel,
+        anchor: Anchor,
+        pixels: &[(usize, usize)],
+    ) -> Result<Vec<f64>, ConvError> {
+        let light = (self.pixels(), (0, 0));
+        Direct::new(anchor).at_pixels(model, light, self.shape(), self.frame, pixels, &NoProgress)
+    }
+}
+
+/// Executions that make new images.
+pub(crate) trait Execute<T: ConvReal> {
+    fn counted(&self, scene: &Scene<T>, progress: &dyn Progress)
+    -> Result<(Image<T>, TileCounts), ConvError>;
+
+    fn adjoint_of(&self, image: &ImageView<'_, T>, progress: &dyn Progress) -> Result<Image<T>, ConvError>;
+
+    fn execute(&self, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
+        Ok(self.counted(scene, &NoProgress)?.0)
+    }
+
+    fn adjoint(&self, image: &Image<T>) -> Result<Image<T>, ConvError> {
+        self.adjoint_of(&image.view(), &NoProgress)
+    }
+}
+
+impl<T: ConvReal> Execute<T> for Engine<T> {
+    fn counted(
+        &self,
+        scene: &Scene<T>,
+        progress: &dyn Progress,
+    ) -> Result<(Image<T>, TileCounts), ConvError> {
+        let mut image = self.plan().zeros();
+        let counts = self.convolve_into(&scene.light.view(), image.view_mut(), progress)?;
+        Ok((Image::new(image).unwrap(), counts))
+    }
+
+    fn adjoint_of(&self, image: &ImageView<'_, T>, progress: &dyn Progress) -> Result<Image<T>, ConvError> {
+        let shape = self.plan().scene_shape();
+        let mut light = Array2::zeros((shape.ny(), shape.nx()));
+        self.adjoint_into(image, light.view_mut(), progress)?;
+        Ok(Image::new(light).unwrap())
+    }
+}
+
+/// A new image of a frame with stars drawn by a plan.
+pub(crate) fn drawn<T: ConvReal>(plan: &StarPlan<T>, stars: &[PointSource], frame: PixelRegion) -> Array2<T> {
+    let mut image = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
+    let whole = frame.shape().region();
+    plan.draw_into(stars, frame, whole, image.view_mut(), &NoProgress)
+        .unwrap();
+    image
+}
+
 pub(crate) fn single(scene: &Scene<f64>) -> Scene<f32> {
-    let light = scene.pixels().unwrap().mapv(|v| v as f32);
-    Scene::from_image(Image::new(light).unwrap())
-        .with_frame(scene.frame())
-        .unwrap()
+    Scene::new(scene.pixels().mapv(|v| v as f32)).with_frame(scene.frame)
 }
 
 /// Smooth fields of three coefficients, defined everywhere.
@@ -120,7 +217,7 @@ pub(crate) fn scene(nx: usize, ny: usize, seed: u64) -> Scene<f64> {
     let mut light = noise(ny, nx, seed);
     // Some of it dark, so that what is skipped is tested too.
     light.slice_mut(ndarray::s![ny / 3..ny / 2, ..]).fill(0.0);
-    Scene::from_image(Image::new(light).unwrap())
+    Scene::new(light)
 }
 
 pub(crate) fn region(x0: i64, y0: i64, nx: usize, ny: usize) -> PixelRegion {
@@ -160,9 +257,9 @@ impl Progress for Patience {
 
 /// The double sum over the frame, without any cleverness.
 pub(crate) fn double_sum(model: &PsfModel, scene: &Scene<f64>, anchor: Anchor) -> Array2<f64> {
-    let light = scene.pixels().unwrap();
+    let light = scene.pixels();
     let (ny, nx) = light.dim();
-    let frame = scene.frame();
+    let frame = scene.frame;
     let grid = model.grid();
     let (cx, cy) = grid.whole_centre().unwrap();
     let psf = |x: usize, y: usize| {

@@ -2,14 +2,15 @@
 
 use std::sync::Arc;
 
-use conv_core::gpu::{GpuDevice, GpuError, GpuOptions, shaders};
-use conv_core::{ConvError, Paths, Plan};
+use conv_core::gpu::{GpuDevice, GpuError, GpuOptions, ShaderTrial};
+use conv_core::{ConvError, Engine, Paths, Plan};
 use ndarray::Array2;
-use psf_types::{Anchor, Normalisation, PsfModel, Scene};
+use psf_types::{Anchor, NoProgress, Normalisation, PsfModel};
 
 use crate::bodies::{of_light, relative};
-use crate::common::{ANCHORS, Waves, model_with, noise, options, scene, single};
+use crate::common::{ANCHORS, Execute, Scene, Waves, model_with, noise, options, scene, single};
 use crate::on_device::OnDevice;
+use crate::shaders;
 
 /// Both devices in single precision, by different transforms: relative L2.
 const PARITY: f64 = 3e-6;
@@ -21,7 +22,7 @@ const ORDER: f64 = 1e-6;
 type Body = Box<dyn FnOnce(&OnDevice) + Send>;
 
 pub(crate) fn all() -> Vec<(String, Body)> {
-    let mut all: Vec<(String, Body)> = shaders::names()
+    let mut all: Vec<(String, Body)> = ShaderTrial::names()
         .map(|name| {
             let body: Body = Box::new(move |device| twin(device.handle(), name));
             (format!("{name}_is_its_twin"), body)
@@ -60,11 +61,21 @@ fn twin(gpu: &GpuDevice, name: &str) {
 }
 
 /// The images of both devices by one plan.
-fn both(gpu: &GpuDevice, mut plan: Plan<f32>, scene: &Scene<f32>) -> [Array2<f64>; 2] {
-    let image = |plan: &Plan<f32>| plan.execute(scene).unwrap().pixels().mapv(f64::from);
-    let processor = image(&plan);
-    plan.use_gpu(gpu, GpuOptions::default()).unwrap();
-    [processor, image(&plan)]
+fn both(gpu: &GpuDevice, plan: Plan<f32>, scene: &Scene<f32>) -> [Array2<f64>; 2] {
+    let image = |engine: Engine<f32>| engine.execute(scene).unwrap().pixels().mapv(f64::from);
+    let whole = plan.region();
+    let on_gpu = plan.for_other_region(whole, &NoProgress).unwrap();
+    [
+        image(Engine::new(plan)),
+        image(on_gpu_with(on_gpu, gpu, GpuOptions::default())),
+    ]
+}
+
+/// The plan on a GPU that can run it.
+fn on_gpu_with(plan: Plan<f32>, gpu: &GpuDevice, options: GpuOptions) -> Engine<f32> {
+    Engine::on_gpu(plan, gpu, options)
+        .map_err(|(_, error)| error)
+        .unwrap()
 }
 
 /// Stamps from a few pixels to a thousand, scenes of prime sizes: transforms of 32 to 2048 values.
@@ -81,7 +92,7 @@ fn sizes(device: &OnDevice) {
         let model = model_with(Arc::new(Waves), stamp, centre, true, Normalisation::Unit);
         let scene = of_light(noise(ny, nx, 5).mapv(|v| (v + 1.5) as f32));
         for anchor in ANCHORS {
-            let plan = Plan::for_scene(&model, &scene, options(1e-3, anchor, Paths::Transforms)).unwrap();
+            let plan = scene.plan(&model, options(1e-3, anchor, Paths::Transforms));
             let transform = plan.summary().transform;
             largest = largest.max(transform.0.max(transform.1));
             let [processor, gpu] = both(device.handle(), plan, &scene);
@@ -122,13 +133,13 @@ fn lights(device: &OnDevice) {
                 ("corner", lit(nx, ny, |x, y| x > 400 && y > 250)),
             ] {
                 let options = options(1e-4, anchor, Paths::Cheapest);
-                let plan = Plan::for_scene(&model, &scene, options).unwrap();
+                let plan = scene.plan(&model, options);
                 let [processor, gpu] = both(device.handle(), plan, &scene);
                 let error = relative(&gpu, &processor);
                 assert!(error <= PARITY, "{name} {anchor} {normalisation}: {error:e}");
             }
             let dark = lit(nx, ny, |_, _| false);
-            let plan = Plan::for_scene(&model, &dark, options(1e-4, anchor, Paths::Cheapest)).unwrap();
+            let plan = dark.plan(&model, options(1e-4, anchor, Paths::Cheapest));
             let [_, gpu] = both(device.handle(), plan, &dark);
             assert!(gpu.iter().all(|&v| v == 0.0));
         }
@@ -144,10 +155,9 @@ fn pieces(device: &OnDevice) {
         for (paths, scene) in [(Paths::Transforms, &full), (Paths::Cheapest, &sparse)] {
             let with = |limits: GpuOptions, host: usize| {
                 let options = options(0.0, anchor, paths).with_memory(host);
-                let mut plan = Plan::for_scene(&model, scene, options).unwrap();
-                plan.use_gpu(device.handle(), limits).unwrap();
-                let image = plan.execute(scene).unwrap();
-                let back = plan.adjoint(&image).unwrap();
+                let engine = on_gpu_with(scene.plan(&model, options), device.handle(), limits);
+                let image = engine.execute(scene).unwrap();
+                let back = engine.adjoint(&image).unwrap();
                 [image, back].map(|image| image.pixels().mapv(f64::from))
             };
             let usual = with(GpuOptions::default(), usize::MAX);
@@ -173,9 +183,8 @@ fn lost(_: &OnDevice) {
     let gpu = GpuDevice::new(None).unwrap();
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
     let scene = single(&scene(67, 53, 3));
-    let plan = || Plan::for_scene(&model, &scene, options(1e-3, Anchor::Source, Paths::Cheapest)).unwrap();
-    let mut used = plan();
-    used.use_gpu(&gpu, GpuOptions::default()).unwrap();
+    let plan = || scene.plan(&model, options(1e-3, Anchor::Source, Paths::Cheapest));
+    let used = on_gpu_with(plan(), &gpu, GpuOptions::default());
     let before = used.execute(&scene).unwrap();
     gpu.close();
     let is_lost = |error: &ConvError| matches!(error, ConvError::Gpu(GpuError::Lost { .. }));
@@ -184,7 +193,7 @@ fn lost(_: &OnDevice) {
     assert!(error.to_string().contains("was lost"), "{error}");
     let error = used.adjoint(&before).unwrap_err();
     assert!(is_lost(&error), "{error}");
-    let refused = plan().use_gpu(&gpu, GpuOptions::default());
+    let refused = Engine::on_gpu(plan(), &gpu, GpuOptions::default()).map_err(|(_, error)| error);
     assert!(matches!(refused, Err(GpuError::Lost { .. })), "{refused:?}");
 }
 
@@ -192,14 +201,13 @@ fn refused(device: &OnDevice) {
     let gpu = device.handle();
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
     let scene = scene(67, 53, 3);
-    let mut plan = Plan::for_scene(&model, &scene, options(1e-3, Anchor::Source, Paths::Cheapest)).unwrap();
-    assert_eq!(
-        plan.use_gpu(gpu, GpuOptions::default()),
-        Err(GpuError::Precision { precision: "f64" })
-    );
+    let plan = scene.plan(&model, options(1e-3, Anchor::Source, Paths::Cheapest));
     assert_eq!(plan.predicted_gpu_seconds(gpu.adapter()), None);
+    let (plan, error) = Engine::on_gpu(plan, gpu, GpuOptions::default()).unwrap_err();
+    assert_eq!(error, GpuError::Precision { precision: "f64" });
     // It still runs on the processor.
-    assert!(plan.execute(&scene).is_ok() && plan.gpu().is_none());
+    let engine = Engine::new(plan);
+    assert!(engine.execute(&scene).is_ok() && engine.gpu().is_none());
     let huge = shaders::error_against_twin(gpu, gpu.adapter(), "add_rows", (1 << 15, 32), false);
     assert!(
         matches!(huge, Err(GpuError::TransformSize { size, most, .. }) if size == 1 << 15 && most < size)
@@ -214,12 +222,12 @@ fn refused(device: &OnDevice) {
 fn times(device: &OnDevice) {
     let model = model_with(Arc::new(Waves), (33, 29), (16, 11), true, Normalisation::Unit);
     let scene = single(&scene(307, 211, 3));
-    let plan = Plan::for_scene(&model, &scene, options(1e-3, Anchor::Source, Paths::Transforms)).unwrap();
-    assert!(plan.gpu_times().is_none());
-    let plan = device.with(plan);
-    plan.execute(&scene).unwrap();
-    let times = plan.gpu_times().unwrap();
-    let work = plan.gpu_work();
+    let plan = scene.plan(&model, options(1e-3, Anchor::Source, Paths::Transforms));
+    let engine = device.with(plan);
+    assert!(engine.gpu_times().is_none());
+    engine.execute(&scene).unwrap();
+    let times = engine.gpu_times().unwrap();
+    let work = engine.plan().gpu_work();
     // What has to be moved is moved: the light, and the image with what panels share.
     assert!(
         times.bytes.0 + times.bytes.1 >= work.bus_bytes,
@@ -233,7 +241,9 @@ fn times(device: &OnDevice) {
             .is_none_or(|kernels| !kernels.is_zero() && kernels <= times.total)
     );
     assert!(
-        plan.predicted_gpu_seconds(device.handle().adapter())
+        engine
+            .plan()
+            .predicted_gpu_seconds(device.handle().adapter())
             .is_some_and(|s| s > 0.0)
     );
 }

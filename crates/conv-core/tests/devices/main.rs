@@ -10,6 +10,8 @@ mod common;
 #[cfg(feature = "gpu")]
 mod gpu_alone;
 mod on_device;
+#[cfg(feature = "gpu")]
+mod shaders;
 
 use libtest_mimic::{Arguments, Failed, Trial};
 use on_device::OnDevice;

@@ -1,6 +1,6 @@
 //! Where a plan runs.
 
-use conv_core::Plan;
+use conv_core::{Engine, Plan};
 
 /// The processor, or a GPU.
 #[derive(Clone)]
@@ -30,19 +30,21 @@ impl OnDevice {
         Err("conv-core was built without its feature `gpu`".to_owned())
     }
 
-    /// The same plan, to be executed here.
+    /// An engine that executes a plan here.
     #[cfg(feature = "gpu")]
-    pub(crate) fn with(&self, mut plan: Plan<f32>) -> Plan<f32> {
-        if let Some(gpu) = &self.gpu {
-            plan.use_gpu(gpu, conv_core::gpu::GpuOptions::default()).unwrap();
+    pub(crate) fn with(&self, plan: Plan<f32>) -> Engine<f32> {
+        match &self.gpu {
+            Some(gpu) => Engine::on_gpu(plan, gpu, conv_core::gpu::GpuOptions::default())
+                .map_err(|(_, error)| error)
+                .unwrap(),
+            None => Engine::new(plan),
         }
-        plan
     }
 
     #[cfg(not(feature = "gpu"))]
     #[allow(clippy::unused_self, reason = "there is one device alone")]
-    pub(crate) fn with(&self, plan: Plan<f32>) -> Plan<f32> {
-        plan
+    pub(crate) fn with(&self, plan: Plan<f32>) -> Engine<f32> {
+        Engine::new(plan)
     }
 
     #[cfg(feature = "gpu")]

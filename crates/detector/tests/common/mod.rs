@@ -1,8 +1,8 @@
 //! Flat fields and their statistics.
 #![allow(dead_code, reason = "each test file uses a part")]
 
-use detector::{Detector, DetectorParams};
 use ndarray::{Array2, ArrayView2};
+use psf_detector::{Detector, DetectorParams};
 use psf_types::Image;
 
 /// Rows and columns of the frames: over a million pixels, and neither a power of two nor square.

@@ -4,9 +4,8 @@ use conv_core::resample_samples;
 use ndarray::{Array2, Zip};
 use psf_types::{Interpolation, Position, PsfSamples, StampGrid, StampInterpolation};
 
-use super::padding::with_centre_in_the_middle;
-use super::samples::{SamplesAt, to_samples};
-use crate::{PsfInput, PsfieldError};
+use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
+use crate::{Psf, PsfieldError};
 
 const FORMAT: &str = "a gridded library";
 /// Fewest nodes each way of a grid that is chosen here.
@@ -35,19 +34,19 @@ pub struct GriddedConversion {
 /// # Errors
 /// [`PsfieldError::Unholdable`] for positions that form no grid or stamps centred between pixels, and the errors of
 /// [`to_samples`].
-pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, PsfieldError> {
+pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, PsfieldError> {
     let mut notes = Vec::new();
-    let on_grid = is_on_grid(&input);
+    let on_grid = is_on_grid(psf);
     let nodes = match at {
         SamplesAt::Own if !on_grid => {
-            let n = (input.positions().len() as f64).sqrt().ceil() as usize;
+            let n = (psf.positions().len() as f64).sqrt().ceil() as usize;
             let n = n.max(NODES);
             notes.push(format!("evaluated on a grid of {n} x {n} positions"));
             SamplesAt::Grid { nx: n, ny: n }
         }
         other => other.clone(),
     };
-    let samples = to_samples(input.clone(), &nodes)?;
+    let samples = to_samples(psf, &nodes)?;
     if !is_grid(&samples) {
         return Err(PsfieldError::Unholdable {
             format: FORMAT,
@@ -55,10 +54,10 @@ pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, 
             remedy: "choose a grid with --grid NX,NY",
         });
     }
-    let max_error = if interpolation_of(&input) == Interpolation::Bilinear && nodes == SamplesAt::Own {
+    let max_error = if interpolation_of(psf) == Interpolation::Bilinear && nodes == SamplesAt::Own {
         None
     } else {
-        Some(midway_error(input, &samples)?)
+        Some(midway_error(psf, &samples)?)
     };
     let samples = resampled(samples, &mut notes)?;
     let samples = if is_centred(samples.grid()) {
@@ -74,16 +73,17 @@ pub fn to_gridded(input: PsfInput, at: &SamplesAt) -> Result<GriddedConversion, 
 }
 
 /// Whether the PSF is interpolated between samples on a grid: [`to_gridded`] gives it at its own positions.
-pub fn is_on_grid(input: &PsfInput) -> bool {
-    input.positions().len() >= 4 && is_of_grids(interpolation_of(input))
+pub fn is_on_grid(psf: &Psf) -> bool {
+    psf.positions().len() >= 4 && is_of_grids(interpolation_of(psf))
 }
 
-fn interpolation_of(input: &PsfInput) -> Interpolation {
-    let choice = match input {
-        PsfInput::Samples(_, options) => options.interpolation,
-        PsfInput::Model(record) => record.interpolation(),
+fn interpolation_of(psf: &Psf) -> Interpolation {
+    let choice = match (psf.samples(), psf.stored()) {
+        (Some((_, options)), _) => options.interpolation,
+        (None, Some(record)) => record.interpolation(),
+        (None, None) => Interpolation::Nearest,
     };
-    coeff_field::resolve(choice, input.positions())
+    coeff_field::resolve(choice, psf.positions())
 }
 
 fn is_of_grids(interpolation: Interpolation) -> bool {
@@ -95,7 +95,7 @@ fn is_grid(samples: &PsfSamples) -> bool {
 }
 
 /// The largest relative L2 error in the middle of the cells, of stamps at the source's own sampling.
-fn midway_error(input: PsfInput, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
+fn midway_error(psf: &Psf, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
     let distinct = |of: fn(Position) -> f64| {
         let mut values: Vec<f64> = nodes.positions().as_slice().iter().map(|&p| of(p)).collect();
         values.sort_by(f64::total_cmp);
@@ -111,7 +111,7 @@ fn midway_error(input: PsfInput, nodes: &PsfSamples) -> Result<f64, PsfieldError
             .position(|p| p.x() == x && p.y() == y);
         nodes.stamp(found.expect("every column and row of a grid has its node"))
     };
-    let model = input.into_model()?;
+    let model = psf.model()?;
     let mut largest = 0.0_f64;
     for y in rows.windows(2) {
         for x in columns.windows(2) {
@@ -132,7 +132,8 @@ fn midway_error(input: PsfInput, nodes: &PsfSamples) -> Result<f64, PsfieldError
     Ok(largest)
 }
 
-/// The same PSFs at a whole oversampling, the next that is not coarser, told to continue by a cubic spline.
+/// The same PSFs at a whole oversampling, the next that is not coarser, told to continue by a cubic
+/// spline.
 fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples, PsfieldError> {
     let grid = samples.grid();
     let whole = grid.oversampling().ceil();
@@ -201,8 +202,8 @@ mod tests {
 
     #[test]
     fn a_finer_grid_has_a_smaller_error_and_whole_pixels() {
-        let input = PsfInput::Model(record_of_psfex(&psfex(0.6)).unwrap());
-        let of = |n| to_gridded(input.clone(), &SamplesAt::Grid { nx: n, ny: n }).unwrap();
+        let input = Psf::from(record_of_psfex(&psfex(0.6)).unwrap());
+        let of = |n| to_gridded(&input, &SamplesAt::Grid { nx: n, ny: n }).unwrap();
         let (coarse, fine) = (of(3), of(9));
         // Bilinear interpolation: the error goes with the square of the cells.
         let ratio = coarse.max_error.unwrap() / fine.max_error.unwrap();
@@ -217,7 +218,7 @@ mod tests {
             "{}",
             fine.samples.flux(40)
         );
-        let auto = to_gridded(input, &SamplesAt::Own).unwrap();
+        let auto = to_gridded(&input, &SamplesAt::Own).unwrap();
         assert_eq!(auto.samples.len(), NODES * NODES);
     }
 
@@ -237,15 +238,13 @@ mod tests {
                 normalisation: Normalisation::Keep,
                 ..FitOptions::default()
             };
-            PsfInput::Samples(PsfSamples::new(stamps, positions, grid).unwrap(), options)
+            Psf::new(PsfSamples::new(stamps, positions, grid).unwrap(), options)
         };
         let regular = of([(0, 0), (50, 0), (0, 40), (50, 40)]
             .map(|(x, y)| Position::of_pixel(x, y))
             .into());
-        let same = to_gridded(regular.clone(), &SamplesAt::Own).unwrap();
-        let PsfInput::Samples(before, _) = regular else {
-            unreachable!()
-        };
+        let same = to_gridded(&regular, &SamplesAt::Own).unwrap();
+        let before = regular.samples().expect("made of samples").0.clone();
         assert_eq!(
             (same.samples, same.max_error, same.notes.len()),
             (before, None, 0)
@@ -253,11 +252,11 @@ mod tests {
         let scattered = of([(0, 0), (50, 3), (7, 40), (50, 40), (20, 20)]
             .map(|(x, y)| Position::of_pixel(x, y))
             .into());
-        let made = to_gridded(scattered.clone(), &SamplesAt::Own).unwrap();
+        let made = to_gridded(&scattered, &SamplesAt::Own).unwrap();
         assert_eq!(made.samples.len(), NODES * NODES);
         let own = scattered.positions().as_slice().to_vec();
         assert!(matches!(
-            to_gridded(scattered, &SamplesAt::Positions(own)),
+            to_gridded(&scattered, &SamplesAt::Positions(own)),
             Err(PsfieldError::Unholdable { .. })
         ));
     }

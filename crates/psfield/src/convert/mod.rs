@@ -1,10 +1,10 @@
 //! A PSF in another form: samples at other positions, a PSFEx model, a gridded library.
 //!
-//! What a form cannot hold is an error ([`PsfieldError::Unholdable`](crate::PsfieldError::Unholdable)) or, where the PSFs stay
-//! what they are, a note.
+//! What a form cannot hold is an error
+//! ([`PsfieldError::Unholdable`](crate::PsfieldError::Unholdable)) or, where the PSFs stay what
+//! they are, a note.
 
 mod gridded;
-mod padding;
 mod psfex;
 mod samples;
 

@@ -8,13 +8,15 @@ use psf_types::{
     Interpolation, Normalisation, OutsidePolicy, Position, PsfModelRecord, PsfSamples, StampInterpolation,
 };
 
-use super::padding::with_centre_in_the_middle;
-use super::samples::{SamplesAt, bounds, to_samples};
-use crate::psf_input::extrema;
-use crate::{EvaluateOptions, PsfInput, PsfieldError, evaluate, model_of};
+use super::samples::{SamplesAt, bounds, to_samples, with_centre_in_the_middle};
+use crate::{EvaluateOptions, Psf, PsfieldError, evaluate, model_of};
 
 const FORMAT: &str = "a PSFEx file";
-/// Singular values below this part of the largest count as 0: the samples leave a term undetermined.
+/// The names of the coordinates.
+const X: &str = "X_IMAGE";
+const Y: &str = "Y_IMAGE";
+/// Singular values below this part of the largest count as 0: the samples leave a term
+/// undetermined.
 const DEGENERATE: f64 = 1e-10;
 
 /// A PSFEx model and how well it holds the PSFs that it was made from.
@@ -41,28 +43,23 @@ pub struct PsfexConversion {
 /// # Errors
 /// [`PsfieldError::DegreeNeeded`] when there is no degree, [`PsfieldError::PolynomialUndetermined`] when the samples are too
 /// few for it, [`PsfieldError::Unholdable`] for stamps without the pixel response or centred between pixels.
-pub fn to_psfex(input: PsfInput, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
-    let own_degree = match &input {
-        PsfInput::Model(record) => match record.interpolation() {
-            Interpolation::Polynomial { degree } => Some(degree),
-            _ => None,
-        },
-        PsfInput::Samples(..) => None,
+pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
+    let own_degree = match psf.stored().map(PsfModelRecord::interpolation) {
+        Some(Interpolation::Polynomial { degree }) => Some(degree),
+        _ => None,
     };
     let degree = degree.or(own_degree).ok_or(PsfieldError::DegreeNeeded)?;
-    if !input.grid().pixel_response_included() {
+    if !psf.grid().pixel_response_included() {
         return Err(PsfieldError::Unholdable {
             format: FORMAT,
             what: "stamps without the pixel response, which PSFEx's are meant to include",
             remedy: "if it is in them, say so with --pixel-response included",
         });
     }
-    let notes = notes(&input);
-    let samples = match input {
-        PsfInput::Model(record) if own_degree.is_some_and(|own| own <= degree) => {
-            polynomial_samples(record, degree)?
-        }
-        other => to_samples(other, &SamplesAt::Own)?,
+    let notes = notes(psf);
+    let samples = match psf.stored() {
+        Some(record) if own_degree.is_some_and(|own| own <= degree) => polynomial_samples(record, degree)?,
+        _ => to_samples(psf, &SamplesAt::Own)?,
     };
     let samples = with_centre_in_the_middle(samples, FORMAT)?;
     let model = fitted(&samples, degree)?;
@@ -74,17 +71,18 @@ pub fn to_psfex(input: PsfInput, degree: Option<usize>) -> Result<PsfexConversio
     })
 }
 
-fn notes(input: &PsfInput) -> Vec<String> {
+fn notes(psf: &Psf) -> Vec<String> {
     let mut notes = Vec::new();
-    if input.grid().interpolation() != StampInterpolation::Lanczos3 {
+    if psf.grid().interpolation() != StampInterpolation::Lanczos3 {
         notes.push(
             "readers of PSFEx models interpolate between the stamps' pixels by a Lanczos kernel, not by the source's cubic spline"
                 .to_owned(),
         );
     }
-    let (outside, normalisation) = match input {
-        PsfInput::Samples(_, options) => (OutsidePolicy::Extend, options.normalisation),
-        PsfInput::Model(record) => (record.outside(), record.normalisation()),
+    let (outside, normalisation) = match (psf.samples(), psf.stored()) {
+        (Some((_, options)), _) => (OutsidePolicy::Extend, options.normalisation),
+        (None, Some(record)) => (record.outside(), record.normalisation()),
+        (None, None) => (OutsidePolicy::Extend, Normalisation::Keep),
     };
     if outside != OutsidePolicy::Extend {
         notes.push(format!(
@@ -101,19 +99,18 @@ fn notes(input: &PsfInput) -> Vec<String> {
 }
 
 /// The unscaled PSFs of a polynomial model at nodes that determine a polynomial of this degree, over the area of its own.
-fn polynomial_samples(record: PsfModelRecord, degree: usize) -> Result<PsfSamples, PsfieldError> {
+fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSamples, PsfieldError> {
     let [x, y] = bounds(record.coefficients().positions().as_slice());
-    let along = |(low, high): (f64, f64)| {
-        let (centre, scale) = centre_and_scale((low, high));
-        let mut nodes = extrema(degree, centre, 0.5 * scale);
+    let along = |name, (low, high): (f64, f64)| -> Result<_, PsfieldError> {
+        let mut nodes = axis(name, (low, high))?.extrema(degree);
         if low < high && degree > 0 {
             // Not but for rounding: a field may end there.
             nodes[0] = low;
             nodes[degree] = high;
         }
-        nodes
+        Ok(nodes)
     };
-    let (columns, rows) = (along(x), along(y));
+    let (columns, rows) = (along(X, x)?, along(Y, y)?);
     let positions: Result<Vec<Position>, _> = rows
         .iter()
         .flat_map(|&y| columns.iter().map(move |&x| Position::new(x, y)))
@@ -128,20 +125,16 @@ fn polynomial_samples(record: PsfModelRecord, degree: usize) -> Result<PsfSample
     evaluate(&model_of(bare)?, positions?, EvaluateOptions::default())
 }
 
-/// Offset and scale of a coordinate, so that the samples lie from -1/2 to 1/2, as PSFEx has it.
-fn centre_and_scale((low, high): (f64, f64)) -> (f64, f64) {
+/// A coordinate whose offset and scale make the samples lie from -1/2 to 1/2, as PSFEx has it.
+fn axis(name: &str, (low, high): (f64, f64)) -> Result<PsfexAxis, PsfieldError> {
     let scale = if low < high { high - low } else { 1.0 };
-    (f64::midpoint(low, high), scale)
+    Ok(PsfexAxis::new(name, f64::midpoint(low, high), scale)?)
 }
 
 /// Least squares for each pixel, in double precision, then rounded to single.
 fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldError> {
     let [x, y] = bounds(samples.positions().as_slice());
-    let axis = |name, range| {
-        let (zero, scale) = centre_and_scale(range);
-        PsfexAxis::new(name, zero, scale)
-    };
-    let polynomial = PsfexPolynomial::new(axis("X_IMAGE", x)?, axis("Y_IMAGE", y)?, degree)?;
+    let polynomial = PsfexPolynomial::new(axis(X, x)?, axis(Y, y)?, degree)?;
     let terms = PsfexPolynomial::term_count(degree);
     let (count, ny, nx) = samples.stamps().dim();
     let undetermined = PsfieldError::PolynomialUndetermined {
@@ -154,7 +147,8 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     }
     let rows = samples.positions().as_slice().iter();
     let mut design = DMatrix::from_row_iterator(count, terms, rows.flat_map(|&p| polynomial.terms(p)));
-    // High powers of numbers below 1/2 are small; columns of norm 1 tell what the samples leave open from what is merely small.
+    // High powers of numbers below 1/2 are small; columns of norm 1 tell what the samples leave
+    // open from what is merely small.
     let norms: Vec<f64> = design.column_iter().map(|column| column.norm()).collect();
     if norms.contains(&0.0) {
         return Err(undetermined);
@@ -209,7 +203,8 @@ mod tests {
     /// Rounding to single precision of values that are added up, relative to the peak.
     const SINGLE: f64 = 1e-6;
 
-    /// A Gaussian whose width and place change over the field as a polynomial of degree 2 in its pixels' values does not.
+    /// A Gaussian whose width and place change over the field as a polynomial of degree 2 in its
+    /// pixels' values does not.
     fn samples(across: usize, size: usize) -> PsfSamples {
         let positions: Vec<Position> = (0..across * across)
             .map(|i| Position::of_pixel(100 * (i % across) as i64, 80 * (i / across) as i64 + 3))
@@ -229,15 +224,15 @@ mod tests {
         PsfSamples::new(stamps, positions, grid).unwrap()
     }
 
-    fn input(samples: PsfSamples) -> PsfInput {
-        PsfInput::Samples(samples, FitOptions::default())
+    fn input(samples: PsfSamples) -> Psf {
+        Psf::new(samples, FitOptions::default())
     }
 
     #[test]
     fn the_error_falls_with_the_degree_and_is_the_one_reported() {
         let mut last = f64::INFINITY;
         for degree in 0..=4 {
-            let converted = to_psfex(input(samples(6, 17)), Some(degree)).unwrap();
+            let converted = to_psfex(&input(samples(6, 17)), Some(degree)).unwrap();
             assert!(converted.max_error < 0.5 * last, "degree {degree}");
             last = converted.max_error;
             let truth = samples(6, 17).into_unit_flux();
@@ -256,10 +251,10 @@ mod tests {
 
     #[test]
     fn a_psfex_model_comes_back_from_its_record_also_at_a_higher_degree() {
-        let first = to_psfex(input(samples(5, 17)), Some(2)).unwrap().model;
+        let first = to_psfex(&input(samples(5, 17)), Some(2)).unwrap().model;
         let record = record_of_psfex(&first).unwrap();
         for (degree, terms) in [(None, 6), (Some(2), 6), (Some(3), 10)] {
-            let again = to_psfex(PsfInput::Model(record.clone()), degree).unwrap();
+            let again = to_psfex(&Psf::from(record.clone()), degree).unwrap();
             assert!(again.max_error < SINGLE && again.notes.is_empty());
             assert_eq!(again.model.planes().dim().0, terms);
             for (x, y) in [(0.0, 0.0), (250.0, 1.0), (600.0, -50.0)] {
@@ -273,7 +268,7 @@ mod tests {
                 );
             }
         }
-        let again = to_psfex(PsfInput::Model(record), None).unwrap().model;
+        let again = to_psfex(&Psf::from(record), None).unwrap().model;
         let (a, b) = (again.polynomial().unwrap(), first.polynomial().unwrap());
         assert!((a.x().zero() - b.x().zero()).abs() < 1e-9 && (a.y().scale() - b.y().scale()).abs() < 1e-9);
         let difference = again.planes().to_owned() - first.planes();
@@ -282,7 +277,7 @@ mod tests {
 
     #[test]
     fn even_stamps_get_their_centre_in_the_middle() {
-        let converted = to_psfex(input(samples(3, 16)), Some(1)).unwrap();
+        let converted = to_psfex(&input(samples(3, 16)), Some(1)).unwrap();
         assert_eq!(converted.model.grid().dim(), (17, 17));
         let psf = converted.model.psf_at(Position::of_pixel(100, 83)).unwrap();
         let peak = psf.values().iter().copied().fold(0.0, f64::max);
@@ -294,21 +289,21 @@ mod tests {
     #[test]
     fn what_cannot_be_is_refused() {
         assert!(matches!(
-            to_psfex(input(samples(3, 9)), None),
+            to_psfex(&input(samples(3, 9)), None),
             Err(PsfieldError::DegreeNeeded)
         ));
         for (across, degree) in [(2, 2), (3, 3), (1, 1)] {
             assert!(matches!(
-                to_psfex(input(samples(across, 9)), Some(degree)),
+                to_psfex(&input(samples(across, 9)), Some(degree)),
                 Err(PsfieldError::PolynomialUndetermined { .. })
             ));
         }
-        assert!(to_psfex(input(samples(15, 5)), Some(11)).is_err());
+        assert!(to_psfex(&input(samples(15, 5)), Some(11)).is_err());
         let samples = samples(3, 9);
         let grid = samples.grid().with_pixel_response_included(false);
         let bare = PsfSamples::new(samples.stamps().to_owned(), samples.positions().clone(), grid).unwrap();
         assert!(matches!(
-            to_psfex(input(bare), Some(1)),
+            to_psfex(&input(bare), Some(1)),
             Err(PsfieldError::Unholdable { .. })
         ));
     }

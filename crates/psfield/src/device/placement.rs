@@ -1,5 +1,6 @@
-//! What was decided.
+//! Where a plan is executed, and why; how long it took there.
 
+use conv_core::{ConvReal, Engine};
 use serde::Serialize;
 
 use crate::readable::readable;
@@ -155,6 +156,48 @@ impl std::fmt::Display for CpuReason {
 /// Predictions are good to tens of percents.
 fn seconds(seconds: f64) -> String {
     format!("{} s", readable(seconds, 2))
+}
+
+/// How long the parts of an execution on a GPU took, in seconds. What the host does overlaps with the rest, so that the sum may be more than the whole.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct GpuSeconds {
+    /// Shaders; none where the adapter has no clock that can be read.
+    pub kernels: Option<f64>,
+    /// Copies to the GPU and from it; none where the adapter has no clock that can be read.
+    pub transfers: Option<f64>,
+    /// What the processor did meanwhile.
+    pub host: f64,
+    /// End to end: from the light in the host's memory to the image there.
+    pub total: f64,
+    /// Bytes copied to the GPU, and from it.
+    pub bytes: [u64; 2],
+    /// Bytes that the plan has to move where every pixel is lit, over the bus and through the GPU's memory: over the hardware's bandwidths,
+    /// the floor under `transfers` and `kernels`.
+    pub least_bytes: [u64; 2],
+}
+
+impl GpuSeconds {
+    /// Those of the last execution of an engine; none where it runs on the processor.
+    #[cfg(feature = "gpu")]
+    pub(crate) fn of_last<T: ConvReal>(engine: &Engine<T>) -> Option<Self> {
+        let times = engine.gpu_times()?;
+        let work = engine.plan().gpu_work();
+        Some(Self {
+            kernels: times.kernels.map(|time| time.as_secs_f64()),
+            transfers: times.transfers.map(|time| time.as_secs_f64()),
+            host: times.host.as_secs_f64(),
+            total: times.total.as_secs_f64(),
+            bytes: times.bytes.into(),
+            least_bytes: [work.bus_bytes, work.memory_bytes],
+        })
+    }
+
+    /// Those of the last execution of an engine; none where it runs on the processor.
+    #[cfg(not(feature = "gpu"))]
+    pub(crate) fn of_last<T: ConvReal>(_engine: &Engine<T>) -> Option<Self> {
+        None
+    }
 }
 
 #[cfg(test)]

@@ -1,0 +1,326 @@
+//! The methods by name, and the coefficient field that one of them makes of samples.
+
+use std::borrow::Cow;
+use std::ops::Range;
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView2, ArrayViewMut3};
+use psf_types::{
+    CoefficientField, FieldError, Interpolation, OutsidePolicy, PixelRegion, Position, SampleCoefficients,
+    SamplePositions,
+};
+
+use crate::bilinear::{Bicubic, Bilinear};
+use crate::delaunay::{Delaunay, NaturalNeighbour};
+use crate::error::CoeffFieldError;
+use crate::grid::RegularGrid;
+use crate::interpolation::{FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Visited, WeightList};
+use crate::neighbours::{InverseDistance, Nearest};
+use crate::polynomial::Polynomial;
+
+/// What [`Interpolation::Auto`] stands for with samples at these positions; any other choice stands for itself.
+///
+/// Where the samples form a regular grid of at least 2 x 2, bicubic, or bilinear if it has but 2 x 2; nearest for a single
+/// sample; else natural neighbour (which interpolates along the line where samples are collinear).
+///
+/// ```
+/// use coeff_field::resolve;
+/// use psf_types::{Interpolation, Position, SamplePositions};
+/// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
+/// let grid = SamplePositions::new(corners.to_vec(), None)?;
+/// assert_eq!(resolve(Interpolation::Auto, &grid), Interpolation::Bilinear);
+/// let triangle = SamplePositions::new(corners[..3].to_vec(), None)?;
+/// assert_eq!(resolve(Interpolation::Auto, &triangle), Interpolation::NaturalNeighbour);
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolation {
+    if choice != Interpolation::Auto {
+        return choice;
+    }
+    if positions.len() == 1 {
+        return Interpolation::Nearest;
+    }
+    match RegularGrid::detect(positions) {
+        Ok(grid) if grid.xs().len() >= 2 && grid.ys().len() >= 2 => {
+            if positions.len() == 4 {
+                Interpolation::Bilinear
+            } else {
+                Interpolation::Bicubic
+            }
+        }
+        _ => Interpolation::NaturalNeighbour,
+    }
+}
+
+/// The method that a choice names; [`Auto`] decides when it sees the samples.
+///
+/// ```
+/// use coeff_field::interpolation;
+/// use psf_types::Interpolation;
+/// let choice: Interpolation = "polynomial=3".parse()?;
+/// println!("{:?}", interpolation(choice)?);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`CoeffFieldError::Parameter`] for a parameter out of range, [`CoeffFieldError::UnknownInterpolation`] for a choice
+/// newer than this crate.
+pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation>, CoeffFieldError> {
+    Ok(match choice {
+        Interpolation::Auto => Box::new(Auto),
+        Interpolation::Delaunay => Box::new(Delaunay),
+        Interpolation::NaturalNeighbour => Box::new(NaturalNeighbour),
+        Interpolation::InverseDistance { power } => {
+            Box::new(InverseDistance::new(power, InverseDistance::DEFAULT_NEIGHBOURS)?)
+        }
+        Interpolation::Bilinear => Box::new(Bilinear),
+        Interpolation::Bicubic => Box::new(Bicubic),
+        Interpolation::Polynomial { degree } => Box::new(Polynomial::new(degree)?),
+        Interpolation::Nearest => Box::new(Nearest),
+        other => return Err(CoeffFieldError::UnknownInterpolation(other)),
+    })
+}
+
+/// The method that [`resolve`] names for the samples it is given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Auto;
+
+impl FieldInterpolation for Auto {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+        interpolation(resolve(Interpolation::Auto, positions))?.prepare(positions, outside)
+    }
+
+    /// Of the method chosen for all samples, which also predicts when one is left out.
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+        interpolation(resolve(Interpolation::Auto, samples.positions()))?.leave_one_out(samples, outside)
+    }
+}
+
+/// Pixels whose coefficients are gathered before they are written to their planes: a stretch of a plane's row is written
+/// at once, while the gathered values stay in the first cache levels.
+const STRETCH: usize = 32;
+
+/// Coefficients interpolated over the field: `a_k(x) = sum_n w_n(x) v_nk`.
+///
+/// Holds the values at the interpolator's nodes and the interpolator; nothing is stored per pixel. A region is evaluated
+/// with each pixel's weights found once for all components asked for. Cheap to clone; evaluation takes no lock, so
+/// regions can be evaluated from many threads.
+///
+/// ```
+/// use coeff_field::{Bilinear, InterpolatedField};
+/// use ndarray::{Array3, array};
+/// use psf_types::{
+///     CoefficientField, FrameShape, OutsidePolicy, PixelRegion, Position, SampleCoefficients, SamplePositions,
+/// };
+/// let corners = [(0, 0), (8, 0), (0, 8), (8, 8)].map(|(x, y)| Position::of_pixel(x, y));
+/// let positions = SamplePositions::new(corners.to_vec(), None)?;
+/// let samples = SampleCoefficients::new(array![[0.0, 0.0], [8.0, 0.0], [0.0, 8.0], [8.0, 8.0]], positions)?;
+/// let field = InterpolatedField::new(&samples, &Bilinear, OutsidePolicy::Nearest)?;
+///
+/// let tile = PixelRegion::new(2, 3, FrameShape::new(4, 2)?);
+/// let mut values = Array3::zeros((2, 2, 4));
+/// field.evaluate_region_into(tile, 0..2, values.view_mut())?;
+/// // The two components are x and y.
+/// assert_eq!((values[[0, 1, 3]], values[[1, 1, 3]]), (5.0, 4.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct InterpolatedField {
+    /// `[node, component]`, row-major.
+    nodes: Arc<Array2<f64>>,
+    weights: Arc<dyn FieldWeights>,
+}
+
+impl InterpolatedField {
+    /// Prepares `method` for the samples and takes over their values.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError`] when the method does not suit the samples' positions, or the values overflow in it.
+    pub fn new(
+        samples: &SampleCoefficients,
+        method: &dyn FieldInterpolation,
+        outside: OutsidePolicy,
+    ) -> Result<Self, CoeffFieldError> {
+        let weights = method.prepare(samples.positions(), outside)?;
+        let nodes = weights.node_values(samples.values())?;
+        let nodes = if nodes.is_standard_layout() {
+            nodes
+        } else {
+            nodes.as_standard_layout().into_owned()
+        };
+        for (what, expected, got) in [
+            (
+                "nodes, one row of values each",
+                weights.node_count(),
+                nodes.nrows(),
+            ),
+            (
+                "components of the nodes' values",
+                samples.component_count(),
+                nodes.ncols(),
+            ),
+        ] {
+            if expected != got {
+                return Err(CoeffFieldError::CountMismatch { what, expected, got });
+            }
+        }
+        if let Some(((node, component), &value)) = nodes.indexed_iter().find(|(_, v)| !v.is_finite()) {
+            return Err(CoeffFieldError::NonFiniteNode {
+                node,
+                component,
+                value,
+            });
+        }
+        Ok(Self {
+            nodes: Arc::new(nodes),
+            weights: weights.into(),
+        })
+    }
+
+    /// The values at the nodes, `[node, component]`.
+    pub fn node_values(&self) -> ArrayView2<'_, f64> {
+        self.nodes.view()
+    }
+
+    /// The prepared interpolator.
+    pub fn weights(&self) -> &dyn FieldWeights {
+        self.weights.as_ref()
+    }
+
+    /// `sum_n w_n v_nk` for a range of components, always added up in the order of the weights, so that a value does not
+    /// depend on what is asked for beside it.
+    fn apply(&self, weights: &WeightList, components: &Range<usize>, sums: &mut [f64]) {
+        let all = self.nodes.as_slice().expect("row-major");
+        let row = |node: usize| {
+            let start = node * self.nodes.ncols();
+            &all[start + components.start..start + components.end]
+        };
+        match weights.split_first() {
+            None => sums.fill(0.0),
+            Some((&(node, weight), others)) => {
+                for (sum, value) in sums.iter_mut().zip(row(node)) {
+                    *sum = weight * value;
+                }
+                for &(node, weight) in others {
+                    for (sum, value) in sums.iter_mut().zip(row(node)) {
+                        *sum += weight * value;
+                    }
+                }
+            }
+        }
+    }
+}
+
+impl CoefficientField for InterpolatedField {
+    fn component_count(&self) -> usize {
+        self.nodes.ncols()
+    }
+
+    /// # Panics
+    /// When `coefficients.len() != self.component_count()`.
+    fn evaluate_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
+        assert_eq!(
+            coefficients.len(),
+            self.component_count(),
+            "one coefficient a component"
+        );
+        let mut weights = WeightList::new();
+        self.weights.weights_into(position, &mut weights)?;
+        self.apply(&weights, &(0..self.component_count()), coefficients);
+        Ok(())
+    }
+
+    /// # Panics
+    /// When `values` is not of shape `[components.len(), ny, nx]`, or there are no such components.
+    fn evaluate_region_into(
+        &self,
+        region: PixelRegion,
+        components: Range<usize>,
+        mut values: ArrayViewMut3<'_, f64>,
+    ) -> Result<(), FieldError> {
+        let (nx, ny) = (region.shape().nx(), region.shape().ny());
+        let planes = components.len();
+        assert_eq!(values.dim(), (planes, ny, nx), "one plane a component");
+        assert!(
+            components.end <= self.component_count(),
+            "components {components:?} of {}",
+            self.component_count()
+        );
+        let stretch = STRETCH.min(nx);
+        let mut gathered = vec![0.0; stretch * planes];
+        let (mut row, mut column, mut filled) = (0, 0, 0);
+        let mut positions = (0..ny).flat_map(|row| (0..nx).map(move |column| region.position(column, row)));
+        self.weights.weights_each(&mut positions, &mut |weights| {
+            let sums = &mut gathered[filled * planes..(filled + 1) * planes];
+            self.apply(weights, &components, sums);
+            filled += 1;
+            if filled == stretch || column + filled == nx {
+                for plane in 0..planes {
+                    for pixel in 0..filled {
+                        values[[plane, row, column + pixel]] = gathered[pixel * planes + plane];
+                    }
+                }
+                column += filled;
+                filled = 0;
+                if column == nx {
+                    (row, column) = (row + 1, 0);
+                }
+            }
+        })
+    }
+
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        self.weights.grid_lines()
+    }
+
+    fn node_values(&self) -> Cow<'_, Array2<f64>> {
+        Cow::Borrowed(&self.nodes)
+    }
+
+    fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
+        self.weights.weights_along_row(start, length, visit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn auto_suits_the_samples() {
+        let choose = |points: &[(i64, i64)]| {
+            let positions = points.iter().map(|&(x, y)| Position::of_pixel(x, y)).collect();
+            resolve(
+                Interpolation::Auto,
+                &SamplePositions::new(positions, None).unwrap(),
+            )
+        };
+        assert_eq!(choose(&[(1, 1)]), Interpolation::Nearest);
+        assert_eq!(choose(&[(0, 0), (5, 0)]), Interpolation::NaturalNeighbour);
+        assert_eq!(choose(&[(0, 0), (5, 5), (9, 9)]), Interpolation::NaturalNeighbour);
+        assert_eq!(choose(&[(0, 0), (5, 0), (0, 1), (5, 1)]), Interpolation::Bilinear);
+        let lines = [(0, 0), (5, 0), (9, 0), (0, 1), (5, 1), (9, 1)];
+        assert_eq!(choose(&lines), Interpolation::Bicubic);
+    }
+
+    #[test]
+    fn every_choice_has_its_method() {
+        for (text, name) in [
+            ("auto", "Auto"),
+            ("delaunay", "Delaunay"),
+            ("natural-neighbour", "NaturalNeighbour"),
+            ("idw=3", "InverseDistance { power: 3.0, neighbours: 6 }"),
+            ("bilinear", "Bilinear"),
+            ("bicubic", "Bicubic"),
+            ("polynomial=4", "Polynomial { degree: 4 }"),
+            ("nearest", "Nearest"),
+        ] {
+            assert_eq!(
+                format!("{:?}", interpolation(text.parse().unwrap()).unwrap()),
+                name
+            );
+        }
+        assert!(interpolation(Interpolation::InverseDistance { power: f64::NAN }).is_err());
+        assert!(interpolation(Interpolation::Polynomial { degree: 99 }).is_err());
+    }
+}

@@ -1,0 +1,544 @@
+//! Samples on a regular grid, and weights of its lines along one axis.
+
+use std::collections::HashMap;
+
+use psf_types::{OutsidePolicy, Position, SamplePositions};
+
+use crate::error::CoeffFieldError;
+use crate::geometry::Points;
+
+/// Columns and rows of samples: every x of a list with every y of another, each once, in any order.
+///
+/// The spacing may vary (a rectilinear grid); one row, one column and a single sample count. Coordinates that differ by at
+/// most 1e-9 of the samples' extent are taken as the same column or row, at the mean of its samples' coordinates.
+///
+/// ```
+/// use coeff_field::RegularGrid;
+/// use psf_types::{Position, SamplePositions};
+/// let nodes = [(0, 0), (0, 5), (9, 5), (2, 0), (9, 0), (2, 5)].map(|(x, y)| Position::of_pixel(x, y));
+/// let grid = RegularGrid::detect(&SamplePositions::new(nodes.to_vec(), None)?)?;
+/// assert_eq!((grid.xs(), grid.ys()), (&[0.0, 2.0, 9.0][..], &[0.0, 5.0][..]));
+/// assert_eq!(grid.sample(2, 1), 2);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct RegularGrid {
+    pub(crate) x: Axis,
+    pub(crate) y: Axis,
+    /// Row by row.
+    samples: Vec<usize>,
+    /// How far outside a position still counts as covered.
+    pub(crate) covered: f64,
+}
+
+/// Coordinates closer than this are one line, relative to the samples' extent.
+const SAME_LINE: f64 = 1e-9;
+
+impl RegularGrid {
+    /// Finds the columns and rows of samples.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError::NotRegular`] with the first node that has no sample, [`CoeffFieldError::SharedNode`] when one
+    /// has two.
+    pub fn detect(positions: &SamplePositions) -> Result<Self, CoeffFieldError> {
+        let points = Points::new(positions)?;
+        let tolerance = SAME_LINE * points.scale.extent;
+        let (x, columns) = Axis::new(points.points.iter().map(|p| p[0]).collect(), tolerance);
+        let (y, rows) = Axis::new(points.points.iter().map(|p| p[1]).collect(), tolerance);
+        let width = x.lines.len();
+        let mut nodes = HashMap::with_capacity(points.len());
+        for (sample, (&column, &row)) in columns.iter().zip(&rows).enumerate() {
+            if let Some(first) = nodes.insert(row * width + column, sample) {
+                return Err(CoeffFieldError::SharedNode {
+                    first,
+                    second: sample,
+                    column,
+                    row,
+                    position: positions.as_slice()[sample],
+                });
+            }
+        }
+        // No node is taken twice, so one is free unless their numbers agree. It comes early: samples.len() of them are taken.
+        let mut samples = Vec::with_capacity(points.len());
+        for node in 0..width * y.lines.len() {
+            let (column, row) = (node % width, node / width);
+            let sample = nodes.get(&node).ok_or_else(|| CoeffFieldError::NotRegular {
+                samples: points.len(),
+                columns: width,
+                rows: y.lines.len(),
+                column,
+                row,
+                position: Position::new(x.lines[column], y.lines[row])
+                    .expect("samples have finite coordinates"),
+            })?;
+            samples.push(*sample);
+        }
+        Ok(Self {
+            x,
+            y,
+            samples,
+            covered: points.scale.covered,
+        })
+    }
+
+    /// The x coordinates of the columns, ascending.
+    pub fn xs(&self) -> &[f64] {
+        &self.x.lines
+    }
+
+    /// The y coordinates of the rows, ascending.
+    pub fn ys(&self) -> &[f64] {
+        &self.y.lines
+    }
+
+    /// The sample at a node.
+    ///
+    /// # Panics
+    /// When there is no such column or row.
+    pub fn sample(&self, column: usize, row: usize) -> usize {
+        assert!(
+            column < self.x.lines.len(),
+            "column {column} of {}",
+            self.x.lines.len()
+        );
+        self.samples[row * self.x.lines.len() + column]
+    }
+}
+
+/// The lines of a grid along one axis.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Axis {
+    /// Ascending.
+    pub(crate) lines: Vec<f64>,
+    /// How far a sample lies off its line at most.
+    pub(crate) scatter: f64,
+}
+
+/// Lines with less scatter than this part of a cell move no weight by more than rounding.
+const HARMLESS: f64 = 1e-13;
+
+impl Axis {
+    /// The lines, and each coordinate's line.
+    pub(crate) fn new(coordinates: Vec<f64>, tolerance: f64) -> (Self, Vec<usize>) {
+        let mut order: Vec<usize> = (0..coordinates.len()).collect();
+        order.sort_by(|&a, &b| coordinates[a].total_cmp(&coordinates[b]));
+        let mut axis = Self {
+            lines: Vec::new(),
+            scatter: 0.0,
+        };
+        let mut line_of = vec![0; coordinates.len()];
+        for group in order.chunk_by(|&a, &b| coordinates[b] - coordinates[a] <= tolerance) {
+            let (first, last) = (coordinates[group[0]], coordinates[group[group.len() - 1]]);
+            let line = if first == last {
+                first
+            } else {
+                // A mean of differences keeps the digits of large coordinates.
+                let mean = group.iter().map(|&i| coordinates[i] - first).sum::<f64>() / group.len() as f64;
+                first + mean
+            };
+            for &i in group {
+                line_of[i] = axis.lines.len();
+            }
+            axis.scatter = axis.scatter.max(line - first).max(last - line);
+            axis.lines.push(line);
+        }
+        (axis, line_of)
+    }
+
+    /// The cell around a coordinate, its lower line, and the part of the upper one: `v = (1 - t) lower + t upper`. Cell 0
+    /// and part 0 where there is one line only.
+    pub(crate) fn locate(&self, v: f64) -> (usize, f64) {
+        let last = self.lines.len() - 1;
+        if last == 0 {
+            return (0, 0.0);
+        }
+        let cell = self.cell(v);
+        let (a, b) = (self.lines[cell], self.lines[cell + 1]);
+        // Samples that scatter about their line still get their own value.
+        if (v - a).abs() <= self.scatter {
+            (cell, 0.0)
+        } else if (v - b).abs() <= self.scatter {
+            (cell, 1.0)
+        } else {
+            (cell, (v - a) / (b - a))
+        }
+    }
+
+    /// The cell around a coordinate, or the one next to it; there are at least two lines.
+    fn cell(&self, v: f64) -> usize {
+        let last = self.lines.len() - 1;
+        self.lines.partition_point(|&line| line <= v).clamp(1, last) - 1
+    }
+
+    /// Where the parts that [`Self::locate`] gives stop to be linear: they are for the whole numbers from `v` on that
+    /// are below the result, and for `v` alone where that is not above it. With `clamped` coordinates are first clamped.
+    pub(crate) fn linear_until(&self, v: f64, clamped: bool) -> f64 {
+        let (last, low) = (self.lines.len() - 1, self.lines[0]);
+        if last == 0 {
+            return f64::INFINITY;
+        }
+        if clamped && v < low {
+            return low;
+        }
+        if clamped && v > self.lines[last] {
+            return f64::INFINITY;
+        }
+        let cell = self.cell(v);
+        let (a, b) = (self.lines[cell], self.lines[cell + 1]);
+        let mut until = match (cell + 1 == last, clamped) {
+            (false, _) => b,
+            (true, true) => b.floor() + 1.0,
+            (true, false) => f64::INFINITY,
+        };
+        if self.scatter > HARMLESS * (b - a) {
+            let is_moved = |v: f64, line: f64| (v - line).abs() <= self.scatter;
+            if is_moved(v, a) || is_moved(v, b) {
+                return v;
+            }
+            for line in [a, b] {
+                if v < line {
+                    until = until.min((line - self.scatter).ceil());
+                    // The bound itself is rounded.
+                    while until > v && is_moved(until - 1.0, line) {
+                        until -= 1.0;
+                    }
+                }
+            }
+        }
+        until
+    }
+
+    /// Whether weights are linear from line to line but for rounding.
+    pub(crate) fn scatter_is_harmless(&self) -> bool {
+        let cells = self.lines.windows(2).map(|line| line[1] - line[0]);
+        self.scatter <= HARMLESS * cells.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Where a coordinate is looked up: the nearest that the lines cover, or itself where they are extended.
+    pub(crate) fn place(&self, v: f64, outside: OutsidePolicy) -> f64 {
+        if outside == OutsidePolicy::Extend {
+            v
+        } else {
+            self.clamp(v)
+        }
+    }
+
+    /// The nearest coordinate that the lines cover.
+    pub(crate) fn clamp(&self, v: f64) -> f64 {
+        v.clamp(self.lines[0], self.lines[self.lines.len() - 1])
+    }
+}
+
+/// The most lines that have a weight at a coordinate.
+const LINES: usize = 4;
+/// Pieces of a cell along which cubic weights are taken as linear: 1 / 25 of the error of one piece. Their number is odd, so that
+/// a line that is left out lies in the middle of one, and leave-one-out errors have their part.
+const PIECES: usize = 5;
+/// The largest sum of the magnitudes of weights: of four evenly spaced lines it is 1.25, of the four at an edge 1.63. Beyond
+/// it, lines are spaced so unevenly that a polynomial through them swings, and one of lower degree takes its place.
+const LARGEST_SUM: f64 = 2.0;
+/// A cell this many times as wide as its lines scatter is cut into pieces.
+const WIDER_THAN_SCATTER: f64 = 1e3;
+
+/// Weights of neighbouring lines.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct NeighbouringLines {
+    first: usize,
+    weights: [f64; LINES],
+}
+
+/// The weights of a grid's lines at any coordinate, linear between knots: between the lines themselves, or at points on a
+/// cubic between them.
+#[derive(Debug, Clone)]
+pub(crate) struct AxisWeights {
+    pub(crate) knots: Axis,
+    /// Between each knot and the next; one where there is one knot.
+    pieces: Vec<Piece>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Piece {
+    first: usize,
+    low: [f64; LINES],
+    high: [f64; LINES],
+}
+
+impl NeighbouringLines {
+    /// The lines with a weight, and their weights.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let lines = self.weights.iter().enumerate().filter(|(_, w)| **w != 0.0);
+        lines.map(|(i, &weight)| (self.first + i, weight))
+    }
+}
+
+impl AxisWeights {
+    /// Linear from line to line.
+    pub(crate) fn linear(lines: &Axis) -> Self {
+        let cells = lines.lines.len().saturating_sub(1).max(1);
+        Self {
+            knots: lines.clone(),
+            pieces: (0..cells)
+                .map(|first| Piece {
+                    first,
+                    low: unit(0),
+                    high: unit(1),
+                })
+                .collect(),
+        }
+    }
+
+    /// On the cubic through the two lines on either side, or the four at an edge.
+    pub(crate) fn cubic(lines: &Axis) -> Self {
+        let cells = lines.lines.len() - 1;
+        if cells == 0 {
+            return Self::linear(lines);
+        }
+        let mut knots = Axis {
+            lines: vec![lines.lines[0]],
+            scatter: lines.scatter,
+        };
+        let mut pieces = Vec::with_capacity(cells * PIECES);
+        for cell in 0..cells {
+            let between = points_between(lines, cell);
+            let stencil = Stencil::around(&lines.lines, cell, &between);
+            let mut low = stencil.of_line(cell);
+            let values = between.iter().map(|&v| stencil.weights(&lines.lines, v));
+            for high in values.chain([stencil.of_line(cell + 1)]) {
+                pieces.push(Piece {
+                    first: stencil.first,
+                    low,
+                    high,
+                });
+                low = high;
+            }
+            knots.lines.extend(between);
+            knots.lines.push(lines.lines[cell + 1]);
+        }
+        Self { knots, pieces }
+    }
+
+    /// The weights at a coordinate; beyond the lines those of the last piece, linearly continued.
+    pub(crate) fn at(&self, v: f64) -> NeighbouringLines {
+        let (piece, t) = self.knots.locate(v);
+        let Piece { first, low, high } = &self.pieces[piece];
+        NeighbouringLines {
+            first: *first,
+            weights: std::array::from_fn(|i| (1.0 - t) * low[i] + t * high[i]),
+        }
+    }
+}
+
+fn unit(line: usize) -> [f64; LINES] {
+    std::array::from_fn(|i| if i == line { 1.0 } else { 0.0 })
+}
+
+/// The ends of a cell's pieces but for the cell's own.
+fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
+    let (a, b) = (lines.lines[cell], lines.lines[cell + 1]);
+    // A straight line passes through two lines alone.
+    if lines.lines.len() == 2 || b - a <= WIDER_THAN_SCATTER * lines.scatter {
+        return Vec::new();
+    }
+    let points: Vec<f64> = (1..PIECES)
+        .map(|i| a + (b - a) * (i as f64 / PIECES as f64))
+        .collect();
+    let ascending = |v: &[f64]| v[0] < v[1];
+    // Lines so close that there is nothing but rounding between them stay as they are.
+    let is_apart = a < points[0] && points.windows(2).all(ascending) && points[PIECES - 2] < b;
+    if is_apart { points } else { Vec::new() }
+}
+
+/// Neighbouring lines with the polynomial through their values.
+#[derive(Debug, Clone, Copy)]
+struct Stencil {
+    first: usize,
+    count: usize,
+}
+
+impl Stencil {
+    /// The highest degree up to 3 whose weights are well behaved at these points of a cell.
+    fn around(lines: &[f64], cell: usize, points: &[f64]) -> Self {
+        (3..=LINES.min(lines.len()))
+            .rev()
+            .find_map(|count| {
+                let from = (cell + 2).saturating_sub(count);
+                let to = cell.min(lines.len() - count);
+                let stencils = (from..=to).map(|first| Self { first, count });
+                let judged = stencils.map(|stencil| (stencil.largest_sum(lines, points), stencil));
+                let best = judged.reduce(|a, b| if b.0 < a.0 { b } else { a })?;
+                (best.0 <= LARGEST_SUM).then_some(best.1)
+            })
+            .unwrap_or(Self {
+                first: cell,
+                count: 2,
+            })
+    }
+
+    fn largest_sum(self, lines: &[f64], points: &[f64]) -> f64 {
+        let sums = points
+            .iter()
+            .map(|&v| self.weights(lines, v).iter().map(|w| w.abs()).sum::<f64>());
+        sums.fold(0.0, f64::max)
+    }
+
+    fn of_line(self, line: usize) -> [f64; LINES] {
+        unit(line - self.first)
+    }
+
+    /// Lagrange's polynomials.
+    fn weights(self, lines: &[f64], v: f64) -> [f64; LINES] {
+        let own = &lines[self.first..self.first + self.count];
+        std::array::from_fn(|i| {
+            if i >= self.count {
+                return 0.0;
+            }
+            let others = own.iter().enumerate().filter(|(other, _)| *other != i);
+            others.map(|(_, &x)| (v - x) / (own[i] - x)).product()
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn positions(points: &[(f64, f64)]) -> SamplePositions {
+        let positions = points.iter().map(|&(x, y)| Position::new(x, y).unwrap());
+        SamplePositions::new(positions.collect(), None).unwrap()
+    }
+
+    #[test]
+    fn the_missing_node_is_named() {
+        let mut points: Vec<(f64, f64)> = (0..12)
+            .map(|i| (f64::from(i % 4) * 10.0, f64::from(i / 4)))
+            .collect();
+        points.remove(6);
+        let error = RegularGrid::detect(&positions(&points)).unwrap_err();
+        match error {
+            CoeffFieldError::NotRegular {
+                samples: 11,
+                columns: 4,
+                rows: 3,
+                column: 2,
+                row: 1,
+                position,
+            } => assert_eq!((position.x(), position.y()), (20.0, 1.0)),
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn rounded_coordinates_make_one_line() {
+        let noise = |i: i32| f64::from(i * 7 % 3 - 1) * 1e-13;
+        let points: Vec<(f64, f64)> = (0..25)
+            .map(|i| (f64::from(i % 5) + noise(i), f64::from(i / 5) - noise(i + 1)))
+            .collect();
+        let grid = RegularGrid::detect(&positions(&points)).unwrap();
+        assert_eq!((grid.xs().len(), grid.ys().len()), (5, 5));
+        assert!(grid.x.scatter > 0.0 && grid.x.scatter < 1e-12);
+        assert_eq!(grid.sample(3, 2), 13);
+    }
+
+    #[test]
+    fn two_samples_at_one_node_are_named() {
+        let points = [(0.0, 0.0), (10.0, 0.0), (0.0, 10.0), (10.0, 10.0), (1e-9, 0.0)];
+        assert!(matches!(
+            RegularGrid::detect(&positions(&points)),
+            Err(CoeffFieldError::SharedNode {
+                first: 0,
+                second: 4,
+                column: 0,
+                row: 0,
+                ..
+            })
+        ));
+    }
+
+    #[test]
+    fn rows_columns_and_points_are_grids() {
+        for points in [
+            &[(3.0, 1.0)][..],
+            &[(0.0, 5.0), (9.0, 5.0), (4.0, 5.0)],
+            &[(1.0, 2.0), (1.0, 0.0)],
+        ] {
+            assert!(RegularGrid::detect(&positions(points)).is_ok());
+        }
+        assert!(RegularGrid::detect(&positions(&[(0.0, 0.0), (1.0, 1.0)])).is_err());
+    }
+
+    /// Rounding of sums of four terms.
+    const ROUNDING: f64 = 1e-13;
+
+    fn axis(lines: &[f64]) -> Axis {
+        Axis {
+            lines: lines.to_vec(),
+            scatter: 0.0,
+        }
+    }
+
+    fn value(weights: &AxisWeights, lines: &[f64], v: f64, f: impl Fn(f64) -> f64) -> f64 {
+        weights.at(v).iter().map(|(line, w)| w * f(lines[line])).sum()
+    }
+
+    #[test]
+    fn cubics_are_met_at_the_knots_of_uneven_lines() {
+        let lines = [0.0, 1.0, 2.2, 3.5, 4.6, 5.8];
+        let weights = AxisWeights::cubic(&axis(&lines));
+        let cubic = |v: f64| 1.0 + v * (2.0 - v * (0.5 - 0.1 * v));
+        let knots = &weights.knots.lines;
+        assert_eq!(knots.len(), 5 * PIECES + 1);
+        for &knot in knots {
+            let error = value(&weights, &lines, knot, cubic) - cubic(knot);
+            assert!(error.abs() < ROUNDING * 100.0, "{knot}: {error:e}");
+        }
+        // Between knots, and beyond the last, straight on.
+        for (a, b) in [(0, 1), (5, 6)] {
+            let middle = value(&weights, &lines, f64::midpoint(knots[a], knots[b]), cubic);
+            assert!((middle - f64::midpoint(cubic(knots[a]), cubic(knots[b]))).abs() < ROUNDING * 100.0);
+        }
+        let before = knots[knots.len() - 2];
+        let beyond = value(&weights, &lines, 5.8 + (5.8 - before), cubic);
+        assert!((beyond - (2.0 * cubic(5.8) - cubic(before))).abs() < ROUNDING * 1e3);
+    }
+
+    #[test]
+    fn lines_that_would_let_a_cubic_swing_are_left_out() {
+        let lines = [0.0, 1.0, 1001.0, 1002.0];
+        let weights = AxisWeights::cubic(&axis(&lines));
+        for v in [200.0, 501.0, 900.0] {
+            let sum: f64 = weights.at(v).iter().map(|(_, w)| w.abs()).sum();
+            assert!(sum <= LARGEST_SUM, "{v}: {sum}");
+        }
+        assert_eq!(
+            weights.at(501.0),
+            NeighbouringLines {
+                first: 1,
+                weights: [0.5, 0.5, 0.0, 0.0]
+            }
+        );
+        // The narrow cells have nothing to fear of far lines.
+        assert_eq!(weights.at(0.5).iter().count(), 4);
+    }
+
+    #[test]
+    fn few_lines_and_lines_next_to_each_other_are_served() {
+        assert_eq!(
+            AxisWeights::cubic(&axis(&[3.0]))
+                .at(9.0)
+                .iter()
+                .collect::<Vec<_>>(),
+            [(0, 1.0)]
+        );
+        assert_eq!(AxisWeights::cubic(&axis(&[3.0, 5.0])).knots.lines, [3.0, 5.0]);
+        let parabola = AxisWeights::cubic(&axis(&[0.0, 4.0, 8.0]));
+        assert!((value(&parabola, &[0.0, 4.0, 8.0], 4.8, |v| v * v) - 23.04).abs() < ROUNDING * 100.0);
+        let close = [1.0, 1.0 + f64::EPSILON, 2.0];
+        let weights = AxisWeights::cubic(&axis(&close));
+        for v in [1.0, close[1], 1.5, 2.0] {
+            assert!(
+                (value(&weights, &close, v, |_| 1.0) - 1.0).abs() < ROUNDING,
+                "{v}"
+            );
+        }
+    }
+}

@@ -1,0 +1,483 @@
+//! The two traits of an interpolator (its choice and its prepared form), its weights, and its
+//! leave-one-out errors.
+
+use std::fmt::Debug;
+
+use ndarray::{Array2, ArrayView2};
+use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
+use thiserror::Error;
+
+use crate::error::CoeffFieldError;
+use crate::geometry::{Hull, Point, Points, Row};
+
+/// An interpolation method with its parameters: prepares weights for a set of sample positions.
+///
+/// Implement it, with [`FieldWeights`], to bring a method of your own: everything in this crate takes
+/// `&dyn FieldInterpolation`.
+///
+/// ```
+/// use coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, InterpolatedField, WeightList};
+/// use psf_types::{
+///     CoefficientField, FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions,
+/// };
+///
+/// /// The same mean of all samples everywhere.
+/// #[derive(Debug)]
+/// struct Mean;
+/// #[derive(Debug)]
+/// struct MeanWeights(usize);
+///
+/// impl FieldInterpolation for Mean {
+///     fn prepare(
+///         &self,
+///         positions: &SamplePositions,
+///         _outside: OutsidePolicy,
+///     ) -> Result<Box<dyn FieldWeights>, CoeffFieldError> {
+///         Ok(Box::new(MeanWeights(positions.len())))
+///     }
+/// }
+/// impl FieldWeights for MeanWeights {
+///     fn sample_count(&self) -> usize {
+///         self.0
+///     }
+///     fn weights_into(&self, _at: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+///         weights.clear();
+///         weights.extend((0..self.0).map(|sample| (sample, 1.0 / self.0 as f64)));
+///         Ok(())
+///     }
+/// }
+///
+/// let positions = SamplePositions::new(vec![Position::of_pixel(0, 0), Position::of_pixel(8, 0)], None)?;
+/// let samples = SampleCoefficients::new(ndarray::array![[1.0], [3.0]], positions)?;
+/// let field = InterpolatedField::new(&samples, &Mean, OutsidePolicy::Nearest)?;
+/// let mut value = [0.0];
+/// field.evaluate_into(Position::of_pixel(5, 5), &mut value)?;
+/// assert_eq!(value, [2.0]);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub trait FieldInterpolation: Debug + Send + Sync {
+    /// Prepares the interpolator for samples at `positions`.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError`] when the positions do not suit the method.
+    fn prepare(
+        &self,
+        positions: &SamplePositions,
+        outside: OutsidePolicy,
+    ) -> Result<Box<dyn FieldWeights>, CoeffFieldError>;
+
+    /// Predicts every sample from all others; see [`LeaveOneOut`].
+    ///
+    /// The provided method prepares the interpolator anew for each sample left out, which is slow for thousands of samples;
+    /// the interpolators of this crate have shortcuts with the same result.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError`] when the method cannot serve these samples at all. A single sample that cannot be predicted is
+    /// no error.
+    fn leave_one_out(
+        &self,
+        samples: &SampleCoefficients,
+        outside: OutsidePolicy,
+    ) -> Result<LeaveOneOut, CoeffFieldError> {
+        self.prepare(samples.positions(), outside)?;
+        let without = |sample, policy| rebuilt_without(self, samples, sample, policy);
+        // Under the strict policy first, which tells interpolation from extrapolation.
+        let predict = |sample| match without(sample, OutsidePolicy::Error) {
+            Err(Unpredictable::OutsideSamples) if outside != OutsidePolicy::Error => {
+                Ok((false, without(sample, outside)?))
+            }
+            found => Ok((true, found?)),
+        };
+        Ok(judged(samples, outside, predict))
+    }
+}
+
+/// A prepared interpolator: weights of nodes at any position.
+///
+/// Every interpolator here is linear in the sample values, `a_k(x) = sum_n w_n(x) v_nk`, so a position's weights serve all
+/// components. For most methods the nodes are the samples; a method may have other nodes (a polynomial's are its terms)
+/// and says in [`node_values`](Self::node_values) how their values follow from the samples'.
+pub trait FieldWeights: Debug + Send + Sync {
+    /// The number of samples the interpolator was prepared for.
+    fn sample_count(&self) -> usize;
+
+    /// The number of nodes; weights name nodes below it.
+    fn node_count(&self) -> usize {
+        self.sample_count()
+    }
+
+    /// Values at the nodes `[node, component]` from values at the samples `[sample, component]`: the same by default.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError::CountMismatch`] when there is not one row a sample.
+    fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
+        check_rows(self.sample_count(), sample_values)?;
+        Ok(sample_values.to_owned())
+    }
+
+    /// Replaces the content of `weights` with the (node, weight) pairs at `position`; no node appears twice.
+    ///
+    /// The result depends on nothing but the position.
+    ///
+    /// # Errors
+    /// [`FieldError`] where there is no value.
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError>;
+
+    /// The x and the y coordinates of the lines between which all weights are bilinear or constant, where there are such cells:
+    /// [`CoefficientField::grid_lines`](psf_types::CoefficientField::grid_lines).
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        None
+    }
+
+    /// Calls `visit` with the weights at each of `positions` in turn: the same weights as
+    /// [`weights_into`](Self::weights_into), for interpolators that work faster in sequence.
+    ///
+    /// # Errors
+    /// [`FieldError`] at the first position without a value.
+    fn weights_each(
+        &self,
+        positions: &mut dyn Iterator<Item = Position>,
+        visit: &mut dyn FnMut(&WeightList),
+    ) -> Result<(), FieldError> {
+        let mut weights = WeightList::new();
+        for position in positions {
+            self.weights_into(position, &mut weights)?;
+            visit(&weights);
+        }
+        Ok(())
+    }
+
+    /// Visits the weights along a row of pixels, `length` pixels from `(x, y)` on, in runs along which every node's weight is
+    /// linear in x: [`CoefficientField::weights_along_row`](psf_types::CoefficientField::weights_along_row).
+    ///
+    /// A pixel's weights are those of [`weights_into`](Self::weights_into) but for rounding. The provided method visits
+    /// pixel by pixel.
+    ///
+    /// ```
+    /// use coeff_field::{Bilinear, FieldInterpolation};
+    /// use psf_types::{OutsidePolicy, Position, SamplePositions};
+    /// let corners = [(0, 0), (4, 0), (0, 4), (4, 4)].map(|(x, y)| Position::of_pixel(x, y));
+    /// let positions = SamplePositions::new(corners.to_vec(), None)?;
+    /// let weights = Bilinear.prepare(&positions, OutsidePolicy::Nearest)?;
+    /// let mut runs = Vec::new();
+    /// weights.weights_along_row((-2, 0), 10, &mut |run| runs.push((run.length, run.last.to_vec())))?;
+    /// // Beside the cell on the left, in it with both its lines, and on the right.
+    /// assert_eq!(runs, [(2, vec![(0, 1.0)]), (5, vec![(1, 1.0)]), (3, vec![(1, 1.0)])]);
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`FieldError`] at the first pixel without a value, when all pixels before it have been visited.
+    fn weights_along_row(
+        &self,
+        start: (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        pixel_by_pixel(self, Row::new(start, length), visit)
+    }
+}
+
+/// The outcome of [`FieldInterpolation::prepare`].
+pub(crate) type Prepared = Result<Box<dyn FieldWeights>, CoeffFieldError>;
+/// The outcome of [`FieldInterpolation::leave_one_out`].
+pub(crate) type Judged = Result<LeaveOneOut, CoeffFieldError>;
+/// The outcome of a visit to pixels, which ends at the first one without a value.
+pub(crate) type Visited = Result<(), FieldError>;
+/// Takes the runs of a row, one after the other.
+pub(crate) type OnRun<'a> = &'a mut dyn FnMut(RowRun<'_>);
+
+/// A row in runs of one pixel.
+pub(crate) fn pixel_by_pixel<W: FieldWeights + ?Sized>(weights: &W, row: Row, visit: OnRun<'_>) -> Visited {
+    let mut positions = (0..row.length).map(|column| row.position(column));
+    weights.weights_each(&mut positions, &mut |weights| visit(RowRun::of_pixel(weights)))
+}
+
+/// Refuses a position that is not covered where the policy says so, with
+/// [`FieldError::OutsideSamples`].
+pub(crate) fn admit(covered: bool, outside: OutsidePolicy, position: Position) -> Result<(), FieldError> {
+    if covered || outside != OutsidePolicy::Error {
+        Ok(())
+    } else {
+        Err(FieldError::OutsideSamples { position })
+    }
+}
+
+/// Visits a row in runs, each from a column to the one before `end_of(column)`; `weights_into`
+/// finds the weights at the first and the last column of a run.
+pub(crate) fn in_runs(
+    row: Row,
+    mut weights_into: impl FnMut(usize, &mut WeightList) -> Result<(), FieldError>,
+    mut end_of: impl FnMut(usize) -> usize,
+    visit: OnRun<'_>,
+) -> Visited {
+    let (mut first, mut last) = (WeightList::new(), WeightList::new());
+    let mut column = 0;
+    while column < row.length {
+        weights_into(column, &mut first)?;
+        let end = end_of(column);
+        if end == column + 1 {
+            visit(RowRun::of_pixel(&first));
+        } else {
+            weights_into(end - 1, &mut last)?;
+            visit(RowRun {
+                length: end - column,
+                first: &first,
+                last: &last,
+            });
+        }
+        column = end;
+    }
+    Ok(())
+}
+
+pub(crate) fn check_rows(samples: usize, values: ArrayView2<'_, f64>) -> Result<(), CoeffFieldError> {
+    if values.nrows() == samples {
+        Ok(())
+    } else {
+        Err(CoeffFieldError::CountMismatch {
+            what: "rows of sample values, one for each sample",
+            expected: samples,
+            got: values.nrows(),
+        })
+    }
+}
+
+/// (node, weight) pairs at one position.
+pub type WeightList = Vec<(usize, f64)>;
+
+/// Adds to a node's weight; lists are short.
+pub(crate) fn add_weight(weights: &mut WeightList, node: usize, weight: f64) {
+    if weight == 0.0 {
+        return;
+    }
+    match weights.iter_mut().find(|(n, _)| *n == node) {
+        Some((_, w)) => *w += weight,
+        None => weights.push((node, weight)),
+    }
+}
+
+/// One node alone.
+pub(crate) fn single(weights: &mut WeightList, node: usize) {
+    weights.clear();
+    weights.push((node, 1.0));
+}
+
+/// The linear mix of two nodes, `s` of the second; a node without weight is left out.
+pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64) {
+    weights.clear();
+    if s != 1.0 {
+        weights.push((first, 1.0 - s));
+    }
+    if s != 0.0 {
+        weights.push((second, s));
+    }
+}
+
+/// How well each sample is predicted by an interpolator that does not know it.
+///
+/// The error is `||a_predicted - a||_2` over the components. With an orthonormal basis that is the L2 norm of the
+/// difference of the two stamps, in the units of the stamps. Where the field is sampled evenly, it overestimates the error
+/// between samples: the gap to bridge is twice as wide, so a linear method does about four times worse.
+///
+/// ```
+/// use coeff_field::{LeftOut, NaturalNeighbour, leave_one_out};
+/// use psf_types::{OutsidePolicy, Position, SampleCoefficients, SamplePositions};
+/// let positions = (0..5).map(|i| Position::of_pixel(i, 0)).collect();
+/// let positions = SamplePositions::new(positions, None)?;
+/// let squares = ndarray::array![[0.0], [1.0], [4.0], [9.0], [16.0]];
+/// let samples = SampleCoefficients::new(squares, positions)?;
+/// let errors = leave_one_out(&samples, &NaturalNeighbour, OutsidePolicy::Nearest)?;
+/// // (1 + 9) / 2 predicts 4.
+/// assert!(matches!(errors.outcomes()[2], LeftOut::Predicted { error } if error == 1.0));
+/// // An end can only be extrapolated.
+/// assert!(matches!(errors.outcomes()[4], LeftOut::Extrapolated { error } if error == 7.0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct LeaveOneOut {
+    outcomes: Vec<LeftOut>,
+}
+
+/// What came of leaving one sample out.
+#[derive(Debug)]
+#[non_exhaustive]
+pub enum LeftOut {
+    /// The others surround the sample and predict it.
+    Predicted {
+        /// L2 error over the components.
+        error: f64,
+    },
+    /// The others do not cover the sample's position (a corner of the field): the outside policy made the prediction.
+    Extrapolated {
+        /// L2 error over the components.
+        error: f64,
+    },
+    /// There is no prediction.
+    Unpredictable {
+        /// Why not.
+        reason: Unpredictable,
+    },
+}
+
+/// Why the others say nothing about a sample.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum Unpredictable {
+    /// They do not cover its position, and the policy is to refuse there.
+    #[error("the other samples do not cover it")]
+    OutsideSamples,
+    /// There are no others.
+    #[error("there is no other sample")]
+    NoOthers,
+    /// They do not determine the polynomial.
+    #[error("the other samples do not determine the polynomial")]
+    Undetermined,
+    /// The interpolator cannot be prepared for them.
+    #[error("the interpolator cannot be prepared without it")]
+    NotPrepared(#[source] CoeffFieldError),
+    /// The field has no value at its position.
+    #[error("the field has no value there")]
+    NoValue(#[source] FieldError),
+}
+
+impl LeaveOneOut {
+    /// Collects outcomes, one for each sample.
+    pub fn new(outcomes: Vec<LeftOut>) -> Self {
+        Self { outcomes }
+    }
+
+    /// One outcome for each sample, in sample order.
+    pub fn outcomes(&self) -> &[LeftOut] {
+        &self.outcomes
+    }
+
+    /// (sample, error) of the samples predicted from around them; extrapolated ones are not among them.
+    pub fn predicted(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
+        self.outcomes
+            .iter()
+            .enumerate()
+            .filter_map(|(sample, outcome)| match outcome {
+                LeftOut::Predicted { error } => Some((sample, *error)),
+                _ => None,
+            })
+    }
+
+    /// The predicted sample with the largest error; none when none could be predicted.
+    pub fn worst(&self) -> Option<(usize, f64)> {
+        self.predicted().max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// Root mean square of the predicted samples' errors; none when none could be predicted.
+    pub fn rms(&self) -> Option<f64> {
+        let (count, sum) = self.predicted().fold((0_usize, 0.0), |(n, sum), (_, error)| {
+            (n + 1, sum + error * error)
+        });
+        (count > 0).then(|| (sum / count as f64).sqrt())
+    }
+}
+
+/// Predicts every sample from all others; the same as [`FieldInterpolation::leave_one_out`].
+///
+/// # Errors
+/// [`CoeffFieldError`] when the method cannot serve these samples at all.
+pub fn leave_one_out(
+    samples: &SampleCoefficients,
+    method: &dyn FieldInterpolation,
+    outside: OutsidePolicy,
+) -> Judged {
+    method.leave_one_out(samples, outside)
+}
+
+/// The error of the prediction of a sample by the method prepared without it.
+fn rebuilt_without<M: FieldInterpolation + ?Sized>(
+    method: &M,
+    samples: &SampleCoefficients,
+    left_out: usize,
+    outside: OutsidePolicy,
+) -> Result<f64, Unpredictable> {
+    let all = samples.positions();
+    let others: Vec<usize> = (0..all.len()).filter(|&sample| sample != left_out).collect();
+    if others.is_empty() {
+        return Err(Unpredictable::NoOthers);
+    }
+    let positions = others.iter().map(|&sample| all.as_slice()[sample]).collect();
+    let positions = SamplePositions::new(positions, all.field()).expect("part of valid positions is valid");
+    let weights_of = method
+        .prepare(&positions, outside)
+        .map_err(Unpredictable::NotPrepared)?;
+    let values = samples.values().select(ndarray::Axis(0), &others);
+    let nodes = weights_of
+        .node_values(values.view())
+        .map_err(Unpredictable::NotPrepared)?;
+    let mut weights = WeightList::new();
+    weights_of
+        .weights_into(all.as_slice()[left_out], &mut weights)
+        .map_err(|error| match error {
+            FieldError::OutsideSamples { .. } => Unpredictable::OutsideSamples,
+            other => Unpredictable::NoValue(other),
+        })?;
+    Ok(prediction_error(samples, left_out, nodes.view(), &weights))
+}
+
+/// The error of the prediction `sum_n w_n v_n` of a sample.
+pub(crate) fn prediction_error(
+    samples: &SampleCoefficients,
+    sample: usize,
+    nodes: ArrayView2<'_, f64>,
+    weights: &WeightList,
+) -> f64 {
+    let truth = samples.values();
+    let mut difference = truth.row(sample).mapv(|v| -v);
+    for &(node, weight) in weights {
+        difference.scaled_add(weight, &nodes.row(node));
+    }
+    difference.dot(&difference).sqrt()
+}
+
+/// Turns the prediction of each sample (whether the others cover it, and the error) into its
+/// outcome.
+pub(crate) fn judged(
+    samples: &SampleCoefficients,
+    outside: OutsidePolicy,
+    mut predict: impl FnMut(usize) -> Result<(bool, f64), Unpredictable>,
+) -> LeaveOneOut {
+    let outcomes = (0..samples.positions().len()).map(|sample| match predict(sample) {
+        Ok((true, error)) => LeftOut::Predicted { error },
+        Ok((false, _)) if outside == OutsidePolicy::Error => LeftOut::Unpredictable {
+            reason: Unpredictable::OutsideSamples,
+        },
+        Ok((false, error)) => LeftOut::Extrapolated { error },
+        Err(reason) => LeftOut::Unpredictable { reason },
+    });
+    LeaveOneOut::new(outcomes.collect())
+}
+
+/// Applies the outside policy to each sample's position as the others see it, and `predict`s the error of that sample by
+/// the method's value at the point that the policy names.
+pub(crate) fn hull_leave_one_out(
+    samples: &SampleCoefficients,
+    points: &Points,
+    outside: OutsidePolicy,
+    mut predict: impl FnMut(usize, Point) -> Result<f64, Unpredictable>,
+) -> Judged {
+    let hull = Hull::new(points, outside)?;
+    Ok(judged(samples, outside, |sample| {
+        let p = points.points[sample];
+        if points.len() == 1 {
+            return Err(Unpredictable::NoOthers);
+        }
+        // Only a corner leaves the hull of the others.
+        let (covered, at) = if hull.is_corner(sample) {
+            let others = points.subset((0..points.len()).filter(|&s| s != sample));
+            let hull = Hull::new(&others, outside).map_err(Unpredictable::NotPrepared)?;
+            match hull.admit(samples.positions().as_slice()[sample]) {
+                Ok(at) => (hull.covers(p), at),
+                Err(_) => (false, p),
+            }
+        } else {
+            (true, p)
+        };
+        Ok((covered, predict(sample, at)?))
+    }))
+}

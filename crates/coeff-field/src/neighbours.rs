@@ -1,0 +1,535 @@
+//! Interpolation from the samples around a position, found by a search tree: the nearest one, and
+//! inverse distances.
+
+use std::num::NonZeroUsize;
+
+use kiddo::{ImmutableKdTree, SquaredEuclidean};
+use psf_types::{
+    FieldError, Interpolation, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions,
+};
+
+use crate::error::CoeffFieldError;
+use crate::geometry::{Hull, HullPiece, Point, Points, Row, dot, last_where, sub};
+use crate::interpolation::{
+    FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Unpredictable, Visited, WeightList,
+    hull_leave_one_out, prediction_error, single,
+};
+
+/// The value of the nearest sample; of several at the same distance, that of the first.
+///
+/// Piecewise constant, with jumps along the edges of the Voronoi cells.
+///
+/// # Outside the samples
+/// Nearest: the sample nearest to the nearest point of the convex hull. Extend: the sample nearest to the position itself.
+/// Error: refuses (positions within 1e-9 of the samples' extent, at least 1e-9 pixels, still count as inside).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Nearest;
+
+impl FieldInterpolation for Nearest {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+        let points = Points::new(positions)?;
+        Ok(Box::new(NearestWeights {
+            tree: SearchTree::new(&points)?,
+            hull: Hull::new(&points, outside)?,
+        }))
+    }
+
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+        let points = Points::new(samples.positions())?;
+        let tree = SearchTree::new(&points)?;
+        let predict = |sample, at| {
+            let other = tree.nearest(at, Some(sample)).ok_or(Unpredictable::NoOthers)?;
+            Ok(prediction_error(
+                samples,
+                sample,
+                samples.values(),
+                &vec![(other, 1.0)],
+            ))
+        };
+        hull_leave_one_out(samples, &points, outside, predict)
+    }
+}
+
+#[derive(Debug)]
+struct NearestWeights {
+    tree: SearchTree,
+    hull: Hull,
+}
+
+impl NearestWeights {
+    /// The sample whose value `p` takes, and the piece of the plane in which that is the nearest sample of a linear function
+    /// of the position; none where rounding could decide for another one.
+    ///
+    /// Positions with the same result surround none with another: the pieces and the samples' Voronoi cells are convex.
+    fn clearly(&self, p: Point) -> Option<(HullPiece, usize)> {
+        let (piece, at) = match self.hull.outside {
+            OutsidePolicy::Extend => (HullPiece::Inside, p),
+            OutsidePolicy::Nearest => self.hull.piece(p),
+            _ => self.hull.contains(p).then_some((HullPiece::Inside, p))?,
+        };
+        Some((piece, self.tree.clearly_nearest(at)?))
+    }
+}
+
+impl FieldWeights for NearestWeights {
+    fn sample_count(&self) -> usize {
+        self.tree.points.len()
+    }
+
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let p = self.hull.admit(position)?;
+        single(
+            weights,
+            self.tree.nearest(p, None).expect("there is at least one sample"),
+        );
+        Ok(())
+    }
+
+    /// A run for each Voronoi cell that the row crosses, and single pixels close to their edges.
+    fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
+        let row = Row::new(start, length);
+        if self.tree.points.len() == 1 && self.hull.outside != OutsidePolicy::Error && length > 0 {
+            let everywhere = [(0, 1.0)];
+            visit(RowRun {
+                length,
+                first: &everywhere,
+                last: &everywhere,
+            });
+            return Ok(());
+        }
+        let mut weights = WeightList::new();
+        let mut column = 0;
+        while column < length {
+            let last = if let Some((piece, sample)) = self.clearly(row.point(column)) {
+                single(&mut weights, sample);
+                let is_alike = |column| self.clearly(row.point(column)) == Some((piece, sample));
+                last_where(column, length, is_alike)
+            } else {
+                self.weights_into(row.position(column), &mut weights)?;
+                column
+            };
+            visit(RowRun {
+                length: last + 1 - column,
+                first: &weights,
+                last: &weights,
+            });
+            column = last + 1;
+        }
+        Ok(())
+    }
+}
+
+/// The square of the radius over the distance of the k-th neighbour.
+const RADIUS_SQUARED: f64 = 2.0;
+
+/// Inverse distance weights (Shepard's method) of the samples around a position.
+///
+/// With `d_i` the distance of sample `i` and `d_(k)` that of the `k`-th nearest sample,
+///
+/// ```text
+/// w_i = u_i / sum_j u_j,   u_i = [max(R - d_i, 0) / (R d_i)]^p,   R = sqrt(2) d_(k)
+/// ```
+///
+/// These are Franke and Little's weights (R. Franke & G. Nielson 1980, Int. J. Numer. Meth. Eng. 15, 1691; R. J. Renka 1988,
+/// ACM Trans. Math. Softw. 14, 139), which fall to 0 at the radius, so that the field is continuous while samples enter and
+/// leave. The radius grows with `d_(k)`, so at least `k` samples take part, and about `2 k` on an even sampling.
+/// Among `k` samples or fewer `R` is infinite: `u_i = d_i^-p`.
+///
+/// Exact at the samples; no weight is negative. Linear fields are *not* reproduced: for `p > 1` every sample is a flat spot.
+/// It serves rough or noisy samples; on smooth ones the other methods are better.
+///
+/// # Outside the samples
+/// The formula needs no hull and tends to a mean of the nearest samples far away. Nearest: its value at the nearest point of
+/// the convex hull. Extend: the formula itself, which is no linear continuation. Error: refuses (positions within 1e-9 of
+/// the samples' extent, at least 1e-9 pixels, still count as inside).
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InverseDistance {
+    power: f64,
+    neighbours: NonZeroUsize,
+}
+
+impl InverseDistance {
+    /// The `k` that sets the radius when none is given: about 12 samples take part.
+    pub const DEFAULT_NEIGHBOURS: usize = 6;
+
+    /// Weights `d^-power` whose radius is set by the `neighbours`-th nearest sample.
+    ///
+    /// # Errors
+    /// [`CoeffFieldError::Parameter`] unless `power` is finite and above 0 and `neighbours` at least 1.
+    pub fn new(power: f64, neighbours: usize) -> Result<Self, CoeffFieldError> {
+        if !(power.is_finite() && power > 0.0) {
+            return Err(CoeffFieldError::Parameter {
+                name: "the power of inverse distance weights",
+                allowed: "finite and above 0",
+                got: power,
+            });
+        }
+        let neighbours = NonZeroUsize::new(neighbours).ok_or(CoeffFieldError::Parameter {
+            name: "the number of neighbours of inverse distance weights",
+            allowed: "at least 1",
+            got: 0.0,
+        })?;
+        Ok(Self { power, neighbours })
+    }
+
+    /// The exponent.
+    pub fn power(self) -> f64 {
+        self.power
+    }
+
+    /// Which nearest sample sets the radius.
+    pub fn neighbours(self) -> usize {
+        self.neighbours.get()
+    }
+
+    /// The formula without one sample; none when no sample is left.
+    fn weights(
+        self,
+        tree: &SearchTree,
+        p: Point,
+        skip: Option<usize>,
+        weights: &mut WeightList,
+    ) -> Option<()> {
+        let k = self.neighbours;
+        let others = tree.points.len() - usize::from(skip.is_some());
+        weights.clear();
+        // With few samples nothing is cut off.
+        let radius = if others <= k.get() {
+            weights.extend(
+                (0..tree.points.len())
+                    .filter(|&sample| Some(sample) != skip)
+                    .map(|sample| (sample, tree.square(p, sample))),
+            );
+            f64::INFINITY
+        } else {
+            let square = RADIUS_SQUARED * tree.square_of_kth(p, k, skip)?;
+            tree.within(p, square, skip, |sample, square| weights.push((sample, square)));
+            square.sqrt()
+        };
+        let nearest = weights
+            .iter()
+            .copied()
+            .reduce(|a, b| if b.1 < a.1 { b } else { a })?;
+        if nearest.1 == 0.0 {
+            single(weights, nearest.0);
+            return Some(());
+        }
+        // Relative to the nearest sample's, whose u is the largest, nothing overflows and the sum is at least 1.
+        let d_nearest = nearest.1.sqrt();
+        let scale = d_nearest / (1.0 - d_nearest / radius);
+        weights.retain_mut(|(_, weight)| {
+            let d = weight.sqrt();
+            let u = (1.0 - d / radius).max(0.0) / d * scale;
+            *weight = if self.power == 2.0 {
+                u * u
+            } else {
+                u.powf(self.power)
+            };
+            *weight > 0.0
+        });
+        let sum: f64 = weights.iter().map(|(_, weight)| weight).sum();
+        for (_, weight) in weights {
+            *weight /= sum;
+        }
+        Some(())
+    }
+}
+
+impl Default for InverseDistance {
+    fn default() -> Self {
+        Self {
+            power: Interpolation::DEFAULT_POWER,
+            neighbours: NonZeroUsize::new(Self::DEFAULT_NEIGHBOURS).expect("not zero"),
+        }
+    }
+}
+
+impl FieldInterpolation for InverseDistance {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+        let points = Points::new(positions)?;
+        Ok(Box::new(InverseDistanceWeights {
+            method: *self,
+            tree: SearchTree::new(&points)?,
+            hull: Hull::new(&points, outside)?,
+        }))
+    }
+
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+        let points = Points::new(samples.positions())?;
+        let tree = SearchTree::new(&points)?;
+        let mut weights = WeightList::new();
+        let predict = |sample, at| {
+            self.weights(&tree, at, Some(sample), &mut weights)
+                .ok_or(Unpredictable::NoOthers)?;
+            Ok(prediction_error(samples, sample, samples.values(), &weights))
+        };
+        hull_leave_one_out(samples, &points, outside, predict)
+    }
+}
+
+#[derive(Debug)]
+struct InverseDistanceWeights {
+    method: InverseDistance,
+    tree: SearchTree,
+    hull: Hull,
+}
+
+impl FieldWeights for InverseDistanceWeights {
+    fn sample_count(&self) -> usize {
+        self.tree.points.len()
+    }
+
+    fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError> {
+        let p = self.hull.admit(position)?;
+        self.method
+            .weights(&self.tree, p, None, weights)
+            .expect("there is at least one sample");
+        Ok(())
+    }
+}
+
+/// A k-d tree whose answers do not depend on how it was built: distances are computed here, ties go to the lowest sample.
+#[derive(Debug)]
+pub(crate) struct SearchTree {
+    tree: ImmutableKdTree<f64, 2>,
+    points: Vec<Point>,
+}
+
+/// The tree's own distances may be rounded differently.
+const ROUNDING: f64 = 1.0 + 1e-12;
+/// Rounding of a squared distance, and of the position it is taken from, is well below this, relatively.
+const DOUBT: f64 = 64.0 * f64::EPSILON;
+
+impl SearchTree {
+    pub(crate) fn new(points: &Points) -> Result<Self, CoeffFieldError> {
+        let tree = ImmutableKdTree::new_from_slice(&points.points)
+            .map_err(|error| CoeffFieldError::External(Box::new(error)))?;
+        Ok(Self {
+            tree,
+            points: points.points.clone(),
+        })
+    }
+
+    /// The sample nearest to `p` apart from `skip`; of several at the same distance the first. None when none is left.
+    pub(crate) fn nearest(&self, p: Point, skip: Option<usize>) -> Option<usize> {
+        let largest = self.square_of_kth(p, NonZeroUsize::MIN, skip)?;
+        let mut best = (f64::INFINITY, usize::MAX);
+        self.within(p, largest, skip, |sample, square| {
+            if (square, sample) < best {
+                best = (square, sample);
+            }
+        });
+        Some(best.1)
+    }
+
+    /// The sample nearest to `p`; none where another one is as near but for rounding.
+    ///
+    /// Where `p` and `q` have the same result, so have the positions between them: the difference of the squared distances of
+    /// two samples is linear along the line, and the rounding allowed for convex.
+    pub(crate) fn clearly_nearest(&self, p: Point) -> Option<usize> {
+        let two = const { NonZeroUsize::new(2).expect("2 is not 0") };
+        let mut found = self.closest(p, two);
+        let a = found.next()?;
+        let Some(b) = found.next() else {
+            return Some(a.1);
+        };
+        let (near, far) = if a.0 <= b.0 { (a, b) } else { (b, a) };
+        let doubt = DOUBT * (far.0 + (p[0].abs() + p[1].abs()) * far.0.sqrt());
+        (far.0 - near.0 > doubt).then_some(near.1)
+    }
+
+    /// The squared distance of the `k`-th nearest sample apart from `skip`; of the last one where there are fewer.
+    pub(crate) fn square_of_kth(&self, p: Point, k: NonZeroUsize, skip: Option<usize>) -> Option<f64> {
+        let wanted = k.saturating_add(usize::from(skip.is_some()));
+        let others = self
+            .closest(p, wanted)
+            .filter(|&(_, sample)| Some(sample) != skip);
+        others.take(k.get()).map(|(square, _)| square).reduce(f64::max)
+    }
+
+    /// The squared distances and the samples nearest to `p`, at most `count`.
+    fn closest(&self, p: Point, count: NonZeroUsize) -> impl Iterator<Item = (f64, usize)> {
+        let query = self.tree.query(&p);
+        let found = query.nearest_n::<SquaredEuclidean<f64>>(count).execute();
+        let samples = found.into_iter().map(|item| item.item as usize);
+        samples.map(move |sample| (self.square(p, sample), sample))
+    }
+
+    /// Visits every sample whose squared distance from `p` is at most about `square`, apart from `skip`.
+    pub(crate) fn within(
+        &self,
+        p: Point,
+        square: f64,
+        skip: Option<usize>,
+        mut visit: impl FnMut(usize, f64),
+    ) {
+        let found = self
+            .tree
+            .query(&p)
+            .within::<SquaredEuclidean<f64>>(square * ROUNDING)
+            .execute();
+        for sample in found.iter().map(|item| item.item as usize) {
+            if Some(sample) != skip {
+                visit(sample, self.square(p, sample));
+            }
+        }
+    }
+
+    pub(crate) fn square(&self, p: Point, sample: usize) -> f64 {
+        let d = sub(self.points[sample], p);
+        dot(d, d)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::points_of;
+
+    #[test]
+    fn ties_go_to_the_first_sample() {
+        let corners = [(4, 4), (0, 4), (4, 0), (0, 0)].map(|(x, y)| Position::of_pixel(x, y));
+        let positions = SamplePositions::new(corners.to_vec(), None).unwrap();
+        let nearest = Nearest.prepare(&positions, OutsidePolicy::Nearest).unwrap();
+        let mut weights = WeightList::new();
+        for (x, y, sample) in [(2, 2, 0), (2, 0, 2), (0, 2, 1), (1, 1, 3), (9, -9, 2)] {
+            nearest
+                .weights_into(Position::of_pixel(x, y), &mut weights)
+                .unwrap();
+            assert_eq!(weights, [(sample, 1.0)], "({x}, {y})");
+        }
+    }
+
+    fn formula(points: &[Point], power: f64, k: usize, p: Point) -> WeightList {
+        let method = InverseDistance::new(power, k).unwrap();
+        let mut weights = WeightList::new();
+        let tree = SearchTree::new(&points_of(points)).unwrap();
+        method.weights(&tree, p, None, &mut weights).unwrap();
+        weights.sort_unstable_by_key(|&(sample, _)| sample);
+        weights
+    }
+
+    #[test]
+    fn the_formula_holds_with_and_without_a_radius() {
+        // d = 1, 2, 4: plain Shepard gives d^-2 = 1, 1/4, 1/16.
+        let points = [[1.0, 0.0], [0.0, 2.0], [-4.0, 0.0]];
+        let plain = formula(&points, 2.0, 3, [0.0, 0.0]);
+        for ((_, w), expected) in plain.iter().zip([16.0, 4.0, 1.0]) {
+            assert!((w - expected / 21.0).abs() < 1e-15);
+        }
+        // k = 2: R = 2 sqrt 2 and the third takes no part.
+        let r = 8.0_f64.sqrt();
+        let u = [(r - 1.0) / r, (r - 2.0) / (2.0 * r)].map(|v| v.powi(3));
+        let cut = formula(&points, 3.0, 2, [0.0, 0.0]);
+        assert_eq!(cut.len(), 2);
+        for ((_, w), expected) in cut.iter().zip(u) {
+            assert!((w - expected / (u[0] + u[1])).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn samples_all_at_one_distance_share_evenly() {
+        let circle: Vec<Point> = (0..40)
+            .map(|i| {
+                let (s, c) = (f64::from(i) * std::f64::consts::TAU / 40.0).sin_cos();
+                [c, s]
+            })
+            .collect();
+        let weights = formula(&circle, 2.0, 6, [0.0, 0.0]);
+        assert_eq!(weights.len(), 40);
+        assert!(weights.iter().all(|(_, w)| (w - 0.025).abs() < 1e-12));
+    }
+
+    #[test]
+    fn extreme_powers_and_distances_stay_finite() {
+        let points = [[0.0, 0.0], [1e-9, 0.0], [1e7, 0.0], [0.0, 1e7], [1e7, 1e7]];
+        for power in [1e-3, 1.0, 30.0, 1e4] {
+            for p in [[1e-30, 0.0], [5e-10, 0.0], [5e6, 5e6], [-1e40, 3.0]] {
+                for k in [1, 2, 6] {
+                    let weights = formula(&points, power, k, p);
+                    let sum: f64 = weights.iter().map(|(_, w)| w).sum();
+                    assert!((sum - 1.0).abs() < 1e-12, "{power} {p:?} {k}: {weights:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bad_parameters_are_refused() {
+        for power in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(matches!(
+                InverseDistance::new(power, 6),
+                Err(CoeffFieldError::Parameter { .. })
+            ));
+        }
+        assert!(InverseDistance::new(2.0, 0).is_err());
+    }
+
+    fn check(points: &[Point], queries: &[Point]) {
+        let tree = SearchTree::new(&points_of(points)).unwrap();
+        for &p in queries {
+            let mut all: Vec<(f64, usize)> = (0..points.len()).map(|i| (tree.square(p, i), i)).collect();
+            all.sort_by(|a, b| a.partial_cmp(b).unwrap());
+            assert_eq!(tree.nearest(p, None), Some(all[0].1), "{p:?}");
+            assert_eq!(tree.nearest(p, Some(all[0].1)), Some(all[1].1), "{p:?}");
+            let is_clear = all[0].0 < all[1].0 * (1.0 - 1e-9);
+            let expected = is_clear.then_some(all[0].1);
+            if is_clear || all[0].0 == all[1].0 {
+                assert_eq!(tree.clearly_nearest(p), expected, "{p:?}");
+            }
+            let k = NonZeroUsize::new(7).unwrap();
+            let seventh = all[6.min(all.len() - 1)].0;
+            assert_eq!(tree.square_of_kth(p, k, None), Some(seventh));
+            let mut inside = Vec::new();
+            tree.within(p, seventh, None, |sample, square| {
+                if square <= seventh {
+                    inside.push(sample);
+                }
+            });
+            assert_eq!(inside.len(), all.iter().filter(|(s, _)| *s <= seventh).count());
+        }
+    }
+
+    #[test]
+    fn grids_with_many_ties_agree_with_a_linear_search() {
+        let grid: Vec<Point> = (0..71 * 71)
+            .map(|i| [f64::from(i % 71), f64::from(i / 71)])
+            .collect();
+        let queries: Vec<Point> = (0..400)
+            .map(|i| [f64::from(i % 20) * 3.75 - 2.0, f64::from(i / 20) * 3.5])
+            .collect();
+        check(&grid, &queries);
+    }
+
+    #[test]
+    fn rows_clusters_and_circles_agree_with_a_linear_search() {
+        let queries = [
+            [0.0, 0.0],
+            [35.0, 0.0],
+            [-1e7, 3.0],
+            [1e-9, 1e-9],
+            [17.0, 1e3],
+            [1e30, 1e30],
+        ];
+        check(
+            &(0..300).map(|i| [f64::from(i), 0.0]).collect::<Vec<_>>(),
+            &queries,
+        );
+        check(
+            &(0..300).map(|i| [5.0, f64::from(i) * 1e-9]).collect::<Vec<_>>(),
+            &queries,
+        );
+        let circle = |i: i32| {
+            let (s, c) = (f64::from(i) * 0.1).sin_cos();
+            [1e7 + c, s]
+        };
+        check(&(0..60).map(circle).collect::<Vec<_>>(), &queries);
+    }
+
+    #[test]
+    fn nothing_is_left_of_one_sample() {
+        let tree = SearchTree::new(&points_of(&[[1.0, 2.0]])).unwrap();
+        assert_eq!(tree.nearest([9.0, 9.0], None), Some(0));
+        assert_eq!(tree.nearest([9.0, 9.0], Some(0)), None);
+    }
+}

@@ -1,0 +1,359 @@
+//! The Delaunay triangulation that spade makes of the samples.
+
+use std::collections::VecDeque;
+use std::num::NonZeroU32;
+
+use spade::handles::FixedVertexHandle;
+use spade::{DelaunayTriangulation, HasPosition, HintGenerator, Point2, Triangulation};
+
+use crate::geometry::{Point, Points, cross, dot, foot_on_segment, sub};
+use crate::interpolation::{WeightList, pair};
+
+/// A sample as a vertex of the triangulation, which keeps its own order.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Node {
+    point: Point2<f64>,
+    sample: u32,
+}
+
+impl HasPosition for Node {
+    type Scalar = f64;
+    fn position(&self) -> Point2<f64> {
+        self.point
+    }
+}
+
+/// What a triangle knows: the side of the hull (counted from 1) that it was peeled off, if it was.
+pub(crate) type Peeled = Option<NonZeroU32>;
+pub(crate) type Triangles = DelaunayTriangulation<Node, (), (), Peeled, GridHints>;
+
+/// The triangulation of points that do not lie on one line, and the index of each sample's vertex
+/// in it.
+pub(crate) fn triangulate(points: &Points) -> (Triangles, Vec<u32>) {
+    let nodes = points.points.iter().zip(0..).map(|(p, sample)| Node {
+        point: Point2::new(p[0], p[1]),
+        sample,
+    });
+    let triangles =
+        Triangles::bulk_load(nodes.collect()).expect("coordinates were checked to be in spade's range");
+    let mut vertices = vec![0; points.len()];
+    for vertex in triangles.vertices() {
+        vertices[sample_of(vertex.data())] = vertex.index() as u32;
+    }
+    (triangles, vertices)
+}
+
+/// A triangle whose height is below this part of its longest side is flat: its barycentric coordinates would be rounding.
+const FLAT: f64 = 1e-10;
+
+pub(crate) fn sample_of(node: &Node) -> usize {
+    node.sample as usize
+}
+
+pub(crate) fn point_of(node: &Node) -> Point {
+    [node.point.x, node.point.y]
+}
+
+/// Barycentric coordinates of `p`, which lies inside the triangle up to rounding, so that none is negative.
+///
+/// Areas are taken relative to `p`: where two corners are close to it, their small difference is exact. In a flat triangle
+/// the weights follow the two shorter sides.
+pub(crate) fn in_triangle(corners: [Point; 3], samples: [usize; 3], p: Point, weights: &mut WeightList) {
+    let edge = |i: usize| sub(corners[(i + 1) % 3], corners[i]);
+    let squares = [0, 1, 2].map(|i| dot(edge(i), edge(i)));
+    let longest = (1..3).fold(0, |best, i| if squares[i] > squares[best] { i } else { best });
+    if cross(edge(0), edge(1)) <= FLAT * squares[longest] {
+        let (a, b, apex) = (longest, (longest + 1) % 3, (longest + 2) % 3);
+        let along = |q: Point| dot(sub(q, corners[a]), edge(a));
+        let (from, to) = if along(p) < along(corners[apex]) {
+            (a, apex)
+        } else {
+            (apex, b)
+        };
+        let s = foot_on_segment(corners[from], corners[to], p);
+        pair(weights, samples[from], samples[to], s);
+        return;
+    }
+    weights.extend(samples.into_iter().zip(area_shares(corners, p)));
+}
+
+/// The shares of the triangles that `p` makes with each side, by the corner opposite to it.
+pub(crate) fn area_shares(corners: [Point; 3], p: Point) -> [f64; 3] {
+    let from_p = corners.map(|corner| sub(corner, p));
+    let areas = [0, 1, 2].map(|i| cross(from_p[(i + 1) % 3], from_p[(i + 2) % 3]).max(0.0));
+    let sum: f64 = areas.iter().sum();
+    areas.map(|area| area / sum)
+}
+
+/// A table of nearby vertices over a square grid of cells.
+///
+/// The hint is a function of the position alone (spade's own generators remember the last lookup, so that a result
+/// could depend, in its last bit, on what was asked before), needs no lock between threads, and costs constant time.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct GridHints {
+    origin: [f64; 2],
+    per_pixel: [f64; 2],
+    side: usize,
+    /// A vertex in or near each cell, row by row.
+    vertices: Vec<u32>,
+}
+
+const EMPTY: u32 = u32::MAX;
+
+impl GridHints {
+    fn cell(&self, position: Point2<f64>) -> usize {
+        // A float to integer cast saturates; NaN becomes 0.
+        let index = |v: f64, axis: usize| {
+            (((v - self.origin[axis]) * self.per_pixel[axis]) as usize).min(self.side - 1)
+        };
+        index(position.y, 1) * self.side + index(position.x, 0)
+    }
+
+    /// Gives each empty cell the vertex of a filled one nearby.
+    fn fill(&mut self) {
+        let mut queue: VecDeque<usize> = (0..self.vertices.len())
+            .filter(|&cell| self.vertices[cell] != EMPTY)
+            .collect();
+        while let Some(cell) = queue.pop_front() {
+            let (row, column) = (cell / self.side, cell % self.side);
+            let neighbours = [
+                (row > 0).then(|| cell - self.side),
+                (row + 1 < self.side).then(|| cell + self.side),
+                (column > 0).then(|| cell - 1),
+                (column + 1 < self.side).then(|| cell + 1),
+            ];
+            for neighbour in neighbours.into_iter().flatten() {
+                if self.vertices[neighbour] == EMPTY {
+                    self.vertices[neighbour] = self.vertices[cell];
+                    queue.push_back(neighbour);
+                }
+            }
+        }
+    }
+}
+
+impl HintGenerator<f64> for GridHints {
+    fn get_hint(&self, position: Point2<f64>) -> FixedVertexHandle {
+        let vertex = if self.vertices.is_empty() {
+            0
+        } else {
+            self.vertices[self.cell(position)] as usize
+        };
+        FixedVertexHandle::from_index(vertex)
+    }
+
+    fn notify_vertex_lookup(&self, _: FixedVertexHandle) {}
+
+    fn notify_vertex_inserted(&mut self, _: FixedVertexHandle, _: Point2<f64>) {}
+
+    fn notify_vertex_removed(&mut self, _: Option<Point2<f64>>, _: FixedVertexHandle, _: Point2<f64>) {}
+
+    fn initialize_from_triangulation<TR, V>(triangulation: &TR) -> Self
+    where
+        TR: Triangulation<Vertex = V>,
+        V: HasPosition<Scalar = f64>,
+    {
+        let count = triangulation.num_vertices();
+        let bounds = |axis: fn(Point2<f64>) -> f64| {
+            triangulation
+                .vertices()
+                .map(|v| axis(v.position()))
+                .fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| {
+                    (a.min(v), b.max(v))
+                })
+        };
+        let ((x0, x1), (y0, y1)) = (bounds(|p| p.x), bounds(|p| p.y));
+        let side = (count as f64).sqrt().ceil().max(1.0) as usize;
+        let per_pixel = |range: f64| if range > 0.0 { side as f64 / range } else { 0.0 };
+        let mut hints = Self {
+            origin: [x0, y0],
+            per_pixel: [per_pixel(x1 - x0), per_pixel(y1 - y0)],
+            side,
+            vertices: vec![EMPTY; side * side],
+        };
+        for vertex in triangulation.vertices() {
+            let cell = hints.cell(vertex.position());
+            hints.vertices[cell] = vertex.index() as u32;
+        }
+        hints.fill();
+        hints
+    }
+}
+
+/// The direct neighbours alone serve while the squares of their offsets spread at least this much across.
+const SPREAD: f64 = 1e-2;
+/// Offsets that spread less than this across say nothing of the slope there, which counts as 0.
+const LINE: f64 = 1e-6;
+
+/// The gradient at a vertex as a linear form: its x and y parts weigh each sample by these numbers, which sum to 0.
+pub(crate) type GradientStencil = Vec<(usize, Point)>;
+
+/// Least squares over the Delaunay neighbours: minimises `sum_j u_j [v_j - v_0 - g (x_j - x_0)]^2` with
+/// `u_j = 1 / (d_j^2 + m^2)`, `d_j` the distance of neighbour `j` and `m^2` the mean of the `d_j^2`; exact for linear values.
+///
+/// The weights favour near neighbours, but not those in a tight cluster, whose differences would be noise. Neighbours of
+/// neighbours join in where the first ring nearly lies on a line.
+pub(crate) fn gradient_stencil(triangles: &Triangles, vertex: FixedVertexHandle) -> GradientStencil {
+    let centre = triangles.vertex(vertex);
+    let origin = point_of(centre.data());
+    let mut ring: Vec<FixedVertexHandle> = centre.out_edges().map(|e| e.to().fix()).collect();
+    let offsets_of = |ring: &[FixedVertexHandle]| -> Vec<Point> {
+        let points = ring.iter().map(|&v| point_of(triangles.vertex(v).data()));
+        points.map(|p| sub(p, origin)).collect()
+    };
+    let mut offsets = offsets_of(&ring);
+    if axes(&offsets).is_none_or(|(_, [large, small])| small < SPREAD * large) {
+        let second: Vec<_> = ring
+            .iter()
+            .flat_map(|&v| triangles.vertex(v).out_edges().map(|e| e.to().fix()))
+            .collect();
+        for v in second {
+            if v != vertex && !ring.contains(&v) {
+                ring.push(v);
+            }
+        }
+        offsets = offsets_of(&ring);
+    }
+    let Some((axis, [large, small])) = axes(&offsets) else {
+        return Vec::new();
+    };
+    let reach = mean_square(&offsets);
+    let across = [-axis[1], axis[0]];
+    let inverse_small = if small < LINE * large { 0.0 } else { 1.0 / small };
+    let mut stencil = vec![(sample_of(centre.data()), [0.0; 2])];
+    for (v, d) in ring.into_iter().zip(offsets) {
+        let w = 1.0 / (dot(d, d) + reach);
+        let (along, beside) = (w * dot(d, axis) / large, w * dot(d, across) * inverse_small);
+        let g = [
+            along * axis[0] + beside * across[0],
+            along * axis[1] + beside * across[1],
+        ];
+        stencil[0].1 = sub(stencil[0].1, g);
+        stencil.push((sample_of(triangles.vertex(v).data()), g));
+    }
+    stencil
+}
+
+/// The mean of the squared distances.
+fn mean_square(offsets: &[Point]) -> f64 {
+    offsets.iter().map(|&d| dot(d, d)).sum::<f64>() / offsets.len() as f64
+}
+
+/// Principal axis and eigenvalues (larger first) of `sum u d d^T` over the offsets.
+fn axes(offsets: &[Point]) -> Option<(Point, [f64; 2])> {
+    let reach = mean_square(offsets);
+    let mut m = [0.0; 3];
+    for &d in offsets {
+        let w = 1.0 / (dot(d, d) + reach);
+        m[0] += w * d[0] * d[0];
+        m[1] += w * d[0] * d[1];
+        m[2] += w * d[1] * d[1];
+    }
+    let half_difference = 0.5 * (m[0] - m[2]);
+    let radius = half_difference.hypot(m[1]);
+    let centre = 0.5 * (m[0] + m[2]);
+    let angle = 0.5 * m[1].atan2(half_difference);
+    let (s, c) = angle.sin_cos();
+    let large = centre + radius;
+    // The determinant keeps the small eigenvalue's digits, the difference centre - radius would not.
+    let small = ((m[0] * m[2] - m[1] * m[1]) / large).max(0.0);
+    (large > 0.0 && large.is_finite()).then_some(([c, s], [large, small]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::points_of;
+
+    use spade::DelaunayTriangulation;
+
+    #[test]
+    fn every_cell_hints_at_a_vertex_that_is_near() {
+        let points = (0..400).map(|i| Point2::new(f64::from(i % 20), f64::from(i / 20)));
+        let mesh: DelaunayTriangulation<Point2<f64>, (), (), (), GridHints> =
+            DelaunayTriangulation::bulk_load(points.collect()).unwrap();
+        let hints = GridHints::initialize_from_triangulation(&mesh);
+        for i in 0..1000 {
+            let p = Point2::new(f64::from(i % 32) * 0.6, f64::from(i / 32) * 0.6);
+            let vertex = mesh.vertex(hints.get_hint(p)).position();
+            assert!((vertex.x - p.x).hypot(vertex.y - p.y) < 2.0, "{p:?} {vertex:?}");
+        }
+    }
+
+    #[test]
+    fn empty_cells_and_far_positions_have_hints() {
+        let points = vec![
+            Point2::new(0.0, 0.0),
+            Point2::new(1e-9, 0.0),
+            Point2::new(0.0, 1e-9),
+            Point2::new(1e7, 1e7),
+        ];
+        let mesh: DelaunayTriangulation<Point2<f64>, (), (), (), GridHints> =
+            DelaunayTriangulation::bulk_load(points).unwrap();
+        let hints = GridHints::initialize_from_triangulation(&mesh);
+        for p in [
+            Point2::new(5e6, 0.0),
+            Point2::new(-1e50, 1e50),
+            Point2::new(1e50, 1e50),
+        ] {
+            assert!(hints.get_hint(p).index() < 4);
+        }
+    }
+
+    /// Rounding of sums of a few terms of order one.
+    const ROUNDING: f64 = 1e-12;
+
+    fn gradient(points: &[Point], vertex: usize, values: impl Fn(Point) -> f64) -> Point {
+        let (triangles, vertices) = triangulate(&points_of(points));
+        let vertex = FixedVertexHandle::from_index(vertices[vertex] as usize);
+        let stencil = gradient_stencil(&triangles, vertex);
+        stencil.iter().fold([0.0; 2], |g, (sample, w)| {
+            let v = values(points[*sample]);
+            [g[0] + w[0] * v, g[1] + w[1] * v]
+        })
+    }
+
+    #[test]
+    fn linear_values_have_their_slope() {
+        let points = [[0.0, 0.0], [3.0, 0.2], [0.4, 2.0], [3.0, 3.0], [1.0, 1.1]];
+        for vertex in 0..points.len() {
+            let g = gradient(&points, vertex, |p| 7.0 + 2.0 * p[0] - 5.0 * p[1]);
+            assert!(
+                (g[0] - 2.0).abs() < ROUNDING && (g[1] + 5.0).abs() < ROUNDING,
+                "{g:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn neighbours_on_a_line_call_in_the_second_ring() {
+        // The neighbours of the first point lie almost on one line through it.
+        let points = [[0.0, 0.0], [1.0, 1e-4], [2.0, -1e-4], [4.0, 3.0], [4.0, -3.0]];
+        let g = gradient(&points, 0, |p| p[1]);
+        assert!((g[1] - 1.0).abs() < 1e-6 && g[0].abs() < 1e-6, "{g:?}");
+    }
+
+    #[test]
+    fn noise_between_clustered_samples_is_no_slope() {
+        let points = [[0.0, 0.0], [1e-9, 0.0], [5.0, 1.0], [0.0, 4.0], [1.0, -4.0]];
+        let g = gradient(&points, 0, |p| if p == points[1] { 1.0 } else { 0.0 });
+        assert!(g[0].abs() < 1e-8 && g[1].abs() < 1e-8, "{g:?}");
+    }
+
+    #[test]
+    fn rounded_lines_have_no_slope_across() {
+        let points = [[0.0, 0.0], [1.0, 1e-5], [2.0, 0.0], [3.0, 2e-5]];
+        let g = gradient(&points, 1, |p| 3.0 * p[0] + 1e9 * p[1] * p[1]);
+        assert!(g[0].abs() < 4.0 && g[1].abs() < 1e-3, "{g:?}");
+    }
+
+    #[test]
+    fn flat_triangles_follow_their_short_sides() {
+        let (corners, samples) = ([[0.0, 0.0], [4.0, 0.0], [1.0, 1e-14]], [7, 8, 9]);
+        let mut w = Vec::new();
+        in_triangle(corners, samples, [0.25, 0.0], &mut w);
+        assert_eq!(w, [(7, 0.75), (9, 0.25)]);
+        in_triangle(corners, samples, [2.5, 0.0], &mut w);
+        assert_eq!(w, [(9, 0.5), (8, 0.5)]);
+    }
+}

@@ -1,0 +1,154 @@
+//! A plan on the processor, the light that goes through it, and what it has for a block.
+
+use std::cell::OnceCell;
+use std::ops::Range;
+use std::sync::{Arc, Mutex};
+
+use ndarray::ArrayView2;
+use psf_types::{FieldError, Progress};
+
+use super::tile_engine::{LocalTile, TileEngine, Workspace};
+use crate::ConvReal;
+use crate::plan::Plan;
+use crate::plan::block::Block;
+use crate::plan::coefficient_table::CoefficientTable;
+use crate::plan::geometry::TilePart;
+use crate::simd::Lanes;
+use crate::transform::TileTransform;
+
+/// A plan, and what threads of the processor execute it with. A plan on a GPU has one as well:
+/// there they look at the light.
+#[derive(Debug)]
+pub(crate) struct Processor<T: ConvReal> {
+    pub(crate) plan: Plan<T>,
+    pub(crate) fft: TileTransform<T>,
+    /// 0, 1, 2 ...
+    pub(crate) ramp: Vec<T>,
+    /// Workspaces that threads take and give back, so that there are no more than threads.
+    workspaces: Mutex<Vec<Workspace<T>>>,
+}
+
+impl<T: ConvReal> Processor<T> {
+    pub(crate) fn new(plan: Plan<T>) -> Self {
+        let (nx, ny) = plan.tiling.size;
+        Self {
+            fft: TileTransform::new(nx, ny),
+            ramp: (0..plan.whole.longest_row())
+                .map(|i| T::nearest(i as f64))
+                .collect(),
+            workspaces: Mutex::new(Vec::new()),
+            plan,
+        }
+    }
+
+    /// Lends a workspace to `work`.
+    pub(crate) fn with_workspace<R>(&self, work: impl FnOnce(&mut Workspace<T>) -> R) -> R {
+        let taken = self.workspaces.lock().ok().and_then(|mut free| free.pop());
+        let mut workspace = taken.unwrap_or_else(|| Workspace::new(&self.fft));
+        let result = work(&mut workspace);
+        if let Ok(mut free) = self.workspaces.lock() {
+            free.push(workspace);
+        }
+        result
+    }
+}
+
+/// The light of one side that goes through some rows of a plan's blocks, to rows of the other side from `first_output` on.
+#[derive(Clone)]
+pub(crate) struct LightPass<'a, T: ConvReal> {
+    pub(crate) processor: &'a Processor<T>,
+    /// Rows of blocks.
+    pub(crate) rows: Range<usize>,
+    /// Whole rows of the side that the light comes from, and the first of them.
+    pub(crate) light: ArrayView2<'a, T>,
+    pub(crate) first_light: usize,
+    pub(crate) first_output: usize,
+    /// Stamps are applied turned by 180 degrees.
+    pub(crate) flip: bool,
+    /// Whether tiles may be convolved by the direct sum: a GPU has nothing but transforms.
+    pub(crate) direct_sums: bool,
+    pub(crate) progress: &'a dyn Progress,
+}
+
+impl<'a, T: ConvReal> LightPass<'a, T> {
+    pub(crate) fn tile_engine(&self) -> TileEngine<'a, T> {
+        TileEngine {
+            fft: &self.processor.fft,
+            geometry: self.processor.plan.geometry,
+            flip: self.flip,
+            ramp: &self.processor.ramp,
+        }
+    }
+}
+
+/// Coefficients, stamps and spectra of a block, made when the first of them needs it.
+pub(crate) struct BlockKernels<'a, T: ConvReal> {
+    plan: &'a Plan<T>,
+    pub(crate) block: &'a Block<T>,
+    table: OnceCell<Arc<CoefficientTable<T>>>,
+    stamps: OnceCell<Arc<Vec<T>>>,
+    transformed: bool,
+}
+
+impl<'a, T: ConvReal> BlockKernels<'a, T> {
+    /// For the block at a column and a row.
+    pub(crate) fn new(plan: &'a Plan<T>, (column, row): (usize, usize)) -> Self {
+        Self {
+            plan,
+            block: plan.block(column, row),
+            table: OnceCell::new(),
+            stamps: OnceCell::new(),
+            transformed: false,
+        }
+    }
+
+    pub(crate) fn table(&self) -> &CoefficientTable<T> {
+        self.table
+            .get_or_init(|| self.block.table_or_new(&self.plan.model))
+    }
+
+    /// `[kernel, y, x]`.
+    pub(crate) fn stamps(&self) -> &[T] {
+        self.stamps
+            .get_or_init(|| self.block.stamps_or_new(&self.plan.whole.space))
+    }
+
+    /// What there is for a tile.
+    pub(crate) fn local(&self, part: TilePart) -> LocalTile<'_, T> {
+        let (table, stamps) = (self.table(), self.stamps());
+        LocalTile { part, table, stamps }
+    }
+
+    /// The error of the first pixel of a tile that has no PSF and needs one: `needed(column, row)` counts from the tile's first
+    /// pixel.
+    pub(crate) fn check(
+        &self,
+        part: TilePart,
+        needed: impl Fn(usize, usize) -> bool,
+    ) -> Result<(), FieldError> {
+        self.table().check(&self.plan.model, |row, column| {
+            let (row, column) = (
+                row.wrapping_sub(part.corner.1),
+                column.wrapping_sub(part.corner.0),
+            );
+            row < part.size.1 && column < part.size.0 && needed(column, row)
+        })
+    }
+
+    /// Sees to the kernels' spectra in the workspace.
+    pub(crate) fn transform<S: Lanes<T>>(
+        &mut self,
+        simd: S,
+        engine: &TileEngine<'_, T>,
+        workspace: &mut Workspace<T>,
+    ) {
+        if !self.transformed {
+            let stamps = self.stamps();
+            simd.vectorized(
+                #[inline(always)]
+                || engine.transform_kernels(simd, stamps, workspace),
+            );
+            self.transformed = true;
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! From the weighted side to the other.
+
+use ndarray::ArrayViewMut2;
+use rayon::prelude::*;
+
+use super::processor::LightPass;
+use super::tile_engine::Workspace;
+use super::treatment::{TileCounts, TileMethod, each_tile};
+use crate::overlap::{colours, split};
+use crate::plan::geometry::Direction;
+use crate::simd::{Lanes, WithIsa};
+use crate::{ConvError, ConvReal};
+
+/// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`, or `k(p - q)` where stamps are
+/// turned.
+///
+/// Blocks whose outputs overlap never run at the same time: in each band of rows of blocks, every n-th row and every n-th
+/// column run together, one set after the other. So the order of additions to a pixel is always the same.
+pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
+    pub(crate) pass: LightPass<'j, T>,
+    pub(crate) output: ArrayViewMut2<'o, T>,
+}
+
+/// Where each column or row of blocks begins and ends on the other side.
+type Extents = Vec<(usize, usize)>;
+
+/// A block's part of the output, and its first column and row on the other side.
+struct Task<'a, T> {
+    column: usize,
+    row: usize,
+    output: ArrayViewMut2<'a, T>,
+    origin: (usize, usize),
+}
+
+impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
+    type Output = Result<TileCounts, ConvError>;
+
+    fn run<S: Lanes<T>>(mut self, simd: S) -> Self::Output {
+        let plan = &self.pass.processor.plan;
+        let extents = (plan.extents(0), plan.extents(1));
+        let columns = &extents.0;
+        // Colours are those of all rows, so that part of a frame is made like the whole of it.
+        let (column_colours, row_colours) = (colours(columns), colours(&extents.1));
+        let bands: Vec<usize> = self.pass.rows.clone().step_by(plan.tiling.band()).collect();
+        let mut counts = TileCounts::default();
+        for first in bands {
+            let band = first..(first + plan.tiling.band()).min(self.pass.rows.end);
+            for row_colour in 0..row_colours {
+                let rows: Vec<usize> = band
+                    .clone()
+                    .filter(|row| row % row_colours == row_colour)
+                    .collect();
+                for column_colour in 0..column_colours {
+                    let of_colour: Vec<usize> =
+                        (column_colour..columns.len()).step_by(column_colours).collect();
+                    counts += self.together(simd, &extents, &rows, &of_colour)?;
+                }
+            }
+            self.pass.progress.advance(band.len() as u64);
+        }
+        Ok(counts)
+    }
+}
+
+impl<T: ConvReal> Scatter<'_, '_, T> {
+    /// The blocks at some rows and columns, which do not touch each other.
+    fn together<S: Lanes<T>>(
+        &mut self,
+        simd: S,
+        (column_extents, row_extents): &(Extents, Extents),
+        rows: &[usize],
+        columns: &[usize],
+    ) -> Result<TileCounts, ConvError> {
+        let first_output = self.pass.first_output;
+        let height = self.output.nrows();
+        let within = |row: usize| row.saturating_sub(first_output).min(height);
+        let row_ranges: Vec<(usize, usize)> = rows
+            .iter()
+            .map(|&row| (within(row_extents[row].0), within(row_extents[row].1)))
+            .collect();
+        let column_ranges: Vec<(usize, usize)> = columns.iter().map(|&c| column_extents[c]).collect();
+        let mut tasks = Vec::with_capacity(rows.len() * columns.len());
+        let parts = split(self.output.view_mut(), 0, &row_ranges);
+        for ((&row, part), &(top, _)) in rows.iter().zip(parts).zip(&row_ranges) {
+            let parts = split(part, 1, &column_ranges);
+            for ((&column, output), &(left, _)) in columns.iter().zip(parts).zip(&column_ranges) {
+                tasks.push(Task {
+                    column,
+                    row,
+                    output,
+                    origin: (left, top + first_output),
+                });
+            }
+        }
+        let pass = &self.pass;
+        let done: Vec<Result<TileCounts, ConvError>> = tasks
+            .into_par_iter()
+            .with_max_len(1)
+            .map(|task| {
+                pass.processor
+                    .with_workspace(|workspace| scatter_block(simd, pass, task, workspace))
+            })
+            .collect();
+        let mut counts = TileCounts::default();
+        for outcome in done {
+            counts += outcome?;
+        }
+        Ok(counts)
+    }
+}
+
+fn scatter_block<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    pass: &LightPass<'_, T>,
+    task: Task<'_, T>,
+    workspace: &mut Workspace<T>,
+) -> Result<TileCounts, ConvError> {
+    let plan = &pass.processor.plan;
+    let engine = pass.tile_engine();
+    let (block, origin, mut output) = ((task.column, task.row), task.origin, task.output);
+    each_tile(
+        simd,
+        pass,
+        Direction::Scatter,
+        block,
+        workspace,
+        |local, (x, y), treatment, workspace| {
+            let reach = plan.geometry.reach_from(x, y);
+            let place = (reach.0 - origin.0 as i64, reach.1 - origin.1 as i64);
+            if let Some(method) = treatment.method {
+                simd.vectorized(
+                    #[inline(always)]
+                    || {
+                        match method {
+                            TileMethod::Directly => engine.scatter_directly(simd, local, workspace),
+                            TileMethod::ByTransforms => engine.scatter(simd, local, workspace),
+                        }
+                        let size = plan.geometry.around(local.part.size);
+                        if let Some(back) = treatment.back {
+                            for value in workspace.weighted.get_mut() {
+                                *value *= back;
+                            }
+                        }
+                        engine.add(simd, workspace.weighted.get(), size, &mut output, place);
+                    },
+                );
+            }
+            if !treatment.drawn.is_empty() {
+                simd.vectorized(
+                    #[inline(always)]
+                    || engine.draw_scattered(simd, local, &treatment.drawn, &mut output, place),
+                );
+            }
+        },
+    )
+}

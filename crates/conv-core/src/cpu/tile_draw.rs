@@ -1,0 +1,147 @@
+//! Single pixels of a tile's light, stamp by stamp.
+
+use ndarray::ArrayViewMut2;
+use pulp::bytemuck::{cast_slice, cast_slice_mut};
+
+use super::tile_engine::{LocalTile, TileEngine};
+use super::treatment::LitPixel;
+use crate::ConvReal;
+use crate::simd::Lanes;
+
+impl<T: ConvReal> TileEngine<'_, T> {
+    /// Draws single pixels of a tile's light: the stamp of each into `output`, in which the tile's first pixel spreads from
+    /// `corner` on.
+    #[inline(always)]
+    pub(crate) fn draw_scattered<S: Lanes<T>>(
+        &self,
+        simd: S,
+        local: LocalTile<'_, T>,
+        pixels: &[LitPixel<T>],
+        output: &mut ArrayViewMut2<'_, T>,
+        corner: (i64, i64),
+    ) {
+        let (sx, sy) = self.geometry.stamp;
+        let (height, width) = output.dim();
+        let kernels = local.table.kernel_count();
+        let mut coefficients = vec![T::zero(); pixels.len() * kernels];
+        for (&(y, x, value), all) in pixels.iter().zip(coefficients.chunks_exact_mut(kernels)) {
+            let (column, row) = (local.part.corner.0 + x, local.part.corner.1 + y);
+            for (kernel, c) in all.iter_mut().enumerate() {
+                let one = std::slice::from_mut(c);
+                local.table.weigh(kernel, row, column, &[value], self.ramp, one);
+            }
+        }
+        // Row by row of the stamps: one row of all of them stays in the first cache while every pixel takes its part of it.
+        for j in 0..sy {
+            for (&(y, x, _), all) in pixels.iter().zip(coefficients.chunks_exact(kernels)) {
+                let (column, row) = (corner.0 + x as i64, corner.1 + (y + j) as i64);
+                let from = (-column).clamp(0, sx as i64) as usize;
+                let to = (width as i64 - column).clamp(from as i64, sx as i64) as usize;
+                if from == to || !(0..height as i64).contains(&row) {
+                    continue;
+                }
+                let start = (column + from as i64) as usize;
+                let mut target = output.row_mut(row as usize);
+                let target = target.as_slice_mut().expect("images are row-major");
+                let target = &mut target[start..start + (to - from)];
+                if self.flip {
+                    let row = (sy - 1 - j) * sx;
+                    for (stamp, &c) in local.stamps.chunks_exact(sx * sy).zip(all) {
+                        let values = stamp[row + sx - to..row + sx - from].iter().rev();
+                        for (t, v) in target.iter_mut().zip(values) {
+                            *t += c * *v;
+                        }
+                    }
+                } else {
+                    add_combination(simd, target, local.stamps, (sx * sy, j * sx + from), all);
+                }
+            }
+        }
+    }
+
+    /// What single pixels of the light around a tile give to it.
+    #[inline(always)]
+    pub(crate) fn draw_gathered<S: Lanes<T>>(
+        &self,
+        _: S,
+        local: LocalTile<'_, T>,
+        pixels: &[LitPixel<T>],
+        row: &mut [T],
+        output: &mut ArrayViewMut2<'_, T>,
+    ) {
+        let (columns, rows) = local.part.size;
+        let (sx, sy) = self.geometry.stamp;
+        let mut line = vec![T::zero(); sx];
+        for &(y, x, value) in pixels {
+            // Pixel p of the tile takes stamp pixel (p + size - 1) - q from pixel q of the light around it.
+            let (from, to) = ((x + 1).saturating_sub(sx), (x + 1).min(columns));
+            if from >= to {
+                continue;
+            }
+            for p in (y + 1).saturating_sub(sy)..(y + 1).min(rows) {
+                let j = p + sy - 1 - y;
+                for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
+                    let line = &mut line[..to - from];
+                    for (t, p) in line.iter_mut().zip(from..to) {
+                        *t = value * self.at(stamp, p + sx - 1 - x, j);
+                    }
+                    let row = &mut row[..to - from];
+                    local.table.weigh(
+                        kernel,
+                        local.part.corner.1 + p,
+                        local.part.corner.0 + from,
+                        line,
+                        self.ramp,
+                        row,
+                    );
+                    let mut target = output.row_mut(p);
+                    let target = target.as_slice_mut().expect("images are row-major");
+                    for (t, v) in target[from..to].iter_mut().zip(row.iter()) {
+                        *t += *v;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Adds `sum_k c_k values_k` to `target`, where `values_k` starts at `first` of the k-th `stride` values.
+#[inline(always)]
+fn add_combination<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    target: &mut [T],
+    values: &[T],
+    (stride, first): (usize, usize),
+    coefficients: &[T],
+) {
+    let length = target.len();
+    let vectors = length / S::LANES;
+    let mut done = 0;
+    // Four sums stay in registers while all stamps pass.
+    while done + 4 <= vectors {
+        let at = done * S::LANES;
+        let sums: &mut [S::V] = cast_slice_mut(&mut target[at..at + 4 * S::LANES]);
+        let (mut a, mut b, mut c, mut d) = (sums[0], sums[1], sums[2], sums[3]);
+        for (k, &coefficient) in coefficients.iter().enumerate() {
+            let start = k * stride + first + at;
+            let v: &[S::V] = cast_slice(&values[start..start + 4 * S::LANES]);
+            let w = simd.splat(coefficient);
+            a = simd.mul_add(w, v[0], a);
+            b = simd.mul_add(w, v[1], b);
+            c = simd.mul_add(w, v[2], c);
+            d = simd.mul_add(w, v[3], d);
+        }
+        sums.copy_from_slice(&[a, b, c, d]);
+        done += 4;
+    }
+    let rest = done * S::LANES;
+    for (k, &coefficient) in coefficients.iter().enumerate() {
+        let start = k * stride + first;
+        for (t, v) in target[rest..]
+            .iter_mut()
+            .zip(&values[start + rest..start + length])
+        {
+            *t += coefficient * *v;
+        }
+    }
+}

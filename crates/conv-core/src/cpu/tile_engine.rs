@@ -1,0 +1,339 @@
+//! One tile at a time, by transforms or by the direct sum, and the memory for it.
+
+use ndarray::{ArrayView2, ArrayViewMut2};
+
+use crate::ConvReal;
+use crate::overlap::overlap;
+use crate::plan::coefficient_table::CoefficientTable;
+use crate::plan::geometry::{Geometry, TilePart};
+use crate::simd::{Aligned, Lanes};
+use crate::transform::{TileTransform, X_STEP};
+
+/// Planes and spectra of one transform size; what they hold between tiles is undefined.
+#[derive(Debug)]
+pub(crate) struct Workspace<T> {
+    /// The tile's light.
+    pub(crate) light: Aligned<T>,
+    /// The light times a coefficient, or a result.
+    pub(crate) weighted: Aligned<T>,
+    pub(crate) spectrum: Aligned<T>,
+    pub(crate) sum: Aligned<T>,
+    pub(crate) column: Aligned<T>,
+    /// The spectra of a block's kernels, one after the other.
+    pub(crate) kernels: Aligned<T>,
+    /// A row that has no place elsewhere.
+    pub(crate) row: Vec<T>,
+}
+
+impl<T: ConvReal> Workspace<T> {
+    pub(crate) fn new(fft: &TileTransform<T>) -> Self {
+        Self {
+            light: Aligned::zeros(fft.plane_len()),
+            weighted: Aligned::zeros(fft.plane_len()),
+            spectrum: Aligned::zeros(fft.spectrum_len()),
+            sum: Aligned::zeros(fft.spectrum_len()),
+            column: Aligned::zeros(fft.column_len()),
+            kernels: Aligned::zeros(0),
+            row: vec![T::zero(); fft.nx],
+        }
+    }
+}
+
+/// The engine's constants for one call.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct TileEngine<'a, T> {
+    pub(crate) fft: &'a TileTransform<T>,
+    pub(crate) geometry: Geometry,
+    /// Stamps are applied turned by 180 degrees.
+    pub(crate) flip: bool,
+    /// 0, 1, 2 ...
+    pub(crate) ramp: &'a [T],
+}
+
+/// A tile and what its block has for it.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct LocalTile<'a, T> {
+    pub(crate) part: TilePart,
+    pub(crate) table: &'a CoefficientTable<T>,
+    /// `[kernel, y, x]`.
+    pub(crate) stamps: &'a [T],
+}
+
+impl<T: ConvReal> TileEngine<'_, T> {
+    /// Copies what lies within `source` of a rectangle whose first pixel is (`column`, `row`) of it, padded with zeros.
+    #[inline(always)]
+    pub(crate) fn load<S: Lanes<T>>(
+        &self,
+        _: S,
+        source: ArrayView2<'_, T>,
+        (column, row): (i64, i64),
+        (columns, rows): (usize, usize),
+        plane: &mut [T],
+    ) {
+        let (height, width) = source.dim();
+        let padded = columns.next_multiple_of(X_STEP);
+        let shared = overlap(column, columns, width);
+        for (y, into) in plane.chunks_exact_mut(self.fft.pitch()).take(rows).enumerate() {
+            let into = &mut into[..padded];
+            let source_row = row + y as i64;
+            if let Some((from, start, count)) = shared
+                && (0..height as i64).contains(&source_row)
+            {
+                let values = source.row(source_row as usize);
+                let values = values.to_slice().expect("images are row-major");
+                into[..from].fill(T::zero());
+                into[from..from + count].copy_from_slice(&values[start..start + count]);
+                into[from + count..].fill(T::zero());
+            } else {
+                into.fill(T::zero());
+            }
+        }
+    }
+
+    /// Adds the first values of a plane to the part of `output` whose first pixel is (`column`, `row`) of it, as far as it reaches.
+    #[inline(always)]
+    pub(crate) fn add<S: Lanes<T>>(
+        &self,
+        _: S,
+        plane: &[T],
+        (columns, rows): (usize, usize),
+        output: &mut ArrayViewMut2<'_, T>,
+        (column, row): (i64, i64),
+    ) {
+        let (height, width) = output.dim();
+        let Some((from, start, count)) = overlap(column, columns, width) else {
+            return;
+        };
+        for (y, values) in plane.chunks_exact(self.fft.pitch()).take(rows).enumerate() {
+            let target = row + y as i64;
+            if (0..height as i64).contains(&target) {
+                let mut target = output.row_mut(target as usize);
+                let target = target.as_slice_mut().expect("images are row-major");
+                let pairs = target[start..start + count]
+                    .iter_mut()
+                    .zip(&values[from..from + count]);
+                pairs.for_each(
+                    #[inline(always)]
+                    |(t, v)| *t += *v,
+                );
+            }
+        }
+    }
+
+    /// The spectra of stamps `[kernel, y, x]`.
+    #[inline(always)]
+    pub(crate) fn transform_kernels<S: Lanes<T>>(&self, simd: S, stamps: &[T], workspace: &mut Workspace<T>) {
+        let (sx, sy) = self.geometry.stamp;
+        let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
+        let count = stamps.len() / (sx * sy);
+        workspace.kernels.at_least(count * length);
+        let plane = workspace.weighted.get_mut();
+        let spectra = workspace.kernels.get_mut().chunks_exact_mut(length);
+        for (stamp, spectrum) in stamps.chunks_exact(sx * sy).zip(spectra) {
+            for (y, into) in plane.chunks_exact_mut(pitch).take(sy).enumerate() {
+                let row = if self.flip { sy - 1 - y } else { y };
+                let values = &stamp[row * sx..(row + 1) * sx];
+                into[..sx].copy_from_slice(values);
+                if self.flip {
+                    into[..sx].reverse();
+                }
+                into[sx..sx.next_multiple_of(X_STEP)].fill(T::zero());
+            }
+            self.fft
+                .forward(simd, plane, (sy, sx), spectrum, workspace.column.get_mut());
+        }
+    }
+
+    /// The light of a tile (`workspace.light`) spread by the kernels whose spectra are in the workspace; the result is in
+    /// `workspace.weighted`, larger than the tile by the stamp less one pixel.
+    #[inline(always)]
+    pub(crate) fn scatter<S: Lanes<T>>(
+        &self,
+        simd: S,
+        local: LocalTile<'_, T>,
+        workspace: &mut Workspace<T>,
+    ) {
+        let (columns, rows) = local.part.size;
+        let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
+        let padded = columns.next_multiple_of(X_STEP);
+        let w = workspace;
+        for kernel in 0..local.table.kernel_count() {
+            let light = w.light.get().chunks_exact(pitch);
+            let weighted = w.weighted.get_mut().chunks_exact_mut(pitch);
+            for (y, (light, weighted)) in light.zip(weighted).take(rows).enumerate() {
+                let weighted = &mut weighted[..padded];
+                weighted[columns..].fill(T::zero());
+                local.table.weigh(
+                    kernel,
+                    local.part.corner.1 + y,
+                    local.part.corner.0,
+                    &light[..columns],
+                    self.ramp,
+                    &mut weighted[..columns],
+                );
+            }
+            self.fft.forward_multiply_swapped(
+                simd,
+                w.weighted.get(),
+                (rows, columns),
+                &w.kernels.get()[kernel * length..(kernel + 1) * length],
+                w.sum.get_mut(),
+                kernel > 0,
+                w.spectrum.get_mut(),
+                w.column.get_mut(),
+            );
+        }
+        let (width, height) = self.geometry.around(local.part.size);
+        self.fft.inverse_of_swapped(
+            simd,
+            w.sum.get_mut(),
+            (height, width),
+            w.weighted.get_mut(),
+            w.column.get_mut(),
+        );
+    }
+
+    /// The light around a tile (`workspace.light`, larger than the tile by the stamp less one pixel) gathered by the kernels, added
+    /// to `output`, which has the tile's size.
+    #[inline(always)]
+    pub(crate) fn gather<S: Lanes<T>>(
+        &self,
+        simd: S,
+        local: LocalTile<'_, T>,
+        workspace: &mut Workspace<T>,
+        output: &mut ArrayViewMut2<'_, T>,
+    ) {
+        let (_, rows) = local.part.size;
+        let (width, height) = self.geometry.around(local.part.size);
+        let (pitch, length) = (self.fft.pitch(), self.fft.spectrum_len());
+        let w = workspace;
+        let column = w.column.get_mut();
+        self.fft
+            .forward(simd, w.light.get(), (height, width), w.spectrum.get_mut(), column);
+        for kernel in 0..local.table.kernel_count() {
+            let spectra = &w.kernels.get()[kernel * length..(kernel + 1) * length];
+            self.fft
+                .multiply_swapped(simd, w.spectrum.get(), spectra, w.sum.get_mut(), false);
+            let plane = w.weighted.get_mut();
+            self.fft
+                .inverse_of_swapped(simd, w.sum.get_mut(), (height, width), plane, column);
+            let whole = plane
+                .chunks_exact(pitch)
+                .skip(self.geometry.stamp.1 - 1)
+                .take(rows);
+            for (y, values) in whole.enumerate() {
+                let values = &values[self.geometry.stamp.0 - 1..width];
+                self.weigh_and_add(local, kernel, y, values, &mut w.row, output);
+            }
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn weigh_and_add(
+        &self,
+        local: LocalTile<'_, T>,
+        kernel: usize,
+        y: usize,
+        values: &[T],
+        row: &mut [T],
+        output: &mut ArrayViewMut2<'_, T>,
+    ) {
+        let row = &mut row[..values.len()];
+        local.table.weigh(
+            kernel,
+            local.part.corner.1 + y,
+            local.part.corner.0,
+            values,
+            self.ramp,
+            row,
+        );
+        let mut target = output.row_mut(y);
+        let target = target.as_slice_mut().expect("images are row-major");
+        for (t, v) in target.iter_mut().zip(row.iter()) {
+            *t += *v;
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn at(&self, stamp: &[T], i: usize, j: usize) -> T {
+        let (sx, sy) = self.geometry.stamp;
+        let (i, j) = if self.flip {
+            (sx - 1 - i, sy - 1 - j)
+        } else {
+            (i, j)
+        };
+        stamp[j * sx + i]
+    }
+
+    /// Like [`scatter`](Self::scatter) without transforms, from stamps.
+    #[inline(always)]
+    pub(crate) fn scatter_directly<S: Lanes<T>>(
+        &self,
+        _: S,
+        local: LocalTile<'_, T>,
+        workspace: &mut Workspace<T>,
+    ) {
+        let (columns, rows) = local.part.size;
+        let (sx, sy) = self.geometry.stamp;
+        let pitch = self.fft.pitch();
+        let w = workspace;
+        let result = w.weighted.get_mut();
+        for into in result.chunks_exact_mut(pitch).take(rows + sy - 1) {
+            into[..columns + sx - 1].fill(T::zero());
+        }
+        for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
+            for y in 0..rows {
+                let light = &w.light.get()[y * pitch..y * pitch + columns];
+                let row = &mut w.row[..columns];
+                local.table.weigh(
+                    kernel,
+                    local.part.corner.1 + y,
+                    local.part.corner.0,
+                    light,
+                    self.ramp,
+                    row,
+                );
+                for j in 0..sy {
+                    let into = &mut result[(y + j) * pitch..(y + j + 1) * pitch];
+                    for i in 0..sx {
+                        let value = self.at(stamp, i, j);
+                        for (t, v) in into[i..i + columns].iter_mut().zip(row.iter()) {
+                            *t += value * *v;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Like [`gather`](Self::gather) without transforms, from stamps.
+    #[inline(always)]
+    pub(crate) fn gather_directly<S: Lanes<T>>(
+        &self,
+        _: S,
+        local: LocalTile<'_, T>,
+        workspace: &mut Workspace<T>,
+        output: &mut ArrayViewMut2<'_, T>,
+    ) {
+        let (columns, rows) = local.part.size;
+        let (sx, sy) = self.geometry.stamp;
+        let pitch = self.fft.pitch();
+        let w = workspace;
+        let mut values = vec![T::zero(); columns];
+        for (kernel, stamp) in local.stamps.chunks_exact(sx * sy).enumerate() {
+            for y in 0..rows {
+                values.fill(T::zero());
+                for j in 0..sy {
+                    let light = &w.light.get()[(y + sy - 1 - j) * pitch..][..pitch];
+                    for i in 0..sx {
+                        let value = self.at(stamp, i, j);
+                        for (t, v) in values.iter_mut().zip(&light[sx - 1 - i..]) {
+                            *t += value * *v;
+                        }
+                    }
+                }
+                self.weigh_and_add(local, kernel, y, &values, &mut w.row, output);
+            }
+        }
+    }
+}

@@ -1,0 +1,392 @@
+//! The treatment of a tile: its light is looked at, and a way to convolve it is chosen.
+
+use std::ops::AddAssign;
+
+use super::processor::{BlockKernels, LightPass};
+use super::tile_engine::{LocalTile, Workspace};
+use crate::plan::Paths;
+use crate::plan::geometry::{Direction, PlacedTile, TilePart};
+use crate::simd::Lanes;
+use crate::working_range::Rescaling;
+use crate::{ConvError, ConvReal};
+
+/// The light of a tile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Light {
+    /// Pixels that are not zero.
+    lit: usize,
+    /// The largest absolute value.
+    largest: f64,
+    /// The sum of the absolute values.
+    total: f64,
+}
+
+/// By how much a pixel may outshine the mean of a tile: a transform spreads rounding noise of a pixel's light over all of it.
+fn brightest_allowed<T: ConvReal>() -> f64 {
+    // 256 in f32, 1e11 in f64: the noise stays below a few 1e-6 of the faint light in the one, 1e-5 in the other.
+    3e-5 / T::epsilon().as_f64()
+}
+
+/// Independent sums, so that they fill a vector.
+const LANES: usize = 16;
+
+/// Looks at `rows` rows of `columns` pixels, `pitch` apart.
+#[inline(always)]
+fn look<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize)) -> Light {
+    let mut lit = [0_u32; LANES];
+    let mut largest = [T::zero(); LANES];
+    let mut total = 0.0;
+    for row in plane.chunks(pitch).take(rows) {
+        let mut sums = [T::zero(); LANES];
+        // Rows are padded with zeros to whole vectors.
+        for chunk in row[..columns.next_multiple_of(LANES).min(row.len())].chunks_exact(LANES) {
+            for i in 0..LANES {
+                let value = chunk[i].abs();
+                lit[i] += u32::from(value != T::zero());
+                largest[i] = if value > largest[i] { value } else { largest[i] };
+                sums[i] += value;
+            }
+        }
+        total += sums.iter().map(|v| v.as_f64()).sum::<f64>();
+    }
+    Light {
+        lit: lit.iter().map(|&n| n as usize).sum(),
+        largest: largest.iter().map(|v| v.as_f64()).fold(0.0, f64::max),
+        total,
+    }
+}
+
+/// A pixel of a tile: row, column and light.
+pub(crate) type LitPixel<T> = (usize, usize, T);
+
+/// All lit pixels.
+fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize)) -> Vec<LitPixel<T>> {
+    let mut pixels = Vec::new();
+    for (row, values) in plane.chunks(pitch).take(rows).enumerate() {
+        for (n, some) in values[..columns].chunks(LANES).enumerate() {
+            // Most are dark: one look at all of them is faster than one at each.
+            if some.iter().fold(false, |lit, v| lit | !v.is_zero()) {
+                let lit = some.iter().enumerate().filter(|(_, v)| !v.is_zero());
+                pixels.extend(lit.map(|(i, &value)| (row, n * LANES + i, value)));
+            }
+        }
+    }
+    pixels
+}
+
+/// Takes the pixels out of a tile that would drown the rest of it in the noise of a transform, at most `most` of them, the
+/// brightest first.
+///
+/// What the noise is to be compared with is the mean over the whole tile without its `most` brightest pixels: a bright galaxy of a few
+/// hundred pixels must not raise the level that it is judged by.
+fn take_bright<T: ConvReal>(
+    plane: &mut [T],
+    pitch: usize,
+    (rows, columns): (usize, usize),
+    light: Light,
+    most: usize,
+) -> Vec<LitPixel<T>> {
+    let pixels = (rows * columns) as f64;
+    let contrast = brightest_allowed::<T>();
+    // Where no pixel stands out, as in most fully lit tiles, this is all there is to do.
+    if light.largest <= contrast * (light.total - most as f64 * light.largest) / pixels {
+        return Vec::new();
+    }
+    let rest = match total_of_faint(plane, pitch, (rows, columns), most) {
+        rest if rest > 0.0 => rest,
+        // There is nothing but those few pixels; among themselves they are compared with their mean.
+        _ => light.total,
+    };
+    let limit = contrast * rest / pixels;
+    let mut taken: Vec<LitPixel<T>> = Vec::new();
+    if light.lit <= 1 || light.largest <= limit {
+        return taken;
+    }
+    for (row, values) in plane.chunks(pitch).take(rows).enumerate() {
+        for (column, &value) in values[..columns].iter().enumerate() {
+            if value.abs().as_f64() > limit {
+                taken.push((row, column, value));
+            }
+        }
+    }
+    // The brightest of them; a stable sort, so that equals keep their order.
+    taken.sort_by(|a, b| b.2.abs().as_f64().total_cmp(&a.2.abs().as_f64()));
+    taken.truncate(most);
+    for &(row, column, _) in &taken {
+        plane[row * pitch + column] = T::zero();
+    }
+    taken
+}
+
+/// The sum of the absolute values without the brightest, of which there are at most `most`; to the nearest factor of 2 in
+/// brightness.
+fn total_of_faint<T: ConvReal>(
+    plane: &[T],
+    pitch: usize,
+    (rows, columns): (usize, usize),
+    most: usize,
+) -> f64 {
+    const EXPONENTS: usize = 1 << 11;
+    let mut by_exponent = vec![(0_usize, 0.0_f64); EXPONENTS];
+    for values in plane.chunks(pitch).take(rows) {
+        for value in &values[..columns] {
+            let value = value.abs().as_f64();
+            let bin = &mut by_exponent[(value.to_bits() >> 52) as usize % EXPONENTS];
+            bin.0 += 1;
+            bin.1 += value;
+        }
+    }
+    let mut bright = 0;
+    let faint = by_exponent.iter().rev().skip_while(|(count, _)| {
+        bright += count;
+        bright <= most
+    });
+    faint.map(|(_, sum)| sum).sum()
+}
+
+/// How a tile is treated.
+#[derive(Debug)]
+pub(crate) struct Treatment<T> {
+    /// Its light at once, directly or by transforms.
+    pub(crate) method: Option<TileMethod>,
+    /// Pixels drawn stamp by stamp, which are not part of that light.
+    pub(crate) drawn: Vec<LitPixel<T>>,
+    /// The power of two that takes what becomes of the whole back, where it was brought near 1.
+    pub(crate) back: Option<T>,
+}
+
+/// How the light of a tile is convolved at once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum TileMethod {
+    Directly,
+    ByTransforms,
+}
+
+/// Brings a tile's light near 1, in place, where transforms would carry it out of the working precision's range; returns the power of
+/// two that takes the result back.
+fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
+    let scale = Rescaling::<T>::for_largest(light.largest)?;
+    for value in plane {
+        *value *= scale.down;
+    }
+    light.largest *= scale.down.as_f64();
+    light.total *= scale.down.as_f64();
+    Some(scale.back)
+}
+
+/// The method for the light in `workspace.light` at once, and the pixels that are drawn, which
+/// are taken out of it. The light has `size` columns and rows; drawing a pixel of it costs `draw`
+/// seconds.
+fn choose<T: ConvReal>(
+    pass: &LightPass<'_, T>,
+    light: Light,
+    (columns, rows): (usize, usize),
+    tile: (usize, usize),
+    (kernels, draw): (usize, f64),
+    workspace: &mut Workspace<T>,
+) -> (Option<TileMethod>, Vec<LitPixel<T>>) {
+    let (plan, pitch) = (&pass.processor.plan, pass.processor.fft.pitch());
+    // No modes: the PSFs of the tile are zero.
+    if kernels == 0 {
+        return (None, Vec::new());
+    }
+    if plan.options().paths() == Paths::Transforms {
+        return (Some(TileMethod::ByTransforms), Vec::new());
+    }
+    let (seconds, direct) = plan.whole_tile(tile, kernels);
+    if light.lit as f64 * draw <= seconds {
+        let drawn = lit_pixels(workspace.light.get(), pitch, (rows, columns));
+        return (None, drawn);
+    }
+    // The direct sum spreads no noise.
+    if direct && pass.direct_sums {
+        return (Some(TileMethod::Directly), Vec::new());
+    }
+    let most = (2.0 * seconds / draw) as usize;
+    let drawn = take_bright(workspace.light.get_mut(), pitch, (rows, columns), light, most);
+    (Some(TileMethod::ByTransforms), drawn)
+}
+
+/// Loads a tile's light, or that around it, into `workspace.light` and decides how it is treated; nothing where it is dark. Pixels that are
+/// drawn apart are no longer part of that light. A tile is also where work can be stopped.
+pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    pass: &LightPass<'_, T>,
+    kernels: &BlockKernels<'_, T>,
+    direction: Direction,
+    tile: PlacedTile,
+    workspace: &mut Workspace<T>,
+) -> Result<Option<Treatment<T>>, ConvError> {
+    pass.progress.still_wanted()?;
+    let plan = &pass.processor.plan;
+    let engine = pass.tile_engine();
+    let pitch = engine.fft.pitch();
+    let (corner, size) = match direction {
+        Direction::Scatter => ((tile.first.0 as i64, tile.first.1 as i64), tile.part.size),
+        Direction::Gather => (
+            plan.geometry.reach_from(tile.first.0, tile.first.1),
+            plan.geometry.around(tile.part.size),
+        ),
+    };
+    let mut seen = simd.vectorized(
+        #[inline(always)]
+        || {
+            let corner = (corner.0, corner.1 - pass.first_light as i64);
+            engine.load(simd, pass.light, corner, size, workspace.light.get_mut());
+            look(workspace.light.get(), pitch, (size.1, size.0))
+        },
+    );
+    if seen.lit == 0 {
+        return Ok(None);
+    }
+    let plane = workspace.light.get();
+    kernels.check(tile.part, |column, row| match direction {
+        Direction::Scatter => !plane[row * pitch + column].is_zero(),
+        // A pixel needs its PSF where any light reaches it.
+        Direction::Gather => (row..row + engine.geometry.stamp.1).any(|row| {
+            let under = &plane[row * pitch + column..][..engine.geometry.stamp.0];
+            under.iter().any(|v| !v.is_zero())
+        }),
+    })?;
+    let count = kernels.block.kernel_count();
+    let draw = match direction {
+        Direction::Scatter => plan.cost.draw(engine.geometry.stamp, count),
+        Direction::Gather => plan.cost.draw_gathered(engine.geometry.stamp, count),
+    };
+    let back = rescale(&mut seen, workspace.light.get_mut());
+    let (method, mut drawn) = choose(pass, seen, size, tile.part.size, (count, draw), workspace);
+    if let Some(back) = back {
+        // Single pixels keep their own light: a stamp needs no sums that could leave the range.
+        for (_, _, value) in &mut drawn {
+            *value *= back;
+        }
+    }
+    Ok(Some(Treatment { method, drawn, back }))
+}
+
+/// How many tiles were treated in which way, and what it took.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub struct TileCounts {
+    /// Tiles without light.
+    pub dark: usize,
+    /// Tiles whose few lit pixels were drawn stamp by stamp.
+    pub drawn: usize,
+    /// Tiles convolved without transforms.
+    pub direct: usize,
+    /// Tiles convolved by transforms.
+    pub transformed: usize,
+    /// Pixels drawn stamp by stamp in all, those among them that would have drowned the rest of a tile in rounding noise.
+    pub drawn_pixels: usize,
+    /// Transforms of light times a mode.
+    pub modes: usize,
+}
+
+impl AddAssign for TileCounts {
+    fn add_assign(&mut self, other: Self) {
+        self.dark += other.dark;
+        self.drawn += other.drawn;
+        self.direct += other.direct;
+        self.transformed += other.transformed;
+        self.drawn_pixels += other.drawn_pixels;
+        self.modes += other.modes;
+    }
+}
+
+impl TileCounts {
+    /// Counts a tile.
+    pub(crate) fn count<T>(&mut self, treatment: &Treatment<T>, modes: usize) {
+        self.drawn_pixels += treatment.drawn.len();
+        match treatment.method {
+            Some(TileMethod::Directly) => self.direct += 1,
+            Some(TileMethod::ByTransforms) => {
+                self.transformed += 1;
+                self.modes += modes;
+            }
+            None if treatment.drawn.is_empty() => self.dark += 1,
+            None => self.drawn += 1,
+        }
+    }
+
+    /// All tiles.
+    pub fn tiles(&self) -> usize {
+        self.dark + self.drawn + self.direct + self.transformed
+    }
+}
+
+/// Looks at the tiles of a block one by one; `convolve` does what there is to do with the light of
+/// each that has some, in `workspace.light`.
+pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
+    simd: S,
+    pass: &LightPass<'_, T>,
+    direction: Direction,
+    (column, row): (usize, usize),
+    workspace: &mut Workspace<T>,
+    mut convolve: impl FnMut(LocalTile<'_, T>, (usize, usize), &Treatment<T>, &mut Workspace<T>),
+) -> Result<TileCounts, ConvError> {
+    let plan = &pass.processor.plan;
+    let mut kernels = BlockKernels::new(plan, (column, row));
+    let mut counts = TileCounts::default();
+    let (across, up) = (&plan.tiling.columns[column], &plan.tiling.rows[row]);
+    for (y, rows, below) in up.placed() {
+        for (x, columns, left) in across.placed() {
+            let part = TilePart {
+                corner: (left, below),
+                size: (columns, rows),
+            };
+            let tile = PlacedTile { first: (x, y), part };
+            let Some(treatment) = treated(simd, pass, &kernels, direction, tile, workspace)? else {
+                counts.dark += 1;
+                continue;
+            };
+            counts.count(&treatment, kernels.block.kernel_count());
+            if treatment.method == Some(TileMethod::ByTransforms) {
+                kernels.transform(simd, &pass.tile_engine(), workspace);
+            }
+            convolve(kernels.local(part), (x, y), &treatment, workspace);
+        }
+    }
+    Ok(counts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bright_pixels_are_taken_until_the_rest_is_even() {
+        let (pitch, rows, columns) = (48, 30, 20);
+        let mut plane = vec![0.0_f32; pitch * rows];
+        for row in 0..rows {
+            for column in 0..columns {
+                plane[row * pitch + column] = 1.0;
+            }
+        }
+        plane[3 * pitch + 4] = 1e8;
+        plane[5 * pitch + 6] = -1e5;
+        let light = look(&plane, pitch, (rows, columns));
+        assert_eq!((light.lit, light.largest), (600, 1e8));
+        let taken = take_bright(&mut plane, pitch, (rows, columns), light, 10);
+        assert_eq!(taken, [(3, 4, 1e8), (5, 6, -1e5)]);
+        let light = look(&plane, pitch, (rows, columns));
+        assert_eq!((light.lit, light.largest, light.total), (598, 1.0, 598.0));
+        // A bright galaxy does not raise the level it is judged by; more of it than may be drawn stays where it is.
+        for row in 10..14 {
+            plane[row * pitch + 2..row * pitch + 5].fill(1e7);
+        }
+        let light = look(&plane, pitch, (rows, columns));
+        let mut copy = plane.clone();
+        assert_eq!(
+            take_bright(&mut copy, pitch, (rows, columns), light, 20).len(),
+            12
+        );
+        assert_eq!(look(&copy, pitch, (rows, columns)).largest, 1.0);
+        assert!(take_bright(&mut plane, pitch, (rows, columns), light, 8).len() <= 8);
+        for row in 10..14 {
+            plane[row * pitch + 2..row * pitch + 5].fill(1.0);
+        }
+        let light = look(&plane, pitch, (rows, columns));
+        assert!(take_bright(&mut plane, pitch, (rows, columns), light, 10).is_empty());
+        assert_eq!(lit_pixels(&plane, pitch, (rows, columns)).len(), light.lit);
+    }
+}

@@ -1,0 +1,352 @@
+//! Plans on a device.
+
+use std::ops::Range;
+
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use psf_types::{Anchor, FrameShape, Image, ImageView, PixelRegion, Progress, PsfModel};
+
+use crate::cpu::gather::Gather;
+use crate::cpu::processor::{LightPass, Processor};
+use crate::cpu::scatter::Scatter;
+pub use crate::cpu::treatment::TileCounts;
+#[cfg(feature = "gpu")]
+use crate::gpu::{GpuDevice, GpuEngine, GpuError, GpuOptions, GpuTimes};
+use crate::image_memory::{check_shape, with_rows_in_memory};
+use crate::plan::geometry::Direction;
+use crate::{ConvError, ConvReal, ConvolutionMethod, Plan, PlanOptions};
+
+/// A plan on a device, ready to convolve any amount of light: the processor, on all threads of
+/// rayon's current pool, or a GPU.
+///
+/// Executions change nothing in it, so that several may be under way at the same time. Tiles, modes
+/// and treatments are those of the plan on every device: a GPU's result differs by f32 rounding
+/// alone. Which modes a tile has never depends on the light; what does (skipping dark tiles,
+/// drawing single pixels) changes rounding alone.
+///
+/// ```
+/// use std::sync::Arc;
+///
+/// use conv_core::{ConvolutionMethod, Direct, Engine, Plan, PlanOptions};
+/// use ndarray::{Array2, Array3};
+/// use psf_types::{
+///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position, PsfBasis, PsfModel, StampGrid,
+/// };
+///
+/// /// One component, whose share grows from left to right.
+/// #[derive(Debug)]
+/// struct Ramp;
+/// impl CoefficientField for Ramp {
+///     fn component_count(&self) -> usize {
+///         1
+///     }
+///     fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+///         a[0] = p.x() / 500.0;
+///         Ok(())
+///     }
+/// }
+///
+/// let component = Array3::from_shape_fn((1, 3, 3), |(_, y, x)| if y == 1 { [-0.5, 0.0, 0.5][x] } else { 0.0 }) * 2f64.sqrt();
+/// let basis = PsfBasis::new(Some(Array2::from_elem((3, 3), 1.0 / 9.0)), component, StampGrid::new(3, 3)?)?;
+/// let model = PsfModel::new(&basis, Arc::new(Ramp), Normalisation::Unit, None)?;
+///
+/// let shape = FrameShape::new(70, 60)?;
+/// let engine = Engine::new(Plan::new(&model, shape, shape.region(), PlanOptions::new(1e-3)?)?);
+/// println!("{}", engine.plan().summary());
+/// for seed in 0..3 {
+///     let light = Array2::from_shape_fn((60, 70), |(y, x)| ((3 * x + 5 * y + seed) % 7) as f64);
+///     let light = ImageView::new(light.view())?;
+///     let mut image = engine.plan().zeros();
+///     engine.convolve_into(&light, image.view_mut(), &NoProgress)?;
+///     let exact = Direct::default().convolve(&model, &light, shape.region(), &NoProgress)?;
+///     let largest = (&image - &exact.pixels()).fold(0.0, |m: f64, d| m.max(d.abs()));
+///     assert!(largest < 1e-3 * 7.0);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Engine<T: ConvReal> {
+    processor: Processor<T>,
+    #[cfg(feature = "gpu")]
+    gpu: Option<GpuEngine>,
+}
+
+impl<T: ConvReal> Engine<T> {
+    /// A plan on the processor.
+    pub fn new(plan: Plan<T>) -> Self {
+        Self {
+            processor: Processor::new(plan),
+            #[cfg(feature = "gpu")]
+            gpu: None,
+        }
+    }
+
+    /// A plan on a GPU.
+    ///
+    /// # Errors
+    /// [`GpuError`] for plans in f64, and where the GPU's limits are too low for the plan. The plan
+    /// comes back, for another device.
+    #[cfg(feature = "gpu")]
+    #[allow(
+        clippy::result_large_err,
+        reason = "the plan is as large where there is no error"
+    )]
+    pub fn on_gpu(
+        plan: Plan<T>,
+        device: &GpuDevice,
+        options: GpuOptions,
+    ) -> Result<Self, (Plan<T>, GpuError)> {
+        match GpuEngine::new(&plan, device, options) {
+            Ok(gpu) => Ok(Self {
+                processor: Processor::new(plan),
+                gpu: Some(gpu),
+            }),
+            Err(error) => Err((plan, error)),
+        }
+    }
+
+    /// The plan.
+    pub fn plan(&self) -> &Plan<T> {
+        &self.processor.plan
+    }
+
+    /// The GPU, if it is on one.
+    #[cfg(feature = "gpu")]
+    pub fn gpu(&self) -> Option<&GpuDevice> {
+        self.gpu.as_ref().map(|gpu| &gpu.device)
+    }
+
+    /// How long the parts of the last execution on the GPU took.
+    #[cfg(feature = "gpu")]
+    pub fn gpu_times(&self) -> Option<GpuTimes> {
+        self.gpu.as_ref().and_then(GpuEngine::times)
+    }
+
+    /// Convolves light and adds the result to an image. `light` is `[y, x]` of the plan's whole
+    /// light, or of its part that reaches the image ([`Plan::light_region`]); `image` of the frame,
+    /// or of the plan's [region](Plan::region) of it.
+    ///
+    /// An image in which the pixels of a row are no neighbours in memory is copied and back.
+    ///
+    /// # Errors
+    /// [`ConvError`] for light or an image of another shape, and light where there is no PSF. [`ConvError::Cancelled`]: the image is left half done.
+    pub fn convolve_into(
+        &self,
+        light: &ImageView<'_, T>,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        check_shape(self.plan().region().shape(), image.dim())?;
+        let [columns, rows] = self.plan().light_part(light.shape())?;
+        let light = light.pixels();
+        let light = light.slice(s![rows, columns]);
+        with_rows_in_memory(image, |image| self.run_all(light, image, false, progress))
+    }
+
+    /// Adds the transpose of an image to light, `[y, x]` of the plan's whole light, or of its part
+    /// that reaches the image ([`Plan::light_region`]): to each pixel, its share in the scalar
+    /// product of its image with `image`, so that `<A f, g> = <f, A^T g>` for every light `f`.
+    ///
+    /// Light in which the pixels of a row are no neighbours in memory is copied and back.
+    ///
+    /// # Errors
+    /// [`ConvError`] for an image or light of another shape. [`ConvError::Cancelled`]: the light is
+    /// left half done.
+    pub fn adjoint_into(
+        &self,
+        image: &ImageView<'_, T>,
+        light: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        let pixels = image.pixels();
+        check_shape(self.plan().region().shape(), pixels.dim())?;
+        let (height, width) = light.dim();
+        let got = FrameShape::new(width, height).map_err(ConvError::Result)?;
+        let [columns, rows] = self.plan().light_part(got)?;
+        with_rows_in_memory(light.slice_move(s![rows, columns]), |light| {
+            self.run_all(pixels, light, true, progress)
+        })
+    }
+
+    /// Convolves light that comes and goes by bands of rows, so that neither it nor its image is
+    /// ever in memory as a whole. The bytes are those of [`convolve_into`](Self::convolve_into) an
+    /// image of zeros.
+    ///
+    /// A plan of a region reads the rows that reach it and writes those of the region.
+    ///
+    /// # Errors
+    /// The errors of the stream, and [`ConvError`] as for [`convolve_into`](Self::convolve_into).
+    pub fn stream<R: RowStream<T>>(
+        &self,
+        stream: &mut R,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, R::Error> {
+        let tiling = &self.plan().tiling;
+        let rows_of_blocks = tiling.rows.len();
+        progress.start(rows_of_blocks as u64);
+        let shape = self.plan().region().shape();
+        let mut counts = TileCounts::default();
+        // Rows of the image that are not finished yet, and the first of them.
+        let mut pending = Array2::<T>::zeros((0, shape.nx()));
+        let mut written = 0;
+        for first in (0..rows_of_blocks).step_by(tiling.band()) {
+            let band = first..(first + tiling.band()).min(rows_of_blocks);
+            let light_rows = self.light_rows(band.clone());
+            let light = self.read(stream, light_rows.clone())?;
+            let reached = self.image_rows(band.clone());
+            let next = if band.end < rows_of_blocks {
+                self.image_rows(band.end..band.end + 1).start
+            } else {
+                shape.ny()
+            };
+            // From the first row that is not written to the last that this band reaches.
+            let end = reached.end.max(written + pending.nrows()).max(next);
+            let mut image = Array2::zeros((end - written, shape.nx()));
+            image.slice_mut(s![..pending.nrows(), ..]).assign(&pending);
+            // Output-anchored blocks write to their own rows alone.
+            let into = if self.gathers() { reached } else { written..end };
+            let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
+            let (light, output) = ((light.view(), light_rows.start), (output, into.start));
+            counts += self.run(band, light, output, false, progress)?;
+            pending = image.slice(s![next - written.., ..]).to_owned();
+            if next > written {
+                let finished = image.slice_move(s![..next - written, ..]);
+                let finished = Image::new(finished).map_err(ConvError::Result)?;
+                stream.write(finished.pixels())?;
+            }
+            written = next;
+        }
+        Ok(counts)
+    }
+
+    /// Sends all of the light through the operator, or through its transpose where `flip`.
+    fn run_all(
+        &self,
+        light: ArrayView2<'_, T>,
+        output: ArrayViewMut2<'_, T>,
+        flip: bool,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        let rows = 0..self.plan().tiling.rows.len();
+        progress.start(rows.len() as u64);
+        self.run(rows, (light, 0), (output, 0), flip, progress)
+    }
+
+    /// Sends light through some rows of blocks: `light` and `output` come with the first row that
+    /// they hold of their side. This is where devices part.
+    fn run(
+        &self,
+        rows: Range<usize>,
+        (light, first_light): (ArrayView2<'_, T>, usize),
+        (output, first_output): (ArrayViewMut2<'_, T>, usize),
+        flip: bool,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, ConvError> {
+        let pass = LightPass {
+            processor: &self.processor,
+            rows,
+            light,
+            first_light,
+            first_output,
+            flip,
+            direct_sums: true,
+            progress,
+        };
+        #[cfg(feature = "gpu")]
+        if let Some(gpu) = &self.gpu {
+            let direct_sums = false;
+            return gpu.run(&LightPass { direct_sums, ..pass }, output);
+        }
+        match self.plan().direction(flip) {
+            Direction::Scatter => T::dispatch(Scatter { pass, output }),
+            Direction::Gather => T::dispatch(Gather { pass, output }),
+        }
+    }
+
+    /// Whether PSFs belong to pixels of the image.
+    fn gathers(&self) -> bool {
+        self.plan().direction(false) == Direction::Gather
+    }
+
+    /// Rows of light that a band of blocks needs, counted from the first that reaches the region.
+    fn light_rows(&self, band: Range<usize>) -> Range<usize> {
+        self.rows_of(band, !self.gathers())
+    }
+
+    /// Rows of the image that a band of blocks writes to.
+    fn image_rows(&self, band: Range<usize>) -> Range<usize> {
+        self.rows_of(band, self.gathers())
+    }
+
+    /// Rows of the side that blocks belong to, or those of the other side that they reach.
+    fn rows_of(&self, band: Range<usize>, own: bool) -> Range<usize> {
+        let (plan, last) = (self.plan(), band.end - 1);
+        if own {
+            plan.tiling.rows[band.start].start()..plan.tiling.rows[last].end()
+        } else {
+            let extents = plan.extents(1);
+            extents[band.start].0..extents[last].1
+        }
+    }
+
+    fn read<R: RowStream<T>>(&self, stream: &mut R, rows: Range<usize>) -> Result<Array2<T>, R::Error> {
+        let [columns, light] = self.plan().light.clone();
+        let mut whole = Array2::zeros((rows.len(), self.plan().scene_shape().nx()));
+        let rows = light.start + rows.start..light.start + rows.end;
+        stream.read(rows, whole.view_mut())?;
+        Ok(if columns.len() == whole.ncols() {
+            whole
+        } else {
+            whole.slice(s![.., columns]).to_owned()
+        })
+    }
+}
+
+/// Where the rows of light come from and those of its image go to: for frames larger than memory.
+pub trait RowStream<T> {
+    /// What can go wrong.
+    type Error: From<ConvError>;
+
+    /// Fills `light` with the given rows of the light, all its columns.
+    ///
+    /// # Errors
+    /// Those of the source.
+    fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), Self::Error>;
+
+    /// Takes the next rows of the image, in order from the first.
+    ///
+    /// # Errors
+    /// Those of the target.
+    fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), Self::Error>;
+}
+
+/// The fast engine, planned anew for each light; keep an [`Engine`] for more.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct LowRank {
+    options: PlanOptions,
+}
+
+impl LowRank {
+    /// The engine with a tolerance and the other options.
+    pub fn new(options: PlanOptions) -> Self {
+        Self { options }
+    }
+}
+
+impl<T: ConvReal> ConvolutionMethod<T> for LowRank {
+    fn anchor(&self) -> Anchor {
+        self.options.anchor()
+    }
+
+    fn convolve(
+        &self,
+        model: &PsfModel,
+        light: &ImageView<'_, T>,
+        frame: PixelRegion,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, ConvError> {
+        let engine = Engine::new(Plan::new(model, light.shape(), frame, self.options)?);
+        let mut image = engine.plan().zeros();
+        engine.convolve_into(light, image.view_mut(), progress)?;
+        Image::new(image).map_err(ConvError::Result)
+    }
+}

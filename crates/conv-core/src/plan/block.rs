@@ -1,0 +1,107 @@
+//! A region whose pixels share one local basis.
+
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView2, Axis, s};
+use psf_types::{PixelRegion, PsfModel};
+
+use super::coefficient_table::{CoefficientTable, FluxRole};
+use super::local_modes::{LocalModes, PsfSpace};
+use super::region_cells::RegionCells;
+use crate::ConvReal;
+
+/// The local basis of a block, and what a plan has room for.
+#[derive(Debug)]
+pub(crate) struct Block<T> {
+    region: PixelRegion,
+    modes: LocalModes,
+    role: FluxRole,
+    flux: f64,
+    /// Kept where the plan has room; else each execution makes it anew.
+    pub(crate) table: Option<Arc<CoefficientTable<T>>>,
+    /// `[kernel, y, x]`.
+    pub(crate) stamps: Option<Arc<Vec<T>>>,
+}
+
+impl<T: ConvReal> Block<T> {
+    /// The block, with its coefficients if they are to be kept.
+    pub(crate) fn new(
+        model: &PsfModel,
+        space: &PsfSpace,
+        region: PixelRegion,
+        tolerance: f64,
+        keep_table: bool,
+    ) -> Self {
+        let cells = RegionCells::new(model.field(), region);
+        let modes = LocalModes::new(space, &cells, tolerance);
+        let (role, flux) = FluxRole::of(model, &modes, &cells);
+        let table = keep_table.then(|| Arc::new(CoefficientTable::new(region, role, &modes, &cells)));
+        Self {
+            region,
+            modes,
+            role,
+            flux,
+            table,
+            stamps: None,
+        }
+    }
+
+    /// Modes, and the reference where there is one.
+    pub(crate) fn kernel_count(&self) -> usize {
+        self.modes.rank() + usize::from(self.modes.reference().is_some())
+    }
+
+    pub(crate) fn table_bytes(&self) -> usize {
+        self.table.as_ref().map_or(0, |table| table.bytes())
+    }
+
+    pub(crate) fn stamp_bytes(&self) -> usize {
+        self.stamps.as_ref().map_or(0, |stamps| size_of_val(&stamps[..]))
+    }
+
+    /// The coefficients, kept or made anew.
+    pub(crate) fn table_or_new(&self, model: &PsfModel) -> Arc<CoefficientTable<T>> {
+        self.table.clone().unwrap_or_else(|| {
+            let cells = RegionCells::new(model.field(), self.region);
+            Arc::new(CoefficientTable::new(self.region, self.role, &self.modes, &cells))
+        })
+    }
+
+    /// The kernels' stamps, kept or made anew.
+    pub(crate) fn stamps_or_new(&self, space: &PsfSpace) -> Arc<Vec<T>> {
+        self.stamps.clone().unwrap_or_else(|| {
+            let made = stamps_of(space.stamps.view(), &[self]).pop();
+            Arc::new(made.expect("one block's stamps"))
+        })
+    }
+
+    /// The kernels as vectors `[kernel, direction]`.
+    fn directions(&self) -> Array2<f64> {
+        let modes = self.modes.modes.view();
+        match self.modes.reference() {
+            None => modes.to_owned(),
+            Some(reference) => {
+                let reference = (&reference * self.flux).insert_axis(Axis(0));
+                ndarray::concatenate(Axis(0), &[reference.view(), modes]).expect("as many directions")
+            }
+        }
+    }
+}
+
+/// The stamps of some blocks, by one product of matrices.
+pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Block<T>]) -> Vec<Vec<T>> {
+    let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
+    let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();
+    let all = ndarray::concatenate(Axis(0), &views)
+        .expect("as many directions")
+        .dot(&stamps);
+    let mut first = 0;
+    directions
+        .iter()
+        .map(|d| {
+            let rows = all.slice(s![first..first + d.nrows(), ..]);
+            first += d.nrows();
+            rows.iter().map(|&v| T::nearest(v)).collect()
+        })
+        .collect()
+}

@@ -1,0 +1,115 @@
+//! Where the light is and where it goes.
+
+use std::ops::Range;
+
+use psf_types::{Anchor, PixelRegion};
+
+use crate::view::Reach;
+
+/// Which way light goes through the operator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Direction {
+    /// From the side that PSFs belong to: a tile's own light spreads.
+    Scatter,
+    /// To that side: the light around a tile is gathered.
+    Gather,
+}
+
+/// A tile within its block.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct TilePart {
+    /// First column and row, counted from the block's.
+    pub(crate) corner: (usize, usize),
+    /// Columns and rows.
+    pub(crate) size: (usize, usize),
+}
+
+/// A tile of the weighted side.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct PlacedTile {
+    /// Its first pixel on the weighted side.
+    pub(crate) first: (usize, usize),
+    /// Its place in its block, and its size.
+    pub(crate) part: TilePart,
+}
+
+/// The two sides of the operator, in field positions. PSFs belong to pixels of the `weighted` side: the light
+/// (source-anchored) or the frame (output-anchored).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Geometry {
+    pub(crate) weighted: PixelRegion,
+    pub(crate) other: PixelRegion,
+    /// How far a pixel of the weighted side reaches to smaller columns and rows of the other side.
+    pub(crate) before: (usize, usize),
+    /// Columns and rows of the stamps.
+    pub(crate) stamp: (usize, usize),
+}
+
+impl Geometry {
+    /// `light` is the part of the scene that reaches `region`, a part of the frame or all of it.
+    pub(crate) fn new(light: PixelRegion, region: PixelRegion, reach: Reach, anchor: Anchor) -> Self {
+        let stamp = (reach.left + reach.right + 1, reach.below + reach.above + 1);
+        match anchor {
+            Anchor::Output => Self {
+                weighted: region,
+                other: light,
+                before: (reach.right, reach.above),
+                stamp,
+            },
+            _ => Self {
+                weighted: light,
+                other: region,
+                before: (reach.left, reach.below),
+                stamp,
+            },
+        }
+    }
+
+    /// The pixel of the other side from which on pixel (`column`, `row`) of the weighted side reaches, both counted from
+    /// their region's first pixels.
+    pub(crate) fn reach_from(&self, column: usize, row: usize) -> (i64, i64) {
+        (
+            column as i64 + self.weighted.x0() - self.other.x0() - self.before.0 as i64,
+            row as i64 + self.weighted.y0() - self.other.y0() - self.before.1 as i64,
+        )
+    }
+
+    /// The columns (axis 0) or rows (axis 1) of the other side that some of the weighted side
+    /// reach.
+    pub(crate) fn reached(&self, axis: usize, pixels: Range<usize>) -> Range<usize> {
+        let reach = self.reach_from(pixels.start, pixels.start);
+        let (from, stamp, limit) = if axis == 0 {
+            (reach.0, self.stamp.0, self.other_size().0)
+        } else {
+            (reach.1, self.stamp.1, self.other_size().1)
+        };
+        let clamp = |v: i64| v.clamp(0, limit as i64) as usize;
+        clamp(from)..clamp(from + (pixels.len() + stamp - 1) as i64)
+    }
+
+    /// Columns and rows of a tile with what its stamps reach around it.
+    pub(crate) fn around(&self, (columns, rows): (usize, usize)) -> (usize, usize) {
+        (columns + self.stamp.0 - 1, rows + self.stamp.1 - 1)
+    }
+
+    /// Columns and rows of the light that a tile of some size takes.
+    pub(crate) fn light_size(&self, direction: Direction, tile: (usize, usize)) -> (usize, usize) {
+        match direction {
+            Direction::Scatter => tile,
+            Direction::Gather => self.around(tile),
+        }
+    }
+
+    /// Values of a stamp.
+    pub(crate) fn stamp_values(&self) -> usize {
+        self.stamp.0 * self.stamp.1
+    }
+
+    pub(crate) fn weighted_size(&self) -> (usize, usize) {
+        (self.weighted.shape().nx(), self.weighted.shape().ny())
+    }
+
+    pub(crate) fn other_size(&self) -> (usize, usize) {
+        (self.other.shape().nx(), self.other.shape().ny())
+    }
+}

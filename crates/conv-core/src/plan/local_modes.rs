@@ -1,0 +1,395 @@
+//! The few PSFs from which all PSFs of a region are made.
+
+use nalgebra::{DMatrix, SymmetricEigen};
+use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
+use psf_types::PsfModel;
+
+use super::region_cells::{CORNERS, RegionCells};
+
+/// Coordinates in which the norm of a vector is the L2 norm of the PSF it stands for.
+///
+/// The components of a basis are orthonormal already; the mean stamp gets a direction of its own, for what the components do
+/// not hold of it. A PSF of the model is `mean + sum_n w_n node_n`, with the weights of the coefficient field.
+#[derive(Debug)]
+pub struct PsfSpace {
+    /// Orthonormal stamps, `[direction, stamp pixel]`.
+    pub(crate) stamps: Array2<f64>,
+    /// The field's nodes, `[node, direction]`.
+    nodes: Array2<f64>,
+    pub(crate) mean: Array1<f64>,
+    /// The flux of each orthonormal stamp.
+    pub(crate) fluxes: Array1<f64>,
+}
+
+/// What the components miss of the mean counts as nothing when its norm is below this part of the mean's.
+const IN_SPAN: f64 = 1e-14;
+
+impl PsfSpace {
+    /// The space of a model's PSFs.
+    pub fn new(model: &PsfModel) -> Self {
+        let (count, ny, nx) = model.stamps().dim();
+        let flat = model
+            .stamps()
+            .into_shape_with_order((count, ny * nx))
+            .expect("stamps are row-major");
+        let first = usize::from(model.is_mean_centred());
+        let components = flat.slice(s![first.., ..]);
+        let rank = components.nrows();
+        let values = model.field().node_values();
+        // The mean's part along the components, and the rest. Twice is enough (Kahan; Parlett 1980, section 6-9).
+        let mut along = Array1::zeros(rank);
+        let mut rest: Array1<f64> = if first == 1 {
+            flat.row(0).to_owned()
+        } else {
+            Array1::zeros(ny * nx)
+        };
+        let whole = norm(rest.view());
+        for _ in 0..2 {
+            for (k, component) in components.outer_iter().enumerate() {
+                let p = component.dot(&rest);
+                along[k] += p;
+                rest.scaled_add(-p, &component);
+            }
+        }
+        let left = norm(rest.view());
+        let extra = usize::from(left > IN_SPAN * whole);
+        let mut stamps = Array2::zeros((rank + extra, ny * nx));
+        stamps.slice_mut(s![..rank, ..]).assign(&components);
+        let mut mean = Array1::zeros(rank + extra);
+        mean.slice_mut(s![..rank]).assign(&along);
+        if extra == 1 {
+            stamps.row_mut(rank).assign(&(rest / left));
+            mean[rank] = left;
+        }
+        let mut nodes = Array2::zeros((values.nrows(), rank + extra));
+        nodes.slice_mut(s![.., ..rank]).assign(&values);
+        let fluxes = stamps
+            .outer_iter()
+            .map(|stamp| model.grid().flux_of_sum(stamp.sum()))
+            .collect();
+        Self {
+            stamps,
+            nodes,
+            mean,
+            fluxes,
+        }
+    }
+
+    pub(crate) fn node(&self, node: usize) -> ArrayView1<'_, f64> {
+        self.nodes.row(node)
+    }
+}
+
+pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
+    v.dot(&v).sqrt()
+}
+
+/// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with modes that hold no flux, so that the flux is kept
+/// however few of them there are.
+///
+/// The modes are orthonormal and in the order of their weight, but that one which carries all flux comes first where there is no
+/// reference. How many are kept: the fewest that leave every PSF of the
+/// region within the tolerance, relative to its own norm. In a cell PSFs are bilinear, so it is enough to look at its
+/// corners: along any row or column of it the norm of the residual is convex, and a PSF's norm is at least its projection on the
+/// region's mean, which is linear there.
+#[derive(Debug)]
+pub struct LocalModes {
+    /// The PSF of unit flux, `[direction]`; none where the region's PSFs hold no flux to speak of.
+    reference: Option<Array1<f64>>,
+    /// `[mode, direction]`.
+    pub(crate) modes: Array2<f64>,
+    /// Flux and coefficients that do not come from any node.
+    offset: Array1<f64>,
+    /// Flux and coefficients of the region's nodes, `[node, 1 + mode]`.
+    node_values: Array2<f64>,
+}
+
+/// Bands of a region whose PSFs choose the directions of the modes. All bands decide how many are kept.
+const SUPPORT_BANDS: usize = 5;
+/// Cells of each of those bands.
+const SUPPORT_CELLS: usize = 16;
+/// The region's mean is a reference for the flux where it holds at least this part of the flux that a vector of its norm can hold.
+const FLUX_TO_SPEAK_OF: f64 = 1e-3;
+/// What nodes without flux hold along the direction of flux, relative to their norms, is rounding up to this.
+const NO_FLUX: f64 = 1e-12;
+/// Directions in which no node reaches farther than this, relative to the nodes' norms, are rounding.
+const ROUNDING: f64 = 2e-16;
+
+/// What is left of a node is rounding where less than this part of it is orthogonal to the directions found before.
+const MOSTLY_NEW: f64 = 0.5;
+
+impl LocalModes {
+    /// The modes of a region, for a tolerance that is not below the rounding of double precision.
+    pub fn new(space: &PsfSpace, cells: &RegionCells, tolerance: f64) -> Self {
+        let mut nodes = Array2::zeros((cells.nodes.len(), space.mean.len()));
+        for (mut row, &node) in nodes.outer_iter_mut().zip(&cells.nodes) {
+            row.assign(&space.node(node));
+        }
+        let mut offset = space.mean.clone();
+        if cells.is_partition_of_unity() {
+            nodes += &offset;
+            offset.fill(0.0);
+        }
+        let support = Support::of(cells);
+        let centre = support.mean_weights(nodes.nrows()).dot(&nodes) + &offset;
+        // beta(x) = <h(x), centre> / |centre|, linear and not above |h(x)|.
+        let along = &centre / norm(centre.view()).max(f64::MIN_POSITIVE);
+        let (beta, beta_offset) = (nodes.dot(&along), offset.dot(&along));
+        let fluxes = nodes.dot(&space.fluxes);
+        let flux_offset = offset.dot(&space.fluxes);
+        let flux = centre.dot(&space.fluxes);
+        let possible = norm(centre.view()) * norm(space.fluxes.view());
+        let reference = (flux.abs() > FLUX_TO_SPEAK_OF * possible).then(|| &centre / flux);
+        let scale = nodes
+            .outer_iter()
+            .chain([offset.view()])
+            .map(norm)
+            .fold(0.0, f64::max);
+        if let Some(reference) = &reference {
+            for (mut node, &flux) in nodes.outer_iter_mut().zip(&fluxes) {
+                node.scaled_add(-flux, reference);
+            }
+            offset.scaled_add(-flux_offset, reference);
+        }
+        // Now nodes and offset are what the modes must make.
+        let span = span(nodes.view(), offset.view(), ROUNDING * scale);
+        let (nodes, offset) = (nodes.dot(&span.t()), span.dot(&offset));
+        let covariance = support.covariance(nodes.view(), offset.view());
+        let beside = |axis: &Array1<f64>| {
+            let rest = complement(axis);
+            rest.dot(&principal_axes(&rest.t().dot(&covariance).dot(&rest)))
+        };
+        let (rotation, forced) = match flux_axis(&span, space.fluxes.view()) {
+            None => (principal_axes(&covariance), 0),
+            // Without a reference, this one mode carries all flux and must not be lost.
+            Some(axis) if reference.is_none() => {
+                let rest = beside(&axis);
+                let axis = axis.insert_axis(Axis(1));
+                (
+                    ndarray::concatenate(Axis(1), &[axis.view(), rest.view()]).expect("as many rows"),
+                    1,
+                )
+            }
+            // With one, nothing lies along it, and no mode may.
+            Some(axis) => {
+                let along = nodes
+                    .dot(&axis)
+                    .iter()
+                    .fold(offset.dot(&axis).abs(), |m, v| m.max(v.abs()));
+                if along <= NO_FLUX * scale {
+                    (beside(&axis), 0)
+                } else {
+                    (principal_axes(&covariance), 0)
+                }
+            }
+        };
+        let (nodes, offset) = (nodes.dot(&rotation), offset.dot(&rotation));
+        let rank = forced.max(needed(cells, nodes.view(), offset.view(), |end| {
+            let sum: f64 = end.iter().map(|&(n, w)| w * beta[n]).sum();
+            tolerance * (sum + beta_offset).max(0.0)
+        }));
+        let modes = rotation.slice(s![.., ..rank]).t().dot(&span);
+        let with_flux = |flux: ArrayView2<'_, f64>, values: ArrayView2<'_, f64>| {
+            ndarray::concatenate(Axis(1), &[flux, values]).expect("as many rows")
+        };
+        let kept = offset.slice(s![..rank]).insert_axis(Axis(0)).to_owned();
+        let offset = with_flux(ndarray::aview2(&[[flux_offset]]), kept.view());
+        Self {
+            reference,
+            modes,
+            offset: offset.row(0).to_owned(),
+            node_values: with_flux(fluxes.view().insert_axis(Axis(1)), nodes.slice(s![.., ..rank])),
+        }
+    }
+
+    /// The number of modes, the reference not counted.
+    pub(crate) fn rank(&self) -> usize {
+        self.modes.nrows()
+    }
+
+    pub(crate) fn reference(&self) -> Option<ArrayView1<'_, f64>> {
+        self.reference.as_ref().map(|r| r.view())
+    }
+
+    /// The flux and the coefficients at one corner of a cell.
+    pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
+        values.copy_from_slice(self.offset.as_slice().expect("contiguous"));
+        for &(node, weight) in end {
+            for (value, node_value) in values.iter_mut().zip(self.node_values.row(node)) {
+                *value += weight * node_value;
+            }
+        }
+    }
+}
+
+/// The weights of nodes at corners of cells, spread over a region.
+struct Support<'a>(Vec<&'a [(usize, f64)]>);
+
+impl<'a> Support<'a> {
+    fn of(cells: &'a RegionCells) -> Self {
+        let bands = &cells.bands;
+        let count = SUPPORT_BANDS.min(bands.len());
+        let mut ends = Vec::new();
+        for i in 0..count {
+            let band = &bands[i * (bands.len() - 1) / (count - 1).max(1)];
+            // The corners of a single row are there twice.
+            let corners = if band.rows.len() == 1 {
+                CORNERS / 2
+            } else {
+                CORNERS
+            };
+            let band = cells.cells_of(band);
+            let step = band.len().div_ceil(SUPPORT_CELLS);
+            let chosen = band.iter().step_by(step).chain(band.last());
+            let chosen = chosen.filter_map(|cell| cells.corners(cell));
+            ends.extend(chosen.flat_map(|of_cell| of_cell.into_iter().take(corners)));
+        }
+        if ends.is_empty() {
+            // A region with values in few places.
+            ends.extend(cells.all_corners().next().into_iter().flatten());
+        }
+        Self(ends)
+    }
+
+    fn mean_weights(&self, nodes: usize) -> Array1<f64> {
+        let mut mean = Array1::zeros(nodes);
+        for &(node, weight) in self.0.iter().copied().flatten() {
+            mean[node] += weight / self.0.len() as f64;
+        }
+        mean
+    }
+
+    fn covariance(&self, nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>) -> Array2<f64> {
+        let n = offset.len();
+        let mut sum = Array2::zeros((n, n));
+        let mut value = offset.to_owned();
+        for end in &self.0 {
+            value.assign(&offset);
+            for &(node, weight) in *end {
+                value.scaled_add(weight, &nodes.row(node));
+            }
+            for (mut row, &v) in sum.outer_iter_mut().zip(&value) {
+                row.scaled_add(v, &value);
+            }
+        }
+        sum
+    }
+}
+
+/// Orthonormal rows that span the rows of `nodes` and `offset` down to norms of `least`.
+fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> Array2<f64> {
+    let dimension = nodes.ncols();
+    if nodes.nrows() >= dimension {
+        return Array2::eye(dimension);
+    }
+    let mut rest =
+        ndarray::concatenate(Axis(0), &[nodes, offset.insert_axis(Axis(0))]).expect("as many columns");
+    let mut basis: Vec<Array1<f64>> = Vec::new();
+    while basis.len() < dimension {
+        let norms = rest.outer_iter().map(norm);
+        let Some((row, largest)) = norms.enumerate().max_by(|a, b| a.1.total_cmp(&b.1)) else {
+            break;
+        };
+        if largest <= least {
+            break;
+        }
+        let mut direction = &rest.row(row) / largest;
+        rest.row_mut(row).fill(0.0);
+        // What rounding left of the earlier directions.
+        for earlier in &basis {
+            let p = earlier.dot(&direction);
+            direction.scaled_add(-p, earlier);
+        }
+        let new = norm(direction.view());
+        if new < MOSTLY_NEW {
+            continue;
+        }
+        direction /= new;
+        for mut other in rest.outer_iter_mut() {
+            let p = other.dot(&direction);
+            other.scaled_add(-p, &direction);
+        }
+        basis.push(direction);
+    }
+    let mut rows = Array2::zeros((basis.len(), dimension));
+    for (mut row, direction) in rows.outer_iter_mut().zip(&basis) {
+        row.assign(direction);
+    }
+    rows
+}
+
+/// The direction of flux within a span, if it has any.
+fn flux_axis(span: &Array2<f64>, fluxes: ArrayView1<'_, f64>) -> Option<Array1<f64>> {
+    let axis = span.dot(&fluxes);
+    let length = norm(axis.view());
+    (length > NO_FLUX * norm(fluxes)).then(|| axis / length)
+}
+
+/// Orthonormal columns orthogonal to a unit vector: all but the first of the reflection that takes it to the first axis.
+fn complement(axis: &Array1<f64>) -> Array2<f64> {
+    let n = axis.len();
+    let mut normal = axis.clone();
+    normal[0] += axis[0].signum();
+    let twice = 2.0 / normal.dot(&normal);
+    Array2::from_shape_fn((n, n - 1), |(i, j)| {
+        f64::from(u8::from(i == j + 1)) - twice * normal[i] * normal[j + 1]
+    })
+}
+
+/// The eigenvectors of a covariance as columns, the largest eigenvalue first.
+fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
+    let n = covariance.nrows();
+    // Beyond the range of numbers there are no axes to be found; then any will do, as all are kept.
+    if n == 0 || covariance.iter().any(|v| !v.is_finite()) {
+        return Array2::eye(n);
+    }
+    let eigen = SymmetricEigen::new(DMatrix::from_fn(n, n, |i, j| covariance[[i, j]]));
+    let mut order: Vec<usize> = (0..n).collect();
+    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+    Array2::from_shape_fn((n, n), |(i, j)| eigen.eigenvectors[(i, order[j])])
+}
+
+/// The smallest number of leading coordinates that leaves every PSF within its limit.
+fn needed(
+    cells: &RegionCells,
+    nodes: ArrayView2<'_, f64>,
+    offset: ArrayView1<'_, f64>,
+    limit: impl Fn(&[(usize, f64)]) -> f64,
+) -> usize {
+    let n = offset.len();
+    let (nodes, offset) = (nodes.as_standard_layout(), offset.as_standard_layout());
+    let nodes = nodes.as_slice().expect("row-major");
+    let offset = offset.as_slice().expect("contiguous");
+    let mut value = vec![0.0; n];
+    let mut needed = 0;
+    for corners in cells.all_corners() {
+        let least = corners
+            .iter()
+            .map(|corner| limit(corner))
+            .fold(f64::INFINITY, f64::min);
+        let least = least.powi(2);
+        for (i, corner) in corners.iter().enumerate() {
+            if corners[..i].iter().any(|before| std::ptr::eq(*before, *corner)) {
+                // Of a single row, or a single pixel of each.
+                continue;
+            }
+            // Only coordinates beyond those needed already can raise the number.
+            value[needed..].copy_from_slice(&offset[needed..]);
+            for &(node, weight) in *corner {
+                let node = &nodes[node * n + needed..(node + 1) * n];
+                for (v, coordinate) in value[needed..].iter_mut().zip(node) {
+                    *v += weight * coordinate;
+                }
+            }
+            let mut tail = 0.0;
+            for i in (needed..n).rev() {
+                tail += value[i] * value[i];
+                if tail > least {
+                    needed = i + 1;
+                    break;
+                }
+            }
+        }
+    }
+    needed
+}

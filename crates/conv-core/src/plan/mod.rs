@@ -1,0 +1,370 @@
+//! Plans: everything about a convolution that does not depend on the light, nor on the device that
+//! executes it.
+//!
+//! A plan cuts the side to which PSFs belong into blocks ([`tiling`]), finds for each the few modes that make every PSF in it
+//! within the tolerance ([`local_modes`], from the weights of the field's nodes along rows, [`region_cells`]), and keeps stamps and
+//! coefficients ([`coefficient_table`]).
+
+pub(crate) mod axis_cuts;
+pub(crate) mod block;
+pub(crate) mod coefficient_table;
+mod cost_model;
+pub(crate) mod geometry;
+pub(crate) mod local_modes;
+mod options;
+pub(crate) mod region_cells;
+mod summary;
+mod tiling;
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use ndarray::Array2;
+use psf_types::{Anchor, FrameShape, NoProgress, PixelRegion, Progress, PsfModel};
+use rayon::prelude::*;
+
+use axis_cuts::{Stretch, longest};
+use block::{Block, stamps_of};
+use cost_model::CostModel;
+use geometry::{Direction, Geometry};
+pub use options::{Paths, PlanOptions};
+pub use summary::PlanSummary;
+use tiling::{Tiling, WholeFrame};
+
+use crate::image_memory::zeros;
+use crate::view::{View, in_words};
+use crate::{ConvError, ConvReal};
+
+/// Blocks that are planned at once.
+const BLOCKS_AT_ONCE: usize = 64;
+/// Blocks whose stamps are made by one product of matrices.
+const BLOCKS_A_PRODUCT: usize = 32;
+
+/// The convolution of light of one shape with one model, planned: tiles, the modes of each, their
+/// stamps and coefficients.
+///
+/// A plan is data; an [`Engine`](crate::Engine) executes it, any number of times. It is a linear
+/// operator: which modes a tile has depends on the model and the tolerance, never on the light.
+///
+/// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with the fewest modes that keep every one of them
+/// within the tolerance; the modes hold no flux, so that flux is kept at any tolerance.
+#[derive(Debug)]
+pub struct Plan<T: ConvReal> {
+    pub(crate) model: PsfModel,
+    pub(crate) whole: Arc<WholeFrame>,
+    pub(crate) geometry: Geometry,
+    options: PlanOptions,
+    pub(crate) tiling: Tiling,
+    pub(crate) cost: CostModel,
+    /// Row by row.
+    pub(crate) blocks: Vec<Block<T>>,
+    /// The part of the frame that it makes, in pixels of the frame.
+    region: PixelRegion,
+    /// Columns and rows of the scene that reach the region.
+    pub(crate) light: [Range<usize>; 2],
+}
+
+impl<T: ConvReal> Plan<T> {
+    /// A plan for light of a shape seen through a frame, a region of it.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the model's stamps do not suit an image, or the frame reaches beyond the
+    /// light. A PSF that has no value somewhere is an error of the execution, if there is light.
+    pub fn new(
+        model: &PsfModel,
+        shape: FrameShape,
+        frame: PixelRegion,
+        options: PlanOptions,
+    ) -> Result<Self, ConvError> {
+        Self::for_region(model, shape, frame, frame.shape().region(), options, &NoProgress)
+    }
+
+    /// A plan for a region of the frame, in pixels of the frame, so that a frame can be made in pieces, on many machines: with the tiles and the
+    /// modes of the whole frame, of which it holds what reaches the region. Pieces put together are the image that the whole plan makes but for
+    /// rounding, at any tolerance: their edges leave no trace.
+    ///
+    /// Executions take the whole light or only that of [`light_region`](Self::light_region), and
+    /// give images of the region. `progress` is polled and may cancel the planning; it is not told
+    /// how far that has come.
+    ///
+    /// The tiles are chosen anew, as for the whole frame; [`for_other_region`](Self::for_other_region) does without.
+    ///
+    /// ```
+    /// use std::sync::Arc;
+    ///
+    /// use conv_core::{Engine, Plan, PlanOptions};
+    /// use ndarray::{Array2, Array3, s};
+    /// use psf_types::{
+    ///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, PixelRegion, Position, PsfBasis, PsfModel, StampGrid,
+    /// };
+    ///
+    /// /// No component at all: the mean stamp everywhere.
+    /// #[derive(Debug)]
+    /// struct Constant;
+    /// impl CoefficientField for Constant {
+    ///     fn component_count(&self) -> usize {
+    ///         0
+    ///     }
+    ///     fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
+    ///         Ok(())
+    ///     }
+    /// }
+    ///
+    /// let basis = PsfBasis::new(Some(Array2::from_elem((5, 5), 0.04)), Array3::zeros((0, 5, 5)), StampGrid::new(5, 5)?)?;
+    /// let model = PsfModel::new(&basis, Arc::new(Constant), Normalisation::Unit, None)?;
+    /// let light = Array2::from_shape_fn((60, 80), |(y, x)| ((7 * x + 3 * y) % 11) as f64);
+    /// let (shape, options) = (FrameShape::new(80, 60)?, PlanOptions::new(1e-3)?);
+    /// let engine = Engine::new(Plan::new(&model, shape, shape.region(), options)?);
+    /// let mut whole = engine.plan().zeros();
+    /// engine.convolve_into(&ImageView::new(light.view())?, whole.view_mut(), &NoProgress)?;
+    ///
+    /// let region = PixelRegion::new(32, 20, FrameShape::new(16, 20)?);
+    /// let engine = Engine::new(Plan::for_region(&model, shape, shape.region(), region, options, &NoProgress)?);
+    /// let part = engine.plan().light_region();
+    /// assert_eq!((part.x0(), part.y0(), part.shape()), (30, 18, FrameShape::new(20, 24)?));
+    /// let light = ImageView::new(light.slice(s![18..42, 30..50]))?;
+    /// let mut image = Array2::zeros((20, 16));
+    /// engine.convolve_into(&light, image.view_mut(), &NoProgress)?;
+    /// let difference = &image - &whole.slice(s![20..40, 32..48]);
+    /// assert!(difference.iter().all(|d: &f64| d.abs() < 1e-12));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// As [`Self::new`]; [`ConvError::RegionOutsideFrame`]; [`ConvError::Cancelled`].
+    pub fn for_region(
+        model: &PsfModel,
+        shape: FrameShape,
+        frame: PixelRegion,
+        region: PixelRegion,
+        options: PlanOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self, ConvError> {
+        let view = View::new(shape, frame)?;
+        let whole = WholeFrame::new::<T>(model, view, options, progress)?;
+        Self::of_whole(model, Arc::new(whole), region, options, progress)
+    }
+
+    /// A plan for another region of the same frame, or for all of it, with the tiles that were chosen for this one: much sooner made than one
+    /// that has to choose.
+    ///
+    /// # Errors
+    /// [`ConvError::RegionOutsideFrame`] or [`ConvError::Cancelled`].
+    pub fn for_other_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, ConvError> {
+        let whole = Arc::clone(&self.whole);
+        Self::of_whole(&self.model, whole, region, self.options, progress)
+    }
+
+    fn of_whole(
+        model: &PsfModel,
+        whole: Arc<WholeFrame>,
+        region: PixelRegion,
+        options: PlanOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self, ConvError> {
+        let part = whole.part(region)?;
+        let mut plan = Self {
+            model: model.clone(),
+            light: part.light,
+            region,
+            geometry: part.geometry,
+            options,
+            tiling: part.tiling,
+            cost: CostModel::of::<T>(),
+            blocks: Vec::new(),
+            whole,
+        };
+        let left = plan.add_blocks(&part.blocks, progress)?;
+        plan.keep_stamps(left);
+        Ok(plan)
+    }
+
+    /// Makes the blocks at some columns and rows of the whole frame's, row by row, with
+    /// coefficients as far as the memory reaches; returns the memory that is left.
+    fn add_blocks(
+        &mut self,
+        [columns, rows]: &[Range<usize>; 2],
+        progress: &dyn Progress,
+    ) -> Result<usize, ConvError> {
+        let tolerance = self.options.tolerance_in::<T>();
+        let across = columns.len();
+        let count = across * rows.len();
+        let mut left = self.options.memory_bytes();
+        let mut full = false;
+        // A few at a time, so that tables for which there is no room do not pile up.
+        for first in (0..count).step_by(BLOCKS_AT_ONCE) {
+            let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
+                .into_par_iter()
+                .map(|i| {
+                    progress.still_wanted()?;
+                    let whole = &self.whole;
+                    let region = whole.block(columns.start + i % across, rows.start + i / across);
+                    Ok(Block::new(&self.model, &whole.space, region, tolerance, !full))
+                })
+                .collect::<Result<_, ConvError>>()?;
+            for mut block in made {
+                match left.checked_sub(block.table_bytes()) {
+                    Some(rest) if !full => left = rest,
+                    _ => {
+                        full = true;
+                        block.table = None;
+                    }
+                }
+                self.blocks.push(block);
+            }
+        }
+        Ok(left)
+    }
+
+    /// Makes the stamps for which there is room.
+    fn keep_stamps(&mut self, mut left: usize) {
+        let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
+        let mut room = 0;
+        while room < self.blocks.len() {
+            match left.checked_sub(self.blocks[room].kernel_count() * stamp) {
+                Some(rest) => left = rest,
+                None => break,
+            }
+            room += 1;
+        }
+        let stamps = self.whole.space.stamps.view();
+        self.blocks[..room]
+            .par_chunks_mut(BLOCKS_A_PRODUCT)
+            .for_each(|blocks| {
+                let made = stamps_of(stamps, &blocks.iter().collect::<Vec<_>>());
+                for (block, stamps) in blocks.iter_mut().zip(made) {
+                    block.stamps = Some(Arc::new(stamps));
+                }
+            });
+    }
+
+    /// The model.
+    pub fn model(&self) -> &PsfModel {
+        &self.model
+    }
+
+    /// The options that it was made with.
+    pub fn options(&self) -> PlanOptions {
+        self.options
+    }
+
+    /// The shape of the light that it is for.
+    pub fn scene_shape(&self) -> FrameShape {
+        self.whole.view.shape
+    }
+
+    /// The frame, in pixels of the light.
+    pub fn frame(&self) -> PixelRegion {
+        self.whole.view.frame
+    }
+
+    /// The part of the frame that this plan makes, in pixels of the frame: all of it unless it was made [for a region](Self::for_region).
+    pub fn region(&self) -> PixelRegion {
+        self.region
+    }
+
+    /// The part of the light that reaches the frame, or the plan's region of it, in pixels of the
+    /// light.
+    pub fn light_region(&self) -> PixelRegion {
+        let [columns, rows] = &self.light;
+        let shape = FrameShape::new(columns.len(), rows.len()).expect("a region's own light reaches it");
+        PixelRegion::new(columns.start as i64, rows.start as i64, shape)
+    }
+
+    /// An image of the frame, or of the plan's region of it, `[y, x]` of zeros, for an engine to
+    /// [add to](crate::Engine::convolve_into). That takes less time than adding to a large array of
+    /// zeros made otherwise: the pages of its memory have been written to.
+    pub fn zeros(&self) -> Array2<T> {
+        zeros((self.region.shape().ny(), self.region.shape().nx()))
+    }
+
+    /// Columns and rows that reach the region, of light with the shape of the whole or of the part
+    /// that reaches it.
+    pub(crate) fn light_part(&self, got: FrameShape) -> Result<[Range<usize>; 2], ConvError> {
+        let (part, whole) = (self.light_region(), self.scene_shape());
+        if got == part.shape() {
+            Ok([0..got.nx(), 0..got.ny()])
+        } else if got == whole {
+            Ok(self.light.clone())
+        } else {
+            let part = in_words(part);
+            let expected = format!("the whole scene, {whole}, or its part that reaches the image, {part}");
+            Err(ConvError::LightShape { expected, got })
+        }
+    }
+
+    /// Which way light goes, or comes back where `transposed`.
+    pub(crate) fn direction(&self, transposed: bool) -> Direction {
+        match (self.options.anchor(), transposed) {
+            (Anchor::Output, false) | (Anchor::Source, true) => Direction::Gather,
+            _ => Direction::Scatter,
+        }
+    }
+
+    /// Predicted seconds for a fully lit tile, and whether without transforms.
+    pub(crate) fn whole_tile(&self, tile: (usize, usize), kernels: usize) -> (f64, bool) {
+        let transforms = self.cost.tile(tile, self.tiling.size, kernels as f64);
+        let direct = self.cost.direct(tile, self.geometry.stamp, kernels);
+        if direct < transforms && self.options.paths() == Paths::Cheapest {
+            (direct, true)
+        } else {
+            (transforms, false)
+        }
+    }
+
+    pub(crate) fn block(&self, column: usize, row: usize) -> &Block<T> {
+        &self.blocks[row * self.tiling.columns.len() + column]
+    }
+
+    /// The columns (axis 0) or rows (axis 1) of the other side that each column or row of blocks
+    /// reaches.
+    pub(crate) fn extents(&self, axis: usize) -> Vec<(usize, usize)> {
+        let stretches = [&self.tiling.columns, &self.tiling.rows][axis].iter();
+        let reached = stretches.map(|s| self.geometry.reached(axis, s.start()..s.end()));
+        reached.map(|r| (r.start, r.end)).collect()
+    }
+
+    /// The plan in figures.
+    pub fn summary(&self) -> PlanSummary {
+        let most = self.blocks.iter().map(Block::kernel_count).max().unwrap_or(0);
+        let mut blocks_by_modes = vec![0; most + 1];
+        for block in &self.blocks {
+            blocks_by_modes[block.kernel_count()] += 1;
+        }
+        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
+        let tile = (longest(&self.tiling.columns), longest(&self.tiling.rows));
+        let mut summary = PlanSummary {
+            frame: self.frame().shape(),
+            region: self.region,
+            precision: T::NAME,
+            tolerance: self.options.tolerance(),
+            anchor: self.options.anchor(),
+            paths: self.options.paths(),
+            tile,
+            transform: self.tiling.size,
+            tiles: tiles(&self.tiling.columns) * tiles(&self.tiling.rows),
+            blocks: self.blocks.len(),
+            blocks_by_modes,
+            drawn_up_to: 0,
+            direct: false,
+            predicted_seconds: 0.0,
+            kept_bytes: (
+                self.blocks.iter().map(Block::table_bytes).sum(),
+                self.blocks.iter().map(Block::stamp_bytes).sum(),
+            ),
+            made_anew: (
+                self.blocks.iter().filter(|block| block.table.is_none()).count(),
+                self.blocks.iter().filter(|block| block.stamps.is_none()).count(),
+            ),
+        };
+        let kernels = summary.mean_modes();
+        let (whole, direct) = self.whole_tile(tile, kernels.ceil() as usize);
+        summary.direct = direct && self.options.paths() == Paths::Cheapest;
+        let draws = self.options.paths() == Paths::Cheapest;
+        summary.drawn_up_to = usize::from(draws)
+            * (whole / self.cost.draw(self.geometry.stamp, kernels.ceil() as usize)) as usize;
+        summary.predicted_seconds = summary.tiles as f64 * whole
+            + summary.blocks as f64 * kernels * self.cost.kernel(self.tiling.size, self.geometry.stamp);
+        summary
+    }
+}

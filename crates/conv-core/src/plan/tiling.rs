@@ -1,0 +1,294 @@
+//! The choice of tiles: sizes, and whether they follow the cells of the field. All regions of a
+//! frame share it.
+
+use std::ops::Range;
+
+use psf_types::{Anchor, FrameShape, PixelRegion, Progress, PsfModel};
+use rayon::prelude::*;
+
+use super::axis_cuts::{Stretch, at_cuts, even, longest, within};
+use super::cost_model::{CostModel, sizes, transform_size};
+use super::geometry::Geometry;
+use super::local_modes::{LocalModes, PsfSpace};
+use super::options::PlanOptions;
+use super::region_cells::RegionCells;
+use crate::view::{Reach, View};
+use crate::{ConvError, ConvReal};
+
+/// Tiles along both axes and their transforms.
+#[derive(Debug, Clone)]
+pub(crate) struct Tiling {
+    pub(crate) columns: Vec<Stretch>,
+    pub(crate) rows: Vec<Stretch>,
+    /// Columns and rows of the transforms.
+    pub(crate) size: (usize, usize),
+}
+
+/// Blocks whose rank is looked at to judge a tiling.
+const SAMPLES: usize = 5;
+/// Transforms larger than this many stamps gain nothing: padding is small already, and ranks grow.
+const LARGEST_IN_STAMPS: usize = 10;
+const LARGEST_AT_LEAST: usize = 640;
+/// Transforms beyond this are for stamps that leave no choice: they outgrow the caches, and the memory that a GPU's threads share.
+const LARGEST_BY_CHOICE: usize = 2048;
+/// A tile has at least this part of the stamp's size.
+const SMALLEST_IN_STAMPS: f64 = 0.4;
+/// The number of threads that blocks must suffice for. A constant: plans do not depend on the machine.
+const THREADS: usize = 4;
+/// Rows of pixels in work at once: few enough for the outer caches, enough to keep threads busy.
+const BAND_ROWS: usize = 1024;
+/// The part of the memory that coefficients leave to stamps.
+const TABLES: f64 = 0.85;
+/// Tiles of a block in each direction, where blocks do not follow cells.
+const TOGETHER: [usize; 3] = [1, 2, 4];
+
+/// The cheapest tiling that the cost model finds.
+fn best_tiling<T: ConvReal>(
+    model: &PsfModel,
+    space: &PsfSpace,
+    geometry: &Geometry,
+    options: PlanOptions,
+    progress: &dyn Progress,
+) -> Result<Tiling, ConvError> {
+    let (nx, ny) = geometry.weighted_size();
+    let stamp = geometry.stamp;
+    let side = stamp.0.max(stamp.1);
+    let whole = transform_size((nx + stamp.0 - 1, ny + stamp.1 - 1));
+    let smallest = side + (SMALLEST_IN_STAMPS * side as f64) as usize;
+    let largest = (LARGEST_IN_STAMPS * side).max(LARGEST_AT_LEAST);
+    let largest = largest
+        .max(2 * smallest)
+        .min(LARGEST_BY_CHOICE.max(smallest + smallest / 4));
+    let mut candidates = Vec::new();
+    for n in sizes().filter(|&n| n >= smallest.min(whole.0.max(whole.1)) && n <= largest) {
+        let tile = (
+            (n + 1).saturating_sub(stamp.0).max(1),
+            (n + 1).saturating_sub(stamp.1).max(1),
+        );
+        for together in TOGETHER {
+            candidates.push((even(nx, tile.0, together), even(ny, tile.1, together)));
+        }
+        if let Some([xs, ys]) = cuts(model, geometry) {
+            for split in [false, true] {
+                candidates.push((at_cuts(nx, &xs, tile.0, split), at_cuts(ny, &ys, tile.1, split)));
+            }
+        }
+        if n >= whole.0.max(whole.1) {
+            break;
+        }
+    }
+    let judged: Vec<(f64, Tiling)> = candidates
+        .into_par_iter()
+        .map(|(columns, rows)| {
+            progress.still_wanted()?;
+            let at_least = (longest(&columns) + stamp.0 - 1, longest(&rows) + stamp.1 - 1);
+            let tiling = Tiling {
+                columns,
+                rows,
+                size: transform_size(at_least),
+            };
+            let seconds = tiling.seconds::<T>(model, space, geometry, options);
+            Ok((seconds, tiling))
+        })
+        .collect::<Result<_, ConvError>>()?;
+    // The first of equals, so that the choice does not depend on the order of threads.
+    let best = judged.into_iter().reduce(|a, b| if b.0 < a.0 { b } else { a });
+    Ok(best.expect("at least one size is tried").1)
+}
+
+/// The first pixels, counted from the weighted side's, of the field's cells, if it has any.
+fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
+    let [xs, ys] = model.field().grid_lines()?;
+    let cuts = |lines: &[f64], first: i64, length: usize| {
+        let pixels = lines.iter().map(|line| line.ceil() - first as f64);
+        let inside = pixels.filter(|&p| p >= 1.0 && p < length as f64);
+        let mut cuts: Vec<usize> = inside.map(|p| p as usize).collect();
+        cuts.dedup();
+        cuts
+    };
+    let (nx, ny) = geometry.weighted_size();
+    Some([
+        cuts(&xs, geometry.weighted.x0(), nx),
+        cuts(&ys, geometry.weighted.y0(), ny),
+    ])
+}
+
+impl Tiling {
+    /// What lies within some columns and rows, cut to them and counted from the first of them, and the columns and rows of blocks that it is
+    /// of. Transforms keep their size.
+    pub(crate) fn within(&self, columns: &Range<usize>, rows: &Range<usize>) -> (Self, [Range<usize>; 2]) {
+        let (columns, across) = within(&self.columns, columns);
+        let (rows, up) = within(&self.rows, rows);
+        let size = self.size;
+        (Self { columns, rows, size }, [across, up])
+    }
+
+    /// The region of a block, in field positions.
+    pub(crate) fn region(&self, geometry: &Geometry, column: usize, row: usize) -> PixelRegion {
+        let (x, y) = (&self.columns[column], &self.rows[row]);
+        PixelRegion::new(
+            geometry.weighted.x0() + x.start() as i64,
+            geometry.weighted.y0() + y.start() as i64,
+            FrameShape::new(x.length(), y.length()).expect("stretches are not empty"),
+        )
+    }
+
+    /// Predicted seconds where every pixel is lit, from the ranks of a few blocks.
+    fn seconds<T: ConvReal>(
+        &self,
+        model: &PsfModel,
+        space: &PsfSpace,
+        geometry: &Geometry,
+        options: PlanOptions,
+    ) -> f64 {
+        let (cost, tolerance) = (CostModel::of::<T>(), options.tolerance_in::<T>());
+        let (across, up) = (self.columns.len(), self.rows.len());
+        let blocks = across * up;
+        let samples = SAMPLES.min(blocks);
+        let tiles = |stretches: &[Stretch]| stretches.iter().map(|s| s.tiles.len()).sum::<usize>();
+        let count = tiles(&self.columns) * tiles(&self.rows);
+        let mut short_runs = false;
+        let kernels: usize = (0..samples)
+            .map(|i| {
+                // Spread over rows and columns.
+                let row = (2 * i + 1) * up / (2 * samples);
+                let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
+                let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
+                let cells = RegionCells::sampled(model.field(), region);
+                short_runs |= cells.are_short();
+                LocalModes::new(space, &cells, tolerance).rank() + 1
+            })
+            .sum();
+        if short_runs && count > blocks {
+            // Coefficients pixel by pixel: blocks of several tiles would take too much memory.
+            return f64::INFINITY;
+        }
+        let kernels = kernels as f64 / samples as f64;
+        let (nx, ny) = geometry.weighted_size();
+        let tile = (nx.div_ceil(tiles(&self.columns)), ny.div_ceil(tiles(&self.rows)));
+        let tiles_a_block = count as f64 / blocks as f64;
+        // Stamps that do not fit into the memory are made anew by each execution.
+        let stamps = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
+        let made_anew = (1.0 - TABLES * options.memory_bytes() as f64 / stamps).clamp(0.0, 1.0);
+        let block = kernels * cost.kernel(self.size, geometry.stamp)
+            + made_anew * kernels * CostModel::make_stamp(geometry.stamp, space.stamps.nrows())
+            + tiles_a_block * cost.tile(tile, self.size, kernels);
+        self.rounds() as f64 * block
+    }
+
+    /// Rows of blocks that are in work at once: about [`BAND_ROWS`] rows of pixels. The order of additions follows from it, so it must
+    /// not depend on the machine.
+    pub(crate) fn band(&self) -> usize {
+        let pixels: usize = self.rows.iter().map(Stretch::length).sum();
+        (BAND_ROWS * self.rows.len())
+            .div_ceil(pixels.max(1))
+            .clamp(1, self.rows.len())
+    }
+
+    /// How often [`THREADS`] threads take a block each, given that neighbours must wait for each other.
+    fn rounds(&self) -> usize {
+        let halves = |n: usize| [n.div_ceil(2), n / 2];
+        let band = self.band();
+        let bands = (0..self.rows.len()).step_by(band);
+        bands
+            .flat_map(|first| halves(band.min(self.rows.len() - first)))
+            .flat_map(|rows| halves(self.columns.len()).map(|columns| (rows * columns).div_ceil(THREADS)))
+            .sum()
+    }
+}
+
+/// The vectors of a model's PSFs, and the tiles of the whole frame: they are the same for each of its regions, so that all regions have the
+/// same modes.
+#[derive(Debug)]
+pub(crate) struct WholeFrame {
+    pub(crate) view: View,
+    pub(crate) space: PsfSpace,
+    geometry: Geometry,
+    tiling: Tiling,
+    reach: Reach,
+    anchor: Anchor,
+}
+
+/// What a plan takes of the whole.
+pub(crate) struct Part {
+    /// Columns and rows of the scene that reach the region.
+    pub(crate) light: [Range<usize>; 2],
+    pub(crate) geometry: Geometry,
+    /// Cut to the weighted side of that geometry.
+    pub(crate) tiling: Tiling,
+    /// The columns and rows of the whole's blocks that it has tiles of.
+    pub(crate) blocks: [Range<usize>; 2],
+}
+
+impl WholeFrame {
+    /// The choice of tiles.
+    pub(crate) fn new<T: ConvReal>(
+        model: &PsfModel,
+        view: View,
+        options: PlanOptions,
+        progress: &dyn Progress,
+    ) -> Result<Self, ConvError> {
+        let (reach, anchor) = (Reach::of(model.grid())?, options.anchor());
+        let (_, geometry) = sides(view, view.frame.shape().region(), reach, anchor)?;
+        let space = PsfSpace::new(model);
+        let tiling = best_tiling::<T>(model, &space, &geometry, options, progress)?;
+        Ok(Self {
+            view,
+            space,
+            geometry,
+            tiling,
+            reach,
+            anchor,
+        })
+    }
+
+    /// What there is of a region of the frame.
+    pub(crate) fn part(&self, region: PixelRegion) -> Result<Part, ConvError> {
+        let frame = self.view.frame.shape();
+        if !frame.region().contains(region) {
+            return Err(ConvError::RegionOutsideFrame { region, frame });
+        }
+        let (light, geometry) = sides(self.view, region, self.reach, self.anchor)?;
+        let (weighted, whole) = (geometry.weighted, self.geometry.weighted);
+        let range = |first: i64, whole: i64, length: usize| {
+            let first = (first - whole) as usize;
+            first..first + length
+        };
+        let (tiling, blocks) = self.tiling.within(
+            &range(weighted.x0(), whole.x0(), weighted.shape().nx()),
+            &range(weighted.y0(), whole.y0(), weighted.shape().ny()),
+        );
+        Ok(Part {
+            light,
+            geometry,
+            tiling,
+            blocks,
+        })
+    }
+
+    /// The pixels of a block, in field positions.
+    pub(crate) fn block(&self, column: usize, row: usize) -> PixelRegion {
+        self.tiling.region(&self.geometry, column, row)
+    }
+
+    /// The length of the longest row of a block.
+    pub(crate) fn longest_row(&self) -> usize {
+        let lengths = self.tiling.columns.iter().map(Stretch::length);
+        lengths.max().unwrap_or(1)
+    }
+}
+
+/// Columns and rows of the light that reach a region of the frame, and the two sides of the
+/// operator between them.
+fn sides(
+    view: View,
+    region: PixelRegion,
+    reach: Reach,
+    anchor: Anchor,
+) -> Result<([Range<usize>; 2], Geometry), ConvError> {
+    let (x0, y0) = (view.frame.x0(), view.frame.y0());
+    let [columns, rows] = view.reaching(region.shifted(x0, y0), reach);
+    let shape = FrameShape::new(columns.len(), rows.len()).map_err(ConvError::Result)?;
+    let light = PixelRegion::new(columns.start as i64 - x0, rows.start as i64 - y0, shape);
+    Ok(([columns, rows], Geometry::new(light, region, reach, anchor)))
+}

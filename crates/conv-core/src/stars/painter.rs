@@ -1,0 +1,232 @@
+//! Point sources at sub-pixel positions.
+
+use std::sync::{Arc, OnceLock};
+
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Axis};
+use psf_types::{Anchor, PixelRegion, PointSource, Position, Progress, PsfModel, StampGrid, Uncounted};
+use rayon::prelude::*;
+
+use super::phases::Window;
+use crate::overlap::{Piece, add_in_order, overlap};
+use crate::stamp_interpolator::{Kernel, StampInterpolator, grid_reaching};
+use crate::{ConvError, ConvReal};
+
+/// Sources that one task draws.
+const AT_ONCE: usize = 32;
+/// Painted sources in memory at once.
+const PAINTED_AT_ONCE: usize = 1024;
+
+/// Draws stars one by one in double precision, each from all components of the model: the reference for [`crate::StarPlan`], and the way
+/// that serves every model and anchoring.
+#[derive(Debug)]
+pub struct StarPainter<'a> {
+    model: &'a PsfModel,
+    frame: PixelRegion,
+    /// Output-anchored: the spline of every stamp.
+    pub(crate) splines: Option<StampSplines>,
+    /// A grid at the frame's scale that holds the stamp wherever in its pixel the source lies.
+    target: StampGrid,
+}
+
+/// The spline of every stamp, made when it is first needed; painters of one model share them.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct StampSplines(Arc<OnceLock<Vec<StampInterpolator>>>);
+
+impl StampSplines {
+    fn of(&self, model: &PsfModel) -> &[StampInterpolator] {
+        self.0.get_or_init(|| {
+            let stamps = model.stamps();
+            let splines = stamps.axis_iter(Axis(0));
+            splines
+                .map(|stamp| StampInterpolator::new(stamp, model.grid()))
+                .collect()
+        })
+    }
+}
+
+impl<'a> StarPainter<'a> {
+    /// Draws on a frame, a region of the scene in whose pixels sources are given. Stars are cut to `size` columns and rows about the
+    /// pixel that each lies on (that at index `size / 2`), where given.
+    ///
+    /// # Errors
+    /// [`ConvError::PixelResponse`] when the stamps lack the pixel response.
+    pub fn new(
+        model: &'a PsfModel,
+        frame: PixelRegion,
+        anchor: Anchor,
+        size: Option<usize>,
+    ) -> Result<Self, ConvError> {
+        let grid = model.grid();
+        if !grid.pixel_response_included() {
+            return Err(ConvError::PixelResponse);
+        }
+        let splines = (anchor == Anchor::Output).then(StampSplines::default);
+        let beyond = Kernel::of(grid.interpolation()).reach();
+        let reach = |room: f64, side: usize| {
+            let reach = ((room + beyond) / grid.oversampling() + 0.5).ceil() as usize;
+            size.map_or(reach, |size| reach.min([size / 2, size - 1 - size / 2][side]))
+        };
+        let target = grid_reaching(grid, reach).map_err(ConvError::Result)?;
+        Ok(Self {
+            model,
+            frame,
+            splines,
+            target,
+        })
+    }
+
+    /// The pixels about a star's own that it may light.
+    pub(crate) fn window(&self) -> Window {
+        let axis = |centre: f64, count: usize| (-(centre as i64), count as i64 - centre as i64);
+        Window {
+            columns: axis(self.target.centre_x(), self.target.nx()),
+            rows: axis(self.target.centre_y(), self.target.ny()),
+        }
+    }
+
+    /// The sources' light in single pixels `(column, row)` of the frame.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the PSF has no value at a source that reaches one of the pixels.
+    pub fn at_pixels(
+        &self,
+        sources: &[PointSource],
+        pixels: &[(usize, usize)],
+    ) -> Result<Vec<f64>, ConvError> {
+        let hit = |source: &&PointSource| {
+            let (x, y, nx, ny) = self.lit(source);
+            self.reaches(source)
+                && pixels.iter().any(|&(column, row)| {
+                    (x..x + nx as i64).contains(&(column as i64))
+                        && (y..y + ny as i64).contains(&(row as i64))
+                })
+        };
+        let hit: Vec<&PointSource> = sources.iter().filter(hit).collect();
+        let mut values = vec![0.0; pixels.len()];
+        for some in hit.chunks(PAINTED_AT_ONCE) {
+            let painted: Vec<Result<_, ConvError>> =
+                some.par_iter().map(|source| self.paint(source)).collect();
+            for painted in painted {
+                let ((x, y), stamp) = painted?;
+                for (value, &(column, row)) in values.iter_mut().zip(pixels) {
+                    let inside = |first: i64, index: usize| usize::try_from(index as i64 - first).ok();
+                    if let (Some(i), Some(j)) = (inside(x, column), inside(y, row)) {
+                        *value += stamp.get((j, i)).copied().unwrap_or(0.0);
+                    }
+                }
+            }
+        }
+        Ok(values)
+    }
+
+    /// Adds sources to a part of the image: `image` is `[y, x]` of `region`, in pixels of the frame. `progress` is asked whether to go on, and not
+    /// told how far it has come.
+    ///
+    /// # Errors
+    /// [`ConvError`] when the PSF has no value at a source that reaches the region;
+    /// [`ConvError::Cancelled`].
+    ///
+    /// # Panics
+    /// When `image` has not the region's shape.
+    pub fn draw_into<S: ConvReal>(
+        &self,
+        sources: &[PointSource],
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, S>,
+        progress: &dyn Progress,
+    ) -> Result<(), ConvError> {
+        let shape = region.shape();
+        assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the region");
+        let reaches = |source: &&PointSource| self.reaches(source) && self.lights(source, region);
+        let tasks = sources.len().div_ceil(AT_ONCE);
+        add_in_order(image, tasks, &Uncounted(progress), |task| {
+            let sources = sources[task * AT_ONCE..].iter().take(AT_ONCE).filter(reaches);
+            sources
+                .map(|source| {
+                    let (lit, values) = self.paint(source)?;
+                    let values = values.mapv(S::nearest);
+                    Ok(Piece {
+                        first_column: lit.0 - region.x0(),
+                        first_row: lit.1 - region.y0(),
+                        values,
+                    })
+                })
+                .collect()
+        })
+    }
+
+    /// The pixel of the frame that a source lies on, which may be off the frame.
+    fn pixel(&self, source: &PointSource) -> (i64, i64) {
+        let pixel = |v: f64, origin: i64| ((v + 0.5).floor() as i64).saturating_sub(origin);
+        (
+            pixel(source.position().x(), self.frame.x0()),
+            pixel(source.position().y(), self.frame.y0()),
+        )
+    }
+
+    /// First column, first row, columns and rows of the pixels that a source may light, in pixels of the frame.
+    fn lit(&self, source: &PointSource) -> (i64, i64, usize, usize) {
+        let (column, row) = self.pixel(source);
+        let first_column = column.saturating_sub(self.target.centre_x() as i64);
+        let first_row = row.saturating_sub(self.target.centre_y() as i64);
+        (first_column, first_row, self.target.nx(), self.target.ny())
+    }
+
+    fn reaches(&self, source: &PointSource) -> bool {
+        self.lights(source, self.frame.shape().region()) && source.flux() != 0.0
+    }
+
+    /// Whether a source may light pixels of a region of the frame.
+    fn lights(&self, source: &PointSource, region: PixelRegion) -> bool {
+        let (x, y, nx, ny) = self.lit(source);
+        let on = |first: i64, length: usize, start: i64, count: usize| {
+            overlap(first.saturating_sub(start), length, count).is_some()
+        };
+        let shape = region.shape();
+        on(x, nx, region.x0(), shape.nx()) && on(y, ny, region.y0(), shape.ny())
+    }
+
+    /// The first pixel of the source's window and the light in the window `[y, x]`.
+    fn paint(&self, source: &PointSource) -> Result<((i64, i64), Array2<f64>), ConvError> {
+        let (first_column, first_row, nx, ny) = self.lit(source);
+        let (column, row) = self.pixel(source);
+        // Positions of the field count from the frame's first pixel.
+        let x = source.position().x() - self.frame.x0() as f64;
+        let y = source.position().y() - self.frame.y0() as f64;
+        let shift = (x - column as f64, y - row as f64);
+        let mut values = match &self.splines {
+            None => {
+                let position = Position::new(x, y).map_err(ConvError::Result)?;
+                let psf = self.model.psf_at(position)?;
+                StampInterpolator::new(psf.values(), self.model.grid()).resample(shift, self.target)
+            }
+            Some(splines) => {
+                let mut values = Array2::zeros((ny, nx));
+                let planes: Vec<Array2<f64>> = splines
+                    .of(self.model)
+                    .iter()
+                    .map(|s| s.resample(shift, self.target))
+                    .collect();
+                let planes: Vec<ArrayView2<'_, f64>> = planes.iter().map(|p| p.view()).collect();
+                let mut coefficients = vec![0.0; planes.len()];
+                let shape = self.frame.shape();
+                let (Some((i0, _, w)), Some((j0, _, h))) = (
+                    overlap(first_column, nx, shape.nx()),
+                    overlap(first_row, ny, shape.ny()),
+                ) else {
+                    return Ok(((first_column, first_row), values));
+                };
+                for j in j0..j0 + h {
+                    for i in i0..i0 + w {
+                        let pixel = Position::of_pixel(first_column + i as i64, first_row + j as i64);
+                        self.model.scaled_coefficients_into(pixel, &mut coefficients)?;
+                        values[[j, i]] = coefficients.iter().zip(&planes).map(|(a, p)| a * p[[j, i]]).sum();
+                    }
+                }
+                values
+            }
+        };
+        values.mapv_inplace(|v| v * source.flux());
+        Ok(((first_column, first_row), values))
+    }
+}

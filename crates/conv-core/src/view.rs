@@ -1,0 +1,113 @@
+//! Light seen through a frame, and how far stamps reach.
+
+use std::ops::Range;
+
+use ndarray::{ArrayView2, s};
+use psf_types::{DataError, FrameShape, ImageView, PixelRegion, Real, StampGrid};
+
+use crate::ConvError;
+
+/// A stamp's extent around its central pixel: it reaches `left` columns to the left and `right` to the right, likewise
+/// `below` (smaller row index) and `above`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Reach {
+    pub(crate) left: usize,
+    pub(crate) right: usize,
+    pub(crate) below: usize,
+    pub(crate) above: usize,
+}
+
+impl Reach {
+    /// The reach of stamps that can convolve an image: at the frame's scale, centred on a pixel, pixel response included.
+    pub(crate) fn of(grid: StampGrid) -> Result<Self, ConvError> {
+        if grid.oversampling() != 1.0 {
+            return Err(ConvError::StampScale {
+                oversampling: grid.oversampling(),
+            });
+        }
+        if !grid.pixel_response_included() {
+            return Err(ConvError::PixelResponse);
+        }
+        let (cx, cy) = grid.whole_centre().ok_or(ConvError::StampCentre {
+            x: grid.centre_x(),
+            y: grid.centre_y(),
+        })?;
+        Ok(Self {
+            left: cx,
+            right: grid.nx() - 1 - cx,
+            below: cy,
+            above: grid.ny() - 1 - cy,
+        })
+    }
+}
+
+/// Light of a shape seen through a frame, the part of it that a detector sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct View {
+    pub(crate) shape: FrameShape,
+    /// In pixels of the light. Its first pixel is the origin of field positions.
+    pub(crate) frame: PixelRegion,
+}
+
+impl View {
+    /// Checks that the frame lies within the light.
+    pub(crate) fn new(shape: FrameShape, frame: PixelRegion) -> Result<Self, ConvError> {
+        if shape.region().contains(frame) {
+            return Ok(Self { shape, frame });
+        }
+        Err(ConvError::Frame(DataError::FrameOutsideScene {
+            x0: frame.x0(),
+            y0: frame.y0(),
+            shape: frame.shape(),
+            scene: shape,
+        }))
+    }
+
+    /// All of the light in field positions: its first pixel is `(-x0, -y0)` of the frame.
+    pub(crate) fn field_region(self) -> PixelRegion {
+        PixelRegion::new(-self.frame.x0(), -self.frame.y0(), self.shape)
+    }
+
+    /// Column and row of the frame's first pixel.
+    pub(crate) fn first_pixel(self) -> (usize, usize) {
+        (self.frame.x0() as usize, self.frame.y0() as usize)
+    }
+
+    /// The columns and rows of the light that can reach a part of it, such as the frame: all but
+    /// what is farther from it than the stamps reach.
+    pub(crate) fn reaching(self, part: PixelRegion, reach: Reach) -> [Range<usize>; 2] {
+        // The source of an offset u in [-left, right] from pixel y lies at y - u.
+        let range = |first: i64, length: usize, before: usize, after: usize, limit: usize| {
+            let first = first as usize;
+            first.saturating_sub(before)..(first + length + after).min(limit)
+        };
+        let (part_shape, shape) = (part.shape(), self.shape);
+        [
+            range(part.x0(), part_shape.nx(), reach.right, reach.left, shape.nx()),
+            range(part.y0(), part_shape.ny(), reach.above, reach.below, shape.ny()),
+        ]
+    }
+
+    /// Light seen through a frame, cut to the frame and a margin of the reach of the grid's stamps,
+    /// and that reach: what lies beyond it falls on no pixel of the frame, so nobody asks for its
+    /// PSF.
+    pub(crate) fn within_reach<'a, T: Real>(
+        light: &'a ImageView<'_, T>,
+        frame: PixelRegion,
+        grid: StampGrid,
+    ) -> Result<(Self, ArrayView2<'a, T>, Reach), ConvError> {
+        let whole = Self::new(light.shape(), frame)?;
+        let reach = Reach::of(grid)?;
+        let [columns, rows] = whole.reaching(frame, reach);
+        let cut = Self {
+            shape: FrameShape::new(columns.len(), rows.len()).expect("a frame's own light reaches it"),
+            frame: frame.shifted(-(columns.start as i64), -(rows.start as i64)),
+        };
+        Ok((cut, light.pixels().slice_move(s![rows, columns]), reach))
+    }
+}
+
+/// A region in words.
+pub(crate) fn in_words(region: PixelRegion) -> String {
+    format!("{} at ({}, {})", region.shape(), region.x0(), region.y0())
+}

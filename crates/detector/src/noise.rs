@@ -1,0 +1,105 @@
+//! Random numbers that depend on the seed, the step and the row alone, and the steps that draw
+//! them.
+
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Poisson, StandardNormal};
+
+/// A step of the chain that draws random numbers. The numbers are part of the results: they must not change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Step {
+    Photons = 1,
+    ReadNoise = 2,
+    Response = 3,
+    BadPixels = 4,
+    BadColumns = 5,
+}
+
+/// Rows are counted below this, far beyond any frame.
+const ROW_BITS: u32 = 56;
+
+/// The stream of a row in a step. Streams of one seed never overlap, whatever they are used for.
+pub(crate) fn noise_stream(seed: u64, step: Step, row: usize) -> ChaCha8Rng {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(((step as u64) << ROW_BITS) | row as u64);
+    rng
+}
+
+/// Multiplies each pixel's charge from light by a normal deviate about 1, never below 0:
+/// pixel-response non-uniformity. It belongs to the sensor: `pattern_seed` makes it the same in
+/// every exposure.
+pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons: &mut [f64]) {
+    let mut rng = noise_stream(pattern_seed, Step::Response, row);
+    for value in electrons {
+        let normal: f64 = StandardNormal.sample(&mut rng);
+        *value *= (1.0 + rms * normal).max(0.0);
+    }
+}
+
+/// Replaces the expected charges of a row, none below 0, by what was caught.
+pub(crate) fn catch_photons(seed: u64, row: usize, electrons: &mut [f64]) {
+    let mut rng = noise_stream(seed, Step::Photons, row);
+    for value in electrons {
+        *value = poisson(*value, &mut rng);
+    }
+}
+
+/// A Poisson deviate of a mean that is finite and not negative.
+fn poisson(mean: f64, rng: &mut impl Rng) -> f64 {
+    if mean <= 0.0 {
+        return 0.0;
+    }
+    if let Ok(distribution) = Poisson::new(mean) {
+        return distribution.sample(rng);
+    }
+    let normal: f64 = StandardNormal.sample(rng);
+    (mean + mean.sqrt() * normal).round()
+}
+
+/// Adds the normal noise of the amplifier, the same everywhere, in electrons.
+pub(crate) fn add_read_noise(seed: u64, row: usize, sigma_e: f64, electrons: &mut [f64]) {
+    let mut rng = noise_stream(seed, Step::ReadNoise, row);
+    for value in electrons {
+        let normal: f64 = StandardNormal.sample(&mut rng);
+        *value += sigma_e * normal;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::RngExt;
+
+    use super::*;
+
+    #[test]
+    fn streams_differ_by_seed_step_and_row() {
+        let first = |seed, step, row| noise_stream(seed, step, row).random::<u64>();
+        let all = [
+            first(1, Step::Photons, 0),
+            first(2, Step::Photons, 0),
+            first(1, Step::ReadNoise, 0),
+            first(1, Step::Response, 0),
+            first(1, Step::BadPixels, 0),
+            first(1, Step::BadColumns, 0),
+            first(1, Step::Photons, 1),
+            first(1, Step::Photons, 1 << 40),
+        ];
+        for (i, a) in all.iter().enumerate() {
+            assert!(!all[..i].contains(a), "stream {i}");
+        }
+        assert_eq!(all[0], first(1, Step::Photons, 0));
+    }
+
+    #[test]
+    fn every_mean_has_a_deviate_near_it() {
+        let mut rng = noise_stream(3, Step::Photons, 0);
+        for mean in [0.0, 1e-300, 1e-9] {
+            assert_eq!(poisson(mean, &mut rng), 0.0);
+        }
+        // Both sides of the limit of the library's method, and the largest double that stays finite.
+        for mean in [1e3, 1e9, 1.8e19, 1.9e19, 1e30, 1e300] {
+            let off = (poisson(mean, &mut rng) - mean) / mean.sqrt();
+            assert!(off.abs() < 6.0, "{mean}: {off} standard deviations");
+        }
+    }
+}

@@ -1,0 +1,403 @@
+//! Second moments: adaptive (under a Gaussian weight that matches them) and unweighted.
+
+use ndarray::ArrayView2;
+use psf_types::{Real, getters};
+use serde::Serialize;
+
+use crate::comparison::CompensatedSum;
+use crate::window::Cutout;
+use crate::{Covariance, MetricsError, Window};
+
+/// Where the light is and the ellipse of its second moments, as both kinds of moments give them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+struct Shape {
+    x_centroid: f64,
+    y_centroid: f64,
+    sigma_px: f64,
+    e1: f64,
+    e2: f64,
+    g1: f64,
+    g2: f64,
+}
+
+impl Shape {
+    fn new((x_centroid, y_centroid): (f64, f64), covariance: Covariance) -> Self {
+        let (e, g) = (covariance.distortion(), covariance.reduced_shear());
+        Self {
+            x_centroid,
+            y_centroid,
+            sigma_px: covariance.sigma_px(),
+            e1: e.e1(),
+            e2: e.e2(),
+            g1: g.g1(),
+            g2: g.g2(),
+        }
+    }
+}
+
+/// The accessors of a [`Shape`] and its second moments, called by the letter that the type's
+/// equations give them.
+macro_rules! shape_accessors {
+    ($moments:ident, $letter:literal, $kind:literal) => {
+        impl $moments {
+            /// Column coordinate of the centroid, a 0-based index of the stamp.
+            pub fn x_centroid(&self) -> f64 {
+                self.shape.x_centroid
+            }
+
+            /// Row coordinate of the centroid, a 0-based index of the stamp.
+            pub fn y_centroid(&self) -> f64 {
+                self.shape.y_centroid
+            }
+
+            #[doc = concat!("The size `det(", $letter, ")^(1/4)`.")]
+            pub fn sigma_px(&self) -> f64 {
+                self.shape.sigma_px
+            }
+
+            #[doc = concat!("Distortion along the axes of the grid, `(", $letter, "xx - ", $letter, "yy)")]
+            #[doc = concat!("/ (", $letter, "xx + ", $letter, "yy)`.")]
+            pub fn e1(&self) -> f64 {
+                self.shape.e1
+            }
+
+            #[doc = concat!("Distortion along the diagonals of the grid, `2 ", $letter, "xy")]
+            #[doc = concat!("/ (", $letter, "xx + ", $letter, "yy)`.")]
+            pub fn e2(&self) -> f64 {
+                self.shape.e2
+            }
+
+            /// Reduced shear along the axes of the grid.
+            pub fn g1(&self) -> f64 {
+                self.shape.g1
+            }
+
+            /// Reduced shear along the diagonals of the grid.
+            pub fn g2(&self) -> f64 {
+                self.shape.g2
+            }
+
+            #[doc = concat!("The ", $kind, " `", $letter, "`.")]
+            pub fn covariance(&self) -> Covariance {
+                self.covariance
+            }
+        }
+    };
+}
+
+/// Adaptive moments, as [`AdaptiveMomentFinder`] measures them. Lengths are in pixels of the stamp,
+/// every number is finite.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AdaptiveMoments {
+    amplitude: f64,
+    #[serde(flatten)]
+    shape: Shape,
+    iterations: usize,
+    covariance: Covariance,
+}
+
+shape_accessors!(AdaptiveMoments, "M", "adaptive second moments");
+
+impl AdaptiveMoments {
+    getters! { &self;
+        /// Flux of the best-fit elliptical Gaussian, `2 sum w I`, in units of the stamp (HSM's amplitude).
+        amplitude: f64,
+        /// Iterations that the measurement took.
+        iterations: usize,
+    }
+}
+
+/// Unweighted moments of the light in a window. Lengths are in pixels of the stamp, every number is finite.
+///
+/// ```text
+/// flux = sum I      x0 = sum I x / flux      Q = sum I (x - x0)(x - x0)^T / flux
+/// ```
+///
+/// They take the light as it is: a background, noise and diffraction wings far out count with the square of their
+/// distance, so the window matters. [`AdaptiveMomentFinder`] is the robust measure.
+///
+/// ```
+/// use psf_metrics::{QuadrupoleMoments, Window};
+/// use ndarray::array;
+/// let stamp = array![[0.0, 1.0, 0.0], [2.0, 0.0, 2.0], [0.0, 1.0, 0.0]];
+/// let moments = QuadrupoleMoments::measure(stamp.view(), Window::whole())?;
+/// assert_eq!((moments.flux(), moments.x_centroid(), moments.y_centroid()), (6.0, 1.0, 1.0));
+/// assert!((moments.e1() - 1.0 / 3.0).abs() < 1e-15); // Qxx = 4/6, Qyy = 2/6
+/// # Ok::<(), psf_metrics::MetricsError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct QuadrupoleMoments {
+    flux: f64,
+    #[serde(flatten)]
+    shape: Shape,
+    covariance: Covariance,
+}
+
+shape_accessors!(QuadrupoleMoments, "Q", "second moments");
+
+impl QuadrupoleMoments {
+    /// Measures `stamp`, `[y, x]`, inside `window`. Centroids are 0-based indices of the whole stamp.
+    ///
+    /// # Errors
+    /// * [`MetricsError::WindowOutsideStamp`]: the window does not fit on the stamp.
+    /// * [`MetricsError::TooFewPixels`]: fewer than 2 pixels along an axis.
+    /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
+    /// * [`MetricsError::NonPositiveFlux`]: the window's sum is not positive.
+    /// * [`MetricsError::CentreLeftWindow`]: negative pixels put the centroid off the window.
+    /// * [`MetricsError::DegenerateCovariance`]: all light in one pixel or on one line, or negative pixels far out.
+    /// * [`MetricsError::Overflow`]: values near the end of double precision.
+    pub fn measure<T: Real>(stamp: ArrayView2<'_, T>, window: Window) -> Result<Self, MetricsError> {
+        let cutout = window.cut(stamp, 2)?;
+        let mut sums = [CompensatedSum::default(); 3];
+        for (x, y, value) in cutout.pixels() {
+            for (sum, term) in sums.iter_mut().zip([value, value * x, value * y]) {
+                sum.add(term);
+            }
+        }
+        let [flux, x, y] = sums.map(CompensatedSum::value);
+        let overflow = || MetricsError::Overflow {
+            largest: cutout.largest(),
+        };
+        if !(flux.is_finite() && x.is_finite() && y.is_finite()) {
+            return Err(overflow());
+        }
+        if flux <= 0.0 {
+            return Err(MetricsError::NonPositiveFlux { flux });
+        }
+        let (x0, y0) = (x / flux, y / flux);
+        cutout.check_centre(x0, y0)?;
+        let mut sums = [CompensatedSum::default(); 3];
+        for (x, y, value) in cutout.pixels() {
+            let (dx, dy) = (x - x0, y - y0);
+            for (sum, term) in sums.iter_mut().zip([dx * dx, dx * dy, dy * dy]) {
+                sum.add(value * term);
+            }
+        }
+        let [xx, xy, yy] = sums.map(|sum| sum.value() / flux);
+        if !(xx.is_finite() && xy.is_finite() && yy.is_finite()) {
+            return Err(overflow());
+        }
+        let covariance = Covariance::new(xx, xy, yy)?;
+        Ok(Self {
+            flux,
+            shape: Shape::new(cutout.on_stamp(x0, y0), covariance),
+            covariance,
+        })
+    }
+
+    /// The sum of the values in the window.
+    pub fn flux(&self) -> f64 {
+        self.flux
+    }
+}
+
+/// Measures adaptive moments: second moments under the elliptical Gaussian weight that matches them.
+///
+/// The centroid `x0` and the matrix `M` solve
+///
+/// ```text
+/// w(x)  = exp(-(x - x0)^T M^-1 (x - x0) / 2)
+/// 0     = sum w(x) I(x) (x - x0)
+/// M / 2 = sum w(x) I(x) (x - x0)(x - x0)^T / sum w(x) I(x)
+/// ```
+///
+/// (Bernstein & Jarvis 2002, AJ 123, 583; Hirata & Seljak 2003, MNRAS 343, 459; the step limits of the iteration follow
+/// Mandelbaum et al. 2005, MNRAS 361, 1287, whose code became GalSim's HSM module). For a Gaussian, `M` is its covariance.
+/// The weight is sampled at pixel centres and `M` holds the pixel response that the stamp holds. Sampling sets a limit: for a
+/// Gaussian of sigma 1 pixel the size is right within 0.2 %, at 0.85 within 3 %, and below about 0.75 (FWHM 1.8) the
+/// equations have no solution at some sub-pixel positions, so that the weight shrinks to one pixel. Measure such a PSF on
+/// an oversampled stamp.
+///
+/// The iteration starts at the window's centre pixel (index `n / 2`) with a round weight of sigma 5 pixels, or of a sixth
+/// of the window where that is less, unless [`with_start`](Self::with_start) says otherwise. It ends when a step changes
+/// `M` by less than 1e-11 of its smaller eigenvalue and the centroid by less than 1e-11 sigma.
+///
+/// The stamp is `[y, x]`, `f32` or `f64`, in any units, without background.
+///
+/// ```
+/// use psf_metrics::AdaptiveMomentFinder;
+/// use ndarray::Array2;
+/// let stamp = Array2::from_shape_fn((64, 64), |(y, x)| {
+///     let (dx, dy) = (x as f64 - 32.2, y as f64 - 31.9);
+///     (-0.5 * (dx * dx / 9.0 + dy * dy / 4.0)).exp()
+/// });
+/// let moments = AdaptiveMomentFinder::new().measure(stamp.view())?;
+/// assert!((moments.sigma_px() - 6.0f64.sqrt()).abs() < 1e-9);
+/// assert!((moments.g1() - (3.0 - 2.0) / (3.0 + 2.0)).abs() < 1e-9);
+/// # Ok::<(), psf_metrics::MetricsError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AdaptiveMomentFinder {
+    window: Window,
+    start: Option<Start>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Start {
+    x: f64,
+    y: f64,
+    sigma_px: f64,
+}
+
+/// Fewest pixels along an axis.
+const SMALLEST_SIDE: usize = 5;
+const MAX_ITERATIONS: usize = 1000;
+/// Relative change of a step that ends the iteration; rounding stays a thousand times below.
+const CONVERGED: f64 = 1e-11;
+/// No step changes `M` by more than this part of its smaller eigenvalue, nor the centroid by more of sigma.
+const LARGEST_STEP: f64 = 0.25;
+const START_SIGMA_PX: f64 = 5.0;
+const START_SIDES: f64 = 1.0 / 6.0;
+/// A narrower weight sees one pixel only.
+const SMALLEST_SIGMA_PX: f64 = 0.2;
+/// A flat stamp is matched by a sigma of 0.357 of its side: what comes near it measures the window, not the light.
+const LARGEST_SIDES: f64 = 1.0 / 3.0;
+/// A weight this many times wider than both the start and the limit runs away.
+const WIDEST_ON_THE_WAY: f64 = 4.0;
+
+impl Default for AdaptiveMomentFinder {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl AdaptiveMomentFinder {
+    /// Measures on all pixels, from the default start.
+    pub fn new() -> Self {
+        Self {
+            window: Window::whole(),
+            start: None,
+        }
+    }
+
+    /// The same measurement on the pixels of a window alone.
+    #[must_use]
+    pub fn with_window(self, window: Window) -> Self {
+        Self { window, ..self }
+    }
+
+    /// The same measurement, started at the 0-based stamp index (`x`, `y`) with a round weight of `sigma_px`.
+    #[must_use]
+    pub fn with_start(self, x: f64, y: f64, sigma_px: f64) -> Self {
+        Self {
+            start: Some(Start { x, y, sigma_px }),
+            ..self
+        }
+    }
+
+    /// Measures `stamp`, `[y, x]`. Centroids come back as 0-based indices of the whole stamp, whatever the window.
+    ///
+    /// # Errors
+    /// * [`MetricsError::WindowOutsideStamp`]: the window does not fit on the stamp.
+    /// * [`MetricsError::TooFewPixels`]: fewer than 5 pixels along an axis.
+    /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
+    /// * [`MetricsError::DegenerateCovariance`]: a start whose sigma is not finite and positive.
+    /// * [`MetricsError::NonPositiveFlux`]: the light under the weight is not positive.
+    /// * [`MetricsError::CentreLeftWindow`]: the centroid, or the start, lies off the window.
+    /// * [`MetricsError::WeightCollapsed`]: the light, or the start, is too narrow for the grid (see the type's
+    ///   documentation).
+    /// * [`MetricsError::WidthOutOfRange`]: a sigma above a third of the window's shorter side, where the window and not the
+    ///   light decides the size.
+    /// * [`MetricsError::NotConverged`]: the iteration did not settle.
+    /// * [`MetricsError::Overflow`]: values near the end of double precision.
+    pub fn measure<T: Real>(&self, stamp: ArrayView2<'_, T>) -> Result<AdaptiveMoments, MetricsError> {
+        let cutout = self.window.cut(stamp, SMALLEST_SIDE)?;
+        let (rows, columns) = cutout.values.dim();
+        let largest_px = LARGEST_SIDES * rows.min(columns) as f64;
+        let (mut x, mut y, sigma) = match self.start {
+            Some(start) => {
+                let origin = cutout.on_stamp(0.0, 0.0);
+                (start.x - origin.0, start.y - origin.1, start.sigma_px)
+            }
+            None => (
+                (columns / 2) as f64,
+                (rows / 2) as f64,
+                START_SIGMA_PX.min(START_SIDES * rows.min(columns) as f64),
+            ),
+        };
+        let mut m = Covariance::new(sigma * sigma, 0.0, sigma * sigma)?;
+        let mut change = f64::INFINITY;
+        for iteration in 0..MAX_ITERATIONS {
+            cutout.check_centre(x, y)?;
+            // A weight may be too wide on its way, not at its end.
+            Self::check_width(m, largest_px.max(sigma) * WIDEST_ON_THE_WAY)?;
+            let [flux, wx, wy, wxx, wxy, wyy] = weighted_moments(&cutout, x, y, m);
+            // The amplitude is twice the flux.
+            if [2.0 * flux, wx, wy, wxx, wxy, wyy].iter().any(|v| !v.is_finite()) {
+                return Err(MetricsError::Overflow {
+                    largest: cutout.largest(),
+                });
+            }
+            if flux <= 0.0 {
+                return Err(MetricsError::NonPositiveFlux { flux });
+            }
+            if change <= CONVERGED {
+                Self::check_width(m, largest_px)?;
+                return Ok(AdaptiveMoments {
+                    amplitude: 2.0 * flux,
+                    shape: Shape::new(cutout.on_stamp(x, y), m),
+                    iterations: iteration,
+                    covariance: m,
+                });
+            }
+            // Under a weight of its own shape a Gaussian shows half its offset and half its covariance; the factors 2 and 4
+            // make the step exact to first order for it.
+            let sigma = m.sigma_minor_px();
+            let variance = sigma * sigma;
+            let limited = |step: f64| step.clamp(-LARGEST_STEP, LARGEST_STEP);
+            let dx = limited(2.0 * wx / (flux * sigma));
+            let dy = limited(2.0 * wy / (flux * sigma));
+            let dxx = limited(4.0 * (wxx / flux - 0.5 * m.xx()) / variance);
+            let dxy = limited(4.0 * (wxy / flux - 0.5 * m.xy()) / variance);
+            let dyy = limited(4.0 * (wyy / flux - 0.5 * m.yy()) / variance);
+            change = [dx, dy, dxx, dxy, dyy]
+                .into_iter()
+                .fold(0.0, |most, step| most.max(step.abs()));
+            x += dx * sigma;
+            y += dy * sigma;
+            // The limits keep the smaller eigenvalue above half of what it was.
+            m = Covariance::new(
+                m.xx() + dxx * variance,
+                m.xy() + dxy * variance,
+                m.yy() + dyy * variance,
+            )?;
+        }
+        Err(MetricsError::NotConverged {
+            iterations: MAX_ITERATIONS,
+            change,
+        })
+    }
+
+    fn check_width(m: Covariance, largest_px: f64) -> Result<(), MetricsError> {
+        if m.sigma_minor_px() < SMALLEST_SIGMA_PX {
+            return Err(MetricsError::WeightCollapsed {
+                sigma_px: m.sigma_minor_px(),
+            });
+        }
+        if m.sigma_major_px() > largest_px {
+            return Err(MetricsError::WidthOutOfRange {
+                major_px: m.sigma_major_px(),
+                minor_px: m.sigma_minor_px(),
+                smallest_px: SMALLEST_SIGMA_PX,
+                largest_px,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// Sums of `w I` times 1, dx, dy, dx dx, dx dy and dy dy.
+fn weighted_moments(cutout: &Cutout, x0: f64, y0: f64, m: Covariance) -> [f64; 6] {
+    let determinant = m.determinant();
+    let (ixx, ixy, iyy) = (m.yy() / determinant, -m.xy() / determinant, m.xx() / determinant);
+    let mut sums = [CompensatedSum::default(); 6];
+    for (x, y, value) in cutout.pixels() {
+        let (dx, dy) = (x - x0, y - y0);
+        let light = (-0.5 * (ixx * dx * dx + 2.0 * ixy * dx * dy + iyy * dy * dy)).exp() * value;
+        let terms = [1.0, dx, dy, dx * dx, dx * dy, dy * dy];
+        for (sum, term) in sums.iter_mut().zip(terms) {
+            sum.add(light * term);
+        }
+    }
+    sums.map(CompensatedSum::value)
+}

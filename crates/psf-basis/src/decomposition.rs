@@ -1,0 +1,343 @@
+//! The singular value decomposition that fits and noise estimates use, bases of any stamps, and the
+//! crate's errors.
+
+use faer::diag::Diag;
+use faer::dyn_stack::{MemBuffer, MemStack};
+use faer::linalg::matmul::matmul;
+use faer::linalg::svd::{ComputeSvdVectors, SvdParams, svd, svd_scratch};
+use faer::{Accum, Mat, MatMut, MatRef, Par, Spec};
+use ndarray::{Array2, Array3, ArrayView2, Axis};
+use psf_types::{DataError, PsfBasis, StampGrid};
+use thiserror::Error;
+
+/// Errors of basis methods and rank selection.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum BasisError {
+    /// The singular value decomposition did not converge.
+    #[error("the singular value decomposition of {samples} samples of {pixels} pixels did not converge")]
+    NoConvergence {
+        /// Number of training stamps.
+        samples: usize,
+        /// Pixels a stamp.
+        pixels: usize,
+    },
+    /// More components were asked for than there are.
+    #[error("rank {asked} was asked for, but these samples span only {available} components")]
+    RankTooHigh {
+        /// The rank asked for.
+        asked: usize,
+        /// The number of components with non-zero singular values.
+        available: usize,
+    },
+    /// Without a mean stamp at least one component is needed.
+    #[error("rank 0 needs mean centring: without a mean stamp at least one component is needed")]
+    RankZero,
+    /// A noise level that is not a finite number of at least 0.
+    #[error("the pixel noise must be finite and at least 0, got {got}")]
+    BadNoise {
+        /// What was given.
+        got: f64,
+    },
+    /// Training stamps of another shape than the samples.
+    #[error("training stamps are {got:?} [y, x], the samples are {expected:?}")]
+    TrainingShape {
+        /// Shape of the samples' stamps.
+        expected: (usize, usize),
+        /// Shape of the training stamps.
+        got: (usize, usize),
+    },
+    /// Given stamps that are zero or not orthogonal, or parts that do not fit each other.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// A given stamp without any light.
+    #[error("the given basis stamp {index} (0-based) is zero everywhere")]
+    ZeroStamp {
+        /// Its index.
+        index: usize,
+    },
+    /// An error of a basis method implemented elsewhere.
+    #[error("the basis method failed")]
+    External(#[source] Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// faer splits its work by this number and not by the threads at hand: the result is the same on any number of threads.
+const SPLIT: usize = 8;
+
+/// Work (the product of both dimensions and the smaller one) below which splitting it costs more than it gains, many times so where the
+/// threads are wanted elsewhere.
+const WORTH_SPLITTING: usize = 1 << 22;
+
+/// Singular values below this many units of rounding of the samples' Frobenius norm are zero to rounding.
+pub(crate) const ROUNDING_UNITS: f64 = 16.0;
+
+/// The squares of the singular values add up to those of the samples, but for rounding.
+const SQUARES_AGREE: f64 = 1e-10;
+
+/// Singular values in descending order, and vectors `[pixel, k]` on the pixels' side, of samples `[sample, pixel]`.
+///
+/// faer loses singular values of some matrices whose rows repeat, without a word. Then the same is tried with a QR decomposition
+/// first, and then without divide and conquer.
+pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), BasisError> {
+    let usual: SvdParams = *Spec::<SvdParams, f64>::default();
+    let qr_first = SvdParams {
+        qr_ratio_threshold: 0.0,
+        ..usual
+    };
+    let undivided = SvdParams {
+        recursion_threshold: usize::MAX,
+        ..qr_first
+    };
+    let whole: f64 = rows.iter().map(|v| v * v).sum();
+    [usual, qr_first, undivided]
+        .into_iter()
+        .filter_map(|params| decompose_by(rows, params))
+        .find(|(values, _)| {
+            let held: f64 = values.iter().map(|s| s * s).sum();
+            (held - whole).abs() <= SQUARES_AGREE * whole
+        })
+        .map(|(values, vectors)| descending(values, vectors))
+        .ok_or(BasisError::NoConvergence {
+            samples: rows.nrows(),
+            pixels: rows.ncols(),
+        })
+}
+
+fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64>, Mat<f64>)> {
+    let (samples, pixels) = rows.dim();
+    let size = samples.min(pixels);
+    // Rows of samples are columns of the pixels x samples matrix in faer's column-major order.
+    let matrix = MatRef::from_column_major_slice(rows.as_slice().expect("row-major"), pixels, samples);
+    let work = samples.saturating_mul(pixels).saturating_mul(size);
+    let par = if work < WORTH_SPLITTING {
+        Par::Seq
+    } else {
+        Par::rayon(SPLIT)
+    };
+    let scratch = svd_scratch::<f64>(
+        pixels,
+        samples,
+        ComputeSvdVectors::Thin,
+        ComputeSvdVectors::No,
+        par,
+        params.into(),
+    );
+    let mut memory = MemBuffer::try_new(scratch).ok()?;
+    let mut values = Diag::<f64>::zeros(size);
+    let mut vectors = Mat::<f64>::zeros(pixels, size);
+    svd(
+        matrix,
+        values.as_mut(),
+        Some(vectors.as_mut()),
+        None,
+        par,
+        MemStack::new(&mut memory),
+        params.into(),
+    )
+    .ok()?;
+    Some((values.column_vector().iter().copied().collect(), vectors))
+}
+
+/// faer promises descending order, but does not keep it where samples repeat: there, the second singular value may stand behind
+/// hundreds of zeros.
+fn descending(values: Vec<f64>, vectors: Mat<f64>) -> (Vec<f64>, Mat<f64>) {
+    if values.is_sorted_by(|a, b| a >= b) {
+        return (values, vectors);
+    }
+    let mut order: Vec<usize> = (0..values.len()).collect();
+    order.sort_by(|&a, &b| values[b].total_cmp(&values[a]));
+    let sorted = Mat::from_fn(vectors.nrows(), order.len(), |u, k| vectors[(u, order[k])]);
+    (order.iter().map(|&k| values[k]).collect(), sorted)
+}
+
+/// Coefficients `[sample, k]` of the first `count` components.
+pub(crate) fn project(rows: ArrayView2<'_, f64>, vectors: &Mat<f64>, count: usize) -> Array2<f64> {
+    let (samples, pixels) = rows.dim();
+    let mut coefficients = Array2::zeros((samples, count));
+    let left = MatRef::from_row_major_slice(rows.as_slice().expect("row-major"), samples, pixels);
+    let into = MatMut::from_row_major_slice_mut(
+        coefficients.as_slice_mut().expect("new arrays are row-major"),
+        samples,
+        count,
+    );
+    matmul(
+        into,
+        Accum::Replace,
+        left,
+        vectors.subcols(0, count),
+        1.0,
+        Par::rayon(SPLIT),
+    );
+    coefficients
+}
+
+/// Counts the values above a level in a descending list.
+pub(crate) fn count_above(values: &[f64], level: f64) -> usize {
+    values.iter().take_while(|&&s| s > level).count()
+}
+
+/// The value of largest magnitude in each component becomes positive.
+pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<f64>) {
+    for (mut component, mut column) in components
+        .outer_iter_mut()
+        .zip(coefficients.axis_iter_mut(Axis(1)))
+    {
+        let peak = component
+            .iter()
+            .copied()
+            .fold(0.0f64, |m, v| if v.abs() > m.abs() { v } else { m });
+        if peak < 0.0 {
+            component.mapv_inplace(|v| -v);
+            column.mapv_inplace(|v| -v);
+        }
+    }
+}
+
+/// The PSFs `mean + sum_k a_jk C_k` of any stamps `C` `[stamp, y, x]`, with coefficients `a` `[node, stamp]`, on an orthonormal basis: the
+/// basis and the coefficients `[node, component]` in it.
+///
+/// The components are the singular vectors of the sums at the nodes, in the order of their share in them, found without making the
+/// sums; those that are rounding of the whole are left out. For stamps that were a basis until something linear was done to them.
+///
+/// ```
+/// use ndarray::{Array3, array};
+/// use psf_types::StampGrid;
+/// let stamps = Array3::from_shape_vec((2, 1, 2), vec![3.0, 0.0, 1.0, 1.0])?;
+/// let (basis, coefficients) = psf_basis::orthonormal(None, stamps, array![[1.0, 2.0]].view(), StampGrid::new(2, 1)?)?;
+/// // 1 (3, 0) + 2 (1, 1) = (5, 2)
+/// assert_eq!(basis.rank(), 1);
+/// assert!((coefficients[[0, 0]] * basis.components()[[0, 0, 0]] - 5.0).abs() < 1e-14);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`BasisError::Data`] when the parts do not fit each other, are not finite or nothing is left of them;
+/// [`BasisError::NoConvergence`].
+pub fn orthonormal(
+    mean: Option<Array2<f64>>,
+    stamps: Array3<f64>,
+    coefficients: ArrayView2<'_, f64>,
+    grid: StampGrid,
+) -> Result<(PsfBasis, Array2<f64>), BasisError> {
+    let (count, ny, nx) = stamps.dim();
+    let nodes = coefficients.nrows();
+    DataError::check_count("coefficients, one for each stamp", count, coefficients.ncols())?;
+    if count == 0 || nodes == 0 {
+        let basis = PsfBasis::new(mean, Array3::zeros((0, ny, nx)), grid)?;
+        return Ok((basis, Array2::zeros((nodes, 0))));
+    }
+    let stamps = stamps
+        .as_standard_layout()
+        .into_owned()
+        .into_shape_with_order((count, ny * nx))
+        .expect("row-major");
+    // a = U S V^T: the sums at the nodes have the singular vectors of S V^T C.
+    let (shares, turned) = decompose(coefficients.as_standard_layout().view())?;
+    let weights = Array2::from_shape_fn((shares.len(), count), |(i, k)| shares[i] * turned[(k, i)]);
+    let weighted = weights.dot(&stamps);
+    let (values, vectors) = decompose(weighted.as_standard_layout().view())?;
+    let of_mean = mean
+        .as_ref()
+        .map_or(0.0, |m| nodes as f64 * m.iter().map(|v| v * v).sum::<f64>());
+    let whole = (of_mean + values.iter().map(|s| s * s).sum::<f64>()).sqrt();
+    let rounding = ROUNDING_UNITS * f64::EPSILON * whole;
+    let rank = count_above(&values, rounding);
+    let mut components = Array2::from_shape_fn((rank, ny * nx), |(k, u)| vectors[(u, k)]);
+    let mut coefficients = coefficients.dot(&stamps.dot(&components.t()));
+    fix_signs(&mut components, &mut coefficients);
+    let components = components
+        .into_shape_with_order((rank, ny, nx))
+        .expect("row-major");
+    Ok((PsfBasis::new(mean, components, grid)?, coefficients))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sums of a few values of order 1.
+    const ROUNDING: f64 = 1e-13;
+
+    #[test]
+    fn the_sums_stay_and_what_vanishes_is_dropped() {
+        let grid = StampGrid::new(6, 5).unwrap();
+        let value = |a: usize, b: usize| ((a * 31 + b * 17) as f64 * 0.7).sin();
+        let mut stamps = Array3::from_shape_fn((4, 5, 6), |(k, y, x)| value(k + 1, 6 * y + x));
+        // One without light, and one that is the sum of two others.
+        stamps.index_axis_mut(ndarray::Axis(0), 1).fill(0.0);
+        let sum = &stamps.index_axis(ndarray::Axis(0), 0) + &stamps.index_axis(ndarray::Axis(0), 2);
+        stamps.index_axis_mut(ndarray::Axis(0), 3).assign(&sum);
+        let mean = Array2::from_shape_fn((5, 6), |(y, x)| value(9, 6 * y + x));
+        for nodes in [1, 3, 50] {
+            let a = Array2::from_shape_fn((nodes, 4), |(j, k)| value(j + 3, k + 40));
+            let expected = a.dot(&stamps.to_shape((4, 30)).unwrap());
+            let (basis, b) = orthonormal(Some(mean.clone()), stamps.clone(), a.view(), grid).unwrap();
+            assert_eq!(basis.rank(), nodes.min(2));
+            assert_eq!(basis.mean().unwrap(), mean);
+            let flat = basis
+                .components()
+                .into_shape_with_order((basis.rank(), 30))
+                .unwrap();
+            for ((i, j), product) in flat.dot(&flat.t()).indexed_iter() {
+                assert!((product - f64::from(u8::from(i == j))).abs() < ROUNDING);
+            }
+            for (got, wanted) in b.dot(&flat).iter().zip(&expected) {
+                assert!((got - wanted).abs() < ROUNDING, "{nodes}: {got} against {wanted}");
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_no_basis_and_parts_must_fit() {
+        let grid = StampGrid::new(3, 2).unwrap();
+        let zeros = Array3::zeros((2, 2, 3));
+        let a = Array2::ones((4, 2));
+        let (basis, b) = orthonormal(Some(Array2::ones((2, 3))), zeros.clone(), a.view(), grid).unwrap();
+        assert_eq!((basis.rank(), b.dim()), (0, (4, 0)));
+        assert!(matches!(
+            orthonormal(None, zeros.clone(), a.view(), grid),
+            Err(BasisError::Data(DataError::EmptyBasis))
+        ));
+        assert!(matches!(
+            orthonormal(None, zeros, Array2::ones((4, 3)).view(), grid),
+            Err(BasisError::Data(DataError::CountMismatch { .. }))
+        ));
+    }
+
+    /// Every way to decompose is right where its squares add up: its vectors are orthonormal and go with its values.
+    #[test]
+    fn repeated_rows_have_few_singular_values() {
+        for (rows, columns) in [
+            (300, 289),
+            (440, 289),
+            (500, 289),
+            (289, 289),
+            (289, 440),
+            (200, 289),
+        ] {
+            for distinct in [1, 2, 3, 5, 9] {
+                let matrix = Array2::from_shape_fn((rows, columns), |(j, u)| {
+                    let width = 4.0 + 0.6 * (j % distinct) as f64;
+                    (-((u as f64 - 140.0) / width).powi(2)).exp() / width
+                });
+                let (values, vectors) = decompose(matrix.view()).unwrap();
+                let top = values[0];
+                assert!(values.is_sorted_by(|a, b| a >= b));
+                assert!(values[distinct..].iter().all(|s| *s < 1e-13 * top));
+                let gram = vectors.transpose() * &vectors;
+                let image = project(matrix.view(), &vectors, values.len());
+                for (k, column) in image.axis_iter(Axis(1)).enumerate() {
+                    let norm = column.dot(&column).sqrt();
+                    assert!(
+                        (norm - values[k]).abs() < 1e-12 * top,
+                        "{rows}, {columns}, {distinct}: {k}"
+                    );
+                    for i in 0..values.len() {
+                        let off = gram[(i, k)] - f64::from(u8::from(i == k));
+                        assert!(off.abs() < 1e-12, "{rows}, {columns}, {distinct}: {i}, {k}");
+                    }
+                }
+            }
+        }
+    }
+}

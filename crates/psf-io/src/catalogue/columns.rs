@@ -1,0 +1,345 @@
+//! The meaning of a catalogue: its columns by role, and its options.
+
+use std::path::Path;
+
+use psf_types::{DataError, setters};
+
+use crate::catalogue::sky_coordinates::SkyCoordinates;
+use crate::error::IoError;
+use crate::fits::columns::missing_column;
+use crate::fits::hdu::HduChoice;
+
+/// The columns of a catalogue by what they mean: the default names, or others.
+///
+/// | role | default column | meaning |
+/// |---|---|---|
+/// | `x`, `y` | `x`, `y` | position in pixels of the frame |
+/// | `ra`, `dec` | `ra`, `dec` | position on the sky in degrees, instead of `x` and `y` |
+/// | `flux` | `flux` | total flux |
+/// | `mag` | `mag` | magnitude instead of flux: `flux = 10^(-0.4 (mag - zero point))` |
+/// | `re` | `re` | galaxies: half-light radius along the major axis, in pixels |
+/// | `n` | `n` | galaxies: Sersic index, 0.3 to 8 |
+/// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 where there is no such column |
+/// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 where there is no such column |
+///
+/// A role that is given a column uses that one; the others use the column of their own name where
+/// there is one. Positions in pixels go before those on the sky, flux before magnitude (unless a
+/// zero point is given, which fluxes have no use for: then the columns must be chosen). A catalogue
+/// has galaxies when it has the column of `re`, and then needs that of `n`. Upper and lower case
+/// are the same.
+///
+/// As text: `role=COLUMN`, separated by commas.
+///
+/// ```
+/// use psf_io::CatalogColumns;
+/// let columns: CatalogColumns = "x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO".parse()?;
+/// assert_eq!(columns.to_string(), "x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO");
+/// assert!("x=X_IMAGE".parse::<CatalogColumns>().is_err()); // and y?
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct CatalogColumns {
+    /// By role; `None` for the default.
+    given: [Option<String>; ROLES.len()],
+}
+
+/// The roles by name, in the order of [`Role`].
+const ROLES: [&str; 10] = ["x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle"];
+
+/// The meaning of a column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Role {
+    X,
+    Y,
+    Ra,
+    Dec,
+    Flux,
+    Mag,
+    Re,
+    N,
+    Q,
+    Angle,
+}
+
+/// The columns that are read of a table, each with its role.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) struct Picked {
+    columns: Vec<(Role, String)>,
+}
+
+impl Picked {
+    /// The names of the columns, in the order in which they are read.
+    pub(crate) fn names(&self) -> Vec<&str> {
+        self.columns.iter().map(|(_, name)| name.as_str()).collect()
+    }
+
+    /// The place of the column of a role among the names.
+    pub(crate) fn place(&self, role: Role) -> Option<usize> {
+        self.columns.iter().position(|(r, _)| *r == role)
+    }
+
+    /// The name of the column of a role.
+    pub(crate) fn name(&self, role: Role) -> Option<&String> {
+        self.place(role).map(|place| &self.columns[place].1)
+    }
+}
+
+impl CatalogColumns {
+    /// The columns of positions, [`Role::X`] and [`Role::Y`] or [`Role::Ra`] and [`Role::Dec`], in
+    /// a table with these columns.
+    pub(crate) fn positions(&self, path: &Path, names: &[String]) -> Result<Picked, IoError> {
+        let has = |role| self.is_in(names, role);
+        let in_pixels = self.is_given(Role::X) || (has(Role::X) && has(Role::Y));
+        let on_sky = self.is_given(Role::Ra) || (!in_pixels && has(Role::Ra) && has(Role::Dec));
+        let roles = if on_sky {
+            [Role::Ra, Role::Dec]
+        } else {
+            [Role::X, Role::Y]
+        };
+        self.picked(path, names, &roles)
+    }
+
+    /// The columns of sources in a table with these columns: the position, [`Role::Flux`] or
+    /// [`Role::Mag`], and those of galaxies.
+    pub(crate) fn sources(&self, path: &Path, names: &[String]) -> Result<Picked, IoError> {
+        let has = |role| self.is_in(names, role);
+        let by_magnitude =
+            self.is_given(Role::Mag) || (!self.is_given(Role::Flux) && !has(Role::Flux) && has(Role::Mag));
+        let mut roles = vec![if by_magnitude { Role::Mag } else { Role::Flux }];
+        let shape = [Role::Re, Role::N, Role::Q, Role::Angle];
+        if has(Role::Re) || shape.iter().any(|&role| self.is_given(role)) {
+            let optional = |&role: &Role| has(role) || self.is_given(role);
+            roles.extend(&shape[..2]);
+            roles.extend(shape[2..].iter().copied().filter(optional));
+        }
+        let others = self.picked(path, names, &roles)?;
+        let mut all = self.positions(path, names)?;
+        all.columns.extend(others.columns);
+        Ok(all)
+    }
+
+    /// The columns of these roles, all of which must be there.
+    fn picked(&self, path: &Path, names: &[String], roles: &[Role]) -> Result<Picked, IoError> {
+        let needed = |&role: &Role| {
+            if self.is_in(names, role) {
+                Ok((role, self.column(role).to_owned()))
+            } else {
+                Err(missing_column(path, names, self.column(role)))
+            }
+        };
+        let columns = roles.iter().map(needed).collect::<Result<_, _>>()?;
+        Ok(Picked { columns })
+    }
+
+    /// The column of a role.
+    fn column(&self, role: Role) -> &str {
+        self.given[role as usize]
+            .as_deref()
+            .unwrap_or(ROLES[role as usize])
+    }
+
+    /// Whether the column of a role is among these.
+    fn is_in(&self, names: &[String], role: Role) -> bool {
+        names
+            .iter()
+            .any(|name| name.eq_ignore_ascii_case(self.column(role)))
+    }
+
+    fn is_given(&self, role: Role) -> bool {
+        self.given[role as usize].is_some()
+    }
+
+    /// Why roles do not go together.
+    fn conflict(&self) -> Option<&'static str> {
+        let given = |role| self.is_given(role);
+        if given(Role::X) != given(Role::Y) {
+            return Some("x and y together");
+        }
+        if given(Role::Ra) != given(Role::Dec) {
+            return Some("ra and dec together");
+        }
+        if given(Role::X) && given(Role::Ra) {
+            return Some("either x and y or ra and dec");
+        }
+        (given(Role::Flux) && given(Role::Mag)).then_some("either flux or mag")
+    }
+}
+
+impl std::str::FromStr for CatalogColumns {
+    type Err = DataError;
+    fn from_str(text: &str) -> Result<Self, DataError> {
+        let refused = |allowed| DataError::setting("the columns", allowed, text);
+        let mut columns = Self::default();
+        for part in text.split(',') {
+            let (role, column) = part
+                .split_once('=')
+                .map(|(role, column)| (role.trim(), column.trim()))
+                .filter(|(_, column)| !column.is_empty())
+                .ok_or_else(|| refused("role=COLUMN, separated by commas, such as x=X_IMAGE,y=Y_IMAGE"))?;
+            let place = ROLES
+                .iter()
+                .position(|name| name.eq_ignore_ascii_case(role))
+                .ok_or_else(|| refused("for the roles x, y, ra, dec, flux, mag, re, n, q and angle"))?;
+            if columns.given[place].replace(column.to_owned()).is_some() {
+                return Err(refused("one column for a role"));
+            }
+        }
+        match columns.conflict() {
+            Some(allowed) => Err(refused(allowed)),
+            None => Ok(columns),
+        }
+    }
+}
+
+impl std::fmt::Display for CatalogColumns {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let given = ROLES.iter().zip(&self.given);
+        let parts = given.filter_map(|(role, column)| Some(format!("{role}={}", column.as_ref()?)));
+        f.write_str(&parts.collect::<Vec<_>>().join(","))
+    }
+}
+
+/// How a catalogue is to be understood: its columns, the origin of its pixels, its magnitudes, its
+/// table.
+///
+/// ```
+/// use psf_io::CatalogOptions;
+/// // A catalogue as SExtractor writes it
+/// let options = CatalogOptions::new()
+///     .with_columns("x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO".parse()?)
+///     .with_one_based(true)
+///     .with_zero_point(25.0)?;
+/// # let _ = options;
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone, Default)]
+pub struct CatalogOptions {
+    pub(crate) columns: CatalogColumns,
+    pub(crate) one_based: bool,
+    pub(crate) zero_point: Option<f64>,
+    pub(crate) skip_invalid: bool,
+    pub(crate) table: Option<HduChoice>,
+    pub(crate) sky: Option<SkyCoordinates>,
+}
+
+impl CatalogOptions {
+    /// The default columns, 0-based pixels, no zero point, no world coordinates, every row needed,
+    /// the only table that fits.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    setters! {
+        /// With these columns.
+        with_columns => columns: CatalogColumns,
+        /// With positions in pixels counted from 1, as SExtractor's and those of FITS are (`true`), or
+        /// from 0.
+        with_one_based => one_based: bool,
+        /// With the world coordinates of the frame, for catalogues of positions on the sky.
+        with_sky => sky: Some(SkyCoordinates),
+        /// Whether rows that make no source (a position or flux that is missing or not finite, a galaxy
+        /// out of range) are left out and counted (`true`), or errors.
+        with_invalid_skipped => skip_invalid: bool,
+        /// With this table of a FITS file.
+        with_table => table: Some(HduChoice),
+    }
+
+    /// With the magnitude of flux 1.
+    ///
+    /// # Errors
+    /// [`DataError::Setting`] when it is not finite.
+    pub fn with_zero_point(self, zero_point: f64) -> Result<Self, DataError> {
+        if !zero_point.is_finite() {
+            return Err(DataError::setting(
+                "the zero point",
+                "a finite magnitude",
+                zero_point,
+            ));
+        }
+        Ok(Self {
+            zero_point: Some(zero_point),
+            ..self
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(text: &str) -> Vec<String> {
+        text.split_whitespace().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn texts_that_are_no_columns_are_refused() {
+        for bad in [
+            "",
+            "x",
+            "x=",
+            "=X",
+            "x=A,y=B,x=C",
+            "x=A",
+            "dec=A",
+            "x=A,y=B,ra=C,dec=D",
+            "flux=A,mag=B",
+            "fwhm=A",
+        ] {
+            assert!(bad.parse::<CatalogColumns>().is_err(), "{bad}");
+        }
+        let columns: CatalogColumns = " MAG = MAG_AUTO , re=R ".parse().unwrap();
+        assert_eq!(columns.to_string(), "mag=MAG_AUTO,re=R");
+    }
+
+    #[test]
+    fn pixels_go_before_the_sky_and_flux_before_magnitude() {
+        let path = Path::new("a.csv");
+        let of = |columns: &str, table: &str| {
+            let columns: CatalogColumns = if columns.is_empty() {
+                CatalogColumns::default()
+            } else {
+                columns.parse().unwrap()
+            };
+            columns.sources(path, &names(table))
+        };
+        let picked = |table: &[(Role, &str)]| Picked {
+            columns: table
+                .iter()
+                .map(|&(role, name)| (role, name.to_owned()))
+                .collect(),
+        };
+        let all = of("", "X Y RA DEC Flux Mag").unwrap();
+        assert_eq!(
+            all,
+            picked(&[(Role::X, "x"), (Role::Y, "y"), (Role::Flux, "flux")])
+        );
+        let sky = of("ra=ALPHA,dec=DELTA,mag=M", "x y flux alpha delta m").unwrap();
+        let expected = [(Role::Ra, "ALPHA"), (Role::Dec, "DELTA"), (Role::Mag, "M")];
+        assert_eq!(sky, picked(&expected));
+        assert_eq!(of("", "x ra dec mag").unwrap().place(Role::Ra), Some(0));
+        let galaxies = of("re=R", "x y flux r n angle").unwrap();
+        let of = |role| galaxies.name(role).map(String::as_str);
+        assert_eq!(
+            (of(Role::Re), of(Role::Q), of(Role::Angle)),
+            (Some("R"), None, Some("angle"))
+        );
+    }
+
+    #[test]
+    fn missing_columns_are_named() {
+        let missing = |columns: &str, table: &str| {
+            let columns: CatalogColumns = columns.parse().unwrap_or_default();
+            match columns.sources(Path::new("a.csv"), &names(table)) {
+                Err(IoError::MissingColumn { column, .. }) => column,
+                other => panic!("{other:?}"),
+            }
+        };
+        assert_eq!(missing("", "x flux"), "y");
+        assert_eq!(missing("", "x y"), "flux");
+        assert_eq!(missing("", "ra flux"), "x");
+        assert_eq!(missing("", "x y flux re"), "n");
+        assert_eq!(missing("q=BA", "x y flux re n"), "BA");
+        assert_eq!(missing("n=SERSIC", "x y flux sersic"), "re");
+        assert_eq!(missing("x=X_IMAGE,y=Y_IMAGE", "x y ra dec flux"), "X_IMAGE");
+    }
+}

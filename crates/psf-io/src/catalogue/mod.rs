@@ -1,0 +1,338 @@
+//! Catalogues and lists of positions: tables in.
+//!
+//! # Layout
+//!
+//! A text table or a binary table of a FITS file, told apart by content, not by name.
+//!
+//! | column | meaning |
+//! |---|---|
+//! | `x`, `y` | position in pixels of the frame, 0-based, an integer is the centre of a pixel; sub-pixel, also outside the frame |
+//! | `flux` | total flux of the source (catalogues only) |
+//!
+//! Upper and lower case are the same, columns stand in any order, and further columns are ignored.
+//! Other names, 1-based pixels, magnitudes, sky coordinates and galaxies: [`read_catalog_with`] and
+//! [`CatalogColumns`].
+//!
+//! * **Text**: fields separated by commas (values may be quoted), tabs or blanks. The first line
+//!   that does not start with `#` names the columns, or, when it is a row of numbers, the last
+//!   comment ahead of it; SExtractor's `ASCII_HEAD` is known too. Later lines with `#` and empty
+//!   lines are skipped.
+//! * **FITS**: the binary table that has the columns, each of one number (any integer or float
+//!   type) a row, such as `LDAC_OBJECTS` of a `FITS_LDAC` catalogue; where several have them, one
+//!   must be chosen.
+//!
+//! A catalogue from Python:
+//!
+//! ```python
+//! from astropy.table import Table
+//! catalogue = Table({"x": x, "y": y, "flux": flux})    # 0-based pixels
+//! catalogue.write("stars.csv")                         # or "stars.fits"
+//! ```
+
+use std::path::Path;
+
+use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource, getters};
+
+use crate::error::{IoError, invalid, request};
+use crate::fits::columns::{Gaps, NumberColumns, Table, positions};
+use crate::fits::structure::FitsStructure;
+use columns::{CatalogColumns, CatalogOptions, Picked, Role};
+use table_file::{TableFile, read_columns};
+
+pub(crate) mod columns;
+
+pub(crate) mod sky_coordinates;
+pub(crate) mod table_file;
+mod text_table;
+pub(crate) mod world_header;
+
+/// Reads a catalogue of point sources: the columns x, y and flux. Others are not looked at:
+/// [`read_catalog_with`] knows galaxies too.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("stars.csv");
+/// std::fs::write(&path, "# two stars\nid,Flux,x,y\n1,1e5,10.25,3\n2,20,-4,7.5\n")?;
+/// let stars = psf_io::read_catalog(&path)?;
+/// assert_eq!((stars[1].position().x(), stars[0].flux()), (-4.0, 1e5));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::MissingColumn`], [`IoError::Value`] with the row and column of what is not a finite
+/// number, and the errors of any FITS or CSV file.
+pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError> {
+    let path = path.as_ref();
+    let [x, y, flux] = read_columns(path, ["x", "y", "flux"])?;
+    let positions = positions(path, x, y)?;
+    let sources = positions.into_iter().zip(flux);
+    sources
+        .map(|(position, flux)| PointSource::new(position, flux).map_err(invalid(path)))
+        .collect()
+}
+
+/// Reads a list of positions: the columns x and y.
+///
+/// # Errors
+/// As [`read_catalog`].
+pub fn read_positions(path: impl AsRef<Path>) -> Result<Vec<Position>, IoError> {
+    read_positions_with(path, &CatalogOptions::new())
+}
+
+/// Whether a file has a binary table with the columns x and y.
+pub(crate) fn has_points(structure: &FitsStructure) -> bool {
+    let has = |table: Table| ["x", "y"].iter().all(|name| table.column(name).is_ok());
+    structure.tables().any(|hdu| Table::new(hdu).is_ok_and(has))
+}
+
+/// The sources of a catalogue, in the order of its rows.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Catalog {
+    stars: Vec<PointSource>,
+    galaxies: Vec<SersicSource>,
+    invalid_rows: usize,
+    rows_off_projection: usize,
+}
+
+impl Catalog {
+    getters! { &self;
+        /// The point sources.
+        stars: &[PointSource],
+        /// The sources with a Sersic profile.
+        galaxies: &[SersicSource],
+        /// Rows left out because they make no source; 0 unless
+        /// [`with_invalid_skipped`](CatalogOptions::with_invalid_skipped) allows it.
+        invalid_rows: usize,
+        /// Rows left out because the frame's projection does not show their place on the sky: they lie
+        /// far off the frame.
+        rows_off_projection: usize,
+    }
+
+    /// Stars and galaxies, without a copy.
+    pub fn into_parts(self) -> (Vec<PointSource>, Vec<SersicSource>) {
+        (self.stars, self.galaxies)
+    }
+}
+
+/// Reads a catalogue of stars and galaxies: see [`CatalogColumns`] for its columns and
+/// [this module](self) for the kinds of files.
+///
+/// In a catalogue with galaxies a row is a star where `re` is 0, empty or NaN; a galaxy that lacks
+/// its `n` is an invalid row.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("sources.csv");
+/// use psf_io::{CatalogOptions, read_catalog_with};
+/// std::fs::write(&path, "x,y,mag,re,n,q,angle\n10.5,3,20,,,,\n40,50,17.5,3.2,4,0.8,30\n")?;
+/// let catalog = read_catalog_with(&path, &CatalogOptions::new().with_zero_point(25.0)?)?;
+/// assert_eq!((catalog.stars().len(), catalog.galaxies().len()), (1, 1));
+/// assert!((catalog.stars()[0].flux() - 100.0).abs() < 1e-9);
+/// assert_eq!(catalog.galaxies()[0].profile().index(), 4.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::MissingColumn`]; [`IoError::Value`] with the row and column of a position or
+/// brightness that is missing or not finite; [`IoError::Source`] with the row of a galaxy that is
+/// out of range; [`IoError::Request`] for magnitudes without a zero point, a zero point without
+/// magnitudes, and sky coordinates counted from 1; [`IoError::NoWorldCoordinates`] for sky
+/// coordinates without [`with_sky`](CatalogOptions::with_sky); [`IoError::SeveralHdus`] when more
+/// than one table of a FITS file has the columns; and the errors of any FITS or text table.
+pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
+    let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;
+    let mut catalog = Catalog::default();
+    for row in 0..rows.numbers.rows {
+        match rows.add_source(row, &mut catalog) {
+            Ok(()) => {}
+            Err(_) if options.skip_invalid => catalog.invalid_rows += 1,
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(catalog)
+}
+
+/// Reads the positions of a catalogue, one for each row.
+///
+/// # Errors
+/// As [`read_catalog_with`]; no row may be invalid, whatever the options say, nor off the
+/// projection ([`IoError::Request`]).
+pub fn read_positions_with(
+    path: impl AsRef<Path>,
+    options: &CatalogOptions,
+) -> Result<Vec<Position>, IoError> {
+    let rows = Rows::read(path.as_ref(), options, "x, y", CatalogColumns::positions)?;
+    let position = |row| {
+        rows.position(row)?.ok_or_else(|| {
+            let problem = format!(
+                "{} is a place on the sky that the projection of the frame does not show: remove the row",
+                rows.numbers.place(row)
+            );
+            request(rows.path, problem)
+        })
+    };
+    (0..rows.numbers.rows).map(position).collect()
+}
+
+/// The rows of a catalogue.
+struct Rows<'a> {
+    path: &'a Path,
+    options: &'a CatalogOptions,
+    columns: Picked,
+    numbers: NumberColumns,
+}
+
+impl<'a> Rows<'a> {
+    /// Reads the columns that `pick` takes of a table; `needed` says which these are, for the error
+    /// of a file without tables.
+    fn read(
+        path: &'a Path,
+        options: &'a CatalogOptions,
+        needed: &str,
+        pick: fn(&CatalogColumns, &Path, &[String]) -> Result<Picked, IoError>,
+    ) -> Result<Self, IoError> {
+        let file = TableFile::open(path)?;
+        let (columns, table) = file.pick(options.table.as_ref(), needed, |names| {
+            pick(&options.columns, path, names)
+        })?;
+        check_options(path, options, &columns)?;
+        Ok(Self {
+            path,
+            options,
+            numbers: table.read(&columns.names(), Gaps::Kept)?,
+            columns,
+        })
+    }
+
+    /// Adds the source of a row to the catalogue; off the projection it only counts.
+    fn add_source(&self, row: usize, catalog: &mut Catalog) -> Result<(), IoError> {
+        let position = self.position(row)?;
+        let flux = match self.options.zero_point {
+            None => self.finite(row, Role::Flux)?,
+            Some(zero_point) => 10.0_f64.powf(-0.4 * (self.finite(row, Role::Mag)? - zero_point)),
+        };
+        let invalid = |source| self.invalid(row, source);
+        match (position, self.profile(row)?) {
+            (None, _) => catalog.rows_off_projection += 1,
+            (Some(at), None) => catalog.stars.push(PointSource::new(at, flux).map_err(invalid)?),
+            (Some(at), Some(profile)) => {
+                catalog
+                    .galaxies
+                    .push(SersicSource::new(at, flux, profile).map_err(invalid)?);
+            }
+        }
+        Ok(())
+    }
+
+    /// `None` off the projection.
+    fn position(&self, row: usize) -> Result<Option<Position>, IoError> {
+        let Some(sky) = self
+            .options
+            .sky
+            .as_ref()
+            .filter(|_| self.columns.place(Role::Ra).is_some())
+        else {
+            let first = if self.options.one_based { 1.0 } else { 0.0 };
+            let (x, y) = (self.finite(row, Role::X)?, self.finite(row, Role::Y)?);
+            let position = Position::new(x - first, y - first);
+            return position.map(Some).map_err(|source| self.invalid(row, source));
+        };
+        let (ra, dec) = (self.finite(row, Role::Ra)?, self.finite(row, Role::Dec)?);
+        if (-90.0..=90.0).contains(&dec) {
+            return Ok(sky.pixel(ra, dec));
+        }
+        let source = DataError::setting("the declination", "-90 to 90 degrees", dec);
+        Err(self.invalid(row, source))
+    }
+
+    /// The profile of a galaxy; `None` for a star.
+    fn profile(&self, row: usize) -> Result<Option<SersicProfile>, IoError> {
+        let value = |role| self.value(row, role);
+        let (Some(re), Some(n)) = (value(Role::Re), value(Role::N)) else {
+            return Ok(None);
+        };
+        if re == 0.0 || re.is_nan() {
+            return Ok(None);
+        }
+        let q = value(Role::Q).unwrap_or(1.0);
+        // A circle needs no angle.
+        let angle = value(Role::Angle).filter(|_| q != 1.0).unwrap_or(0.0);
+        SersicProfile::new(re, n, q, angle)
+            .map(Some)
+            .map_err(|source| self.invalid(row, source))
+    }
+
+    /// The value in the column of a role; none where there is no such column.
+    fn value(&self, row: usize, role: Role) -> Option<f64> {
+        self.columns
+            .place(role)
+            .map(|column| self.numbers.values[column][row])
+    }
+
+    fn finite(&self, row: usize, role: Role) -> Result<f64, IoError> {
+        let value = self.value(row, role).expect("the column is read");
+        if value.is_finite() {
+            return Ok(value);
+        }
+        Err(IoError::Value {
+            path: self.path.to_owned(),
+            row: self.numbers.place(row),
+            column: self.columns.name(role).cloned().unwrap_or_default(),
+            got: if value.is_nan() {
+                "NaN or nothing".to_owned()
+            } else {
+                value.to_string()
+            },
+        })
+    }
+
+    fn invalid(&self, row: usize, source: DataError) -> IoError {
+        IoError::Source {
+            path: self.path.to_owned(),
+            row: self.numbers.place(row),
+            source,
+        }
+    }
+}
+
+/// Whether the options go with the columns.
+fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Result<(), IoError> {
+    match (
+        columns.name(Role::Flux),
+        columns.name(Role::Mag),
+        options.zero_point,
+    ) {
+        (Some(flux), _, Some(_)) => {
+            let problem = format!(
+                "the column {flux:?} holds fluxes, for which --zero-point has no meaning: leave it out, or name the column of \
+                 magnitudes with --columns mag=COLUMN"
+            );
+            return Err(request(path, problem));
+        }
+        (_, Some(magnitude), None) => {
+            let problem = format!(
+                "the column {magnitude:?} holds magnitudes: give the magnitude of flux 1 with --zero-point"
+            );
+            return Err(request(path, problem));
+        }
+        _ => {}
+    }
+    let (Some(ra), Some(dec)) = (columns.name(Role::Ra), columns.name(Role::Dec)) else {
+        return Ok(());
+    };
+    if options.one_based {
+        let problem = format!(
+            "the columns {ra:?} and {dec:?} are sky coordinates, for which --one-based has no meaning: leave it out, or name \
+             columns of pixels with --columns x=COLUMN,y=COLUMN"
+        );
+        return Err(request(path, problem));
+    }
+    if options.sky.is_none() {
+        return Err(IoError::NoWorldCoordinates {
+            path: path.to_owned(),
+            ra: ra.clone(),
+            dec: dec.clone(),
+        });
+    }
+    Ok(())
+}

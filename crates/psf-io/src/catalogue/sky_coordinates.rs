@@ -1,0 +1,244 @@
+//! Positions on the sky to pixels of the frame.
+
+use std::sync::Arc;
+
+use mapproj::zenithal::{arc::Arc as ArcProjection, sin::Sin, stg::Stg, tan::Tan, zea::Zea};
+use mapproj::{ProjXY, Projection, XYZ};
+use psf_types::Position;
+
+use crate::catalogue::world_header::{
+    Distortion, World, WorldCoordinatesError, inverted, product, unsupported,
+};
+use crate::fits::card::{Card, CardValue};
+use crate::fits::header_cards::HeaderCards;
+
+/// The longitude of the celestial pole in a zenithal projection whose header does not say.
+const USUAL_POLE_LONGITUDE: f64 = 180.0;
+/// From here on, in radians on the projection, squares are no numbers and mapproj's vectors no
+/// places.
+const FARTHEST: f64 = 1e150;
+
+/// The world coordinates of a frame: positions on the sky to pixels and back.
+///
+/// The projections `TAN`, `SIN`, `ZEA`, `ARC` and `STG` with `CDi_j`, `PCi_j` and `CDELTi`, or
+/// `CDELTi` and `CROTA2` (Calabretta and Greisen 2002, A&A 395, 1077); distortions `SIP` (`A_p_q`
+/// and `B_p_q`, also where `CTYPEi` do not say `-SIP`, as astropy has it; the inverse is solved
+/// for, `AP_p_q` are not used) and `TPV` (also as `TAN` with `PVi_m`, as SCAMP writes it). Other
+/// distortions (`CPDISn`, `CQDISn`, `D2IMDISn`) and reference points moved by `PVi_m` are errors,
+/// never left out. Coordinates are in degrees, in the system of the header (`RADESYS`): none are
+/// converted.
+///
+/// ```
+/// use psf_io::{Card, HeaderCards, SkyCoordinates};
+/// let mut header = HeaderCards::new();
+/// for (keyword, value) in [("CRPIX1", 50.5), ("CRPIX2", 40.5), ("CRVAL1", 150.0), ("CRVAL2", 2.0)] {
+///     header.push(Card::new(keyword, value, "")?);
+/// }
+/// header.push(Card::new("CTYPE1", "RA---TAN", "")?);
+/// header.push(Card::new("CTYPE2", "DEC--TAN", "")?);
+/// header.push(Card::new("CDELT1", -1e-4, "")?);
+/// header.push(Card::new("CDELT2", 1e-4, "")?);
+/// let sky = SkyCoordinates::from_header(&header)?;
+/// let centre = sky.pixel(150.0, 2.0).expect("on the projection"); // 0-based
+/// assert!((centre.x() - 49.5).abs() < 1e-9 && (centre.y() - 39.5).abs() < 1e-9);
+/// assert!(sky.pixel(330.0, -2.0).is_none()); // behind it
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Clone)]
+pub struct SkyCoordinates {
+    /// Around the vector (1, 0, 0), to radians.
+    projection: Arc<dyn Projection + Send + Sync>,
+    /// Turns the reference point to (1, 0, 0).
+    rotation: [[f64; 3]; 3],
+    /// For messages.
+    name: String,
+    /// 0-based.
+    reference: [f64; 2],
+    /// Pixels to degrees of longitude and latitude on the projection: rows are these two.
+    matrix: [[f64; 2]; 2],
+    inverse: [[f64; 2]; 2],
+    distortion: Distortion,
+}
+
+impl SkyCoordinates {
+    /// The world coordinates in a header.
+    ///
+    /// # Errors
+    /// [`WorldCoordinatesError`] with the keyword that is missing or not understood.
+    pub fn from_header(header: &HeaderCards) -> Result<Self, WorldCoordinatesError> {
+        let header = World { header };
+        let types = [header.text("CTYPE1")?, header.text("CTYPE2")?];
+        let kind = |name: &str| name.split('-').next().unwrap_or_default().to_owned();
+        let swapped = match [kind(&types[0]).as_str(), kind(&types[1]).as_str()] {
+            ["RA", "DEC"] => false,
+            ["DEC", "RA"] => true,
+            _ => {
+                return Err(unsupported(
+                    "CTYPE1",
+                    "RA--- or DEC-- with a projection, and CTYPE2 the other",
+                    &types[0],
+                ));
+            }
+        };
+        let (first, second) = (projection_of(&types[0]), projection_of(&types[1]));
+        if first != second {
+            return Err(unsupported(
+                "CTYPE2",
+                "of the same projection as CTYPE1",
+                &types[1],
+            ));
+        }
+        for keyword in ["CUNIT1", "CUNIT2"] {
+            match header.header.get(keyword).and_then(Card::value) {
+                None => {}
+                Some(CardValue::Text(unit))
+                    if ["deg", "degree", "degrees", ""].contains(&unit.trim().to_lowercase().as_str()) => {}
+                Some(unit) => return Err(unsupported(keyword, "deg", &unit.to_string())),
+            }
+        }
+        let axes = if swapped { ["2", "1"] } else { ["1", "2"] };
+        let reference = [
+            header.needed("CRPIX1", "the reference pixel")?,
+            header.needed("CRPIX2", "the reference pixel")?,
+        ];
+        let longitude = header.needed(&format!("CRVAL{}", axes[0]), "degrees at the reference pixel")?;
+        let latitude = header.needed(&format!("CRVAL{}", axes[1]), "degrees at the reference pixel")?;
+        let mut matrix = header.matrix()?;
+        if swapped {
+            matrix.swap(0, 1);
+        }
+        let (determinant, inverse) = inverted(&matrix);
+        if determinant == 0.0 || !determinant.recip().is_finite() {
+            return Err(WorldCoordinatesError::Singular);
+        }
+        let default_pole = if latitude >= 90.0 {
+            0.0
+        } else {
+            USUAL_POLE_LONGITUDE
+        };
+        let pole = header.number("LONPOLE")?.unwrap_or(default_pole);
+        let distortion = Distortion::from_header(header.header, &types[0], axes)?;
+        let rotation = rotation(longitude, latitude, pole - USUAL_POLE_LONGITUDE);
+        let name = first.to_owned();
+        let projection: Arc<dyn Projection + Send + Sync> = match first {
+            "TAN" | "TPV" => Arc::new(Tan::new()),
+            "SIN" => {
+                for keyword in ["1", "2"].map(|m| format!("PV{}_{m}", axes[1])) {
+                    if let Some(slant) = header.number(&keyword)?.filter(|&slant| slant != 0.0) {
+                        return Err(unsupported(
+                            &keyword,
+                            "0 (no slant orthographic projection)",
+                            &slant.to_string(),
+                        ));
+                    }
+                }
+                Arc::new(Sin::new())
+            }
+            "ZEA" => Arc::new(Zea::new()),
+            "ARC" => Arc::new(ArcProjection::new()),
+            "STG" => Arc::new(Stg::new()),
+            _ => {
+                return Err(unsupported(
+                    "CTYPE1",
+                    "of the projection TAN, TPV, SIN, ZEA, ARC or STG",
+                    &types[0],
+                ));
+            }
+        };
+        Ok(Self {
+            projection,
+            rotation,
+            name,
+            reference: reference.map(|pixel| pixel - 1.0),
+            matrix,
+            inverse,
+            distortion,
+        })
+    }
+
+    /// The position in pixels (0-based) of a place on the sky in degrees; `None` where the
+    /// projection does not show it.
+    pub fn pixel(&self, longitude_deg: f64, latitude_deg: f64) -> Option<Position> {
+        if !longitude_deg.is_finite() || !(-90.0..=90.0).contains(&latitude_deg) {
+            return None;
+        }
+        let vector = unit_vector(longitude_deg, latitude_deg);
+        let [x, y, z] = self.rotation.map(|row| dot(row, vector));
+        let plane = self
+            .projection
+            .proj_xyz(&XYZ::new_renorming_if_necessary(x, y, z))?;
+        let plane = self
+            .distortion
+            .undo_in_plane([plane.x().to_degrees(), plane.y().to_degrees()])?;
+        let offset = self.distortion.undo_in_pixels(product(&self.inverse, plane))?;
+        Position::new(self.reference[0] + offset[0], self.reference[1] + offset[1]).ok()
+    }
+
+    /// The place on the sky, longitude from 0 to 360 and latitude in degrees, of a position in
+    /// pixels; `None` off the sky.
+    pub fn sky(&self, position: Position) -> Option<(f64, f64)> {
+        let offset = [position.x() - self.reference[0], position.y() - self.reference[1]];
+        let plane = product(&self.matrix, self.distortion.in_pixels(offset));
+        let [x, y] = self.distortion.in_plane(plane);
+        let [x, y] = [x.to_radians(), y.to_radians()];
+        // NaN too: a distortion may overflow.
+        if !(x.abs() < FARTHEST && y.abs() < FARTHEST) {
+            return None;
+        }
+        let turned = self.projection.unproj_xyz(&ProjXY::new(x, y))?;
+        let turned = [turned.x(), turned.y(), turned.z()];
+        // The inverse of a rotation is its transpose.
+        let [x, y, z] = [0, 1, 2].map(|i| dot(self.rotation.map(|row| row[i]), turned));
+        let place = (
+            y.atan2(x).to_degrees().rem_euclid(360.0),
+            z.atan2(x.hypot(y)).to_degrees(),
+        );
+        Some(place)
+    }
+}
+
+impl std::fmt::Debug for SkyCoordinates {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("SkyCoordinates")
+            .field("projection", &self.name)
+            .field("reference", &self.reference)
+            .field("matrix", &self.matrix)
+            .field("distortion", &self.distortion)
+            .finish_non_exhaustive()
+    }
+}
+
+fn unit_vector(longitude_deg: f64, latitude_deg: f64) -> [f64; 3] {
+    let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
+    let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();
+    [cos_l * cos_b, sin_l * cos_b, sin_b]
+}
+
+fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Turns a place to (1, 0, 0), east to +y and north to +z, and then both about the first axis.
+fn rotation(longitude_deg: f64, latitude_deg: f64, turn_deg: f64) -> [[f64; 3]; 3] {
+    let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
+    let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();
+    let (sin_t, cos_t) = turn_deg.to_radians().sin_cos();
+    let (east, north) = ([-sin_l, cos_l, 0.0], [-cos_l * sin_b, -sin_l * sin_b, cos_b]);
+    let combined = |a: f64, b: f64| [0, 1, 2].map(|i| a * east[i] + b * north[i]);
+    [
+        unit_vector(longitude_deg, latitude_deg),
+        combined(cos_t, -sin_t),
+        combined(sin_t, cos_t),
+    ]
+}
+
+/// The letters of the projection in `RA---TAN-SIP`.
+fn projection_of(ctype: &str) -> &str {
+    ctype
+        .get(5..)
+        .unwrap_or_default()
+        .split('-')
+        .next()
+        .unwrap_or_default()
+        .trim()
+}

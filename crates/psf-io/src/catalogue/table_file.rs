@@ -1,0 +1,194 @@
+//! Tables of numbers in files of any kind: in, with the choice among several, and out as CSV.
+
+use std::path::Path;
+
+use serde::Serialize;
+
+use crate::catalogue::text_table::TextTable;
+use crate::error::{IoError, unwritable};
+use crate::fits::columns::{Gaps, NumberColumns, Table, missing_column};
+use crate::fits::hdu::HduChoice;
+use crate::fits::structure::{EXTENSION_OPTION, FitsStructure, is_fits};
+use crate::output::write_atomically;
+
+/// A file that holds tables.
+#[derive(Debug)]
+pub(crate) enum TableFile {
+    Text(TextTable),
+    Fits(FitsStructure),
+}
+
+/// One table of a file.
+#[derive(Debug)]
+pub(crate) enum AnyTable<'a> {
+    Text(&'a TextTable),
+    Fits(Table<'a>),
+}
+
+impl TableFile {
+    pub(crate) fn open(path: &Path) -> Result<Self, IoError> {
+        Ok(if is_fits(path)? {
+            Self::Fits(FitsStructure::scan(path)?)
+        } else {
+            Self::Text(TextTable::open(path)?)
+        })
+    }
+
+    /// The table chosen, or else the only one whose column names a function takes, and what the
+    /// function makes of them. `needed` says what the function looks for, for the error of a file
+    /// without tables.
+    pub(crate) fn pick<R>(
+        &self,
+        choice: Option<&HduChoice>,
+        needed: &str,
+        take: impl Fn(&[String]) -> Result<R, IoError>,
+    ) -> Result<(R, AnyTable<'_>), IoError> {
+        let structure = match self {
+            Self::Text(table) => return Ok((take(&table.names)?, AnyTable::Text(table))),
+            Self::Fits(structure) => structure,
+        };
+        if let Some(choice) = choice {
+            let table = Table::new(structure.chosen_table(choice)?)?;
+            return Ok((take(&table.names())?, AnyTable::Fits(table)));
+        }
+        let mut taken = Vec::new();
+        // The refusal to report is that of the widest table: small ones beside it hold headers and
+        // the like.
+        let mut refused: Option<(usize, IoError)> = None;
+        for hdu in structure.tables() {
+            let table = Table::new(hdu)?;
+            match take(&table.names()) {
+                Ok(result) => taken.push((hdu, result, table)),
+                Err(error) => {
+                    if refused
+                        .as_ref()
+                        .is_none_or(|(width, _)| table.columns.len() > *width)
+                    {
+                        refused = Some((table.columns.len(), error));
+                    }
+                }
+            }
+        }
+        if taken.len() > 1 {
+            let hdus = taken.iter().map(|&(hdu, ..)| hdu);
+            return Err(structure.several("tables that fit", EXTENSION_OPTION, hdus));
+        }
+        match (taken.pop(), refused) {
+            (Some((_, result, table)), _) => Ok((result, AnyTable::Fits(table))),
+            (None, Some((_, error))) => Err(error),
+            (None, None) => Err(structure.no_table(needed)),
+        }
+    }
+}
+
+impl AnyTable<'_> {
+    /// Reads columns by name, upper and lower case being the same.
+    pub(crate) fn read(&self, names: &[&str], gaps: Gaps) -> Result<NumberColumns, IoError> {
+        match self {
+            Self::Text(table) => table.read(names, gaps),
+            Self::Fits(table) => {
+                let columns = names.iter().map(|name| table.read_with(name, 1, gaps));
+                Ok(NumberColumns {
+                    values: columns.collect::<Result<_, _>>()?,
+                    rows: table.rows,
+                    lines: None,
+                })
+            }
+        }
+    }
+}
+
+/// Reads columns of finite numbers, by name, from a text table or the binary table of a FITS file
+/// that has them all.
+///
+/// # Errors
+/// As [`read_catalog`](crate::read_catalog).
+pub fn read_columns<const N: usize>(
+    path: impl AsRef<Path>,
+    names: [&str; N],
+) -> Result<[Vec<f64>; N], IoError> {
+    let path = path.as_ref();
+    let file = TableFile::open(path)?;
+    let ((), table) = file.pick(None, &names.join(", "), |found| {
+        let missing = names
+            .iter()
+            .find(|name| !found.iter().any(|f| f.eq_ignore_ascii_case(name)));
+        missing.map_or(Ok(()), |name| Err(missing_column(path, found, name)))
+    })?;
+    let columns = table.read(&names, Gaps::Refused)?.values;
+    Ok(columns.try_into().expect("a column for each name"))
+}
+
+/// Writes rows as a CSV file with a line of column names; the file appears whole or not at all.
+///
+/// A row is a tuple, an array or a struct with one field a column; `None` is an empty field.
+/// Numbers are written with as many digits as bring back the same bits.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("table.csv");
+/// let rows = [(10.25, Some(2.1), ""), (3.0, None, "no light")];
+/// psf_io::write_csv(&path, &["x", "fwhm_px", "note"], rows, false)?;
+/// assert_eq!(std::fs::read_to_string(&path)?, "x,fwhm_px,note\n10.25,2.1,\n3.0,,no light\n");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Csv`] when a row does not have one field a column, [`IoError::Exists`] unless
+/// `overwrite`, [`IoError::MissingDirectory`] or [`IoError::Write`].
+pub fn write_csv<R: Serialize>(
+    path: impl AsRef<Path>,
+    columns: &[&str],
+    rows: impl IntoIterator<Item = R>,
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let path = path.as_ref();
+    let failed = |source: csv::Error| {
+        if source.is_io_error() {
+            return unwritable(path)(source.into());
+        }
+        IoError::Csv {
+            path: path.to_owned(),
+            source,
+        }
+    };
+    write_atomically(path, overwrite, |temporary| {
+        let mut writer = csv::WriterBuilder::new()
+            .has_headers(false)
+            .from_path(temporary)
+            .map_err(failed)?;
+        writer.write_record(columns).map_err(failed)?;
+        for row in rows {
+            writer.serialize(row).map_err(failed)?;
+        }
+        writer.flush().map_err(unwritable(path))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_must_have_one_field_a_column() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.csv");
+        let failed = write_csv(&path, &["a", "b"], [(1, 2, 3)], false);
+        assert!(matches!(failed, Err(IoError::Csv { .. })));
+        assert!(!path.exists());
+        write_csv(&path, &["a", "b"], std::iter::empty::<(f64, f64)>(), false).unwrap();
+        assert_eq!(std::fs::read_to_string(&path).unwrap(), "a,b\n");
+    }
+
+    #[test]
+    fn numbers_come_back_bit_by_bit() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join("a.csv");
+        let values = [(0.1, 5e-324), (-1.0 / 3.0, f64::MAX)];
+        write_csv(&path, &["x", "y"], values, false).unwrap();
+        assert_eq!(
+            read_columns(&path, ["x", "y"]).unwrap(),
+            [vec![0.1, -1.0 / 3.0], vec![5e-324, f64::MAX]]
+        );
+    }
+}

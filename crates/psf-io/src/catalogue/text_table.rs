@@ -1,0 +1,394 @@
+//! Columns of numbers from text tables.
+
+use std::path::{Path, PathBuf};
+
+use csv::{ByteRecord, Position, ReaderBuilder, Trim};
+
+use crate::error::{IoError, Row, content, unreadable};
+use crate::fits::columns::{Gaps, NumberColumns, find, shown};
+
+const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
+
+/// A text table in memory whose columns have names.
+#[derive(Debug)]
+pub(crate) struct TextTable {
+    path: PathBuf,
+    text: Vec<u8>,
+    /// The names of the columns; empty for those without.
+    pub(crate) names: Vec<String>,
+    separator: Separator,
+    /// The first byte of the rows, and the number of its line, from 1.
+    rows_from: usize,
+    first_line: u64,
+}
+
+impl TextTable {
+    /// Reads a file and finds its column names.
+    ///
+    /// The names come from lines `# number NAME ...`, as SExtractor writes them, where the comments
+    /// are such lines; else from the first line that is no comment (`#`); or, when that line holds
+    /// nothing but numbers, from the last comment ahead of it if it has as many fields.
+    ///
+    /// Fields are separated by commas, tabs or blanks, whichever the first line that is no comment
+    /// has, in this order.
+    pub(crate) fn open(path: &Path) -> Result<Self, IoError> {
+        let mut text = std::fs::read(path).map_err(unreadable(path))?;
+        if text.starts_with(BYTE_ORDER_MARK) {
+            text.drain(..BYTE_ORDER_MARK.len());
+        }
+        let mut comments = Vec::new();
+        let mut first = (text.len(), text.len(), 1);
+        for (number, start, end) in lines(&text) {
+            let Some(comment) = text[start..end].strip_prefix(b"#") else {
+                first = (start, end, number);
+                break;
+            };
+            comments.push(comment);
+        }
+        let (start, end, number) = first;
+        let line = &text[start..end];
+        let separator = [b',', b'\t']
+            .into_iter()
+            .find(|separator| line.contains(separator))
+            .map_or(Separator::Blanks, Separator::Byte);
+        let fields = separator.fields(line);
+        let in_comment = || {
+            let is_row = !fields.is_empty() && fields.iter().all(|field| field.parse::<f64>().is_ok());
+            let names = separator.fields(comments.last().filter(|_| is_row)?);
+            (names.len() == fields.len()).then_some(names)
+        };
+        let (names, separator, rows_from) = match (sextractor_names(&comments, line), in_comment()) {
+            (Some(names), _) => (names, Separator::Blanks, start),
+            (None, Some(names)) => (names, separator, start),
+            (None, None) => (fields, separator, end),
+        };
+        Ok(Self {
+            path: path.to_owned(),
+            names,
+            separator,
+            rows_from,
+            first_line: number,
+            text,
+        })
+    }
+
+    /// Reads columns by name, upper and lower case being the same.
+    pub(crate) fn read(&self, names: &[&str], gaps: Gaps) -> Result<NumberColumns, IoError> {
+        let places = names.iter().map(|name| find(&self.path, self.names.iter(), name));
+        let places: Vec<usize> = places.collect::<Result<_, _>>()?;
+        let mut columns = vec![Vec::new(); names.len()];
+        let mut rows = Vec::new();
+        self.for_each_row(|line, fields| {
+            for ((column, &place), name) in columns.iter_mut().zip(&places).zip(names) {
+                column.push(number(fields[place], gaps).ok_or_else(|| IoError::Value {
+                    path: self.path.clone(),
+                    row: Row::Line(line),
+                    column: (*name).to_owned(),
+                    got: shown(fields[place]),
+                })?);
+            }
+            rows.push(line);
+            Ok(())
+        })?;
+        Ok(NumberColumns {
+            values: columns,
+            rows: rows.len(),
+            lines: Some(rows),
+        })
+    }
+
+    /// Calls a function with the line of each row and its fields, of which there are as many as
+    /// names.
+    fn for_each_row(
+        &self,
+        mut function: impl FnMut(u64, &[&[u8]]) -> Result<(), IoError>,
+    ) -> Result<(), IoError> {
+        let rows = &self.text[self.rows_from..];
+        let skipped = self.first_line - 1;
+        let mut on_row = |line: u64, fields: &[&[u8]]| {
+            if fields.len() == self.names.len() {
+                return function(line, fields);
+            }
+            let (expected, got) = (self.names.len(), fields.len());
+            let problem = format!(
+                "{} has {got} fields, the column names say {expected}",
+                Row::Line(line)
+            );
+            Err(content(&self.path, problem))
+        };
+        let Separator::Byte(separator) = self.separator else {
+            for (number, start, end) in lines(rows) {
+                if rows[start] != b'#' {
+                    let fields: Vec<&[u8]> = blank_separated(&rows[start..end]).collect();
+                    on_row(number + skipped, &fields)?;
+                }
+            }
+            return Ok(());
+        };
+        let mut reader = ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .delimiter(separator)
+            .comment(Some(b'#'))
+            .trim(Trim::All)
+            .from_reader(rows);
+        let mut record = ByteRecord::new();
+        let failed = |source| IoError::Csv {
+            path: self.path.clone(),
+            source,
+        };
+        while reader.read_byte_record(&mut record).map_err(failed)? {
+            let fields: Vec<&[u8]> = record.iter().collect();
+            on_row(line_of(rows, record.position()) + skipped, &fields)?;
+        }
+        Ok(())
+    }
+}
+
+/// The number in a field, if there is one that is allowed.
+fn number(field: &[u8], gaps: Gaps) -> Option<f64> {
+    let number = match std::str::from_utf8(field) {
+        Ok("") => Some(f64::NAN),
+        Ok(text) => text.parse::<f64>().ok(),
+        Err(_) => None,
+    };
+    number.filter(|number| gaps == Gaps::Kept || number.is_finite())
+}
+
+/// The line of a record: the parser's position is where it began to look for it, ahead of comments
+/// and empty lines.
+fn line_of(text: &[u8], position: Option<&Position>) -> u64 {
+    let (start, line) = position.map_or((0, 1), |position| (position.byte(), position.line()));
+    let rest = usize::try_from(start)
+        .ok()
+        .and_then(|start| text.get(start..))
+        .unwrap_or_default();
+    let skipped = rest
+        .split(|&byte| byte == b'\n')
+        .take_while(|line| line.starts_with(b"#") || line.is_empty() || *line == b"\r")
+        .count();
+    line + skipped as u64
+}
+
+/// The highest number of a column where no row tells how many there are.
+const MOST_WITHOUT_ROWS: usize = 10_000;
+
+/// The separator of the fields of a text table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Separator {
+    /// One of this character; quotes are known.
+    Byte(u8),
+    /// Any number of blanks.
+    Blanks,
+}
+
+impl Separator {
+    /// The fields of a line, trimmed.
+    fn fields(self, line: &[u8]) -> Vec<String> {
+        let owned = |field: &[u8]| String::from_utf8_lossy(field).into_owned();
+        match self {
+            Self::Blanks => blank_separated(line).map(owned).collect(),
+            Self::Byte(separator) => {
+                let mut reader = ReaderBuilder::new()
+                    .has_headers(false)
+                    .delimiter(separator)
+                    .trim(Trim::All)
+                    .from_reader(line);
+                let record = reader
+                    .byte_records()
+                    .next()
+                    .and_then(Result::ok)
+                    .unwrap_or_default();
+                record.iter().map(owned).collect()
+            }
+        }
+    }
+}
+
+/// The fields of a line.
+fn blank_separated(line: &[u8]) -> impl Iterator<Item = &[u8]> {
+    line.split(u8::is_ascii_whitespace)
+        .filter(|field| !field.is_empty())
+}
+
+/// The lines that are not empty: number from 1, first byte and the byte behind the last, line
+/// breaks left out.
+fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, usize)> {
+    let mut start = 0;
+    text.split(|&byte| byte == b'\n')
+        .zip(1..)
+        .filter_map(move |(line, number)| {
+            let first = start;
+            start += line.len() + 1;
+            (!line.trim_ascii().is_empty()).then(|| (number, first, first + line.trim_ascii_end().len()))
+        })
+}
+
+/// The names in lines `# number NAME ...`, as many as the first row has fields; columns that no
+/// line names belong to a vector and have no name.
+///
+/// Comments may begin with a number too: the numbers of columns start at 1 and rise up to the last
+/// comment, and the row has nothing but numbers, at least as many.
+fn sextractor_names(comments: &[&[u8]], row: &[u8]) -> Option<Vec<String>> {
+    let is_number = |field: &[u8]| std::str::from_utf8(field).is_ok_and(|text| text.parse::<f64>().is_ok());
+    let fields: Vec<&[u8]> = blank_separated(row).collect();
+    if !fields.iter().all(|field| is_number(field)) {
+        return None;
+    }
+    let of_column = |comment: &&[u8]| {
+        let mut words = blank_separated(comment);
+        let number: usize = std::str::from_utf8(words.next()?).ok()?.parse().ok()?;
+        Some((number, String::from_utf8_lossy(words.next()?).into_owned()))
+    };
+    of_column(comments.last()?)?;
+    let columns: Vec<(usize, String)> = comments.iter().filter_map(of_column).collect();
+    let rises = columns.windows(2).all(|pair| pair[0].0 < pair[1].0);
+    let last = columns[columns.len() - 1].0;
+    // A catalogue may have no row.
+    let most = if row.is_empty() {
+        MOST_WITHOUT_ROWS
+    } else {
+        fields.len()
+    };
+    if columns[0].0 != 1 || !rises || last > most {
+        return None;
+    }
+    let mut names = vec![String::new(); last.max(fields.len())];
+    for (number, name) in columns {
+        names[number - 1] = name;
+    }
+    Some(names)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read(text: &[u8]) -> Result<Vec<Vec<f64>>, IoError> {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), text).unwrap();
+        TextTable::open(file.path())?
+            .read(&["x", "y"], Gaps::Refused)
+            .map(|columns| columns.values)
+    }
+
+    fn assert_row_length(text: &str, line: u64, expected: usize, got: usize) {
+        let error = read(text.as_bytes()).unwrap_err();
+        let problem = format!(": line {line} has {got} fields, the column names say {expected}");
+        assert!(error.to_string().ends_with(&problem), "{text}: {error}");
+    }
+
+    #[test]
+    fn comments_case_order_and_other_columns_do_not_matter() {
+        let text =
+            b"\xef\xbb\xbf# made by hand\n name , Y, X\r\n\"M 31, \xe9\", 2.5 ,1e3\r\n\n# more\nb,-0,.5";
+        assert_eq!(read(text).unwrap(), vec![vec![1e3, 0.5], vec![2.5, -0.0]]);
+        assert_eq!(read(b"x,y\n").unwrap(), vec![vec![0.0; 0]; 2]);
+    }
+
+    #[test]
+    fn errors_name_line_and_column() {
+        for (bad, got) in [
+            ("nan", "nan"),
+            ("1e999", "1e999"),
+            ("", ""),
+            ("12px", "12px"),
+            ("-inf", "-inf"),
+        ] {
+            let text = format!("# a comment\nx,y\n1,2\n\n# another\n# and more\n3,{bad}\n");
+            match read(text.as_bytes()) {
+                Err(IoError::Value {
+                    row, column, got: g, ..
+                }) => {
+                    assert_eq!((row, column.as_str(), g.as_str()), (Row::Line(7), "y", got));
+                }
+                other => panic!("{other:?}"),
+            }
+        }
+        let error = read(b"# two stars\n1,2\n").unwrap_err();
+        assert!(error.to_string().contains("\"1\", \"2\""), "{error}");
+        let error = read(b"x,y,X\n1,2,3\n").unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("the column \"x\" is there more than once"),
+            "{error}"
+        );
+        assert!(matches!(read(b""), Err(IoError::MissingColumn { .. })));
+    }
+
+    #[test]
+    fn rows_of_another_length_are_refused() {
+        for (text, line, length) in [("x,y\r\n1,2\r\n\r\n#c\r\n1,5,2\r\n", 5, 3), ("x,y\n1\n", 2, 1)] {
+            assert_row_length(text, line, 2, length);
+        }
+    }
+
+    #[test]
+    fn names_stand_where_the_usual_programs_put_them() {
+        let expected = vec![vec![1.0, 3.0], vec![2.0, 4.0]];
+        for text in [
+            // A line of names, and blanks or tabs.
+            "x  y\n1 2\n\n# comment\n  3\t4 \n",
+            "name\tx\ty\nM 31\t1\t2\n\t3\t4\n",
+            // numpy.savetxt, TOPCAT, astropy's commented_header
+            "# made by hand\n# x,y\n1,2\n3,4\n",
+            "# x y\r\n1 2\r\n3 4\r\n",
+            "#x y\n1 2\n3 4\n",
+            // The last column of SExtractor's may be a vector.
+            "# 1 X\n# 2 Y\n# 3 FLUX_APER\n1 2 7 8 9\n3 4 7 8 9\n",
+            // Comments that begin with a number are none of it.
+            "# 2916 stars of the field\nx,y\n1,2\n3,4\n",
+            "# 1 star left out\n# x y\n1 2\n3 4\n",
+            "# 1 star left out\nx y\n1 2\n3 4\n",
+            "# 2 stars of the field\n# x y\n1 2\n3 4\n",
+            // SExtractor's ASCII_HEAD; columns 2 and 3 are one vector
+            "#   1 X          Object position along x      [pixel]\n#   2 FLUX_APER  Flux vector  [count]\n\
+             #   4 Y          Object position along y  [pixel]\n    1.0  9 9  2.0\n    3.0  9 9   4.0\n",
+        ] {
+            assert_eq!(read(text.as_bytes()).unwrap(), expected, "{text}");
+        }
+    }
+
+    #[test]
+    fn blanks_keep_count_of_lines_and_fields() {
+        for (text, line, expected, length) in [
+            ("# x y\n1 2\n\n3\n", 4, 2, 1),
+            ("x y\n1 2 3\n", 2, 2, 3),
+            ("# 1 X\n# 2 Y\n1 2\n1 2 3\n", 4, 2, 3),
+            ("# 1 X\n# 2 Y\n1 2 7\n1 2\n", 4, 3, 2),
+        ] {
+            assert_row_length(text, line, expected, length);
+        }
+        match read(b"# x y\n1 2\n3 a\n") {
+            Err(IoError::Value { row, got, .. }) => assert_eq!((row, got.as_str()), (Row::Line(3), "a")),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn columns_without_a_name_are_not_listed() {
+        let error = read(b"# 1 A\n# 9 B\n1 2 3 4 5 6 7 8 9\n").unwrap_err();
+        assert!(
+            matches!(&error, IoError::MissingColumn { found, .. } if *found == ["\"A\"", "\"B\""]),
+            "{error}"
+        );
+        assert_eq!(read(b"# 1 X\n# 2 Y\n").unwrap(), [[0.0; 0]; 2]);
+    }
+
+    #[test]
+    fn gaps_are_nan_where_allowed() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "x,y\n1,\nnan,4\ninf,5\n").unwrap();
+        let table = TextTable::open(file.path()).unwrap();
+        let read = table.read(&["x", "y"], Gaps::Kept).unwrap();
+        assert_eq!((read.rows, read.place(1)), (3, Row::Line(3)));
+        assert!(read.values[1][0].is_nan() && read.values[0][1].is_nan() && read.values[0][2].is_infinite());
+        std::fs::write(file.path(), "x,y\n1,2px\n").unwrap();
+        let table = TextTable::open(file.path()).unwrap();
+        assert!(matches!(
+            table.read(&["x", "y"], Gaps::Kept),
+            Err(IoError::Value { .. })
+        ));
+    }
+}

@@ -1,0 +1,358 @@
+//! World coordinates in a header: their keywords, and the distortions that they describe, SIP in
+//! pixels and TPV on the projection.
+
+use thiserror::Error;
+
+use crate::fits::card::{Card, FromValue};
+use crate::fits::header_cards::HeaderCards;
+
+/// The highest order of SIP that is read; the convention allows 9.
+const LARGEST_SIP_ORDER: usize = 9;
+/// Terms of TPV: orders 1 to 7, those of odd order with one in the radius.
+const TPV_TERMS: usize = 40;
+/// The inverse is sought until a step is smaller than this fraction of the offset (plus one unit),
+/// or for so many steps.
+const INVERSE_ACCURACY: f64 = 1e-13;
+const INVERSE_STEPS: usize = 50;
+/// An inverse whose image is farther off than this fraction is none: the distortion folds the plane
+/// there.
+const INVERSE_TOLERANCE: f64 = 1e-9;
+
+/// Why a header does not give world coordinates.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum WorldCoordinatesError {
+    /// A keyword that must be there.
+    #[error("the header has no keyword {keyword} ({expected})")]
+    Missing {
+        /// The keyword.
+        keyword: String,
+        /// The value that it would hold.
+        expected: &'static str,
+    },
+    /// A keyword whose value is not understood.
+    #[error("the keyword {keyword} must be {expected}, got {got}")]
+    Unsupported {
+        /// The keyword.
+        keyword: String,
+        /// The values that are understood.
+        expected: &'static str,
+        /// Its value.
+        got: String,
+    },
+    /// A matrix that maps the frame to a line.
+    #[error("the matrix of CDi_j, or of PCi_j and CDELTi, has no inverse")]
+    Singular,
+}
+
+pub(crate) fn product(matrix: &[[f64; 2]; 2], [x, y]: [f64; 2]) -> [f64; 2] {
+    [
+        matrix[0][0] * x + matrix[0][1] * y,
+        matrix[1][0] * x + matrix[1][1] * y,
+    ]
+}
+
+/// The determinant and the inverse of a matrix.
+pub(crate) fn inverted(matrix: &[[f64; 2]; 2]) -> (f64, [[f64; 2]; 2]) {
+    let [[a, b], [c, d]] = *matrix;
+    let determinant = a * d - b * c;
+    let inverse = [
+        [d / determinant, -b / determinant],
+        [-c / determinant, a / determinant],
+    ];
+    (determinant, inverse)
+}
+
+pub(crate) fn unsupported(keyword: &str, expected: &'static str, got: &str) -> WorldCoordinatesError {
+    WorldCoordinatesError::Unsupported {
+        keyword: keyword.to_owned(),
+        expected,
+        got: got.to_owned(),
+    }
+}
+
+/// A header's keywords of world coordinates.
+pub(crate) struct World<'a> {
+    pub(crate) header: &'a HeaderCards,
+}
+
+impl World<'_> {
+    /// A number, if the keyword is there.
+    pub(crate) fn number(&self, keyword: &str) -> Result<Option<f64>, WorldCoordinatesError> {
+        let Some(card) = self.header.get(keyword) else {
+            return Ok(None);
+        };
+        let value = card.value();
+        if let Some(number) = value.clone().and_then(f64::from_value) {
+            return Ok(Some(number));
+        }
+        let got = value.map_or_else(|| "nothing".to_owned(), |value| value.to_string());
+        Err(unsupported(keyword, "a number", &got))
+    }
+
+    pub(crate) fn needed(&self, keyword: &str, expected: &'static str) -> Result<f64, WorldCoordinatesError> {
+        self.number(keyword)?
+            .ok_or_else(|| WorldCoordinatesError::Missing {
+                keyword: keyword.to_owned(),
+                expected,
+            })
+    }
+
+    pub(crate) fn text(&self, keyword: &str) -> Result<String, WorldCoordinatesError> {
+        self.header
+            .value(keyword)
+            .ok_or_else(|| WorldCoordinatesError::Missing {
+                keyword: keyword.to_owned(),
+                expected: "the kind of world coordinate, such as RA---TAN",
+            })
+    }
+
+    /// Pixels to degrees: `CDi_j`, or `CDELTi` with `PCi_j` or `CROTA2`.
+    pub(crate) fn matrix(&self) -> Result<[[f64; 2]; 2], WorldCoordinatesError> {
+        let named = |stem: &str| -> Result<[[Option<f64>; 2]; 2], WorldCoordinatesError> {
+            let of = |i, j| self.number(&format!("{stem}{i}_{j}"));
+            Ok([[of(1, 1)?, of(1, 2)?], [of(2, 1)?, of(2, 2)?]])
+        };
+        let cd = named("CD")?;
+        if cd.iter().flatten().any(Option::is_some) {
+            return Ok(cd.map(|row| row.map(|value| value.unwrap_or(0.0))));
+        }
+        let scale = "degrees per pixel; or CDi_j";
+        let scales = [self.needed("CDELT1", scale)?, self.needed("CDELT2", scale)?];
+        let pc = named("PC")?;
+        if pc.iter().flatten().any(Option::is_some) {
+            let of = |i: usize, j: usize| scales[i] * pc[i][j].unwrap_or(f64::from(u8::from(i == j)));
+            return Ok([[of(0, 0), of(0, 1)], [of(1, 0), of(1, 1)]]);
+        }
+        let (sin, cos) = self.number("CROTA2")?.unwrap_or(0.0).to_radians().sin_cos();
+        Ok([
+            [scales[0] * cos, -scales[1] * sin],
+            [scales[0] * sin, scales[1] * cos],
+        ])
+    }
+}
+
+/// The distortion on top of the projection.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Distortion {
+    None,
+    /// Offsets in pixels `(u, v)` get `A(u, v)` and `B(u, v)` added: coefficient and powers (Shupe
+    /// et al. 2005).
+    Sip([Vec<(f64, i32, i32)>; 2]),
+    /// Coordinates on the projection in degrees become polynomials of themselves: `PV1_m` and
+    /// `PV2_m`.
+    Tpv(Box<[[f64; TPV_TERMS]; 2]>),
+}
+
+impl Distortion {
+    /// `axes` are the numbers of the axes of longitude and latitude.
+    pub(crate) fn from_header(
+        header: &HeaderCards,
+        ctype: &str,
+        axes: [&str; 2],
+    ) -> Result<Self, WorldCoordinatesError> {
+        let world = World { header };
+        refuse_tables(header)?;
+        let is = |name| ctype.get(5..8) == Some(name);
+        let suffix = ctype.get(8..).unwrap_or_default().trim_end();
+        if !["", "-SIP"].contains(&suffix) {
+            return Err(unsupported(
+                &format!("CTYPE{}", if ctype.starts_with("RA") { axes[0] } else { axes[1] }),
+                "without a distortion after the projection, or with -SIP",
+                ctype,
+            ));
+        }
+        // Headers that went through several programs hold SIP and do not say so; astropy applies
+        // it, and so leaves terms of SCAMP out.
+        let order = ["A_ORDER", "B_ORDER"]
+            .into_iter()
+            .find(|keyword| header.get(keyword).is_some());
+        if let Some(keyword) = order.filter(|_| is("TPV")) {
+            return Err(unsupported(
+                keyword,
+                "absent: CTYPE1 says TPV",
+                "both distortions",
+            ));
+        }
+        if suffix == "-SIP" || order.is_some() {
+            return Ok(Self::Sip([sip(&world, "A")?, sip(&world, "B")?]));
+        }
+        // SCAMP's headers say TAN; terms of latitude have no other meaning there, nor have those
+        // from 5 on of longitude.
+        let has = |axis: &str, from: usize| {
+            (from..TPV_TERMS).any(|m| header.get(&format!("PV{axis}_{m}")).is_some())
+        };
+        if !is("TPV") && !(is("TAN") && (has(axes[1], 0) || has(axes[0], 5))) {
+            refuse_moved_reference(&world, axes[0])?;
+            return Ok(Self::None);
+        }
+        let mut terms = Box::new([[0.0; TPV_TERMS]; 2]);
+        for (axis, terms) in axes.iter().zip(terms.iter_mut()) {
+            terms[1] = 1.0;
+            for (m, term) in terms.iter_mut().enumerate() {
+                if let Some(value) = world.number(&format!("PV{axis}_{m}"))? {
+                    *term = value;
+                }
+            }
+        }
+        Ok(Self::Tpv(terms))
+    }
+
+    /// Distorts offsets in pixels.
+    pub(crate) fn in_pixels(&self, [u, v]: [f64; 2]) -> [f64; 2] {
+        match self {
+            Self::Sip([a, b]) => {
+                let sum = |terms: &[(f64, i32, i32)]| {
+                    terms
+                        .iter()
+                        .map(|&(c, p, q)| c * u.powi(p) * v.powi(q))
+                        .sum::<f64>()
+                };
+                [u + sum(a), v + sum(b)]
+            }
+            _ => [u, v],
+        }
+    }
+
+    /// Distorts coordinates on the projection.
+    pub(crate) fn in_plane(&self, [x, y]: [f64; 2]) -> [f64; 2] {
+        match self {
+            Self::Tpv(terms) => [tpv(&terms[0], x, y), tpv(&terms[1], y, x)],
+            _ => [x, y],
+        }
+    }
+
+    /// The offset in pixels that becomes this one.
+    pub(crate) fn undo_in_pixels(&self, to: [f64; 2]) -> Option<[f64; 2]> {
+        match self {
+            Self::Sip(_) => inverse(|from| self.in_pixels(from), to),
+            _ => Some(to),
+        }
+    }
+
+    /// The coordinates on the projection that become these.
+    pub(crate) fn undo_in_plane(&self, to: [f64; 2]) -> Option<[f64; 2]> {
+        match self {
+            Self::Tpv(_) => inverse(|from| self.in_plane(from), to),
+            _ => Some(to),
+        }
+    }
+}
+
+/// Refuses distortions by tables of pixels (Calabretta et al. 2004), which an image's header alone
+/// does not hold.
+fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
+    const STEMS: [&str; 4] = ["CPDIS", "CQDIS", "D2IMDIS", "D2IMARR"];
+    let of_table = |card: &&Card| {
+        let keyword = card.keyword();
+        let rest = STEMS.iter().find_map(|stem| keyword.strip_prefix(stem));
+        rest.is_some_and(|rest| rest.bytes().all(|byte| byte.is_ascii_digit()))
+    };
+    match header.iter().find(of_table) {
+        None => Ok(()),
+        Some(card) => Err(unsupported(
+            &card.keyword(),
+            "absent: distortions by tables are not read (give a header with SIP or TPV, or positions in pixels)",
+            &card.value().map_or_else(String::new, |value| value.to_string()),
+        )),
+    }
+}
+
+/// Refuses `PVi_0` to `PVi_4` of the longitude where they move the reference point or the pole
+/// (Calabretta and Greisen 2002, section 2.5).
+fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoordinatesError> {
+    let pole = world.number("LONPOLE")?;
+    // The reference point lies at the pole of a zenithal projection: at latitude 90, where that of
+    // the celestial pole does not count.
+    for (m, usual) in [(0, 0.0), (1, 0.0), (2, 90.0), (3, pole.unwrap_or(0.0))] {
+        let keyword = format!("PV{axis}_{m}");
+        if let Some(value) = world
+            .number(&keyword)?
+            .filter(|&value| value != 0.0 && value != usual)
+        {
+            return Err(unsupported(
+                &keyword,
+                "0 or absent (a pole is read as LONPOLE)",
+                &value.to_string(),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The terms `A_p_q` up to `A_ORDER`.
+fn sip(world: &World<'_>, name: &str) -> Result<Vec<(f64, i32, i32)>, WorldCoordinatesError> {
+    let keyword = format!("{name}_ORDER");
+    let order = world.needed(
+        &keyword,
+        "the order of the distortion SIP, which needs A_ORDER and B_ORDER",
+    )?;
+    if order.fract() != 0.0 || !(0.0..=LARGEST_SIP_ORDER as f64).contains(&order) {
+        return Err(unsupported(
+            &keyword,
+            "a whole number from 0 to 9",
+            &order.to_string(),
+        ));
+    }
+    let order = order as usize;
+    let mut terms = Vec::new();
+    for p in 0..=order {
+        for q in 0..=order - p {
+            if let Some(value) = world.number(&format!("{name}_{p}_{q}"))? {
+                terms.push((value, p as i32, q as i32));
+            }
+        }
+    }
+    Ok(terms)
+}
+
+/// `PV_0 + PV_1 x + PV_2 y + PV_3 r + PV_4 x^2 + PV_5 xy + PV_6 y^2 + PV_7 x^3 ...`: orders up to
+/// 7, the odd ones with a power of r last.
+fn tpv(terms: &[f64; TPV_TERMS], x: f64, y: f64) -> f64 {
+    let r = x.hypot(y);
+    let mut terms = terms.iter();
+    let mut sum = *terms.next().expect("40 terms");
+    for order in 1..=7 {
+        for q in 0..=order {
+            sum += terms.next().expect("40 terms") * x.powi(order - q) * y.powi(q);
+        }
+        if order % 2 == 1 {
+            sum += terms.next().expect("40 terms") * r.powi(order);
+        }
+    }
+    sum
+}
+
+/// The point that a mapping near the identity takes to another: Newton's method with differences
+/// for derivatives.
+fn inverse(mapping: impl Fn([f64; 2]) -> [f64; 2], to: [f64; 2]) -> Option<[f64; 2]> {
+    let mut at = to;
+    let size = 1e-6 + to[0].abs().max(to[1].abs());
+    let step = 1e-6 * size;
+    let error_at = |at| {
+        let value = mapping(at);
+        [to[0] - value[0], to[1] - value[1]]
+    };
+    for _ in 0..INVERSE_STEPS {
+        let error = error_at(at);
+        let along_x = error_at([at[0] + step, at[1]]);
+        let along_y = error_at([at[0], at[1] + step]);
+        // Of the mapping, so with the opposite sign of the error's.
+        let slope = |moved: [f64; 2], i: usize| (error[i] - moved[i]) / step;
+        let matrix = [
+            [slope(along_x, 0), slope(along_y, 0)],
+            [slope(along_x, 1), slope(along_y, 1)],
+        ];
+        let (_, inverse) = inverted(&matrix);
+        let move_by = product(&inverse, error);
+        at = [at[0] + move_by[0], at[1] + move_by[1]];
+        if !at[0].is_finite() || !at[1].is_finite() {
+            return None;
+        }
+        if move_by[0].abs().max(move_by[1].abs()) <= INVERSE_ACCURACY * size {
+            break;
+        }
+    }
+    let left = error_at(at);
+    (left[0].abs().max(left[1].abs()) <= INVERSE_TOLERANCE * size).then_some(at)
+}

@@ -1,0 +1,400 @@
+//! The part of CFITSIO that this crate needs, made safe: the only `unsafe` code of the workspace.
+//!
+//! Files are opened and created through the disk-file entry points (`ffdkopn`, `ffdkinit`), so that
+//! brackets, `+` and `!` in a name are just characters. CFITSIO is built reentrant (a test asserts
+//! it): handles of different threads are independent, also on one file, since a read-only open
+//! never shares state. A [`Fits`] stays in its thread.
+#![allow(
+    unsafe_code,
+    reason = "CFITSIO is a C library; every call is wrapped here and nowhere else"
+)]
+
+use std::any::TypeId;
+use std::ffi::{CString, c_char, c_int, c_void};
+use std::path::{Path, PathBuf};
+use std::ptr::{self, NonNull};
+
+use fitsio::sys;
+use psf_types::Real;
+
+use crate::error::{IoError, request, unreadable};
+use crate::fits::card::{RECORD, Record};
+use crate::fits::hdu::FitsSource;
+
+/// The longest file name, without the closing NUL.
+const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;
+/// CFITSIO's status for a value that the type asked for cannot hold.
+const NUM_OVERFLOW: c_int = 412;
+
+/// CFITSIO's statuses for a system call that failed while it wrote: creating, writing, closing,
+/// seeking (which writes what is buffered).
+const SYSTEM_FAILURES: [c_int; 4] = [105, 106, 110, 116];
+
+/// CFITSIO counts the bytes of reserved records in an `int`, and a header much longer than this (8
+/// MB) is not read back.
+const RESERVE_LIMIT: usize = 100_000;
+
+/// An open FITS file.
+#[derive(Debug)]
+pub(crate) struct Fits {
+    handle: NonNull<sys::fitsfile>,
+    /// The name for error messages; not the temporary one.
+    path: PathBuf,
+    /// Whether the HDU in hand is an image that this handle writes.
+    writes_image: bool,
+    /// Keeps an unpacked copy there for as long as it is open.
+    source: Option<FitsSource>,
+}
+
+impl Fits {
+    /// Opens an existing file for reading.
+    pub(crate) fn open(source: &FitsSource) -> Result<Self, IoError> {
+        let path = source.path();
+        let name = c_name(source.file(), path)?;
+        let (mut handle, mut status) = (ptr::null_mut(), 0);
+        let mode = sys::READONLY as c_int;
+        // SAFETY: `handle` and `status` are valid for writes, `name` is a NUL-terminated string
+        // within CFITSIO's limit.
+        unsafe { sys::ffdkopn(&raw mut handle, name.as_ptr(), mode, &raw mut status) };
+        let mut fits = Self::new(handle, path, status, "opening the file", false)?;
+        fits.source = Some(source.clone());
+        Ok(fits)
+    }
+
+    /// Creates the file `at`, which must not exist; errors name `path`.
+    pub(crate) fn create(at: &Path, path: &Path) -> Result<Self, IoError> {
+        let name = c_name(at, path)?;
+        let (mut handle, mut status) = (ptr::null_mut(), 0);
+        // SAFETY: as in `open`.
+        unsafe { sys::ffdkinit(&raw mut handle, name.as_ptr(), &raw mut status) };
+        Self::new(handle, path, status, "creating the file", true)
+    }
+
+    fn new(
+        handle: *mut sys::fitsfile,
+        path: &Path,
+        status: c_int,
+        doing: &'static str,
+        writes: bool,
+    ) -> Result<Self, IoError> {
+        let handle = NonNull::new(handle).ok_or_else(|| failure(path, doing, status, writes))?;
+        let fits = Self {
+            handle,
+            path: path.to_owned(),
+            writes_image: false,
+            source: None,
+        };
+        check(path, status, doing, writes)?;
+        Ok(fits)
+    }
+
+    /// Writes out what is buffered and closes the file.
+    pub(crate) fn close(mut self) -> Result<(), IoError> {
+        let path = std::mem::take(&mut self.path);
+        let writes = self.source.take().is_none();
+        // The rest of `self` owns no memory, and the handle must not be closed twice.
+        let this = std::mem::ManuallyDrop::new(self);
+        let mut status = 0;
+        // SAFETY: the handle is open and not used again. CFITSIO frees it also on failure.
+        unsafe { sys::ffclos(this.handle.as_ptr(), &raw mut status) };
+        check(&path, status, "closing the file", writes)
+    }
+
+    /// Goes to an HDU, counted from 0.
+    pub(crate) fn move_to(&mut self, hdu: usize) -> Result<(), IoError> {
+        let number = c_int::try_from(hdu + 1).unwrap_or(c_int::MAX);
+        // SAFETY: the handle is open; a null pointer for the HDU type is allowed.
+        self.call("moving to an HDU", |fits, status| unsafe {
+            sys::ffmahd(fits, number, ptr::null_mut(), status)
+        })
+    }
+
+    /// Reads `pixels.len()` pixels of the image from pixel `first` (0-based) on; with `blank`,
+    /// undefined integer pixels become NaN.
+    pub(crate) fn read_pixels<T: Real>(
+        &mut self,
+        first: usize,
+        pixels: &mut [T],
+        blank: bool,
+    ) -> Result<(), IoError> {
+        let mut nan = T::nan();
+        let null = if blank { &raw mut nan } else { ptr::null_mut() }.cast::<c_void>();
+        let (first, count) = (first as sys::LONGLONG + 1, pixels.len() as sys::LONGLONG);
+        let (fits, data) = (self.handle.as_ptr(), pixels.as_mut_ptr().cast());
+        let (mut any_null, mut status) = (0, 0);
+        let (any, told) = (&raw mut any_null, &raw mut status);
+        // SAFETY: `pixels` holds as many values of the type `datatype` names as are asked for;
+        // `null` is null or points to one such value, which outlives the call, as do `any_null` and
+        // `status`. (CFITSIO writes to `any_null` unasked when it meets an undefined value.)
+        unsafe { sys::ffgpv(fits, datatype::<T>(), first, count, null, data, any, told) };
+        if status == NUM_OVERFLOW && size_of::<T>() == size_of::<f32>() {
+            // SAFETY: clears the message stack, which CFITSIO guards itself.
+            unsafe { sys::ffcmsg() };
+            return Err(IoError::Overflow {
+                path: self.path.clone(),
+            });
+        }
+        self.check(status, "reading pixels")
+    }
+
+    /// Reads the first `values.len()` numbers of a column, counted from 1; with `null`, undefined
+    /// integers become NaN.
+    pub(crate) fn read_column(
+        &mut self,
+        column: usize,
+        values: &mut [f64],
+        null: bool,
+    ) -> Result<(), IoError> {
+        let mut nan = f64::NAN;
+        let null = if null { &raw mut nan } else { ptr::null_mut() }.cast::<c_void>();
+        let (column, count) = (column as c_int, values.len() as sys::LONGLONG);
+        let mut any_null = 0;
+        let (data, any) = (values.as_mut_ptr().cast(), &raw mut any_null);
+        // SAFETY: as in `read_pixels`.
+        self.call("reading a table column", |fits, status| unsafe {
+            sys::ffgcv(
+                fits,
+                datatype::<f64>(),
+                column,
+                1,
+                1,
+                count,
+                null,
+                data,
+                any,
+                status,
+            )
+        })
+    }
+
+    /// Adds an image HDU for pixels of this BITPIX, or of another of CFITSIO's image types; `shape`
+    /// in array order (x last). CFITSIO writes the BZERO of unsigned numbers.
+    pub(crate) fn create_image(&mut self, shape: &[usize], bitpix: c_int) -> Result<(), IoError> {
+        let mut axes: Vec<sys::LONGLONG> = shape.iter().rev().map(|&n| n as sys::LONGLONG).collect();
+        self.writes_image = true;
+        // SAFETY: the handle is open and `axes` holds the number of values announced.
+        self.call("creating an image", |fits, status| unsafe {
+            sys::ffcrimll(fits, bitpix, axes.len() as c_int, axes.as_mut_ptr(), status)
+        })
+    }
+
+    /// Writes pixels of the image, from pixel `first` (0-based) on.
+    pub(crate) fn write_pixels<T: Copy + 'static>(
+        &mut self,
+        first: usize,
+        pixels: &[T],
+    ) -> Result<(), IoError> {
+        let (first, count) = (first as sys::LONGLONG + 1, pixels.len() as sys::LONGLONG);
+        let data = pixels.as_ptr().cast_mut().cast();
+        // SAFETY: `pixels` holds the number of values announced, of the type that `datatype` names.
+        // CFITSIO's prototype lacks a `const`; it copies the values into a buffer of its own before
+        // it changes their byte order.
+        self.call("writing pixels", |fits, status| unsafe {
+            sys::ffppr(fits, datatype::<T>(), first, count, data, status)
+        })
+    }
+
+    /// Adds a record at the end of the header.
+    pub(crate) fn write_record(&mut self, record: &Record) -> Result<(), IoError> {
+        let mut text = [0; RECORD + 1];
+        text[..RECORD].copy_from_slice(record);
+        // SAFETY: `text` is NUL-terminated and at most 80 characters long.
+        self.call("writing a header card", |fits, status| unsafe {
+            sys::ffprec(fits, text.as_ptr().cast::<c_char>(), status)
+        })
+    }
+
+    /// Leaves room in the header for this many records more, [`RESERVE_LIMIT`] at most; to be
+    /// called after its cards and before the pixels.
+    pub(crate) fn reserve_records(&mut self, count: usize) -> Result<(), IoError> {
+        let count = count.min(RESERVE_LIMIT) as c_int;
+        // SAFETY: the handle is open.
+        self.call("reserving room in a header", |fits, status| unsafe {
+            sys::ffhdef(fits, count, status)
+        })
+    }
+
+    /// Removes the last records of the header.
+    pub(crate) fn remove_records(&mut self, count: usize) -> Result<(), IoError> {
+        const DOING: &str = "removing a header card";
+        let mut last = 0;
+        // SAFETY: the handle is open; a null pointer for the room left is allowed.
+        self.call(DOING, |fits, status| unsafe {
+            sys::ffghsp(fits, &raw mut last, ptr::null_mut(), status)
+        })?;
+        // SAFETY: the handle is open; CFITSIO refuses a record that is not there.
+        (1..=last).rev().take(count).try_for_each(|number| {
+            self.call(DOING, |fits, status| unsafe { sys::ffdrec(fits, number, status) })
+        })
+    }
+
+    /// Adds a binary table with columns (name, TFORM).
+    pub(crate) fn create_table(
+        &mut self,
+        name: &str,
+        rows: usize,
+        columns: &[(&str, String)],
+    ) -> Result<(), IoError> {
+        let owned = |text: &str| CString::new(text).expect("names in this crate have no NUL");
+        let extname = owned(name);
+        let names: Vec<CString> = columns.iter().map(|(name, _)| owned(name)).collect();
+        let forms: Vec<CString> = columns.iter().map(|(_, form)| owned(form)).collect();
+        let pointers =
+            |texts: &[CString]| -> Vec<_> { texts.iter().map(|text| text.as_ptr().cast_mut()).collect() };
+        let (mut names_c, mut forms_c) = (pointers(&names), pointers(&forms));
+        self.writes_image = false;
+        let (rows, count) = (rows as sys::LONGLONG, columns.len() as c_int);
+        let (names, forms, units) = (names_c.as_mut_ptr(), forms_c.as_mut_ptr(), ptr::null_mut());
+        // SAFETY: both lists hold as many NUL-terminated strings as there are columns, which live
+        // until the call returns and which CFITSIO only reads; a null pointer stands for "no
+        // units".
+        self.call("creating a table", |fits, status| unsafe {
+            let kind = sys::BINARY_TBL as c_int;
+            sys::ffcrtb(
+                fits,
+                kind,
+                rows,
+                count,
+                names,
+                forms,
+                units,
+                extname.as_ptr(),
+                status,
+            )
+        })
+    }
+
+    /// Writes a column, counted from 1, from its first row on.
+    pub(crate) fn write_column(&mut self, column: usize, values: &[f64]) -> Result<(), IoError> {
+        let (column, count) = (column as c_int, values.len() as sys::LONGLONG);
+        let data = values.as_ptr().cast_mut().cast();
+        // SAFETY: as in `write_pixels`.
+        self.call("writing a table column", |fits, status| unsafe {
+            sys::ffpcl(fits, datatype::<f64>(), column, 1, 1, count, data, status)
+        })
+    }
+
+    /// Calls a function of CFITSIO, which returns its status.
+    fn call(
+        &mut self,
+        doing: &'static str,
+        function: impl FnOnce(*mut sys::fitsfile, *mut c_int) -> c_int,
+    ) -> Result<(), IoError> {
+        let mut status = 0;
+        function(self.handle.as_ptr(), &raw mut status);
+        self.check(status, doing)
+    }
+
+    fn check(&self, status: c_int, doing: &'static str) -> Result<(), IoError> {
+        // A file that is read has a source.
+        check(&self.path, status, doing, self.source.is_none())
+    }
+}
+
+impl Drop for Fits {
+    fn drop(&mut self) {
+        let (mut emptied, mut status) = (0, 0);
+        if self.writes_image {
+            // Nobody wants this file any more. CFITSIO would fill an incomplete image up with
+            // zeros, however large it is.
+            let (fits, keyword) = (self.handle.as_ptr(), c"NAXIS".as_ptr());
+            // SAFETY: the handle is open, the keyword is NUL-terminated; a null pointer keeps the
+            // comment.
+            unsafe { sys::ffmkyj(fits, keyword, 0, ptr::null(), &raw mut emptied) };
+        }
+        // SAFETY: the handle is open and not used again.
+        unsafe { sys::ffclos(self.handle.as_ptr(), &raw mut status) };
+        if emptied != 0 || status != 0 {
+            // SAFETY: clears the message stack, which CFITSIO guards itself.
+            unsafe { sys::ffcmsg() };
+        }
+    }
+}
+
+fn check(path: &Path, status: c_int, doing: &'static str, writes: bool) -> Result<(), IoError> {
+    if status == 0 {
+        Ok(())
+    } else {
+        Err(failure(path, doing, status, writes))
+    }
+}
+
+/// The error for a status, with CFITSIO's text and the messages on its stack; with the system's
+/// reason where a file that is written fails.
+fn failure(path: &Path, doing: &'static str, status: c_int, writes: bool) -> IoError {
+    // CFITSIO keeps no reason. It returns at once when the C library fails, so that `errno` is
+    // still that of the failure; nothing may come before this line.
+    let system = std::io::Error::last_os_error();
+    let path = path.to_owned();
+    let mut buffer = [0 as c_char; sys::FLEN_ERRMSG as usize];
+    const { assert!(sys::FLEN_STATUS <= sys::FLEN_ERRMSG) };
+    // SAFETY: the buffer is longer than any status text (30 characters and NUL).
+    unsafe { sys::ffgerr(status, buffer.as_mut_ptr()) };
+    let mut text = text_of(&buffer);
+    // SAFETY: the buffer is as long as any message (80 characters and NUL).
+    while unsafe { sys::ffgmsg(buffer.as_mut_ptr()) } != 0 {
+        text = text + "; " + &text_of(&buffer);
+    }
+    if writes && SYSTEM_FAILURES.contains(&status) && system.raw_os_error().is_some_and(|code| code != 0) {
+        return IoError::Write { path, source: system };
+    }
+    IoError::Cfitsio {
+        path,
+        doing,
+        status,
+        text,
+    }
+}
+
+/// The text before the first NUL.
+fn text_of(buffer: &[c_char]) -> String {
+    let bytes: Vec<u8> = buffer.iter().take_while(|&&c| c != 0).map(|&c| c as u8).collect();
+    String::from_utf8_lossy(&bytes).trim().to_owned()
+}
+
+/// CFITSIO's code of a type.
+fn datatype<T: 'static>() -> c_int {
+    let types = [
+        (TypeId::of::<f32>(), sys::TFLOAT),
+        (TypeId::of::<f64>(), sys::TDOUBLE),
+        (TypeId::of::<c_int>(), sys::TINT),
+    ];
+    let found = types.iter().find(|(id, _)| *id == TypeId::of::<T>());
+    found.expect("pixels are f32, f64 or i32").1 as c_int
+}
+
+/// The absolute name: CFITSIO would drop leading blanks and expand a leading `~`.
+fn c_name(at: &Path, path: &Path) -> Result<CString, IoError> {
+    let refused = || {
+        let problem = format!(
+            "CFITSIO takes file names of at most {NAME_LIMIT} bytes, with their directories and without NUL: use a shorter one"
+        );
+        request(path, problem)
+    };
+    let absolute = std::path::absolute(at).map_err(unreadable(path))?;
+    let bytes = absolute.into_os_string().into_encoded_bytes();
+    if bytes.len() > NAME_LIMIT {
+        return Err(refused());
+    }
+    CString::new(bytes).map_err(|_| refused())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cfitsio_is_built_reentrant() {
+        // SAFETY: no arguments, no state.
+        assert_eq!(unsafe { sys::fits_is_reentrant() }, 1);
+    }
+
+    #[test]
+    fn names_that_cfitsio_cannot_take_are_refused() {
+        let long = PathBuf::from(format!("/{}", "d/".repeat(NAME_LIMIT)));
+        for bad in [Path::new("a\0b.fits"), &long] {
+            let error = Fits::open(&FitsSource::new(bad, None)).unwrap_err().to_string();
+            assert!(error.contains("CFITSIO takes file names of at most"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,278 @@
+//! Columns of numbers, and the binary tables that hold them.
+
+use std::path::Path;
+
+use psf_types::Position;
+
+use crate::error::{IoError, Row, content, invalid};
+use crate::fits::cfitsio::Fits;
+use crate::fits::hdu::Hdu;
+
+/// Column names and values quoted in errors are cut to this many characters.
+const QUOTED: usize = 40;
+/// Column names listed in errors.
+const LISTED: usize = 20;
+
+/// A column of a binary table.
+#[derive(Debug)]
+pub(crate) struct Column {
+    /// Counted from 1, as CFITSIO does.
+    pub(crate) number: usize,
+    pub(crate) name: String,
+    form: String,
+    /// Values in a row.
+    repeat: usize,
+    /// The type letter of TFORM.
+    pub(crate) code: u8,
+}
+
+/// A binary table whose columns fill its rows exactly, so that its row count is bounded by the
+/// file's length.
+#[derive(Debug)]
+pub(crate) struct Table<'a> {
+    hdu: &'a Hdu,
+    pub(crate) columns: Vec<Column>,
+    /// Number of rows.
+    pub(crate) rows: usize,
+}
+
+impl<'a> Table<'a> {
+    pub(crate) fn new(hdu: &'a Hdu) -> Result<Self, IoError> {
+        let &[row_bytes, rows] = hdu.axes.as_slice() else {
+            return Err(hdu.header_error("NAXIS", "a table has 2 axes"));
+        };
+        let columns = columns(hdu, row_bytes)?;
+        Ok(Self { hdu, columns, rows })
+    }
+
+    /// The names of the columns.
+    pub(crate) fn names(&self) -> Vec<String> {
+        self.columns.iter().map(|column| column.name.clone()).collect()
+    }
+
+    /// The column of this name, upper or lower case.
+    pub(crate) fn column(&self, name: &str) -> Result<&Column, IoError> {
+        let names = self.columns.iter().map(|column| &column.name);
+        Ok(&self.columns[find(self.hdu.path(), names, name)?])
+    }
+
+    /// All values of a column of numbers that has `repeat` of them in each row; NaN and infinities
+    /// are refused.
+    pub(crate) fn read(&self, name: &str, repeat: usize) -> Result<Vec<f64>, IoError> {
+        self.read_with(name, repeat, Gaps::Refused)
+    }
+
+    /// All values of such a column, where undefined values may be allowed.
+    pub(crate) fn read_with(&self, name: &str, repeat: usize, gaps: Gaps) -> Result<Vec<f64>, IoError> {
+        let column = self.column(name)?;
+        if !b"BIJKED".contains(&column.code) || column.repeat != repeat {
+            let problem = format!(
+                "HDU {}: the column {:?} has the format {}, {repeat} number(s) in a row (such as {repeat}D) is needed",
+                self.hdu.index, column.name, column.form
+            );
+            return Err(content(self.hdu.path(), problem));
+        }
+        let mut values = vec![0.0; self.rows * repeat];
+        let mut fits = Fits::open(&self.hdu.source)?;
+        fits.move_to(self.hdu.index)?;
+        let null = !b"ED".contains(&column.code)
+            && self.hdu.header.get(&format!("TNULL{}", column.number)).is_some();
+        if !values.is_empty() {
+            fits.read_column(column.number, &mut values, null)?;
+        }
+        let refused = |value: &f64| gaps == Gaps::Refused && !value.is_finite();
+        match values.iter().position(refused) {
+            None => Ok(values),
+            Some(flat) => Err(IoError::Value {
+                path: self.hdu.path().to_owned(),
+                row: Row::Index(flat / repeat),
+                column: column.name.clone(),
+                got: values[flat].to_string(),
+            }),
+        }
+    }
+}
+
+/// The columns of a binary table, which fill its rows.
+pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoError> {
+    let count = hdu.structural("TFIELDS", None)?;
+    let mut width = 0_usize;
+    let mut columns = Vec::new();
+    for number in 1..=count as usize {
+        let keyword = format!("TFORM{number}");
+        let form = hdu
+            .text(&keyword)
+            .ok_or_else(|| hdu.header_error(&keyword, "must be a text"))?;
+        let column = Column::new(
+            number,
+            hdu.text(&format!("TTYPE{number}")).unwrap_or_default(),
+            form,
+        );
+        let column = column.ok_or_else(|| hdu.header_error(&keyword, "is no column format"))?;
+        let bytes = column.bytes().and_then(|bytes| width.checked_add(bytes));
+        width = bytes.ok_or_else(|| hdu.header_error(&keyword, "the column is wider than any table"))?;
+        columns.push(column);
+    }
+    hdu.ensure(
+        width == row_bytes,
+        "NAXIS1",
+        "the columns do not add up to the length of a row",
+    )?;
+    Ok(columns)
+}
+
+impl Column {
+    /// `None` when the form is not one of a binary table.
+    fn new(number: usize, name: String, form: String) -> Option<Self> {
+        let text = form.trim();
+        let digits = text.bytes().take_while(u8::is_ascii_digit).count();
+        let repeat = if digits == 0 {
+            1
+        } else {
+            text[..digits].parse().ok()?
+        };
+        let code = text.as_bytes().get(digits)?.to_ascii_uppercase();
+        let column = Self {
+            number,
+            name: name.trim().to_owned(),
+            repeat,
+            code,
+            form,
+        };
+        b"LXBIJKAEDCMPQ".contains(&code).then_some(column)
+    }
+
+    /// The type letter of what the descriptors of a column of arrays stand for.
+    pub(crate) fn element(&self) -> Option<u8> {
+        let (_, element) = self.form.trim().split_once(['P', 'Q', 'p', 'q'])?;
+        element.bytes().next().map(|letter| letter.to_ascii_uppercase())
+    }
+
+    /// Bytes in a row.
+    pub(crate) fn bytes(&self) -> Option<usize> {
+        let size = match self.code {
+            b'X' => return Some(self.repeat.div_ceil(8)),
+            b'I' => 2,
+            b'J' | b'E' => 4,
+            b'K' | b'D' | b'C' | b'P' => 8,
+            b'M' | b'Q' => 16,
+            _ => 1,
+        };
+        self.repeat.checked_mul(size)
+    }
+}
+
+/// Positions from their coordinates.
+pub(crate) fn positions(path: &Path, x: Vec<f64>, y: Vec<f64>) -> Result<Vec<Position>, IoError> {
+    x.into_iter()
+        .zip(y)
+        .map(|(x, y)| Position::new(x, y).map_err(invalid(path)))
+        .collect()
+}
+
+/// The place of the column of this name among others, upper and lower case being the same.
+pub(crate) fn find<'a>(
+    path: &Path,
+    names: impl Iterator<Item = &'a String> + Clone,
+    name: &str,
+) -> Result<usize, IoError> {
+    let mut found = names
+        .clone()
+        .enumerate()
+        .filter(|(_, n)| n.eq_ignore_ascii_case(name));
+    match (found.next(), found.next()) {
+        (Some((place, _)), None) => Ok(place),
+        (None, _) => Err(missing_column(path, names, name)),
+        (Some(_), Some(_)) => Err(content(
+            path,
+            format!("the column {name:?} is there more than once: rename or remove one"),
+        )),
+    }
+}
+
+/// The error for a table without a column that is needed.
+pub(crate) fn missing_column<'a>(
+    path: &Path,
+    names: impl IntoIterator<Item = &'a String>,
+    name: &str,
+) -> IoError {
+    IoError::MissingColumn {
+        path: path.to_owned(),
+        column: name.to_owned(),
+        found: listed(names),
+    }
+}
+
+/// Names for an error: the first of those that are not empty.
+fn listed<'a>(names: impl IntoIterator<Item = &'a String>) -> Vec<String> {
+    let mut named = names.into_iter().filter(|name| !name.is_empty());
+    let quoted = |name: &String| format!("{:?}", shown(name.as_bytes()));
+    let mut list: Vec<String> = named.by_ref().take(LISTED).map(quoted).collect();
+    match named.count() {
+        0 => {}
+        more => list.push(format!("and {more} more")),
+    }
+    list
+}
+
+/// As much of a field as errors quote.
+pub(crate) fn shown(field: &[u8]) -> String {
+    String::from_utf8_lossy(field).chars().take(QUOTED).collect()
+}
+
+/// The rule for values that are missing or not finite.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Gaps {
+    /// They are errors.
+    Refused,
+    /// Missing values become NaN, infinities stay; text that is no number is an error all the same.
+    Kept,
+}
+
+/// Columns of numbers of any kind of table, in the order asked for.
+#[derive(Debug)]
+pub(crate) struct NumberColumns {
+    pub(crate) values: Vec<Vec<f64>>,
+    pub(crate) rows: usize,
+    /// The lines of a text table; those of a FITS table are counted.
+    pub(crate) lines: Option<Vec<u64>>,
+}
+
+impl NumberColumns {
+    /// Where a row stands in the file.
+    pub(crate) fn place(&self, row: usize) -> Row {
+        self.lines
+            .as_ref()
+            .map_or(Row::Index(row), |lines| Row::Line(lines[row]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_lists_of_names_are_cut() {
+        let names: Vec<String> = (0..300).map(|k| k.to_string()).collect();
+        let list = listed(&names);
+        assert_eq!((list.len(), list[LISTED].as_str()), (LISTED + 1, "and 280 more"));
+    }
+
+    #[test]
+    fn forms_of_binary_tables_are_understood() {
+        let of = |form: &str| Column::new(1, "X".into(), form.into());
+        let width = |form: &str| of(form).and_then(|c| c.bytes());
+        assert_eq!(
+            [width("D"), width("1D"), width("12E"), width("9X"), width("20A")].map(Option::unwrap),
+            [8, 8, 48, 2, 20]
+        );
+        assert_eq!(width("1PE(20)"), Some(8));
+        assert_eq!(width("0D"), Some(0));
+        let elements = ["1PB(20)", " qi", "1P", "1D"].map(|form| of(form).and_then(|c| c.element()));
+        assert_eq!(elements, [Some(b'B'), Some(b'I'), None, None]);
+        for bad in ["", "7", "Z", "99999999999999999999999D"] {
+            assert!(of(bad).is_none(), "{bad}");
+        }
+        assert_eq!(width("9999999999999999999D"), None);
+    }
+}

@@ -1,0 +1,442 @@
+//! One HDU: what its mandatory keywords say.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use psf_types::DataError;
+
+use crate::error::{IoError, invalid};
+use crate::fits::card::{Card, CardValue, FromValue};
+use crate::fits::header_cards::{HeaderCards, TILED_NAME};
+use crate::output::temporary::Temporary;
+
+/// FITS files are made of blocks of this many bytes.
+pub(crate) const BLOCK: u64 = 2880;
+
+/// The most columns of a table (FITS standard 4.0, section 7.3.1).
+const MOST_COLUMNS: i64 = 999;
+
+/// The content of an HDU.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum HduKind {
+    Image,
+    BinaryTable,
+    Other,
+}
+
+/// An HDU whose mandatory keywords are sound.
+#[derive(Debug)]
+pub(crate) struct Hdu {
+    /// Where the file is to be opened.
+    pub(crate) source: FitsSource,
+    /// Counted from 0.
+    pub(crate) index: usize,
+    pub(crate) kind: HduKind,
+    pub(crate) header: HeaderCards,
+    pub(crate) bitpix: i64,
+    /// `NAXIS1` first; of a compressed image, its own.
+    pub(crate) axes: Vec<usize>,
+    /// The first byte of the data in the file.
+    pub(crate) data_start: u64,
+    /// Bytes, without the padding to whole blocks.
+    pub(crate) data_length: u64,
+}
+
+impl Hdu {
+    pub(crate) fn new(source: &FitsSource, index: usize, header: HeaderCards) -> Result<Self, IoError> {
+        let mut hdu = Self {
+            source: source.clone(),
+            index,
+            kind: HduKind::Other,
+            header,
+            bitpix: 8,
+            axes: Vec::new(),
+            data_start: 0,
+            data_length: 0,
+        };
+        hdu.kind = match (index, hdu.text("XTENSION").as_deref()) {
+            (0, _) | (_, Some("IMAGE")) => HduKind::Image,
+            (_, Some("BINTABLE")) => HduKind::BinaryTable,
+            _ => HduKind::Other,
+        };
+        hdu.bitpix = hdu.structural("BITPIX", None)?;
+        hdu.ensure(
+            [8, 16, 32, 64, -32, -64].contains(&hdu.bitpix),
+            "BITPIX",
+            "must be 8, 16, 32, 64, -32 or -64",
+        )?;
+        let axis_count = hdu.structural("NAXIS", None)?;
+        hdu.ensure((0..=999).contains(&axis_count), "NAXIS", "must be 0 to 999")?;
+        for axis in 1..=axis_count {
+            let length = hdu.structural_count(&format!("NAXIS{axis}"), None)?;
+            hdu.axes.push(length);
+        }
+        hdu.data_length = hdu
+            .checked_length()?
+            .ok_or_else(|| hdu.header_error("NAXIS", "the data would be larger than any file"))?;
+        // CFITSIO takes memory for so many columns when it passes the HDU, whatever is read.
+        hdu.ensure(
+            (0..=MOST_COLUMNS).contains(&hdu.structural("TFIELDS", Some(0))?),
+            "TFIELDS",
+            "must be 0 to 999",
+        )?;
+        Ok(hdu)
+    }
+
+    /// The name of the file for error messages.
+    pub(crate) fn path(&self) -> &Path {
+        &self.source.path
+    }
+
+    /// Whether a binary table holds the tiles of a compressed image; it counts as the image.
+    pub(crate) fn is_tiled(&self) -> bool {
+        self.index > 0
+            && self.value("ZIMAGE") == Some(true)
+            && self.text("XTENSION").as_deref() == Some("BINTABLE")
+    }
+
+    /// Bytes of the data with the padding to whole blocks.
+    pub(crate) fn padded_length(&self) -> Result<u64, IoError> {
+        self.data_length
+            .checked_next_multiple_of(BLOCK)
+            .ok_or_else(|| self.header_error("NAXIS", "the data would be larger than any file"))
+    }
+
+    /// Bytes of the data; `None` where they cannot be counted.
+    fn checked_length(&self) -> Result<Option<u64>, IoError> {
+        if self.axes.is_empty() {
+            return Ok(Some(0));
+        }
+        let count = |keyword, default| self.structural_count(keyword, Some(default));
+        let (parameters, groups) = (count("PCOUNT", 0)? as u64, count("GCOUNT", 1)? as u64);
+        // In random groups the first axis has length 0 and does not count.
+        let random_groups = self.index == 0 && self.axes[0] == 0 && self.value("GROUPS") == Some(true);
+        // Without a group there would be no data for the pixels that the axes promise.
+        self.ensure(groups > 0 || random_groups, "GCOUNT", "must be above 0")?;
+        let axes = if random_groups {
+            &self.axes[1..]
+        } else {
+            &self.axes[..]
+        };
+        Ok(axes
+            .iter()
+            .try_fold(1_u64, |product, &n| product.checked_mul(n as u64))
+            .and_then(|pixels| pixels.checked_add(parameters))
+            .and_then(|values| values.checked_mul(groups))
+            .and_then(|values| values.checked_mul(self.bitpix.unsigned_abs() / 8)))
+    }
+
+    /// Whether this is an image that has pixels.
+    pub(crate) fn has_pixels(&self) -> bool {
+        self.kind == HduKind::Image && !self.axes.is_empty() && self.axes.iter().all(|&n| n > 0)
+    }
+
+    /// Whether this is a table of text.
+    pub(crate) fn is_ascii_table(&self) -> bool {
+        self.text("XTENSION").as_deref() == Some("TABLE")
+    }
+
+    /// The EXTNAME.
+    pub(crate) fn name(&self) -> Option<String> {
+        self.text("EXTNAME")
+            .map(|name| name.trim().to_owned())
+            .filter(|name| !(self.is_tiled() && name == TILED_NAME))
+    }
+
+    /// The EXTVER.
+    pub(crate) fn version(&self) -> i64 {
+        self.value("EXTVER").unwrap_or(1)
+    }
+
+    /// Number, name and size, for a list to choose from.
+    pub(crate) fn described(&self) -> String {
+        let mut text = self.index.to_string();
+        if let Some(name) = self.name() {
+            text = format!("{text} {name:?}");
+            if self.header.get("EXTVER").is_some() {
+                text = format!("{text},{}", self.version());
+            }
+        }
+        let sizes: Vec<String> = self.axes.iter().map(ToString::to_string).collect();
+        match self.kind {
+            HduKind::BinaryTable => format!("{text} ({} rows)", self.axes.get(1).unwrap_or(&0)),
+            _ => format!("{text} ({})", sizes.join(" x ")),
+        }
+    }
+
+    pub(crate) fn header_error(&self, keyword: &str, problem: &'static str) -> IoError {
+        IoError::Header {
+            path: self.path().to_owned(),
+            hdu: self.index,
+            keyword: keyword.to_owned(),
+            problem,
+        }
+    }
+
+    /// An error for this keyword unless it is sound.
+    pub(crate) fn ensure(&self, sound: bool, keyword: &str, problem: &'static str) -> Result<(), IoError> {
+        if sound {
+            Ok(())
+        } else {
+            Err(self.header_error(keyword, problem))
+        }
+    }
+
+    /// A whole number that the structure rests on.
+    pub(crate) fn structural(&self, keyword: &str, default: Option<i64>) -> Result<i64, IoError> {
+        match (self.header.get(keyword).map(Card::value), default) {
+            (Some(Some(CardValue::Integer(value))), _) => Ok(value),
+            (None, Some(default)) => Ok(default),
+            (None, None) => Err(self.header_error(keyword, "the keyword is missing")),
+            (Some(_), _) => Err(self.header_error(keyword, "must be a whole number")),
+        }
+    }
+
+    /// Such a number that must not be negative.
+    pub(crate) fn structural_count(&self, keyword: &str, default: Option<i64>) -> Result<usize, IoError> {
+        let value = self.structural(keyword, default)?;
+        usize::try_from(value).map_err(|_| self.header_error(keyword, "must not be negative"))
+    }
+
+    /// Axes in array order, x last.
+    pub(crate) fn shape(&self) -> Vec<usize> {
+        self.axes.iter().rev().copied().collect()
+    }
+
+    pub(crate) fn axes_error(&self, expected: &'static str) -> IoError {
+        IoError::Axes {
+            path: self.path().to_owned(),
+            hdu: self.index,
+            expected,
+            got: self.shape(),
+        }
+    }
+
+    pub(crate) fn keyword_error(&self, keyword: &'static str, expected: &'static str) -> IoError {
+        let card = self.header.get(keyword);
+        let got = match card.and_then(Card::value) {
+            Some(value) => value.to_string(),
+            None => card.map_or_else(String::new, |card| card.to_string().trim_end().to_owned()),
+        };
+        IoError::Keyword {
+            path: self.path().to_owned(),
+            hdu: self.index,
+            keyword,
+            expected,
+            got,
+        }
+    }
+
+    /// A value, if the keyword is there and has one of this type.
+    pub(crate) fn value<T: FromValue>(&self, keyword: &str) -> Option<T> {
+        self.header.value(keyword)
+    }
+
+    /// A text keyword, if it is there and is one.
+    pub(crate) fn text(&self, keyword: &str) -> Option<String> {
+        self.value(keyword)
+    }
+
+    /// A value of this type; an error where it is of another.
+    pub(crate) fn optional<T: FromValue>(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<Option<T>, IoError> {
+        let Some(card) = self.header.get(keyword) else {
+            return Ok(None);
+        };
+        match card.value().and_then(T::from_value) {
+            Some(value) => Ok(Some(value)),
+            None => Err(self.keyword_error(keyword, expected)),
+        }
+    }
+
+    /// A value that must be there. One of another type is an error that says `expected` too.
+    pub(crate) fn required<T: FromValue>(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<T, IoError> {
+        self.optional(keyword, expected)?
+            .ok_or_else(|| self.missing_keyword(keyword, expected))
+    }
+
+    pub(crate) fn optional_real(&self, keyword: &'static str) -> Result<Option<f64>, IoError> {
+        self.optional(keyword, "a number")
+    }
+
+    pub(crate) fn optional_logical(&self, keyword: &'static str) -> Result<Option<bool>, IoError> {
+        self.optional(keyword, "T or F")
+    }
+
+    /// A number that must be there.
+    pub(crate) fn required_real(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<f64, IoError> {
+        self.optional_real(keyword)?
+            .ok_or_else(|| self.missing_keyword(keyword, expected))
+    }
+
+    /// A count above 0 that must be there.
+    pub(crate) fn required_length(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<usize, IoError> {
+        usize::try_from(self.required::<i64>(keyword, expected)?)
+            .ok()
+            .filter(|&n| n > 0)
+            .ok_or_else(|| self.keyword_error(keyword, expected))
+    }
+
+    /// A text keyword that holds one of the forms of a choice.
+    pub(crate) fn optional_choice<T: std::str::FromStr<Err = DataError>>(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<Option<T>, IoError> {
+        self.optional::<String>(keyword, expected)?
+            .map(|text| text.parse().map_err(invalid(self.path())))
+            .transpose()
+    }
+
+    /// Such a choice, which must be there.
+    pub(crate) fn required_choice<T: std::str::FromStr<Err = DataError>>(
+        &self,
+        keyword: &'static str,
+        expected: &'static str,
+    ) -> Result<T, IoError> {
+        self.optional_choice(keyword, expected)?
+            .ok_or_else(|| self.missing_keyword(keyword, expected))
+    }
+
+    pub(crate) fn missing_keyword(&self, keyword: &'static str, expected: &'static str) -> IoError {
+        IoError::MissingKeyword {
+            path: self.path().to_owned(),
+            hdu: self.index,
+            keyword,
+            expected,
+        }
+    }
+}
+
+/// The choice of one HDU: by number, or by name and perhaps version.
+///
+/// As text: a whole number counts HDUs from 0, the primary, as astropy does; anything else is an
+/// `EXTNAME`, upper and lower case being the same, which an `EXTVER` may follow after a comma.
+///
+/// ```
+/// use psf_io::HduChoice;
+/// assert_eq!("1".parse::<HduChoice>()?, HduChoice::Number(1));
+/// let second: HduChoice = "SCI,2".parse()?;
+/// assert_eq!(second, HduChoice::Name { name: "SCI".into(), version: Some(2) });
+/// assert_eq!(second.to_string(), "SCI,2");
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum HduChoice {
+    /// Counted from 0, the primary HDU.
+    Number(usize),
+    /// The first HDU with this `EXTNAME`.
+    Name {
+        /// The `EXTNAME`, upper or lower case.
+        name: String,
+        /// The `EXTVER`; an HDU without one has 1. Any when not given.
+        version: Option<i64>,
+    },
+}
+
+impl HduChoice {
+    /// Whether an HDU is the one, or one of those, meant.
+    pub(crate) fn matches(&self, hdu: &Hdu) -> bool {
+        match self {
+            Self::Number(number) => hdu.index == *number,
+            Self::Name { name, version } => {
+                hdu.name().is_some_and(|n| n.trim().eq_ignore_ascii_case(name))
+                    && version.is_none_or(|version| hdu.version() == version)
+            }
+        }
+    }
+}
+
+impl std::str::FromStr for HduChoice {
+    type Err = DataError;
+    fn from_str(text: &str) -> Result<Self, DataError> {
+        const ALLOWED: &str = "a number counted from 0 (the primary HDU), or NAME or NAME,VERSION";
+        let refused = || DataError::setting("an extension", ALLOWED, text);
+        let trimmed = text.trim();
+        if let Ok(number) = trimmed.parse() {
+            return Ok(Self::Number(number));
+        }
+        let (name, version) = match trimmed.rsplit_once(',') {
+            Some((name, version)) => (name.trim(), Some(version.trim().parse().map_err(|_| refused())?)),
+            None => (trimmed, None),
+        };
+        if name.is_empty() || name.parse::<f64>().is_ok() {
+            return Err(refused());
+        }
+        Ok(Self::Name {
+            name: name.to_owned(),
+            version,
+        })
+    }
+}
+
+impl std::fmt::Display for HduChoice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            Self::Name { name, version: None } => f.write_str(name),
+            Self::Name {
+                name,
+                version: Some(version),
+            } => write!(f, "{name},{version}"),
+        }
+    }
+}
+
+/// A FITS file that can be read at any place: the file itself, or an unpacked copy of it, which
+/// goes with the last of its users.
+#[derive(Debug, Clone)]
+pub(crate) struct FitsSource {
+    path: PathBuf,
+    unpacked: Option<Arc<Temporary>>,
+}
+
+impl FitsSource {
+    /// The file itself, or an unpacked copy of it.
+    pub(crate) fn new(path: &Path, copy: Option<Temporary>) -> Self {
+        Self {
+            path: path.to_owned(),
+            unpacked: copy.map(Arc::new),
+        }
+    }
+
+    /// The name for error messages.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The file to open.
+    pub(crate) fn file(&self) -> &Path {
+        self.unpacked.as_ref().map_or(&self.path, |copy| copy.path())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_that_name_no_hdu_are_refused() {
+        for bad in ["", "-1", "1.5", ",2", "SCI,", "SCI,two", "3,1"] {
+            assert!(bad.parse::<HduChoice>().is_err(), "{bad}");
+        }
+        for good in ["0", "12", "SCI", "sci 2", "A,B,-3"] {
+            assert_eq!(good.parse::<HduChoice>().unwrap().to_string(), good);
+        }
+    }
+}

@@ -1,0 +1,462 @@
+//! Images out: whole, by bands of rows, as whole numbers, and cubes.
+
+use std::marker::PhantomData;
+use std::path::{Path, PathBuf};
+
+use ndarray::{ArrayView1, ArrayView2, ArrayView3};
+use psf_types::{DataError, FrameShape, Image, Quantity, Real, getters};
+
+use crate::error::{IoError, bad_card, invalid, request, unwritable};
+use crate::fits::card::{Card, CardValue, Record};
+use crate::fits::cfitsio::Fits;
+use crate::fits::header_cards::HeaderCards;
+use crate::fits::image::band_width;
+use crate::output::PendingFile;
+
+/// Writes an image: `BITPIX` -32 for f32, -64 for f64.
+///
+/// `header` are cards carried over from an input (cut frames: [`HeaderCards::shifted_origin`]);
+/// `added` follow, each in the place of the cards of its keyword, texts (HISTORY, COMMENT) at the
+/// end. The file appears whole or not at all ([`write_atomically`](crate::write_atomically)).
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("image.fits");
+/// use psf_io::{Card, HeaderCards, read_image, write_image};
+/// use psf_types::{FrameShape, Image};
+/// let image = Image::<f32>::zeros(FrameShape::new(30, 20)?);
+/// let cards = [Card::new("TELESCOP", "demo", "")?];
+/// write_image(&path, &image, &HeaderCards::new(), &cards, false)?;
+/// let back = read_image::<f32>(&path)?;
+/// assert_eq!(back.image(), &image);
+/// assert_eq!(back.header().get("TELESCOP"), Some(&cards[0]));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or what the file system
+/// and CFITSIO report.
+pub fn write_image<T: Real>(
+    path: impl AsRef<Path>,
+    image: &Image<T>,
+    header: &HeaderCards,
+    added: &[Card],
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let mut writer = ImageWriter::create(path, image.shape(), header, added, overwrite)?;
+    writer.write_finite_rows(image.pixels())?;
+    writer.finish()
+}
+
+/// An image written a band of rows at a time, from row 0 on: the whole of it need never be in
+/// memory.
+///
+/// The file is the one that [`write_image`](crate::write_image) would write, byte by byte. It
+/// appears under its name when [`finish`](Self::finish) has succeeded, whole; a writer that is
+/// dropped before leaves nothing behind, and what stood at the path before is untouched. Memory:
+/// the caller's band and buffers of some 100 kB. A writer stays in its thread.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("image.fits");
+/// use ndarray::Array2;
+/// use psf_io::{Card, HeaderCards, ImageWriter, read_image};
+/// use psf_types::FrameShape;
+/// let shape = FrameShape::new(30, 20)?;
+/// let mut writer = ImageWriter::<f32>::create(&path, shape, &HeaderCards::new(), &[], false)?;
+/// for _ in 0..4 {
+///     writer.write_rows(Array2::from_elem((5, 30), 0.5).view())?;
+/// }
+/// writer.finish_with(&[Card::new("MEANFLUX", 0.5, "known only now")?])?;
+/// let back = read_image::<f32>(&path)?;
+/// assert_eq!(back.image().pixels().sum(), 300.0);
+/// assert!(back.header().get("MEANFLUX").is_some());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct ImageWriter<T> {
+    file: NewFits,
+    path: PathBuf,
+    shape: FrameShape,
+    /// As they stand in the file.
+    cards: HeaderCards,
+    rows_written: usize,
+    pixels: PhantomData<T>,
+}
+
+impl<T: Real> ImageWriter<T> {
+    /// Starts an image of `shape`: `BITPIX` -32 for f32, -64 for f64, with the cards of
+    /// [`write_image`](crate::write_image).
+    ///
+    /// # Errors
+    /// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or what the file
+    /// system and CFITSIO report.
+    pub fn create(
+        path: impl AsRef<Path>,
+        shape: FrameShape,
+        header: &HeaderCards,
+        added: &[Card],
+        overwrite: bool,
+    ) -> Result<Self, IoError> {
+        Self::create_reserving(path, shape, header, added, 0, overwrite)
+    }
+
+    /// As [`create`](Self::create), with room in the header for the `late` records that
+    /// [`finish_with`](Self::finish_with) will add.
+    ///
+    /// A card is one record of 80 characters; a text of more than 68 characters, or a line of
+    /// HISTORY of more than 72, needs more. Room that stays empty is blank records, which FITS
+    /// allows at the end of a header; 100 000 records (8 MB) are the most that is set aside.
+    ///
+    /// # Errors
+    /// As [`create`](Self::create).
+    pub fn create_reserving(
+        path: impl AsRef<Path>,
+        shape: FrameShape,
+        header: &HeaderCards,
+        added: &[Card],
+        late: usize,
+        overwrite: bool,
+    ) -> Result<Self, IoError> {
+        let path = path.as_ref();
+        let cards = header.with(added);
+        let mut file = NewFits::create(path, overwrite)?;
+        write_image_header(&mut file.fits, &[shape.ny(), shape.nx()], bitpix::<T>(), &cards)?;
+        if late > 0 {
+            file.fits.reserve_records(late)?;
+        }
+        Ok(Self {
+            file,
+            path: path.to_owned(),
+            shape,
+            cards,
+            rows_written: 0,
+            pixels: PhantomData,
+        })
+    }
+
+    getters! { &self;
+        /// Columns and rows of the whole image.
+        shape: FrameShape,
+        /// The number of rows written so far: the next band starts at this row.
+        rows_written: usize,
+    }
+
+    /// Writes the next rows `[y, x]`, of any memory layout. A band that is refused for its values
+    /// or its shape leaves the file as it was: another may follow in its place.
+    ///
+    /// # Errors
+    /// [`IoError::Rows`] for more rows than the image has, [`IoError::Request`] for a band of
+    /// another width, [`IoError::Data`] with [`DataError::NonFinite`] for the first pixel `[y, x]`,
+    /// counted in the whole image, that is NaN or infinite, or what the file system and CFITSIO
+    /// report.
+    pub fn write_rows(&mut self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
+        let clean = |row: ArrayView1<'_, T>| row.fold(true, |clean, value| clean & value.is_finite());
+        self.check_shape(rows)?;
+        if !rows.rows().into_iter().all(clean) {
+            let bad = rows.indexed_iter().find(|(_, value)| !value.is_finite());
+            let ((y, x), value) = bad.expect("one was found");
+            return Err(invalid(&self.path)(DataError::NonFinite {
+                quantity: Quantity::Pixel,
+                index: vec![self.rows_written + y, x],
+                value: value.as_f64(),
+            }));
+        }
+        self.write_finite_rows(rows)
+    }
+
+    /// Writes rows that are known to be finite.
+    pub(crate) fn write_finite_rows(&mut self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
+        self.check_shape(rows)?;
+        let nx = self.shape.nx();
+        let first = self.rows_written * nx;
+        let fits = &mut self.file.fits;
+        if let Some(values) = rows.as_slice() {
+            fits.write_pixels(first, values)?;
+        } else {
+            for (y, row) in rows.rows().into_iter().enumerate() {
+                // Copies a row at a time, and only where its pixels do not follow one another.
+                let row = row.as_standard_layout();
+                fits.write_pixels(first + y * nx, row.as_slice().expect("now they do"))?;
+            }
+        }
+        self.rows_written += rows.nrows();
+        Ok(())
+    }
+
+    fn check_shape(&self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
+        let (count, width) = rows.dim();
+        let (nx, ny) = (self.shape.nx(), self.shape.ny());
+        if width != nx {
+            return Err(band_width(&self.path, nx, width));
+        }
+        if count > ny - self.rows_written {
+            return Err(IoError::Rows {
+                path: self.path.clone(),
+                rows: self.rows_written..self.rows_written.saturating_add(count),
+                ny,
+            });
+        }
+        Ok(())
+    }
+
+    /// Completes the file and gives it its name.
+    ///
+    /// # Errors
+    /// [`IoError::Request`] unless all rows were written, [`IoError::Exists`] when a file has
+    /// appeared at the path that may not be replaced, or what the file system and CFITSIO report.
+    /// On an error the file is gone.
+    pub fn finish(self) -> Result<(), IoError> {
+        self.finish_with(&[])
+    }
+
+    /// As [`finish`](Self::finish), with cards whose values come out of the pixels. Each takes the
+    /// place of the cards of its keyword, as those given to [`create`](Self::create) do.
+    ///
+    /// Cards that find no room in the header, neither in its last block of 36 records nor in what
+    /// [`create_reserving`](Self::create_reserving) has left, are written all the same; CFITSIO
+    /// then moves all pixels by a block of 2880 bytes, once for every 36 records: a pass over the
+    /// file, in little memory.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish).
+    pub fn finish_with(mut self, added: &[Card]) -> Result<(), IoError> {
+        if self.rows_written < self.shape.ny() {
+            let (expected, got) = (self.shape.ny(), self.rows_written);
+            let problem =
+                format!("the image has {expected} rows, only {got} were written: write the rest first");
+            return Err(request(&self.path, problem));
+        }
+        let cards = self.cards.with(added);
+        let (old, new) = (records(&self.cards), records(&cards));
+        let same = old.iter().zip(&new).take_while(|(old, new)| old == new).count();
+        let fits = &mut self.file.fits;
+        fits.remove_records(old.len() - same)?;
+        new[same..]
+            .iter()
+            .try_for_each(|record| fits.write_record(record))?;
+        self.file.finish()
+    }
+}
+
+fn records(cards: &HeaderCards) -> Vec<&Record> {
+    cards.iter().flat_map(Card::records).collect()
+}
+
+/// A FITS file under a temporary name: [`finish`](Self::finish) gives it its own, dropping it
+/// removes it.
+#[derive(Debug)]
+pub(crate) struct NewFits {
+    // Closed before it is removed: fields are dropped in this order.
+    fits: Fits,
+    file: PendingFile,
+}
+
+impl NewFits {
+    pub(crate) fn create(path: &Path, overwrite: bool) -> Result<Self, IoError> {
+        let (file, fits) = PendingFile::create(path, overwrite, |temporary| {
+            // CFITSIO creates the file itself.
+            std::fs::remove_file(temporary).map_err(unwritable(path))?;
+            Fits::create(temporary, path)
+        })?;
+        Ok(Self { fits, file })
+    }
+
+    pub(crate) fn finish(self) -> Result<(), IoError> {
+        self.fits.close()?;
+        self.file.commit()
+    }
+}
+
+/// Creates a FITS file under a temporary name, lets `write` fill it and renames it.
+pub(crate) fn write_fits(
+    path: &Path,
+    overwrite: bool,
+    write: impl FnOnce(&mut Fits) -> Result<(), IoError>,
+) -> Result<(), IoError> {
+    let mut file = NewFits::create(path, overwrite)?;
+    write(&mut file.fits)?;
+    file.finish()
+}
+
+/// BITPIX of floats.
+fn bitpix<T: Real>() -> i32 {
+    -8 * size_of::<T>() as i32
+}
+
+/// Adds the header of an image HDU, ahead of the pixels, so that CFITSIO need not move them.
+pub(crate) fn write_image_header(
+    fits: &mut Fits,
+    shape: &[usize],
+    bitpix: i32,
+    cards: &HeaderCards,
+) -> Result<(), IoError> {
+    fits.create_image(shape, bitpix)?;
+    write_cards(fits, cards)
+}
+
+/// Adds cards to the header of the HDU in hand.
+pub(crate) fn write_cards(fits: &mut Fits, cards: &HeaderCards) -> Result<(), IoError> {
+    records(cards)
+        .into_iter()
+        .try_for_each(|record| fits.write_record(record))
+}
+
+/// Adds an image HDU with all its pixels.
+pub(crate) fn write_image_hdu<T: Real>(
+    fits: &mut Fits,
+    shape: &[usize],
+    pixels: &[T],
+    cards: &HeaderCards,
+) -> Result<(), IoError> {
+    write_image_header(fits, shape, bitpix::<T>(), cards)?;
+    fits.write_pixels(0, pixels)
+}
+
+/// Values in single precision, which must hold them.
+pub(crate) fn in_single_precision<'a>(
+    path: &Path,
+    values: impl IntoIterator<Item = &'a f64>,
+) -> Result<Vec<f32>, IoError> {
+    let values: Vec<f32> = values.into_iter().map(|&v| v as f32).collect();
+    if values.iter().all(|v| v.is_finite()) {
+        return Ok(values);
+    }
+    Err(IoError::Overflow {
+        path: path.to_owned(),
+    })
+}
+
+/// Cards from keyword, value and comment.
+pub(crate) fn cards<'a, K: AsRef<str>>(
+    path: &Path,
+    list: impl IntoIterator<Item = (K, CardValue, &'a str)>,
+) -> Result<Vec<Card>, IoError> {
+    list.into_iter()
+        .map(|(keyword, value, comment)| Card::new(keyword.as_ref(), value, comment).map_err(bad_card(path)))
+        .collect()
+}
+
+/// How whole numbers are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum IntegerKind {
+    /// 0 to 255: `BITPIX` 8.
+    Unsigned8,
+    /// 0 to 65535: `BITPIX` 16 with `BZERO` 32768.
+    Unsigned16,
+    /// -2^31 to 2^31 - 1: `BITPIX` 32.
+    Signed32,
+}
+
+impl IntegerKind {
+    /// CFITSIO's code of the image type; 20 stands for `BITPIX` 16 with `BZERO` 32768.
+    fn bitpix(self) -> i32 {
+        match self {
+            Self::Unsigned8 => 8,
+            Self::Unsigned16 => 20,
+            Self::Signed32 => 32,
+        }
+    }
+
+    /// The smallest kind for the counts of a converter of so many bits, 31 at most.
+    pub fn of_bits(bits: u32) -> Self {
+        match bits {
+            0..=8 => Self::Unsigned8,
+            9..=16 => Self::Unsigned16,
+            _ => Self::Signed32,
+        }
+    }
+
+    /// The lowest and the highest number it holds.
+    pub fn range(self) -> (i32, i32) {
+        match self {
+            Self::Unsigned8 => (0, i32::from(u8::MAX)),
+            Self::Unsigned16 => (0, i32::from(u16::MAX)),
+            Self::Signed32 => (i32::MIN, i32::MAX),
+        }
+    }
+}
+
+/// Writes an image `[y, x]` of whole numbers, held in any type.
+///
+/// Cards and file are as [`write_image`](crate::write_image) has them.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("raw.fits");
+/// use ndarray::array;
+/// use psf_io::{HeaderCards, IntegerKind, read_image, write_integers};
+/// let counts = array![[0.0_f32, 65535.0], [312.0, 7.0]];
+/// write_integers(&path, counts.view(), IntegerKind::Unsigned16, &HeaderCards::new(), &[], false)?;
+/// assert_eq!(read_image::<f32>(&path)?.image().pixels(), counts);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Request`] for the first value that is no whole number in the kind's range, else as
+/// [`write_image`](crate::write_image).
+pub fn write_integers<V: Copy + Into<f64>>(
+    path: impl AsRef<Path>,
+    pixels: ArrayView2<'_, V>,
+    kind: IntegerKind,
+    header: &HeaderCards,
+    added: &[Card],
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let path = path.as_ref();
+    let (ny, nx) = pixels.dim();
+    let shape = FrameShape::new(nx, ny).map_err(invalid(path))?;
+    let cards = header.with(added);
+    let mut file = NewFits::create(path, overwrite)?;
+    let fits = &mut file.fits;
+    write_image_header(fits, &[shape.ny(), shape.nx()], kind.bitpix(), &cards)?;
+    let (lowest, highest) = kind.range();
+    let mut row = Vec::with_capacity(nx);
+    for (y, values) in pixels.outer_iter().enumerate() {
+        row.clear();
+        for (x, &value) in values.iter().enumerate() {
+            let value: f64 = value.into();
+            if !(f64::from(lowest)..=f64::from(highest)).contains(&value) || value.fract() != 0.0 {
+                let problem = format!(
+                    "the pixel {:?} ([y, x]) is {value}: a whole number from {lowest} to {highest} is needed",
+                    [y, x]
+                );
+                return Err(request(path, problem));
+            }
+            row.push(value as i32);
+        }
+        fits.write_pixels(y * nx, &row)?;
+    }
+    file.finish()
+}
+
+/// Writes a stack `[plane, y, x]` in single precision, with `cards` in its header; the file appears
+/// whole or not at all.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("cube.fits");
+/// use ndarray::Array3;
+/// let cube = Array3::from_elem((2, 3, 4), 1.5);
+/// psf_io::write_cube(&path, cube.view(), &[], false)?;
+/// assert_eq!(psf_io::read_cube::<f64>(&path)?, cube);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
+/// `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+pub fn write_cube(
+    path: impl AsRef<Path>,
+    cube: ArrayView3<'_, f64>,
+    cards: &[Card],
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let path = path.as_ref();
+    let values = in_single_precision(path, cube)?;
+    let cards = HeaderCards::new().with(cards);
+    write_fits(path, overwrite, |fits| {
+        write_image_hdu(fits, cube.shape(), &values, &cards)
+    })
+}

@@ -1,0 +1,14 @@
+//! FITS files: headers, images and tables, through CFITSIO, with checks of all that CFITSIO takes
+//! on trust.
+
+pub(crate) mod card;
+pub(crate) mod cfitsio;
+pub(crate) mod columns;
+pub(crate) mod hdu;
+pub(crate) mod header_cards;
+pub mod image;
+pub(crate) mod image_out;
+pub(crate) mod scan;
+pub(crate) mod structure;
+pub(crate) mod tile_codes;
+pub(crate) mod tiles;

@@ -1,0 +1,288 @@
+//! The headers of a FITS file, one after the other, and the unpacking of files that gzip has
+//! compressed as a whole.
+
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+
+use flate2::read::MultiGzDecoder;
+
+use crate::error::{IoError, unreadable};
+use crate::fits::card::{RECORD, Record};
+use crate::fits::hdu::{BLOCK, FitsSource, Hdu};
+use crate::fits::header_cards::HeaderCards;
+use crate::fits::tiles;
+use crate::output::temporary::{Temporary, entries};
+
+/// A header longer than this many blocks (20 MB) has lost its END.
+const HEADER_BLOCK_LIMIT: usize = 7000;
+
+/// The records of a header, block by block.
+struct HeaderRecords<'a> {
+    path: &'a Path,
+    hdu: usize,
+    records: Vec<Record>,
+    blocks: usize,
+}
+
+impl<'a> HeaderRecords<'a> {
+    fn new(path: &'a Path, hdu: usize) -> Self {
+        Self {
+            path,
+            hdu,
+            records: Vec::new(),
+            blocks: 0,
+        }
+    }
+
+    /// Takes the next block; true when the header ends in it.
+    fn push(&mut self, block: &[u8; BLOCK as usize]) -> Result<bool, IoError> {
+        self.blocks += 1;
+        for record in block.chunks_exact(RECORD) {
+            if record.starts_with(b"END     ") {
+                return Ok(true);
+            }
+            self.records.push(record.try_into().expect("80 bytes"));
+        }
+        if self.blocks < HEADER_BLOCK_LIMIT {
+            return Ok(false);
+        }
+        Err(IoError::Header {
+            path: self.path.to_owned(),
+            hdu: self.hdu,
+            keyword: "END".to_owned(),
+            problem: "the header does not end",
+        })
+    }
+
+    /// The HDU of this header.
+    fn into_hdu(self, source: &FitsSource) -> Result<Hdu, IoError> {
+        let mut hdu = Hdu::new(source, self.hdu, HeaderCards::from_records(self.records))?;
+        tiles::count_as_image(&mut hdu)?;
+        Ok(hdu)
+    }
+}
+
+/// Walks over a file, header by header.
+pub(crate) struct Scanner<'a> {
+    source: &'a FitsSource,
+    file: File,
+    length: u64,
+    offset: u64,
+}
+
+impl<'a> Scanner<'a> {
+    pub(crate) fn open(source: &'a FitsSource) -> Result<Self, IoError> {
+        let failed = unreadable(source.path());
+        let file = File::open(source.file()).map_err(failed)?;
+        let length = file.metadata().map_err(failed)?.len();
+        Ok(Self {
+            source,
+            file,
+            length,
+            offset: 0,
+        })
+    }
+
+    /// Whether another HDU starts here; what is not one (padding, records of old) is left alone.
+    pub(crate) fn next_hdu_starts(&mut self, hdu: usize) -> Result<bool, IoError> {
+        if hdu == 0 {
+            return Ok(true);
+        }
+        if self.offset >= self.length {
+            return Ok(false);
+        }
+        let failed = unreadable(self.source.path());
+        let mut start = Vec::new();
+        self.file.seek(SeekFrom::Start(self.offset)).map_err(failed)?;
+        (&self.file).take(8).read_to_end(&mut start).map_err(failed)?;
+        Ok(b"XTENSION".starts_with(&start))
+    }
+
+    /// Reads the header at the offset and moves the offset behind the data.
+    pub(crate) fn read_hdu(&mut self, index: usize) -> Result<Hdu, IoError> {
+        let mut hdu = self.read_header(index)?.into_hdu(self.source)?;
+        hdu.data_start = self.offset;
+        let needed = self.offset.saturating_add(hdu.padded_length()?);
+        if needed > self.length {
+            return Err(truncated(self.source.path(), index, needed, self.length));
+        }
+        self.offset = needed;
+        Ok(hdu)
+    }
+
+    fn read_header(&mut self, index: usize) -> Result<HeaderRecords<'a>, IoError> {
+        let failed = unreadable(self.source.path());
+        self.file.seek(SeekFrom::Start(self.offset)).map_err(failed)?;
+        let mut header = HeaderRecords::new(self.source.path(), index);
+        let mut block = [0; BLOCK as usize];
+        loop {
+            if self.offset + BLOCK > self.length {
+                return Err(truncated(
+                    self.source.path(),
+                    index,
+                    self.offset + BLOCK,
+                    self.length,
+                ));
+            }
+            self.file.read_exact(&mut block).map_err(failed)?;
+            self.offset += BLOCK;
+            if header.push(&block)? {
+                return Ok(header);
+            }
+        }
+    }
+}
+
+/// The error for an HDU of which only `length` bytes of the file are there.
+fn truncated(path: &Path, hdu: usize, needed: u64, length: u64) -> IoError {
+    IoError::Truncated {
+        path: path.to_owned(),
+        hdu,
+        needed,
+        length,
+    }
+}
+
+/// The first bytes of every gzip file.
+pub(crate) const GZIP: &[u8] = b"\x1f\x8b";
+/// A file may unpack to this many bytes whatever its own size (1 GiB), as masks of one value do ...
+const ALWAYS_ALLOWED: u64 = 1 << 30;
+/// ... and to so many bytes more for each of its own: images shrink to a half or a tenth, those of
+/// few values to a hundredth.
+const ALLOWED_PER_BYTE: u64 = 100;
+const BUFFER: usize = 1 << 16;
+
+/// The first bytes of what a gzip file holds, at most `count`.
+pub(crate) fn first_bytes(path: &Path, count: usize) -> Result<Vec<u8>, IoError> {
+    let mut unpacker = Unpacker::open(path)?;
+    let mut bytes = vec![0; count];
+    let length = unpacker.read_up_to(&mut bytes)?;
+    bytes.truncate(length);
+    Ok(bytes)
+}
+
+/// Unpacks a FITS file to a temporary one. Headers are read on the way: what would be larger than
+/// allowed, or holds less than its headers say, is refused before it fills the disk.
+pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
+    let source = FitsSource::new(path, None);
+    let failed = |source| IoError::Unpacking {
+        path: path.to_owned(),
+        source,
+    };
+    let mut unpacker = Unpacker::open(path)?;
+    let mut entries = entries();
+    let copy = tempfile::Builder::new()
+        .prefix("psfield-")
+        .suffix(".fits")
+        .tempfile()
+        .map_err(failed)?;
+    let (file, copy) = copy.into_parts();
+    let copy = Temporary::new(copy, None, &mut entries);
+    drop(entries);
+    let mut out = BufWriter::with_capacity(BUFFER, file);
+    let mut buffer = vec![0; BUFFER];
+    let mut index = 0;
+    loop {
+        let mut header = HeaderRecords::new(path, index);
+        let mut block = [0; BLOCK as usize];
+        loop {
+            let start = unpacker.done;
+            let length = unpacker.read_up_to(&mut block)?;
+            let hdu_starts = header.blocks == 0 && index > 0;
+            if hdu_starts && !block[..length].starts_with(b"XTENSION") {
+                // Bytes behind the last HDU belong to none; they are read for gzip's check sum
+                // alone.
+                unpacker.drain(&mut buffer)?;
+                out.flush().map_err(failed)?;
+                return Ok(copy);
+            }
+            if length < block.len() {
+                return Err(truncated(path, index, start + BLOCK, unpacker.done));
+            }
+            out.write_all(&block).map_err(failed)?;
+            if header.push(&block)? {
+                break;
+            }
+        }
+        let length = header.into_hdu(&source)?.padded_length()?;
+        let end = unpacker.done.saturating_add(length);
+        unpacker.check(end)?;
+        let mut left = length;
+        while left > 0 {
+            let part = &mut buffer[..left.min(BUFFER as u64) as usize];
+            let got = unpacker.read_up_to(part)?;
+            if got < part.len() {
+                return Err(truncated(path, index, end, unpacker.done));
+            }
+            out.write_all(part).map_err(failed)?;
+            left -= got as u64;
+        }
+        index += 1;
+    }
+}
+
+/// The stream of what a gzip file holds, and how far it has been read.
+struct Unpacker<'a> {
+    path: &'a Path,
+    stream: MultiGzDecoder<BufReader<File>>,
+    done: u64,
+    /// Bytes of the compressed file.
+    length: u64,
+}
+
+impl<'a> Unpacker<'a> {
+    fn open(path: &'a Path) -> Result<Self, IoError> {
+        let failed = unreadable(path);
+        let file = File::open(path).map_err(failed)?;
+        let length = file.metadata().map_err(failed)?.len();
+        Ok(Self {
+            path,
+            stream: MultiGzDecoder::new(BufReader::new(file)),
+            done: 0,
+            length,
+        })
+    }
+
+    /// Fills the buffer, or as much of it as there is left.
+    fn read_up_to(&mut self, buffer: &mut [u8]) -> Result<usize, IoError> {
+        let mut filled = 0;
+        while filled < buffer.len() {
+            match self.stream.read(&mut buffer[filled..]) {
+                Ok(0) => break,
+                Ok(length) => filled += length,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(source) => {
+                    return Err(IoError::Gzip {
+                        path: self.path.to_owned(),
+                        at: self.done + filled as u64,
+                        source,
+                    });
+                }
+            }
+        }
+        self.done += filled as u64;
+        Ok(filled)
+    }
+
+    /// Reads to the end.
+    fn drain(&mut self, buffer: &mut [u8]) -> Result<(), IoError> {
+        while self.read_up_to(buffer)? > 0 {
+            self.check(self.done)?;
+        }
+        Ok(())
+    }
+
+    /// Whether the file may unpack to so many bytes.
+    fn check(&self, bytes: u64) -> Result<(), IoError> {
+        let allowed = ALWAYS_ALLOWED.saturating_add(self.length.saturating_mul(ALLOWED_PER_BYTE));
+        if bytes <= allowed {
+            return Ok(());
+        }
+        Err(IoError::UnpacksTooLarge {
+            path: self.path.to_owned(),
+            length: self.length,
+            allowed,
+        })
+    }
+}

@@ -1,0 +1,255 @@
+//! The codes of compressed tiles, followed before CFITSIO does.
+//!
+//! # RICE_1
+//! CFITSIO looks for the end of a tile's bytes once a block of pixels, and reads beyond them up to
+//! there. A tile (Pence et al., FITS standard 4.0, section 10.4.1) is its first pixel as it is,
+//! then blocks of differences between pixels. A block begins with the number of low bits that its
+//! differences share (FS), plus one; 0 stands for a block of equal pixels, and one more than the
+//! largest FS for differences as they are. Else a difference is as many zeros as its high bits say,
+//! a one, and FS low bits.
+//!
+//! # PLIO_1
+//! CFITSIO takes the lengths of lists of runs on trust. A list is of 16-bit words (Pence et al.,
+//! FITS standard 4.0, section 10.4.3): its length and the place of its first instruction in a
+//! header, then instructions, one of which (`SH`, set high value) takes the word after it.
+
+use crate::error::IoError;
+use crate::fits::hdu::Hdu;
+
+/// Parameters of an algorithm are looked for up to this number of `ZNAMEi`.
+const MOST_PARAMETERS: usize = 9;
+
+/// How the tiles of an image are coded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Rice {
+    /// Pixels of a block.
+    block: u64,
+    /// Bits of a pixel that stands as it is.
+    pixel_bits: u64,
+    /// Bits of the code at the head of a block.
+    head_bits: u32,
+    /// The code of blocks that stand as they are.
+    plain: u32,
+}
+
+impl Rice {
+    /// Checks the block size and the bytes of a pixel that CFITSIO takes: it goes by the place of
+    /// `ZVALi`, and by `ZNAMEi` hardly.
+    pub(crate) fn of(table: &Hdu) -> Result<Self, IoError> {
+        let name = |number: usize| table.text(&format!("ZNAME{number}"));
+        // Of old files, whose pixels have 4 bytes.
+        let old = name(2).is_some_and(|name| name.trim() == "NOISEBIT");
+        let first = table.structural("ZVAL1", Some(32))?;
+        let second = if old {
+            4
+        } else {
+            table.structural("ZVAL2", Some(4))?
+        };
+        let ((block_key, block), (width_key, width)) = if first < 16 && second > 8 {
+            (("ZVAL2", second), ("ZVAL1", first))
+        } else {
+            (("ZVAL1", first), ("ZVAL2", second))
+        };
+        table.ensure(
+            (1..=1024).contains(&block),
+            block_key,
+            "a block of RICE_1 has 1 to 1024 pixels",
+        )?;
+        table.ensure(
+            [1, 2, 4, 8].contains(&width),
+            width_key,
+            "pixels of RICE_1 have 1, 2, 4 or 8 bytes",
+        )?;
+        for number in 1..=MOST_PARAMETERS {
+            let taken = match name(number).as_deref().map(str::trim) {
+                Some("BLOCKSIZE") => block,
+                Some("BYTEPIX") => width,
+                _ => continue,
+            };
+            let value = format!("ZVAL{number}");
+            table.ensure(
+                table.structural(&value, None)? == taken,
+                &value,
+                "BLOCKSIZE must be the first parameter and BYTEPIX the second: run funpack first",
+            )?;
+        }
+        Ok(Self::new(block as u64, width))
+    }
+
+    /// The sizes of codes are those of `ricecomp.c` in CFITSIO, which takes pixels of 8 bytes for
+    /// such of 4.
+    fn new(block: u64, pixel_bytes: i64) -> Self {
+        let (pixel_bits, head_bits, plain) = match pixel_bytes {
+            1 => (8, 3, 7),
+            2 => (16, 4, 15),
+            _ => (32, 5, 26),
+        };
+        Self {
+            block,
+            pixel_bits,
+            head_bits,
+            plain,
+        }
+    }
+
+    /// Whether a tile has the codes of as many pixels within its bytes. There may be more bytes
+    /// than that.
+    pub(crate) fn is_sound(&self, tile: &[u8], pixels: u64) -> bool {
+        let mut bits = Bits {
+            bytes: tile,
+            at: self.pixel_bits,
+        };
+        let mut left = pixels;
+        while left > 0 {
+            let block = left.min(self.block);
+            let Some(head) = bits.take(self.head_bits) else {
+                return false;
+            };
+            if head == self.plain {
+                bits.at += block * self.pixel_bits;
+            } else if head > self.plain || (head > 0 && !bits.pass_codes(block, head - 1)) {
+                return false;
+            }
+            if !bits.within() {
+                return false;
+            }
+            left -= block;
+        }
+        true
+    }
+}
+
+/// Bits of a tile from a place on, the highest of a byte first.
+struct Bits<'a> {
+    bytes: &'a [u8],
+    /// Bits that lie behind.
+    at: u64,
+}
+
+impl Bits<'_> {
+    /// Whether what lies behind was there.
+    fn within(&self) -> bool {
+        self.at <= 8 * self.bytes.len() as u64
+    }
+
+    /// The next bits at the top of a word, zeros below them and where the tile ends, and how many
+    /// they are: 56 to 63.
+    #[inline]
+    fn ahead(&self) -> (u64, u32) {
+        let (byte, bit) = ((self.at / 8) as usize, (self.at % 8) as u32);
+        let mut next = [0; 8];
+        if let Some(bytes) = self.bytes.get(byte..byte + 8) {
+            next.copy_from_slice(bytes);
+        } else {
+            let rest = self.bytes.get(byte..).unwrap_or_default();
+            next[..rest.len()].copy_from_slice(rest);
+        }
+        let word = u64::from_be_bytes(next);
+        (word << bit, u64::BITS - 1 - bit)
+    }
+
+    /// A number of a few bits; none where the tile ends.
+    fn take(&mut self, count: u32) -> Option<u32> {
+        let (word, _) = self.ahead();
+        self.at += u64::from(count);
+        self.within().then_some((word >> (u64::BITS - count)) as u32)
+    }
+
+    /// Passes over codes of zeros, a one and `low` bits. False where the tile ends among them; it
+    /// may also end among the last low bits.
+    fn pass_codes(&mut self, count: u64, low: u32) -> bool {
+        let (mut left, per_word) = (count, codes_per_word(low));
+        while left > 0 {
+            let (mut word, length) = self.ahead();
+            let (mut passed, then) = (0, left.saturating_sub(per_word));
+            loop {
+                // The lowest bit is none of the length.
+                let zeros = (word | 1).leading_zeros();
+                if passed + zeros >= length {
+                    // The rest of a run of zeros comes with the next word.
+                    passed = passed.max(length);
+                    break;
+                }
+                left -= 1;
+                passed += zeros + 1 + low;
+                if left == then {
+                    break;
+                }
+                word = word << (low + 1) << zeros;
+            }
+            self.at += u64::from(passed);
+            if left > 0 && !self.within() {
+                return false;
+            }
+        }
+        true
+    }
+}
+
+/// As many codes as a word has nearly always, so that the processor can tell where the loop over
+/// them ends.
+fn codes_per_word(low: u32) -> u64 {
+    u64::from((56 / (low + 3)).max(1))
+}
+
+/// The instruction that takes the next word.
+const SET_HIGH: i16 = 1;
+
+/// Whether a `PLIO_1` list stays within its words.
+pub(crate) fn is_sound_plio(list: &[u8]) -> bool {
+    let word = |number: usize| {
+        let bytes = list.get(2 * number..2 * number + 2)?;
+        Some(i16::from_be_bytes([bytes[0], bytes[1]]))
+    };
+    let words = list.len() / 2;
+    // The third word is the length in short lists, and not positive in long ones.
+    let Some(short) = word(2) else {
+        return false;
+    };
+    let length = if short > 0 {
+        i64::from(short)
+    } else {
+        let (Some(start), Some(low), Some(high)) = (word(1), word(3), word(4)) else {
+            return false;
+        };
+        if start < 0 {
+            return false;
+        }
+        (i64::from(high) << 15) + i64::from(low)
+    };
+    // CFITSIO leaves the pixels of an empty list as they were in memory.
+    let Some(length) = usize::try_from(length).ok().filter(|&length| length > 0) else {
+        return false;
+    };
+    let ends_open = length == words && word(words - 1).is_some_and(|last| last / 4096 == SET_HIGH);
+    length <= words && !ends_open
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_that_leave_their_words_are_told() {
+        let list = |words: &[i16]| {
+            words
+                .iter()
+                .flat_map(|word| word.to_be_bytes())
+                .collect::<Vec<_>>()
+        };
+        assert!(is_sound_plio(&list(&[0, 7, -100, 8, 0, 0, 0, 0x4005])));
+        assert!(is_sound_plio(&list(&[0, 0, 4, 0x4005])));
+        for bad in [
+            &[][..],
+            &[0, 7],
+            &[0, 7, -100, 9, 0, 0, 0, 0x4005],
+            &[0, 7, -100, 8, 1, 0, 0, 0x4005],
+            &[0, -7, -100, 8, 0, 0, 0, 0x4005],
+            &[0, 7, -100, 8, 0, 0, 0, 0x1005],
+            &[0, 0, 5, 0x4005],
+            &[0, 7, -100, 0, 0, 0, 0, 0x4005],
+        ] {
+            assert!(!is_sound_plio(&list(bad)), "{bad:?}");
+        }
+    }
+}

@@ -1,0 +1,267 @@
+//! The temporary files of outputs: those of this process, which a program that is told to stop can
+//! remove, and those of processes that were killed.
+//!
+//! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT` and stands beside its output. The
+//! process that writes it holds an advisory lock on it. The system releases the lock when the
+//! process ends in whatever way, on this machine or on another that shares the folder. So a file
+//! that nobody has locked belongs to nobody.
+
+use std::collections::HashMap;
+use std::ffi::{OsStr, OsString};
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use tempfile::TempPath;
+
+/// The temporary files of this process: their absolute names, and what they will be, as the caller
+/// named it; none for a copy that is only read.
+type Entries = Vec<(PathBuf, Option<PathBuf>)>;
+
+static ENTRIES: Mutex<Entries> = Mutex::new(Vec::new());
+
+/// The list, locked: what is done while it is held is done before or after [`remove_unfinished`],
+/// never meanwhile.
+pub(crate) fn entries() -> MutexGuard<'static, Entries> {
+    // Every change of the list is a single step, which a panic elsewhere cannot leave undone.
+    ENTRIES.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A temporary file in the list: removed from the disk and from the list when it is dropped.
+#[derive(Debug)]
+pub(crate) struct Temporary {
+    /// Always there until it is dropped or renamed.
+    file: Option<TempPath>,
+    /// Its name in the list.
+    absolute: PathBuf,
+}
+
+impl Temporary {
+    /// Takes a temporary file that has just been created, while the list was locked, into the list.
+    pub(crate) fn new(file: TempPath, output: Option<&Path>, entries: &mut Entries) -> Self {
+        let absolute = std::path::absolute(&file).unwrap_or_else(|_| file.to_path_buf());
+        entries.push((absolute.clone(), output.map(Path::to_owned)));
+        let file = Some(file);
+        Self { file, absolute }
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        self.file.as_ref().expect("there until it is renamed")
+    }
+
+    /// Lets `rename` give the file its name; one that fails has removed it.
+    pub(crate) fn rename<R>(mut self, rename: impl FnOnce(TempPath) -> R) -> R {
+        self.finish(rename)
+    }
+
+    /// Takes the file away and its entry off the list, as a single step.
+    fn finish<R>(&mut self, end: impl FnOnce(TempPath) -> R) -> R {
+        let mut entries = entries();
+        let ended = end(self.file.take().expect("there until it is renamed"));
+        entries.retain(|(absolute, _)| *absolute != self.absolute);
+        ended
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if self.file.is_some() {
+            self.finish(drop);
+        }
+    }
+}
+
+/// Removes the temporary files of all outputs that this process has not finished, and calls `then`
+/// with the names of the outputs.
+///
+/// For a program that is about to end because it was told to, such as by Ctrl-C: this crate
+/// installs no signal handlers. It may be called from any thread, also while others write. While
+/// `then` runs no output is begun and none gets its name, so that a program which ends there leaves
+/// each output as it was or whole. Writers that go on afterwards fail when they finish.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("image.fits");
+/// use psf_io::{HeaderCards, ImageWriter};
+/// let shape = psf_types::FrameShape::new(30, 20)?;
+/// let writer = ImageWriter::<f32>::create(&path, shape, &HeaderCards::new(), &[], false)?;
+/// assert_eq!(std::fs::read_dir(directory.path())?.count(), 1);
+/// psf_io::remove_unfinished(|outputs| assert!(outputs.contains(&path))); // end the program here
+/// assert_eq!(std::fs::read_dir(directory.path())?.count(), 0);
+/// # drop(writer);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn remove_unfinished<R>(then: impl FnOnce(&[PathBuf]) -> R) -> R {
+    let mut entries = entries();
+    let mut outputs = Vec::new();
+    for (temporary, output) in entries.drain(..) {
+        // Nothing can be done about one that stays; the next run that writes the same output tries
+        // again.
+        let _ = fs::remove_file(temporary);
+        outputs.extend(output);
+    }
+    then(&outputs)
+}
+
+const MARK: &str = ".psfield-";
+/// Characters that [`tempfile`] puts between prefix and suffix.
+const RANDOM: usize = 6;
+/// A longer name is not repeated in the temporary one: some file systems take no more than 143
+/// bytes.
+const LONGEST_REPEATED: usize = 100;
+
+/// The directory of a file; the current one for a bare name.
+pub(crate) fn directory_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(directory) if !directory.as_os_str().is_empty() => directory,
+        _ => Path::new("."),
+    }
+}
+
+/// Creates the temporary file of an output, empty.
+pub(crate) fn create(target: &Path) -> std::io::Result<TempPath> {
+    let file = tempfile::Builder::new()
+        .prefix(&format!("{MARK}{}-", std::process::id()))
+        .rand_bytes(RANDOM)
+        .suffix(&suffix(target))
+        // Not `tempfile_in`: its files can be read by their owner alone, and stay so after the
+        // renaming.
+        .make_in(directory_of(target), |at| {
+            File::options().write(true).create_new(true).open(at)
+        })?;
+    Ok(file.into_temp_path())
+}
+
+/// The end of the name of an output's temporary file: the output's own name, or another one with
+/// its extension.
+fn suffix(target: &Path) -> OsString {
+    let name = target.file_name().unwrap_or_default();
+    let mut suffix = OsString::from("-");
+    if name.len() <= LONGEST_REPEATED {
+        suffix.push(name);
+    } else if let Some(extension) = target.extension().filter(|e| e.len() <= LONGEST_REPEATED) {
+        suffix.push("long-name.");
+        suffix.push(extension);
+    }
+    suffix
+}
+
+/// Locks a new temporary file for as long as the handle is open. Where the file system knows no
+/// locks, its file just stays when the process is killed.
+pub(crate) fn claim(temporary: &Path) -> Option<File> {
+    // Elsewhere than on Unix a lock would keep CFITSIO, which opens the file a second time, from
+    // writing.
+    if cfg!(unix) {
+        let file = File::open(temporary).ok()?;
+        file.try_lock_shared().ok()?;
+        Some(file)
+    } else {
+        None
+    }
+}
+
+/// Removes the temporary files that killed processes have left of `target`. One that cannot be
+/// removed does no harm.
+pub(crate) fn remove_left(target: &Path) {
+    /// The temporary files that stood in a folder when this process first wrote there: a folder may
+    /// hold ten thousands of files, too many to look at for every one that is written.
+    static SEEN: Mutex<Option<HashMap<PathBuf, Vec<OsString>>>> = Mutex::new(None);
+
+    if !cfg!(unix) {
+        return;
+    }
+    let directory = directory_of(target);
+    let Ok(absolute) = std::path::absolute(directory) else {
+        return;
+    };
+    let mut seen = SEEN.lock().unwrap_or_else(PoisonError::into_inner);
+    let names = seen
+        .get_or_insert_default()
+        .entry(absolute)
+        .or_insert_with(|| temporaries_in(directory));
+    let suffix = suffix(target);
+    names.retain(|name| {
+        let ours = is_of(name, &suffix);
+        if ours {
+            remove_if_abandoned(&directory.join(name));
+        }
+        !ours
+    });
+}
+
+fn temporaries_in(directory: &Path) -> Vec<OsString> {
+    fs::read_dir(directory)
+        .into_iter()
+        .flatten()
+        .flatten()
+        .map(|entry| entry.file_name())
+        .filter(|name| name.as_encoded_bytes().starts_with(MARK.as_bytes()))
+        .collect()
+}
+
+/// Whether a name is `.psfield-PROCESS-RANDOM` and this suffix.
+fn is_of(name: &OsStr, suffix: &OsStr) -> bool {
+    let rest = name.as_encoded_bytes().strip_prefix(MARK.as_bytes());
+    let Some(middle) = rest.and_then(|rest| rest.strip_suffix(suffix.as_encoded_bytes())) else {
+        return false;
+    };
+    let digits = middle.iter().take_while(|c| c.is_ascii_digit()).count();
+    let random = middle[digits..].strip_prefix(b"-");
+    digits > 0 && random.is_some_and(|r| r.len() == RANDOM && r.iter().all(u8::is_ascii_alphanumeric))
+}
+
+fn remove_if_abandoned(temporary: &Path) {
+    let is_file = fs::symlink_metadata(temporary).is_ok_and(|found| found.is_file());
+    if !is_file {
+        return;
+    }
+    // Network file systems want a file open for writing for a lock that excludes others, and for
+    // reading for one that does not.
+    let opened = File::options().read(true).write(true).open(temporary);
+    if opened.is_ok_and(|file| file.try_lock().is_ok()) {
+        let _ = fs::remove_file(temporary);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_tell_the_output() {
+        let suffix = suffix(Path::new("night/image.fits"));
+        for (name, ours) in [
+            (".psfield-4711-aB3xYz-image.fits", true),
+            (".psfield-4711-aB3xYz-other.fits", false),
+            (".psfield-4711-aB3xYz-my-image.fits", false),
+            (".psfield-aB3xYz-image.fits", false),
+            (".psfield-4711-aB3-image.fits", false),
+            (".psfield-image.fits", false),
+            ("psfield-4711-aB3xYz-image.fits", false),
+        ] {
+            assert_eq!(is_of(OsStr::new(name), &suffix), ours, "{name}");
+        }
+        let long = PathBuf::from("n".repeat(200) + ".fits");
+        assert_eq!(super::suffix(&long), "-long-name.fits");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_nobody_holds_is_removed_and_nothing_else() {
+        let directory = tempfile::tempdir().unwrap();
+        let at = |name: &str| directory.path().join(name);
+        let names = [
+            ".psfield-99-abcdef-a.fits",
+            ".psfield-99-ghijkl-a.fits",
+            ".psfield-99-abcdef-b.fits",
+            "a.fits",
+        ];
+        for name in names {
+            fs::write(at(name), "half").unwrap();
+        }
+        let held = claim(&at(names[1])).unwrap();
+        remove_left(&at("a.fits"));
+        assert_eq!(names.map(|name| at(name).exists()), [false, true, true, true]);
+        drop(held);
+    }
+}

@@ -1,0 +1,110 @@
+//! What a file holds.
+
+use std::path::Path;
+
+use crate::catalogue;
+use crate::error::IoError;
+use crate::fits::hdu::HduChoice;
+use crate::fits::image::squeezed;
+use crate::fits::structure::{FitsStructure, is_fits};
+use crate::psf::{model, psfex, samples, scopesim, stdpsf, stpsf};
+
+/// The kind of a file, told from its content, never from its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum FileKind {
+    /// A PSF model: [`read_model`](crate::read_model).
+    PsfModel,
+    /// PSF samples: [`read_samples`](crate::read_samples).
+    PsfSamples,
+    /// PSFEx models: [`read_psfex`](crate::read_psfex).
+    Psfex,
+    /// A gridded PSF library of STPSF or WebbPSF: [`read_stpsf`](crate::read_stpsf).
+    Stpsf,
+    /// An STDPSF library: [`read_stdpsf`](crate::read_stdpsf).
+    Stdpsf,
+    /// A field-varying PSF of ScopeSim: [`read_scopesim`](crate::read_scopesim).
+    Scopesim,
+    /// An image: [`read_image`](crate::read_image).
+    Image,
+    /// A stack of images without positions: [`read_cube`](crate::read_cube).
+    Cube,
+    /// A FITS table with the columns x and y: [`read_catalog`](crate::read_catalog),
+    /// [`read_positions`](crate::read_positions).
+    PointTable,
+    /// A FITS file of another kind.
+    OtherFits,
+    /// No FITS file: perhaps a text table.
+    NotFits,
+}
+
+impl std::fmt::Display for FileKind {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::PsfModel => "a PSF model",
+            Self::PsfSamples => "PSF samples",
+            Self::Psfex => "a PSFEx model",
+            Self::Stpsf => "an STPSF library",
+            Self::Stdpsf => "an STDPSF library",
+            Self::Scopesim => "a field-varying PSF of ScopeSim",
+            Self::Image => "an image",
+            Self::Cube => "a cube",
+            Self::PointTable => "a table of positions",
+            Self::OtherFits => "a FITS file of another kind",
+            Self::NotFits => "not a FITS file",
+        })
+    }
+}
+
+/// A kind and what tells it.
+type Test = (FileKind, fn(&FitsStructure) -> bool);
+
+/// The most specific first. A new format adds its file and a line here.
+const TESTS: &[Test] = &[
+    (FileKind::PsfModel, model::is_model),
+    (FileKind::PsfSamples, samples::is_samples),
+    (FileKind::Psfex, psfex::file::is_psfex),
+    (FileKind::Stpsf, stpsf::is_stpsf),
+    (FileKind::Stdpsf, stdpsf::is_stdpsf),
+    (FileKind::Scopesim, scopesim::is_scopesim),
+    (FileKind::Image, |structure| image_axes(structure) == Some(2)),
+    (FileKind::Cube, |structure| image_axes(structure) == Some(3)),
+    (FileKind::PointTable, catalogue::has_points),
+];
+
+/// Tells what a file holds. A file that is cut short or compressed is an error, not a kind.
+///
+/// # Errors
+/// [`IoError::Read`], [`IoError::NotAFile`], [`IoError::Truncated`], [`IoError::Content`] or
+/// [`IoError::Header`].
+pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
+    detect_hdu(path, None)
+}
+
+/// Tells the kind of a file where an image is chosen: whether that one is an image or a cube.
+///
+/// # Errors
+/// As [`detect`]; [`IoError::NoSuchHdu`] where images are all there is, and the choice is none of
+/// them.
+pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<FileKind, IoError> {
+    let path = path.as_ref();
+    if !is_fits(path)? {
+        return Ok(FileKind::NotFits);
+    }
+    let structure = FitsStructure::scan(path)?;
+    let kind = TESTS.iter().find(|(_, test)| test(&structure));
+    let kind = kind.map_or(FileKind::OtherFits, |&(kind, _)| kind);
+    if choice.is_none() || !matches!(kind, FileKind::Image | FileKind::Cube) {
+        return Ok(kind);
+    }
+    Ok(match squeezed(structure.image(choice)?).len() {
+        2 => FileKind::Image,
+        3 => FileKind::Cube,
+        _ => FileKind::OtherFits,
+    })
+}
+
+/// Axes of the first image, those of length 1 beyond two left out.
+fn image_axes(structure: &FitsStructure) -> Option<usize> {
+    structure.first_image().ok().map(|hdu| squeezed(hdu).len())
+}

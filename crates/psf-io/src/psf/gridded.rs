@@ -1,0 +1,224 @@
+//! PSF libraries: one in memory, and the cards of their headers.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use ndarray::{Array3, Axis};
+use psf_types::{DataError, Position, PsfSamples, SamplePositions, StampGrid, getters};
+
+use crate::error::{IoError, invalid, unsuitable};
+use crate::fits::card::{Card, FromValue};
+use crate::fits::hdu::Hdu;
+use crate::fits::image::stack_shape;
+
+/// PSFs at positions of one detector, as a library of [STPSF](crate::stpsf) or
+/// [STDPSF](crate::stdpsf) has them.
+///
+/// * [`samples`](Self::samples): positions are 0-based pixels of the detector. The stamps'
+///   reference point is the middle, index `(n - 1) / 2`; the pixel response is in them; between
+///   their pixels they continue by the interpolating cubic spline; the values are those of the
+///   file, not scaled to unit flux.
+/// * The makers' own tools (photutils' `GriddedPSFModel`) interpolate bilinearly between the
+///   positions and take the nearest point of the grid outside:
+///   [`Interpolation::Bilinear`](psf_types::Interpolation::Bilinear) with
+///   [`OutsidePolicy::Nearest`](psf_types::OutsidePolicy::Nearest).
+#[derive(Debug, Clone, PartialEq)]
+pub struct GriddedPsf {
+    samples: PsfSamples,
+    detector: Option<String>,
+    notes: Vec<String>,
+}
+
+/// The findings of a reader.
+pub(crate) struct Planes {
+    /// `[sample, y, x]`.
+    pub(crate) stamps: Array3<f64>,
+    /// The plane of the file that each sample comes from.
+    pub(crate) numbers: Vec<usize>,
+    pub(crate) positions: Vec<Position>,
+    pub(crate) oversampling: f64,
+    pub(crate) detector: Option<String>,
+    pub(crate) notes: Vec<String>,
+}
+
+impl GriddedPsf {
+    pub(crate) fn new(path: &Path, planes: Planes) -> Result<Self, IoError> {
+        let (_, ny, nx) = planes.stamps.dim();
+        let grid = centred_grid(nx, ny, planes.oversampling).map_err(invalid(path))?;
+        check_flux(path, &planes.stamps, grid, |sample| planes.numbers[sample])?;
+        let positions = SamplePositions::new(planes.positions, None).map_err(invalid(path))?;
+        Ok(Self {
+            samples: PsfSamples::new(planes.stamps, positions, grid).map_err(invalid(path))?,
+            detector: planes.detector,
+            notes: planes.notes,
+        })
+    }
+
+    getters! { &self;
+        /// The PSFs with their positions.
+        samples: &PsfSamples,
+        /// Notes for the user on how the file was read, in plain sentences: which order of planes
+        /// or which detector was taken, which border rows are bad.
+        notes: &[String],
+    }
+
+    /// The PSFs with their positions, without a copy.
+    pub fn into_samples(self) -> PsfSamples {
+        self.samples
+    }
+
+    /// The name of the detector, where the file tells it.
+    pub fn detector(&self) -> Option<&str> {
+        self.detector.as_deref()
+    }
+}
+
+/// The middle of `n` pixels, as an index.
+pub(crate) fn middle(n: usize) -> f64 {
+    (n as f64 - 1.0) / 2.0
+}
+
+/// The grid of stamps whose reference point is their middle.
+pub(crate) fn centred_grid(nx: usize, ny: usize, oversampling: f64) -> Result<StampGrid, DataError> {
+    StampGrid::new(nx, ny)?
+        .with_centre(middle(nx), middle(ny))?
+        .with_oversampling(oversampling)
+}
+
+/// A cube's shape `(planes, ny, nx)`; an image is a cube of one plane.
+pub(crate) fn cube_shape(hdu: &Hdu) -> Result<(usize, usize, usize), IoError> {
+    stack_shape(hdu, "a cube of PSFs [plane, y, x]")
+}
+
+/// Refuses stamps without light, by the number of their plane in the file.
+pub(crate) fn check_flux(
+    path: &Path,
+    stamps: &Array3<f64>,
+    grid: StampGrid,
+    plane: impl Fn(usize) -> usize,
+) -> Result<(), IoError> {
+    for (sample, stamp) in stamps.axis_iter(Axis(0)).enumerate() {
+        let flux = grid.flux_of_sum(stamp.sum());
+        if !(flux > 0.0 && flux.is_finite()) {
+            let plane = plane(sample);
+            let problem = format!("plane {plane} has flux {flux}: a PSF must have positive flux");
+            return Err(unsuitable(path, problem));
+        }
+    }
+    Ok(())
+}
+
+/// The header of an HDU, read by keywords that are made at run time.
+///
+/// Upper and lower case are the same: real STDPSF files have `NXPSFs`.
+#[derive(Debug)]
+pub(crate) struct LibraryCards<'a> {
+    pub(crate) hdu: &'a Hdu,
+    /// The first card of each keyword. A table, since headers may be long and the keywords asked
+    /// for many.
+    cards: HashMap<String, &'a Card>,
+}
+
+impl<'a> LibraryCards<'a> {
+    pub(crate) fn new(hdu: &'a Hdu) -> Self {
+        let mut cards = HashMap::new();
+        for card in &hdu.header {
+            cards.entry(card.keyword().to_ascii_uppercase()).or_insert(card);
+        }
+        Self { hdu, cards }
+    }
+
+    /// The value, turned by `convert` into what is expected.
+    fn optional<V: FromValue, T>(
+        &self,
+        keyword: &str,
+        expected: &str,
+        convert: impl FnOnce(V) -> Option<T>,
+    ) -> Result<Option<T>, IoError> {
+        let Some(card) = self.cards.get(keyword) else {
+            return Ok(None);
+        };
+        match card.value().and_then(V::from_value).and_then(convert) {
+            Some(value) => Ok(Some(value)),
+            None => Err(self.bad(keyword, expected, card)),
+        }
+    }
+
+    /// A finite number.
+    pub(crate) fn number(&self, keyword: &str, expected: &str) -> Result<Option<f64>, IoError> {
+        self.optional(keyword, expected, Some::<f64>)
+    }
+
+    /// A finite number that must be there.
+    pub(crate) fn required_number(&self, keyword: &str, expected: &str) -> Result<f64, IoError> {
+        self.number(keyword, expected)?
+            .ok_or_else(|| self.missing(keyword, expected))
+    }
+
+    /// A whole number of at least `least`, also one written with a point.
+    pub(crate) fn count(
+        &self,
+        keyword: &str,
+        least: usize,
+        expected: &str,
+    ) -> Result<Option<usize>, IoError> {
+        self.optional(keyword, expected, |number: f64| {
+            // Above 2^53 floats no longer count; no file has as many of anything.
+            let counts = number.fract() == 0.0 && (least as f64..=2_f64.powi(53)).contains(&number);
+            counts.then_some(number as usize)
+        })
+    }
+
+    /// Such a number that must be there.
+    pub(crate) fn required_count(
+        &self,
+        keyword: &str,
+        least: usize,
+        expected: &str,
+    ) -> Result<usize, IoError> {
+        self.count(keyword, least, expected)?
+            .ok_or_else(|| self.missing(keyword, expected))
+    }
+
+    /// A text.
+    pub(crate) fn text(&self, keyword: &str, expected: &str) -> Result<Option<String>, IoError> {
+        self.optional(keyword, expected, |text: String| Some(text.trim().to_owned()))
+    }
+
+    /// Whether there is a card of this keyword.
+    pub(crate) fn has(&self, keyword: &str) -> bool {
+        self.cards.contains_key(keyword)
+    }
+
+    pub(crate) fn missing(&self, keyword: &str, expected: &str) -> IoError {
+        let problem = format!("HDU {} has no card {keyword} ({expected})", self.hdu.index);
+        unsuitable(self.hdu.path(), problem)
+    }
+
+    /// The error for a card whose value is not what it must be.
+    pub(crate) fn bad(&self, keyword: &str, expected: &str, card: &Card) -> IoError {
+        let got = match card.value() {
+            Some(value) => value.to_string(),
+            None => card.to_string().trim_end().to_owned(),
+        };
+        self.bad_value(keyword, expected, got)
+    }
+
+    pub(crate) fn bad_value(&self, keyword: &str, expected: &str, got: String) -> IoError {
+        self.refused(&format!("card {keyword} must be {expected}, got {got}"))
+    }
+
+    /// The error for an HDU with this problem.
+    pub(crate) fn refused(&self, problem: &str) -> IoError {
+        unsuitable(self.hdu.path(), format!("HDU {}: {problem}", self.hdu.index))
+    }
+
+    /// The error for a number of planes that is not the one that cards say.
+    pub(crate) fn plane_count(&self, planes: usize, cards: &str, stated: &str) -> IoError {
+        let problem = format!(
+            "HDU {} holds {planes} planes, {cards} says {stated}: the file is damaged or of another format",
+            self.hdu.index
+        );
+        unsuitable(self.hdu.path(), problem)
+    }
+}

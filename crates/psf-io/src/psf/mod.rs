@@ -1,0 +1,12 @@
+//! PSFs in files: one file for each format.
+
+pub(crate) mod detect;
+pub(crate) mod gridded;
+pub(crate) mod gridded_out;
+pub mod model;
+pub mod psfex;
+pub mod samples;
+pub mod scopesim;
+pub(crate) mod stamp_cube;
+pub mod stdpsf;
+pub mod stpsf;

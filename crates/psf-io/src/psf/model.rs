@@ -1,0 +1,228 @@
+//! PSF models: the `psf-model` layout, version 1.
+//!
+//! # Layout
+//!
+//! | HDU | what |
+//! |---|---|
+//! | 0, primary | double cube `[plane, y, x]`: the mean stamp if `CENTRED` is `T`, then the `NCOMP` orthonormal stamps of the basis |
+//! | `COEFFS`, binary table | columns `X`, `Y` (doubles, 0-based pixels of the frame) and `A` (`NCOMP` doubles; absent for `NCOMP = 0`): one row per sample |
+//! | `SINGULAR`, binary table | optional: column `S`, the singular values (doubles), as many as the fit had |
+//!
+//! | keyword of HDU 0 | meaning |
+//! |---|---|
+//! | `PSFMODEL` | version of the layout, 1 |
+//! | `NCOMP` | number of components `K` |
+//! | `CENTRED` | `T` when plane 0 is the mean stamp |
+//! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
+//! | `OUTSIDE` | outside the samples: `nearest`, `extend` or `error` |
+//! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
+//! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
+//!
+//! The PSF at a sample is `mean + sum_k A[k] * plane[k]`. Everything comes back bit by bit: doubles
+//! in the header are written with as many digits as that takes.
+//!
+//! A model from Python:
+//!
+//! ```python
+//! from astropy.io import fits
+//! primary = fits.PrimaryHDU(numpy.concatenate([mean[None], basis]))        # float64, basis[k, y, x] orthonormal
+//! primary.header.update(PSFMODEL=1, NCOMP=len(basis), CENTRED=True,
+//!                       INTERPOL="natural-neighbour", OUTSIDE="nearest", NORMALIS="unit")
+//! columns = [fits.Column("X", "D", array=x), fits.Column("Y", "D", array=y),
+//!            fits.Column("A", f"{len(basis)}D", array=a)]                   # a[sample, k]
+//! fits.HDUList([primary, fits.BinTableHDU.from_columns(columns, name="COEFFS")]).writeto("model.fits")
+//! ```
+
+use std::path::Path;
+
+use ndarray::{Array2, Axis, s};
+use psf_types::{PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions, getters};
+
+use crate::error::{IoError, Row, content, invalid};
+use crate::fits::card::{Card, CardValue};
+use crate::fits::columns::Table;
+use crate::fits::header_cards::HeaderCards;
+use crate::fits::image::{read_stack, stack_shape};
+use crate::fits::image_out::{cards, write_fits, write_image_hdu};
+use crate::fits::structure::FitsStructure;
+use crate::psf::samples::{field, grid_cards, read_positions_of, stamp_grid, write_positions_of};
+
+/// The keyword that makes a file a PSF model.
+const VERSION_KEYWORD: &str = "PSFMODEL";
+/// The newest version of the layout that this crate reads, and the one it writes.
+pub const MODEL_VERSION: i64 = 1;
+const COEFFICIENTS: &str = "COEFFS";
+const SINGULAR_VALUES: &str = "SINGULAR";
+
+/// The content of a `psf-model` file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ModelFile {
+    record: PsfModelRecord,
+    singular_values: Vec<f64>,
+    header: HeaderCards,
+}
+
+impl ModelFile {
+    getters! { &self;
+        /// The model.
+        record: &PsfModelRecord,
+        /// The singular values of the fit; empty when the file has none.
+        singular_values: &[f64],
+        /// The cards of the primary header, without those about the structure of the file.
+        header: &HeaderCards,
+    }
+
+    /// The model, without a copy.
+    pub fn into_record(self) -> PsfModelRecord {
+        self.record
+    }
+}
+
+/// Whether a file says that it is a PSF model, of whatever version.
+pub(crate) fn is_model(structure: &FitsStructure) -> bool {
+    structure.hdus[0].header.get(VERSION_KEYWORD).is_some()
+}
+
+/// Reads a PSF model in the [`psf-model` layout](self).
+///
+/// # Errors
+/// As [`read_model_file`].
+pub fn read_model(path: impl AsRef<Path>) -> Result<PsfModelRecord, IoError> {
+    read_model_file(path).map(ModelFile::into_record)
+}
+
+/// Reads a PSF model with its singular values and header.
+///
+/// # Errors
+/// [`IoError::Content`] for a later version of the layout, [`IoError::MissingKeyword`],
+/// [`IoError::MissingHdu`], [`IoError::Data`] for a basis that is not orthonormal or counts that do
+/// not agree, and the errors of any FITS file.
+pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    let hdu = &structure.hdus[0];
+    let version = hdu.required::<i64>(
+        VERSION_KEYWORD,
+        "the version of a PSF model: a whole number from 1 on",
+    )?;
+    if !(1..=MODEL_VERSION).contains(&version) {
+        let problem = format!(
+            "this is a psf-model file of version {version}; versions 1 to {MODEL_VERSION} can be read: update psfield"
+        );
+        return Err(content(path, problem));
+    }
+    let shape = stack_shape(hdu, "a cube of the mean and the basis stamps [plane, y, x]")?;
+    let centred = hdu.optional_logical("CENTRED")?.unwrap_or(false);
+    let rank = usize::try_from(hdu.required::<i64>("NCOMP", "the number of components")?)
+        .ok()
+        .filter(|&rank| rank.checked_add(usize::from(centred)) == Some(shape.0))
+        .ok_or_else(|| hdu.axes_error("a cube of NCOMP planes, and one more when CENTRED is T"))?;
+    let interpolation = hdu.required_choice("INTERPOL", "the interpolation, such as natural-neighbour")?;
+    let outside = hdu.required_choice("OUTSIDE", "nearest, extend or error")?;
+    let normalisation = hdu.required_choice("NORMALIS", "unit or keep")?;
+    let grid = stamp_grid(hdu, shape.2, shape.1)?;
+    let field = field(hdu)?;
+
+    let needed = "binary table COEFFS with the positions X and Y and the coefficients A of the samples";
+    let table = Table::new(structure.needed_table(COEFFICIENTS, needed)?)?;
+    let positions = SamplePositions::new(read_positions_of(&table, path)?, field).map_err(invalid(path))?;
+    let values = if rank == 0 {
+        Vec::new()
+    } else {
+        table.read("A", rank)?
+    };
+    let values = Array2::from_shape_vec((table.rows, rank), values).expect("NCOMP values in a row");
+    let coefficients = SampleCoefficients::new(values, positions).map_err(invalid(path))?;
+
+    let planes = read_stack(hdu, shape)?;
+    let mean = centred.then(|| planes.index_axis(Axis(0), 0).to_owned());
+    // Not a copy of a part: ndarray's debug assertions refuse to copy a part without planes.
+    let components = planes.slice_move(s![usize::from(centred).., .., ..]);
+    let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
+    let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
+        .map_err(invalid(path))?;
+    let singular_values = match structure.table(SINGULAR_VALUES) {
+        Some(table) => Table::new(table)?.read("S", 1)?,
+        None => Vec::new(),
+    };
+    Ok(ModelFile {
+        record,
+        singular_values,
+        header: hdu.header.carried(),
+    })
+}
+
+/// Writes a PSF model in the [`psf-model` layout](self).
+///
+/// `singular_values` may be empty; `added` cards go to the primary header, ahead of the layout's
+/// own.
+///
+/// # Errors
+/// [`IoError::Value`] for a singular value that is not finite, [`IoError::Exists`] unless
+/// `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+pub fn write_model(
+    path: impl AsRef<Path>,
+    record: &PsfModelRecord,
+    singular_values: &[f64],
+    added: &[Card],
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let path = path.as_ref();
+    if let Some(row) = singular_values.iter().position(|s| !s.is_finite()) {
+        return Err(IoError::Value {
+            path: path.to_owned(),
+            row: Row::Index(row),
+            column: "S (singular values)".to_owned(),
+            got: singular_values[row].to_string(),
+        });
+    }
+    let (basis, coefficients) = (record.basis(), record.coefficients());
+    let (grid, positions, rank) = (basis.grid(), coefficients.positions(), basis.rank());
+    let choices = [
+        record.interpolation().to_string(),
+        record.outside().to_string(),
+        record.normalisation().to_string(),
+    ];
+    let [interpolation, outside, normalisation] = choices.map(CardValue::from);
+    let centred = basis.mean().is_some();
+    let own = [
+        (VERSION_KEYWORD, MODEL_VERSION.into(), "version of this layout"),
+        ("NCOMP", rank.into(), "number of components"),
+        ("CENTRED", centred.into(), "plane 0 is the mean stamp"),
+        ("INTERPOL", interpolation, "of the coefficients"),
+        ("OUTSIDE", outside, "policy outside the samples"),
+        ("NORMALIS", normalisation, "flux of every PSF"),
+    ];
+    let own = cards(path, own)?;
+    let header = HeaderCards::new()
+        .with(added)
+        .with(&own)
+        .with(&grid_cards(grid, positions.field()));
+    let mean = basis.mean();
+    let (mean_values, components) = (mean.iter().flatten(), basis.components());
+    let planes: Vec<f64> = mean_values.chain(&components).copied().collect();
+    let shape = [rank + usize::from(mean.is_some()), grid.ny(), grid.nx()];
+    write_fits(path, overwrite, |fits| {
+        write_image_hdu(fits, &shape, &planes, &header)?;
+        let mut columns = vec![("X", "D".to_owned()), ("Y", "D".to_owned())];
+        if rank > 0 {
+            columns.push(("A", format!("{rank}D")));
+        }
+        fits.create_table(COEFFICIENTS, positions.len(), &columns)?;
+        write_positions_of(fits, positions)?;
+        if rank > 0 {
+            fits.write_column(
+                3,
+                coefficients
+                    .values()
+                    .as_slice()
+                    .expect("coefficients are row-major"),
+            )?;
+        }
+        if !singular_values.is_empty() {
+            fits.create_table(SINGULAR_VALUES, singular_values.len(), &[("S", "D".to_owned())])?;
+            fits.write_column(1, singular_values)?;
+        }
+        Ok(())
+    })
+}

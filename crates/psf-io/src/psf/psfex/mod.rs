@@ -1,0 +1,349 @@
+//! PSFEx models: the `.psf` files that PSFEx writes and SExtractor reads (E. Bertin 2011, ADASS XX,
+//! 435).
+//!
+//! # Layout
+//!
+//! An empty primary HDU, then a binary table of one row for each image extension that PSFEx has
+//! modelled, usually named `PSF_DATA`:
+//!
+//! | in the table | meaning |
+//! |---|---|
+//! | column `PSF_MASK` | single-precision planes `[term, y, x]`, `TDIMn = (nx, ny, terms)` |
+//! | `POLNAXIS` | 2, or 0 for a PSF that is the same everywhere |
+//! | `POLNAME1`, `POLNAME2` | the coordinates: `X_IMAGE` and `Y_IMAGE`, or windowed ones (`XWIN_IMAGE` ...): 1-based pixels of the frame |
+//! | `POLZEROi`, `POLSCALi` | their offset and scale |
+//! | `POLNGRP`, `POLGRPi`, `POLDEG1` | one group of both coordinates, of total degree `POLDEG1` |
+//! | `PSF_SAMP` | frame pixels a plane pixel: the stamps are `1 / PSF_SAMP` times oversampled |
+//! | `PSFNAXIS`, `PSFAXIS1`, `PSFAXIS2`, `PSFAXIS3` | 3 axes: columns, rows, terms; 2 are enough where there is one term |
+//! | `PSF_FWHM`, `LOADED`, `ACCEPTED`, `CHI2` | figures of PSFEx's own; optional |
+//!
+//! `h(u; x, y) = sum_t t(x, y) plane_t(u)` with `t = X^i Y^j`, `X = (x - POLZERO1) / POLSCAL1`,
+//! likewise `Y`, in the order `for j in 0..=d, for i in 0..=d - j`: 1, X, X^2, Y, XY, Y^2 for
+//! degree 2.
+//!
+//! # Conventions
+//! The PSF's reference point is the plane pixel `n / 2` (integer division), as in PSFEx. (GalSim
+//! takes the middle of the plane, half a plane pixel away where `n` is even;
+//! [`write_psfex`](crate::write_psfex) leaves planes as they are.) The response of a frame pixel is
+//! in the values, which need not have unit flux. Between the pixels PSFEx's own tools use a Lanczos
+//! kernel, so the grid says
+//! [`StampInterpolation::Lanczos3`](psf_types::StampInterpolation::Lanczos3). Positions are 1-based
+//! in the file and 0-based in [`PsfexModel`].
+//!
+//! # What is refused
+//! Polynomials in anything but the position (a magnitude, a colour, a header keyword), in one
+//! coordinate alone, or of several groups: the error names the keyword.
+
+pub(crate) mod file;
+
+use std::f64::consts::PI;
+
+use ndarray::{Array2, Array3, ArrayView3};
+use psf_types::{DataError, Position, Quantity, Stamp, StampGrid, StampInterpolation, getters};
+
+/// The usual name of the table.
+const EXTENSION: &str = "PSF_DATA";
+/// The column that holds the planes.
+const COLUMN: &str = "PSF_MASK";
+
+/// One coordinate of a PSFEx polynomial: `t = (v - zero) / scale`, `v` in 0-based pixels of the
+/// frame.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PsfexAxis {
+    name: String,
+    zero: f64,
+    scale: f64,
+}
+
+impl PsfexAxis {
+    /// A coordinate of this name (`X_IMAGE`), offset (0-based pixels; `POLZERO` less 1) and scale
+    /// (pixels).
+    ///
+    /// # Errors
+    /// [`DataError::Setting`] for an offset that is not finite, or a scale that is not finite or 0.
+    pub fn new(name: &str, zero: f64, scale: f64) -> Result<Self, DataError> {
+        if !zero.is_finite() {
+            return Err(DataError::setting(
+                "POLZERO of a PSFEx model",
+                "a finite number",
+                zero,
+            ));
+        }
+        if !scale.is_finite() || scale == 0.0 {
+            let allowed = "a finite number other than 0";
+            return Err(DataError::setting("POLSCAL of a PSFEx model", allowed, scale));
+        }
+        let name = name.to_owned();
+        Ok(Self { name, zero, scale })
+    }
+
+    getters! { &self;
+        /// The coordinate's name, `X_IMAGE` or the like.
+        name: &str,
+        /// The offset in 0-based pixels.
+        zero: f64,
+        /// The scale in pixels.
+        scale: f64,
+    }
+
+    /// The extrema of Chebyshev's polynomial of this degree, the ends included, over
+    /// `zero +- scale / 2`: nodes that determine any polynomial of the degree. For degree 0 it is
+    /// `zero`.
+    pub fn extrema(&self, degree: usize) -> Vec<f64> {
+        if degree == 0 {
+            return vec![self.zero];
+        }
+        (0..=degree)
+            .map(|i| self.zero - 0.5 * self.scale * (PI * i as f64 / degree as f64).cos())
+            .collect()
+    }
+
+    /// Powers 0 to `degree` of the scaled coordinate.
+    fn powers(&self, v: f64, degree: usize) -> Vec<f64> {
+        let t = (v - self.zero) / self.scale;
+        std::iter::successors(Some(1.0), |power| Some(power * t))
+            .take(degree + 1)
+            .collect()
+    }
+}
+
+/// The polynomial of a PSFEx model: two coordinates and the total degree.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PsfexPolynomial {
+    x: PsfexAxis,
+    y: PsfexAxis,
+    degree: usize,
+}
+
+impl PsfexPolynomial {
+    /// The highest degree that PSFEx and SExtractor know.
+    pub const MAX_DEGREE: usize = 10;
+
+    /// A polynomial of total degree `degree` in x and y.
+    ///
+    /// # Errors
+    /// [`DataError::Setting`] above [`Self::MAX_DEGREE`].
+    pub fn new(x: PsfexAxis, y: PsfexAxis, degree: usize) -> Result<Self, DataError> {
+        if degree > Self::MAX_DEGREE {
+            return Err(DataError::setting(
+                "the degree of a PSFEx model",
+                "0 to 10",
+                degree,
+            ));
+        }
+        Ok(Self { x, y, degree })
+    }
+
+    getters! { &self;
+        /// The column coordinate.
+        x: &PsfexAxis,
+        /// The row coordinate.
+        y: &PsfexAxis,
+        /// The total degree.
+        degree: usize,
+    }
+
+    /// Number of terms of a total degree: `(d+1)(d+2)/2`.
+    pub fn term_count(degree: usize) -> usize {
+        (degree + 1) * (degree + 2) / 2
+    }
+
+    /// The terms at a position, in the order of the planes: for each power of y all of x.
+    ///
+    /// ```
+    /// use psf_io::{PsfexAxis, PsfexPolynomial};
+    /// use psf_types::Position;
+    /// let axis = |name| PsfexAxis::new(name, 10.0, 2.0);
+    /// let polynomial = PsfexPolynomial::new(axis("X_IMAGE")?, axis("Y_IMAGE")?, 2)?;
+    /// // X = 2, Y = 3: 1, X, X^2, Y, XY, Y^2.
+    /// assert_eq!(polynomial.terms(Position::new(14.0, 16.0)?), [1.0, 2.0, 4.0, 3.0, 6.0, 9.0]);
+    /// # Ok::<(), psf_types::DataError>(())
+    /// ```
+    pub fn terms(&self, position: Position) -> Vec<f64> {
+        let [x, y] = [
+            self.x.powers(position.x(), self.degree),
+            self.y.powers(position.y(), self.degree),
+        ];
+        (0..=self.degree)
+            .flat_map(|j| (0..=self.degree - j).map(move |i| (i, j)))
+            .map(|(i, j)| x[i] * y[j])
+            .collect()
+    }
+}
+
+/// PSFEx's figures on its own work: for the record, nothing depends on them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+#[non_exhaustive]
+pub struct PsfexFigures {
+    /// The full width at half maximum in frame pixels (`PSF_FWHM`).
+    pub fwhm_px: Option<f64>,
+    /// Stars that were tried (`LOADED`).
+    pub loaded: Option<i64>,
+    /// Stars that were used (`ACCEPTED`).
+    pub accepted: Option<i64>,
+    /// Reduced chi square of the fit (`CHI2`).
+    pub chi2: Option<f64>,
+}
+
+/// A PSFEx model: planes whose sum, weighted by the terms of a polynomial in the position, is the
+/// PSF.
+///
+/// There are as many planes as terms, one where the PSF is the same everywhere; every value is
+/// finite.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PsfexModel {
+    planes: Array3<f64>,
+    sampling: f64,
+    polynomial: Option<PsfexPolynomial>,
+    grid: StampGrid,
+    figures: PsfexFigures,
+}
+
+impl PsfexModel {
+    /// A model from planes `[term, y, x]`, their sampling (`PSF_SAMP`: frame pixels a plane pixel)
+    /// and the polynomial; without one, the PSF is the same everywhere.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyStamp`], [`DataError::CountMismatch`] when the planes are not as many as
+    /// the terms, [`DataError::NonFinite`] and [`DataError::Oversampling`].
+    pub fn new(
+        planes: Array3<f64>,
+        sampling: f64,
+        polynomial: Option<PsfexPolynomial>,
+    ) -> Result<Self, DataError> {
+        let (count, ny, nx) = planes.dim();
+        let degree = polynomial.as_ref().map_or(0, PsfexPolynomial::degree);
+        let expected = PsfexPolynomial::term_count(degree);
+        let what = "planes of a PSFEx model, (d+1)(d+2)/2 for degree d";
+        DataError::check_count(what, expected, count)?;
+        let grid = StampGrid::new(nx, ny)?
+            .with_oversampling(1.0 / sampling)?
+            .with_interpolation(StampInterpolation::Lanczos3);
+        if let Some((index, &value)) = planes.indexed_iter().find(|(_, value)| !value.is_finite()) {
+            return Err(DataError::NonFinite {
+                quantity: Quantity::BasisValue,
+                index: vec![index.0, index.1, index.2],
+                value,
+            });
+        }
+        Ok(Self {
+            planes: planes.as_standard_layout().into_owned(),
+            sampling,
+            polynomial,
+            grid,
+            figures: PsfexFigures::default(),
+        })
+    }
+
+    /// Adds PSFEx's own figures.
+    #[must_use]
+    pub fn with_figures(self, figures: PsfexFigures) -> Self {
+        Self { figures, ..self }
+    }
+
+    getters! { &self;
+        /// The planes `[term, y, x]`, row-major.
+        planes: view ArrayView3<'_, f64>,
+        /// Frame pixels a plane pixel.
+        sampling: f64,
+        /// The pixel grid of the planes: centre `n / 2`, oversampled `1 / sampling` times, with the
+        /// pixel response.
+        grid: StampGrid,
+        /// PSFEx's own figures.
+        figures: PsfexFigures,
+    }
+
+    /// The polynomial; none where the PSF is the same everywhere.
+    pub fn polynomial(&self) -> Option<&PsfexPolynomial> {
+        self.polynomial.as_ref()
+    }
+
+    /// The total degree; 0 where the PSF is the same everywhere.
+    pub fn degree(&self) -> usize {
+        self.polynomial.as_ref().map_or(0, PsfexPolynomial::degree)
+    }
+
+    /// Positions at which the PSF determines the polynomial, x fastest: the
+    /// [`extrema`](PsfexAxis::extrema) of both coordinates, `(d+1)^2` for degree d. One, anywhere,
+    /// where the PSF is the same everywhere.
+    ///
+    /// # Errors
+    /// [`DataError::NonFinitePosition`] where offset and scale are too large for a position.
+    pub fn nodes(&self) -> Result<Vec<Position>, DataError> {
+        let Some(polynomial) = &self.polynomial else {
+            return Ok(vec![Position::of_pixel(0, 0)]);
+        };
+        let [x, y] = [&polynomial.x, &polynomial.y].map(|axis| axis.extrema(polynomial.degree));
+        y.iter()
+            .flat_map(|&y| x.iter().map(move |&x| Position::new(x, y)))
+            .collect()
+    }
+
+    /// The PSF at a position, as PSFEx has it: not scaled to unit flux.
+    ///
+    /// # Errors
+    /// [`DataError::NonFinite`] so far away that the polynomial overflows.
+    pub fn psf_at(&self, position: Position) -> Result<Stamp, DataError> {
+        let terms = match &self.polynomial {
+            Some(polynomial) => polynomial.terms(position),
+            None => vec![1.0],
+        };
+        let mut values = Array2::zeros(self.grid.dim());
+        for (term, plane) in terms.into_iter().zip(self.planes.outer_iter()) {
+            values.scaled_add(term, &plane);
+        }
+        Stamp::new(values, self.grid)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::array;
+
+    use super::*;
+
+    fn linear() -> PsfexPolynomial {
+        let axis = |name, zero| PsfexAxis::new(name, zero, 4.0).unwrap();
+        PsfexPolynomial::new(axis("X_IMAGE", 1.0), axis("Y_IMAGE", 2.0), 1).unwrap()
+    }
+
+    #[test]
+    fn the_psf_is_the_weighted_sum_of_the_planes() {
+        let planes = array![[[1.0, 2.0]], [[10.0, 0.0]], [[0.0, 100.0]]];
+        let model = PsfexModel::new(planes, 0.5, Some(linear())).unwrap();
+        // X = 1/2, Y = -1/4.
+        let psf = model.psf_at(Position::new(3.0, 1.0).unwrap()).unwrap();
+        assert_eq!(psf.values(), array![[6.0, -23.0]]);
+        assert_eq!(psf.grid().oversampling(), 2.0);
+        assert_eq!(psf.grid().interpolation(), StampInterpolation::Lanczos3);
+        assert_eq!((psf.grid().centre_x(), psf.grid().centre_y()), (1.0, 0.0));
+    }
+
+    #[test]
+    fn each_invariant_is_checked() {
+        let make = |planes: Array3<f64>, sampling| PsfexModel::new(planes, sampling, Some(linear()));
+        assert!(make(Array3::ones((3, 2, 2)), 0.5).is_ok());
+        assert!(matches!(
+            make(Array3::ones((2, 2, 2)), 0.5),
+            Err(DataError::CountMismatch {
+                expected: 3,
+                got: 2,
+                ..
+            })
+        ));
+        assert!(matches!(
+            make(Array3::ones((3, 0, 2)), 0.5),
+            Err(DataError::EmptyStamp { .. })
+        ));
+        for sampling in [0.0, -1.0, f64::NAN, f64::INFINITY] {
+            assert!(make(Array3::ones((3, 2, 2)), sampling).is_err(), "{sampling}");
+        }
+        let mut planes = Array3::ones((3, 2, 2));
+        planes[[2, 0, 1]] = f64::NAN;
+        assert!(matches!(make(planes, 0.5), Err(DataError::NonFinite { index, .. }) if index == [2, 0, 1]));
+        assert!(PsfexAxis::new("X_IMAGE", 0.0, 0.0).is_err());
+        assert!(PsfexAxis::new("X_IMAGE", f64::NAN, 1.0).is_err());
+        let PsfexPolynomial { x, y, .. } = linear();
+        assert!(PsfexPolynomial::new(x, y, 11).is_err());
+    }
+}

@@ -1,0 +1,204 @@
+//! PSF samples: the `psf-samples` layout.
+//!
+//! # Layout
+//!
+//! | HDU | what |
+//! |---|---|
+//! | 0, primary | float cube `[sample, y, x]` (`NAXIS1` = x, `NAXIS3` = samples), any `BITPIX`; an image `[y, x]` is one sample |
+//! | `POSITIONS`, binary table | columns `X`, `Y`: one row per sample, doubles; 0-based pixels of the frame, an integer is the centre of a pixel |
+//!
+//! | keyword of HDU 0 | meaning | default |
+//! |---|---|---|
+//! | `OVERSAMP` | stamp pixels per frame pixel, a number above 0 | 1 |
+//! | `CENX`, `CENY` | stamp index of the PSF's reference point, 0-based, may be fractional | `n / 2`, integer division: 32 of 64 |
+//! | `PIXCONV` | `T` when the response of a frame pixel is in the stamps | `T` |
+//! | `STAMPINT` | how values continue between the stamps' pixels: `cubic-spline` or `lanczos3` | `cubic-spline` |
+//! | `FIELDNX`, `FIELDNY` | the frame's size in pixels; both or none | not known |
+//!
+//! A value is the fraction of a source's flux in a *frame* pixel centred there: a stamp with
+//! `OVERSAMP = s` holds unit flux when its sum is `s^2`. Every value is finite, every stamp has
+//! positive flux, no two positions are equal, and all lie on the frame where its size is given.
+//! Single-precision and integer columns are read too; other columns, HDUs and keywords are ignored.
+//!
+//! Six lines of astropy write it:
+//!
+//! ```python
+//! from astropy.io import fits
+//! primary = fits.PrimaryHDU(stamps)                    # stamps[sample, y, x], each of sum OVERSAMP**2
+//! primary.header["OVERSAMP"] = 1.0
+//! primary.header["FIELDNX"], primary.header["FIELDNY"] = 1024, 1024
+//! columns = [fits.Column("X", "D", array=x), fits.Column("Y", "D", array=y)]   # 0-based pixels
+//! fits.HDUList([primary, fits.BinTableHDU.from_columns(columns, name="POSITIONS")]).writeto("samples.fits")
+//! ```
+
+use std::path::Path;
+
+use psf_types::{DataError, FrameShape, Position, PsfSamples, SamplePositions, StampGrid};
+
+use crate::error::{IoError, invalid};
+use crate::fits::card::{Card, CardValue};
+use crate::fits::cfitsio::Fits;
+use crate::fits::columns::{Table, positions};
+use crate::fits::hdu::Hdu;
+use crate::fits::header_cards::HeaderCards;
+use crate::fits::image::{read_stack, squeezed, stack_shape};
+use crate::fits::image_out::{in_single_precision, write_fits, write_image_hdu};
+use crate::fits::structure::FitsStructure;
+
+/// The table that makes a cube PSF samples.
+const POSITIONS: &str = "POSITIONS";
+
+/// The precision of floats in a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Precision {
+    /// 4 bytes, `BITPIX` -32.
+    #[default]
+    Single,
+    /// 8 bytes, `BITPIX` -64.
+    Double,
+}
+
+/// Whether a file has the layout: a cube, or a single stamp, and a table of positions.
+pub(crate) fn is_samples(structure: &FitsStructure) -> bool {
+    let (Ok(image), Some(table)) = (structure.first_image(), structure.table(POSITIONS)) else {
+        return false;
+    };
+    match squeezed(image).len() {
+        3 => true,
+        2 => table.axes.get(1) == Some(&1),
+        _ => false,
+    }
+}
+
+/// Reads PSF samples in the [`psf-samples` layout](self).
+///
+/// # Errors
+/// [`IoError::Data`] for samples that break a rule of the layout, [`IoError::NonFinitePixels`],
+/// [`IoError::MissingHdu`], [`IoError::Keyword`], and the errors of any FITS file.
+pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    let hdu = structure.first_image()?;
+    let needed = "binary table POSITIONS with the columns X and Y of the samples";
+    let table = Table::new(structure.needed_table(POSITIONS, needed)?)?;
+    let shape = stack_shape(hdu, "a cube of stamps [sample, y, x]")?;
+    let what = "stamps in the cube, one for each row of the table POSITIONS";
+    DataError::check_count(what, table.rows, shape.0).map_err(invalid(path))?;
+    let grid = stamp_grid(hdu, shape.2, shape.1)?;
+    let positions =
+        SamplePositions::new(read_positions_of(&table, path)?, field(hdu)?).map_err(invalid(path))?;
+    PsfSamples::new(read_stack(hdu, shape)?, positions, grid).map_err(invalid(path))
+}
+
+/// Writes PSF samples in the [`psf-samples` layout](self).
+///
+/// Positions are doubles and come back exactly, as do the stamps under [`Precision::Double`].
+/// `cards` are added to the primary header, ahead of the layout's own.
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("samples.fits");
+/// use ndarray::Array3;
+/// use psf_io::{Precision, read_samples, write_samples};
+/// use psf_types::{Position, PsfSamples, SamplePositions, StampGrid};
+/// let positions = SamplePositions::new(vec![Position::new(0.0, 0.5)?, Position::new(9.0, 0.0)?], None)?;
+/// let grid = StampGrid::new(5, 5)?.with_oversampling(2.0)?;
+/// let samples = PsfSamples::new(Array3::from_elem((2, 5, 5), 0.16), positions, grid)?;
+/// write_samples(&path, &samples, &[], Precision::Double, false)?;
+/// assert_eq!(read_samples(&path)?, samples);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
+/// `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+pub fn write_samples(
+    path: impl AsRef<Path>,
+    samples: &PsfSamples,
+    cards: &[Card],
+    precision: Precision,
+    overwrite: bool,
+) -> Result<(), IoError> {
+    let path = path.as_ref();
+    let positions = samples.positions();
+    let cards = HeaderCards::new()
+        .with(cards)
+        .with(&grid_cards(samples.grid(), positions.field()));
+    let stamps = samples.stamps();
+    let values = stamps.as_slice().expect("samples are row-major");
+    let shape = stamps.shape();
+    write_fits(path, overwrite, |fits| {
+        match precision {
+            Precision::Double => write_image_hdu(fits, shape, values, &cards)?,
+            Precision::Single => {
+                write_image_hdu(fits, shape, &in_single_precision(path, values)?, &cards)?;
+            }
+        }
+        fits.create_table(POSITIONS, samples.len(), &[("X", "D".into()), ("Y", "D".into())])?;
+        write_positions_of(fits, positions)
+    })
+}
+
+/// The columns X and Y.
+pub(crate) fn read_positions_of(table: &Table<'_>, path: &Path) -> Result<Vec<Position>, IoError> {
+    positions(path, table.read("X", 1)?, table.read("Y", 1)?)
+}
+
+/// X and Y as the first two columns of the table just created.
+pub(crate) fn write_positions_of(fits: &mut Fits, positions: &SamplePositions) -> Result<(), IoError> {
+    let coordinate =
+        |of: fn(Position) -> f64| positions.as_slice().iter().map(|&p| of(p)).collect::<Vec<_>>();
+    fits.write_column(1, &coordinate(Position::x))?;
+    fits.write_column(2, &coordinate(Position::y))
+}
+
+/// The grid of `nx` by `ny` stamps: `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and `STAMPINT`.
+pub(crate) fn stamp_grid(hdu: &Hdu, nx: usize, ny: usize) -> Result<StampGrid, IoError> {
+    let data = |result: Result<StampGrid, _>| result.map_err(invalid(hdu.path()));
+    let grid = data(StampGrid::new(nx, ny))?;
+    let centre_x = hdu.optional_real("CENX")?.unwrap_or(grid.centre_x());
+    let centre_y = hdu.optional_real("CENY")?.unwrap_or(grid.centre_y());
+    let grid = data(grid.with_centre(centre_x, centre_y))?;
+    let grid = data(grid.with_oversampling(hdu.optional_real("OVERSAMP")?.unwrap_or(1.0)))?;
+    let interpolation = hdu.optional_choice("STAMPINT", "cubic-spline or lanczos3")?;
+    Ok(grid
+        .with_pixel_response_included(hdu.optional_logical("PIXCONV")?.unwrap_or(true))
+        .with_interpolation(interpolation.unwrap_or_default()))
+}
+
+/// The field: `FIELDNX` and `FIELDNY`, both or none.
+pub(crate) fn field(hdu: &Hdu) -> Result<Option<FrameShape>, IoError> {
+    const EXPECTED: &str = "the frame's size in pixels, a whole number above 0";
+    if ["FIELDNX", "FIELDNY"]
+        .iter()
+        .all(|keyword| hdu.header.get(keyword).is_none())
+    {
+        return Ok(None);
+    }
+    let count = |keyword| hdu.required_length(keyword, EXPECTED);
+    FrameShape::new(count("FIELDNX")?, count("FIELDNY")?)
+        .map(Some)
+        .map_err(invalid(hdu.path()))
+}
+
+/// The cards of a grid and a field, as [`stamp_grid`] and [`field`] read them.
+pub(crate) fn grid_cards(grid: StampGrid, field: Option<FrameShape>) -> Vec<Card> {
+    const CENTRE: &str = "stamp index of the PSF reference point, 0-based";
+    let card = |keyword, value: CardValue, comment| {
+        Card::new(keyword, value, comment).expect("sound keywords, finite values")
+    };
+    let (oversampling, x, y) = (grid.oversampling(), grid.centre_x(), grid.centre_y());
+    let (included, between) = (grid.pixel_response_included(), grid.interpolation().to_string());
+    let mut cards = vec![
+        card("OVERSAMP", oversampling.into(), "stamp pixels per frame pixel"),
+        card("CENX", x.into(), CENTRE),
+        card("CENY", y.into(), CENTRE),
+        card("PIXCONV", included.into(), "the pixel response is in the stamps"),
+        card("STAMPINT", between.into(), "values between the pixels of a stamp"),
+    ];
+    if let Some(field) = field {
+        cards.push(card("FIELDNX", field.nx().into(), "columns of the frame"));
+        cards.push(card("FIELDNY", field.ny().into(), "rows of the frame"));
+    }
+    cards
+}

@@ -1,0 +1,457 @@
+//! Field-varying PSFs of ScopeSim.
+//!
+//! # Layout
+//!
+//! | HDU | what |
+//! |---|---|
+//! | 0, primary | `ETYPE` = `FVPSF`, `ECAT` = number of the map's HDU, `EDATA` = number of the first HDU with PSFs (both counted from 0, the primary) |
+//! | the map, an image | `[y, x]`: the number of the layer that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn` in `CUNITn` (degrees unless said) from the centre of the field |
+//! | the map, a binary table | columns `x`, `y` (arcseconds from the centre of the field) and `layer` |
+//! | PSFs, one HDU a wavelength | cube `[layer, y, x]`; `WAVE0` = wavelength in micrometres, `CDELT1` = size of a PSF pixel in `CUNIT1` (degrees unless said) |
+//!
+//! # How it is read
+//!
+//! * **The field** is piecewise constant: at each position the layer of the nearest pixel (or row)
+//!   of the map applies. Such a node of the map lies at `field_centre + offset / pixel_scale` in
+//!   pixels of the frame; x and y of the frame grow with those of the map, which must not be
+//!   rotated. Celestial projections are taken as linear, as ScopeSim does.
+//! * **Stamps** have `pixel_scale / CDELT1` pixels per frame pixel, a whole number where that is
+//!   one but for the header's digits. Their values are those of the file times the square of that,
+//!   so that a kernel of unit sum holds unit flux. ScopeSim itself scales every kernel to unit sum
+//!   (after it has set negative values to zero, which is not done here): scale to unit flux for the
+//!   same.
+//! * **The centre** is the middle of the stamp, `(n - 1) / 2`, as ScopeSim has it where it rescales
+//!   kernels; it does not look at `CRPIX1` of the PSFs, and neither is that done here.
+//! * **The pixel response** is taken as included: the file does not say, and ScopeSim convolves
+//!   with its kernels as they are.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use ndarray::Axis;
+use psf_types::{DataError, Position, PsfSamples, SamplePositions, getters};
+
+use crate::error::{IoError, invalid, unsuitable};
+use crate::fits::columns::Table;
+use crate::fits::hdu::{Hdu, HduKind};
+use crate::fits::image::{read_stack, squeezed};
+use crate::fits::structure::FitsStructure;
+use crate::psf::gridded::{LibraryCards, centred_grid, check_flux, cube_shape};
+
+/// A field-varying PSF of ScopeSim: a few layers, and the nodes of a map that say where each of
+/// them applies.
+///
+/// At a position the layer of the nearest node applies
+/// ([`Interpolation::Nearest`](psf_types::Interpolation::Nearest)). For a model, fit a basis to
+/// [`layers`](Self::layers) and give each node the coefficients of its layer.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ScopesimPsf {
+    layers: PsfSamples,
+    nodes: SamplePositions,
+    layer_of_node: Vec<usize>,
+    wavelength_um: f64,
+    notes: Vec<String>,
+}
+
+impl ScopesimPsf {
+    getters! { &self;
+        /// The layers that the map uses, each at the position of the first node that shows it.
+        layers: &PsfSamples,
+        /// The nodes of the map, in pixels of the frame.
+        nodes: &SamplePositions,
+        /// For each node the index of its layer in [`layers`](Self::layers).
+        layer_of_node: &[usize],
+        /// The wavelength of the PSFs that were taken, in micrometres.
+        wavelength_um: f64,
+        /// Notes for the user on how the file was read, in plain sentences.
+        notes: &[String],
+    }
+}
+
+/// Whether a file says that it is one.
+pub(crate) fn is_scopesim(structure: &FitsStructure) -> bool {
+    let kind = structure.hdus.first().and_then(|hdu| hdu.text("ETYPE"));
+    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("FVPSF"))
+}
+
+/// A ratio this near a whole number is meant to be one: headers hold arcseconds in degrees, with as
+/// many digits as their writers chose. (ScopeSim itself rounds to five decimals.)
+const NEAR_WHOLE: f64 = 1e-6;
+
+fn near_whole(ratio: f64) -> f64 {
+    let whole = ratio.round();
+    if whole >= 1.0 && (ratio - whole).abs() <= NEAR_WHOLE {
+        whole
+    } else {
+        ratio
+    }
+}
+
+/// Reads a field-varying PSF of ScopeSim; see the [layout](self).
+///
+/// ```no_run
+/// use psf_io::{ScopesimOptions, read_scopesim};
+/// use psf_types::Position;
+/// let options = ScopesimOptions::new(0.004, Position::new(2047.5, 2047.5)?)?.with_wavelength_um(2.15)?;
+/// let psf = read_scopesim("MAORY_MCAO_FVPSF_4mas.fits", &options)?;
+/// println!("{} layers at {} nodes", psf.layers().len(), psf.nodes().len());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::Library`] with the card in question where one is missing or malformed, where there
+/// are several wavelengths and none is chosen, where the map names a layer that is not there, or
+/// where a layer has no flux; [`IoError::MissingHdu`] and [`IoError::Axes`] where map or PSFs are
+/// not; [`IoError::NonFinitePixels`]; and the errors of any FITS file.
+pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Result<ScopesimPsf, IoError> {
+    const MAP: &str = "the number of the HDU with the map of layers, counted from 0";
+    const DATA: &str = "the number of the first HDU with PSFs, counted from 0";
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    if !is_scopesim(&structure) {
+        return Err(structure
+            .missing("card ETYPE = 'FVPSF' in its primary header, as a field-varying PSF of ScopeSim has"));
+    }
+    let primary = &LibraryCards::new(&structure.hdus[0]);
+    let map_index = primary.required_count("ECAT", 0, MAP)?;
+    let first = primary.required_count("EDATA", 1, DATA)?;
+    let map_hdu = structure.hdus.get(map_index).ok_or_else(|| {
+        primary.bad_value(
+            "ECAT",
+            MAP,
+            format!("{map_index}, there are {} HDUs", structure.hdus.len()),
+        )
+    })?;
+    let kernels = Kernels::choose(&structure, first, map_index, options)?;
+    let (layer_count, ny, nx) = kernels.shape;
+    let map = LayerMap::read(&structure, map_hdu, layer_count)?;
+
+    let nodes = map
+        .offsets_arcsec
+        .iter()
+        .map(|&(x, y)| options.position(x, y).map_err(invalid(path)))
+        .collect::<Result<Vec<Position>, _>>()?;
+    // Layer of the file to the first node that shows it.
+    let mut used = BTreeMap::new();
+    for (node, &layer) in map.layers.iter().enumerate() {
+        used.entry(layer).or_insert(node);
+    }
+    let numbers: Vec<usize> = used.keys().copied().collect();
+    let listed = |layer| {
+        numbers
+            .binary_search(layer)
+            .expect("every layer of the map is listed")
+    };
+    let layer_of_node = map.layers.iter().map(listed).collect();
+    let oversampling = near_whole(options.pixel_scale_arcsec / kernels.pixel_arcsec);
+    let grid = centred_grid(nx, ny, oversampling).map_err(invalid(path))?;
+    let mut stamps = read_stack::<f64>(kernels.hdu, kernels.shape)?.select(Axis(0), &numbers);
+    stamps *= oversampling * oversampling;
+    check_flux(path, &stamps, grid, |layer| numbers[layer])?;
+    let shown = SamplePositions::new(used.values().map(|&node| nodes[node]).collect(), None);
+    let layers = shown.and_then(|positions| PsfSamples::new(stamps, positions, grid));
+    Ok(ScopesimPsf {
+        layers: layers.map_err(invalid(path))?,
+        nodes: SamplePositions::new(nodes, None).map_err(invalid(path))?,
+        layer_of_node,
+        wavelength_um: kernels.wavelength_um,
+        notes: vec![
+            format!(
+                "wavelength: the PSFs for {} micrometres were taken",
+                kernels.wavelength_um
+            ),
+            "pixel response: taken as included, since ScopeSim convolves with its kernels as they are"
+                .to_owned(),
+        ],
+    })
+}
+
+/// The settings that place a [ScopeSim PSF](crate::scopesim) on a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ScopesimOptions {
+    pixel_scale_arcsec: f64,
+    field_centre: Position,
+    wavelength_um: Option<f64>,
+}
+
+impl ScopesimOptions {
+    /// Frame pixels of `pixel_scale_arcsec` arcseconds, the centre of the field at `field_centre`
+    /// (0-based).
+    ///
+    /// # Errors
+    /// [`DataError::Setting`] unless the scale is a finite number above 0.
+    pub fn new(pixel_scale_arcsec: f64, field_centre: Position) -> Result<Self, DataError> {
+        Ok(Self {
+            pixel_scale_arcsec: positive("pixel scale in arcseconds", pixel_scale_arcsec)?,
+            field_centre,
+            wavelength_um: None,
+        })
+    }
+
+    /// The PSFs of the nearest wavelength, in micrometres; needed where there are several.
+    ///
+    /// # Errors
+    /// [`DataError::Setting`] unless it is a finite number above 0.
+    pub fn with_wavelength_um(self, wavelength_um: f64) -> Result<Self, DataError> {
+        Ok(Self {
+            wavelength_um: Some(positive("wavelength in micrometres", wavelength_um)?),
+            ..self
+        })
+    }
+
+    getters! { &self;
+        /// Size of a frame pixel.
+        pixel_scale_arcsec: f64,
+        /// Where the centre of the field lies on the frame.
+        field_centre: Position,
+        /// The wavelength asked for.
+        wavelength_um: Option<f64>,
+    }
+
+    /// The position of a point at an offset from the centre of the field.
+    fn position(&self, x_arcsec: f64, y_arcsec: f64) -> Result<Position, DataError> {
+        Position::new(
+            self.field_centre.x() + x_arcsec / self.pixel_scale_arcsec,
+            self.field_centre.y() + y_arcsec / self.pixel_scale_arcsec,
+        )
+    }
+}
+
+fn positive(name: &'static str, value: f64) -> Result<f64, DataError> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(value);
+    }
+    Err(DataError::setting(name, "a finite number above 0", value))
+}
+
+/// How far the two sides of a PSF pixel may differ, relatively: the rounding of single precision
+/// and no more.
+const SQUARE: f64 = 1e-6;
+
+/// A cube whose header has been read and whose pixels have not.
+#[derive(Debug)]
+struct Kernels<'a> {
+    hdu: &'a Hdu,
+    shape: (usize, usize, usize),
+    wavelength_um: f64,
+    pixel_arcsec: f64,
+}
+
+impl<'a> Kernels<'a> {
+    /// The cube of the wavelength asked for, among the images from HDU `first` on.
+    fn choose(
+        structure: &'a FitsStructure,
+        first: usize,
+        map: usize,
+        options: &ScopesimOptions,
+    ) -> Result<Self, IoError> {
+        let mut cubes = Vec::new();
+        for hdu in structure.hdus.iter().skip(first) {
+            if hdu.kind == HduKind::Image && hdu.index != map && !hdu.axes.is_empty() {
+                cubes.push((wavelength(&LibraryCards::new(hdu))?, hdu));
+            }
+        }
+        let chosen = match (options.wavelength_um, &cubes[..]) {
+            (_, []) => return Err(structure.missing(&format!("PSFs: no image from HDU {first} (EDATA) on"))),
+            (_, [only]) => only,
+            (Some(wanted), several) => several
+                .iter()
+                .min_by(|(a, _), (b, _)| (a - wanted).abs().total_cmp(&(b - wanted).abs()))
+                .expect("there are several"),
+            (None, several) => {
+                let wavelengths_um: Vec<f64> = several.iter().map(|(wavelength, _)| *wavelength).collect();
+                let problem = format!(
+                    "there are PSFs for the wavelengths {wavelengths_um:?} micrometres: choose the nearest to yours with --psf-wavelength"
+                );
+                return Err(unsuitable(&structure.path, problem));
+            }
+        };
+        let &(wavelength_um, hdu) = chosen;
+        Ok(Self {
+            hdu,
+            shape: cube_shape(hdu)?,
+            wavelength_um,
+            pixel_arcsec: pixel_arcsec(&LibraryCards::new(hdu))?,
+        })
+    }
+}
+
+fn wavelength(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
+    const EXPECTED: &str = "the wavelength of the PSFs in micrometres, a number above 0";
+    const UNIT: &str = "um: wavelengths are in micrometres";
+    if let Some(unit) = cards.text("WAVEUNIT", UNIT)?
+        && !["um", "micron", "microns", "micrometer", ""].contains(&unit.to_ascii_lowercase().as_str())
+    {
+        return Err(cards.bad_value("WAVEUNIT", UNIT, unit));
+    }
+    let wavelength = cards.required_number("WAVE0", EXPECTED)?;
+    if wavelength > 0.0 {
+        return Ok(wavelength);
+    }
+    Err(cards.bad_value("WAVE0", EXPECTED, wavelength.to_string()))
+}
+
+/// Size of a PSF pixel, which must be square.
+fn pixel_arcsec(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
+    const EXPECTED: &str = "the size of a PSF pixel, a number other than 0";
+    let size = cards.required_number("CDELT1", EXPECTED)?.abs() * arcsec_in_unit(cards, "CUNIT1")?;
+    if !(size > 0.0 && size.is_finite()) {
+        return Err(cards.bad_value("CDELT1", EXPECTED, size.to_string()));
+    }
+    if let Some(other) = cards.number("CDELT2", EXPECTED)? {
+        let unit = if cards.has("CUNIT2") { "CUNIT2" } else { "CUNIT1" };
+        let other_size = other.abs() * arcsec_in_unit(cards, unit)?;
+        if (other_size - size).abs() > SQUARE * size {
+            return Err(cards.bad_value(
+                "CDELT2",
+                "as large as CDELT1: pixels of PSFs are square",
+                other.to_string(),
+            ));
+        }
+    }
+    Ok(size)
+}
+
+/// Half a turn in arcseconds: coordinates beyond it are negative ones.
+const HALF_TURN_ARCSEC: f64 = 180.0 * 3600.0;
+
+/// Where which layer applies.
+#[derive(Debug)]
+struct LayerMap {
+    /// Offsets of the nodes from the centre of the field.
+    offsets_arcsec: Vec<(f64, f64)>,
+    /// The layer at each.
+    layers: Vec<usize>,
+}
+
+impl LayerMap {
+    /// Reads the map, an image or a table, of a PSF with so many layers.
+    fn read(structure: &FitsStructure, hdu: &Hdu, layer_count: usize) -> Result<Self, IoError> {
+        match hdu.kind {
+            HduKind::BinaryTable => {
+                let table = Table::new(hdu)?;
+                let (x, y) = (table.read("x", 1)?, table.read("y", 1)?);
+                let offsets_arcsec = x.into_iter().zip(y).collect();
+                let values = table.read("layer", 1)?;
+                Self::new(hdu, offsets_arcsec, &values, layer_count, |row| vec![row])
+            }
+            HduKind::Image if !hdu.axes.is_empty() => {
+                let cards = &LibraryCards::new(hdu);
+                let &[ny, nx] = squeezed(hdu).as_slice() else {
+                    return Err(hdu.axes_error("a map of layers [y, x]"));
+                };
+                let (along_x, along_y) = (MapAxis::new(cards, 1)?, MapAxis::new(cards, 2)?);
+                let values = read_stack::<f64>(hdu, (1, ny, nx))?.into_raw_vec_and_offset().0;
+                let offset = |i: usize| (along_x.offset_arcsec(i % nx), along_y.offset_arcsec(i / nx));
+                let offsets_arcsec = (0..values.len()).map(offset).collect();
+                Self::new(hdu, offsets_arcsec, &values, layer_count, |i| {
+                    vec![i / nx, i % nx]
+                })
+            }
+            _ => Err(structure.missing(&format!(
+                "map of layers: HDU {} (ECAT) is neither an image with pixels nor a binary table",
+                hdu.index
+            ))),
+        }
+    }
+
+    /// A map of the layers that `values` name; `place` is the row or the pixel of a value in the
+    /// file.
+    fn new(
+        hdu: &Hdu,
+        offsets_arcsec: Vec<(f64, f64)>,
+        values: &[f64],
+        layer_count: usize,
+        place: impl Fn(usize) -> Vec<usize>,
+    ) -> Result<Self, IoError> {
+        let layer = |(i, &value): (usize, &f64)| {
+            if value.fract() == 0.0 && value >= 0.0 && value < layer_count as f64 {
+                return Ok(value as usize);
+            }
+            let problem = format!(
+                "HDU {}: the map says layer {value} at {:?} (0-based, x last), there are the layers 0 to {}",
+                hdu.index,
+                place(i),
+                layer_count.saturating_sub(1)
+            );
+            Err(unsuitable(hdu.path(), problem))
+        };
+        let layers = values.iter().enumerate().map(layer).collect::<Result<_, _>>()?;
+        Ok(Self {
+            offsets_arcsec,
+            layers,
+        })
+    }
+}
+
+/// Linear coordinates along an axis.
+struct MapAxis {
+    reference_pixel: f64,
+    reference_arcsec: f64,
+    step_arcsec: f64,
+}
+
+impl MapAxis {
+    fn new(cards: &LibraryCards<'_>, axis: usize) -> Result<Self, IoError> {
+        const ROTATED: &str = "0: a rotated map is not understood";
+        const PIXEL: &str = "the reference pixel of the map, a number";
+        const STEP: &str = "the size of a pixel of the map, a number other than 0";
+        const VALUE: &str = "the coordinate of the reference pixel, a number";
+        let other = 3 - axis;
+        let rotations = [
+            format!("PC{axis}_{other}"),
+            format!("CD{axis}_{other}"),
+            format!("CROTA{axis}"),
+        ];
+        for keyword in rotations {
+            if let Some(value) = cards.number(&keyword, ROTATED)?
+                && value != 0.0
+            {
+                return Err(cards.bad_value(&keyword, ROTATED, value.to_string()));
+            }
+        }
+        let unit = arcsec_in_unit(cards, &format!("CUNIT{axis}"))?;
+        let matrix = format!("CD{axis}_{axis}");
+        let (keyword, factor) = if cards.has(&matrix) {
+            (matrix, 1.0)
+        } else {
+            let scale = cards.number(&format!("PC{axis}_{axis}"), STEP)?;
+            (format!("CDELT{axis}"), scale.unwrap_or(1.0))
+        };
+        let step_arcsec = cards.required_number(&keyword, STEP)? * factor * unit;
+        if step_arcsec == 0.0 || !step_arcsec.is_finite() {
+            return Err(cards.bad_value(&keyword, STEP, step_arcsec.to_string()));
+        }
+        let value = cards.number(&format!("CRVAL{axis}"), VALUE)?.unwrap_or(0.0) * unit;
+        Ok(Self {
+            reference_pixel: cards.required_number(&format!("CRPIX{axis}"), PIXEL)?,
+            reference_arcsec: if value > HALF_TURN_ARCSEC {
+                value - 2.0 * HALF_TURN_ARCSEC
+            } else {
+                value
+            },
+            step_arcsec,
+        })
+    }
+
+    /// The coordinate of a pixel, 0-based.
+    fn offset_arcsec(&self, pixel: usize) -> f64 {
+        self.reference_arcsec + (pixel as f64 + 1.0 - self.reference_pixel) * self.step_arcsec
+    }
+}
+
+/// Arcseconds in the unit that a card names; without the card, in a degree.
+fn arcsec_in_unit(cards: &LibraryCards<'_>, keyword: &str) -> Result<f64, IoError> {
+    const EXPECTED: &str = "an angular unit: deg, arcmin, arcsec, mas or rad";
+    let Some(text) = cards.text(keyword, EXPECTED)? else {
+        return Ok(3600.0);
+    };
+    match text.to_ascii_lowercase().as_str() {
+        "deg" | "degree" | "" => Ok(3600.0),
+        "arcmin" => Ok(60.0),
+        "arcsec" => Ok(1.0),
+        "mas" => Ok(1e-3),
+        "rad" => Ok(1_f64.to_degrees() * 3600.0),
+        _ => Err(cards.bad_value(keyword, EXPECTED, text)),
+    }
+}

@@ -1,0 +1,121 @@
+//! Plain stamps: a cube, or a single image, without the table that makes it PSF samples.
+
+use std::path::Path;
+
+use psf_types::{DataError, Position, PsfSamples, SamplePositions, setters};
+
+use crate::error::{IoError, invalid, unsuitable};
+use crate::fits::hdu::HduChoice;
+use crate::fits::header_cards::HeaderCards;
+use crate::fits::image::read_stack;
+use crate::fits::structure::FitsStructure;
+use crate::psf::gridded::cube_shape;
+use crate::psf::samples::{field, stamp_grid};
+
+/// Settings that the file of a [plain cube of stamps](read_stamp_cube) lacks or has wrong. They go
+/// before its header.
+///
+/// ```
+/// use psf_io::StampCubeOptions;
+/// let options = StampCubeOptions::default().with_oversampling(4.0).with_pixel_response_included(false);
+/// # let _ = options;
+/// ```
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StampCubeOptions {
+    positions: Option<Vec<Position>>,
+    oversampling: Option<f64>,
+    centre: Option<(f64, f64)>,
+    pixel_response_included: Option<bool>,
+    extension: Option<HduChoice>,
+}
+
+impl StampCubeOptions {
+    setters! {
+        /// One position for each plane, in their order.
+        with_positions => positions: Some(Vec<Position>),
+        /// Stamp pixels per frame pixel.
+        with_oversampling => oversampling: Some(f64),
+        /// The image to read, of several.
+        with_extension => extension: Some(HduChoice),
+        /// Whether the response of a frame pixel is in the stamps.
+        with_pixel_response_included => pixel_response_included: Some(bool),
+    }
+
+    /// The stamps' reference point, a 0-based index that may be fractional.
+    #[must_use]
+    pub fn with_centre(self, x: f64, y: f64) -> Self {
+        let centre = Some((x, y));
+        Self { centre, ..self }
+    }
+}
+
+/// Reads plain stamps as PSF samples: the image chosen, or the only one with pixels, a cube
+/// `[plane, y, x]` or an image `[y, x]`.
+///
+/// Keywords of the [`psf-samples` layout](crate::samples) are understood where they are there, and
+/// have the same defaults; `options` go before them. A single stamp needs no position: as the only
+/// sample it holds everywhere, and lies at (0, 0).
+///
+/// ```
+/// # let directory = tempfile::tempdir()?;
+/// # let path = directory.path().join("stamp.fits");
+/// use psf_io::{HeaderCards, StampCubeOptions, read_stamp_cube, write_image};
+/// use psf_types::Image;
+/// let stamp = Image::new(ndarray::Array2::from_elem((5, 5), 0.16_f32))?;
+/// write_image(&path, &stamp, &HeaderCards::new(), &[], false)?;
+/// let samples = read_stamp_cube(&path, &StampCubeOptions::default().with_oversampling(2.0))?;
+/// assert!((samples.flux(0) - 1.0).abs() < 1e-6);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::SeveralHdus`] when more than one image has pixels and none is chosen;
+/// [`IoError::Library`] for several planes without positions; [`IoError::Data`] where there is not
+/// one position a plane, two are equal, a stamp has no flux, or oversampling or centre are out of
+/// range; [`IoError::Axes`], [`IoError::NonFinitePixels`]; and the errors of any FITS file.
+pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Result<PsfSamples, IoError> {
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    let hdu = structure.stamps(options.extension.as_ref())?;
+    let shape = cube_shape(hdu)?;
+    let positions = match &options.positions {
+        Some(positions) => {
+            let what = "positions, one for each plane of the cube";
+            DataError::check_count(what, shape.0, positions.len()).map_err(invalid(path))?;
+            positions.clone()
+        }
+        None if shape.0 == 1 => vec![Position::of_pixel(0, 0)],
+        None => {
+            let problem = format!(
+                "there are {} stamps without positions: give one for each with --psf-positions",
+                shape.0
+            );
+            return Err(unsuitable(path, problem));
+        }
+    };
+    let positions = SamplePositions::new(positions, field(hdu)?).map_err(invalid(path))?;
+    let mut grid = stamp_grid(hdu, shape.2, shape.1)?;
+    if let Some(oversampling) = options.oversampling {
+        grid = grid.with_oversampling(oversampling).map_err(invalid(path))?;
+    }
+    if let Some((x, y)) = options.centre {
+        grid = grid.with_centre(x, y).map_err(invalid(path))?;
+    }
+    if let Some(included) = options.pixel_response_included {
+        grid = grid.with_pixel_response_included(included);
+    }
+    PsfSamples::new(read_stack(hdu, shape)?, positions, grid).map_err(invalid(path))
+}
+
+/// Reads the header cards of the image that [`read_stamp_cube`] takes.
+///
+/// # Errors
+/// [`IoError::SeveralHdus`], [`IoError::NoSuchHdu`], and the errors of any FITS file; the pixels
+/// are not read.
+pub fn read_stamp_header(
+    path: impl AsRef<Path>,
+    extension: Option<&HduChoice>,
+) -> Result<HeaderCards, IoError> {
+    let structure = FitsStructure::scan(path.as_ref())?;
+    Ok(structure.cards(structure.stamps(extension)?))
+}

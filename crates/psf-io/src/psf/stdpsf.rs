@@ -1,0 +1,476 @@
+//! STDPSF: the standard PSF libraries of J. Anderson (STScI) for HST and JWST.
+//!
+//! # Layout
+//!
+//! The first image with pixels is a cube `[plane, y, x]` of `NXPSFS` times `NYPSFS` planes, x
+//! fastest, 4 x oversampled (no keyword says so).
+//!
+//! | keyword | meaning |
+//! |---|---|
+//! | `NXPSFS`, `NYPSFS` | columns and rows of the grid of PSFs |
+//! | `IPSFX01`, `IPSFX02` ... | x of each column in detector pixels, counted from 1 |
+//! | `JPSFY01`, `JPSFY02` ... | y of each row |
+//! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the same as texts of several numbers (WFPC2, all of NIRCam's short-wave detectors) |
+//!
+//! Keywords may be in lower case, as those of real files are in part. Only the first `NXPSFS` and
+//! `NYPSFS` positions are read: further ones are filled up with 9999, which is an error among the
+//! first. Stamps are centred at index `(n - 1) / 2` and hold the response of a pixel. They are
+//! normalised to 1 within a radius that a comment names, so that they do not sum to 16, and are
+//! taken as they are.
+//!
+//! # Detectors
+//!
+//! Some files hold several detectors side by side, told by the shape of the grid. Positions become
+//! those of the one detector:
+//!
+//! | PSFs | instrument | detectors | offset |
+//! |---|---|---|---|
+//! | 9 x 10 | ACS/WFC | 1: WFC2 (SCI,1), 2: WFC1 (SCI,2) | 2048 in y on the second |
+//! | 7 x 8 | WFC3/UVIS | 1: UVIS2 (SCI,1), 2: UVIS1 (SCI,2) | 2048 in y on the second |
+//! | 6 x 6 | WFPC2 | 1: PC, 2: WF2, 3: WF3, 4: WF4, laid out `2 1` over `3 4` | 800 |
+//! | 20 x 10 | NIRCam short-wave | 1 to 4: A1 to A4, 5 to 8: B1 to B4, laid out `2 4 7 5` over `1 3 8 6` | 2048 |
+//!
+//! The numbers are those of photutils' `detector_id`. Any other grid is of one detector.
+
+use std::ops::Range;
+use std::path::Path;
+
+use ndarray::{Array3, ArrayView2, ArrayView3, Axis};
+use psf_types::Position;
+
+use crate::error::{IoError, invalid, unsuitable};
+use crate::fits::hdu::HduChoice;
+use crate::fits::image::read_stack;
+use crate::fits::structure::FitsStructure;
+use crate::psf::gridded::{GriddedPsf, LibraryCards, Planes, cube_shape};
+
+/// Stamp pixels per detector pixel.
+const OVERSAMPLING: f64 = 4.0;
+const COUNT_EXPECTED: &str = "the number of PSFs along an axis of the grid, a whole number above 0";
+
+/// Whether a file is such a library: its cube says how many PSFs lie along an axis. (That both are
+/// needed, the reader says best.)
+pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
+    let cards = structure.first_image().map(LibraryCards::new);
+    cards.is_ok_and(|cards| cards.has("NXPSFS") || cards.has("NYPSFS"))
+}
+
+/// Reads an STDPSF library; see the [layout](self). `detector` chooses among several.
+///
+/// [`GriddedPsf::notes`] names the detector taken and border rows of stamps whose values cannot be
+/// those of a PSF; the values stay as they are.
+///
+/// ```no_run
+/// use psf_io::read_stdpsf;
+/// let library = read_stdpsf("STDPSF_ACSWFC_F814W.fits", Some(2))?;
+/// assert_eq!(library.detector(), Some("WFC1"));
+/// assert_eq!(library.samples().grid().oversampling(), 4.0);
+/// # Ok::<(), psf_io::IoError>(())
+/// ```
+///
+/// # Errors
+/// [`IoError::SeveralHdus`] when more than one image has pixels; [`IoError::Library`] with the card
+/// in question where one is missing or malformed, where the number of planes is not that of the
+/// grid, where two lines of the grid are equal, where a plane has no flux, or where there are
+/// several detectors and none of them is chosen; [`IoError::NonFinitePixels`]; and the errors of
+/// any FITS file.
+pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<GriddedPsf, IoError> {
+    read_stdpsf_hdu(path, None, detector)
+}
+
+/// Reads the library in the HDU chosen.
+///
+/// # Errors
+/// As [`read_stdpsf`]; [`IoError::NoSuchHdu`].
+pub fn read_stdpsf_hdu(
+    path: impl AsRef<Path>,
+    choice: Option<&HduChoice>,
+    detector: Option<usize>,
+) -> Result<GriddedPsf, IoError> {
+    let path = path.as_ref();
+    let structure = FitsStructure::scan(path)?;
+    let hdu = structure.stamps(choice)?;
+    let cards = &LibraryCards::new(hdu);
+    let (planes, ny, nx) = cube_shape(hdu)?;
+    let columns = cards.required_count("NXPSFS", 1, COUNT_EXPECTED)?;
+    let rows = cards.required_count("NYPSFS", 1, COUNT_EXPECTED)?;
+    // Also bounds what is read of the header below.
+    if columns.checked_mul(rows) != Some(planes) {
+        let stated = format!("{columns} times {rows}");
+        return Err(cards.plane_count(planes, "NXPSFS times NYPSFS", &stated));
+    }
+    let layout = Layout::of_grid(columns, rows);
+    let chosen = layout
+        .choose(detector)
+        .map_err(|problem| unsuitable(path, problem))?;
+    let block = layout.block(chosen, columns, rows);
+    let x = read_lines(cards, "IPSFX", columns, block.columns.clone())?;
+    let y = read_lines(cards, "JPSFY", rows, block.rows.clone())?;
+
+    let mut positions = Vec::new();
+    let mut numbers = Vec::new();
+    for (row, y) in block.rows.clone().zip(&y) {
+        for (column, x) in block.columns.clone().zip(&x) {
+            let position = Position::new(x - 1.0 - block.x0, y - 1.0 - block.y0);
+            positions.push(position.map_err(invalid(path))?);
+            numbers.push(row * columns + column);
+        }
+    }
+    let cube = read_stack(hdu, (planes, ny, nx))?;
+    let stamps = if numbers.len() == planes {
+        cube
+    } else {
+        cube.select(Axis(0), &numbers)
+    };
+    let name = layout.name(chosen);
+    let mut notes = Vec::new();
+    if let Some(name) = &name {
+        notes.push(format!(
+            "detector: {} ({name}) of {} was taken",
+            chosen + 1,
+            layout.len()
+        ));
+    }
+    notes.extend(defects(&stamps, &numbers));
+    let planes = Planes {
+        stamps,
+        numbers,
+        positions,
+        oversampling: OVERSAMPLING,
+        detector: name.map(str::to_owned),
+        notes,
+    };
+    GriddedPsf::new(path, planes)
+}
+
+/// The detectors of a file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Layout {
+    /// Detectors along x and y.
+    across: (usize, usize),
+    /// Pixels along a side of a detector.
+    size: usize,
+    /// The names of the detectors.
+    names: &'static [&'static str],
+    /// The place of each detector, counted along x, then y.
+    places: &'static [usize],
+}
+
+/// The part of the grid that belongs to one detector.
+#[derive(Debug, Clone, PartialEq)]
+struct Block {
+    columns: Range<usize>,
+    rows: Range<usize>,
+    /// Where the detector begins in the positions of the file.
+    x0: f64,
+    y0: f64,
+}
+
+const SINGLE: Layout = Layout::new((1, 1), 0, &[], &[]);
+
+/// The grids (columns, rows) that hold several detectors.
+const SEVERAL: &[((usize, usize), Layout)] = &[
+    ((9, 10), Layout::new((1, 2), 2048, &["WFC2", "WFC1"], &[0, 1])),
+    ((7, 8), Layout::new((1, 2), 2048, &["UVIS2", "UVIS1"], &[0, 1])),
+    (
+        (6, 6),
+        Layout::new((2, 2), 800, &["PC", "WF2", "WF3", "WF4"], &[3, 2, 0, 1]),
+    ),
+    (
+        (20, 10),
+        Layout::new((4, 2), 2048, NIRCAM, &[0, 4, 1, 5, 7, 3, 6, 2]),
+    ),
+];
+const NIRCAM: &[&str] = &["A1", "A2", "A3", "A4", "B1", "B2", "B3", "B4"];
+
+impl Layout {
+    const fn new(
+        across: (usize, usize),
+        size: usize,
+        names: &'static [&'static str],
+        places: &'static [usize],
+    ) -> Self {
+        Self {
+            across,
+            size,
+            names,
+            places,
+        }
+    }
+
+    /// The layout of a grid of so many columns and rows.
+    fn of_grid(columns: usize, rows: usize) -> Self {
+        SEVERAL
+            .iter()
+            .find(|(grid, _)| *grid == (columns, rows))
+            .map_or(SINGLE, |&(_, layout)| layout)
+    }
+
+    /// Number of detectors.
+    fn len(self) -> usize {
+        self.across.0 * self.across.1
+    }
+
+    /// The index of the detector that is chosen by its number, counted from 1.
+    fn choose(self, detector: Option<usize>) -> Result<usize, String> {
+        let number = match detector {
+            None if self == SINGLE => 1,
+            None => 0,
+            Some(number) => number,
+        };
+        if (1..=self.len()).contains(&number) {
+            return Ok(number - 1);
+        }
+        let named = |i| format!("{} ({})", i + 1, self.name(i).unwrap_or("the only one"));
+        let detectors: Vec<String> = (0..self.len()).map(named).collect();
+        let none = detector.map_or_else(String::new, |n| format!("there is no detector {n}: "));
+        Err(format!(
+            "{none}the file holds the detectors {}: choose one with --psf-detector",
+            detectors.join(", ")
+        ))
+    }
+
+    /// The name of a detector; none where there is only one, which the file does not name.
+    fn name(self, index: usize) -> Option<&'static str> {
+        self.names.get(index).copied()
+    }
+
+    /// The part of a grid of so many columns and rows that belongs to a detector.
+    fn block(self, index: usize, columns: usize, rows: usize) -> Block {
+        let place = self.places.get(index).copied().unwrap_or(0);
+        let (i, j) = (place % self.across.0, place / self.across.0);
+        let (width, height) = (columns / self.across.0, rows / self.across.1);
+        Block {
+            columns: i * width..(i + 1) * width,
+            rows: j * height..(j + 1) * height,
+            x0: (i * self.size) as f64,
+            y0: (j * self.size) as f64,
+        }
+    }
+}
+
+/// The filler where there is no position.
+const FILLER: f64 = 9999.0;
+const NUMBER_EXPECTED: &str = "a position of the grid in pixels (9999 stands for none)";
+const LIST_EXPECTED: &str = "a text of positions of the grid in pixels (9999 stands for none)";
+
+/// The positions of the lines `wanted` among the first `count`, as the file has them. `stem` is
+/// `IPSFX` or `JPSFY`.
+fn read_lines(
+    cards: &LibraryCards<'_>,
+    stem: &str,
+    count: usize,
+    wanted: Range<usize>,
+) -> Result<Vec<f64>, IoError> {
+    let mut lines = if cards.has(&list_keyword(stem, 0)) && !cards.has(&format!("{stem}01")) {
+        listed(cards, stem, count)?
+    } else {
+        single(cards, stem, count)?
+    };
+    if let Some((_, keyword)) = lines.iter().find(|(value, _)| *value == FILLER) {
+        return Err(cards.bad_value(
+            keyword,
+            "a position, since the grid has a line there",
+            FILLER.to_string(),
+        ));
+    }
+    let lines: Vec<(f64, String)> = lines.drain(wanted).collect();
+    for (i, (value, second)) in lines.iter().enumerate() {
+        if let Some((_, first)) = lines[..i].iter().find(|(earlier, _)| earlier == value) {
+            let problem = format!("{first} and {second} are both {value}: grid positions must differ");
+            return Err(cards.refused(&problem));
+        }
+    }
+    Ok(lines.into_iter().map(|(value, _)| value).collect())
+}
+
+/// One card a line.
+fn single(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64, String)>, IoError> {
+    (1..=count)
+        .map(|line| {
+            let keyword = format!("{stem}{line:02}");
+            Ok((cards.required_number(&keyword, NUMBER_EXPECTED)?, keyword))
+        })
+        .collect()
+}
+
+/// Texts of several lines each.
+fn listed(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64, String)>, IoError> {
+    let mut lines = Vec::new();
+    let mut list = 0;
+    while lines.len() < count {
+        let keyword = list_keyword(stem, list);
+        let text = cards
+            .text(&keyword, LIST_EXPECTED)?
+            .ok_or_else(|| cards.missing(&keyword, LIST_EXPECTED))?;
+        for word in text.split_whitespace() {
+            let value: Option<f64> = word.parse().ok().filter(|v: &f64| v.is_finite());
+            let value = value.ok_or_else(|| cards.bad_value(&keyword, LIST_EXPECTED, text.clone()))?;
+            lines.push((value, keyword.clone()));
+        }
+        list += 1;
+    }
+    lines.truncate(count);
+    Ok(lines)
+}
+
+/// The keyword of a list: `IPSFXA5`, `IPSFXB5` ...; beyond Z there is none.
+fn list_keyword(stem: &str, list: u8) -> String {
+    format!("{stem}{}5", char::from(b'A'.saturating_add(list)))
+}
+
+/// A value this far below zero, relative to the peak, is no wing of a PSF: real libraries stay a
+/// thousand times closer.
+const NEGATIVE: f64 = 0.01;
+/// A border pixel this many times brighter than the next one inwards is not the wing of a PSF,
+/// which falls outwards ...
+const JUMP: f64 = 10.0;
+/// ... where it matters at all, relative to the peak.
+const FAINT: f64 = 0.01;
+/// A row is bad when more than this part of its pixels are, which bad rows on the adjacent sides do
+/// not reach.
+const PART: f64 = 0.25;
+/// Rows from the border that are looked at: one in so many of the stamp's.
+const DEPTH: usize = 10;
+
+/// A sentence for each side of the stamps with bad rows. `numbers` are the planes of the file.
+fn defects(stamps: &Array3<f64>, numbers: &[usize]) -> Vec<String> {
+    // Name, axis of the stamps along which one goes inwards, and whether from its end.
+    [
+        ("bottom", 1, false),
+        ("top", 1, true),
+        ("left", 2, false),
+        ("right", 2, true),
+    ]
+    .into_iter()
+    .filter_map(|(name, axis, last)| {
+        let mut inwards = stamps.view();
+        if last {
+            inwards.invert_axis(Axis(axis));
+        }
+        inwards.swap_axes(1, axis);
+        side_defect(inwards, numbers, name)
+    })
+    .collect()
+}
+
+/// A sentence for one side of stamps `[stamp, row inwards, place along the side]`.
+fn side_defect(stamps: ArrayView3<'_, f64>, numbers: &[usize], name: &str) -> Option<String> {
+    let (mut depth, mut worst) = (0, 0.0_f64);
+    let mut planes = Vec::new();
+    for (stamp, number) in stamps.outer_iter().zip(numbers) {
+        let bad = bad_rows(stamp);
+        if bad > 0 {
+            depth = depth.max(bad);
+            planes.push(*number);
+            let strongest = |worst: f64, &v: &f64| if v.abs() > worst.abs() { v } else { worst };
+            worst = stamp.outer_iter().take(bad).flatten().fold(worst, strongest);
+        }
+    }
+    (!planes.is_empty()).then(|| {
+        format!(
+            "border: the {depth} outermost row(s) on the {name} side of {} plane(s) (first: {}) hold values that are no PSF's, such as \
+             {worst}; they are used as they are",
+            planes.len(),
+            planes[0]
+        )
+    })
+}
+
+/// The number of bad rows from the first inwards.
+fn bad_rows(stamp: ArrayView2<'_, f64>) -> usize {
+    let peak = stamp.iter().copied().fold(0.0, f64::max);
+    let is_bad = |&row: &usize| {
+        let (values, inwards) = (stamp.row(row), stamp.row(row + 1));
+        let bad = values.iter().zip(inwards).filter(|&(&value, &next)| {
+            let size = value.abs();
+            value < -NEGATIVE * peak || (size > FAINT * peak && size > JUMP * next.abs())
+        });
+        bad.count() as f64 > PART * values.len() as f64
+    };
+    let rows = stamp.nrows();
+    (0..rows.div_ceil(DEPTH).min(rows.saturating_sub(1)))
+        .rev()
+        .find(is_bad)
+        .map_or(0, |row| row + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_detector_has_a_place_of_its_own_and_a_whole_number_of_psfs() {
+        for &((columns, rows), layout) in SEVERAL {
+            let mut places = layout.places.to_vec();
+            places.sort_unstable();
+            assert_eq!(layout.names.len(), places.len());
+            assert_eq!(places, (0..layout.len()).collect::<Vec<_>>());
+            assert_eq!((columns % layout.across.0, rows % layout.across.1), (0, 0));
+        }
+    }
+
+    #[test]
+    fn detectors_lie_where_the_sky_has_them() {
+        let block = |columns, rows, detector: usize| {
+            Layout::of_grid(columns, rows).block(detector - 1, columns, rows)
+        };
+        // The planetary camera is the upper right of WFPC2.
+        let pc = block(6, 6, 1);
+        assert_eq!((pc.columns, pc.rows, pc.x0, pc.y0), (3..6, 3..6, 800.0, 800.0));
+        // NIRCam B4 is the third of the lower four.
+        let b4 = block(20, 10, 8);
+        assert_eq!((b4.columns, b4.rows, b4.x0, b4.y0), (10..15, 0..5, 4096.0, 0.0));
+        let wfc1 = block(9, 10, 2);
+        assert_eq!(
+            (wfc1.columns, wfc1.rows, wfc1.x0, wfc1.y0),
+            (0..9, 5..10, 0.0, 2048.0)
+        );
+        assert_eq!(block(3, 3, 1).columns, 0..3);
+    }
+
+    #[test]
+    fn a_choice_is_needed_among_several_and_must_be_one_of_them() {
+        assert_eq!(Layout::of_grid(5, 5).choose(None), Ok(0));
+        assert_eq!(Layout::of_grid(5, 5).choose(Some(1)), Ok(0));
+        assert!(Layout::of_grid(5, 5).choose(Some(2)).is_err());
+        assert_eq!(Layout::of_grid(6, 6).choose(Some(4)), Ok(3));
+        assert!(Layout::of_grid(6, 6).choose(Some(0)).is_err());
+        let error = Layout::of_grid(6, 6).choose(None).unwrap_err();
+        assert!(
+            error.contains("1 (PC), 2 (WF2), 3 (WF3), 4 (WF4)") && error.contains("--psf-detector"),
+            "{error}"
+        );
+    }
+
+    /// A Moffat-like profile on 41 x 41 pixels.
+    fn stamps() -> Array3<f64> {
+        Array3::from_shape_fn((3, 41, 41), |(_, y, x)| {
+            let r2 = (y as f64 - 20.0).powi(2) + (x as f64 - 20.0).powi(2);
+            0.2 / (1.0 + r2 / 4.0).powf(2.5) - 1e-4
+        })
+    }
+
+    #[test]
+    fn wings_are_good_also_where_they_are_slightly_negative_or_cut() {
+        assert!(defects(&stamps(), &[0, 1, 2]).is_empty());
+        let core = stamps().slice_move(ndarray::s![.., 18..23, 18..23]);
+        assert!(defects(&core, &[0, 1, 2]).is_empty());
+        assert!(defects(&Array3::ones((1, 1, 1)), &[0]).is_empty());
+    }
+
+    #[test]
+    fn bad_rows_are_named_with_side_depth_plane_and_value() {
+        let mut bad = stamps();
+        bad.slice_mut(ndarray::s![1, 39.., ..]).fill(-0.1);
+        let notes = defects(&bad, &[10, 11, 12]);
+        assert_eq!(notes.len(), 1, "{notes:?}");
+        for part in ["2 outermost", "top", "1 plane", "first: 11", "-0.1"] {
+            assert!(notes[0].contains(part), "{part}: {}", notes[0]);
+        }
+        let mut bright = stamps();
+        bright.slice_mut(ndarray::s![.., .., 0]).fill(0.05);
+        let notes = defects(&bright, &[0, 1, 2]);
+        assert!(notes.len() == 1 && notes[0].contains("left"), "{notes:?}");
+    }
+}

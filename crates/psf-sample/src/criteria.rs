@@ -1,0 +1,305 @@
+//! When a cell of the mesh is fine enough: how much two PSFs differ, and the criteria made of that.
+
+use ndarray::ArrayView2;
+
+use crate::sampling::SampleError;
+
+/// Decides whether a cell between samples is fine enough. Object-safe; may be implemented elsewhere.
+///
+/// A cell is a rectangle whose four corners are samples. It is split along an axis whose value exceeds the threshold.
+pub trait RefinementCriterion: std::fmt::Debug + Send + Sync {
+    /// The largest value that is fine, finite and above 0.
+    fn threshold(&self) -> f64;
+
+    /// Which PSFs of a cell the criterion looks at.
+    fn probes(&self) -> CellProbes;
+
+    /// Measures a cell. Must depend on the stamps alone.
+    fn assess(&self, cell: &CellStamps<'_>) -> CellVariation;
+}
+
+/// Which PSFs of a cell are drawn for a criterion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CellProbes {
+    /// The four corners, which are samples anyway.
+    Corners,
+    /// The corners, the middles of the four edges and the cell's centre. They become samples where the cell is split.
+    CornersAndMidpoints,
+}
+
+/// How much the PSF varies in a cell, in the criterion's measure: numbers of 0 or above.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct CellVariation {
+    /// Along x: above the threshold, the cell is halved by a vertical line.
+    pub along_x: f64,
+    /// Along y: above the threshold, the cell is halved by a horizontal line.
+    pub along_y: f64,
+}
+
+impl CellVariation {
+    /// The larger of the two.
+    pub fn largest(self) -> f64 {
+        self.along_x.max(self.along_y)
+    }
+}
+
+/// The PSFs of a cell on the 3 x 3 grid of its corners, edge midpoints and centre.
+#[derive(Debug)]
+pub struct CellStamps<'a> {
+    pub(crate) stamps: [[Option<ArrayView2<'a, f64>>; 3]; 3],
+}
+
+impl CellStamps<'_> {
+    /// The PSF at `column` and `row`: 0 for the lower end of the axis, 1 for the middle, 2 for the upper end.
+    ///
+    /// # Panics
+    /// When an index exceeds 2, or for a midpoint that [`RefinementCriterion::probes`] did not ask for.
+    pub fn at(&self, column: usize, row: usize) -> ArrayView2<'_, f64> {
+        self.stamps[row][column]
+            .as_ref()
+            .expect("the criterion asks for its midpoints")
+            .view()
+    }
+}
+
+/// A relative difference of two stamps `a` and `b` on the same grid; symmetric in them, 0 for equal ones.
+///
+/// ```
+/// use ndarray::array;
+/// use psf_sample::DifferenceMeasure;
+/// let (a, b) = (array![[0.6, 0.4]], array![[0.5, 0.5]]);
+/// assert!((DifferenceMeasure::L1.between(a.view(), b.view()) - 0.2).abs() < 1e-15);
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[non_exhaustive]
+pub enum DifferenceMeasure {
+    /// `sum |a - b| / (sum |a| + sum |b|) * 2`: up to 2, for PSFs that do not overlap.
+    L1,
+    /// `||a - b||_2 / (||a||_2 + ||b||_2) * 2`: up to sqrt(2) for PSFs of equal norm that do not overlap.
+    #[default]
+    L2,
+}
+
+impl DifferenceMeasure {
+    /// The difference of two stamps.
+    ///
+    /// # Panics
+    /// When their shapes differ.
+    pub fn between(self, a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>) -> f64 {
+        self.of_pairs(a.iter().copied(), b.iter().copied(), a.dim() == b.dim())
+    }
+
+    /// The difference of `(a + b) / 2` and `c`.
+    ///
+    /// # Panics
+    /// When the shapes differ.
+    pub fn of_mean(self, [a, b]: [ArrayView2<'_, f64>; 2], c: ArrayView2<'_, f64>) -> f64 {
+        let mean = a.iter().zip(b.iter()).map(|(a, b)| 0.5 * (a + b));
+        self.of_pairs(mean, c.iter().copied(), a.dim() == b.dim() && b.dim() == c.dim())
+    }
+
+    fn of_pairs(self, a: impl Iterator<Item = f64>, b: impl Iterator<Item = f64>, same_shape: bool) -> f64 {
+        assert!(same_shape, "stamps of one source have one shape");
+        let norm = |v: f64| if self == Self::L1 { v.abs() } else { v * v };
+        let (mut d, mut na, mut nb) = (0.0, 0.0, 0.0);
+        for (a, b) in a.zip(b) {
+            d += norm(a - b);
+            na += norm(a);
+            nb += norm(b);
+        }
+        if self == Self::L2 {
+            (d, na, nb) = (d.sqrt(), na.sqrt(), nb.sqrt());
+        }
+        // Two empty stamps do not differ; every stamp that is drawn holds light.
+        if d == 0.0 { 0.0 } else { 2.0 * d / (na + nb) }
+    }
+}
+
+/// Neighbouring samples differ by less than a threshold. Neighbours are the ends of every edge of the mesh: the next sample
+/// to the left, right, above and below (where a small cell meets a large one, along both the small and the large edge).
+///
+/// What lies between two samples is not looked at: a PSF that comes back to the same shape within one cell of the starting
+/// grid goes unseen, and a PSF that varies linearly is sampled densely although interpolation would be exact.
+/// [`InterpolationError`](crate::InterpolationError) looks there, and mostly needs far fewer samples for the same error.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NeighbourDifference {
+    threshold: f64,
+    measure: DifferenceMeasure,
+}
+
+impl NeighbourDifference {
+    /// The default threshold, 1 %.
+    pub const DEFAULT_THRESHOLD: f64 = 0.01;
+
+    /// A criterion with this threshold on this measure.
+    ///
+    /// # Errors
+    /// [`SampleError::Setting`] unless the threshold is finite and above 0.
+    pub fn new(threshold: f64, measure: DifferenceMeasure) -> Result<Self, SampleError> {
+        check_threshold(threshold)?;
+        Ok(Self { threshold, measure })
+    }
+
+    /// The measure of the difference.
+    pub fn measure(&self) -> DifferenceMeasure {
+        self.measure
+    }
+}
+
+impl Default for NeighbourDifference {
+    fn default() -> Self {
+        Self {
+            threshold: Self::DEFAULT_THRESHOLD,
+            measure: DifferenceMeasure::default(),
+        }
+    }
+}
+
+impl RefinementCriterion for NeighbourDifference {
+    fn threshold(&self) -> f64 {
+        self.threshold
+    }
+
+    fn probes(&self) -> CellProbes {
+        CellProbes::Corners
+    }
+
+    fn assess(&self, cell: &CellStamps<'_>) -> CellVariation {
+        let between =
+            |a: (usize, usize), b: (usize, usize)| self.measure.between(cell.at(a.0, a.1), cell.at(b.0, b.1));
+        CellVariation {
+            along_x: between((0, 0), (2, 0)).max(between((0, 2), (2, 2))),
+            along_y: between((0, 0), (0, 2)).max(between((2, 0), (2, 2))),
+        }
+    }
+}
+
+/// Linear interpolation between the samples is wrong by less than a threshold at points that are no samples:
+///
+/// * at the middle of each edge, against the mean of the edge's ends;
+/// * at the centre of the cell, against the mean of **either** pair of opposite corners, whichever is worse: a Delaunay
+///   triangulation may draw either diagonal. Bilinear interpolation, the mean of both, is never worse than the worse one.
+///
+/// For a PSF that varies quadratically within a cell, the worst point of a triangle with a right angle is the middle of its
+/// longest side, so these points bound the error in the cell. Where cells of different size meet, a triangulation may join
+/// other samples; its error there is of the same order, not strictly bounded.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InterpolationError {
+    threshold: f64,
+    measure: DifferenceMeasure,
+}
+
+impl InterpolationError {
+    /// A criterion with this threshold on this measure of (interpolated, true).
+    ///
+    /// # Errors
+    /// [`SampleError::Setting`] unless the threshold is finite and above 0.
+    pub fn new(threshold: f64, measure: DifferenceMeasure) -> Result<Self, SampleError> {
+        check_threshold(threshold)?;
+        Ok(Self { threshold, measure })
+    }
+
+    /// The measure of the error.
+    pub fn measure(&self) -> DifferenceMeasure {
+        self.measure
+    }
+}
+
+impl RefinementCriterion for InterpolationError {
+    fn threshold(&self) -> f64 {
+        self.threshold
+    }
+
+    fn probes(&self) -> CellProbes {
+        CellProbes::CornersAndMidpoints
+    }
+
+    fn assess(&self, cell: &CellStamps<'_>) -> CellVariation {
+        let error = |a: (usize, usize), b: (usize, usize), middle: (usize, usize)| {
+            let ends = [cell.at(a.0, a.1), cell.at(b.0, b.1)];
+            self.measure.of_mean(ends, cell.at(middle.0, middle.1))
+        };
+        let x = error((0, 0), (2, 0), (1, 0)).max(error((0, 2), (2, 2), (1, 2)));
+        let y = error((0, 0), (0, 2), (0, 1)).max(error((2, 0), (2, 2), (2, 1)));
+        let centre = error((0, 0), (2, 2), (1, 1)).max(error((2, 0), (0, 2), (1, 1)));
+        // Halving an axis takes three quarters of a quadratic error along it and half of the twist (the rest of the centre's
+        // error). Where halving one axis is enough, that one bears the centre's error, else both do.
+        let twist = (centre - x - y).max(0.0);
+        let enough = |of: f64, other: f64| {
+            of.max(centre) > self.threshold
+                && (of / 4.0).max(other).max(centre - 0.75 * of - 0.5 * twist) <= self.threshold
+        };
+        let (x_alone, y_alone) = (enough(x, y), enough(y, x));
+        CellVariation {
+            along_x: if y_alone && (!x_alone || y > x) {
+                x
+            } else {
+                x.max(centre)
+            },
+            along_y: if x_alone && (!y_alone || x >= y) {
+                y
+            } else {
+                y.max(centre)
+            },
+        }
+    }
+}
+
+pub(crate) fn check_threshold(threshold: f64) -> Result<(), SampleError> {
+    let (name, allowed) = ("the threshold of the criterion", "a finite number above 0");
+    SampleError::check(threshold.is_finite() && threshold > 0.0, name, allowed, threshold)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::{Array2, array};
+
+    #[test]
+    fn values() {
+        let (a, b) = (array![[3.0, 0.0], [0.0, 1.0]], array![[0.0, 4.0], [0.0, 1.0]]);
+        let l1 = 2.0 * 7.0 / (4.0 + 5.0);
+        let l2 = 2.0 * 5.0 / (10f64.sqrt() + 17f64.sqrt());
+        for (measure, expected) in [(DifferenceMeasure::L1, l1), (DifferenceMeasure::L2, l2)] {
+            assert!((measure.between(a.view(), b.view()) - expected).abs() < 1e-15);
+            assert_eq!(
+                measure.between(a.view(), b.view()),
+                measure.between(b.view(), a.view())
+            );
+            assert_eq!(measure.between(a.view(), a.view()), 0.0);
+            let scaled = measure.between((&a * 1e-3).view(), (&b * 1e-3).view());
+            assert!((scaled - expected).abs() < 1e-14, "relative");
+            let mean = (&a + &b) / 2.0;
+            assert_eq!(measure.of_mean([a.view(), b.view()], mean.view()), 0.0);
+        }
+    }
+
+    /// The variation of a cell whose stamps are `f` at the 3 x 3 points.
+    fn assess(f: impl Fn(f64, f64) -> f64) -> CellVariation {
+        let all: Vec<Array2<f64>> = (0..9)
+            .map(|i| array![[1.0, f(f64::from(i % 3) / 2.0, f64::from(i / 3) / 2.0)]])
+            .collect();
+        let stamps = [0, 1, 2].map(|row| [0, 1, 2].map(|column| Some(all[3 * row + column].view())));
+        InterpolationError::new(0.1, DifferenceMeasure::L1)
+            .unwrap()
+            .assess(&CellStamps { stamps })
+    }
+
+    #[test]
+    fn linear_variation_is_no_error() {
+        assert!(assess(|x, y| 0.2 + 0.3 * x + 0.5 * y).largest() < 1e-15);
+    }
+
+    #[test]
+    fn errors_are_charged_to_the_axis_that_causes_them() {
+        let v = assess(|x, _| x * x);
+        assert!(v.along_x > 0.1 && v.along_y == 0.0, "{v:?}");
+        let v = assess(|x, y| 0.1 * x * x + y * y);
+        assert!(v.along_y > v.along_x && v.along_x < 0.05, "{v:?}");
+        let v = assess(|x, y| x * y);
+        assert!(
+            v.along_x == v.along_y && v.along_x > 0.1,
+            "a twist shows at the centre alone: {v:?}"
+        );
+    }
+}

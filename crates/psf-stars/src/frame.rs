@@ -1,0 +1,330 @@
+//! A frame, what is measured of single sources in it, and which pixels belong to which of them.
+
+use ndarray::Array2;
+use psf_types::FrameShape;
+use rayon::prelude::*;
+
+use crate::registration::FineGrid;
+use crate::source::Gaussian;
+use crate::{Background, Camera, Detection, Peak, Rejection, Rejections, Saturation, Source, StarError};
+
+/// The aperture's radius: in FWHM, and at least so many pixels.
+const APERTURE_FWHM: f64 = 1.25;
+const APERTURE_PX: f64 = 2.0;
+/// Gaussian fits look this far, in FWHM.
+const FIT_FWHM: f64 = 1.5;
+/// Two fits closer than this are of one source, pixels.
+const SAME_PX: f64 = 1.0;
+
+/// The radius of the aperture for stars of this width.
+pub(crate) fn aperture_px(fwhm_px: f64) -> f64 {
+    (APERTURE_FWHM * fwhm_px).max(APERTURE_PX)
+}
+
+/// A frame with its background.
+pub(crate) struct FrameView {
+    pub(crate) pixels: Array2<f64>,
+    pub(crate) excess: Array2<f64>,
+    pub(crate) background: Background,
+    pub(crate) saturation: Saturation,
+    pub(crate) camera: Camera,
+}
+
+impl FrameView {
+    pub(crate) fn shape(&self) -> FrameShape {
+        let (ny, nx) = self.pixels.dim();
+        FrameShape::new(nx, ny).expect("the shape of an image")
+    }
+
+    /// Pixels `(column, row)` whose centres lie within `radius`.
+    pub(crate) fn disc(&self, x: f64, y: f64, radius: f64) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let (ny, nx) = self.pixels.dim();
+        let range = |v: f64, n: usize| {
+            let first = (v - radius).ceil().max(0.0) as usize;
+            let end = ((v + radius).floor() + 1.0).clamp(0.0, n as f64) as usize;
+            first..end.max(first)
+        };
+        let columns = range(x, nx);
+        range(y, ny).flat_map(move |row| {
+            columns
+                .clone()
+                .filter(move |&column| (column as f64 - x).hypot(row as f64 - y) <= radius)
+                .map(move |column| (column, row))
+        })
+    }
+
+    /// The sources, the most significant first.
+    pub(crate) fn peaks(&self, detection: &Detection) -> Result<Vec<Peak>, StarError> {
+        let peaks = detection.find(self.pixels.view(), &self.background);
+        if peaks.is_empty() {
+            return Err(StarError::NoSamples(format!(
+                "no source exceeds {} sigma of the background noise: lower the threshold",
+                detection.threshold()
+            )));
+        }
+        Ok(peaks)
+    }
+
+    /// The sources of peaks, without their backgrounds and neighbours.
+    pub(crate) fn measured(&self, peaks: &[Peak], fwhm_px: f64) -> Vec<Source> {
+        let mut sources: Vec<Source> = peaks.par_iter().map(|p| self.measure(p, fwhm_px)).collect();
+        // A fit that slid to a brighter neighbour is not the peak's own.
+        let neighbours = Neighbours::of(&sources);
+        let slid: Vec<usize> = (0..sources.len())
+            .filter(|&k| {
+                let s = &sources[k];
+                // The more significant ones come first.
+                s.fwhm_px.is_some() && neighbours.within(s.x, s.y, SAME_PX).any(|(j, _)| j < k)
+            })
+            .collect();
+        for k in slid {
+            let source = &mut sources[k];
+            (source.x, source.y) = self.light_centre(&peaks[k]);
+            (source.fwhm_px, source.e1, source.e2) = (None, None, None);
+        }
+        sources
+    }
+
+    fn measure(&self, peak: &Peak, fwhm_px: f64) -> Source {
+        let reach = ((FIT_FWHM * fwhm_px).ceil() as usize).max(3);
+        let gaussian = Gaussian::fit(self.excess.view(), (peak.column, peak.row), reach, fwhm_px);
+        let (x, y) = gaussian.map_or_else(|| self.light_centre(peak), |g| (g.x, g.y));
+        let radius = aperture_px(fwhm_px);
+        let (mut flux, mut count) = (0.0, 0.0);
+        for (column, row) in self.disc(x, y, radius) {
+            flux += self.excess[[row, column]];
+            count += 1.0;
+        }
+        let core = self.disc(peak.column as f64, peak.row as f64, fwhm_px.max(1.5));
+        let brightest = core
+            .map(|(column, row)| self.pixels[[row, column]])
+            .fold(f64::NEG_INFINITY, f64::max);
+        let mut rejected = Rejections::default();
+        if self.saturation.reached_by(brightest) {
+            rejected.insert(Rejection::Saturated);
+        }
+        let background_rms = self.background.rms()[[peak.row, peak.column]];
+        Source {
+            x,
+            y,
+            flux,
+            snr: self.camera.snr(flux, count, background_rms),
+            significance: peak.significance,
+            peak: brightest,
+            background: f64::NAN,
+            background_rms,
+            fwhm_px: gaussian.map(|g| g.fwhm_px),
+            e1: gaussian.map(|g| g.e1),
+            e2: gaussian.map(|g| g.e2),
+            pixel_count: peak.pixel_count,
+            nearest_px: None,
+            sample: None,
+            rejected,
+        }
+    }
+
+    /// Fills in what is left: each source's background and its distance to the nearest other one.
+    pub(crate) fn complete(&self, sources: &mut [Source]) {
+        let neighbours = Neighbours::of(sources);
+        let (ny, nx) = self.pixels.dim();
+        let pixel = |v: f64, n: usize| (v.round().max(0.0) as usize).min(n - 1);
+        for (k, source) in sources.iter_mut().enumerate() {
+            let at = [pixel(source.y, ny), pixel(source.x, nx)];
+            (source.background, source.background_rms) =
+                (self.background.level()[at], self.background.rms()[at]);
+            let nearest = neighbours.nearest(source.x, source.y, |j| j != k);
+            source.nearest_px = nearest.map(|(_, distance)| distance);
+        }
+    }
+
+    /// The centre of the light in 3 x 3 pixels.
+    fn light_centre(&self, peak: &Peak) -> (f64, f64) {
+        let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
+        for (column, row) in self.disc(peak.column as f64, peak.row as f64, 1.5) {
+            let value = self.excess[[row, column]].max(0.0);
+            sum += value;
+            x += value * column as f64;
+            y += value * row as f64;
+        }
+        if sum > 0.0 {
+            (x / sum, y / sum)
+        } else {
+            (peak.column as f64, peak.row as f64)
+        }
+    }
+
+    pub(crate) fn star(&self, index: usize, source: &Source, ownership: &Ownership, grid: FineGrid) -> Star {
+        let (x, y) = (source.x, source.y);
+        let (ny, nx) = self.pixels.dim();
+        let range = |v: f64, n: usize| {
+            let (centre, reach) = (v.round() as i64, grid.reach as i64 + 1);
+            (centre - reach).max(0) as usize..((centre + reach + 1).max(0) as usize).min(n)
+        };
+        let columns = range(x, nx);
+        let pixels = range(y, ny)
+            .flat_map(|row| columns.clone().map(move |column| (column, row)))
+            .map(|(column, row)| {
+                let (px, py) = (column as f64, row as f64);
+                let usable = !self.saturation.reached_by(self.pixels[[row, column]])
+                    && ownership.allows(index, source.flux, px, py);
+                StarPixel {
+                    x: px,
+                    y: py,
+                    value: self.excess[[row, column]],
+                    rms: self.background.rms()[[row, column]],
+                    trust: f64::from(u8::from(usable)),
+                }
+            })
+            .collect();
+        Star {
+            source: index,
+            start: (x, y),
+            x,
+            y,
+            flux: source.flux,
+            offset: 0.0,
+            pixels,
+        }
+    }
+}
+
+/// A pixel about a star.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct StarPixel {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    /// Above the background.
+    pub(crate) value: f64,
+    /// Noise of the background.
+    pub(crate) rms: f64,
+    /// Part of its weight that it keeps: 0 where it is saturated or belongs to a neighbour, less than 1 for outliers.
+    pub(crate) trust: f64,
+}
+
+/// A star that is to become a sample.
+#[derive(Debug, Clone)]
+pub(crate) struct Star {
+    /// Index of its source.
+    pub(crate) source: usize,
+    /// Where its Gaussian put it.
+    pub(crate) start: (f64, f64),
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) flux: f64,
+    /// What the background map is off by about it.
+    pub(crate) offset: f64,
+    pub(crate) pixels: Vec<StarPixel>,
+}
+
+/// A source's pixels, as far as neighbours are concerned, in FWHM from its centre.
+const OWN_FWHM: f64 = 1.5;
+/// Neighbours with less than this part of a star's flux do not mask its pixels.
+const HARMLESS: f64 = 0.01;
+
+/// Which pixels belong to which source.
+#[derive(Debug)]
+pub(crate) struct Ownership {
+    neighbours: Neighbours,
+    fluxes: Vec<f64>,
+    radius: f64,
+}
+
+impl Ownership {
+    pub(crate) fn new(sources: &[Source], fwhm_px: f64) -> Self {
+        Self {
+            neighbours: Neighbours::of(sources),
+            fluxes: sources.iter().map(|s| s.flux).collect(),
+            radius: OWN_FWHM * fwhm_px,
+        }
+    }
+
+    /// Whether a pixel is free of the light of sources other than `source`, which has this flux.
+    pub(crate) fn allows(&self, source: usize, flux: f64, x: f64, y: f64) -> bool {
+        !self
+            .neighbours
+            .within(x, y, self.radius)
+            .any(|(j, _)| j != source && self.fluxes[j] > HARMLESS * flux)
+    }
+}
+
+/// Points sorted by y, for searches within a radius.
+#[derive(Debug)]
+pub(crate) struct Neighbours {
+    /// `(y, x, index)`.
+    sorted: Vec<(f64, f64, usize)>,
+}
+
+impl Neighbours {
+    pub(crate) fn new(points: impl Iterator<Item = (f64, f64)>) -> Self {
+        let mut sorted: Vec<_> = points.enumerate().map(|(k, (x, y))| (y, x, k)).collect();
+        sorted.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.2.cmp(&b.2)));
+        Self { sorted }
+    }
+
+    pub(crate) fn of(sources: &[Source]) -> Self {
+        Self::new(sources.iter().map(|s| (s.x, s.y)))
+    }
+
+    /// Indices and distances of the points within `radius`, in no particular but always the same order.
+    pub(crate) fn within(&self, x: f64, y: f64, radius: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
+        let first = self.sorted.partition_point(|p| p.0 < y - radius);
+        self.sorted[first..]
+            .iter()
+            .take_while(move |p| p.0 <= y + radius)
+            .map(move |p| (p.2, (p.1 - x).hypot(p.0 - y)))
+            .filter(move |(_, distance)| *distance <= radius)
+    }
+
+    /// The nearest point for which `counts` holds, with its distance.
+    pub(crate) fn nearest(&self, x: f64, y: f64, counts: impl Fn(usize) -> bool) -> Option<(usize, f64)> {
+        let from = self.sorted.partition_point(|p| p.0 < y);
+        let mut best: Option<(usize, f64)> = None;
+        let look = |p: &(f64, f64, usize), best: &mut Option<(usize, f64)>| {
+            let closer = best.is_none_or(|(_, d)| (p.0 - y).abs() <= d);
+            let distance = (p.1 - x).hypot(p.0 - y);
+            // The lower index where two are equally far.
+            if closer && counts(p.2) && best.is_none_or(|(k, d)| distance < d || (distance == d && p.2 < k)) {
+                *best = Some((p.2, distance));
+            }
+            closer
+        };
+        for p in &self.sorted[from..] {
+            if !look(p, &mut best) {
+                break;
+            }
+        }
+        for p in self.sorted[..from].iter().rev() {
+            if !look(p, &mut best) {
+                break;
+            }
+        }
+        best
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn they_are_those_of_a_full_search() {
+        let points: Vec<(f64, f64)> = (0..200u32)
+            .map(|k| (f64::from(k * 37 % 101), f64::from(k * 53 % 97)))
+            .collect();
+        let index = Neighbours::new(points.iter().copied());
+        for (k, &(x, y)) in points.iter().enumerate().step_by(7) {
+            let distance = |j: usize| (points[j].0 - x).hypot(points[j].1 - y);
+            let mut found: Vec<usize> = index.within(x, y, 12.0).map(|(j, _)| j).collect();
+            found.sort_unstable();
+            let all: Vec<usize> = (0..200).filter(|&j| distance(j) <= 12.0).collect();
+            assert_eq!(found, all);
+            let (_, nearest) = index.nearest(x, y, |j| j != k).unwrap();
+            let truth = (0..200)
+                .filter(|&j| j != k)
+                .map(distance)
+                .fold(f64::INFINITY, f64::min);
+            assert_eq!(nearest, truth);
+        }
+        assert_eq!(index.nearest(0.0, 0.0, |_| false), None);
+    }
+}

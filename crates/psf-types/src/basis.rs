@@ -1,0 +1,187 @@
+//! Orthonormal basis stamps, and the coefficients of the samples in them.
+
+use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
+use serde::{Deserialize, Serialize};
+
+use crate::frame::{DataError, Quantity, read_through_new};
+use crate::getters;
+use crate::image::{finite2, finite3, row_major};
+use crate::samples::SamplePositions;
+use crate::stamp::StampGrid;
+
+/// Orthonormal stamps `B_k` `[component, y, x]`, and the mean stamp `B_0` where the basis is mean-centred.
+///
+/// `h(u; x) = B_0(u) + sum_k a_k(x) B_k(u)`. The inner products of the components are the unit matrix within
+/// [`PsfBasis::ORTHONORMALITY_TOLERANCE`]; every value is finite.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawPsfBasis")]
+pub struct PsfBasis {
+    mean: Option<Array2<f64>>,
+    components: Array3<f64>,
+    grid: StampGrid,
+}
+
+read_through_new!(RawPsfBasis => PsfBasis { mean: Option<Array2<f64>>, components: Array3<f64>, grid: StampGrid });
+
+impl PsfBasis {
+    /// How far an inner product may be from 0 or 1: loose enough for a basis of other software that was stored in single
+    /// precision, far tighter than any that is not meant to be orthonormal. The bases made here are orthonormal to 1e-12.
+    pub const ORTHONORMALITY_TOLERANCE: f64 = 1e-5;
+
+    /// A basis from its mean stamp (if centred) and orthonormal components `[component, y, x]`.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyBasis`], [`DataError::StampShape`], [`DataError::NonFinite`] or [`DataError::NotOrthonormal`].
+    pub fn new(
+        mean: Option<Array2<f64>>,
+        components: Array3<f64>,
+        grid: StampGrid,
+    ) -> Result<Self, DataError> {
+        let (count, ny, nx) = components.dim();
+        if mean.is_none() && count == 0 {
+            return Err(DataError::EmptyBasis);
+        }
+        grid.check_dim((ny, nx))?;
+        finite3(Quantity::BasisValue, components.view())?;
+        if let Some(mean) = &mean {
+            grid.check_dim(mean.dim())?;
+            finite2(Quantity::MeanValue, mean.view())?;
+        }
+        let components = row_major(components);
+        check_orthonormal(components.view())?;
+        Ok(Self {
+            mean: mean.map(row_major),
+            components,
+            grid,
+        })
+    }
+
+    /// The mean stamp `[y, x]` of a mean-centred basis.
+    pub fn mean(&self) -> Option<ArrayView2<'_, f64>> {
+        self.mean.as_ref().map(|mean| mean.view())
+    }
+
+    getters! { &self;
+        /// The components `[component, y, x]`, row-major.
+        components: view ArrayView3<'_, f64>,
+        /// The pixel grid of every stamp.
+        grid: StampGrid,
+    }
+
+    /// The number of components `K`, the mean not counted.
+    pub fn rank(&self) -> usize {
+        self.components.dim().0
+    }
+}
+
+fn check_orthonormal(components: ArrayView3<'_, f64>) -> Result<(), DataError> {
+    let (count, ny, nx) = components.dim();
+    let flat = components.to_shape((count, ny * nx)).expect("row-major");
+    let gram = flat.dot(&flat.t());
+    for ((first, second), &product) in gram.indexed_iter() {
+        let expected = f64::from(u8::from(first == second));
+        if (product - expected).abs() > PsfBasis::ORTHONORMALITY_TOLERANCE {
+            return Err(DataError::NotOrthonormal {
+                first,
+                second,
+                product,
+                expected,
+                tolerance: PsfBasis::ORTHONORMALITY_TOLERANCE,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The coefficients `a_k` of every sample, `[sample, component]`, with the samples' positions; every value is finite.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawSampleCoefficients")]
+pub struct SampleCoefficients {
+    values: Array2<f64>,
+    positions: SamplePositions,
+}
+
+read_through_new!(RawSampleCoefficients => SampleCoefficients { values: Array2<f64>, positions: SamplePositions });
+
+impl SampleCoefficients {
+    /// Coefficients `[sample, component]` at positions.
+    ///
+    /// # Errors
+    /// [`DataError::CountMismatch`] or [`DataError::NonFinite`].
+    pub fn new(values: Array2<f64>, positions: SamplePositions) -> Result<Self, DataError> {
+        let what = "rows of coefficients, one for each sample";
+        DataError::check_count(what, positions.len(), values.nrows())?;
+        finite2(Quantity::Coefficient, values.view())?;
+        Ok(Self {
+            values: row_major(values),
+            positions,
+        })
+    }
+
+    getters! { &self;
+        /// The coefficients `[sample, component]`, row-major.
+        values: view ArrayView2<'_, f64>,
+        /// Where the samples lie.
+        positions: &SamplePositions,
+    }
+
+    /// The number of components.
+    pub fn component_count(&self) -> usize {
+        self.values.ncols()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::Position;
+
+    #[test]
+    fn only_orthonormal_stamps_make_a_basis() {
+        let grid = StampGrid::new(2, 1).unwrap();
+        let unit = Array3::from_shape_vec((2, 1, 2), vec![1.0, 0.0, 0.0, 1.0]).unwrap();
+        let basis = PsfBasis::new(None, unit.clone(), grid).unwrap();
+        assert_eq!(basis.rank(), 2);
+        let mut skewed = unit;
+        skewed[[1, 0, 0]] = 1e-3;
+        assert!(matches!(
+            PsfBasis::new(None, skewed, grid),
+            Err(DataError::NotOrthonormal {
+                first: 0,
+                second: 1,
+                ..
+            })
+        ));
+        assert!(matches!(
+            PsfBasis::new(None, Array3::zeros((0, 1, 2)), grid),
+            Err(DataError::EmptyBasis)
+        ));
+        assert!(PsfBasis::new(Some(Array2::ones((1, 2))), Array3::zeros((0, 1, 2)), grid).is_ok());
+    }
+
+    #[test]
+    fn serde_cannot_bypass_the_check() {
+        let text = r#"{"mean":null,"components":{"v":1,"dim":[1,1,2],"data":[1.0,0.0]},
+            "grid":{"nx":2,"ny":1,"centre_x":1.0,"centre_y":0.0,"oversampling":1.0,"pixel_response_included":true}}"#;
+        assert!(serde_json::from_str::<PsfBasis>(text).is_ok());
+        assert!(serde_json::from_str::<PsfBasis>(&text.replace("[1.0,0.0]", "[1.0,0.1]")).is_err());
+    }
+
+    #[test]
+    fn rows_and_values_are_checked() {
+        let one = SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap();
+        assert!(SampleCoefficients::new(Array2::zeros((1, 0)), one.clone()).is_ok());
+        assert!(matches!(
+            SampleCoefficients::new(Array2::zeros((2, 1)), one.clone()),
+            Err(DataError::CountMismatch {
+                expected: 1,
+                got: 2,
+                ..
+            })
+        ));
+        assert!(matches!(
+            SampleCoefficients::new(Array2::from_elem((1, 1), f64::NAN), one),
+            Err(DataError::NonFinite { .. })
+        ));
+    }
+}

@@ -1,0 +1,260 @@
+//! Small maths that several stages share: cubic B-splines, Legendre polynomials, convex hulls.
+
+use ndarray::{Array2, ArrayView2, Axis};
+
+use crate::getters;
+
+/// The full width at half maximum of a Gaussian, in units of its sigma: `2 sqrt(2 ln 2)`.
+pub const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
+
+/// The index at which a line of `length` values that is continued by mirroring about its outermost
+/// values repeats the one asked for: `... 2 1 | 0 1 2 ... n-1 | n-2 n-3 ...`.
+#[inline]
+pub fn mirrored_index(index: i64, length: usize) -> usize {
+    if length == 1 {
+        return 0;
+    }
+    let last = length as i64 - 1;
+    let folded = index.rem_euclid(2 * last);
+    folded.min(2 * last - folded) as usize
+}
+
+/// The coefficients of the cubic B-spline through values `[y, x]` that continue by mirroring
+/// ([`mirrored_index`]).
+///
+/// The value of the spline at `i + u` (`0 <= u <= 1`) along an axis is the sum of the coefficients
+/// at `i - 1` to `i + 2` with the weights [`spline_weights`]`(u)`. The recursive filter is that of
+/// Unser, Aldroubi and Eden 1993 (IEEE Trans. Signal Process. 41, 834).
+///
+/// ```
+/// use ndarray::array;
+/// use psf_types::maths::{spline_coefficients, spline_weights};
+/// let c = spline_coefficients(array![[1.0, 4.0, 9.0, 16.0]].view());
+/// let at_1: f64 = spline_weights(0.0).iter().zip(c.row(0)).map(|(w, c)| w * c).sum();
+/// assert!((at_1 - 4.0).abs() < 1e-14);
+/// ```
+pub fn spline_coefficients(values: ArrayView2<'_, f64>) -> Array2<f64> {
+    let mut coefficients = values.as_standard_layout().into_owned();
+    for axis in [Axis(0), Axis(1)] {
+        for mut lane in coefficients.lanes_mut(axis) {
+            let mut line = lane.to_vec();
+            spline_prefilter(&mut line);
+            lane.iter_mut().zip(line).for_each(|(c, v)| *c = v);
+        }
+    }
+    coefficients
+}
+
+/// From values to B-spline coefficients along one line, in place.
+fn spline_prefilter(line: &mut [f64]) {
+    let n = line.len();
+    if n == 1 {
+        return;
+    }
+    let pole = 3f64.sqrt() - 2.0;
+    // The causal filter starts from the sum over the mirrored line, which repeats after 2n - 2.
+    let (mut start, mut power) = (0.0, 1.0);
+    for k in 0..2 * n - 2 {
+        start += power * line[mirrored_index(k as i64, n)];
+        power *= pole;
+        if power == 0.0 {
+            break;
+        }
+    }
+    line[0] = start / (1.0 - power);
+    for k in 1..n {
+        line[k] += pole * line[k - 1];
+    }
+    line[n - 1] = pole / (pole * pole - 1.0) * (line[n - 1] + pole * line[n - 2]);
+    for k in (0..n - 1).rev() {
+        line[k] = pole * (line[k + 1] - line[k]);
+    }
+    for c in line {
+        *c *= 6.0;
+    }
+}
+
+/// The weights of the four B-spline coefficients around a coordinate, `u` (0 to 1) above the second
+/// of them.
+#[inline]
+pub fn spline_weights(u: f64) -> [f64; 4] {
+    let v = 1.0 - u;
+    [
+        v * v * v / 6.0,
+        2.0 / 3.0 - u * u * (2.0 - u) / 2.0,
+        2.0 / 3.0 - v * v * (2.0 - v) / 2.0,
+        u * u * u / 6.0,
+    ]
+}
+
+/// The derivatives of [`spline_weights`] by `u`.
+#[inline]
+pub fn spline_slopes(u: f64) -> [f64; 4] {
+    let v = 1.0 - u;
+    [
+        -v * v / 2.0,
+        u * (1.5 * u - 2.0),
+        -v * (1.5 * v - 2.0),
+        u * u / 2.0,
+    ]
+}
+
+/// The Legendre polynomials `P_0(t)` to `P_degree(t)`, by Bonnet's recurrence
+/// `(n+1) P_{n+1} = (2n+1) t P_n - n P_{n-1}`.
+pub fn legendre(degree: usize, t: f64) -> Vec<f64> {
+    let mut values = vec![1.0, t];
+    for n in 1..degree {
+        let k = n as f64;
+        values.push(((2.0 * k + 1.0) * t * values[n] - k * values[n - 1]) / (k + 1.0));
+    }
+    values.truncate(degree + 1);
+    values
+}
+
+/// Twice the area of the triangle `a b c`; positive when `c` lies left of the way from `a` to `b`.
+#[inline]
+pub fn turn(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
+    (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+}
+
+/// The convex hull of points `[x, y]` in the plane.
+///
+/// ```
+/// use psf_types::maths::ConvexHull;
+/// let hull = ConvexHull::new(&[[0.0, 0.0], [1.0, 1.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]);
+/// assert_eq!(hull.corners(), [[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]]);
+/// assert_eq!(hull.area(), 4.0);
+/// assert!(hull.contains([2.0, 0.5]) && !hull.contains([2.1, 0.5]));
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct ConvexHull {
+    corners: Vec<[f64; 2]>,
+    indices: Vec<usize>,
+}
+
+impl ConvexHull {
+    /// Andrew's monotone chain (A. M. Andrew 1979, Inf. Process. Lett. 9, 216).
+    pub fn new(points: &[[f64; 2]]) -> Self {
+        let p = points;
+        let mut order: Vec<usize> = (0..p.len()).collect();
+        order.sort_by(|&a, &b| p[a][0].total_cmp(&p[b][0]).then(p[a][1].total_cmp(&p[b][1])));
+        order.dedup_by(|b, a| p[*a] == p[*b]);
+        let mut chain: Vec<usize> = Vec::new();
+        let mut grow = |base: usize, point: usize| {
+            while let [.., a, b] = chain[base..]
+                && turn(p[b], p[point], p[a]) <= 0.0
+            {
+                chain.pop();
+            }
+            chain.push(point);
+            chain.len() - 1
+        };
+        let base = order.iter().fold(0, |_, &point| grow(0, point));
+        for &point in order.iter().rev().skip(1) {
+            grow(base, point);
+        }
+        if chain.len() > 1 {
+            chain.pop();
+        }
+        Self {
+            corners: chain.iter().map(|&point| p[point]).collect(),
+            indices: chain,
+        }
+    }
+
+    getters! { &self;
+        /// The corners, counter-clockwise from the leftmost one; two for points on a line, one for a
+        /// single point. No three of them lie on a line.
+        corners: &[[f64; 2]],
+        /// The points at the corners, by their indices in the list given.
+        indices: &[usize],
+    }
+
+    /// The area; 0 for points on a line.
+    pub fn area(&self) -> f64 {
+        let c = &self.corners;
+        let edges = (0..c.len()).map(|k| (c[k], c[(k + 1) % c.len()]));
+        edges.map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum::<f64>() / 2.0
+    }
+
+    /// Whether a point lies in the closed hull; found by bisection over the fan of the first
+    /// corner. A hull without area contains its corners alone.
+    pub fn contains(&self, p: [f64; 2]) -> bool {
+        let c = &self.corners;
+        if c.len() < 3 {
+            return c.contains(&p);
+        }
+        let left_of = |a: [f64; 2], b: [f64; 2]| turn(a, b, p) >= 0.0;
+        let (mut low, mut high) = (1, c.len() - 1);
+        if !left_of(c[0], c[low]) || !left_of(c[high], c[0]) {
+            return false;
+        }
+        while high - low > 1 {
+            let middle = usize::midpoint(low, high);
+            if left_of(c[0], c[middle]) {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        left_of(c[low], c[high])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn splines_pass_through_values_of_any_shape() {
+        for (ny, nx) in [(1, 1), (1, 4), (2, 3), (9, 6), (3, 400)] {
+            let values = Array2::from_shape_fn((ny, nx), |(y, x)| ((5 * y + 3 * x) % 7) as f64 - 2.0);
+            let c = spline_coefficients(values.view());
+            let near = |i: usize, n: usize| {
+                let taps = spline_weights(0.0).into_iter().enumerate();
+                taps.map(move |(tap, w)| (mirrored_index(i as i64 - 1 + tap as i64, n), w))
+            };
+            for ((y, x), value) in values.indexed_iter() {
+                let sum: f64 = near(y, ny)
+                    .flat_map(|(j, wy)| near(x, nx).map(move |(i, wx)| (j, i, wy * wx)))
+                    .map(|(j, i, w)| w * c[[j, i]])
+                    .sum();
+                assert!((sum - value).abs() < 1e-13, "{ny} x {nx}: {sum} {value}");
+            }
+        }
+    }
+
+    #[test]
+    fn spline_weights_add_up_and_slopes_are_their_derivatives() {
+        for u in [0.0, 0.3, 0.5, 0.99] {
+            let (here, next, slopes) = (spline_weights(u), spline_weights(u + 1e-6), spline_slopes(u));
+            assert!((here.iter().sum::<f64>() - 1.0).abs() < 1e-15);
+            for k in 0..4 {
+                assert!(((next[k] - here[k]) / 1e-6 - slopes[k]).abs() < 1e-5);
+            }
+        }
+    }
+
+    #[test]
+    fn legendre_values() {
+        let expected = [1.0, 0.5, -0.125, -0.4375, -0.289_062_5];
+        for degree in 0..5 {
+            let values = legendre(degree, 0.5);
+            assert_eq!(values.len(), degree + 1);
+            for (got, value) in values.iter().zip(expected) {
+                assert!((got - value).abs() < 1e-15);
+            }
+        }
+    }
+
+    #[test]
+    fn hulls_without_area_have_one_or_two_corners() {
+        let line = ConvexHull::new(&[[1.0, 1.0], [0.0, 0.0], [4.0, 4.0], [0.0, 0.0]]);
+        assert_eq!(line.indices(), [1, 2]);
+        assert!(line.area() == 0.0 && line.contains([4.0, 4.0]) && !line.contains([1.0, 1.0]));
+        let one = ConvexHull::new(&[[3.0, 4.0]; 5]);
+        assert_eq!((one.corners(), one.area()), (&[[3.0, 4.0]][..], 0.0));
+        let none = ConvexHull::new(&[]);
+        assert!(none.area() == 0.0 && none.corners().is_empty() && !none.contains([0.0, 0.0]));
+    }
+}

@@ -1,0 +1,568 @@
+//! PSF models: a basis and the fields of its coefficients, in use and as they are stored.
+
+use std::borrow::Cow;
+use std::ops::Range;
+use std::sync::Arc;
+
+use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayViewMut2, ArrayViewMut3, s};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::basis::{PsfBasis, SampleCoefficients};
+use crate::choices::{Interpolation, Normalisation, OutsidePolicy};
+use crate::frame::{DataError, FrameShape, PixelRegion, Position, read_through_new};
+use crate::getters;
+use crate::stamp::{Stamp, StampGrid};
+
+/// Coefficient fields `a_k(x)`: a vector of `component_count()` values at any position of the field.
+///
+/// Object-safe; implementations are evaluated from many threads at once, and must return the same values whatever the
+/// thread, the region or the range of components asked for.
+pub trait CoefficientField: std::fmt::Debug + Send + Sync {
+    /// The number of coefficients `K`.
+    fn component_count(&self) -> usize;
+
+    /// Writes all `K` coefficients at `position`.
+    ///
+    /// # Errors
+    /// [`FieldError`] where the field has no value.
+    ///
+    /// # Panics
+    /// May panic when `coefficients.len() != self.component_count()`.
+    fn evaluate_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError>;
+
+    /// Writes the coefficients of a range of components at every pixel of a region, `[component, y, x]`.
+    ///
+    /// The provided method evaluates pixel by pixel.
+    ///
+    /// # Errors
+    /// [`FieldError`] where the field has no value.
+    ///
+    /// # Panics
+    /// May panic when `values` is not of shape `[components.len(), ny, nx]`.
+    fn evaluate_region_into(
+        &self,
+        region: PixelRegion,
+        components: Range<usize>,
+        mut values: ArrayViewMut3<'_, f64>,
+    ) -> Result<(), FieldError> {
+        let mut all = vec![0.0; self.component_count()];
+        for row in 0..region.shape().ny() {
+            for column in 0..region.shape().nx() {
+                self.evaluate_into(region.position(column, row), &mut all)?;
+                for (plane, component) in components.clone().enumerate() {
+                    values[[plane, row, column]] = all[component];
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The values `v` `[node, component]` that the field combines: `a_k(x) = sum_n w_n(x) v_nk`, with the weights of
+    /// [`weights_along_row`](Self::weights_along_row).
+    ///
+    /// The provided method returns the unit matrix, so that the weights are the coefficients themselves.
+    fn node_values(&self) -> Cow<'_, Array2<f64>> {
+        Cow::Owned(Array2::eye(self.component_count()))
+    }
+
+    /// The x and the y coordinates of the lines between which every weight is bilinear (or constant), where the field has such cells, both
+    /// ascending. A pixel on a line belongs to the cell above it, and runs of the rows between two lines are those of both. Convolution
+    /// evaluates the weights of the first and the last row between two lines, and cuts its tiles at lines.
+    fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
+        None
+    }
+
+    /// Visits the weights of the nodes along a row of pixels, `length` pixels from `(x, y)` on, in runs along which every weight
+    /// is linear in x. The runs follow each other without a gap; how they are cut may depend on the row asked for.
+    ///
+    /// A field that names few nodes a run and has long runs makes convolution fast. The provided method visits pixel by pixel.
+    ///
+    /// # Errors
+    /// [`FieldError`] at the first pixel where the field has no value, when all pixels before it have been visited.
+    fn weights_along_row(
+        &self,
+        (x, y): (i64, i64),
+        length: usize,
+        visit: &mut dyn FnMut(RowRun<'_>),
+    ) -> Result<(), FieldError> {
+        let mut coefficients = vec![0.0; self.component_count()];
+        let mut weights = Vec::with_capacity(coefficients.len());
+        for column in 0..length {
+            self.evaluate_into(Position::of_pixel(x + column as i64, y), &mut coefficients)?;
+            weights.clear();
+            weights.extend(coefficients.iter().copied().enumerate());
+            visit(RowRun::of_pixel(&weights));
+        }
+        Ok(())
+    }
+}
+
+/// Neighbouring pixels of a row along which the weights of a field's nodes are linear in x.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RowRun<'a> {
+    /// The number of pixels, at least 1.
+    pub length: usize,
+    /// `(node, weight)` at the first pixel; no node appears twice.
+    pub first: &'a [(usize, f64)],
+    /// `(node, weight)` at the last pixel; no node appears twice.
+    pub last: &'a [(usize, f64)],
+}
+
+impl<'a> RowRun<'a> {
+    /// A run of a single pixel.
+    pub fn of_pixel(weights: &'a [(usize, f64)]) -> Self {
+        Self {
+            length: 1,
+            first: weights,
+            last: weights,
+        }
+    }
+}
+
+/// Why a field has no value at a position.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum FieldError {
+    /// The position lies outside the samples' convex hull and the policy is to refuse.
+    #[error(
+        "position {position} lies outside the area that the samples cover: choose an outside policy (nearest, extend) or \
+         add samples there"
+    )]
+    OutsideSamples {
+        /// The position asked for.
+        position: Position,
+    },
+    /// The interpolated PSF holds no light, so that it cannot be given unit flux.
+    #[error("the PSF at {position} has flux {flux}: it cannot be normalised to unit flux")]
+    NonPositiveFlux {
+        /// The position asked for.
+        position: Position,
+        /// The PSF's flux there.
+        flux: f64,
+    },
+    /// An error of a field implemented elsewhere.
+    #[error("the coefficient field failed at {position}")]
+    External {
+        /// The position asked for.
+        position: Position,
+        /// What happened.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+}
+
+/// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`.
+///
+/// The stamps `B_0` (if the basis is mean-centred) and `B_1 ... B_K` are kept in one array, the mean first; its
+/// coefficient is 1 everywhere. `s(x)` is the flux of the bracket under [`Normalisation::Unit`] and 1 under
+/// [`Normalisation::Keep`].
+#[derive(Debug, Clone)]
+pub struct PsfModel {
+    /// Mean first, `[stamp, y, x]`.
+    stamps: Array3<f64>,
+    fluxes: Vec<f64>,
+    mean_centred: bool,
+    grid: StampGrid,
+    field: Arc<dyn CoefficientField>,
+    field_shape: Option<FrameShape>,
+    normalisation: Normalisation,
+    needs_scaling: bool,
+}
+
+/// PSFs whose flux is this close to 1 need no scaling: it is rounding of the sum over a stamp's pixels.
+const UNIT_FLUX_TOLERANCE: f64 = 1e-14;
+
+impl PsfModel {
+    /// A model from a basis and its coefficient field, over a field of the given shape where that is known.
+    ///
+    /// # Errors
+    /// [`DataError::CountMismatch`] when the field does not give one coefficient a component.
+    pub fn new(
+        basis: &PsfBasis,
+        field: Arc<dyn CoefficientField>,
+        normalisation: Normalisation,
+        field_shape: Option<FrameShape>,
+    ) -> Result<Self, DataError> {
+        check_components(basis.rank(), field.component_count())?;
+        let grid = basis.grid();
+        let mean_count = usize::from(basis.mean().is_some());
+        let mut stamps = Array3::zeros((basis.rank() + mean_count, grid.ny(), grid.nx()));
+        if let Some(mean) = basis.mean() {
+            stamps.slice_mut(s![0, .., ..]).assign(&mean);
+        }
+        stamps
+            .slice_mut(s![mean_count.., .., ..])
+            .assign(&basis.components());
+        let fluxes: Vec<f64> = stamps
+            .outer_iter()
+            .map(|stamp| grid.flux_of_sum(stamp.sum()))
+            .collect();
+        let exact = mean_count == 1
+            && (fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE
+            && fluxes[1..].iter().all(|f| f.abs() <= UNIT_FLUX_TOLERANCE);
+        Ok(Self {
+            stamps,
+            fluxes,
+            mean_centred: mean_count == 1,
+            grid,
+            field,
+            field_shape,
+            normalisation,
+            needs_scaling: normalisation == Normalisation::Unit && !exact,
+        })
+    }
+
+    /// The same model without the scaling to unit flux where samples with these coefficients `[sample, component]` show it to be
+    /// needless: where the components take no flux from a mean of unit flux at any sample, they take none between them.
+    pub(crate) fn without_needless_scaling(self, coefficients: ArrayView2<'_, f64>) -> Self {
+        let first = usize::from(self.mean_centred);
+        let unit_mean = first == 1 && (self.fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE;
+        let taken = |row: ArrayView1<'_, f64>| -> f64 {
+            row.iter().zip(&self.fluxes[first..]).map(|(a, f)| a * f).sum()
+        };
+        let none_taken = coefficients
+            .outer_iter()
+            .all(|row| taken(row).abs() <= UNIT_FLUX_TOLERANCE);
+        Self {
+            needs_scaling: self.needs_scaling && !(unit_mean && none_taken),
+            ..self
+        }
+    }
+
+    getters! { &self;
+        /// The stamps `[stamp, y, x]`, row-major, the mean first where there is one.
+        stamps: view ndarray::ArrayView3<'_, f64>,
+        /// The pixel grid of the stamps.
+        grid: StampGrid,
+        /// The shape of the field, if it is known.
+        field_shape: Option<FrameShape>,
+        /// Whether every PSF is scaled to unit flux.
+        normalisation: Normalisation,
+    }
+
+    /// The fields of the components' coefficients.
+    pub fn field(&self) -> &dyn CoefficientField {
+        self.field.as_ref()
+    }
+
+    /// Whether the first stamp is the mean.
+    pub fn is_mean_centred(&self) -> bool {
+        self.mean_centred
+    }
+
+    /// The number of components `K`, the mean not counted.
+    pub fn rank(&self) -> usize {
+        self.field.component_count()
+    }
+
+    /// The number of stamps: `K`, and one more for the mean.
+    pub fn stamp_count(&self) -> usize {
+        self.stamps.dim().0
+    }
+
+    /// One stamp `[y, x]`.
+    ///
+    /// # Panics
+    /// When there is no such stamp.
+    pub fn stamp(&self, index: usize) -> ArrayView2<'_, f64> {
+        self.stamps.index_axis(ndarray::Axis(0), index)
+    }
+
+    /// Whether `s(x)` differs from 1, so that [`flux_region_into`](Self::flux_region_into) must be applied.
+    pub fn needs_flux_scaling(&self) -> bool {
+        self.needs_scaling
+    }
+
+    /// The coefficients of all stamps at `position`, before the division by `s(x)`.
+    ///
+    /// # Errors
+    /// [`FieldError`] where the field has no value.
+    ///
+    /// # Panics
+    /// When `coefficients.len() != self.stamp_count()`.
+    pub fn coefficients_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
+        assert_eq!(coefficients.len(), self.stamp_count(), "one coefficient a stamp");
+        let first = usize::from(self.mean_centred);
+        coefficients[..first].fill(1.0);
+        self.field.evaluate_into(position, &mut coefficients[first..])
+    }
+
+    /// The coefficients of all stamps at `position`, divided by `s(x)`.
+    ///
+    /// # Errors
+    /// [`FieldError`] where the field has no value or the PSF no flux.
+    ///
+    /// # Panics
+    /// When `coefficients.len() != self.stamp_count()`.
+    pub fn scaled_coefficients_into(
+        &self,
+        position: Position,
+        coefficients: &mut [f64],
+    ) -> Result<(), FieldError> {
+        self.coefficients_into(position, coefficients)?;
+        if self.needs_scaling {
+            let flux = self.checked_flux(position, coefficients)?;
+            for a in coefficients {
+                *a /= flux;
+            }
+        }
+        Ok(())
+    }
+
+    /// The coefficients of a range of stamps at every pixel of a region, `[stamp, y, x]`, before the division by `s(x)`.
+    ///
+    /// # Errors
+    /// [`FieldError`] where the field has no value.
+    ///
+    /// # Panics
+    /// When `values` is not of shape `[stamps.len(), ny, nx]`.
+    pub fn coefficients_region_into(
+        &self,
+        region: PixelRegion,
+        stamps: Range<usize>,
+        mut values: ArrayViewMut3<'_, f64>,
+    ) -> Result<(), FieldError> {
+        assert_eq!(
+            values.dim(),
+            (stamps.len(), region.shape().ny(), region.shape().nx()),
+            "one plane a stamp"
+        );
+        let first = usize::from(self.mean_centred);
+        let mean_planes = first.saturating_sub(stamps.start).min(stamps.len());
+        values.slice_mut(s![..mean_planes, .., ..]).fill(1.0);
+        if mean_planes == stamps.len() {
+            return Ok(());
+        }
+        let components = stamps.start + mean_planes - first..stamps.end - first;
+        self.field
+            .evaluate_region_into(region, components, values.slice_mut(s![mean_planes.., .., ..]))
+    }
+
+    /// The flux `s(x)` of the unscaled PSF at every pixel of a region, `[y, x]`.
+    ///
+    /// # Errors
+    /// [`FieldError`] where the field has no value or the flux is not positive.
+    ///
+    /// # Panics
+    /// When `fluxes` does not have the region's shape.
+    pub fn flux_region_into(
+        &self,
+        region: PixelRegion,
+        mut fluxes: ArrayViewMut2<'_, f64>,
+    ) -> Result<(), FieldError> {
+        let shape = region.shape();
+        assert_eq!(fluxes.dim(), (shape.ny(), shape.nx()), "one flux a pixel");
+        let mut coefficients = vec![0.0; self.stamp_count()];
+        for ((row, column), flux) in fluxes.indexed_iter_mut() {
+            let position = region.position(column, row);
+            self.coefficients_into(position, &mut coefficients)?;
+            *flux = self.checked_flux(position, &coefficients)?;
+        }
+        Ok(())
+    }
+
+    /// The PSF at `position`, in double precision.
+    ///
+    /// # Errors
+    /// [`FieldError`] where the field has no value or the PSF no flux.
+    pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
+        let mut coefficients = vec![0.0; self.stamp_count()];
+        self.scaled_coefficients_into(position, &mut coefficients)?;
+        // Stamp by stamp over contiguous memory: a product of a vector and a row-major matrix strides through it.
+        let mut values = Array2::zeros(self.grid.dim());
+        for (&a, stamp) in coefficients.iter().zip(self.stamps.outer_iter()) {
+            values.scaled_add(a, &stamp);
+        }
+        Stamp::new(values, self.grid).map_err(|source| FieldError::External {
+            position,
+            source: Box::new(source),
+        })
+    }
+
+    fn checked_flux(&self, position: Position, coefficients: &[f64]) -> Result<f64, FieldError> {
+        let flux: f64 = coefficients.iter().zip(&self.fluxes).map(|(a, f)| a * f).sum();
+        if flux > 0.0 && flux.is_finite() {
+            Ok(flux)
+        } else {
+            Err(FieldError::NonPositiveFlux { position, flux })
+        }
+    }
+}
+
+pub(crate) fn check_components(rank: usize, coefficients: usize) -> Result<(), DataError> {
+    let what = "coefficients, one for each component of the basis";
+    DataError::check_count(what, rank, coefficients)
+}
+
+/// What a `psf-model` file holds: a basis, the samples' coefficients and how to interpolate them.
+///
+/// Plain data; `coeff-field` turns coefficients and interpolation into a [`CoefficientField`], which with the basis makes
+/// a [`PsfModel`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawPsfModelRecord")]
+pub struct PsfModelRecord {
+    basis: PsfBasis,
+    coefficients: SampleCoefficients,
+    interpolation: Interpolation,
+    outside: OutsidePolicy,
+    normalisation: Normalisation,
+}
+
+read_through_new!(RawPsfModelRecord => PsfModelRecord { basis: PsfBasis, coefficients: SampleCoefficients, interpolation: Interpolation, outside: OutsidePolicy, normalisation: Normalisation });
+
+impl PsfModelRecord {
+    /// A model from its parts.
+    ///
+    /// # Errors
+    /// [`DataError::CountMismatch`] when there is not one coefficient a component.
+    pub fn new(
+        basis: PsfBasis,
+        coefficients: SampleCoefficients,
+        interpolation: Interpolation,
+        outside: OutsidePolicy,
+        normalisation: Normalisation,
+    ) -> Result<Self, DataError> {
+        check_components(basis.rank(), coefficients.component_count())?;
+        Ok(Self {
+            basis,
+            coefficients,
+            interpolation,
+            outside,
+            normalisation,
+        })
+    }
+
+    getters! { &self;
+        /// The basis.
+        basis: &PsfBasis,
+        /// The samples' coefficients.
+        coefficients: &SampleCoefficients,
+        /// How the coefficients are carried over the field.
+        interpolation: Interpolation,
+        /// What happens outside the samples.
+        outside: OutsidePolicy,
+        /// Whether PSFs are scaled to unit flux.
+        normalisation: Normalisation,
+    }
+
+    /// The record with its first components alone, at most `rank` of them.
+    ///
+    /// # Errors
+    /// [`DataError::EmptyBasis`] for rank 0 of a basis without a mean.
+    pub fn truncated(&self, rank: usize) -> Result<Self, DataError> {
+        let rank = rank.min(self.basis.rank());
+        let basis = PsfBasis::new(
+            self.basis.mean().map(|mean| mean.to_owned()),
+            self.basis.components().slice(s![..rank, .., ..]).to_owned(),
+            self.basis.grid(),
+        )?;
+        let values = self.coefficients.values().slice(s![.., ..rank]).to_owned();
+        let coefficients = SampleCoefficients::new(values, self.coefficients.positions().clone())?;
+        Self::new(
+            basis,
+            coefficients,
+            self.interpolation,
+            self.outside,
+            self.normalisation,
+        )
+    }
+
+    /// The model with its coefficient field; `field` is the caller's interpolation of [`Self::coefficients`].
+    ///
+    /// # Errors
+    /// As [`PsfModel::new`].
+    pub fn into_model(self, field: Arc<dyn CoefficientField>) -> Result<PsfModel, DataError> {
+        let shape = self.coefficients.positions().field();
+        let model = PsfModel::new(&self.basis, field, self.normalisation, shape)?;
+        Ok(model.without_needless_scaling(self.coefficients.values()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::samples::SamplePositions;
+    use ndarray::array;
+
+    /// a_1 = x, a_2 = y.
+    #[derive(Debug)]
+    struct Plane;
+    impl CoefficientField for Plane {
+        fn component_count(&self) -> usize {
+            2
+        }
+        fn evaluate_into(&self, p: Position, a: &mut [f64]) -> Result<(), FieldError> {
+            a.copy_from_slice(&[p.x(), p.y()]);
+            Ok(())
+        }
+    }
+
+    fn model(mean: Option<Array2<f64>>, normalisation: Normalisation) -> PsfModel {
+        let components = Array3::from_shape_vec((2, 1, 3), vec![1.0, 0.0, 0.0, 0.0, 0.0, 1.0]).unwrap();
+        let basis = PsfBasis::new(mean, components, StampGrid::new(3, 1).unwrap()).unwrap();
+        PsfModel::new(&basis, Arc::new(Plane), normalisation, None).unwrap()
+    }
+
+    #[test]
+    fn the_psf_is_the_weighted_sum_of_the_stamps() {
+        let p = Position::new(2.0, 5.0).unwrap();
+        let keep = model(Some(array![[0.0, 1.0, 0.0]]), Normalisation::Keep)
+            .psf_at(p)
+            .unwrap();
+        assert_eq!(keep.values(), array![[2.0, 1.0, 5.0]]);
+        let unit = model(None, Normalisation::Unit).psf_at(p).unwrap();
+        assert!((unit.values()[[0, 2]] - 5.0 / 7.0).abs() < 1e-15);
+        let dark = model(None, Normalisation::Unit).psf_at(Position::new(1.0, -1.0).unwrap());
+        assert!(matches!(dark, Err(FieldError::NonPositiveFlux { .. })));
+    }
+
+    #[test]
+    fn every_range_of_stamps_gives_the_same_planes() {
+        let model = model(Some(array![[0.0, 1.0, 0.0]]), Normalisation::Keep);
+        let region = PixelRegion::new(-1, 3, FrameShape::new(4, 2).unwrap());
+        let mut all = Array3::from_elem((3, 2, 4), f64::NAN);
+        model
+            .coefficients_region_into(region, 0..3, all.view_mut())
+            .unwrap();
+        assert_eq!(all[[0, 1, 1]], 1.0);
+        assert_eq!((all[[1, 1, 0]], all[[2, 1, 0]]), (-1.0, 4.0));
+        for range in [0..1, 1..2, 0..2, 1..3, 2..3, 1..1] {
+            let mut part = Array3::from_elem((range.len(), 2, 4), f64::NAN);
+            model
+                .coefficients_region_into(region, range.clone(), part.view_mut())
+                .unwrap();
+            assert_eq!(part, all.slice(s![range, .., ..]));
+        }
+    }
+
+    #[test]
+    fn truncation_keeps_the_first_components() {
+        // One lit pixel each, so that they are orthonormal.
+        let components = Array3::from_shape_fn((3, 2, 2), |(k, y, x)| f64::from(u8::from(2 * y + x == k)));
+        let values = Array2::from_shape_fn((2, 3), |(sample, k)| (10 * sample + k) as f64);
+        let positions = [(0, 0), (5, 0)].map(|(x, y)| Position::of_pixel(x, y));
+        let positions = SamplePositions::new(positions.to_vec(), None).unwrap();
+        let record = PsfModelRecord::new(
+            PsfBasis::new(None, components, StampGrid::new(2, 2).unwrap()).unwrap(),
+            SampleCoefficients::new(values, positions).unwrap(),
+            Interpolation::Nearest,
+            OutsidePolicy::Error,
+            Normalisation::Keep,
+        )
+        .unwrap();
+        let one = record.truncated(1).unwrap();
+        assert_eq!(one.basis().rank(), 1);
+        assert_eq!(
+            one.basis().components(),
+            record.basis().components().slice(s![..1, .., ..])
+        );
+        assert_eq!(
+            one.coefficients().values(),
+            record.coefficients().values().slice(s![.., ..1])
+        );
+        assert_eq!(one.outside(), OutsidePolicy::Error);
+        assert_eq!(record.truncated(99).unwrap(), record);
+        assert!(matches!(record.truncated(0), Err(DataError::EmptyBasis)));
+    }
+}

@@ -1,0 +1,314 @@
+//! PSFs at any position, and samples of them: stamps at positions.
+
+use std::collections::HashMap;
+
+use ndarray::{Array3, ArrayView2, ArrayView3, ArrayViewMut2, Axis};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::frame::{DataError, FrameShape, Position, Quantity, read_through_new};
+use crate::getters;
+use crate::image::{finite3, row_major};
+use crate::stamp::{Stamp, StampGrid};
+
+/// Something that knows the PSF at every position of a field: an optical model, an analytic profile, a fitted model.
+///
+/// Object-safe; drawn from many threads at once, and a position always yields the same stamp.
+pub trait PsfSource: Sync {
+    /// The pixel grid of the stamps.
+    fn grid(&self) -> StampGrid;
+
+    /// The field (frame) over which the PSF is defined.
+    fn field(&self) -> FrameShape;
+
+    /// Draws the PSF of a source at `position`, centred on the grid's centre, into `stamp` `[y, x]`, which has the grid's
+    /// shape and whose content is overwritten.
+    ///
+    /// # Errors
+    /// [`SourceError`] when the PSF cannot be drawn there.
+    fn draw_into(&self, position: Position, stamp: ArrayViewMut2<'_, f64>) -> Result<(), SourceError>;
+
+    /// Like [`draw_into`](Self::draw_into), with the source `dx`, `dy` frame pixels right of and above the grid's centre.
+    ///
+    /// # Errors
+    /// The provided method refuses with [`SourceError::ShiftUnsupported`] unless both are 0.
+    fn draw_shifted_into(
+        &self,
+        position: Position,
+        (dx, dy): (f64, f64),
+        stamp: ArrayViewMut2<'_, f64>,
+    ) -> Result<(), SourceError> {
+        if dx == 0.0 && dy == 0.0 {
+            self.draw_into(position, stamp)
+        } else {
+            Err(SourceError::ShiftUnsupported)
+        }
+    }
+
+    /// The PSF at `position` as a stamp of its own.
+    ///
+    /// # Errors
+    /// [`SourceError`] when the PSF cannot be drawn there.
+    fn draw(&self, position: Position) -> Result<Stamp, SourceError> {
+        let mut values = ndarray::Array2::zeros(self.grid().dim());
+        self.draw_into(position, values.view_mut())?;
+        Stamp::new(values, self.grid()).map_err(|source| SourceError::Stamp { position, source })
+    }
+}
+
+/// Why a source gives no PSF.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum SourceError {
+    /// The source can only draw centred PSFs.
+    #[error("this PSF source cannot draw sub-pixel shifts")]
+    ShiftUnsupported,
+    /// What was drawn is not a valid stamp.
+    #[error("the PSF drawn at {position} is not valid")]
+    Stamp {
+        /// The position asked for.
+        position: Position,
+        /// What is wrong with it.
+        #[source]
+        source: DataError,
+    },
+    /// An error of a source implemented elsewhere.
+    #[error("the PSF at {position} could not be drawn")]
+    External {
+        /// The position asked for.
+        position: Position,
+        /// What happened.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+}
+
+/// PSF stamps `[sample, y, x]` on one grid, each with the position it belongs to.
+///
+/// There is one stamp a position, every value is finite and every stamp holds positive, finite flux. Negative pixels are kept.
+///
+/// ```
+/// use ndarray::Array3;
+/// use psf_types::{Position, PsfSamples, SamplePositions, StampGrid};
+/// let positions = SamplePositions::new(vec![Position::new(0.0, 0.0)?, Position::new(9.0, 0.0)?], None)?;
+/// let samples = PsfSamples::new(Array3::from_elem((2, 5, 5), 0.04), positions, StampGrid::new(5, 5)?)?;
+/// assert!((samples.flux(1) - 1.0).abs() < 1e-12);
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawPsfSamples")]
+pub struct PsfSamples {
+    stamps: Array3<f64>,
+    positions: SamplePositions,
+    grid: StampGrid,
+}
+
+read_through_new!(RawPsfSamples => PsfSamples { stamps: Array3<f64>, positions: SamplePositions, grid: StampGrid });
+
+impl PsfSamples {
+    /// Samples from a stack of stamps `[sample, y, x]`.
+    ///
+    /// # Errors
+    /// [`DataError::CountMismatch`], [`DataError::StampShape`], [`DataError::NonFinite`] or
+    /// [`DataError::NonPositiveFlux`].
+    pub fn new(stamps: Array3<f64>, positions: SamplePositions, grid: StampGrid) -> Result<Self, DataError> {
+        let (count, ny, nx) = stamps.dim();
+        let what = "stamps in the stack of samples, one for each position";
+        DataError::check_count(what, positions.len(), count)?;
+        grid.check_dim((ny, nx))?;
+        finite3(Quantity::SampleValue, stamps.view())?;
+        for (sample, stamp) in stamps.axis_iter(Axis(0)).enumerate() {
+            let flux = grid.flux_of_sum(stamp.sum());
+            if !(flux > 0.0 && flux.is_finite()) {
+                return Err(DataError::NonPositiveFlux { sample, flux });
+            }
+        }
+        Ok(Self {
+            stamps: row_major(stamps),
+            positions,
+            grid,
+        })
+    }
+
+    /// One stamp `[y, x]`.
+    ///
+    /// # Panics
+    /// When there is no such sample.
+    pub fn stamp(&self, sample: usize) -> ArrayView2<'_, f64> {
+        self.stamps.index_axis(Axis(0), sample)
+    }
+
+    /// The fraction of the source's light that a sample holds.
+    ///
+    /// # Panics
+    /// When there is no such sample.
+    pub fn flux(&self, sample: usize) -> f64 {
+        self.grid.flux_of_sum(self.stamp(sample).sum())
+    }
+
+    getters! { &self;
+        /// The stamps `[sample, y, x]`, row-major.
+        stamps: view ArrayView3<'_, f64>,
+        /// Where the samples lie.
+        positions: &SamplePositions,
+        /// The pixel grid that all stamps share.
+        grid: StampGrid,
+    }
+
+    /// Number of samples, at least 1.
+    #[allow(clippy::len_without_is_empty, reason = "never empty")]
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// Every stamp divided by its flux, so that each holds unit flux.
+    #[must_use]
+    pub fn into_unit_flux(mut self) -> Self {
+        for mut stamp in self.stamps.axis_iter_mut(Axis(0)) {
+            let flux = self.grid.flux_of_sum(stamp.sum());
+            stamp.mapv_inplace(|v| v / flux);
+        }
+        self
+    }
+}
+
+/// The distinct positions of the samples, in order, and the field they cover if it is known.
+///
+/// At least one position; no two are equal; all lie on the field where one is given.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawSamplePositions")]
+pub struct SamplePositions {
+    positions: Vec<Position>,
+    field: Option<FrameShape>,
+}
+
+read_through_new!(RawSamplePositions => SamplePositions { positions: Vec<Position>, field: Option<FrameShape> });
+
+impl SamplePositions {
+    /// Positions of samples on a field of the given shape.
+    ///
+    /// # Errors
+    /// [`DataError::NoSamples`], [`DataError::DuplicatePosition`] or [`DataError::OutsideField`].
+    pub fn new(positions: Vec<Position>, field: Option<FrameShape>) -> Result<Self, DataError> {
+        if positions.is_empty() {
+            return Err(DataError::NoSamples);
+        }
+        if let Some(field) = field
+            && let Some(sample) = positions.iter().position(|&p| !field.contains(p))
+        {
+            return Err(DataError::OutsideField {
+                sample,
+                position: positions[sample],
+                field,
+            });
+        }
+        // Adding 0.0 turns -0.0 into 0.0, so that equal coordinates have equal bits.
+        let bits = |p: Position| ((p.x() + 0.0).to_bits(), (p.y() + 0.0).to_bits());
+        let mut seen = HashMap::with_capacity(positions.len());
+        for (second, &position) in positions.iter().enumerate() {
+            if let Some(first) = seen.insert(bits(position), second) {
+                return Err(DataError::DuplicatePosition {
+                    first,
+                    second,
+                    position,
+                });
+            }
+        }
+        Ok(Self { positions, field })
+    }
+
+    /// The positions, in sample order.
+    pub fn as_slice(&self) -> &[Position] {
+        &self.positions
+    }
+
+    /// Number of samples, at least 1.
+    #[allow(clippy::len_without_is_empty, reason = "never empty")]
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    /// The shape of the field, if it is known.
+    pub fn field(&self) -> Option<FrameShape> {
+        self.field
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two() -> SamplePositions {
+        SamplePositions::new(vec![Position::of_pixel(0, 0), Position::of_pixel(1, 0)], None).unwrap()
+    }
+
+    #[test]
+    fn each_invariant_is_checked() {
+        let grid = StampGrid::new(3, 2).unwrap();
+        let make = |stamps: Array3<f64>| PsfSamples::new(stamps, two(), grid);
+        assert!(make(Array3::ones((2, 2, 3))).is_ok());
+        assert!(matches!(
+            make(Array3::ones((3, 2, 3))),
+            Err(DataError::CountMismatch {
+                expected: 2,
+                got: 3,
+                ..
+            })
+        ));
+        assert!(matches!(
+            make(Array3::ones((2, 3, 2))),
+            Err(DataError::StampShape { .. })
+        ));
+        let mut stamps = Array3::ones((2, 2, 3));
+        stamps[[1, 0, 2]] = f64::INFINITY;
+        assert!(
+            matches!(make(stamps.clone()), Err(DataError::NonFinite { index, .. }) if index == [1, 0, 2])
+        );
+        stamps.index_axis_mut(Axis(0), 1).fill(0.0);
+        assert!(matches!(
+            make(stamps),
+            Err(DataError::NonPositiveFlux { sample: 1, .. })
+        ));
+    }
+
+    #[test]
+    fn unit_flux_counts_the_oversampling() {
+        let grid = StampGrid::new(4, 4).unwrap().with_oversampling(2.0).unwrap();
+        let samples = PsfSamples::new(Array3::from_elem((2, 4, 4), 3.0), two(), grid)
+            .unwrap()
+            .into_unit_flux();
+        assert!((samples.flux(0) - 1.0).abs() < 1e-15);
+        assert!((samples.stamp(0).sum() - 4.0).abs() < 1e-14);
+    }
+
+    fn at(x: f64, y: f64) -> Position {
+        Position::new(x, y).unwrap()
+    }
+
+    #[test]
+    fn duplicates_are_named_also_across_the_two_zeros() {
+        let error = SamplePositions::new(vec![at(0.0, 1.0), at(2.0, 2.0), at(-0.0, 1.0)], None).unwrap_err();
+        assert!(
+            matches!(
+                error,
+                DataError::DuplicatePosition {
+                    first: 0,
+                    second: 2,
+                    ..
+                }
+            ),
+            "{error}"
+        );
+        assert!(SamplePositions::new(vec![at(1.0, 1.0), at(1.0 + 1e-9, 1.0)], None).is_ok());
+    }
+
+    #[test]
+    fn positions_off_the_field_are_named() {
+        let field = FrameShape::new(10, 10).unwrap();
+        let error = SamplePositions::new(vec![at(0.0, 0.0), at(9.6, 0.0)], Some(field)).unwrap_err();
+        assert!(
+            matches!(error, DataError::OutsideField { sample: 1, .. }),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,212 @@
+//! Stars and galaxies.
+
+use serde::{Deserialize, Serialize};
+
+use crate::frame::{DataError, Position, read_through_new};
+use crate::getters;
+
+/// A star: a position in pixels of the scene (sub-pixel, possibly outside the scene) and a finite flux.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawPointSource")]
+pub struct PointSource {
+    position: Position,
+    flux: f64,
+}
+
+read_through_new!(RawPointSource => PointSource { position: Position, flux: f64 });
+
+impl PointSource {
+    /// A star of this total flux.
+    ///
+    /// # Errors
+    /// [`DataError::SourceFlux`] when the flux is NaN or infinite.
+    pub fn new(position: Position, flux: f64) -> Result<Self, DataError> {
+        if flux.is_finite() {
+            Ok(Self { position, flux })
+        } else {
+            Err(DataError::SourceFlux { position, flux })
+        }
+    }
+
+    getters! { self;
+        /// Where it is, in pixels of the scene.
+        position: Position,
+        /// Its total flux.
+        flux: f64,
+    }
+}
+
+/// The smallest Sersic index: flatter than any galaxy.
+const SMALLEST_INDEX: f64 = 0.3;
+/// The largest Sersic index; beyond it fits of galaxies are not meaningful either.
+const LARGEST_INDEX: f64 = 8.0;
+/// The smallest axis ratio: the time to integrate a profile over pixels grows as its inverse, to a large part of a second here, and edge-on discs are
+/// a hundred times thicker.
+const SMALLEST_AXIS_RATIO: f64 = 1e-3;
+
+/// How a galaxy's light is spread: a Sersic profile with elliptical isophotes.
+///
+/// The surface brightness at elliptical radius `r` (measured along the major axis) is
+///
+/// ```text
+/// I(r) = I_e exp(-b [(r / re)^(1/n) - 1]),    P(2n, b) = 1/2
+/// ```
+///
+/// (Sersic 1968; Graham and Driver 2005, PASA 22, 118), `P` the regularised lower incomplete gamma function: half of the light
+/// lies within the ellipse of semi-major axis `re`. `n = 0.5` is a Gaussian, 1 an exponential disc, 4 a de Vaucouleurs profile.
+///
+/// ```
+/// use psf_types::SersicProfile;
+/// // re = 3 pixels along the major axis, n = 1, b/a = 0.5, the major axis 30 degrees from +x towards +y
+/// let disc = SersicProfile::new(3.0, 1.0, 0.5, 30.0)?;
+/// assert_eq!(disc.axis_ratio(), 0.5);
+/// assert!(SersicProfile::new(3.0, 9.0, 0.5, 30.0).is_err());
+/// # Ok::<(), psf_types::DataError>(())
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "RawProfile")]
+pub struct SersicProfile {
+    half_light_radius_px: f64,
+    index: f64,
+    axis_ratio: f64,
+    angle_deg: f64,
+}
+
+read_through_new!(RawProfile => SersicProfile { half_light_radius_px: f64, index: f64, axis_ratio: f64, angle_deg: f64 });
+
+impl SersicProfile {
+    /// A profile: `half_light_radius_px` (`re`) along the major axis in pixels, above 0; `index` (`n`) from 0.3 to 8; `axis_ratio`
+    /// (`q = b/a`) from 0.001 to 1; `angle_deg` of the major axis in degrees from +x towards +y.
+    ///
+    /// # Errors
+    /// [`DataError::Galaxy`] with the parameter that is out of range.
+    pub fn new(
+        half_light_radius_px: f64,
+        index: f64,
+        axis_ratio: f64,
+        angle_deg: f64,
+    ) -> Result<Self, DataError> {
+        let re = half_light_radius_px;
+        let (parameter, allowed, got) = if !(re.is_finite() && re > 0.0) {
+            ("the half-light radius re", "finite and above 0 pixels", re)
+        } else if !(SMALLEST_INDEX..=LARGEST_INDEX).contains(&index) {
+            ("the Sersic index n", "from 0.3 to 8", index)
+        } else if !(SMALLEST_AXIS_RATIO..=1.0).contains(&axis_ratio) {
+            ("the axis ratio q", "from 0.001 to 1", axis_ratio)
+        } else if !angle_deg.is_finite() {
+            (
+                "the angle of the major axis",
+                "a finite number of degrees",
+                angle_deg,
+            )
+        } else {
+            return Ok(Self {
+                half_light_radius_px,
+                index,
+                axis_ratio,
+                angle_deg,
+            });
+        };
+        Err(DataError::Galaxy {
+            parameter,
+            allowed,
+            got,
+        })
+    }
+
+    getters! { self;
+        /// Semi-major axis, in pixels, of the ellipse that holds half of the light.
+        half_light_radius_px: f64,
+        /// The Sersic index `n`.
+        index: f64,
+        /// Minor over major axis.
+        axis_ratio: f64,
+        /// Angle of the major axis, in degrees from +x towards +y.
+        angle_deg: f64,
+    }
+}
+
+/// A galaxy: a position in pixels of the scene (sub-pixel, possibly outside the scene), a finite total flux (to infinite radius)
+/// and the profile of its light.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct SersicSource {
+    light: PointSource,
+    profile: SersicProfile,
+}
+
+impl SersicSource {
+    /// A galaxy of this total flux, as it is before the PSF.
+    ///
+    /// # Errors
+    /// [`DataError::SourceFlux`] when the flux is NaN or infinite.
+    pub fn new(position: Position, flux: f64, profile: SersicProfile) -> Result<Self, DataError> {
+        Ok(Self {
+            light: PointSource::new(position, flux)?,
+            profile,
+        })
+    }
+
+    /// Where its centre is, in pixels of the scene.
+    pub fn position(self) -> Position {
+        self.light.position()
+    }
+
+    /// Its total flux, to infinite radius.
+    pub fn flux(self) -> f64 {
+        self.light.flux()
+    }
+
+    /// How its light is spread.
+    pub fn profile(self) -> SersicProfile {
+        self.profile
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn fluxes_are_finite_also_from_files() {
+        let at = Position::of_pixel(1, 1);
+        assert!(matches!(
+            PointSource::new(at, f64::NAN),
+            Err(DataError::SourceFlux { .. })
+        ));
+        let text = serde_json::to_string(&PointSource::new(at, 2.5).unwrap()).unwrap();
+        assert!(serde_json::from_str::<PointSource>(&text).is_ok());
+        assert!(serde_json::from_str::<PointSource>(&text.replace("2.5", "1e999")).is_err());
+    }
+
+    #[test]
+    fn profiles_out_of_range_name_the_parameter() {
+        let cases = [
+            ((0.0, 1.0, 1.0, 0.0), "re"),
+            ((f64::INFINITY, 1.0, 1.0, 0.0), "re"),
+            ((1.0, 0.29, 1.0, 0.0), "index"),
+            ((1.0, 8.01, 1.0, 0.0), "index"),
+            ((1.0, f64::NAN, 1.0, 0.0), "index"),
+            ((1.0, 1.0, 0.0, 0.0), "ratio"),
+            ((1.0, 1.0, 9e-4, 0.0), "ratio"),
+            ((1.0, 1.0, 1.01, 0.0), "ratio"),
+            ((1.0, 1.0, f64::NAN, 0.0), "ratio"),
+            ((1.0, 1.0, 1.0, f64::NAN), "angle"),
+        ];
+        for ((re, n, q, angle), named) in cases {
+            match SersicProfile::new(re, n, q, angle) {
+                Err(DataError::Galaxy { parameter, .. }) => assert!(parameter.contains(named), "{parameter}"),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn galaxies_are_checked_also_from_files() {
+        let profile = SersicProfile::new(2.5, 4.0, 0.7, -30.0).unwrap();
+        assert!(SersicSource::new(Position::of_pixel(0, 0), f64::NAN, profile).is_err());
+        let galaxy = SersicSource::new(Position::of_pixel(3, 4), 10.0, profile).unwrap();
+        let text = serde_json::to_string(&galaxy).unwrap();
+        assert_eq!(serde_json::from_str::<SersicSource>(&text).unwrap(), galaxy);
+        assert!(serde_json::from_str::<SersicSource>(&text.replace("2.5", "-2.5")).is_err());
+    }
+}

@@ -1,0 +1,414 @@
+//! `psfield batch`.
+
+mod job;
+mod jobs_file;
+
+use std::fs::File;
+use std::io::{ErrorKind, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use psf_types::Progress;
+use serde::Serialize;
+
+use crate::batch::job::{Job, Standing};
+use crate::batch::jobs_file::{Assignment, JobsFile, Settings};
+use crate::context::{Context, told};
+use crate::simulate::{Report, Simulators};
+
+/// Simulate many scenes, with what those of one kind share prepared once
+///
+/// A job is a set of options of simulate by their long names, with `scene` for the scene itself, and perhaps a `name`. Relative paths in
+/// the jobs file count from its folder. All jobs are checked before the first one runs. Each one ends with a line of JSON on
+/// standard output; a job that fails does not stop the rest, and the exit status is 1.
+///
+/// Run again, a batch goes on where it was interrupted: a job whose files exist is skipped. Images bear a digest of the options that
+/// made them (PSFJOB), and a job whose options have changed since then fails until --overwrite is given. Whether the content of its
+/// inputs has changed is not looked at.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = SAMPLE)]
+pub(crate) struct BatchArgs {
+    /// The jobs: TOML (`[[job]]` tables, `[defaults]` for all) or CSV (a line of option names, a row a job; an empty field: not given)
+    #[arg(value_name = "JOBS.toml|csv")]
+    jobs: PathBuf,
+    /// An option for all jobs that do not set it themselves, before `[defaults]`; may be repeated. Relative paths count from the
+    /// working directory
+    #[arg(long, value_name = "OPTION=VALUE")]
+    set: Vec<Assignment>,
+    /// Run all jobs, and replace outputs that exist
+    #[arg(long)]
+    overwrite: bool,
+    /// Also append the lines of all jobs to this file
+    #[arg(long, value_name = "LOG.jsonl")]
+    log: Option<PathBuf>,
+    /// Keep the models and plans of the N latest kinds of job for jobs to come; each takes the memory of its PSF and plan (--memory)
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    keep: u16,
+}
+
+/// The end of the long help.
+const SAMPLE: &str = r#"A jobs file in TOML:
+
+  [defaults]
+  psf = "telescope.fits"
+  shape = [1024, 1024]
+  tolerance = 1e-4
+
+  [[job]]
+  catalog = "field1.csv"
+  output = "field1.fits"
+
+  [[job]]
+  name = "second field, as the camera sees it"
+  catalog = "field2.csv"
+  columns = { x = "X_IMAGE", y = "Y_IMAGE", flux = "FLUX_AUTO" }
+  one-based = true
+  detector = "camera.toml"
+  truth = "field2_truth.fits"
+  output = "field2.fits"
+  seed = 2
+
+and one in CSV, with --set psf=telescope.fits --set shape=1024,1024 for what all have in common:
+
+  output,catalog,seed,detector
+  field1.fits,field1.csv,,
+  field2.fits,field2.csv,2,camera.toml
+
+A job's line has the keys job (counted from 1), name, output, status (done, skipped or failed), error, reused (whether model and plan
+were those of an earlier job), seconds, and report (what simulate --json prints)."#;
+
+impl BatchArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let mut from_command_line = Settings::default();
+        for assignment in self.set {
+            from_command_line.add(assignment)?;
+        }
+        let jobs = Job::all(
+            JobsFile::read(&self.jobs)?,
+            &from_command_line,
+            self.log.as_deref(),
+        )?;
+        let mut lines = LineWriter::new(self.log.as_deref(), context)?;
+        let mut simulators = Simulators::keeping(usize::from(self.keep));
+        let mut failed = Vec::new();
+        let bar = context.bar("jobs");
+        bar.start(jobs.len() as u64);
+        for job in &jobs {
+            let report = report_of(job, self.overwrite, &mut simulators, context);
+            bar.aside(|| lines.write(&report))?;
+            bar.advance(1);
+            if report.status == Status::Failed {
+                failed.push(format!("{} ({})", job.number, job.name));
+            }
+        }
+        drop(bar);
+        if failed.is_empty() {
+            return Ok(());
+        }
+        let more = match failed.len().checked_sub(MOST_NAMED) {
+            Some(more @ 1..) => format!(" and {more} more"),
+            _ => String::new(),
+        };
+        anyhow::bail!(
+            "{} of {} jobs failed: {}{more}",
+            failed.len(),
+            jobs.len(),
+            failed[..failed.len().min(MOST_NAMED)].join(", ")
+        )
+    }
+}
+
+/// Failed jobs that are named at the end.
+const MOST_NAMED: usize = 10;
+
+/// Runs a job, unless its files are there.
+fn report_of<'a>(
+    job: &'a Job,
+    overwrite: bool,
+    simulators: &mut Simulators,
+    context: &Context,
+) -> JobReport<'a> {
+    let clock = Instant::now();
+    let mut report = JobReport {
+        job: job.number,
+        name: &job.name,
+        output: &job.output,
+        status: Status::Failed,
+        error: None,
+        reused: None,
+        seconds: 0.0,
+        report: None,
+    };
+    let standing = if overwrite {
+        Standing::Partial
+    } else {
+        Standing::of(job)
+    };
+    let replace = matches!(standing, Standing::Partial);
+    match standing {
+        Standing::Done => report.status = Status::Skipped,
+        Standing::Refused(why) => report.error = Some(why),
+        Standing::Missing | Standing::Partial => {
+            let context = context.for_part(&format!("job {} ({})", job.number, job.name));
+            let made = simulators.made;
+            match job.marked(replace).simulate(simulators, &context) {
+                Ok(simulated) => {
+                    match simulated.verdict() {
+                        Ok(()) => report.status = Status::Done,
+                        Err(error) => report.error = Some(told(&error)),
+                    }
+                    report.reused = Some(simulators.made == made);
+                    report.report = Some(simulated);
+                }
+                Err(error) => report.error = Some(told(&error)),
+            }
+        }
+    }
+    report.seconds = clock.elapsed().as_secs_f64();
+    report
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Status {
+    Done,
+    Skipped,
+    Failed,
+}
+
+/// The line of a job.
+#[derive(Debug, Serialize)]
+struct JobReport<'a> {
+    job: usize,
+    name: &'a str,
+    output: &'a Path,
+    status: Status,
+    error: Option<String>,
+    /// Whether model and plan were those of an earlier job; null where nothing was simulated.
+    reused: Option<bool>,
+    seconds: f64,
+    report: Option<Report>,
+}
+
+/// Standard output and the log.
+struct LineWriter {
+    log: Option<(File, PathBuf)>,
+    failures_only: bool,
+    /// Nobody reads standard output any more.
+    closed: bool,
+}
+
+impl LineWriter {
+    fn new(log: Option<&Path>, context: &Context) -> anyhow::Result<Self> {
+        let log = log
+            .map(|path| {
+                let log = open(path).with_context(|| format!("cannot write the log {}", path.display()))?;
+                anyhow::Ok((log, path.to_owned()))
+            })
+            .transpose()?;
+        Ok(Self {
+            log,
+            failures_only: context.quiet && !context.json,
+            closed: false,
+        })
+    }
+
+    /// Writes the line of a job at once.
+    fn write(&mut self, report: &JobReport<'_>) -> anyhow::Result<()> {
+        let line = serde_json::to_string(report)? + "\n";
+        if let Some((log, path)) = &mut self.log {
+            append(log, &line).with_context(|| format!("cannot write the log {}", path.display()))?;
+        }
+        if self.closed || (self.failures_only && report.status != Status::Failed) {
+            return Ok(());
+        }
+        let mut out = std::io::stdout().lock();
+        match out.write_all(line.as_bytes()).and_then(|()| out.flush()) {
+            // The images are what was asked for: the jobs go on.
+            Err(e) if e.kind() == ErrorKind::BrokenPipe => self.closed = true,
+            other => other.context("cannot write to standard output")?,
+        }
+        Ok(())
+    }
+}
+
+/// Opens a log whose last line is whole: what a killed process has begun gets its end here.
+fn open(path: &Path) -> std::io::Result<File> {
+    let log = File::options().create(true).append(true).open(path)?;
+    // A pipe or a device holds nothing, and a log that may not be read is taken as whole.
+    let found = log.metadata()?;
+    if found.is_file() && found.len() > 0 && !ends_a_line(path).unwrap_or(true) {
+        append(&log, "\n")?;
+    }
+    Ok(log)
+}
+
+fn ends_a_line(path: &Path) -> std::io::Result<bool> {
+    let mut last = [0];
+    let mut log = File::open(path)?;
+    log.seek(SeekFrom::End(-1))?;
+    log.read_exact(&mut last)?;
+    Ok(last == *b"\n")
+}
+
+/// Appends a line, or nothing: a full disk must not leave half of it.
+fn append(mut log: &File, line: &str) -> std::io::Result<()> {
+    let before = log.metadata()?;
+    log.write_all(line.as_bytes()).inspect_err(|_| {
+        if before.is_file() {
+            // The first error is the one to tell.
+            let _ = log.set_len(before.len());
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+    use rand_chacha::ChaCha8Rng;
+
+    /// The two files of the help, as they would be written.
+    fn samples() -> [String; 2] {
+        let blocks = |from: &str, to: &str| {
+            let start = SAMPLE.find(from).unwrap();
+            let end = SAMPLE.find(to).unwrap();
+            SAMPLE[start..end]
+                .lines()
+                .map(str::trim)
+                .collect::<Vec<_>>()
+                .join("\n")
+        };
+        [
+            blocks("[defaults]", "and one in CSV"),
+            blocks("output,catalog", "A job's line"),
+        ]
+    }
+
+    #[test]
+    fn the_samples_of_the_help_are_understood() {
+        let [toml, csv] = samples();
+        let folder = Path::new("night");
+        let toml = JobsFile::from_toml(&toml, folder).unwrap();
+        let jobs = Job::all(toml, &Settings::default(), None).unwrap();
+        assert_eq!(jobs.len(), 2);
+        assert_eq!(jobs[0].name, "field1.fits");
+        assert_eq!(jobs[1].output, folder.join("field2.fits"));
+        assert_eq!(jobs[1].files.len(), 2);
+
+        let mut common = Settings::default();
+        for text in ["psf=telescope.fits", "shape=1024,1024"] {
+            common.add(text.parse().unwrap()).unwrap();
+        }
+        let csv = JobsFile::from_csv(csv.as_bytes(), folder).unwrap();
+        let jobs = Job::all(csv, &common, None).unwrap();
+        assert_eq!(jobs.len(), 2);
+        assert_eq!(jobs[1].output, folder.join("field2.fits"));
+    }
+
+    #[test]
+    fn a_digest_tells_options_apart_and_nothing_else() {
+        let digest = |text: &str| {
+            let text = format!("[defaults]\nseed = 1\n[[job]]\npsf = 'p.fits'\nscene = 's.fits'\n{text}");
+            let file = JobsFile::from_toml(&text, Path::new("")).unwrap();
+            Job::all(file, &Settings::default(), None).unwrap()[0]
+                .digest
+                .clone()
+        };
+        let plain = digest("output = 'a.fits'");
+        assert_eq!(plain.len(), 16);
+        for same in [
+            "output = 'b.fits'\nname = 'b'",
+            "output = 'a.fits'\nseed = 1",
+            "output = 'a.fits'\nstream = true\none-based = false",
+        ] {
+            assert_eq!(digest(same), plain, "{same}");
+        }
+        for other in [
+            "seed = 2",
+            "tolerance = 1e-4",
+            "extension = 1",
+            "detector = 'd.toml'",
+        ] {
+            assert_ne!(digest(&format!("output = 'a.fits'\n{other}")), plain, "{other}");
+        }
+        // The same texts in another place.
+        assert_ne!(
+            digest("output = 'a.fits'\nanchor = 'source'\nprecision = 'f64'"),
+            digest("output = 'a.fits'\nanchor = 'output'\nprecision = 'f64'")
+        );
+    }
+
+    /// Jobs files that are spoilt here and there: the options' own checks included, none of them is to panic.
+    #[test]
+    fn spoilt_jobs_are_understood_or_refused_by_name() {
+        const CASES: u64 = 4000;
+        const MARKS: [&str; 24] = [
+            ",",
+            "\"",
+            "'",
+            "\n",
+            "\r\n",
+            "#",
+            "[",
+            "]",
+            "[[",
+            "=",
+            "{",
+            "}",
+            "\0",
+            "é",
+            "nan",
+            "-1",
+            "1e999",
+            "99999999999999999999",
+            "true",
+            "1979-05-27",
+            "name",
+            "output",
+            "overwrite = true\n",
+            "x=",
+        ];
+        let seeds = samples();
+        let (mut understood, mut refused) = (0, 0);
+        for case in 0..CASES {
+            let mut rng = ChaCha8Rng::seed_from_u64(case);
+            let is_toml = rng.random::<bool>();
+            let mut text: Vec<char> = seeds[usize::from(!is_toml)].chars().collect();
+            for _ in 0..rng.random_range(1..4) {
+                let at = rng.random_range(0..text.len());
+                let length = rng.random_range(0..3).min(text.len() - at);
+                let mark = MARKS[rng.random_range(0..MARKS.len())];
+                text.splice(at..at + length, mark.chars());
+            }
+            let text: String = text.into_iter().collect();
+            let folder = Path::new("night");
+            let parsed = if is_toml {
+                JobsFile::from_toml(&text, folder)
+            } else {
+                JobsFile::from_csv(text.as_bytes(), folder)
+            };
+            let mut common = Settings::default();
+            common.add("psf=telescope.fits".parse().unwrap()).unwrap();
+            let checked = parsed.and_then(|file| {
+                let path = folder.join("jobs");
+                Job::all(JobsFile { path, ..file }, &common, None).map_err(|e| {
+                    assert!(e.to_string().contains("jobs"), "{text}: {e}");
+                    e.to_string()
+                })
+            });
+            match checked {
+                Ok(_) => understood += 1,
+                Err(why) => {
+                    assert!(!why.is_empty(), "{text}");
+                    refused += 1;
+                }
+            }
+        }
+        assert!(
+            understood > 0 && refused > 0,
+            "{understood} understood, {refused} refused"
+        );
+    }
+}

@@ -1,0 +1,167 @@
+//! Defaults of a benchmark, the device it runs on, and the file that its JSON goes to.
+
+use std::ffi::OsString;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+
+use clap::ValueEnum;
+use psfield::Device;
+use psfield_lab::bench::{BenchOptions, Contender};
+use serde::Serialize;
+
+use crate::bench::{BenchArgs, MethodName};
+use crate::devices::device_parser;
+
+/// The lists and numbers in force: the arguments, else those of `--quick`, else the defaults.
+#[derive(Debug, Clone, Serialize)]
+pub(super) struct Settings {
+    /// Pixels along each side of the frame.
+    pub(super) sizes: Vec<usize>,
+    /// Samples along each side of the field.
+    pub(super) grids: Vec<usize>,
+    pub(super) methods: Vec<MethodName>,
+    pub(super) tolerances: Vec<f64>,
+    pub(super) patches: Vec<usize>,
+    pub(super) ranks: Vec<usize>,
+    pub(super) repeat: usize,
+    pub(super) pixels: usize,
+    pub(super) seed: u64,
+}
+
+impl Settings {
+    pub(super) fn of(args: &BenchArgs) -> Self {
+        let quick = args.quick;
+        let sizes: &[usize] = if quick { &[256] } else { &[512, 1024, 2048] };
+        let grids: &[usize] = if quick { &[5] } else { &[9, 33] };
+        let patches: &[usize] = if quick { &[64] } else { &[32, 64, 128, 256] };
+        let ranks: &[usize] = if quick { &[10] } else { &[10, 30, 100] };
+        let tolerances: &[f64] = if quick {
+            &[1e-2, 1e-4]
+        } else {
+            &[1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 0.0]
+        };
+        let (repeat, pixels) = if quick {
+            (1, 100)
+        } else {
+            (BenchOptions::DEFAULT_REPEAT, BenchOptions::DEFAULT_PIXELS)
+        };
+        let numbers = |given: &Option<Vec<NonZeroUsize>>, default: &[usize]| {
+            given.as_ref().map_or_else(
+                || default.to_vec(),
+                |given| given.iter().map(|n| n.get()).collect(),
+            )
+        };
+        Self {
+            sizes: numbers(&args.sizes, sizes),
+            grids: numbers(&args.grids, grids),
+            methods: args
+                .methods
+                .clone()
+                .unwrap_or_else(|| MethodName::value_variants().to_vec()),
+            tolerances: args.tolerances.clone().unwrap_or_else(|| tolerances.to_vec()),
+            patches: numbers(&args.patches, patches),
+            ranks: numbers(&args.ranks, ranks),
+            repeat: args.repeat.map_or(repeat, |n| usize::from(n.get())),
+            pixels: args.pixels.map_or(pixels, |n| n as usize),
+            seed: args.seed,
+        }
+    }
+
+    /// The contenders for a model of some rank, method by method; no setting twice.
+    pub(super) fn contenders(&self, rank: usize) -> Vec<Contender> {
+        let mut all = Vec::new();
+        for method in &self.methods {
+            let tolerances = self.tolerances.iter();
+            let of_method: Vec<Contender> = match method {
+                MethodName::Single => vec![Contender::Single],
+                MethodName::Lowrank => tolerances
+                    .map(|&tolerance| Contender::LowRank { tolerance })
+                    .collect(),
+                MethodName::Auto => tolerances
+                    .map(|&tolerance| Contender::Auto { tolerance })
+                    .collect(),
+                MethodName::Patch => self
+                    .patches
+                    .iter()
+                    .map(|&size| Contender::Patch { size })
+                    .collect(),
+                // A rank beyond the model's is the model's.
+                MethodName::Basis => self
+                    .ranks
+                    .iter()
+                    .map(|&k| Contender::Basis { rank: k.min(rank) })
+                    .collect(),
+                MethodName::Direct => vec![Contender::Direct],
+            };
+            for contender in of_method {
+                if !all.contains(&contender) {
+                    all.push(contender);
+                }
+            }
+        }
+        all
+    }
+}
+
+/// Nothing here is chosen by itself: a figure belongs to a device.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Device")]
+pub(super) struct BenchDeviceArgs {
+    /// Where lowrank and auto run, in f32; the other methods run on the CPU
+    #[arg(long, default_value = "cpu", value_parser = device_parser(["cpu", "gpu"]))]
+    pub(super) device: Device,
+    /// The GPU, by a part of its name or its backend (see psfield devices) [default: the first of psfield devices]
+    #[arg(long, value_name = "NAME")]
+    pub(super) gpu_adapter: Option<String>,
+}
+
+impl BenchDeviceArgs {
+    /// What is wrong with the options given, if anything. `single`: in f32.
+    pub(super) fn misused(&self, single: bool) -> Option<&'static str> {
+        match self.device {
+            Device::Cpu if self.gpu_adapter.is_some() => Some("--gpu-adapter is of --device gpu"),
+            Device::Gpu if !single => Some("--device gpu computes in f32, and --precision f64 was asked for"),
+            _ => None,
+        }
+    }
+}
+
+/// Whether, and where to, a command writes JSON.
+///
+/// `--json` is an option of every command that takes no value; `bench` takes a file as well, under the same name. The parser wants
+/// one type for both.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum JsonTo {
+    Nowhere,
+    /// In place of text on standard output.
+    Output,
+    File(PathBuf),
+}
+
+impl JsonTo {
+    /// Of `--json` without a value.
+    #[allow(clippy::unnecessary_wraps, reason = "a parser of values")]
+    pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
+        Ok(if text == "true" {
+            Self::Output
+        } else {
+            Self::Nowhere
+        })
+    }
+
+    /// Of `--json FILE`; `-` is standard output.
+    pub(super) fn of_argument(text: OsString) -> Self {
+        if text == "-" {
+            Self::Output
+        } else {
+            Self::File(text.into())
+        }
+    }
+
+    pub(super) fn file(&self) -> Option<&Path> {
+        match self {
+            Self::File(path) => Some(path),
+            _ => None,
+        }
+    }
+}

@@ -1,0 +1,145 @@
+//! `psfield compare`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use metrics::{Comparison, MetricsError, Summary};
+use ndarray::{Array3, Axis};
+use psf_io::{FileKind, HduChoice};
+use serde::{Serialize, Serializer};
+
+use super::context::{Context, object};
+
+/// Compare an image (or a cube) with a reference
+///
+/// MAE, MSE, relative L2 = |F - T| / |T|, largest difference, and that over the peak of the reference. Of cubes, each measure's
+/// median over the planes and its value in the worst plane.
+#[derive(Debug, clap::Args)]
+pub(crate) struct CompareArgs {
+    /// The result F
+    #[arg(value_name = "RESULT.fits")]
+    result: PathBuf,
+    /// The reference T
+    #[arg(value_name = "REFERENCE.fits")]
+    reference: PathBuf,
+    /// Which image of the result's file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
+    /// Which image of the reference's file
+    #[arg(long, value_name = "N|NAME")]
+    reference_extension: Option<HduChoice>,
+}
+
+/// A measure: its key in JSON, its name, whether it exists whatever the reference, and its value.
+type Measure = (&'static str, &'static str, bool, fn(&Comparison) -> Option<f64>);
+
+const SNR: &str = "snr_db";
+const MEASURES: [Measure; 7] = [
+    ("mae", "MAE", true, |c| Some(c.mae())),
+    ("mse", "MSE", true, |c| Some(c.mse())),
+    ("relative_l2", "relative L2", false, |c| c.relative_l2().ok()),
+    ("max_abs", "largest", true, |c| Some(c.max_abs())),
+    ("max_over_peak", "largest/peak", false, |c| c.max_over_peak().ok()),
+    ("mae_over_mean", "MAE/mean", false, |c| c.mae_over_mean().ok()),
+    (SNR, "SNR (dB)", false, |c| c.snr_db().ok()),
+];
+
+/// The [`MEASURES`] of one image. Those that do not exist (a reference of zeros) are null.
+#[derive(Debug)]
+struct Measures([Option<f64>; 7]);
+
+impl Serialize for Measures {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(MEASURES.iter().map(|measure| measure.0).zip(self.0))
+    }
+}
+
+impl CompareArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let (result, result_is_cube) = read(&self.result, self.extension.as_ref())?;
+        let (reference, reference_is_cube) = read(&self.reference, self.reference_extension.as_ref())?;
+        let planes = Comparison::by_plane(result.view(), reference.view()).with_context(|| {
+            format!(
+                "comparing {} with {}",
+                self.result.display(),
+                self.reference.display()
+            )
+        })?;
+        if result_is_cube || reference_is_cube {
+            let report = object! {
+                planes: planes.len(),
+                median: Measures::over(&planes, Summary::median, Summary::median)?,
+                // Of each measure the value of the plane that is worst in it.
+                max: Measures::over(&planes, Summary::max, Summary::min)?,
+            };
+            context.report(&report, || {
+                let median = report.median.text();
+                let max = report.max.text();
+                format!(
+                    "{} planes\nmedian over the planes\n{median}\nworst plane in each\n{max}",
+                    report.planes
+                )
+            })
+        } else {
+            let report = Measures::of(&planes[0]);
+            context.report(&report, || report.text())
+        }
+    }
+}
+
+/// An image as a cube of one plane, or a cube; and which of the two it is.
+fn read(path: &Path, extension: Option<&HduChoice>) -> anyhow::Result<(Array3<f64>, bool)> {
+    Ok(match psf_io::detect(path)? {
+        FileKind::PsfModel => anyhow::bail!(
+            "{} is a PSF model: compare its PSFs at chosen positions (psfield evaluate)",
+            path.display()
+        ),
+        FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube_hdu::<f64>(path, extension)?, true),
+        _ => (
+            psf_io::read_image_hdu::<f64>(path, extension)?
+                .into_parts()
+                .0
+                .into_pixels()
+                .insert_axis(Axis(0)),
+            false,
+        ),
+    })
+}
+
+impl Measures {
+    fn of(comparison: &Comparison) -> Self {
+        Self(MEASURES.map(|(.., of)| of(comparison)))
+    }
+
+    /// One statistic of the errors, and one of the signal-to-noise ratio; none where a plane has no such measure.
+    fn over(
+        planes: &[Comparison],
+        of_errors: fn(&Summary) -> f64,
+        of_snr: fn(&Summary) -> f64,
+    ) -> Result<Self, MetricsError> {
+        let mut all = [None; 7];
+        for (value, (key, _, always, of)) in all.iter_mut().zip(MEASURES) {
+            let Some(values) = planes.iter().map(of).collect::<Option<Vec<f64>>>() else {
+                continue;
+            };
+            let statistic = if key == SNR { of_snr } else { of_errors };
+            *value = match Summary::of(values) {
+                Err(error) if always => return Err(error),
+                summary => summary.ok().as_ref().map(statistic),
+            };
+        }
+        Ok(Self(all))
+    }
+
+    fn text(&self) -> String {
+        let lines = MEASURES.iter().zip(self.0).map(|(&(key, name, ..), value)| {
+            let value = match value {
+                None => "-".to_owned(),
+                Some(v) if key == SNR => format!("{v:.3}"),
+                Some(v) => format!("{v:.6e}"),
+            };
+            format!("{name:14}{value}")
+        });
+        lines.collect::<Vec<_>>().join("\n")
+    }
+}

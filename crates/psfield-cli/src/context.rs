@@ -1,0 +1,196 @@
+//! Shared by all commands: messages, progress bars, and the signature of files.
+
+use std::io::Write;
+use std::path::Path;
+
+use anyhow::Context as _;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use psf_io::{Card, IoError, Precision};
+use psf_types::{Progress, PsfSamples};
+use serde::Serialize;
+
+/// A wrong combination of arguments: exit status 2.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub(crate) struct UsageError(pub(crate) String);
+
+/// An object whose keys are written to JSON in this order, and can be read as fields.
+macro_rules! object {
+    ($($(#[$meta:meta])* $key:ident $(: $value:expr)?),+ $(,)?) => {{
+        #[allow(non_camel_case_types, reason = "each field has a type of its own, named as the field")]
+        let object = {
+            #[derive(serde::Serialize)]
+            struct Object<$($key),+> {
+                $($(#[$meta])* $key: $key),+
+            }
+            Object { $($key $(: $value)?),+ }
+        };
+        object
+    }};
+}
+pub(crate) use object;
+
+/// An error with its causes, in one line.
+pub(crate) fn told(error: &anyhow::Error) -> String {
+    psfield::error_text(error.as_ref())
+}
+
+/// How a command speaks.
+#[derive(Debug)]
+pub(crate) struct Context {
+    pub(crate) json: bool,
+    pub(crate) quiet: bool,
+    /// Which part of the work speaks; empty for the whole.
+    pub(crate) part: String,
+}
+
+impl Context {
+    /// For one of several pieces of work: it says which it is, and leaves the bars to the whole.
+    pub(crate) fn for_part(&self, name: &str) -> Self {
+        Self {
+            part: format!("{name}: "),
+            ..*self
+        }
+    }
+
+    /// Prints the object under `--json`, else the text unless `--quiet`.
+    pub(crate) fn report(
+        &self,
+        object: &impl Serialize,
+        text: impl FnOnce() -> String,
+    ) -> anyhow::Result<()> {
+        let text = if self.json {
+            serde_json::to_string(object)?
+        } else if self.quiet {
+            return Ok(());
+        } else {
+            text()
+        };
+        let mut out = std::io::stdout().lock();
+        writeln!(out, "{}", text.trim_end())
+            .and_then(|()| out.flush())
+            .context("cannot write to standard output")
+    }
+
+    /// A line on standard error that a user must see, unless `--quiet`.
+    pub(crate) fn warn(&self, text: &str) {
+        if !self.quiet {
+            eprintln!("psfield: warning: {}{text}", self.part);
+        }
+    }
+
+    /// A line on standard error about what was done, unless `--quiet`.
+    pub(crate) fn note(&self, text: &str) {
+        if !self.quiet {
+            eprintln!("psfield: note: {}{text}", self.part);
+        }
+    }
+
+    /// A progress bar; drawn on a terminal only.
+    pub(crate) fn bar(&self, what: &'static str) -> Bar {
+        self.bar_of("{msg} {wide_bar} {pos}/{len} {eta}", what)
+    }
+
+    /// A spinner for work without steps; drawn on a terminal only.
+    pub(crate) fn spinner(&self, what: &'static str) -> Bar {
+        let bar = self.bar_of("{spinner} {msg} {elapsed}", what);
+        if !bar.0.is_hidden() {
+            bar.0.enable_steady_tick(std::time::Duration::from_millis(100));
+        }
+        bar
+    }
+
+    fn bar_of(&self, template: &str, what: &'static str) -> Bar {
+        // The target hides itself where standard error is no terminal.
+        let target = if self.quiet || !self.part.is_empty() {
+            ProgressDrawTarget::hidden()
+        } else {
+            ProgressDrawTarget::stderr()
+        };
+        let style = ProgressStyle::with_template(template).expect("a valid template");
+        let bar = ProgressBar::with_draw_target(None, target);
+        Bar(bar.with_style(style).with_message(what))
+    }
+}
+
+/// The program's version and the command line as it was given, for headers. Options that change no result stay out
+/// ([`matters`]): the same input, options and seed give the same bytes.
+pub(crate) fn signature() -> Vec<Card> {
+    signature_of(&given_arguments())
+}
+
+/// Writes PSF samples in single precision.
+pub(crate) fn write_samples(path: &Path, samples: &PsfSamples, overwrite: bool) -> Result<(), IoError> {
+    psf_io::write_samples(path, samples, &signature(), Precision::Single, overwrite)
+}
+
+/// The command line as one would type it again, with all its options.
+pub(crate) fn command_text() -> String {
+    let arguments: Vec<String> = given_arguments().iter().map(quoted).collect();
+    format!("psfield {}", arguments.join(" "))
+}
+
+fn given_arguments() -> Vec<String> {
+    // Not `args`, which panics on a name that is not UTF-8.
+    std::env::args_os()
+        .skip(1)
+        .map(|arg| arg.to_string_lossy().into_owned())
+        .collect()
+}
+
+/// The same for any command line.
+pub(crate) fn signature_of(arguments: &[String]) -> Vec<Card> {
+    let command: Vec<String> = matters(arguments).map(quoted).collect();
+    psfield::provenance_cards(&format!("psfield {}", command.join(" ")))
+}
+
+/// The arguments without the number of threads, `--json`, `--quiet` and `--stream`.
+fn matters(arguments: &[String]) -> impl Iterator<Item = &String> {
+    let mut is_count = false;
+    arguments.iter().filter(move |arg| {
+        let was_count = std::mem::replace(&mut is_count, *arg == "--threads");
+        let silent = matches!(
+            arg.as_str(),
+            "--threads" | "--json" | "-q" | "--quiet" | "--stream"
+        );
+        !(was_count || silent || arg.starts_with("--threads="))
+    })
+}
+
+/// An argument as one would type it.
+fn quoted(arg: impl AsRef<str>) -> String {
+    let arg = arg.as_ref();
+    let plain = |c: char| c.is_ascii_alphanumeric() || "-_=./,:+@%".contains(c);
+    if !arg.is_empty() && arg.chars().all(plain) {
+        arg.to_owned()
+    } else {
+        format!("'{}'", arg.replace('\'', r"'\''"))
+    }
+}
+
+/// A bar or spinner on standard error, if that is a terminal; gone when dropped.
+#[derive(Debug)]
+pub(crate) struct Bar(ProgressBar);
+
+impl Bar {
+    /// Does something that prints, with the bar out of the way.
+    pub(crate) fn aside<R>(&self, print: impl FnOnce() -> R) -> R {
+        self.0.suspend(print)
+    }
+}
+
+impl Progress for Bar {
+    fn start(&self, total: u64) {
+        self.0.set_length(total);
+    }
+
+    fn advance(&self, steps: u64) {
+        self.0.inc(steps);
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}

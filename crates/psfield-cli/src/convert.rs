@@ -1,0 +1,252 @@
+//! `psfield convert`.
+
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use anyhow::Context as _;
+use psf_io::FileKind;
+use psf_types::{FrameShape, StampGrid};
+use psfield::convert::{SamplesAt, is_on_grid, to_gridded, to_psfex, to_samples};
+use psfield::{Fit, Psf, check_outputs};
+
+use super::UsageError;
+use super::context::{Context, object, signature};
+use super::values::{Pair, Precision};
+use crate::psf_args::PsfArgs;
+
+/// Turn a PSF file of any kind into another
+///
+/// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim's field-varying PSFs and plain stamps.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ConvertArgs {
+    /// The PSF to read
+    #[arg(value_name = "PSF")]
+    input: PathBuf,
+    /// The file to write
+    #[arg(short, long, value_name = "OUTPUT")]
+    output: PathBuf,
+    /// psf-samples, psf-model, psfex=DEGREE (a polynomial in x and y; psfex alone keeps the degree of a source that is one) or
+    /// gridded (a library that photutils reads) [default: psfex for an OUTPUT.psf]
+    #[arg(long, value_name = "FORMAT")]
+    to: Option<Target>,
+    /// Replace the output if it exists
+    #[arg(long)]
+    overwrite: bool,
+    /// psf-samples, gridded: evaluate on a regular grid of NX x NY positions over the field [default: the PSF's own positions]
+    #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
+    grid: Option<Pair>,
+    /// psf-samples, gridded: evaluate at these positions, CSV or FITS table with columns x, y (0-based pixels)
+    #[arg(long, value_name = "POSITIONS.csv")]
+    at: Option<PathBuf>,
+    /// psf-samples: write f32 or f64 [default: f32]
+    #[arg(long, value_enum)]
+    precision: Option<Precision>,
+    #[command(flatten)]
+    fit: PsfArgs,
+}
+
+/// What to write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Target {
+    PsfSamples,
+    PsfModel,
+    /// With the total degree.
+    Psfex(Option<usize>),
+    Gridded,
+}
+
+impl FromStr for Target {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text.split_once('=') {
+            None if text == "psf-samples" => Ok(Self::PsfSamples),
+            None if text == "psf-model" => Ok(Self::PsfModel),
+            None if text == "psfex" => Ok(Self::Psfex(None)),
+            None if text == "gridded" => Ok(Self::Gridded),
+            Some(("psfex", degree)) => match degree.parse() {
+                Ok(degree) if degree <= psf_io::PsfexPolynomial::MAX_DEGREE => Ok(Self::Psfex(Some(degree))),
+                _ => Err("the degree of a PSFEx model must be 0 to 10".to_owned()),
+            },
+            _ => Err("psf-samples, psf-model, psfex=DEGREE or gridded is needed".to_owned()),
+        }
+    }
+}
+
+impl Target {
+    fn name(self) -> &'static str {
+        match self {
+            Self::PsfSamples => "psf-samples",
+            Self::PsfModel => "psf-model",
+            Self::Psfex(_) => "psfex",
+            Self::Gridded => "gridded",
+        }
+    }
+}
+
+/// How many planes are written; whether they are stamps, components (the mean not counted) or
+/// polynomial terms; their grid; their largest relative L2 error, where it is measured; notes.
+type Written = (usize, &'static str, StampGrid, Option<f64>, Vec<String>);
+
+impl ConvertArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let target = self.target()?;
+        self.check_usage(target)?;
+        let mut inputs = self.fit.files(&self.input);
+        inputs.extend(self.at.as_deref());
+        check_outputs(&inputs, &[&self.output], self.overwrite)?;
+        let at = match (self.grid, &self.at) {
+            (Some(Pair(nx, ny)), _) => {
+                FrameShape::new(nx, ny).map_err(|e| UsageError(format!("--grid: {e}")))?;
+                SamplesAt::Grid { nx, ny }
+            }
+            (None, Some(path)) => SamplesAt::Positions(psf_io::read_positions(path)?),
+            (None, None) => SamplesAt::Own,
+        };
+        let psf = self.fit.open(&self.input, context)?;
+        self.check_fit_options(target, &at, &psf)?;
+        let spinner = context.spinner("converting");
+        let mut notes = psf.notes().to_vec();
+        let written = match target {
+            Target::PsfSamples => self.write_samples(&psf, &at),
+            Target::PsfModel => self.write_model(&psf),
+            Target::Psfex(degree) => self.write_psfex(&psf, degree),
+            Target::Gridded => self.write_gridded(&psf, &at),
+        };
+        let (planes, what, grid, max_error, new_notes) =
+            written.with_context(|| format!("with the PSF of {}", self.input.display()))?;
+        drop(spinner);
+        for note in &new_notes {
+            context.note(&format!("{}: {note}", self.output.display()));
+        }
+        notes.extend(new_notes);
+        let (nx, ny) = (grid.nx(), grid.ny());
+        let report = object! {
+            output: self.output,
+            format: target.name(),
+            planes,
+            shape: [nx, ny],
+            oversampling: grid.oversampling(),
+            max_error,
+            notes,
+        };
+        context.report(&report, || {
+            let error = match max_error {
+                Some(error) => format!("\nlargest error:  {error:.2e} (relative L2)"),
+                None => String::new(),
+            };
+            format!(
+                "{}: {}, {planes} {what} of {nx} x {ny} pixels, {:.6} pixels a frame pixel{error}",
+                report.output.display(),
+                report.format,
+                report.oversampling,
+            )
+        })
+    }
+
+    fn target(&self) -> anyhow::Result<Target> {
+        let says_psfex = || {
+            let extension = self.output.extension()?.to_str()?;
+            extension
+                .eq_ignore_ascii_case("psf")
+                .then_some(Target::Psfex(None))
+        };
+        self.to.or_else(says_psfex).ok_or_else(|| {
+            let what = "what to write? give --to psf-samples, psf-model, psfex=DEGREE or gridded";
+            UsageError(what.to_owned()).into()
+        })
+    }
+
+    /// Options that the target has no use for.
+    fn check_usage(&self, target: Target) -> Result<(), UsageError> {
+        let takes_positions = matches!(target, Target::PsfSamples | Target::Gridded);
+        let what = if !takes_positions && (self.grid.is_some() || self.at.is_some()) {
+            "--grid and --at are for psf-samples and gridded: models hold no PSFs at positions"
+        } else if target != Target::PsfSamples && self.precision.is_some() {
+            "--precision is for psf-samples: models and libraries are written in f64, PSFEx models in f32"
+        } else {
+            return Ok(());
+        };
+        Err(UsageError(what.to_owned()))
+    }
+
+    /// Fit options where nothing is fitted.
+    fn check_fit_options(&self, target: Target, at: &SamplesAt, psf: &Psf) -> Result<(), UsageError> {
+        let choices = self.fit.fit.choices();
+        let given = choices.needs_fit() || choices.outside.is_some();
+        let is_model = psf.samples().is_none();
+        let what = match target {
+            Target::Gridded if given && *at == SamplesAt::Own && !is_model && is_on_grid(psf) => {
+                "samples on a grid at their own positions are not fitted: of the fit options only --normalise applies (and all of them \
+                 with --grid or --at)"
+            }
+            Target::PsfSamples if given && *at == SamplesAt::Own && !is_model => {
+                "samples at their own positions are not fitted: of the fit options only --normalise applies"
+            }
+            Target::Psfex(_) if is_model && (given || choices.normalisation.is_some()) => {
+                "a PSFEx file holds neither --normalise nor --outside: its polynomial goes on, and its readers scale to unit flux"
+            }
+            Target::Psfex(_) if given => {
+                "the samples are fitted by the polynomial itself: of the fit options only --normalise applies"
+            }
+            _ => return Ok(()),
+        };
+        Err(UsageError(what.to_owned()))
+    }
+
+    fn write_samples(&self, psf: &Psf, at: &SamplesAt) -> anyhow::Result<Written> {
+        let samples = to_samples(psf, at)?;
+        let precision = self.precision.unwrap_or(Precision::F32).into();
+        psf_io::write_samples(&self.output, &samples, &signature(), precision, self.overwrite)?;
+        Ok((samples.len(), "stamps", samples.grid(), None, Vec::new()))
+    }
+
+    fn write_model(&self, psf: &Psf) -> anyhow::Result<Written> {
+        let (record, fitted) = (psf.record()?, psf.fit()?);
+        let max_error = fitted
+            .map(Fit::report)
+            .transpose()?
+            .map(|report| report.max_error);
+        let singular_values = fitted.map_or(&[][..], Fit::singular_values);
+        psf_io::write_model(
+            &self.output,
+            record,
+            singular_values,
+            &signature(),
+            self.overwrite,
+        )?;
+        let basis = record.basis();
+        Ok((basis.rank(), "components", basis.grid(), max_error, Vec::new()))
+    }
+
+    fn write_psfex(&self, psf: &Psf, degree: Option<usize>) -> anyhow::Result<Written> {
+        let (model, max_error, notes) = if let Some(model) = self.planes_as_they_are(psf, degree)? {
+            (model, 0.0, Vec::new())
+        } else {
+            let converted = to_psfex(psf, degree)?;
+            (converted.model, converted.max_error, converted.notes)
+        };
+        psf_io::write_psfex(&self.output, &model, &signature(), self.overwrite)?;
+        let terms = model.planes().dim().0;
+        Ok((terms, "polynomial terms", model.grid(), Some(max_error), notes))
+    }
+
+    /// The planes of a PSFEx file whose degree is the one that is wanted.
+    fn planes_as_they_are(
+        &self,
+        psf: &Psf,
+        degree: Option<usize>,
+    ) -> anyhow::Result<Option<psf_io::PsfexModel>> {
+        if psf.kind() != Some(FileKind::Psfex) || !psf.grid().pixel_response_included() {
+            return Ok(None);
+        }
+        let model = psf_io::read_psfex(&self.input, self.fit.file.psf_extension.as_ref())?;
+        Ok(Some(model).filter(|model| degree.is_none_or(|degree| degree == model.degree())))
+    }
+
+    fn write_gridded(&self, psf: &Psf, at: &SamplesAt) -> anyhow::Result<Written> {
+        let converted = to_gridded(psf, at)?;
+        let planes = psf_io::write_gridded(&self.output, &converted.samples, &signature(), self.overwrite)?;
+        let grid = converted.samples.grid();
+        Ok((planes, "stamps", grid, converted.max_error, converted.notes))
+    }
+}

@@ -1,0 +1,205 @@
+//! `psfield demo`.
+
+mod output;
+mod sky;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use metrics::{Comparison, Summary};
+use psf_optics::Telescope;
+use psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
+use psf_types::{FrameShape, NoProgress, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource};
+use psfield::{Device, FitOptions, Method, Psf, Scene, SpotCheck};
+
+use crate::context::{Context, object, signature, write_samples};
+use crate::demo::output::{FILES, Output};
+use crate::demo::sky::{GALAXIES, STARS, Sky};
+
+/// Run every stage on a built-in telescope and scene
+///
+/// Samples the PSF of a small survey telescope over its field, fits a model, makes a sky of stars and galaxies, images it, and measures
+/// what came out. Writes FITS files, tables, pictures and a report; a minute at most.
+#[derive(Debug, clap::Args)]
+pub(crate) struct DemoArgs {
+    /// The folder to write to; made if it does not exist
+    #[arg(long, value_name = "DIR", default_value = "psfield-demo")]
+    out: PathBuf,
+    /// Replace files that exist there
+    #[arg(long)]
+    overwrite: bool,
+    /// Chooses the stars and galaxies
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+const TELESCOPE: &str = include_str!("../../assets/demo_telescope.toml");
+/// Interpolation error at which the sampling stops, relative L2.
+const SAMPLING_THRESHOLD: f64 = 0.01;
+/// PSFs drawn by the telescope to judge the model.
+const JUDGED: usize = 100;
+/// Pixels checked against the direct sum.
+const SPOT_CHECK: usize = 300;
+const PATCH: usize = 128;
+
+impl DemoArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let start = Instant::now();
+        let mut out = Output::new(self.out, self.overwrite)?;
+        // Nothing is written when anything is in the way.
+        for name in FILES {
+            psf_io::check_output(out.folder.join(name), self.overwrite)?;
+        }
+        let telescope = Telescope::from_toml_str(TELESCOPE).context("the demonstration's telescope")?;
+        let frame = telescope.field();
+        psf_io::write_text(out.path("telescope.toml"), TELESCOPE, self.overwrite)?;
+
+        let (samples, psfs_drawn, sample_seconds) = sample(&telescope, &context.bar("sampling"))?;
+        write_samples(&out.path("samples.fits"), &samples, self.overwrite)?;
+        out.sampling(samples.positions().as_slice(), frame)?;
+
+        let spinner = context.spinner("fitting");
+        let clock = Instant::now();
+        let sample_count = samples.len();
+        let psf = Psf::new(samples, FitOptions::default());
+        let fitted = psf.fit()?.expect("samples have a fit");
+        let fit_seconds = clock.elapsed().as_secs_f64();
+        let fit_report = fitted.report()?;
+        psf_io::write_model(
+            out.path("model.fits"),
+            fitted.record(),
+            fitted.singular_values(),
+            &signature(),
+            self.overwrite,
+        )?;
+        let model = psf.model()?;
+        let model_errors = judge(&telescope, model, self.seed)?;
+        let (fwhm, ellipticity) = out.psf_map(model, frame)?;
+        drop(spinner);
+
+        let spinner = context.spinner("imaging");
+        let (spot_check, patch_error, simulate_seconds) = image(&mut out, fitted.record(), frame, self.seed)?;
+        drop(spinner);
+
+        let path = out.path("report.json");
+        let report = object! {
+            folder: out.folder.clone(),
+            files: out.files.clone(),
+            samples: sample_count,
+            psfs_drawn,
+            rank: fit_report.rank,
+            elbow: fit_report.elbow,
+            fit_max_error: fit_report.max_error,
+            // Relative L2 of the model's PSFs against the telescope's own, at random positions.
+            model_error_median: model_errors.median(),
+            model_error_max: model_errors.max(),
+            galaxies: GALAXIES + 1,
+            stars: STARS,
+            fwhm_px_min: fwhm.min(),
+            fwhm_px_max: fwhm.max(),
+            ellipticity_max: ellipticity.max(),
+            spot_check,
+            // Relative L2 of the image by patches against the exact one.
+            patch: PATCH,
+            patch_relative_l2: patch_error,
+            seconds: object! {
+                sample: sample_seconds,
+                fit: fit_seconds,
+                simulate: simulate_seconds,
+                total: start.elapsed().as_secs_f64(),
+            },
+        };
+        psf_io::write_text(path, &serde_json::to_string_pretty(&report)?, self.overwrite)?;
+        context.report(&report, || {
+            let s = &report.seconds;
+            let check = &report.spot_check;
+            format!(
+                "sampled   {} PSFs over {frame} pixels ({} drawn) in {:.2} s\n\
+                 fitted    {} components (elbow at {}), largest fit error {:.1e}, in {:.2} s\n\
+                 model     off by {:.1e} (median), {:.1e} (largest) from the telescope's own PSFs\n\
+                 PSF       FWHM {:.2} to {:.2} pixels, ellipticity up to {:.2}\n\
+                 imaged    {} galaxies and {} stars in {:.2} s\n\
+                 checked   {} pixels against the direct sum: largest difference {:.1e}{}\n\
+                 patches   of {} pixels are off by {:.1e} (relative L2): see patch_error.png\n\
+                 wrote     {} files to {} in {:.1} s: begin with image.png, psf_field.png and report.json\n",
+                report.samples,
+                report.psfs_drawn,
+                s.sample,
+                report.rank,
+                report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),
+                report.fit_max_error,
+                s.fit,
+                report.model_error_median,
+                report.model_error_max,
+                report.fwhm_px_min,
+                report.fwhm_px_max,
+                report.ellipticity_max,
+                report.galaxies,
+                report.stars,
+                s.simulate,
+                check.pixels,
+                check.max_abs,
+                check
+                    .max_over_peak
+                    .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)")),
+                report.patch,
+                report.patch_relative_l2,
+                report.files.len(),
+                report.folder.display(),
+                s.total,
+            )
+        })
+    }
+}
+
+/// Samples of the telescope's PSF, how many PSFs were drawn for them, and in how many seconds.
+fn sample(telescope: &Telescope, progress: &dyn Progress) -> anyhow::Result<(PsfSamples, usize, f64)> {
+    let clock = Instant::now();
+    let criterion = InterpolationError::new(SAMPLING_THRESHOLD, DifferenceMeasure::L2)?;
+    let sampling = AdaptiveSampling::new(Arc::new(criterion)).sample(telescope, progress)?;
+    let seconds = clock.elapsed().as_secs_f64();
+    Ok((sampling.samples, sampling.report.draws, seconds))
+}
+
+/// Images a sky, also by patches: the check of the image, the relative L2 error of that by patches,
+/// and the seconds that the image took.
+fn image(
+    out: &mut Output,
+    record: &PsfModelRecord,
+    frame: FrameShape,
+    seed: u64,
+) -> anyhow::Result<(SpotCheck, f64, f64)> {
+    let sky = Sky::new(frame, seed)?;
+    out.image("scene.fits", &sky.galaxies, &[])?;
+    out.catalogue("stars.csv", &sky.stars)?;
+    let scene = Scene::from(&sky.galaxies).with_stars(sky.stars.as_slice());
+    let by = |method| {
+        let simulator = Psf::from(record.clone()).simulator((frame.ny(), frame.nx()));
+        simulator.method(method).device(Device::Cpu).build()
+    };
+    let clock = Instant::now();
+    let simulator = by(Method::Auto)?;
+    let image = simulator.simulate(&scene)?;
+    let simulate_seconds = clock.elapsed().as_secs_f64();
+    let spot_check = SpotCheck::run(&image, SPOT_CHECK, seed, |pixels| {
+        simulator.exact_at(&scene, pixels, &NoProgress)
+    })?;
+    out.image("image.fits", &image, &spot_check.cards()?)?;
+    let by_patches = by(Method::Patch(PATCH))?.simulate(&scene)?;
+    let patch_error = Comparison::of(by_patches.pixels(), image.pixels())?.relative_l2()?;
+    out.pictures(&sky, &image, &by_patches)?;
+    Ok((spot_check, patch_error, simulate_seconds))
+}
+
+/// Relative L2 errors of the model's PSFs at random positions, against PSFs that the telescope draws there.
+fn judge(telescope: &Telescope, model: &PsfModel, seed: u64) -> anyhow::Result<Summary> {
+    let positions = sky::random_positions(telescope.field(), JUDGED, seed)?;
+    let errors = positions.into_iter().map(|position| {
+        let drawn = telescope.draw(position)?;
+        let unit_flux = drawn.values().mapv(|v| v / drawn.flux());
+        Ok(Comparison::of(model.psf_at(position)?.values(), unit_flux.view())?.relative_l2()?)
+    });
+    Ok(Summary::of(errors.collect::<anyhow::Result<Vec<f64>>>()?)?)
+}

@@ -1,0 +1,186 @@
+//! What the demonstration writes.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use metrics::Summary;
+use ndarray::{Array2, ArrayView2, ArrayView3, s};
+use psf_io::{Card, HeaderCards};
+use psf_types::{FrameShape, Image, PointSource, Position, PsfModel};
+use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, OutputGrid, evaluate};
+use psfield_lab::plot::{Figure, Picture, PictureAxes, Scale, pictures, positions_figure};
+
+use super::sky::Sky;
+use crate::context::signature;
+
+/// Flux a pixel above which pictures of the sky are logarithmic.
+const SOFT: f64 = 30.0;
+/// PSFs shown along each side of the field.
+const ACROSS: usize = 9;
+
+/// All that is written.
+pub(super) const FILES: [&str; 13] = [
+    "telescope.toml",
+    "samples.fits",
+    "sampling.png",
+    "model.fits",
+    "psf_field.png",
+    "psf_measurements.csv",
+    "scene.fits",
+    "stars.csv",
+    "image.fits",
+    "scene.png",
+    "image.png",
+    "patch_error.png",
+    "report.json",
+];
+
+/// Where things are written.
+pub(super) struct Output {
+    pub(super) folder: PathBuf,
+    pub(super) overwrite: bool,
+    pub(super) files: Vec<String>,
+}
+
+impl Output {
+    pub(super) fn new(folder: PathBuf, overwrite: bool) -> anyhow::Result<Self> {
+        std::fs::create_dir_all(&folder)
+            .with_context(|| format!("{}: the output folder cannot be made", folder.display()))?;
+        Ok(Self {
+            folder,
+            overwrite,
+            files: Vec::new(),
+        })
+    }
+
+    /// The path of a file, which counts as written from here on.
+    pub(super) fn path(&mut self, name: &str) -> PathBuf {
+        self.files.push(name.to_owned());
+        self.folder.join(name)
+    }
+
+    pub(super) fn image(&mut self, name: &str, image: &Image<f32>, cards: &[Card]) -> anyhow::Result<()> {
+        let path = self.path(name);
+        let cards: Vec<Card> = signature().into_iter().chain(cards.iter().cloned()).collect();
+        let header = HeaderCards::new();
+        Ok(psf_io::write_image(path, image, &header, &cards, self.overwrite)?)
+    }
+
+    pub(super) fn catalogue(&mut self, name: &str, stars: &[PointSource]) -> anyhow::Result<()> {
+        let path = self.path(name);
+        let rows = stars
+            .iter()
+            .map(|star| (star.position().x(), star.position().y(), star.flux()));
+        let columns = ["x", "y", "flux"];
+        Ok(psf_io::write_csv(path, &columns, rows, self.overwrite)?)
+    }
+
+    fn figure(&mut self, name: &str, figure: &Figure) -> anyhow::Result<()> {
+        let path = self.path(name);
+        Ok(psf_io::write_bytes(path, &figure.png()?, self.overwrite)?)
+    }
+
+    /// Where the PSF was sampled.
+    pub(super) fn sampling(&mut self, positions: &[Position], frame: FrameShape) -> anyhow::Result<()> {
+        let title = format!("{} samples of the PSF", positions.len());
+        self.figure("sampling.png", &positions_figure(&[(title, positions)], frame)?)
+    }
+
+    /// The PSFs on a grid over the frame, as a picture and as a table of measurements: their widths and ellipticities.
+    pub(super) fn psf_map(
+        &mut self,
+        model: &PsfModel,
+        frame: FrameShape,
+    ) -> anyhow::Result<(Summary, Summary)> {
+        let at = |k: usize, n: usize| (n - 1) as f64 * k as f64 / (ACROSS - 1) as f64;
+        let positions: Result<Vec<Position>, _> = (0..ACROSS * ACROSS)
+            .map(|k| Position::new(at(k % ACROSS, frame.nx()), at(k / ACROSS, frame.ny())))
+            .collect();
+        let on_pixels = EvaluateOptions {
+            grid: OutputGrid::Native,
+            ..EvaluateOptions::default()
+        };
+        let stamps = evaluate(model, positions?, on_pixels)?;
+        self.figure("psf_field.png", &psf_field(stamps.stamps(), frame)?)?;
+        let rows = MeasureOptions::default().cube(stamps.stamps(), Some(stamps.positions().as_slice()));
+        let path = self.path("psf_measurements.csv");
+        psf_io::write_csv(path, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
+        let fwhm = Summary::of(rows.iter().filter_map(|row| row.fwhm_px))?;
+        let ellipticity = Summary::of(rows.iter().filter_map(|row| row.ellipticity))?;
+        Ok((fwhm, ellipticity))
+    }
+
+    pub(super) fn pictures(
+        &mut self,
+        sky: &Sky,
+        image: &Image<f32>,
+        by_patches: &Image<f32>,
+    ) -> anyhow::Result<()> {
+        // One stretch for both, so that they can be compared.
+        let image = image.pixels().mapv(f64::from);
+        let high = Summary::of(image.iter().copied())?
+            .quantile(0.9995)?
+            .max(2.0 * SOFT);
+        let stretch = Scale::Asinh { soft: SOFT, high };
+        let sharp = sky.sharp().mapv(f64::from);
+        let flux = "flux a pixel";
+        self.figure(
+            "scene.png",
+            &alone("the sky before the telescope", sharp.view(), stretch, flux)?,
+        )?;
+        self.figure(
+            "image.png",
+            &alone("the sky through the telescope", image.view(), stretch, flux)?,
+        )?;
+        let difference = by_patches.pixels().mapv(f64::from) - &image;
+        let most = Summary::of(difference.iter().map(|v| v.abs()))?.quantile(0.995)?;
+        let scale = Scale::Difference {
+            most: most.max(f64::MIN_POSITIVE),
+        };
+        let title = "one PSF a patch less psfield";
+        self.figure("patch_error.png", &alone(title, difference.view(), scale, flux)?)
+    }
+}
+
+fn alone(title: &str, pixels: ArrayView2<'_, f64>, scale: Scale, quantity: &str) -> anyhow::Result<Figure> {
+    Ok(pictures(&[Picture {
+        title,
+        pixels,
+        scale,
+        quantity,
+        axes: PictureAxes::Pixels,
+    }])?)
+}
+
+/// PSFs `[k, y, x]` of a grid over the frame, the first at the bottom left, with one scale; the axes say where on the frame each is.
+fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<Figure> {
+    let (count, ny, nx) = stamps.dim();
+    let peak = stamps.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    // A grey line between neighbours.
+    let mut whole = Array2::from_elem(
+        (count.div_ceil(ACROSS) * (ny + 1), ACROSS * (nx + 1)),
+        peak * 0.02,
+    );
+    for (k, stamp) in stamps.outer_iter().enumerate() {
+        let (y, x) = (k / ACROSS * (ny + 1), k % ACROSS * (nx + 1));
+        whole.slice_mut(s![y..y + ny, x..x + nx]).assign(&stamp);
+    }
+    // A PSF stands in the middle of its square, the outer ones at the frame's edges.
+    let along = |pixels: usize| {
+        let step = (pixels - 1) as f64 / (ACROSS - 1) as f64;
+        -0.5 * step..(ACROSS as f64 - 0.5) * step
+    };
+    Ok(pictures(&[Picture {
+        title: "the PSF over the field, on one scale",
+        pixels: whole.view(),
+        scale: Scale::Asinh {
+            soft: peak * 1e-3,
+            high: peak,
+        },
+        quantity: "part of the flux a pixel",
+        axes: PictureAxes::Of([
+            ("x on the frame, pixels", along(frame.nx())),
+            ("y on the frame, pixels", along(frame.ny())),
+        ]),
+    }])?)
+}

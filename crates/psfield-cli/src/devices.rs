@@ -1,0 +1,264 @@
+//! `psfield devices`, and the options that choose a device.
+
+use std::fmt::Write;
+
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use psfield::{Device, SimulateOptions};
+use serde::Serialize;
+
+use crate::context::Context;
+use crate::values::bytes;
+#[cfg(feature = "gpu")]
+use crate::values::text_of_bytes;
+
+/// List the GPUs that images can be convolved on
+///
+/// The first one is that of --device gpu; --gpu-adapter takes another, by a part of its name or its backend. Where there is none, that is said, and
+/// the exit status is 0.
+#[derive(Debug, clap::Args)]
+pub(crate) struct DevicesArgs {}
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+struct Report {
+    /// Whether this build can use GPUs at all.
+    gpu_support: bool,
+    adapters: Vec<AdapterRow>,
+    /// What `--device auto` does here.
+    auto: &'static str,
+}
+
+/// An adapter and its limits.
+#[derive(Debug, Serialize)]
+#[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "there are none without"))]
+struct AdapterRow {
+    name: String,
+    kind: String,
+    backend: String,
+    driver: String,
+    /// Whether shaders run on the processor.
+    software: bool,
+    largest_buffer_bytes: u64,
+    largest_binding_bytes: u64,
+    workgroup_memory_bytes: u32,
+    workgroup_threads: u32,
+    timestamps: bool,
+    /// Whether `--device gpu` takes it unless told otherwise.
+    preferred: bool,
+}
+
+impl DevicesArgs {
+    #[allow(clippy::unused_self, reason = "commands have arguments")]
+    pub(crate) fn run(&self, context: &Context) -> anyhow::Result<()> {
+        let adapters = adapters();
+        let report = Report {
+            gpu_support: cfg!(feature = "gpu"),
+            auto: auto(&adapters),
+            adapters,
+        };
+        context.report(&report, || report.text())
+    }
+}
+
+#[cfg(feature = "gpu")]
+fn adapters() -> Vec<AdapterRow> {
+    use psfield::conv_core::gpu::{AdapterKind, adapters};
+    let row = |(place, adapter): (usize, psfield::conv_core::gpu::Adapter)| AdapterRow {
+        kind: adapter.kind.to_string(),
+        software: adapter.kind == AdapterKind::Software,
+        name: adapter.name,
+        backend: adapter.backend,
+        driver: adapter.driver,
+        largest_buffer_bytes: adapter.largest_buffer,
+        largest_binding_bytes: adapter.largest_binding,
+        workgroup_memory_bytes: adapter.workgroup_memory,
+        workgroup_threads: adapter.workgroup_threads,
+        timestamps: adapter.timestamps,
+        preferred: place == 0,
+    };
+    adapters().into_iter().enumerate().map(row).collect()
+}
+
+#[cfg(not(feature = "gpu"))]
+fn adapters() -> Vec<AdapterRow> {
+    Vec::new()
+}
+
+fn auto(adapters: &[AdapterRow]) -> &'static str {
+    match adapters.first() {
+        None => "takes the CPU",
+        Some(first) if first.software => "takes the CPU: software is no GPU",
+        Some(_) => "takes the first where a plan is predicted to be faster there than on the CPU",
+    }
+}
+
+impl Report {
+    fn text(&self) -> String {
+        if !self.gpu_support {
+            return "This psfield was built without support of GPUs: everything runs on the CPU. Its feature gpu adds them (cargo build --release -p psfield-cli \
+                    --features gpu)."
+                .to_owned();
+        }
+        if self.adapters.is_empty() {
+            return "There is no GPU that Vulkan, Metal, DirectX 12 or OpenGL could drive here: everything runs on the CPU.".to_owned();
+        }
+        let header = [
+            "", "name", "kind", "backend", "driver", "buffer", "binding", "shared", "threads", "clock",
+        ];
+        let mut table = vec![header.map(str::to_owned)];
+        table.extend(self.adapters.iter().map(AdapterRow::cells));
+        let widths: [usize; 10] = std::array::from_fn(|column| {
+            let widths = table.iter().map(|row| row[column].chars().count());
+            widths.max().unwrap_or(0)
+        });
+        let mut text = String::new();
+        for row in &table {
+            let cells: Vec<String> = row
+                .iter()
+                .zip(widths)
+                .map(|(cell, width)| format!("{cell:width$}"))
+                .collect();
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "{}", cells.join("  ").trim_end());
+        }
+        let _ = writeln!(
+            text,
+            "buffer: the largest; binding: what a shader sees at once; shared: memory of a workgroup, of so many threads; clock: whether kernels can be timed\n\
+             --device gpu takes the first (*), --device auto {}",
+            self.auto
+        );
+        text
+    }
+}
+
+impl AdapterRow {
+    fn cells(&self) -> [String; 10] {
+        [
+            if self.preferred { "*" } else { "" }.to_owned(),
+            self.name.clone(),
+            self.kind.clone(),
+            self.backend.clone(),
+            self.driver.clone(),
+            size(self.largest_buffer_bytes),
+            size(self.largest_binding_bytes),
+            size(u64::from(self.workgroup_memory_bytes)),
+            self.workgroup_threads.to_string(),
+            if self.timestamps { "yes" } else { "no" }.to_owned(),
+        ]
+    }
+}
+
+/// Bytes in the largest unit that leaves a whole number of two digits or more.
+fn size(bytes: u64) -> String {
+    const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
+    let mut unit = 0;
+    while unit + 1 < UNITS.len() && bytes >> (10 * (unit + 1)) >= 10 {
+        unit += 1;
+    }
+    format!("{} {}", bytes >> (10 * unit), UNITS[unit])
+}
+
+/// Where images are convolved.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Device")]
+pub(crate) struct DeviceArgs {
+    /// Where auto and lowrank convolve images in f32: auto (on a GPU where that is predicted to be faster), cpu, or gpu (there or not at all).
+    /// Results differ by the rounding of f32. Stars are drawn on the CPU
+    #[arg(long, default_value_t, value_parser = device_parser(["auto", "cpu", "gpu"]))]
+    device: Device,
+    /// The GPU, by a part of its name or its backend (see psfield devices) [default: the first of psfield devices]
+    #[arg(long, value_name = "NAME")]
+    gpu_adapter: Option<String>,
+    #[arg(long, value_name = "SIZE", value_parser = bytes, help = gpu_memory_help())]
+    gpu_memory: Option<usize>,
+}
+
+pub(crate) fn device_parser<const N: usize>(
+    names: [&'static str; N],
+) -> impl TypedValueParser<Value = Device> {
+    PossibleValuesParser::new(names).try_map(|name| name.parse::<Device>())
+}
+
+const GPU_MEMORY: &str = "Memory of the plan on the GPU: bytes, or with K, M or G";
+
+#[cfg(feature = "gpu")]
+fn gpu_memory_help() -> String {
+    let default = psfield::conv_core::gpu::GpuOptions::DEFAULT_MEMORY_BYTES as usize;
+    format!("{GPU_MEMORY} [default: {}]", text_of_bytes(default))
+}
+
+#[cfg(not(feature = "gpu"))]
+fn gpu_memory_help() -> &'static str {
+    GPU_MEMORY
+}
+
+impl DeviceArgs {
+    /// These options on this device.
+    pub(crate) fn applied_to(&self, options: SimulateOptions) -> SimulateOptions {
+        SimulateOptions {
+            device: self.device,
+            gpu_adapter: self.gpu_adapter.clone(),
+            gpu_memory: self.gpu_memory.map(|bytes| bytes as u64),
+            ..options
+        }
+    }
+
+    /// What is wrong with the options given, if anything. `planned`: the method has a plan that a GPU can execute; `single`: in f32.
+    pub(crate) fn misused(&self, planned: bool, single: bool) -> Option<&'static str> {
+        Some(match self.device {
+            Device::Cpu if self.gpu_adapter.is_some() => "--gpu-adapter and --device cpu exclude each other",
+            Device::Cpu if self.gpu_memory.is_some() => "--gpu-memory and --device cpu exclude each other",
+            Device::Gpu if !planned => "--device gpu is of the methods auto and lowrank",
+            Device::Gpu if !single => "--device gpu computes in f32, and --precision f64 was asked for",
+            _ => return None,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_units() {
+        for (bytes, text) in [
+            (0, "0 B"),
+            (48 << 10, "48 KiB"),
+            (128 << 20, "128 MiB"),
+            (2 << 30, "2048 MiB"),
+            (u64::MAX, "16777215 TiB"),
+        ] {
+            assert_eq!(size(bytes), text);
+        }
+    }
+
+    #[test]
+    fn auto_takes_no_software() {
+        let row = |software| AdapterRow {
+            name: "it".into(),
+            kind: "kind".into(),
+            backend: "vulkan".into(),
+            driver: "driver".into(),
+            software,
+            largest_buffer_bytes: 1 << 30,
+            largest_binding_bytes: 128 << 20,
+            workgroup_memory_bytes: 32 << 10,
+            workgroup_threads: 256,
+            timestamps: true,
+            preferred: true,
+        };
+        assert!(auto(&[]).starts_with("takes the CPU"));
+        assert!(auto(&[row(true)]).starts_with("takes the CPU"));
+        assert!(auto(&[row(false), row(true)]).starts_with("takes the first"));
+        let report = Report {
+            gpu_support: true,
+            auto: auto(&[row(false)]),
+            adapters: vec![row(false)],
+        };
+        let text = report.text();
+        assert!(
+            text.contains("\n*  it    kind  vulkan   driver  1024 MiB  128 MiB  32 KiB  256"),
+            "{text}"
+        );
+    }
+}

@@ -1,0 +1,99 @@
+//! `psfield evaluate`.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use psfield::{EvaluateOptions, OutputGrid, check_outputs, evaluate};
+
+use super::context::{Context, object, signature};
+use super::values::{Precision, stamp_size};
+use crate::psf_args::PsfArgs;
+
+/// Write the PSF of a model at given positions
+#[derive(Debug, clap::Args)]
+pub(crate) struct EvaluateArgs {
+    /// A model, samples to be fitted, or any other PSF file (PSFEx, STPSF, STDPSF, ScopeSim, plain stamps)
+    #[arg(value_name = "PSF")]
+    psf: PathBuf,
+    /// Where: CSV or FITS table with columns x, y (0-based pixels)
+    #[arg(long, value_name = "POSITIONS.csv")]
+    at: PathBuf,
+    /// The stamps to write, in the layout of PSF samples
+    #[arg(short, long, value_name = "STAMPS.fits")]
+    output: PathBuf,
+    /// Replace the output if it exists
+    #[arg(long)]
+    overwrite: bool,
+    /// The model's own sampling, or the frame's pixels (with their response, also where the model's stamps lack it)
+    #[arg(long, default_value = "model", value_enum)]
+    grid: Grid,
+    /// Cut or pad to N x N pixels about the centre
+    #[arg(long, value_name = "N", value_parser = stamp_size)]
+    size: Option<usize>,
+    /// Draw each PSF at the sub-pixel phase of its position (with --grid native), else centred
+    #[arg(long)]
+    sub_pixel: bool,
+    /// Write f32 or f64
+    #[arg(long, default_value = "f32", value_enum)]
+    precision: Precision,
+    #[command(flatten)]
+    fit: PsfArgs,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Grid {
+    Model,
+    Native,
+}
+
+impl EvaluateArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let mut inputs = self.fit.files(&self.psf);
+        inputs.push(&self.at);
+        check_outputs(&inputs, &[&self.output], self.overwrite)?;
+        if self.sub_pixel && matches!(self.grid, Grid::Model) {
+            return Err(super::UsageError("--sub-pixel needs --grid native".to_owned()).into());
+        }
+        let positions = psf_io::read_positions(&self.at)?;
+        let psf = self.fit.open(&self.psf, context)?;
+        let spinner = context.spinner("evaluating");
+        let model = psf
+            .model()
+            .with_context(|| format!("with the PSF of {}", self.psf.display()))?;
+        let options = EvaluateOptions {
+            grid: match self.grid {
+                Grid::Model => OutputGrid::Model,
+                Grid::Native => OutputGrid::Native,
+            },
+            size: self.size,
+            sub_pixel: self.sub_pixel,
+        };
+        let stamps = evaluate(model, positions, options)
+            .with_context(|| format!("at the positions of {}", self.at.display()))?;
+        psf_io::write_samples(
+            &self.output,
+            &stamps,
+            &signature(),
+            self.precision.into(),
+            self.overwrite,
+        )?;
+        drop(spinner);
+        let grid = stamps.grid();
+        let report = object! {
+            output: self.output,
+            stamps: stamps.len(),
+            shape: [grid.nx(), grid.ny()],
+            oversampling: grid.oversampling(),
+            // How the PSF was read.
+            notes: psf.notes(),
+        };
+        context.report(&report, || {
+            let [nx, ny] = report.shape;
+            format!(
+                "{}: {} stamps of {nx} x {ny} pixels",
+                report.output.display(),
+                report.stamps
+            )
+        })
+    }
+}

@@ -1,0 +1,225 @@
+//! `psfield expose`.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use detector::{Detector, DetectorParams};
+use psf_io::HduChoice;
+use psf_types::Real;
+use psfield::{ExposureFiles, read_bad_pixel_mask};
+
+use super::UsageError;
+use super::context::{Context, object, signature};
+use super::values::{Precision, above_zero, at_least_zero};
+
+/// Turn a noise-free image into what a detector counts
+///
+/// Adds sky, pixel response, dark current, bad pixels, photon noise, full well, read noise, gain and bias, and digitises: each step
+/// only if it is asked for, in the detector file or by an option. Flux of the image times electrons_per_flux (default 1) is
+/// electrons in the exposure. Counts are in ADU when gain, bias or bits are given, else in electrons. Pixels below 0 are taken as
+/// dark. The image itself is never changed.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ExposeArgs {
+    /// The noise-free image
+    #[arg(value_name = "IMAGE.fits")]
+    image: PathBuf,
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
+    /// The exposure to write: whole numbers if it is digitised
+    #[arg(short, long, value_name = "RAW.fits")]
+    output: PathBuf,
+    /// Also write the noise-free image with sky, dark charge and bias, in the unit of the result
+    #[arg(long, value_name = "TRUTH.fits")]
+    truth: Option<PathBuf>,
+    /// Also write what is wrong with each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
+    #[arg(long, value_name = "QUALITY.fits")]
+    quality: Option<PathBuf>,
+    /// Replace outputs that exist
+    #[arg(long)]
+    overwrite: bool,
+    /// The detector: a TOML file with the keys in brackets below, and response_rms, sky_gradient_e_per_px, pattern_seed, bad_pixels
+    #[arg(long, value_name = "DETECTOR.toml")]
+    detector: Option<PathBuf>,
+    /// Bad pixels beside those of the detector file: an image of 0 (good) or sums of 1 dead, 2 hot, 4 bad column
+    #[arg(long, value_name = "MASK.fits")]
+    mask: Option<PathBuf>,
+    /// Chooses the noise; the same seed gives the same bytes
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Precision in which the image is read, and that of a result that is not digitised
+    #[arg(long, default_value = "f32", value_enum)]
+    precision: Precision,
+    /// Photon noise and nothing else
+    #[arg(long, conflicts_with_all = ["detector", "mask", "Settings"])]
+    photons_only: bool,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+/// Settings that can be given without a file; they take the place of the file's.
+#[derive(Debug, clap::Args)]
+#[group(id = "Settings", multiple = true)]
+#[command(next_help_heading = "Detector (each takes the place of the file's)")]
+struct Settings {
+    /// Photon noise: charge is Poisson distributed [photon_noise]
+    #[arg(long)]
+    photon_noise: bool,
+    /// Electrons in the exposure per unit of the image's flux [electrons_per_flux]
+    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true)]
+    electrons_per_flux: Option<f64>,
+    /// Sky in electrons a pixel [sky_e]
+    #[arg(long, value_name = "E", value_parser = at_least_zero, allow_negative_numbers = true)]
+    sky: Option<f64>,
+    /// Exposure time in s, for the dark current [exposure_s]
+    #[arg(long, value_name = "S", value_parser = at_least_zero, allow_negative_numbers = true)]
+    exposure: Option<f64>,
+    /// Dark current in electrons a pixel and second [dark_e_per_s]
+    #[arg(long, value_name = "E_PER_S", value_parser = at_least_zero, allow_negative_numbers = true)]
+    dark: Option<f64>,
+    /// The largest charge of a pixel in electrons [full_well_e]
+    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true)]
+    full_well: Option<f64>,
+    /// Read noise in electrons, r.m.s. [read_noise_e]
+    #[arg(long, value_name = "E", value_parser = at_least_zero, allow_negative_numbers = true)]
+    read_noise: Option<f64>,
+    /// Electrons per ADU [gain_e_per_adu]
+    #[arg(long, value_name = "E_PER_ADU", value_parser = above_zero, allow_negative_numbers = true)]
+    gain: Option<f64>,
+    /// Level of no charge in ADU [bias_adu]
+    #[arg(long, value_name = "ADU", allow_negative_numbers = true)]
+    bias: Option<f64>,
+    /// Digitise to whole numbers from 0 to 2^N - 1, N at most 24 [bits]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=24))]
+    bits: Option<u32>,
+}
+
+/// Refuses a detector that changes nothing, where that is all there is, and warns of one without photon noise.
+pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context) -> anyhow::Result<()> {
+    if detector.is_perfect() && alone {
+        return Err(UsageError(
+            "there is nothing to add: give a detector (--detector DETECTOR.toml) with settings, or to expose options such as \
+             --photon-noise --sky 100 --read-noise 5, or --photons-only"
+                .to_owned(),
+        )
+        .into());
+    }
+    if !detector.params().photon_noise {
+        context.warn("the light has no photon noise: ask for it by photon_noise = true in the detector's file (expose: --photon-noise)");
+    }
+    Ok(())
+}
+
+impl ExposeArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let detector = self.detector()?;
+        check_detector(&detector, self.mask.is_none(), context)?;
+        match self.precision {
+            Precision::F32 => self.run_in::<f32>(&detector, context),
+            Precision::F64 => self.run_in::<f64>(&detector, context),
+        }
+    }
+
+    fn run_in<T: Real>(self, detector: &Detector, context: &Context) -> anyhow::Result<()> {
+        let files = ExposureFiles {
+            raw: self.output,
+            truth: self.truth,
+            quality: self.quality,
+            overwrite: self.overwrite,
+        };
+        let inputs = [Some(&self.image), self.detector.as_ref(), self.mask.as_ref()];
+        let inputs: Vec<&Path> = inputs.into_iter().flatten().map(PathBuf::as_path).collect();
+        files.check(&inputs)?;
+
+        let spinner = context.spinner("exposing");
+        let clock = Instant::now();
+        let (light, header) = psf_io::read_image_hdu::<T>(&self.image, self.extension.as_ref())?.into_parts();
+        let mask = self.mask.as_ref().map(read_bad_pixel_mask).transpose()?;
+        let read = clock.elapsed().as_secs_f64();
+
+        let clock = Instant::now();
+        let mut exposer = detector.exposer(light.shape(), self.seed)?;
+        if let Some(mask) = &mask {
+            exposer = exposer.with_mask(mask)?;
+        }
+        let exposure = exposer.expose(&light)?;
+        let expose = clock.elapsed().as_secs_f64();
+
+        let clock = Instant::now();
+        files.write(&exposure, &light, detector, &header, &signature())?;
+        let write = clock.elapsed().as_secs_f64();
+        drop(spinner);
+
+        let (nx, ny) = (light.shape().nx(), light.shape().ny());
+        let (e, params) = (exposure.report(), detector.params());
+        let report = object! {
+            output: &files.raw,
+            truth: files.truth.as_deref(),
+            quality: files.quality.as_deref(),
+            shape: [nx, ny],
+            precision: T::NAME,
+            unit: detector.unit(),
+            // Counts of saturated pixels.
+            saturation: detector.saturation(),
+            detector: params,
+            #[serde(flatten)]
+            exposure: e,
+            seconds: object! { read, expose, write },
+        };
+        context.report(&report, || {
+            let noise = match (params.photon_noise, params.read_noise_e) {
+                (true, 0.0) => "photon noise".to_owned(),
+                (true, read) => format!("photon noise, read noise {read} e"),
+                (false, read) => format!("no photon noise, read noise {read} e"),
+            };
+            let negative = if e.negative_pixels > 0 {
+                format!(" (lowest {:.3e} e)", e.lowest_expected_e)
+            } else {
+                String::new()
+            };
+            format!(
+                "{}: {nx} x {ny} pixels in {}, seed {}\nsky {} e, dark {} e, {noise}\n\
+                 pixels: {} saturated, {} bad, {} below 0 before noise{negative}, {} cut at 0 by the converter\n\
+                 seconds: read {read:.3}, expose {expose:.3}, write {write:.3}",
+                files.raw.display(),
+                report.unit,
+                e.seed,
+                e.mean_sky_e,
+                e.dark_e,
+                e.saturated_pixels,
+                e.bad_pixels,
+                e.negative_pixels,
+                e.below_zero_pixels,
+            )
+        })
+    }
+
+    /// The detector of the file with the options in place.
+    fn detector(&self) -> anyhow::Result<Detector> {
+        let mut params = match &self.detector {
+            Some(path) => Detector::from_toml_file(path)?.params().clone(),
+            None => DetectorParams::default(),
+        };
+        let set = &self.settings;
+        params.photon_noise |= set.photon_noise || self.photons_only;
+        for (key, option) in [
+            (&mut params.electrons_per_flux, set.electrons_per_flux),
+            (&mut params.sky_e, set.sky),
+            (&mut params.dark_e_per_s, set.dark),
+            (&mut params.read_noise_e, set.read_noise),
+        ] {
+            *key = option.unwrap_or(*key);
+        }
+        for (key, option) in [
+            (&mut params.exposure_s, set.exposure),
+            (&mut params.full_well_e, set.full_well),
+            (&mut params.gain_e_per_adu, set.gain),
+            (&mut params.bias_adu, set.bias),
+        ] {
+            *key = option.or(*key);
+        }
+        params.bits = set.bits.or(params.bits);
+        // The file is good by itself, so what is wrong now was said in the options.
+        Detector::new(params).map_err(|e| UsageError(e.to_string()).into())
+    }
+}

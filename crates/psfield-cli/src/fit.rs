@@ -1,0 +1,86 @@
+//! `psfield fit`.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use psf_io::FileKind;
+use psfield::{FitReport, check_outputs};
+
+use super::context::{Context, signature};
+use crate::psf_args::PsfArgs;
+
+/// Fit a PSF model (basis and coefficient fields) to samples
+#[derive(Debug, clap::Args)]
+pub(crate) struct FitCommandArgs {
+    /// PSF samples (FITS: a cube and a table POSITIONS), or another PSF file that holds stamps at positions (STPSF, STDPSF,
+    /// a plain cube)
+    #[arg(value_name = "SAMPLES.fits")]
+    samples: PathBuf,
+    /// The model to write
+    #[arg(short, long, value_name = "MODEL.fits")]
+    output: PathBuf,
+    /// Replace the output if it exists
+    #[arg(long)]
+    overwrite: bool,
+    #[command(flatten)]
+    fit: PsfArgs,
+}
+
+impl FitCommandArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        check_outputs(&self.fit.files(&self.samples), &[&self.output], self.overwrite)?;
+        let spinner = context.spinner("fitting");
+        let psf = self.fit.open(&self.samples, context)?;
+        let in_file = || format!("in {}", self.samples.display());
+        let fitted = match (psf.fit().with_context(in_file)?, psf.kind()) {
+            (Some(fitted), _) => fitted,
+            (None, Some(kind)) if kind != FileKind::PsfModel => anyhow::bail!(
+                "{} holds {kind}, which needs no fit: give it to simulate or evaluate as it is, or make a model file of it with \
+                 psfield convert --to psf-model",
+                self.samples.display()
+            ),
+            (None, _) => anyhow::bail!(
+                "{} is a fitted model already: give it to simulate or evaluate, or fit its samples anew",
+                self.samples.display()
+            ),
+        };
+        let report = fitted.report().with_context(in_file)?;
+        let cards = signature();
+        psf_io::write_model(
+            &self.output,
+            fitted.record(),
+            fitted.singular_values(),
+            &cards,
+            self.overwrite,
+        )?;
+        drop(spinner);
+        context.report(&report, || text(&report, &self.output.display().to_string()))
+    }
+}
+
+fn text(report: &FitReport, output: &str) -> String {
+    let left_out = &report.leave_one_out;
+    let noise = match report.noise_sigma {
+        Some(sigma) => format!("sigma {sigma:.3e} a pixel"),
+        None => "none found".to_owned(),
+    };
+    let interpolation_error = match (left_out.median, left_out.max) {
+        (Some(median), Some(max)) => format!(
+            "median {median:.2e}, largest {max:.2e}, of {} samples",
+            left_out.predicted
+        ),
+        _ => "no sample lies between others".to_owned(),
+    };
+    format!(
+        "{output}: {} samples, {} components (elbow at {}), {} interpolation\n\
+         noise:          {noise}\n\
+         fit error:      largest {:.2e}, r.m.s. {:.2e} (relative L2 of a sample)\n\
+         leave-one-out:  {interpolation_error} (relative L2, over twice the sampling distance)\n",
+        report.samples,
+        report.rank,
+        report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),
+        report.interpolation,
+        report.max_error,
+        report.rms_error,
+    )
+}

@@ -1,0 +1,144 @@
+//! The command line `psfield`: arguments in, files and reports out. All that computes is in the
+//! libraries `psfield` and `psfield_lab`.
+
+mod batch;
+mod bench;
+mod compare;
+mod context;
+mod convert;
+mod demo;
+mod devices;
+mod evaluate;
+mod expose;
+mod fit;
+#[cfg(unix)]
+mod interrupts;
+mod measure;
+mod preview;
+mod psf_args;
+mod report_folder;
+mod reproduce;
+mod round_trip;
+mod sample;
+mod simulate;
+mod star_args;
+mod validate;
+mod values;
+
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use context::{Context, UsageError, told};
+
+/// Astronomical images with a point spread function that varies over the field.
+///
+/// Positions are 0-based pixels, an integer is the centre of a pixel. Existing files are kept unless --overwrite is given.
+/// Exit status: 0 done, 1 failed, 2 bad usage, 128 and the number of a signal that stopped it (130 after Ctrl-C); outputs are then as they
+/// were before.
+#[derive(Debug, Parser)]
+#[command(name = "psfield", version, max_term_width = 110)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    #[command(flatten)]
+    global: GlobalArgs,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Common options")]
+struct GlobalArgs {
+    /// Print one JSON object on standard output in place of text
+    #[arg(long, global = true, action = clap::ArgAction::SetTrue, value_parser = bench::JsonTo::of_flag)]
+    json: bench::JsonTo,
+    /// Print nothing but errors (and --json, if asked for)
+    #[arg(short, long, global = true)]
+    quiet: bool,
+    /// Threads to use; the result does not depend on it [default: one a core]
+    #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    threads: Option<u16>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::DemoArgs),
+    Sample(Box<sample::SampleArgs>),
+    Fit(fit::FitCommandArgs),
+    Simulate(Box<simulate::SimulateArgs>),
+    Batch(batch::BatchArgs),
+    Evaluate(evaluate::EvaluateArgs),
+    Expose(Box<expose::ExposeArgs>),
+    Convert(convert::ConvertArgs),
+    Measure(measure::MeasureArgs),
+    Compare(compare::CompareArgs),
+    Preview(preview::PreviewArgs),
+    Bench(bench::BenchArgs),
+    Devices(devices::DevicesArgs),
+    #[command(name = "roundtrip")]
+    RoundTrip(Box<round_trip::RoundTripArgs>),
+    Validate(Box<validate::ValidateArgs>),
+    Reproduce(reproduce::ReproduceArgs),
+}
+
+impl Cli {
+    /// Runs the command.
+    fn run(self) -> anyhow::Result<()> {
+        #[cfg(unix)]
+        interrupts::remove_files_when_told_to_stop().context("cannot watch for signals")?;
+        if let Some(threads) = self.global.threads {
+            rayon::ThreadPoolBuilder::new()
+                .num_threads(usize::from(threads))
+                .build_global()?;
+        }
+        let context = Context {
+            json: self.global.json == bench::JsonTo::Output,
+            quiet: self.global.quiet,
+            part: String::new(),
+        };
+        match self.command {
+            Command::Demo(args) => args.run(&context),
+            Command::Sample(args) => args.run(&context),
+            Command::Fit(args) => args.run(&context),
+            Command::Simulate(args) => args.run(&context),
+            Command::Batch(args) => args.run(&context),
+            Command::Evaluate(args) => args.run(&context),
+            Command::Expose(args) => args.run(&context),
+            Command::Convert(args) => args.run(&context),
+            Command::Measure(args) => args.run(&context),
+            Command::Compare(args) => args.run(&context),
+            Command::Preview(args) => args.run(&context),
+            Command::Bench(args) => args.run(&context),
+            Command::Devices(args) => args.run(&context),
+            Command::RoundTrip(args) => args.run(&context),
+            Command::Validate(args) => args.run(&context),
+            Command::Reproduce(args) => args.run(&context),
+        }
+    }
+}
+
+fn main() -> ExitCode {
+    let given = Cli::command().get_matches();
+    let cli = Cli::from_arg_matches(&given).unwrap_or_else(|error| error.format(&mut Cli::command()).exit());
+    let Err(error) = cli.run() else {
+        return ExitCode::SUCCESS;
+    };
+    if let Some(usage) = error.downcast_ref::<UsageError>() {
+        let mut command = Cli::command();
+        command.build();
+        given
+            .subcommand_name()
+            .and_then(|name| command.find_subcommand_mut(name))
+            .expect("the command that ran")
+            .error(clap::error::ErrorKind::ArgumentConflict, usage)
+            .exit();
+    }
+    // Who reads a part of the output and leaves (`| head`) has what was asked for.
+    if error
+        .downcast_ref::<std::io::Error>()
+        .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
+    {
+        return ExitCode::SUCCESS;
+    }
+    eprintln!("psfield: error: {}", told(&error));
+    ExitCode::FAILURE
+}

@@ -1,0 +1,101 @@
+//! `psfield measure`.
+
+use std::path::{Path, PathBuf};
+
+use ndarray::Axis;
+use psf_io::{FileKind, HduChoice};
+use psfield::{MEASUREMENT_COLUMNS, MeasureOptions, Measurement};
+
+use super::UsageError;
+use super::context::{Context, object};
+
+/// Measure size, shape and flux of PSFs
+///
+/// Writes CSV: x, y, flux, x_centroid, y_centroid, fwhm_px, fwhm_major_px, fwhm_minor_px, angle_rad, ellipticity =
+/// sqrt(1 - b^2/a^2) from an elliptical Gaussian fit; e1, e2 (distortion), g1, g2 (reduced shear), sigma_px from adaptive
+/// moments; note. Lengths are in pixels of the array, in a cube centroids are 0-based stamp indices. A measurement that failed is
+/// an empty field, and the note says why.
+#[derive(Debug, clap::Args)]
+pub(crate) struct MeasureArgs {
+    /// PSF samples, a cube of stamps, an image with --at, or an image that is a single stamp
+    #[arg(value_name = "IMAGE.fits|STAMPS.fits")]
+    input: PathBuf,
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
+    /// Where in an image: CSV or FITS table with columns x, y (0-based pixels)
+    #[arg(long, value_name = "POSITIONS.csv")]
+    at: Option<PathBuf>,
+    /// Fit the Gaussian to N x N central pixels [default: the whole stamp; 15 about each position of an image]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    window: Option<u16>,
+    /// Fit a constant background too
+    #[arg(long)]
+    background: bool,
+    /// The table to write
+    #[arg(short, long, value_name = "TABLE.csv")]
+    output: PathBuf,
+    /// Replace the output if it exists
+    #[arg(long)]
+    overwrite: bool,
+}
+
+impl MeasureArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        psf_io::check_output(&self.output, self.overwrite)?;
+        let spinner = context.spinner("measuring");
+        let rows = self.measure(&self.input)?;
+        psf_io::write_csv(&self.output, &MEASUREMENT_COLUMNS, &rows, self.overwrite)?;
+        drop(spinner);
+        let with_notes = rows.iter().filter(|row| !row.note.is_empty()).count();
+        let report = object! {
+            output: self.output,
+            measured: rows.len(),
+            // Rows with a note: at least one measurement failed.
+            with_notes,
+        };
+        context.report(&report, || {
+            let failed = if with_notes > 0 {
+                format!(", {with_notes} of them with a failed measurement (see their note)")
+            } else {
+                String::new()
+            };
+            format!("{}: {} rows{failed}", report.output.display(), report.measured)
+        })
+    }
+
+    fn measure(&self, path: &Path) -> anyhow::Result<Vec<Measurement>> {
+        let options = MeasureOptions {
+            window: self.window.map(usize::from),
+            background: self.background,
+        };
+        let kind = psf_io::detect(path)?;
+        if self.at.is_some() && kind != FileKind::Image {
+            let path = path.display();
+            return Err(UsageError(format!("--at gives positions in an image, but {path} is {kind}")).into());
+        }
+        Ok(match kind {
+            FileKind::PsfModel => anyhow::bail!(
+                "{} is a PSF model: measure its PSFs at chosen positions (psfield evaluate)",
+                path.display()
+            ),
+            FileKind::PsfSamples => {
+                let samples = psf_io::read_samples(path)?;
+                options.cube(samples.stamps(), Some(samples.positions().as_slice()))
+            }
+            FileKind::Cube => options.cube(
+                psf_io::read_cube_hdu::<f64>(path, self.extension.as_ref())?.view(),
+                None,
+            ),
+            _ => {
+                let image = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref())?
+                    .into_parts()
+                    .0;
+                match &self.at {
+                    Some(at) => options.image(image.pixels(), &psf_io::read_positions(at)?),
+                    None => options.cube(image.pixels().insert_axis(Axis(0)), None),
+                }
+            }
+        })
+    }
+}

@@ -1,0 +1,143 @@
+//! `psfield preview`.
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use psf_io::{HduChoice, ImageReader};
+use psfield::check_outputs;
+use psfield_lab::preview::{BinnedImage, Colormap, LimitRule, Limits, Percentiles, Picture, Stretch};
+
+use super::UsageError;
+use super::context::{Context, object};
+
+/// Show a FITS image as a PNG picture
+///
+/// Any image that psfield reads, one plane of a cube, plain or compressed (.gz, .fz). y points upwards: row 0 is at the bottom, as in ds9.
+/// Images that are too large are binned by means; limits are those of the binned image. Pixels without a value (NaN, infinite, BLANK) are
+/// magenta in grey, viridis and cividis, cyan in the other colours; a bin is the mean of its pixels that have one.
+#[derive(Debug, clap::Args)]
+pub(crate) struct PreviewArgs {
+    /// The image
+    #[arg(value_name = "IMAGE.fits")]
+    image: PathBuf,
+    /// The picture [default: the image's name, with .png for .fits, beside it]
+    #[arg(short, long, value_name = "IMAGE.png")]
+    output: Option<PathBuf>,
+    /// Replace the picture if it exists
+    #[arg(long)]
+    overwrite: bool,
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    extension: Option<HduChoice>,
+    /// Which plane of a cube, counted from 0
+    #[arg(long, value_name = "N")]
+    plane: Option<usize>,
+    /// How brightness grows between the limits; those of astropy
+    #[arg(long, default_value = "asinh", value_parser = PossibleValuesParser::new(Stretch::ALL.map(Stretch::name))
+        .try_map(|name| name.parse::<Stretch>()))]
+    stretch: Stretch,
+    /// Black and white at these percentiles of the pixels
+    #[arg(long, value_name = "LO,HI", default_value = "0.5,99.8", allow_hyphen_values = true, conflicts_with_all = ["range", "zscale"])]
+    percentile: Percentiles,
+    /// Black and white at these values
+    #[arg(
+        long,
+        value_name = "LO,HI",
+        allow_hyphen_values = true,
+        conflicts_with = "zscale"
+    )]
+    range: Option<Limits>,
+    /// Black and white as IRAF, ds9 and astropy find them: about the sky, stars left out
+    #[arg(long)]
+    zscale: bool,
+    /// Colours that colour-blind people can read as well
+    #[arg(long, default_value = "grey", value_parser = PossibleValuesParser::new(Colormap::ALL.map(Colormap::name))
+        .try_map(|name| name.parse::<Colormap>()))]
+    colormap: Colormap,
+    /// The most pixels of the picture along an axis
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=32768))]
+    max_size: u32,
+}
+
+impl PreviewArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let output = self.output.clone().unwrap_or_else(|| picture_of(&self.image));
+        check_outputs(&[&self.image], &[&output], self.overwrite)?;
+        let named_for = image::ImageFormat::from_path(&output);
+        if named_for.is_ok_and(|format| format != image::ImageFormat::Png) {
+            let text = format!(
+                "{}: the picture is a PNG file: give a name that ends in .png",
+                output.display()
+            );
+            return Err(UsageError(text).into());
+        }
+        let mut reader = match self.plane {
+            Some(plane) => ImageReader::open_plane(&self.image, self.extension.as_ref(), plane),
+            None => ImageReader::open_hdu(&self.image, self.extension.as_ref()),
+        }
+        .map_err(|error| match error {
+            psf_io::IoError::Axes { got, .. } if self.plane.is_none() && got.len() == 3 => anyhow::anyhow!(
+                "{} is a cube of {} planes: choose one with --plane N, counted from 0",
+                self.image.display(),
+                got[0]
+            ),
+            other => other.into(),
+        })?;
+        let image = {
+            let _spinner = context.spinner("reading");
+            BinnedImage::read(&mut reader, self.max_size as usize)?
+        };
+        let named = || format!("{} cannot be shown", self.image.display());
+        let limits = self.rule().limits(image.pixels()).with_context(named)?;
+        let picture =
+            Picture::new(image.pixels(), limits, self.stretch, self.colormap).with_context(named)?;
+        psf_io::write_bytes(&output, &picture.png(), self.overwrite)?;
+        let report = object! {
+            output,
+            image_size: [reader.shape().nx(), reader.shape().ny()],
+            picture_size: [picture.width(), picture.height()],
+            // Pixels of the image along the side of a pixel of the picture.
+            binning: image.factor,
+            stretch: self.stretch.name(),
+            colormap: self.colormap.name(),
+            limits,
+            // Pixels of the image that are NaN or infinite.
+            undefined_pixels: image.undefined_pixels,
+        };
+        context.report(&report, || {
+            let [nx, ny] = report.picture_size;
+            let mut text = format!("{}: {nx} x {ny} pixels", report.output.display());
+            if report.binning > 1 {
+                let [nx, ny] = report.image_size;
+                let _ = write!(text, ", means over {0} x {0} of {nx} x {ny}", report.binning);
+            }
+            let _ = write!(text, ", {} from {limits}", report.stretch);
+            if report.undefined_pixels > 0 {
+                let _ = write!(text, "; {} pixels have no value", report.undefined_pixels);
+            }
+            text
+        })
+    }
+
+    fn rule(&self) -> LimitRule {
+        match self.range {
+            Some(limits) => LimitRule::Range(limits),
+            None if self.zscale => LimitRule::ZScale,
+            None => LimitRule::Percentile(self.percentile),
+        }
+    }
+}
+
+/// The picture's name, beside the image: `a/b.fits.gz` gives `a/b.png`.
+fn picture_of(image: &Path) -> PathBuf {
+    let packed = image
+        .extension()
+        .is_some_and(|extension| extension == "gz" || extension == "fz");
+    if packed {
+        image.with_extension("").with_extension("png")
+    } else {
+        image.with_extension("png")
+    }
+}

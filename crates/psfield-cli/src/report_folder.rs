@@ -1,0 +1,119 @@
+//! The folder that a report goes to.
+
+use std::collections::BTreeMap;
+use std::path::{Display, Path, PathBuf};
+
+use anyhow::Context as _;
+use psfield_lab::report::{Document, OBJECT_COLUMNS, ObjectRow};
+use serde::Serialize;
+
+use crate::context::{Bar, Context, object};
+
+/// Where a report is written.
+#[derive(Debug, clap::Args)]
+pub(super) struct ReportFolder {
+    /// The folder to write report.html, report.json, tables and figures (SVG and PNG) to; made if it does not exist, empty unless --overwrite is given
+    #[arg(long, value_name = "DIR")]
+    report: PathBuf,
+    /// Replace files that exist there
+    #[arg(long)]
+    overwrite: bool,
+}
+
+const PAGE: &str = "report.html";
+const NUMBERS: &str = "report.json";
+
+impl ReportFolder {
+    /// Refuses before any work where the folder cannot be made or has files that may not be replaced. It is made when there is something to
+    /// write.
+    pub(super) fn check(&self) -> anyhow::Result<()> {
+        check(&self.report, &[PAGE, NUMBERS], self.overwrite)?;
+        // Tables and figures, whose names are not known yet, are refused as early.
+        let held = match std::fs::read_dir(&self.report) {
+            Ok(mut found) => found.next().is_some(),
+            Err(_) => false,
+        };
+        anyhow::ensure!(
+            self.overwrite || !held,
+            "{}: the folder is not empty: choose another, or allow files there to be replaced (--overwrite)",
+            self.report.display()
+        );
+        Ok(())
+    }
+
+    /// Writes everything, the page last, so that a page has all its files; ends the bar and tells
+    /// of it. `notes`: how the PSF was read.
+    pub(super) fn publish(
+        &self,
+        document: &Document,
+        (measured, notes): (&impl Serialize, Option<Vec<String>>),
+        tables: &[(&str, &[ObjectRow])],
+        (context, bar): (&Context, Bar),
+        text: impl FnOnce(Display<'_>) -> String,
+    ) -> anyhow::Result<()> {
+        make(&self.report)?;
+        let mut files = Vec::new();
+        let mut at = |name: String| {
+            let path = self.report.join(&name);
+            files.push(name);
+            path
+        };
+        for (name, rows) in tables {
+            psf_io::write_csv(at((*name).to_owned()), OBJECT_COLUMNS, *rows, self.overwrite)?;
+        }
+        for shown in document.figures() {
+            let name = shown.name;
+            psf_io::write_text(at(format!("{name}.svg")), shown.figure.svg(), self.overwrite)?;
+            let png = shown.figure.png()?;
+            psf_io::write_bytes(at(format!("{name}.png")), &png, self.overwrite)?;
+        }
+        let inputs = document.inputs.iter();
+        let numbers = object! {
+            software: &document.software,
+            inputs: inputs.map(|(name, value)| (*name, value.as_str())).collect::<BTreeMap<_, _>>(),
+            #[serde(flatten)]
+            measured,
+        };
+        let numbers = serde_json::to_string_pretty(&numbers)?;
+        psf_io::write_text(at(NUMBERS.to_owned()), &numbers, self.overwrite)?;
+        psf_io::write_text(at(PAGE.to_owned()), &document.to_html(), self.overwrite)?;
+        drop(bar);
+        let folder = self.report.as_path();
+        // A flattened option that is none has no keys.
+        let report = object! {
+            folder,
+            files,
+            #[serde(flatten)]
+            notes: notes.map(|notes| object! { notes }),
+            #[serde(flatten)]
+            measured,
+        };
+        context.report(&report, || text(folder.display()))
+    }
+}
+
+/// Refuses where a folder cannot be made or has one of these files, which may not be replaced. Nothing is left behind.
+pub(super) fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
+    if folder.is_dir() {
+        for name in files {
+            psf_io::check_output(folder.join(name), overwrite)?;
+        }
+        return Ok(());
+    }
+    let missing: Vec<&Path> = folder
+        .ancestors()
+        .take_while(|part| !part.as_os_str().is_empty() && !part.exists())
+        .collect();
+    make(folder)?;
+    for part in missing {
+        // One that another process uses by now stays.
+        let _ = std::fs::remove_dir(part);
+    }
+    Ok(())
+}
+
+/// Makes a folder, if it is not there.
+pub(super) fn make(folder: &Path) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder)
+        .with_context(|| format!("{}: the report folder cannot be made", folder.display()))
+}

@@ -1,0 +1,182 @@
+//! `psfield roundtrip`.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use psf_io::HeaderCards;
+use psf_stars::SOURCE_COLUMNS;
+use psf_types::Image;
+use psfield_lab::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
+use psfield_lab::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions};
+
+use super::context::{Context, object, signature, write_samples};
+use super::report_folder;
+use super::sample::{warn_of, write_coverage};
+use super::star_args::StarArgs;
+use super::values::above_zero;
+use crate::psf_args::FitArgs;
+
+/// Simulate a real frame from its own stars and compare
+///
+/// PSF samples from the frame's stars, a model, a simulated frame of all sources found, at their measured positions and fluxes, on the
+/// measured background; then FWHM and ellipticity of the same stars in both. Simulated frames get the noise of the background (and
+/// of the stars' photons with --gain), without which the distributions could not agree; the distribution is that of several of them.
+#[derive(Debug, clap::Args)]
+pub(crate) struct RoundTripArgs {
+    /// An image with stars
+    #[arg(value_name = "FRAME.fits")]
+    frame: PathBuf,
+    /// The folder to write tables, figures, plots, frames, samples and model to
+    #[arg(long, value_name = "DIR")]
+    report: PathBuf,
+    /// Replace files that exist
+    #[arg(long)]
+    overwrite: bool,
+    /// The detection threshold in sigma [default: 5]
+    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true)]
+    threshold: Option<f64>,
+    /// Measure stars in N x N pixels [default: four FWHM, at least 7]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
+    window: Option<u16>,
+    /// Leave the simulated frame without noise
+    #[arg(long, conflicts_with = "realisations")]
+    no_noise: bool,
+    /// Simulated frames, each with its own noise; the first is written
+    #[arg(long, value_name = "N", default_value_t = RoundTripOptions::DEFAULT_REALISATIONS, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    realisations: u32,
+    /// Seed of the noise
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    stars: StarArgs,
+    #[command(flatten)]
+    fit: FitArgs,
+}
+
+/// All that is written.
+const FILES: [&str; 9] = [
+    "samples.fits",
+    "sources.csv",
+    "coverage.fits",
+    "model.fits",
+    "simulated.fits",
+    "residual.fits",
+    "stars.csv",
+    "distributions.svg",
+    "summary.json",
+];
+
+impl RoundTripArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        let spinner = context.spinner("round trip");
+        let (frame, header, sampling) = self.stars.open(&self.frame, self.threshold)?;
+        let options = RoundTripOptions {
+            sampling,
+            fit: self.fit.options(),
+            window: self.window.map(usize::from),
+            noise: !self.no_noise,
+            gain: self.stars.gain,
+            realisations: self.realisations,
+            seed: self.seed,
+        };
+        report_folder::check(&self.report, &FILES, self.overwrite)?;
+        let trip =
+            RoundTrip::run(&frame, &options).with_context(|| format!("in {}", self.frame.display()))?;
+        let report = object! {
+            frame: &self.frame,
+            folder: &self.report,
+            files: FILES,
+            star_fwhm_px: trip.stars.fwhm_px,
+            registration: &trip.stars.registration,
+            #[serde(flatten)]
+            figures: &trip.report,
+        };
+        self.write(&trip, &header, &serde_json::to_string_pretty(&report)?)?;
+        drop(spinner);
+        warn_of(&trip.stars, context);
+        context.report(&report, || {
+            let figures = report.figures;
+            let line = |name: &str, agreement: &psfield_lab::Agreement| {
+                format!(
+                    "{name}  median {:.3} in the frame, {:.3} simulated (ratio {:.3}); mean absolute difference of a star {:.3}; KS distance {:.3}",
+                    agreement.frame.median,
+                    agreement.simulated.median,
+                    agreement.median_ratio,
+                    agreement.mean_absolute_error,
+                    agreement.ks_distance
+                )
+            };
+            format!(
+                "{}: {} stars ({} registration), {} measured in both; {} sources drawn, {} simulated frame(s)\n{}\n{}",
+                report.folder.display(),
+                figures.stars,
+                report.registration.method,
+                figures.measured,
+                figures.drawn,
+                figures.realisations,
+                line("FWHM:       ", &figures.fwhm_px),
+                line("ellipticity:", &figures.ellipticity),
+            )
+        })
+    }
+
+    fn write(&self, trip: &RoundTrip, header: &HeaderCards, summary: &str) -> anyhow::Result<()> {
+        report_folder::make(&self.report)?;
+        let at = |name: &str| self.report.join(name);
+        let cards = signature();
+        let overwrite = self.overwrite;
+        write_samples(&at("samples.fits"), &trip.stars.samples, overwrite)?;
+        psf_io::write_csv(at("sources.csv"), &SOURCE_COLUMNS, &trip.stars.sources, overwrite)?;
+        write_coverage(&at("coverage.fits"), &trip.stars.coverage, overwrite)?;
+        psf_io::write_model(
+            at("model.fits"),
+            &trip.model,
+            &trip.singular_values,
+            &cards,
+            overwrite,
+        )?;
+        let image = |name: &str, image: &Image<f64>, header: &HeaderCards| -> anyhow::Result<()> {
+            let single = Image::new(image.pixels().mapv(|v| v as f32))?;
+            Ok(psf_io::write_image(at(name), &single, header, &cards, overwrite)?)
+        };
+        image("simulated.fits", &trip.simulated, header)?;
+        image("residual.fits", &trip.residual, header)?;
+        psf_io::write_csv(at("stars.csv"), ROUND_TRIP_COLUMNS, &trip.rows, overwrite)?;
+        let text = |name: &str, content: &str| psf_io::write_text(at(name), content, overwrite);
+        text("distributions.svg", distributions(trip)?.svg())?;
+        Ok(text("summary.json", summary)?)
+    }
+}
+
+/// Cumulative distributions of the stars of the frame and of the simulated ones.
+fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
+    let both =
+        |row: &&psfield_lab::RoundTripRow| row.fwhm_frame_px.is_some() && row.fwhm_simulated_px.is_some();
+    let rows = || trip.rows.iter().filter(both);
+    let panel = |title: &str, quantity, frame: Vec<f64>, simulated: &[f64]| {
+        let curves = Curves {
+            x: Axis::linear(quantity),
+            y: Axis::linear("part of the stars below"),
+            curves: vec![
+                Curve::distribution("frame", frame),
+                Curve::distribution("simulated", simulated.iter().copied()),
+            ],
+            marks: Vec::new(),
+        };
+        (title.to_owned(), curves)
+    };
+    curve_panels(&[
+        panel(
+            "FWHM",
+            "FWHM, pixels",
+            rows().filter_map(|row| row.fwhm_frame_px).collect(),
+            &trip.simulated_fwhm_px,
+        ),
+        panel(
+            "ellipticity",
+            "sqrt(1 - b^2 / a^2)",
+            rows().filter_map(|row| row.ellipticity_frame).collect(),
+            &trip.simulated_ellipticity,
+        ),
+    ])
+}

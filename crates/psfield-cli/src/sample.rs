@@ -1,0 +1,384 @@
+//! `psfield sample`: of a telescope, or of the stars of a frame.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use ndarray::{Axis, stack};
+use psf_io::{Card, FileKind};
+use psf_optics::Telescope;
+use psf_sample::{
+    AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion,
+    SampleError, Sampling, SamplingMethod, SamplingOutcome, UniformSampling,
+};
+use psf_stars::{CoverageMap, SOURCE_COLUMNS, StarSamples};
+use psf_types::PsfSource;
+
+use crate::UsageError;
+use crate::context::{Context, object, signature, write_samples};
+use crate::star_args::StarArgs;
+use crate::values::{Pair, above_zero};
+
+/// Sample a PSF: of a telescope over its field, or of the stars of a real frame
+///
+/// A telescope (TOML) is sampled non-uniformly by default: refined where the PSF varies, until the criterion holds everywhere; corners and
+/// edges are always covered. A frame (FITS) gives samples at its own stars: background, detection, cuts, registration to sub-pixel
+/// precision. What the file is, its content tells.
+#[derive(Debug, clap::Args)]
+pub(crate) struct SampleArgs {
+    /// The telescope (aperture, wavefront over the field, seeing, detector), or an image with stars
+    #[arg(value_name = "TELESCOPE.toml|FRAME.fits", required_unless_present = "preset")]
+    input: Option<PathBuf>,
+    /// The samples to write
+    #[arg(short, long, value_name = "SAMPLES.fits")]
+    output: PathBuf,
+    /// Replace outputs that exist
+    #[arg(long)]
+    overwrite: bool,
+    /// Telescopes: the criterion's threshold, relative [default: 0.01]. Frames: the detection threshold in sigma [default: 5]
+    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true)]
+    threshold: Option<f64>,
+    #[command(flatten)]
+    telescope: TelescopeArgs,
+    #[command(flatten)]
+    frame: FrameArgs,
+    #[command(flatten)]
+    stars: StarArgs,
+}
+
+impl SampleArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        psf_io::check_output(&self.output, self.overwrite)?;
+        match &self.input {
+            Some(path) if is_frame(path, self.stars.extension.is_some())? => {
+                refuse(self.telescope.given(), "a frame", "telescopes")?;
+                self.frame.run(path, &self, context)
+            }
+            _ => {
+                refuse(self.frame.given().or(self.stars.given()), "a telescope", "frames")?;
+                self.telescope.run(&self, context)
+            }
+        }
+    }
+}
+
+/// Whether a file holds an image rather than text. Where an HDU was `chosen`, the others do not matter.
+fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
+    match psf_io::detect(path) {
+        Ok(FileKind::Image) => Ok(true),
+        // What cannot be read the reader of telescopes tells of, as it does of any text file.
+        Ok(FileKind::NotFits) | Err(psf_io::IoError::Read { .. }) => Ok(false),
+        Ok(_) if chosen => Ok(true),
+        Ok(kind) => anyhow::bail!(
+            "{} is {kind}: a frame is a single image [y, x] with stars",
+            path.display()
+        ),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Options of the other kind of input are bad usage.
+fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError> {
+    match given {
+        None => Ok(()),
+        Some(option) => Err(UsageError(format!(
+            "{option} is for {kind}, but the input is {input}: leave it out"
+        ))),
+    }
+}
+
+/// Options for telescopes.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Telescopes")]
+struct TelescopeArgs {
+    /// A telescope that comes with the program
+    #[arg(long, value_enum, conflicts_with = "input")]
+    preset: Option<Preset>,
+    /// What must stay below the threshold: the difference of neighbouring samples, or the error of interpolating between them
+    /// [default: neighbours]
+    #[arg(long, value_enum)]
+    criterion: Option<Criterion>,
+    /// The norm in which PSFs are compared [default: l2]
+    #[arg(long, value_enum)]
+    measure: Option<Measure>,
+    /// Samples along each axis of the coarse grid that refinement starts from [default: 5,5]
+    #[arg(long, value_name = "NX,NY", allow_hyphen_values = true)]
+    start: Option<Pair>,
+    /// Stop with an error when the criterion needs more samples [default: 20000]
+    #[arg(long, value_name = "N")]
+    max_samples: Option<usize>,
+    /// Write the samples drawn so far when that happens, with a warning
+    #[arg(long)]
+    accept_cap: bool,
+    /// A uniform grid of NX by NY samples instead
+    #[arg(long, value_name = "NX,NY", conflicts_with_all = ["criterion", "threshold", "start", "max_samples", "accept_cap"])]
+    uniform: Option<Pair>,
+}
+
+/// A telescope that comes with the program.
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+pub(crate) enum Preset {
+    /// 2 m off-axis survey telescope, 0.074 arcsec per pixel, 9232 x 9216
+    #[value(name = "survey-2m")]
+    Survey2m,
+    /// Under-sampled wide-field lens, 11.7 arcsec per pixel, 4096 x 4096
+    WideFieldLens,
+}
+
+impl Preset {
+    pub(crate) fn telescope(self) -> Telescope {
+        match self {
+            Self::Survey2m => Telescope::survey_2m(),
+            Self::WideFieldLens => Telescope::wide_field_lens(),
+        }
+    }
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Criterion {
+    Neighbours,
+    Interpolation,
+}
+
+#[derive(Debug, Clone, Copy, clap::ValueEnum)]
+enum Measure {
+    L1,
+    L2,
+}
+
+impl TelescopeArgs {
+    /// The first option given that only telescopes have.
+    fn given(&self) -> Option<&'static str> {
+        [
+            ("--preset", self.preset.is_some()),
+            ("--criterion", self.criterion.is_some()),
+            ("--measure", self.measure.is_some()),
+            ("--start", self.start.is_some()),
+            ("--max-samples", self.max_samples.is_some()),
+            ("--accept-cap", self.accept_cap),
+            ("--uniform", self.uniform.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(name, given)| given.then_some(name))
+    }
+
+    fn run(&self, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
+        let telescope = match (&asked.input, self.preset) {
+            (Some(path), _) => Telescope::from_toml_file(path)?,
+            (None, preset) => preset.unwrap_or(Preset::Survey2m).telescope(),
+        };
+        let threshold = asked.threshold.unwrap_or(NeighbourDifference::DEFAULT_THRESHOLD);
+        let sampling = self.draw(&telescope, threshold, context)?;
+        write_samples(&asked.output, &sampling.samples, asked.overwrite)?;
+        let found = &sampling.report;
+        let report = object! {
+            output: &asked.output,
+            samples: sampling.samples.len(),
+            // PSFs drawn: samples, and points at which only the criterion looked.
+            draws: found.draws,
+            cells: found.cells,
+            unmet_cells: found.unmet_cells,
+            worst: found.worst,
+            threshold: found.threshold,
+            outcome: match found.outcome {
+                SamplingOutcome::Met => "met",
+                SamplingOutcome::CellSizeReached => "cell-size-reached",
+                SamplingOutcome::CapReached => "cap-reached",
+                _ => "unknown",
+            },
+        };
+        if report.unmet_cells > 0 {
+            let why = match report.outcome {
+                "cap-reached" => format!(": {} samples were drawn, the most allowed", report.samples),
+                _ => String::new(),
+            };
+            context.warn(&format!(
+                "the criterion does not hold in {} of {} cells (worst {:.2e}){why}",
+                report.unmet_cells, report.cells, report.worst
+            ));
+        }
+        context.report(&report, || {
+            let limit = report
+                .threshold
+                .map_or_else(String::new, |t| format!(" (threshold {t})"));
+            format!(
+                "{}: {} samples, {} PSFs drawn, worst {:.2e}{limit}",
+                report.output.display(),
+                report.samples,
+                report.draws,
+                report.worst
+            )
+        })
+    }
+
+    fn draw(&self, telescope: &Telescope, threshold: f64, context: &Context) -> anyhow::Result<Sampling> {
+        let measure = match self.measure {
+            Some(Measure::L1) => DifferenceMeasure::L1,
+            Some(Measure::L2) | None => DifferenceMeasure::L2,
+        };
+        let bar = context.bar("sampling");
+        if let Some(Pair(nx, ny)) = self.uniform {
+            psfield::check_stack(nx.saturating_mul(ny), telescope.grid())
+                .map_err(|e| UsageError(format!("--uniform: {e}")))?;
+            return Ok(UniformSampling::new(nx, ny)?
+                .with_measure(measure)
+                .sample(telescope, &bar)?);
+        }
+        let criterion: Arc<dyn RefinementCriterion> = match self.criterion {
+            Some(Criterion::Neighbours) | None => Arc::new(NeighbourDifference::new(threshold, measure)?),
+            Some(Criterion::Interpolation) => Arc::new(InterpolationError::new(threshold, measure)?),
+        };
+        let Pair(nx, ny) = self.start.unwrap_or(Pair(5, 5));
+        let max_samples = self.max_samples.unwrap_or(AdaptiveSampling::DEFAULT_MAX_SAMPLES);
+        let sampling = AdaptiveSampling::new(criterion)
+            .with_start(nx, ny)
+            .map_err(|e| UsageError(format!("--start: {e}")))?
+            .with_max_samples(max_samples);
+        if max_samples < nx * ny {
+            let (max, start) = (max_samples, nx * ny);
+            let what = format!(
+                "--max-samples {max} is less than the {start} samples of the starting grid (--start {nx},{ny})"
+            );
+            return Err(UsageError(what).into());
+        }
+        match sampling.sample(telescope, &bar) {
+            Err(SampleError::CapReached(cap)) if self.accept_cap => Ok(cap.into_sampling()),
+            Err(SampleError::CapReached(cap)) => Err(anyhow::anyhow!(
+                "{cap} (--max-samples, --threshold, --accept-cap)"
+            )),
+            other => Ok(other?),
+        }
+    }
+}
+
+/// Outputs for frames.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Frames")]
+struct FrameArgs {
+    /// A table of all sources found, with the reasons for which any was rejected
+    #[arg(long, value_name = "SOURCES.csv")]
+    sources: Option<PathBuf>,
+    /// A map of the field by cells: number of samples, distance to the nearest in pixels, whether inside their convex hull
+    #[arg(long, value_name = "COVERAGE.fits")]
+    coverage: Option<PathBuf>,
+}
+
+impl FrameArgs {
+    /// The first option given that only frames have.
+    fn given(&self) -> Option<&'static str> {
+        let sources = self.sources.is_some().then_some("--sources");
+        sources.or(self.coverage.is_some().then_some("--coverage"))
+    }
+
+    fn run(&self, path: &Path, asked: &SampleArgs, context: &Context) -> anyhow::Result<()> {
+        for path in [&self.sources, &self.coverage].into_iter().flatten() {
+            psf_io::check_output(path, asked.overwrite)?;
+        }
+        let spinner = context.spinner("finding stars");
+        let (frame, _, sampling) = asked.stars.open(path, asked.threshold)?;
+        let found = sampling
+            .run(&frame)
+            .with_context(|| format!("in {}", path.display()))?;
+        write_samples(&asked.output, &found.samples, asked.overwrite)?;
+        if let Some(path) = &self.sources {
+            psf_io::write_csv(path, &SOURCE_COLUMNS, &found.sources, asked.overwrite)?;
+        }
+        if let Some(path) = &self.coverage {
+            write_coverage(path, &found.coverage, asked.overwrite)?;
+        }
+        drop(spinner);
+        warn_of(&found, context);
+        // Sources rejected for each reason; one may have several.
+        let counts = found.rejection_counts().into_iter();
+        let rejected: BTreeMap<&str, usize> = counts.map(|(reason, count)| (reason.name(), count)).collect();
+        let report = object! {
+            output: &asked.output,
+            samples: found.samples.len(),
+            sources: found.sources.len(),
+            rejected: &rejected,
+            fwhm_px: found.fwhm_px,
+            background: found.background.typical_level(),
+            background_rms: found.background.typical_rms(),
+            saturation: found.saturation,
+            registration: &found.registration,
+            coverage: found.coverage.report(),
+        };
+        context.report(&report, || {
+            let rejected: Vec<String> = rejected
+                .iter()
+                .map(|(name, count)| format!("{count} {name}"))
+                .collect();
+            let saturation = match found.saturation.level {
+                Some(_) => found.saturation.to_string(),
+                None => "not known (--saturation)".to_owned(),
+            };
+            let registration = &found.registration;
+            let degree = registration.field_degree.map_or_else(String::new, |degree| {
+                format!(", polynomial of degree {degree} over the field")
+            });
+            format!(
+                "{}: {} samples of {} sources\n\
+                 rejected:     {} (a source may have several reasons)\n\
+                 FWHM:         {:.2} pixels\n\
+                 background:   {:.2}, r.m.s. {:.2}\n\
+                 saturation:   {saturation}\n\
+                 registration: {}, {} x {} stamps at {} x{degree}\n\
+                 coverage:     {:.0} % of the field outside the outermost samples, largest gap {:.0} pixels",
+                report.output.display(),
+                report.samples,
+                report.sources,
+                rejected.join(", "),
+                report.fwhm_px,
+                report.background,
+                report.background_rms,
+                registration.method,
+                registration.stamp_pixels,
+                registration.stamp_pixels,
+                registration.oversampling,
+                100.0 * report.coverage.outside_hull,
+                report.coverage.largest_gap_px,
+            )
+        })
+    }
+}
+
+/// What a user must know of the samples of a frame.
+pub(crate) fn warn_of(found: &StarSamples, context: &Context) {
+    for warning in found.coverage.warnings() {
+        context.warn(&warning);
+    }
+    if let Some(level) = found.saturation.ignored {
+        context.warn(&format!(
+            "SATURATE of the header, {level}, is not above the background ({:.2}): it is ignored; give the true level (--saturation)",
+            found.background.typical_level()
+        ));
+    }
+    let registration = &found.registration;
+    if registration.undersampled && registration.field_degree.is_none() {
+        context.warn(&format!(
+            "the stars are undersampled (FWHM {:.2} pixels), and their own pixels are interpolated: the PSF between pixels is smeared. More \
+             stars (--snr, --threshold) allow an oversampled PSF (--registration epsf)",
+            found.fwhm_px
+        ));
+    }
+}
+
+/// Writes a coverage map: planes of samples in each cell, distance to the nearest sample, inside the hull (1) or not (0).
+pub(crate) fn write_coverage(path: &Path, map: &CoverageMap, overwrite: bool) -> anyhow::Result<()> {
+    let cube = stack(Axis(0), &[map.counts(), map.distances_px(), map.inside_hull()])?;
+    let (width, height) = map.cell_px();
+    let mut cards = signature();
+    cards.extend([
+        Card::new("CELLNX", width, "width of a cell, pixels of the frame")?,
+        Card::new("CELLNY", height, "height of a cell, pixels of the frame")?,
+        Card::new("PLANE1", "samples", "number of samples in the cell")?,
+        Card::new(
+            "PLANE2",
+            "distance",
+            "pixels from its centre to the nearest sample",
+        )?,
+        Card::new("PLANE3", "inside", "1 inside the convex hull of the samples")?,
+    ]);
+    Ok(psf_io::write_cube(path, cube.view(), &cards, overwrite)?)
+}

@@ -1,0 +1,166 @@
+//! From a scene to its image: a scene in memory as a whole, or rows from one FITS file to another.
+
+use std::ops::Range;
+use std::time::Instant;
+
+use conv_core::{ConvReal, RowStream, TileCounts};
+use detector::ExposureReport;
+use ndarray::{ArrayView2, ArrayViewMut2};
+use psf_io::{Card, ImageReader, ImageWriter};
+use psf_types::{Image, NoProgress};
+use psfield::{PixelPicker, Preparation, PsfieldError, Simulator, SpotCheck};
+
+use crate::context::Context;
+use crate::simulate::SimulateArgs;
+use crate::simulate::exposure_args::Exposing;
+use crate::simulate::report::Seconds;
+use crate::simulate::scene::ReadScene;
+
+/// What became of a scene whose image is written.
+pub(super) struct Outcome {
+    pub(super) counts: TileCounts,
+    pub(super) spot_check: Option<SpotCheck>,
+    pub(super) exposure: Option<ExposureReport>,
+}
+
+impl SimulateArgs {
+    /// Makes the image in memory and writes it, or what a detector counts of it.
+    pub(super) fn in_memory<T: ConvReal>(
+        &self,
+        (simulator, made): (&Simulator<T>, &Preparation<'_>),
+        read: &ReadScene<T>,
+        exposing: Option<&Exposing>,
+        seconds: &mut Seconds,
+        context: &Context,
+    ) -> anyhow::Result<Outcome> {
+        let bar = context.bar("convolving");
+        let clock = Instant::now();
+        let mut image = simulator.zeros();
+        let counts = simulator.simulate_into(&read.scene, image.view_mut(), &bar)?;
+        let image = Image::new(image).map_err(PsfieldError::from)?;
+        seconds.execute = clock.elapsed().as_secs_f64();
+        drop(bar);
+
+        let spot_check = (self.spot_check > 0)
+            .then(|| {
+                let _spinner = context.spinner("checking");
+                simulator.spot_check(&read.scene, &image, self.checked_pixels(), &NoProgress)
+            })
+            .transpose()?;
+
+        let clock = Instant::now();
+        let mut cards = self.cards(simulator, made)?;
+        if let Some(check) = &spot_check {
+            cards.extend(check.cards()?);
+            if exposing.is_some() {
+                cards.push(Card::comment(
+                    "PSFCHK...: of the noise-free image, before the detector",
+                ));
+            }
+        }
+        let header = simulator.carried_header(&read.header, self.scene.scene.is_some());
+        let exposure = if let Some(exposing) = exposing {
+            Some(exposing.write(&image, &header, &cards)?)
+        } else {
+            psf_io::write_image(&self.output, &image, &header, &cards, self.overwrite)?;
+            None
+        };
+        seconds.write = clock.elapsed().as_secs_f64();
+        Ok(Outcome {
+            counts,
+            spot_check,
+            exposure,
+        })
+    }
+
+    /// Reads the scene's image and writes its image by bands of rows.
+    pub(super) fn by_bands<T: ConvReal>(
+        &self,
+        (simulator, made): (&Simulator<T>, &Preparation<'_>),
+        read: &ReadScene<T>,
+        reader: ImageReader,
+        seconds: &mut Seconds,
+        context: &Context,
+    ) -> anyhow::Result<Outcome> {
+        let header = simulator.carried_header(&read.header, true);
+        let cards = self.cards(simulator, made)?;
+        // None without a check, so that the header is as long as that of an image written as a whole.
+        let late = if self.spot_check > 0 {
+            SpotCheck::KEYWORDS.len()
+        } else {
+            0
+        };
+        let shape = simulator.image_shape();
+        let writer =
+            ImageWriter::create_reserving(&self.output, shape, &header, &cards, late, self.overwrite)?;
+
+        let bar = context.bar("convolving");
+        let clock = Instant::now();
+        let (count, seed) = self.checked_pixels();
+        let mut rows = FitsRows {
+            reader,
+            writer,
+            picker: PixelPicker::new(shape, count, seed),
+            read_seconds: 0.0,
+            write_seconds: 0.0,
+        };
+        let counts = simulator.stream(&read.scene, &mut rows, &bar)?;
+        let (read_seconds, write_seconds) = (rows.read_seconds, rows.write_seconds);
+        seconds.execute = clock.elapsed().as_secs_f64() - read_seconds - write_seconds;
+        seconds.read += read_seconds;
+        drop(bar);
+
+        let spot_check = (self.spot_check > 0)
+            .then(|| {
+                let _spinner = context.spinner("checking");
+                let picker = rows.picker.clone();
+                simulator.spot_check_stream(&read.scene, &mut rows, picker, &NoProgress)
+            })
+            .transpose()?;
+        let clock = Instant::now();
+        let cards = spot_check.as_ref().map(SpotCheck::cards).transpose()?;
+        rows.writer
+            .finish_with(cards.as_ref().map_or(&[], |cards| cards))?;
+        seconds.write = write_seconds + clock.elapsed().as_secs_f64();
+        Ok(Outcome {
+            counts,
+            spot_check,
+            exposure: None,
+        })
+    }
+
+    /// How many pixels are compared with the direct sum, and what chooses them.
+    fn checked_pixels(&self) -> (usize, u64) {
+        (self.spot_check as usize, self.seed)
+    }
+}
+
+/// Rows of the scene out of its file, rows of the image into theirs; and the pixels for the spot check as they pass.
+struct FitsRows<T: ConvReal> {
+    reader: ImageReader,
+    writer: ImageWriter<T>,
+    picker: PixelPicker,
+    read_seconds: f64,
+    write_seconds: f64,
+}
+
+impl<T: ConvReal> RowStream<T> for FitsRows<T> {
+    type Error = PsfieldError;
+
+    fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), PsfieldError> {
+        let clock = Instant::now();
+        self.reader.read_rows_into(rows.start, light)?;
+        self.read_seconds += clock.elapsed().as_secs_f64();
+        Ok(())
+    }
+
+    fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), PsfieldError> {
+        let clock = Instant::now();
+        for row in rows.outer_iter() {
+            self.picker.pass(row.iter().map(|v| v.as_f64()));
+        }
+        self.writer.write_rows(rows)?;
+        self.write_seconds += clock.elapsed().as_secs_f64();
+        Ok(())
+    }
+}

@@ -1,0 +1,165 @@
+//! Simulators, kept for scenes of one kind, and made ready for them.
+
+use std::any::Any;
+use std::rc::Rc;
+use std::time::Instant;
+
+use conv_core::ConvReal;
+use psf_types::{FrameShape, NoProgress};
+use psfield::{Device, Placement, Preparation, Psf, PsfieldError, Scene, Simulator};
+
+use crate::context::Context;
+use crate::simulate::SimulateArgs;
+use crate::simulate::report::Seconds;
+
+/// Simulators kept for the next scene of the same kind, the latest first.
+#[derive(Default)]
+pub(crate) struct Simulators {
+    kept: Vec<(String, Rc<dyn Any>)>,
+    /// How many; none are kept for a single scene.
+    most: usize,
+    /// For how many scenes models or plans were made, in place of found.
+    pub(crate) made: usize,
+    /// The last PSF that was read.
+    psf: Option<(String, Psf)>,
+}
+
+impl Simulators {
+    /// A keeper of at most so many.
+    pub(crate) fn keeping(most: usize) -> Self {
+        Self {
+            most,
+            ..Self::default()
+        }
+    }
+
+    /// After trouble with a GPU: it may be lost, and the plans on it with it.
+    pub(super) fn forget_gpus(&mut self) {
+        self.kept.clear();
+        psfield::forget_gpus();
+    }
+
+    /// The PSF that `key` describes, the last one or read.
+    fn psf(&mut self, key: &str, read: impl FnOnce() -> anyhow::Result<Psf>) -> anyhow::Result<Psf> {
+        match &self.psf {
+            Some((kept, psf)) if kept == key => Ok(psf.clone()),
+            _ => {
+                let psf = read()?;
+                self.psf = Some((key.to_owned(), psf.clone()));
+                Ok(psf)
+            }
+        }
+    }
+
+    /// The simulator that `key` describes in full, kept or built.
+    fn get<T: ConvReal>(
+        &mut self,
+        key: &str,
+        build: impl FnOnce() -> Result<Simulator<T>, PsfieldError>,
+    ) -> Result<Rc<Simulator<T>>, PsfieldError> {
+        if let Some(place) = self.kept.iter().position(|(k, _)| k == key) {
+            let found = self.kept.remove(place);
+            if let Ok(simulator) = Rc::clone(&found.1).downcast::<Simulator<T>>() {
+                self.kept.insert(0, found);
+                return Ok(simulator);
+            }
+        }
+        self.kept.truncate(self.most.saturating_sub(1));
+        let simulator = Rc::new(build()?);
+        if self.most > 0 {
+            let any: Rc<dyn Any> = Rc::<Simulator<T>>::clone(&simulator);
+            self.kept.insert(0, (key.to_owned(), any));
+        }
+        Ok(simulator)
+    }
+}
+
+/// What a piece of work gives, and the seconds that it took.
+pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Result<(R, f64)> {
+    let clock = Instant::now();
+    let result = work()?;
+    Ok((result, clock.elapsed().as_secs_f64()))
+}
+
+impl SimulateArgs {
+    /// Opens the GPU that was asked for before the rest of the work, which would be in vain without.
+    pub(super) fn open_gpu(&self, context: &Context) -> Result<(), PsfieldError> {
+        // Stars alone need none.
+        let needed = self.scene.scene.is_some() || !cfg!(feature = "gpu");
+        let options = self.options();
+        if options.device == Device::Gpu && needed {
+            let _spinner = context.spinner("opening the GPU");
+            psfield::open_gpu(options.gpu_adapter.as_deref())?;
+        }
+        Ok(())
+    }
+
+    /// The PSF of the file, kept or read.
+    pub(super) fn psf(
+        &self,
+        simulators: &mut Simulators,
+        seconds: &mut Seconds,
+        context: &Context,
+    ) -> anyhow::Result<Psf> {
+        let key = format!("{:?}", (&self.psf, &self.fit));
+        simulators.psf(&key, || {
+            let _spinner = context.spinner("reading the PSF");
+            let (psf, read) = timed(|| self.fit.open(&self.psf, context))?;
+            seconds.read += read;
+            Ok(psf)
+        })
+    }
+
+    /// The simulator for scenes of a shape, kept or built.
+    pub(super) fn simulator<T: ConvReal>(
+        &self,
+        psf: &Psf,
+        shape: FrameShape,
+        simulators: &mut Simulators,
+    ) -> anyhow::Result<Rc<Simulator<T>>> {
+        let options = self.options();
+        // All that a simulator depends on.
+        let key = format!("{:?}", (&self.psf, &self.fit, shape, &options, T::NAME));
+        let build = || psf.simulator((shape.ny(), shape.nx())).options(options).build();
+        simulators.get(&key, build).map_err(|e| self.told_of(e))
+    }
+
+    /// Makes the models and the plan that a scene needs, unless they are there. `rows`: its image comes by rows.
+    pub(super) fn prepare<'a, T: ConvReal>(
+        &self,
+        simulator: &'a Simulator<T>,
+        (scene, rows): (&Scene<'_, T>, bool),
+        simulators: &mut Simulators,
+        seconds: &mut Seconds,
+        context: &Context,
+    ) -> anyhow::Result<Preparation<'a>> {
+        let new = !simulator.is_prepared(scene, rows);
+        if new {
+            let extended = rows || scene.image().is_some() || !scene.galaxies().is_empty();
+            if let Some(warning) = simulator.psf_warning(extended)? {
+                context.warn(&warning.to_string());
+            }
+        }
+        let spinner = context.spinner("fitting and planning");
+        let made = simulator.prepare(scene, rows, &NoProgress);
+        let made = made.map_err(|e| self.told_of(e))?;
+        drop(spinner);
+        if new {
+            simulators.made += 1;
+            [seconds.fit, seconds.plan] = [made.fit_seconds, made.plan_seconds];
+        }
+        self.warn_of_placement(&made.placement, context);
+        Ok(made)
+    }
+
+    /// Says where the work is not done on a GPU that was meant to do it.
+    fn warn_of_placement(&self, placement: &Placement, context: &Context) {
+        if placement.is_failure() {
+            context.warn(&format!("the work is done {placement}"));
+        } else if self.options().device == Device::Gpu && placement.adapter().is_none() {
+            context.warn(
+                "--device gpu is of scenes with an image or galaxies: stars alone are drawn on the CPU",
+            );
+        }
+    }
+}

@@ -1,0 +1,181 @@
+//! What `simulate` says of a run.
+
+use std::path::PathBuf;
+
+use conv_core::{PlanSummary, TileCounts};
+use detector::ExposureReport;
+use psf_types::{Anchor, Normalisation};
+use psfield::{Placement, SpotCheck};
+use serde::{Serialize, Serializer};
+
+use crate::context::object;
+
+/// What `--json` prints.
+#[derive(Debug, Serialize)]
+pub(crate) struct Report {
+    pub(super) output: PathBuf,
+    pub(super) method: String,
+    pub(super) anchor: Anchor,
+    pub(super) precision: &'static str,
+    /// Of the methods that have one.
+    pub(super) tolerance: Option<f64>,
+    /// Components of the model, the mean not counted.
+    pub(super) rank: usize,
+    /// Modes a tile in the mean where there is a plan, else the stamps of the model.
+    pub(super) modes: f64,
+    pub(super) normalise: Normalisation,
+    pub(super) shape: [usize; 2],
+    /// Point sources.
+    pub(super) sources: usize,
+    pub(super) galaxies: usize,
+    /// Rows of the catalogue that were left out.
+    pub(super) invalid_rows: usize,
+    /// Rows of the catalogue on a part of the sky that the projection does not show.
+    pub(super) rows_off_projection: usize,
+    /// Whether the scene came and the image went by bands of rows.
+    pub(super) streamed: bool,
+    #[serde(serialize_with = "plan_figures")]
+    pub(super) plan: Option<PlanSummary>,
+    /// By the way they were treated, where there is a plan.
+    #[serde(serialize_with = "tile_figures")]
+    pub(super) tiles: Option<TileCounts>,
+    #[serde(serialize_with = "with_text")]
+    pub(super) device: Placement,
+    pub(super) seconds: Seconds,
+    pub(super) peak_memory_bytes: Option<u64>,
+    pub(super) spot_check: Option<SpotCheck>,
+    /// What the detector made of it, where there is one.
+    pub(super) exposure: Option<ExposureReport>,
+}
+
+/// Seconds by stage. `plan` is the time that the engine takes to prepare itself.
+#[derive(Debug, Default, Serialize)]
+pub(super) struct Seconds {
+    pub(super) read: f64,
+    pub(super) fit: f64,
+    pub(super) plan: f64,
+    pub(super) execute: f64,
+    pub(super) write: f64,
+}
+
+/// Where the image was convolved, also in words.
+fn with_text<S: Serializer>(placement: &Placement, serializer: S) -> Result<S::Ok, S::Error> {
+    object! {
+        #[serde(flatten)]
+        placement,
+        text: placement.to_string(),
+    }
+    .serialize(serializer)
+}
+
+#[allow(clippy::ref_option, reason = "serde hands over the field")]
+fn plan_figures<S: Serializer>(plan: &Option<PlanSummary>, serializer: S) -> Result<S::Ok, S::Error> {
+    let figures = plan.as_ref().map(|plan| {
+        object! {
+            tile: plan.tile,
+            transform: plan.transform,
+            tiles: plan.tiles,
+            blocks: plan.blocks,
+            blocks_by_modes: &plan.blocks_by_modes,
+            drawn_up_to: plan.drawn_up_to,
+            predicted_seconds_one_thread: plan.predicted_seconds,
+            kept_bytes: plan.kept_bytes.0 + plan.kept_bytes.1,
+        }
+    });
+    figures.serialize(serializer)
+}
+
+#[allow(clippy::ref_option, reason = "serde hands over the field")]
+fn tile_figures<S: Serializer>(counts: &Option<TileCounts>, serializer: S) -> Result<S::Ok, S::Error> {
+    let figures = counts.map(|counts| {
+        object! {
+            dark: counts.dark,
+            drawn: counts.drawn,
+            direct: counts.direct,
+            transformed: counts.transformed,
+            drawn_pixels: counts.drawn_pixels,
+        }
+    });
+    figures.serialize(serializer)
+}
+
+impl Report {
+    /// An error if the image failed its spot check.
+    pub(crate) fn verdict(&self) -> anyhow::Result<()> {
+        if self
+            .spot_check
+            .as_ref()
+            .is_some_and(|check| check.passed == Some(false))
+        {
+            anyhow::bail!(
+                "{} was written, but it failed its spot check: it differs from the direct sum by more than the method promises",
+                self.output.display()
+            );
+        }
+        Ok(())
+    }
+
+    pub(crate) fn text(&self) -> String {
+        let [nx, ny] = self.shape;
+        let s = &self.seconds;
+        let plan = self.plan.as_ref().map_or_else(String::new, |plan| {
+            format!("plan: {}\n", plan.to_string().replace('\n', "\n  "))
+        });
+        let tiles = self.tiles.as_ref().map_or_else(String::new, |t| {
+            format!(
+                "tiles: {} by transforms, {} directly, {} stamp by stamp, {} dark; {} pixels drawn\n",
+                t.transformed, t.direct, t.drawn, t.dark, t.drawn_pixels
+            )
+        });
+        let check = self.spot_check.as_ref().map_or_else(String::new, |check| {
+            let over_peak = check
+                .max_over_peak
+                .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
+            let relative = check
+                .relative_rms
+                .map_or_else(String::new, |r| format!(" ({r:.1e} of theirs)"));
+            format!(
+                "against the direct sum at {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}{relative}\n",
+                check.pixels, check.max_abs, check.rms,
+            )
+        });
+        let sources: Vec<String> = [
+            (self.sources, "stars"),
+            (self.galaxies, "galaxies"),
+            (self.invalid_rows, "rows left out"),
+            (self.rows_off_projection, "rows on another side of the sky"),
+        ]
+        .into_iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(count, what)| format!("{count} {what}"))
+        .collect();
+        let sources = if sources.is_empty() {
+            String::new()
+        } else {
+            format!("catalogue: {}\n", sources.join(", "))
+        };
+        let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
+            format!(
+                "detector: sky {} e, dark {} e, seed {}; {} pixels saturated, {} bad, {} below 0 before noise\n",
+                e.mean_sky_e, e.dark_e, e.seed, e.saturated_pixels, e.bad_pixels, e.negative_pixels
+            )
+        });
+        let streamed = if self.streamed { ", streamed" } else { "" };
+        format!(
+            "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
+             device: {}\n\
+             seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
+            self.output.display(),
+            self.rank,
+            self.method,
+            self.anchor,
+            self.precision,
+            self.device,
+            s.read,
+            s.fit,
+            s.plan,
+            s.execute,
+            s.write,
+        )
+    }
+}

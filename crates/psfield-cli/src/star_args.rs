@@ -1,0 +1,137 @@
+//! The options that turn the stars of a frame into samples.
+
+use std::path::Path;
+
+use psf_io::{Card, CardValue, HduChoice, HeaderCards, IoError};
+use psf_stars::{
+    BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
+};
+use psf_types::Image;
+
+use super::UsageError;
+use super::values::{above_zero, at_least_zero};
+
+/// How stars are found and chosen.
+#[derive(Debug, Default, clap::Args)]
+#[command(next_help_heading = "Stars of a frame")]
+pub(crate) struct StarArgs {
+    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME")]
+    pub(crate) extension: Option<HduChoice>,
+    /// Stars must exceed this signal-to-noise ratio [default: 10]
+    #[arg(long, value_name = "X", value_parser = at_least_zero, allow_negative_numbers = true)]
+    snr: Option<f64>,
+    /// Pixels at and above this value are saturated [default: the SATURATE card, else the largest value if two pixels have it]
+    #[arg(long, value_name = "LEVEL", allow_negative_numbers = true)]
+    saturation: Option<f64>,
+    /// Electrons per unit of the frame; the star's own photons then count in the signal-to-noise ratio
+    #[arg(long, value_name = "E/ADU", value_parser = above_zero, allow_negative_numbers = true)]
+    pub(crate) gain: Option<f64>,
+    /// Read noise in electrons, the least noise of a pixel
+    #[arg(long, value_name = "E", requires = "gain", value_parser = at_least_zero, allow_negative_numbers = true)]
+    read_noise: Option<f64>,
+    /// No source with more than a fifth of a star's flux may be within so many pixels [default: 2.5 FWHM]
+    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true)]
+    isolation: Option<f64>,
+    /// The least distance from the frame's edge in pixels [default, and at least: half a stamp]
+    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true)]
+    edge: Option<f64>,
+    /// Pixels of the frame along each side of a sample's stamp [default: 3 FWHM each way, at least 11]
+    #[arg(long, value_name = "N")]
+    stamp_size: Option<usize>,
+    /// Stamp pixels for each pixel of the frame [default: 1 for the own pixels of 64 stars or more with a FWHM of 2 pixels or
+    /// more, else as many as give a FWHM three]
+    #[arg(long, value_name = "N")]
+    oversampling: Option<usize>,
+    /// epsf: one oversampled PSF over the field, from all stars; stamps: each star's own pixels; auto: epsf for a FWHM below 2
+    /// pixels and enough stars [default: auto]
+    #[arg(long, value_name = "METHOD")]
+    registration: Option<RegistrationMethod>,
+    /// Pixels along each side of a cell of the background mesh [default: 64]
+    #[arg(long, value_name = "N")]
+    background_mesh: Option<usize>,
+}
+
+impl StarArgs {
+    /// The first option given.
+    pub(crate) fn given(&self) -> Option<&'static str> {
+        [
+            ("--extension", self.extension.is_some()),
+            ("--snr", self.snr.is_some()),
+            ("--saturation", self.saturation.is_some()),
+            ("--gain", self.gain.is_some()),
+            ("--read-noise", self.read_noise.is_some()),
+            ("--isolation", self.isolation.is_some()),
+            ("--edge", self.edge.is_some()),
+            ("--stamp-size", self.stamp_size.is_some()),
+            ("--oversampling", self.oversampling.is_some()),
+            ("--registration", self.registration.is_some()),
+            ("--background-mesh", self.background_mesh.is_some()),
+        ]
+        .into_iter()
+        .find_map(|(name, given)| given.then_some(name))
+    }
+
+    /// Reads a frame with its own header and puts the settings together; the header may hold the saturation level.
+    pub(crate) fn open(
+        &self,
+        path: &Path,
+        threshold: Option<f64>,
+    ) -> anyhow::Result<(Image<f64>, HeaderCards, StarSampling)> {
+        let read = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref());
+        let (frame, header) = read
+            .map_err(|error| match error {
+                IoError::NonFinitePixels { .. } => anyhow::Error::new(error).context(
+                    "bad pixels need a number: with one at or above the saturation level (SATURATE, --saturation) stars that have any are left out",
+                ),
+                other => other.into(),
+            })?
+            .into_parts();
+        let in_header = match header.get("SATURATE").and_then(Card::value) {
+            Some(CardValue::Real(level)) => Some(level),
+            Some(CardValue::Integer(level)) => Some(level as f64),
+            _ => None,
+        };
+        let sampling = self
+            .sampling(threshold, in_header)
+            .map_err(|e| UsageError(e.to_string()))?;
+        Ok((frame, header, sampling))
+    }
+
+    fn sampling(&self, threshold: Option<f64>, in_header: Option<f64>) -> Result<StarSampling, StarError> {
+        let detection = threshold.map_or_else(|| Ok(Detection::default()), Detection::new)?;
+        let background = self
+            .background_mesh
+            .map_or_else(|| Ok(BackgroundMesh::default()), BackgroundMesh::new)?;
+        let camera = Camera::new();
+        let camera = apply(camera, self.gain, Camera::with_gain)?;
+        let camera = apply(camera, self.read_noise, Camera::with_read_noise)?;
+        let camera = apply(camera, self.saturation, Camera::with_saturation)?;
+        let camera = apply(camera, in_header, Camera::with_header_saturation)?;
+        let selection = Selection::default();
+        let selection = apply(selection, self.snr, Selection::with_snr)?;
+        let selection = apply(selection, self.isolation, Selection::with_isolation_px)?;
+        let selection = apply(selection, self.edge, Selection::with_edge_px)?;
+        let registration = Registration::default().with_method(self.registration.unwrap_or_default());
+        let registration = apply(registration, self.stamp_size, Registration::with_stamp_size)?;
+        let registration = apply(registration, self.oversampling, Registration::with_oversampling)?;
+        Ok(StarSampling::default()
+            .with_detection(detection)
+            .with_background(background)
+            .with_camera(camera)
+            .with_selection(selection)
+            .with_registration(registration))
+    }
+}
+
+/// A setting, where its option was given.
+fn apply<S, V>(
+    settings: S,
+    value: Option<V>,
+    with: impl FnOnce(S, V) -> Result<S, StarError>,
+) -> Result<S, StarError> {
+    match value {
+        Some(value) => with(settings, value),
+        None => Ok(settings),
+    }
+}

@@ -1,0 +1,94 @@
+//! `psfield validate`.
+
+use std::path::PathBuf;
+
+use anyhow::Context as _;
+use psf_io::FileKind;
+use psfield::Psf;
+use psfield_lab::report::{Software, Validation};
+
+use super::UsageError;
+use super::context::{Context, command_text};
+use super::report_folder::ReportFolder;
+use super::reproduce::targets_text;
+use super::star_args::StarArgs;
+use crate::psf_args::PsfArgs;
+
+/// Compare a PSF model with PSFs that are known, or with the stars of a frame
+///
+/// FWHM, ellipticity, MAE and MSE of the model at the positions of the true PSFs, with the same figures as `reproduce`. Of a frame, every
+/// star that is good enough is compared with the model's, drawn at its measured position with its measured flux.
+#[derive(Debug, clap::Args)]
+pub(crate) struct ValidateArgs {
+    /// A model, samples to be fitted, or any other PSF file (PSFEx, STPSF, STDPSF, ScopeSim, plain stamps)
+    #[arg(value_name = "MODEL")]
+    model: PathBuf,
+    /// What is true: PSF samples (or a gridded library), or an image with stars
+    #[arg(long, value_name = "SAMPLES|FRAME")]
+    truth: PathBuf,
+    #[command(flatten)]
+    folder: ReportFolder,
+    /// Of a frame: measure stars in N x N pixels [default: four FWHM, at least 7]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
+    window: Option<u16>,
+    #[command(flatten)]
+    fit: PsfArgs,
+}
+
+impl ValidateArgs {
+    pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
+        self.folder.check()?;
+        let psf = self.fit.open(&self.model, context)?;
+        let spinner = context.spinner("validating");
+        let model = psf
+            .model()
+            .with_context(|| format!("with the PSF of {}", self.model.display()))?;
+        let of_truth = || format!("against {}", self.truth.display());
+        let measured = match psf_io::detect(&self.truth)? {
+            FileKind::Image => {
+                let (frame, _, sampling) = StarArgs::default().open(&self.truth, None)?;
+                Validation::of_frame(model, &frame, &sampling, self.window.map(usize::from))
+                    .with_context(of_truth)?
+            }
+            _ => match Psf::open(&self.truth)?.samples() {
+                Some((samples, _)) => {
+                    if self.window.is_some() {
+                        let text = "--window is for frames: PSFs are compared on all their pixels";
+                        return Err(UsageError(text.to_owned()).into());
+                    }
+                    Validation::of_samples(model, samples).with_context(of_truth)?
+                }
+                None => anyhow::bail!(
+                    "{}: this is a model; give true PSFs as samples (psfield evaluate writes those of a model)",
+                    self.truth.display()
+                ),
+            },
+        };
+        let inputs = vec![
+            ("PSF model", self.model.display().to_string()),
+            ("truth", self.truth.display().to_string()),
+        ];
+        let document = measured.document(inputs, Software::of_command(command_text()))?;
+        let tables = [("objects.csv", measured.objects.rows.as_slice())];
+        let of_psf = (&measured, Some(psf.notes().to_vec()));
+        let speaking = (context, spinner);
+        self.folder
+            .publish(&document, of_psf, &tables, speaking, |folder| {
+                let summary = &measured.objects.summary;
+                let line = |name: &str, spread: Option<psfield_lab::report::Spread>| {
+                    spread.map_or_else(String::new, |s| {
+                        format!("{name}: 90 % below {:.1e}, largest {:.1e}\n", s.q90, s.largest)
+                    })
+                };
+                format!(
+                    "{} objects compared, {} failed\n{}{}{}{}{folder}: begin with report.html",
+                    summary.objects,
+                    summary.failed,
+                    line("difference of ellipticity", summary.ellipticity),
+                    line("difference of FWHM, pixels", summary.fwhm_px),
+                    line("MAE / mean", summary.mae_over_mean),
+                    targets_text(&measured.targets),
+                )
+            })
+    }
+}

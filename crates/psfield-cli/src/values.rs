@@ -1,0 +1,164 @@
+//! Values of options that need more than a number.
+
+use std::str::FromStr;
+
+use psf_types::{FrameShape, PixelRegion};
+
+/// The widest stamps that can be asked for; a larger number is a slip, and would ask for more memory than there is.
+const MAX_STAMP: usize = 8192;
+
+/// The precision of what is written, and of the work where that has one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Precision {
+    F32,
+    F64,
+}
+
+impl From<Precision> for psf_io::Precision {
+    fn from(precision: Precision) -> Self {
+        match precision {
+            Precision::F32 => Self::Single,
+            Precision::F64 => Self::Double,
+        }
+    }
+}
+
+/// `NX,NY`, both above 0.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Pair(pub(crate) usize, pub(crate) usize);
+
+impl FromStr for Pair {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match numbers::<usize>(text).as_deref() {
+            Some(&[nx, ny]) if nx > 0 && ny > 0 => Ok(Self(nx, ny)),
+            _ => Err("two whole numbers above 0 are needed, as in 1024,512".to_owned()),
+        }
+    }
+}
+
+/// `X0,Y0,NX,NY`, the last two above 0.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Frame(pub(crate) PixelRegion);
+
+impl FromStr for Frame {
+    type Err = String;
+    fn from_str(text: &str) -> Result<Self, String> {
+        match numbers::<i64>(text).as_deref() {
+            Some(&[x0, y0, nx, ny]) if nx > 0 && ny > 0 => {
+                let shape = FrameShape::new(nx as usize, ny as usize).map_err(|e| e.to_string())?;
+                Ok(Self(PixelRegion::new(x0, y0, shape)))
+            }
+            _ => Err("four whole numbers are needed, the last two above 0, as in 64,64,1024,1024".to_owned()),
+        }
+    }
+}
+
+/// Numbers with commas between them.
+pub(crate) fn numbers<T: FromStr>(text: &str) -> Option<Vec<T>> {
+    text.split(',').map(|n| n.trim().parse().ok()).collect()
+}
+
+/// A number that is `good`, or what is `needed`.
+pub(crate) fn number<T: FromStr>(
+    text: &str,
+    good: impl FnOnce(&T) -> bool,
+    needed: &str,
+) -> Result<T, String> {
+    let number = text.parse().ok().filter(good);
+    number.ok_or_else(|| format!("{needed} is needed"))
+}
+
+/// Pixels of a stamp along each axis.
+pub(crate) fn stamp_size(text: &str) -> Result<usize, String> {
+    let needed = format!("a whole number from 1 to {MAX_STAMP}");
+    number(text, |size| (1..=MAX_STAMP).contains(size), &needed)
+}
+
+/// A finite number above 0.
+pub(crate) fn above_zero(text: &str) -> Result<f64, String> {
+    number(
+        text,
+        |&value: &f64| value.is_finite() && value > 0.0,
+        "a number above 0",
+    )
+}
+
+/// A finite number, 0 or above.
+pub(crate) fn at_least_zero(text: &str) -> Result<f64, String> {
+    number(
+        text,
+        |&value: &f64| value.is_finite() && value >= 0.0,
+        "a number, 0 or above,",
+    )
+}
+
+/// A number from 0 to below 1.
+pub(crate) fn tolerance(text: &str) -> Result<f64, String> {
+    number(
+        text,
+        |value| (0.0..1.0).contains(value),
+        "a number from 0 to below 1",
+    )
+}
+
+/// Bytes: a whole number, perhaps followed by K, M or G (powers of 1024).
+pub(crate) fn bytes(text: &str) -> Result<usize, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let shift = match text[digits.len()..].to_ascii_uppercase().as_str() {
+        "" | "B" => Some(0),
+        "K" | "KB" | "KIB" => Some(10),
+        "M" | "MB" | "MIB" => Some(20),
+        "G" | "GB" | "GIB" => Some(30),
+        _ => None,
+    };
+    let number: Option<usize> = digits.trim().parse().ok();
+    number
+        .zip(shift)
+        .and_then(|(n, shift)| n.checked_mul(1 << shift))
+        .ok_or_else(|| "a whole number of bytes is needed, perhaps with K, M or G, as in 256M".to_owned())
+}
+
+/// Bytes as [`bytes`] reads them, in the largest unit of which they are a whole number.
+pub(crate) fn text_of_bytes(bytes: usize) -> String {
+    let units = [("G", 30), ("M", 20), ("K", 10)];
+    let whole = units
+        .iter()
+        .find(|(_, shift)| bytes > 0 && bytes.is_multiple_of(1 << shift));
+    whole.map_or_else(
+        || bytes.to_string(),
+        |(unit, shift)| format!("{}{unit}", bytes >> shift),
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_have_units() {
+        for (text, size) in [
+            ("0", 0),
+            ("17", 17),
+            ("3K", 3072),
+            ("256M", 256 << 20),
+            ("2GiB", 2 << 30),
+            ("1kb", 1024),
+        ] {
+            assert_eq!(bytes(text), Ok(size));
+            assert_eq!(bytes(&text_of_bytes(size)), Ok(size));
+        }
+        assert_eq!(text_of_bytes(256 << 20), "256M");
+        for text in [
+            "",
+            "M",
+            "-1",
+            "1.5G",
+            "1T",
+            "99999999999999999999",
+            "99999999999G",
+        ] {
+            assert!(bytes(text).is_err(), "{text}");
+        }
+    }
+}

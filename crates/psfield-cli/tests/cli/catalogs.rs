@@ -1,0 +1,453 @@
+//! `psfield simulate`: catalogues, finer scenes, extensions, a detector.
+
+use ndarray::{Array2, s};
+use psfield::psf_io::{self, Card, CardValue, HeaderCards};
+use psfield::psf_types::Image;
+
+use crate::desk::{Desk, NX, NY, difference, points, samples};
+
+/// Rounding of f64.
+const DOUBLE: f64 = 1e-11;
+/// Two images that differ by more than this are not the same.
+const VISIBLE: f64 = 1e-3;
+
+const SHAPE: &str = "--shape 61,51";
+
+/// Stars through samples that are fine enough to place them between pixels.
+fn desk() -> Desk {
+    let desk = Desk::new();
+    desk.write_samples("fine.fits", &samples(3, 3));
+    desk.write("stars.csv", "x,y,flux\n30.25,25.5,100\n10,12,50\n-3,20.5,70\n");
+    desk
+}
+
+fn stars(desk: &Desk, options: &str, name: &str) -> Array2<f64> {
+    let run = format!("simulate --psf fine.fits {SHAPE} --precision f64 --tolerance 0 {options} -o {name}");
+    desk.done(&run);
+    desk.image(name)
+}
+
+#[test]
+fn columns_origins_and_magnitudes() {
+    let desk = desk();
+    let expected = stars(&desk, "--catalog stars.csv", "expected.fits");
+    assert!(
+        expected.slice(s![.., ..3]).sum() > 1.0,
+        "the star off the frame shines in"
+    );
+    desk.write(
+        "sextractor.cat",
+        "#   1 X_IMAGE  [pixel]\n#   2 Y_IMAGE  [pixel]\n#   3 MAG_AUTO  [mag]\n 31.25 26.5 20.0\n 11 13 20.752574989159953\n -2 21.5 20.38725\n",
+    );
+    let mapped = stars(
+        &desk,
+        "--catalog sextractor.cat --columns x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO --one-based --zero-point 25",
+        "mapped.fits",
+    );
+    // The last magnitude has five decimals.
+    assert!(difference(&mapped, &expected) < 1e-5);
+    let shifted = stars(
+        &desk,
+        "--catalog sextractor.cat --columns x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO --zero-point 25",
+        "shifted.fits",
+    );
+    assert!(difference(&shifted, &expected) > VISIBLE);
+}
+
+#[test]
+fn catalogues_that_do_not_suit() {
+    let desk = desk();
+    desk.write("mags.csv", "x,y,mag\n1,2,20\n");
+    desk.write("bad.csv", "x,y,flux\n1,2,3\n4,,5\n");
+    desk.write("sky.csv", "ra,dec,flux\n10,20,3\n");
+    desk.write("lacks.csv", "x,y,flux,re,n\n1,2,3,4,\n");
+    desk.write("galaxy.csv", "x,y,flux,re,n\n1,2,3,4,9\n");
+    let simulate = |options: &str| format!("simulate --psf fine.fits {SHAPE} -o x.fits {options}");
+    for (options, needles) in [
+        ("--catalog mags.csv", &["mags.csv", "--zero-point"][..]),
+        ("--catalog bad.csv", &["bad.csv", "line 3", "y is"]),
+        ("--catalog sky.csv", &["sky.csv", "sky coordinates"]),
+        ("--catalog galaxy.csv", &["galaxy.csv", "line 2", "index"]),
+        ("--catalog stars.csv --columns x=XX,y=y", &["stars.csv", "XX"]),
+        (
+            "--catalog stars.csv --zero-point 25",
+            &["stars.csv", "flux", "--zero-point"],
+        ),
+        ("--catalog lacks.csv", &["lacks.csv", "line 2", "index"]),
+    ] {
+        desk.refused(&simulate(options), 1, needles);
+    }
+    for (options, needles) in [
+        ("--catalog stars.csv --columns x=1", &["--columns"][..]),
+        ("--catalog stars.csv --oversample 0", &["--oversample"]),
+        ("--catalog stars.csv --truth t.fits", &["--detector"]),
+        ("--catalog stars.csv --extension 1", &["SCENE"]),
+    ] {
+        desk.refused(&simulate(options), 2, needles);
+    }
+    desk.refused(
+        "simulate scene.fits --psf fine.fits -o x.fits --one-based",
+        2,
+        &["--one-based", "catalogue"],
+    );
+    let report = desk
+        .done(&simulate("--catalog bad.csv --skip-invalid --json"))
+        .json();
+    assert_eq!(
+        (report["sources"].as_u64(), report["invalid_rows"].as_u64()),
+        (Some(1), Some(1))
+    );
+}
+
+/// Galaxies are light in pixels before the PSF: alone, on a scene, streamed, and in finer pixels.
+#[test]
+fn galaxies_are_convolved() {
+    let desk = desk();
+    desk.write(
+        "galaxies.csv",
+        "x,y,flux,re,n,q,angle\n30.5,25,100,2.5,1,0.6,30\n10,12,50,0,0,,\n",
+    );
+    let report = desk
+        .done(&format!(
+            "simulate --psf fine.fits {SHAPE} --catalog galaxies.csv -o g.fits --precision f64 -q --json"
+        ))
+        .json();
+    assert_eq!(
+        (report["sources"].as_u64(), report["galaxies"].as_u64()),
+        (Some(1), Some(1))
+    );
+    let alone = desk.image("g.fits");
+    assert!((alone.sum() - 150.0).abs() < 0.5);
+    // Wider than the star beside it, and long along the angle.
+    let around = |x: usize, y: usize| alone[[y, x]];
+    assert!(
+        around(34, 27) > 1.5 * around(34, 23),
+        "{} {}",
+        around(34, 27),
+        around(34, 23)
+    );
+
+    desk.write_image("dark.fits", Array2::zeros((NY, NX)));
+    for options in ["", "--stream"] {
+        desk.done(&format!(
+            "simulate dark.fits --psf fine.fits --catalog galaxies.csv -o same.fits --precision f64 -q --overwrite {options}"
+        ));
+        assert!(difference(&desk.image("same.fits"), &alone) < DOUBLE, "{options}");
+    }
+    // Finer pixels blur less by their own size.
+    desk.done(&format!(
+        "simulate --psf fine.fits {SHAPE} --catalog galaxies.csv --oversample 3 -o finer.fits --precision f64 -q"
+    ));
+    let finer = desk.image("finer.fits");
+    assert!(finer.dim() == alone.dim() && (finer.sum() - 150.0).abs() < 0.5);
+    let between = difference(&finer, &alone);
+    assert!(between > 1e-3 && between < 0.1, "{between}");
+    assert!(finer[[25, 30]] > alone[[25, 30]]);
+}
+
+/// The scene's world coordinates, cut and binned with it, and sources placed by them.
+#[test]
+fn sky_coordinates_and_headers() {
+    let desk = desk();
+    let cards = |crpix: f64, step: f64| {
+        [
+            ("CTYPE1", CardValue::from("RA---TAN")),
+            ("CTYPE2", "DEC--TAN".into()),
+            ("CRVAL1", 150.0.into()),
+            ("CRVAL2", 2.0.into()),
+            ("CRPIX1", crpix.into()),
+            ("CRPIX2", crpix.into()),
+            ("CD1_1", (-step).into()),
+            ("CD1_2", 0.0.into()),
+            ("CD2_1", 0.0.into()),
+            ("CD2_2", step.into()),
+        ]
+        .map(|(keyword, value)| Card::new(keyword, value, "").unwrap())
+    };
+    let write = |name: &str, pixels: Array2<f64>, cards: &[Card]| {
+        let image = Image::new(pixels).unwrap();
+        psf_io::write_image(desk.path(name), &image, &HeaderCards::new(), cards, true).unwrap();
+    };
+    // One-based pixel (31, 31) is (30, 30) from 0; a step in declination moves up.
+    write("wcs.fits", points(&[]), &cards(31.0, 1e-4));
+    desk.write("sky.csv", "ra,dec,flux\n150,2.0005,10\n150,2,20\n330,-2,5\n");
+    desk.write("pixels.csv", "x,y,flux\n30,35,10\n30,30,20\n");
+    let expected = stars(&desk, "--catalog pixels.csv", "expected.fits");
+    desk.done(
+        "simulate wcs.fits --psf fine.fits --precision f64 --tolerance 0 --catalog sky.csv -o placed.fits",
+    );
+    assert!(difference(&desk.image("placed.fits"), &expected) < 1e-6);
+    let placed = stars(&desk, "--wcs wcs.fits --catalog sky.csv", "dark.fits");
+    assert!(difference(&placed, &expected) < 1e-6);
+    let number = |name: &str, keyword: &str| match desk.header(name).get(keyword).unwrap().value() {
+        Some(CardValue::Real(value)) => value,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(number("dark.fits", "CRPIX1"), 31.0);
+
+    // Twice as fine: the same place on the sky.
+    write(
+        "fine_wcs.fits",
+        Array2::zeros((2 * NY, 2 * NX)),
+        &cards(61.5, 0.5e-4),
+    );
+    desk.done(
+        "simulate fine_wcs.fits --psf fine.fits --oversample 2 --precision f64 --tolerance 0 --catalog sky.csv -o binned.fits \
+         --frame 2,4,40,44",
+    );
+    let cut = expected.slice(s![4..48, 2..42]).to_owned();
+    let image = desk.image("binned.fits");
+    assert_eq!(image.dim(), cut.dim());
+    assert_eq!(
+        (number("binned.fits", "CRPIX1"), number("binned.fits", "CD2_2")),
+        (29.0, 1e-4)
+    );
+    // The field begins at the frame's first pixel, so the PSF is a little another; the places are the same.
+    let brightest = |image: &Array2<f64>| {
+        image
+            .indexed_iter()
+            .max_by(|a, b| a.1.total_cmp(b.1))
+            .map(|(place, _)| place)
+    };
+    assert_eq!(brightest(&image), brightest(&cut));
+
+    // What the frame shows is what the whole shows there, with a PSF that does not vary.
+    desk.done("simulate wcs.fits --psf fine.fits -o no_sky.fits");
+    write("none.fits", points(&[]), &[]);
+    desk.refused(
+        "simulate none.fits --psf fine.fits --catalog sky.csv -o x.fits",
+        1,
+        &["sky.csv", "world coordinates"],
+    );
+}
+
+/// A finer scene against stars at the centres of its pixels; streamed and checked.
+#[test]
+fn finer_scenes() {
+    let desk = desk();
+    let mut light = Array2::zeros((2 * NY, 2 * NX));
+    light[[51, 60]] = 100.0;
+    desk.write_image("fine_scene.fits", light);
+    desk.write("centre.csv", "x,y,flux\n29.75,25.25,100\n");
+    let expected = stars(&desk, "--catalog centre.csv", "expected.fits");
+    for options in ["", "--stream", "--method basis"] {
+        let run = format!(
+            "simulate fine_scene.fits --oversample 2 --psf fine.fits --precision f64 --spot-check 200 {options} -o image.fits --overwrite --json"
+        );
+        let report = desk.done(&run).json();
+        assert_eq!(report["shape"][0].as_u64(), Some(NX as u64));
+        assert_eq!(report["spot_check"]["passed"].as_bool(), Some(true));
+        let largest = difference(&desk.image("image.fits"), &expected);
+        assert!(largest < 1e-4, "{options}: {largest}");
+    }
+    desk.refused(
+        "simulate scene.fits --oversample 2 --psf fine.fits -o x.fits",
+        1,
+        &["61 x 51", "--oversample 2"],
+    );
+    desk.refused(
+        "simulate scene.fits --oversample 99 --psf fine.fits -o x.fits",
+        2,
+        &["--oversample"],
+    );
+}
+
+/// Stars are cut as GalSim and photutils cut them: so many pixels about the one that each lies on.
+#[test]
+fn stars_are_cut_to_the_stamp_size() {
+    let desk = desk();
+    let whole = stars(&desk, "--catalog stars.csv", "whole.fits");
+    let cut = stars(&desk, "--catalog stars.csv --stamp-size 5", "cut.fits");
+    for ((y, x), value) in cut.indexed_iter() {
+        // Pixels (30, 26), (10, 12) and (-3, 21).
+        let inside = [(30, 26), (10, 12), (-3, 21)]
+            .iter()
+            .any(|&(i, j)| (x as i64 - i).abs() <= 2 && (y as i64 - j).abs() <= 2);
+        assert!(
+            (value - if inside { whole[[y, x]] } else { 0.0 }).abs() < 1e-9,
+            "{x}, {y}"
+        );
+    }
+    let run = format!(
+        "simulate --psf fine.fits {SHAPE} --precision f64 --catalog stars.csv --stamp-size 5 --method direct -o direct.fits"
+    );
+    desk.done(&run);
+    assert!(difference(&desk.image("direct.fits"), &cut) < DOUBLE);
+}
+
+/// The scene in an extension is chosen, not guessed; its primary header's cards come along.
+#[test]
+fn scenes_in_extensions() {
+    let desk = desk();
+    desk.write("mef.fits", mef());
+    desk.refused(
+        "simulate mef.fits --psf samples.fits -o x.fits",
+        1,
+        &["mef.fits", "SCI", "WHT", "--extension"],
+    );
+    desk.done("simulate mef.fits --extension SCI --psf samples.fits -o image.fits");
+    assert!((desk.image("image.fits").sum() - 3.0).abs() < 1e-3);
+    let telescope = desk.header("image.fits").get("TELESCOP").and_then(Card::value);
+    assert_eq!(telescope, Some("Small One".into()));
+    desk.refused(
+        "simulate mef.fits --extension 7 --psf samples.fits -o x.fits",
+        1,
+        &["mef.fits", "7"],
+    );
+}
+
+/// An empty primary HDU and two images of the desk's field, SCI with one lit pixel.
+fn mef() -> Vec<u8> {
+    let header = |cards: &[String]| {
+        let mut bytes: Vec<u8> = cards
+            .iter()
+            .flat_map(|card| format!("{card:<80}").into_bytes())
+            .collect();
+        bytes.extend(format!("{:<80}", "END").into_bytes());
+        bytes.resize(bytes.len().next_multiple_of(2880), b' ');
+        bytes
+    };
+    let card = |keyword: &str, value: &str| format!("{keyword:<8}= {value:>20}");
+    let mut file = header(&[
+        card("SIMPLE", "T"),
+        card("BITPIX", "8"),
+        card("NAXIS", "0"),
+        card("EXTEND", "T"),
+        "TELESCOP= 'Small One'".to_owned(),
+    ]);
+    for (name, lit) in [("SCI", 3.0f32), ("WHT", 1.0)] {
+        file.extend(header(&[
+            "XTENSION= 'IMAGE   '".to_owned(),
+            card("BITPIX", "-32"),
+            card("NAXIS", "2"),
+            card("NAXIS1", &NX.to_string()),
+            card("NAXIS2", &NY.to_string()),
+            card("PCOUNT", "0"),
+            card("GCOUNT", "1"),
+            format!("EXTNAME = '{name:<8}'"),
+        ]));
+        let mut data: Vec<u8> = (0..NX * NY)
+            .flat_map(|i| if i == 25 * NX + 30 { lit } else { 0.0 }.to_be_bytes())
+            .collect();
+        data.resize(data.len().next_multiple_of(2880), 0);
+        file.extend(data);
+    }
+    file
+}
+
+/// What a detector counts, with the truth beside it; the same as by `expose`.
+#[test]
+fn a_detector_behind_the_image() {
+    let desk = desk();
+    desk.write(
+        "ccd.toml",
+        "photon_noise = true\nsky_e = 50.0\nread_noise_e = 4.0\ngain_e_per_adu = 2.0\nbias_adu = 100.0\nbits = 16\n",
+    );
+    let simulate = "simulate scene.fits --psf samples.fits";
+    let report = desk
+        .done(&format!(
+            "{simulate} --detector ccd.toml --seed 5 --truth truth.fits -o raw.fits --json"
+        ))
+        .json();
+    assert!(report["exposure"]["mean_sky_e"].as_f64().is_some());
+    desk.done(&format!("{simulate} -o image.fits"));
+    desk.done("expose image.fits --detector ccd.toml --seed 5 -o exposed.fits");
+    assert_eq!(desk.image("raw.fits"), desk.image("exposed.fits"));
+    let (image, truth) = (desk.image("image.fits"), desk.image("truth.fits"));
+    let expected = image.mapv(|v| 0.5 * (v + 50.0) + 100.0);
+    assert!(difference(&truth, &expected) < 1e-6);
+    let noise = (&desk.image("raw.fits") - &truth)
+        .mapv(|v| v * v)
+        .mean()
+        .unwrap()
+        .sqrt();
+    assert!((2.0..8.0).contains(&noise), "{noise}");
+    desk.done(&format!("{simulate} --detector ccd.toml --seed 6 -o other.fits"));
+    assert_ne!(desk.image("raw.fits"), desk.image("other.fits"));
+    // Kept beside the image unless told otherwise.
+    assert_eq!(desk.image("other_truth.fits"), truth);
+    desk.done(&format!("{simulate} --detector ccd.toml --no-truth -o bare.fits"));
+    assert!(!desk.path("bare_truth.fits").exists());
+    desk.write("perfect.toml", "");
+    desk.refused(
+        &format!("{simulate} --detector perfect.toml -o x.fits"),
+        2,
+        &["nothing to add"],
+    );
+    desk.refused(
+        &format!("{simulate} --detector ccd.toml --truth scene.fits -o x.fits --overwrite"),
+        1,
+        &["scene.fits"],
+    );
+    desk.refused(
+        &format!("{simulate} --stream --detector ccd.toml -o x.fits"),
+        2,
+        &["--stream", "expose"],
+    );
+}
+
+/// Galaxies at the edge and off the frame: what comes in is what a wider frame shows there; streamed and finer too.
+#[test]
+fn galaxies_beyond_the_edge_shine_in() {
+    let desk = desk();
+    // The same PSF everywhere, so that the place of the frame does not matter.
+    desk.write_samples("one.fits", &crate::desk::samples_at(&[(30.0, 25.0)], 3));
+    let rows = [(0.0, 20.0), (-4.0, 30.5), (60.5, 50.0), (30.0, -6.25)];
+    let table = |dx: f64| {
+        let line = |(x, y): &(f64, f64)| format!("{},{},100,3,1,0.7,20\n", x + dx, y + dx);
+        "x,y,flux,re,n,q,angle\n".to_owned() + &rows.iter().map(line).collect::<String>()
+    };
+    desk.write("galaxies.csv", table(0.0));
+    desk.write("moved.csv", table(40.0));
+    let psf = "--psf one.fits --precision f64 --tolerance 0 -q";
+    desk.done(&format!(
+        "simulate {psf} --catalog moved.csv --shape 141,131 --frame 40,40,61,51 -o wide.fits"
+    ));
+    let expected = desk.image("wide.fits");
+    assert!(
+        expected.slice(s![.., 0]).sum() > 1.0,
+        "light comes in at the left"
+    );
+    desk.write_image("dark.fits", Array2::zeros((NY, NX)));
+    for (scene, options) in [(SHAPE, ""), ("dark.fits", ""), ("dark.fits", "--stream")] {
+        desk.done(&format!(
+            "simulate {scene} {psf} --catalog galaxies.csv {options} -o image.fits --overwrite --spot-check 100"
+        ));
+        let largest = difference(&desk.image("image.fits"), &expected);
+        assert!(largest < 1e-9, "{scene} {options}: {largest}");
+    }
+    // The header's pixels are those of the frame, not of what was put around the scene.
+    let place = desk.header("image.fits").get("CRPIX1").and_then(Card::value);
+    assert_eq!(place, Some(20.5.into()));
+    desk.done(&format!(
+        "simulate {SHAPE} {psf} --catalog galaxies.csv --frame 3,4,50,40 -o cut.fits"
+    ));
+    let cut = expected.slice(s![4..44, 3..53]).to_owned();
+    assert!(difference(&desk.image("cut.fits"), &cut) < 1e-9);
+}
+
+/// Galaxies are blurred by the pixels on which they are drawn: said, and mended by finer pixels.
+#[test]
+fn small_galaxies_need_finer_pixels() {
+    let desk = desk();
+    desk.write("small.csv", "x,y,flux,re,n\n30.4,25,100,0.05,1\n");
+    desk.write("star.csv", "x,y,flux\n30.4,25,100\n");
+    let run = |options: &str, out: &str| {
+        format!("simulate --psf fine.fits {SHAPE} --precision f64 {options} -o {out}")
+    };
+    desk.done(&run("--catalog star.csv", "star.fits"));
+    let blurred = "1 galaxies are blurred a second time";
+    desk.warned(&run("--catalog small.csv", "coarse.fits"), blurred);
+    desk.warned(&run("--catalog small.csv --oversample 15", "finer.fits"), blurred);
+    let star = desk.image("star.fits");
+    let (coarse, finer) = (desk.image("coarse.fits"), desk.image("finer.fits"));
+    assert!(difference(&coarse, &star) > 0.02);
+    assert!(difference(&finer, &star) < 5e-3, "{}", difference(&finer, &star));
+    // One of many pixels too, until there are four or more in a pixel of the image.
+    desk.write("large.csv", "x,y,flux,re,n\n30.4,25,100,3,1\n");
+    desk.warned(
+        &run("--catalog large.csv --oversample 3", "large.fits"),
+        "--oversample 4",
+    );
+    desk.done(&run("--catalog large.csv --oversample 4", "fine_enough.fits"));
+}

@@ -1,0 +1,193 @@
+//! A model and the scene that a benchmark convolves with it, and how both are made.
+
+use std::sync::Arc;
+
+use coeff_field::{InterpolatedField, Nearest};
+use ndarray::{Array2, Axis};
+use psf_types::{
+    DataError, FrameShape, Image, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModel, PsfModelRecord,
+    Real, SampleCoefficients, SamplePositions,
+};
+use psfield::PsfieldError;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// A model and the scene that every contender convolves with it.
+#[derive(Debug, Clone)]
+pub struct BenchCase<T> {
+    /// The model.
+    pub record: PsfModelRecord,
+    /// The scene.
+    pub scene: Image<T>,
+}
+
+impl<T> BenchCase<T> {
+    /// A model, with stamps at the frame's pixels, and a scene.
+    pub fn new(record: PsfModelRecord, scene: Image<T>) -> Self {
+        Self { record, scene }
+    }
+}
+
+/// A scene in which every pixel is lit: exponential noise of mean 1 on a smooth background between 1 and 3.
+///
+/// Nothing in it is dark or sparse, so that no method gains by skipping. The same seed gives the same scene.
+///
+/// # Errors
+/// [`DataError`] never for a valid shape; it is the type's constructor that checks.
+pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, DataError> {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let wave = |i: usize, n: usize| (WAVE * i as f64 / n as f64).sin();
+    let across: Vec<f64> = (0..shape.nx()).map(|x| wave(x, shape.nx())).collect();
+    let mut pixels = Array2::zeros((shape.ny(), shape.nx()));
+    for (y, mut row) in pixels.outer_iter_mut().enumerate() {
+        let up = wave(y, shape.ny());
+        for (pixel, across) in row.iter_mut().zip(&across) {
+            let noise = -(1.0 - rng.random_range(0.0..1.0f64)).ln();
+            *pixel = T::nearest(2.0 + across * up + noise);
+        }
+    }
+    Image::new(pixels)
+}
+
+/// Radians of the background's wave over the frame.
+const WAVE: f64 = 7.0;
+
+/// The model with its samples' positions stretched to a frame: the outermost to pixel 0 and to the last pixel along each axis, so that the
+/// PSF varies over a frame of any size as over the whole field.
+///
+/// # Errors
+/// [`DataError`] where positions that were apart fall together.
+pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelRecord, DataError> {
+    let positions = record.coefficients().positions().as_slice();
+    let x = Stretch::new(positions.iter().map(|p| p.x()), frame.nx());
+    let y = Stretch::new(positions.iter().map(|p| p.y()), frame.ny());
+    let positions: Result<Vec<Position>, DataError> = positions
+        .iter()
+        .map(|p| Position::new(x.apply(p.x()), y.apply(p.y())))
+        .collect();
+    let positions = SamplePositions::new(positions?, Some(frame))?;
+    let values = record.coefficients().values().to_owned();
+    PsfModelRecord::new(
+        record.basis().clone(),
+        SampleCoefficients::new(values, positions)?,
+        record.interpolation(),
+        record.outside(),
+        record.normalisation(),
+    )
+}
+
+/// From the extent of the samples along an axis to that of the frame.
+struct Stretch {
+    low: f64,
+    extent: f64,
+    last: f64,
+}
+
+impl Stretch {
+    fn new(coordinates: impl Iterator<Item = f64>, pixels: usize) -> Self {
+        let (low, high) = coordinates.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), c| {
+            (low.min(c), high.max(c))
+        });
+        Self {
+            low,
+            extent: high - low,
+            last: (pixels - 1) as f64,
+        }
+    }
+
+    fn apply(&self, coordinate: f64) -> f64 {
+        if self.extent > 0.0 {
+            // Rounding must not carry the last sample off the frame.
+            ((coordinate - self.low) / self.extent * self.last).min(self.last)
+        } else {
+            self.last / 2.0
+        }
+    }
+}
+
+/// The model with the same PSF everywhere: that of a position.
+///
+/// # Errors
+/// [`PsfieldError::Field`] where the PSF has no value, [`PsfieldError::Data`] where it is dark.
+pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel, PsfieldError> {
+    let psf = model.psf_at(position)?;
+    let norm = psf.values().iter().map(|v| v * v).sum::<f64>().sqrt();
+    let stamp = psf.values().mapv(|v| v / norm).insert_axis(Axis(0));
+    let basis = PsfBasis::new(None, stamp, model.grid())?;
+    let at = SamplePositions::new(vec![position], model.field_shape())?;
+    let coefficient = SampleCoefficients::new(Array2::from_elem((1, 1), norm), at)?;
+    let field = InterpolatedField::new(&coefficient, &Nearest, OutsidePolicy::Nearest)?;
+    let shape = model.field_shape();
+    // Scaled already, if at all.
+    Ok(PsfModel::new(
+        &basis,
+        Arc::new(field),
+        Normalisation::Keep,
+        shape,
+    )?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::Array3;
+    use psf_types::{PsfSamples, StampGrid};
+    use psfield::{FitOptions, fit, model_of};
+
+    #[test]
+    fn every_pixel_is_lit_and_the_seed_decides() {
+        let shape = FrameShape::new(40, 30).unwrap();
+        let pixels = |seed| lit_scene::<f32>(shape, seed).unwrap().into_pixels();
+        assert!(pixels(1).iter().all(|&v| v >= 1.0));
+        assert_eq!(pixels(1), pixels(1));
+        assert_ne!(pixels(1), pixels(2));
+        // The mean of the noise is 1, that of the background near 2; 1200 pixels know it to a few percent.
+        assert!((pixels(3).mean().unwrap() - 3.0).abs() < 0.3);
+    }
+
+    /// Four Gaussians that widen to the right, on a field of 21 x 11 pixels.
+    fn record() -> PsfModelRecord {
+        let corners = [(2, 1), (18, 1), (2, 9), (18, 9)].map(|(x, y)| Position::of_pixel(x, y));
+        let stamps = Array3::from_shape_fn((4, 9, 9), |(j, y, x)| {
+            (-((y as f64 - 4.0).powi(2) + (x as f64 - 4.0).powi(2)) / (2.0 + j as f64)).exp()
+        });
+        let positions = SamplePositions::new(corners.to_vec(), FrameShape::new(21, 11).ok()).unwrap();
+        let samples = PsfSamples::new(stamps, positions, StampGrid::new(9, 9).unwrap()).unwrap();
+        fit(samples, &FitOptions::default()).unwrap().record().clone()
+    }
+
+    #[test]
+    fn stretching_moves_positions_and_nothing_else() {
+        let record = record();
+        let frame = FrameShape::new(101, 51).unwrap();
+        let wide = stretched(&record, frame).unwrap();
+        let corners: Vec<(f64, f64)> = wide
+            .coefficients()
+            .positions()
+            .as_slice()
+            .iter()
+            .map(|p| (p.x(), p.y()))
+            .collect();
+        assert_eq!(corners, [(0.0, 0.0), (100.0, 0.0), (0.0, 50.0), (100.0, 50.0)]);
+        assert_eq!(wide.coefficients().positions().field(), Some(frame));
+        let psf = |record: PsfModelRecord, x: f64, y: f64| {
+            let model = model_of(record).unwrap();
+            model.psf_at(Position::new(x, y).unwrap()).unwrap().into_values()
+        };
+        let difference = psf(record, 6.0, 3.0) - psf(wide, 25.0, 12.5);
+        assert!(difference.iter().all(|d| d.abs() < 1e-15));
+    }
+
+    #[test]
+    fn the_constant_model_has_the_psf_of_its_position() {
+        let model = model_of(record()).unwrap();
+        let position = Position::new(10.0, 5.0).unwrap();
+        let constant = constant(&model, position).unwrap();
+        let psf = model.psf_at(position).unwrap();
+        for (x, y) in [(0, 0), (20, 10), (10, 5)] {
+            let there = constant.psf_at(Position::of_pixel(x, y)).unwrap();
+            let difference = &there.values() - &psf.values();
+            assert!(difference.iter().all(|d| d.abs() < 1e-15));
+        }
+    }
+}

@@ -1,0 +1,195 @@
+//! The methods that are measured, and each of them ready to run.
+
+use std::time::Instant;
+
+use conv_core::{ConvReal, PlanSummary};
+use ndarray::Array2;
+use psf_types::{NoProgress, Position};
+use psfield::{Device, GpuSeconds, Method, Psf, PsfieldError, Scene, SimulateOptions, Simulator, model_of};
+
+use crate::bench::case::constant;
+use crate::bench::{BenchCase, BenchOptions, BenchRow};
+
+/// A method with its setting.
+#[derive(Debug, Clone, Copy, PartialEq)]
+#[non_exhaustive]
+pub enum Contender {
+    /// One PSF for the whole frame, that of its middle: a [`Plan`](conv_core::Plan) of a model whose field is constant. It has
+    /// a single mode and no coefficients, and is the fastest convolution with one PSF that there is here.
+    Single,
+    /// The fast engine by transforms alone ([`Paths::Transforms`](conv_core::Paths::Transforms)).
+    LowRank {
+        /// The tolerance.
+        tolerance: f64,
+    },
+    /// The fast engine, each tile in the cheapest way.
+    Auto {
+        /// The tolerance.
+        tolerance: f64,
+    },
+    /// One PSF for each square patch ([`PatchConvolution`](conv_core::PatchConvolution)).
+    Patch {
+        /// Pixels along each side.
+        size: usize,
+    },
+    /// One whole-image convolution a component ([`BasisConvolution`](conv_core::BasisConvolution)).
+    Basis {
+        /// The components kept, at most; the error is that to the whole model.
+        rank: usize,
+    },
+    /// The double sum in f64 ([`Direct`](conv_core::Direct)).
+    Direct,
+}
+
+impl Contender {
+    /// The name of the method.
+    pub fn method(self) -> &'static str {
+        match self {
+            Self::Single => "single",
+            Self::LowRank { .. } => "lowrank",
+            Self::Auto { .. } => "auto",
+            Self::Patch { .. } => "patch",
+            Self::Basis { .. } => "basis",
+            Self::Direct => "direct",
+        }
+    }
+
+    /// The setting, as `tolerance=1e-3`, `patch=64` or `rank=30`.
+    pub fn setting(self) -> Option<String> {
+        match self {
+            Self::Single | Self::Direct => None,
+            Self::LowRank { tolerance } | Self::Auto { tolerance } => Some(if tolerance == 0.0 {
+                "tolerance=0".to_owned()
+            } else {
+                format!("tolerance={tolerance:e}")
+            }),
+            Self::Patch { size } => Some(format!("patch={size}")),
+            Self::Basis { rank } => Some(format!("rank={rank}")),
+        }
+    }
+
+    /// The tolerance, of the methods that take one.
+    pub fn tolerance(self) -> Option<f64> {
+        match self {
+            Self::LowRank { tolerance } | Self::Auto { tolerance } => Some(tolerance),
+            _ => None,
+        }
+    }
+}
+
+/// A contender with all that does not depend on the light.
+#[derive(Debug)]
+pub(super) struct Prepared<T: ConvReal> {
+    simulator: Simulator<T>,
+    /// All that is known before the first run.
+    pub(super) row: BenchRow,
+}
+
+/// How long a run took.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct RunTime {
+    pub(super) seconds: f64,
+    /// In parts, on a GPU.
+    pub(super) gpu: Option<GpuSeconds>,
+}
+
+impl<T: ConvReal> Prepared<T> {
+    pub(super) fn new(
+        contender: Contender,
+        case: &BenchCase<T>,
+        psf: &Psf,
+        options: &BenchOptions,
+    ) -> Result<Self, PsfieldError> {
+        let frame = case.scene.shape();
+        let (psf, method) = match contender {
+            Contender::Single => {
+                let middle = Position::new((frame.nx() - 1) as f64 / 2.0, (frame.ny() - 1) as f64 / 2.0)?;
+                (Psf::from(constant(psf.model()?, middle)?), Method::LowRank)
+            }
+            Contender::LowRank { .. } => (psf.clone(), Method::LowRank),
+            Contender::Auto { .. } => (psf.clone(), Method::Auto),
+            Contender::Patch { size } => (psf.clone(), Method::Patch(size)),
+            Contender::Basis { rank } => {
+                let truncated = model_of(case.record.truncated(rank)?)?;
+                (Psf::from(truncated), Method::Basis)
+            }
+            Contender::Direct => (psf.clone(), Method::Direct),
+        };
+        let mut settings = SimulateOptions {
+            method,
+            tolerance: contender.tolerance().unwrap_or(0.0),
+            anchor: options.anchor,
+            device: Device::Cpu,
+            ..SimulateOptions::default()
+        };
+        if contender.tolerance().is_some() {
+            settings.device = options.device;
+            settings.gpu_adapter.clone_from(&options.gpu_adapter);
+            settings.gpu_memory = options.gpu_memory;
+        }
+        let simulator = psf
+            .simulator((frame.ny(), frame.nx()))
+            .options(settings)
+            .build()?;
+        let made = simulator.prepare(&Scene::from(&case.scene), false, &NoProgress)?;
+        let plan = made.plan.as_ref();
+        let (modes, tile) = match contender {
+            Contender::Patch { size } => (Some(1.0), Some([size, size])),
+            Contender::Basis { .. } => (Some(made.model.stamp_count() as f64), None),
+            _ => (
+                plan.map(PlanSummary::mean_modes),
+                plan.map(|plan| plan.tile.into()),
+            ),
+        };
+        let row = BenchRow {
+            method: contender.method(),
+            setting: contender.setting(),
+            tolerance: contender.tolerance(),
+            size: [frame.nx(), frame.ny()],
+            samples: case.record.coefficients().positions().len(),
+            rank: made.model.rank(),
+            precision: T::NAME,
+            anchor: options.anchor,
+            seconds_plan: plan.is_some().then_some(made.plan_seconds),
+            seconds: 0.0,
+            seconds_median: 0.0,
+            ratio_to_single: 0.0,
+            relative_l2: None,
+            modes,
+            tile,
+            transform: plan.map(|plan| plan.transform.into()),
+            threads: rayon::current_num_threads(),
+            peak_memory_bytes: None,
+            gpu: made.placement.adapter().map(str::to_owned),
+            gpu_seconds: None,
+        };
+        Ok(Self { simulator, row })
+    }
+
+    /// Makes the image in memory that is there, which is cleared off the clock, and returns how long that took.
+    pub(super) fn run(&self, scene: &Scene<'_, T>, image: &mut Array2<T>) -> Result<RunTime, PsfieldError> {
+        image.fill(T::zero());
+        let clock = Instant::now();
+        self.simulator
+            .simulate_into(scene, image.view_mut(), &NoProgress)?;
+        Ok(RunTime {
+            seconds: clock.elapsed().as_secs_f64(),
+            gpu: self.simulator.gpu_seconds(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn settings_name_what_they_set() {
+        let text = |contender: Contender| contender.setting().unwrap_or_default();
+        assert_eq!(text(Contender::LowRank { tolerance: 1e-3 }), "tolerance=1e-3");
+        assert_eq!(text(Contender::Auto { tolerance: 0.0 }), "tolerance=0");
+        assert_eq!(text(Contender::Patch { size: 64 }), "patch=64");
+        assert_eq!(text(Contender::Basis { rank: 30 }), "rank=30");
+        assert_eq!(text(Contender::Direct), "");
+    }
+}

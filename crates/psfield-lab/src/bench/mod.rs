@@ -1,0 +1,32 @@
+//! Run time against measured error, for every method, in one run.
+//!
+//! A [`BenchCase`] is a model and a scene; [`run()`] plans each [`Contender`], runs all of them in turn (A B C, A B C, ...), so that a
+//! machine that slows down does so for all, and measures each image against the direct sum in double precision at random pixels:
+//! the same pixels and the same exact values for all. The unit of the ratios is one convolution with a single PSF
+//! ([`Contender::Single`]), which is always among the rows. [`BenchOptions::device`] puts the fast engine on a GPU.
+//!
+//! ```
+//! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};
+//! # use ndarray::Array3;
+//! # use psfield::psf_types::{FrameShape, NoProgress, Position, PsfSamples, SamplePositions, StampGrid};
+//! # let positions = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(x, y)| Position::of_pixel(x, y)).to_vec();
+//! # let stamps = Array3::from_shape_fn((4, 9, 9), |(j, y, x)| {
+//! #     (-((y as f64 - 4.0).powi(2) + (x as f64 - 4.0).powi(2)) / (2.0 + j as f64)).exp()
+//! # });
+//! # let samples = PsfSamples::new(stamps, SamplePositions::new(positions, None)?, StampGrid::new(9, 9)?)?;
+//! let frame = FrameShape::new(48, 40)?;
+//! let fitted = psfield::fit(samples, &Default::default())?;
+//! let case = BenchCase::new(stretched(fitted.record(), frame)?, lit_scene::<f32>(frame, 1)?);
+//! let outcome = run(&case, &[Contender::LowRank { tolerance: 1e-4 }], &BenchOptions::default(), &NoProgress)?;
+//! assert_eq!(outcome.rows.len(), 2); // the single PSF comes first
+//! assert!(outcome.rows[1].relative_l2 < Some(1e-4));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod case;
+mod contender;
+mod run;
+
+pub use case::{BenchCase, lit_scene, stretched};
+pub use contender::Contender;
+pub use run::{BenchOptions, BenchOutcome, BenchRow, Skipped, run};

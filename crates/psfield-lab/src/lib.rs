@@ -1,0 +1,35 @@
+//! Measures and shows the images of [`psfield`]: run time against error ([`mod@bench`]), the
+//! figures and tables of the method's paper ([`report`]), the round trip from a frame to its
+//! simulation ([`RoundTrip`]), figures ([`plot`]) and pictures of images ([`preview`]).
+//!
+//! It stands on the library and knows nothing of the command line.
+//!
+//! # Features
+//! `gpu` (default): that of [`psfield`].
+
+/// A row of a table, and the names of its columns: those of its fields.
+macro_rules! table_row {
+    ($(#[$meta:meta])* $columns:ident $row:ident { $($field:ident: $type:ty,)+ }) => {
+        #[doc = concat!("The columns of a table of [`", stringify!($row), "`]s.")]
+        pub const $columns: &[&str] = &[$(stringify!($field)),+];
+
+        $(#[$meta])*
+        pub struct $row {
+            $(pub $field: $type,)+
+        }
+    };
+}
+
+pub mod bench;
+mod error;
+mod memory;
+pub mod plot;
+pub mod preview;
+pub mod report;
+mod round_trip;
+
+pub use error::LabError;
+pub use memory::{available_memory_bytes, peak_memory_bytes};
+pub use round_trip::{
+    Agreement, Distribution, ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions, RoundTripReport, RoundTripRow,
+};

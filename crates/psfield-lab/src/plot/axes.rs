@@ -1,0 +1,291 @@
+//! Axes as all figures have them, and where numbers stand on them.
+
+use std::ops::Range;
+
+use plotters::chart::{ChartBuilder, ChartContext, SeriesLabelPosition};
+use plotters::coord::ranged1d::{Ranged, ValueFormatter};
+use plotters::coord::types::RangedCoordf64;
+use plotters::prelude::{Cartesian2d, IntoFont, RGBColor, SVGBackend, Text, TextStyle, WHITE};
+use plotters::style::text_anchor::{HPos, Pos, VPos};
+use plotters::style::{BLACK, Color};
+use psfield::readable;
+
+use crate::plot::figure::{Area, PlotError};
+
+/// Sizes of text, readable where a panel of 560 pixels takes half a page.
+pub(super) const TITLE: i32 = 17;
+pub(super) const TEXT: i32 = 15;
+pub(super) const SMALL: i32 = 12;
+pub(super) const LABEL_ROOM_X: u32 = 50;
+pub(super) const LABEL_ROOM_Y: u32 = 84;
+pub(super) const MARGIN: u32 = 14;
+
+/// How plotters counts along an axis.
+pub(super) trait Counting: Ranged<ValueType = f64> + ValueFormatter<f64> {}
+impl<R: Ranged<ValueType = f64> + ValueFormatter<f64>> Counting for R {}
+
+pub(super) type Chart<'a, 'b, X, Y> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, Y>>;
+/// A chart with even steps along both axes.
+pub(super) type EvenChart<'a, 'b> = Chart<'a, 'b, RangedCoordf64, RangedCoordf64>;
+
+/// A chart with even steps that fills an area, and its axes.
+pub(super) fn even_chart<'a, 'b>(
+    area: &'a Area<'b>,
+    [(x_name, x), (y_name, y)]: [(&str, Range<f64>); 2],
+) -> Result<EvenChart<'a, 'b>, PlotError> {
+    let mut chart = ChartBuilder::on(area)
+        .margin(MARGIN)
+        .x_label_area_size(LABEL_ROOM_X)
+        .y_label_area_size(LABEL_ROOM_Y)
+        .build_cartesian_2d(x, y)?;
+    draw_axes(&mut chart, x_name, y_name)?;
+    Ok(chart)
+}
+
+/// Grid, numbers and names of the axes.
+pub(super) fn draw_axes<'a, 'b: 'a, X: Counting, Y: Counting>(
+    chart: &mut Chart<'a, 'b, X, Y>,
+    x_name: &str,
+    y_name: &str,
+) -> Result<(), PlotError> {
+    let (x, y) = (chart.x_range(), chart.y_range());
+    chart
+        .configure_mesh()
+        .x_labels(6)
+        .y_labels(6)
+        .max_light_lines(1)
+        .light_line_style(WHITE)
+        .bold_line_style(RGBColor(222, 222, 222))
+        .label_style(("sans-serif", TEXT))
+        .axis_desc_style(("sans-serif", TITLE))
+        .x_desc(x_name)
+        .y_desc(y_name)
+        .x_label_formatter(&|v| number(*v, (x.start, x.end)))
+        .y_label_formatter(&|v| number(*v, (y.start, y.end)))
+        .draw()?;
+    Ok(())
+}
+
+/// The key to the lines, over the plot.
+pub(super) fn draw_key<'a, 'b: 'a, X: Counting, Y: Counting>(
+    chart: &mut Chart<'a, 'b, X, Y>,
+    at: SeriesLabelPosition,
+) -> Result<(), PlotError> {
+    chart
+        .configure_series_labels()
+        .position(at)
+        .margin(8)
+        .label_font(text_style(TEXT))
+        .background_style(WHITE.mix(0.85))
+        .border_style(RGBColor(200, 200, 200))
+        .draw()?;
+    Ok(())
+}
+
+pub(super) fn text_style(size: i32) -> TextStyle<'static> {
+    ("sans-serif", size).into_font().color(&BLACK)
+}
+
+/// Room that a heading of so many lines takes.
+pub(super) fn title_room(title: &str) -> u32 {
+    (MARGIN as usize + title.lines().count() * (TITLE as usize + 5)) as u32
+}
+
+/// Writes a heading over the plot that the area is for, and gives what is left of the area.
+pub(super) fn under_title<'a>(area: &Area<'a>, title: &str) -> Result<Area<'a>, PlotError> {
+    let (head, rest) = area.split_vertically(title_room(title));
+    // The middle of the plot, beside which are numbers.
+    let middle = (area.dim_in_pixel().0 + LABEL_ROOM_Y) as i32 / 2;
+    let style = text_style(TITLE).pos(Pos::new(HPos::Center, VPos::Top));
+    for (row, line) in title.lines().enumerate() {
+        let y = MARGIN as i32 + row as i32 * (TITLE + 5);
+        head.draw(&Text::new(line.to_owned(), (middle, y), style.clone()))?;
+    }
+    Ok(rest)
+}
+
+/// The number at a tick of an axis. What is 0 but for rounding is 0.
+pub(super) fn number(value: f64, (low, high): (f64, f64)) -> String {
+    const FIGURES: usize = 4;
+    let is_rounding = value.abs() < 1e-9 * (high - low).abs() && low <= 0.0;
+    readable(if is_rounding { 0.0 } else { value }, FIGURES)
+}
+
+/// The smallest and the largest of the finite values; none: infinite, the larger one first.
+pub(super) fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let finite = values.filter(|v| v.is_finite());
+    finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
+        (low.min(v), high.max(v))
+    })
+}
+
+/// The range of some values with room at both ends.
+pub(super) fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let (low, high) = bounds(values);
+    if low > high {
+        return 0.0..1.0;
+    }
+    let room = 0.04 * (high - low).max(1e-6 * high.abs()).max(1e-12);
+    low - room..high + room
+}
+
+/// The whole powers of ten about the positive values.
+pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
+    let (low, high) = bounds(values.filter(|v| *v > 0.0));
+    if low > high {
+        return 1e-1..1.0;
+    }
+    let (low, high) = (low.log10().floor(), high.log10().ceil());
+    10f64.powf(low)..10f64.powf(high.max(low + 1.0))
+}
+
+/// The most whole decades that are numbered.
+const DECADES: i32 = 7;
+/// Steps of an even axis, about.
+const STEPS: f64 = 5.0;
+/// Numbers of a stretched bar keep this part of its length apart.
+const APART: f64 = 0.09;
+/// Decades of a stretched bar that are looked at.
+const MOST_DECADES: i32 = 40;
+
+/// Multiples of 1, 2 or 5 times a power of ten.
+pub(super) fn even_ticks(low: f64, high: f64) -> Vec<f64> {
+    let span = high - low;
+    if !(span > 0.0 && span.is_finite()) {
+        return vec![low];
+    }
+    let rough = span / STEPS;
+    let unit = 10f64.powf(rough.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0]
+        .into_iter()
+        .map(|m| m * unit)
+        .find(|&step| step >= rough * (1.0 - ROUNDING))
+        .unwrap_or(10.0 * unit);
+    let (first, last) = (
+        (low / step - ROUNDING).ceil() as i64,
+        (high / step + ROUNDING).floor() as i64,
+    );
+    (first..=last).map(|k| k as f64 * step).collect()
+}
+
+/// Of a range above 0: whole decades, of many every second, third, ...; where there are fewer than two, 1, 2 and 5 within; and even
+/// steps in a range that has hardly any of these.
+pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
+    let low = low.max(f64::MIN_POSITIVE);
+    let first = (low.log10() - ROUNDING).ceil() as i32;
+    let last = (high.log10() + ROUNDING).floor() as i32;
+    if (high / low).log10() >= 2.0 - ROUNDING {
+        let stride = (last - first) / DECADES + 1;
+        return (first..=last)
+            .step_by(stride as usize)
+            .map(|k| 10f64.powi(k))
+            .collect();
+    }
+    let within = one_two_five(first - 1, last, low, high);
+    if within.len() > 1 {
+        within
+    } else {
+        even_ticks(low, high)
+    }
+}
+
+/// Of a bar from 0 to `high` that is linear up to `soft` and logarithmic above (`asinh(v / soft)`): 0 and 1, 2, 5 of each decade, as far as
+/// they are not too close.
+pub(super) fn asinh_ticks(soft: f64, high: f64) -> Vec<f64> {
+    let along = |v: f64| (v / soft).asinh() / (high / soft).asinh();
+    let last = high.log10().floor() as i32;
+    let first = ((soft / 10.0).log10().floor() as i32).max(last.saturating_sub(MOST_DECADES));
+    let mut ticks = vec![0.0];
+    // Whole decades go first.
+    let mut candidates = one_two_five(first, last, 0.0, high);
+    candidates.sort_by_key(|&v| (v.log10() - v.log10().round()).abs() > ROUNDING);
+    for value in candidates {
+        if ticks.iter().all(|&t| (along(value) - along(t)).abs() >= APART) {
+            ticks.push(value);
+        }
+    }
+    ticks.sort_by(f64::total_cmp);
+    ticks
+}
+
+/// Part of a step by which a tick may miss the end of its axis.
+const ROUNDING: f64 = 1e-9;
+
+fn one_two_five(first: i32, last: i32, low: f64, high: f64) -> Vec<f64> {
+    (first..=last)
+        .flat_map(|k| [1.0, 2.0, 5.0].map(|m| m * 10f64.powi(k)))
+        .filter(|v| (low * (1.0 - ROUNDING)..=high * (1.0 + ROUNDING)).contains(v))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounding_at_zero_is_not_shown() {
+        assert_eq!(number(2e-17, (-1.0, 1.0)), "0");
+        assert_eq!(number(2e-17, (-1e-16, 1e-16)), "2e-17");
+        assert_eq!(number(1e-20, (1e-20, 1.0)), "1e-20");
+    }
+
+    #[test]
+    fn ranges_hold_all_and_are_never_empty() {
+        for values in [vec![], vec![3.0], vec![0.0], vec![-1.0, 5.0, f64::NAN]] {
+            let range = extent(values.iter().copied());
+            assert!(range.start < range.end);
+            assert!(
+                values.iter().all(|v| !v.is_finite() || range.contains(v)),
+                "{values:?}"
+            );
+            let range = decades(values.iter().copied());
+            assert!(range.start > 0.0 && range.start < range.end);
+        }
+        assert_eq!(decades([2e-3, 5e-2].into_iter()), 1e-3..1e-1);
+    }
+
+    fn shown(ticks: &[f64]) -> Vec<String> {
+        ticks.iter().map(|&v| readable(v, 4)).collect()
+    }
+
+    #[test]
+    fn decades_are_whole() {
+        assert_eq!(shown(&logarithmic_ticks(3e-12, 2e-9)), ["1e-11", "1e-10", "1e-9"]);
+        assert_eq!(
+            shown(&logarithmic_ticks(1e-4, 1e-1)),
+            ["1e-4", "0.001", "0.01", "0.1"]
+        );
+        assert_eq!(shown(&logarithmic_ticks(1e-30, 1e30)).len(), 7);
+        // Fewer than two.
+        assert_eq!(
+            shown(&logarithmic_ticks(3e-12, 4e-11)),
+            ["5e-12", "1e-11", "2e-11"]
+        );
+        assert_eq!(shown(&logarithmic_ticks(2.0, 5.0)), ["2", "5"]);
+        assert_eq!(
+            shown(&logarithmic_ticks(2.1, 2.5)),
+            ["2.1", "2.2", "2.3", "2.4", "2.5"]
+        );
+    }
+
+    #[test]
+    fn even_steps_are_round_and_hold_the_ends() {
+        assert_eq!(shown(&even_ticks(-1.0, 1.0)), ["-1", "-0.5", "0", "0.5", "1"]);
+        assert_eq!(shown(&even_ticks(0.0, 0.3)), ["0", "0.1", "0.2", "0.3"]);
+        assert_eq!(even_ticks(3.0, 3.0), [3.0]);
+    }
+
+    #[test]
+    fn a_stretched_bar_has_round_numbers_apart() {
+        for (soft, high) in [(30.0, 3000.0), (0.02, 1.0), (1e-12, 1e-3), (1.0, 1.5)] {
+            let ticks = asinh_ticks(soft, high);
+            let along = |v: f64| (v / soft).asinh() / (high / soft).asinh();
+            assert!(ticks.len() >= 3, "{ticks:?}");
+            assert!(
+                ticks.windows(2).all(|w| along(w[1]) - along(w[0]) >= APART),
+                "{ticks:?}"
+            );
+        }
+        assert_eq!(shown(&asinh_ticks(30.0, 3000.0))[..2], ["0", "20"]);
+    }
+}

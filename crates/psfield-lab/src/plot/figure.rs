@@ -1,0 +1,184 @@
+//! A figure: SVG, and PNG made of it.
+
+use std::sync::{Arc, LazyLock};
+
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use image::RgbImage;
+use plotters::coord::{CoordTranslate, Shift};
+use plotters::prelude::{DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, SVGBackend, WHITE};
+use resvg::tiny_skia::{Pixmap, Transform};
+use resvg::usvg::fontdb::Database;
+use resvg::usvg::{Options, Tree};
+use thiserror::Error;
+
+/// Where a figure's parts are drawn.
+pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+/// Why there is no figure.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum PlotError {
+    /// The drawing failed.
+    #[error("a figure could not be drawn: {0}")]
+    Drawing(#[from] DrawingAreaErrorKind<std::io::Error>),
+    /// The drawing could not be made pixels.
+    #[error("a figure could not be made a PNG: {0}")]
+    Svg(#[from] resvg::usvg::Error),
+    /// There is no memory for so many pixels.
+    #[error("a figure of {width} x {height} pixels is too large for a PNG")]
+    TooLarge {
+        /// Columns.
+        width: u32,
+        /// Rows.
+        height: u32,
+    },
+    /// The pixels could not be written as PNG.
+    #[error("a PNG could not be encoded: {0}")]
+    Encoding(Box<dyn std::error::Error + Send + Sync>),
+}
+
+/// A figure as SVG. Text is `sans-serif`, the background white.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Figure {
+    svg: String,
+    size: (u32, u32),
+}
+
+/// A picture laid over a figure, in the figure's pixels.
+#[derive(Debug)]
+pub(super) struct Overlay {
+    pub(super) left: i32,
+    pub(super) top: i32,
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) pixels: RgbImage,
+}
+
+/// PNG pixels along each side of a figure's pixel, for sharp print.
+const PNG_SCALE: f32 = 2.0;
+
+/// The font of PNGs, which look the same on every machine.
+static FONTS: LazyLock<Arc<Database>> = LazyLock::new(|| {
+    let mut fonts = Database::new();
+    fonts.load_font_data(dejavu::sans::regular().to_vec());
+    fonts.set_sans_serif_family("DejaVu Sans");
+    Arc::new(fonts)
+});
+
+impl Figure {
+    /// A figure of `width` x `height` pixels. What `draw` returns is laid over it.
+    pub(super) fn draw(
+        size: (u32, u32),
+        draw: impl FnOnce(&Area<'_>) -> Result<Vec<Overlay>, PlotError>,
+    ) -> Result<Self, PlotError> {
+        let mut svg = String::new();
+        let overlays = {
+            let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+            root.fill(&WHITE)?;
+            let overlays = draw(&root)?;
+            root.present()?;
+            overlays
+        };
+        let end = svg.rfind("</svg>").unwrap_or(svg.len());
+        let mut images = String::new();
+        for overlay in overlays {
+            images.push_str(&overlay.element()?);
+        }
+        svg.insert_str(end, &images);
+        Ok(Self { svg, size })
+    }
+
+    /// The SVG.
+    pub fn svg(&self) -> &str {
+        &self.svg
+    }
+
+    /// Width and height in pixels.
+    pub fn size(&self) -> (u32, u32) {
+        self.size
+    }
+
+    /// The figure as PNG, with twice the pixels each way.
+    ///
+    /// # Errors
+    /// [`PlotError`] when there is not enough memory.
+    pub fn png(&self) -> Result<Vec<u8>, PlotError> {
+        let options = Options {
+            fontdb: FONTS.clone(),
+            font_family: "sans-serif".to_owned(),
+            ..Options::default()
+        };
+        let tree = Tree::from_str(&self.svg, &options)?;
+        let scaled = |n: u32| (n as f32 * PNG_SCALE).round() as u32;
+        let (width, height) = (scaled(self.size.0), scaled(self.size.1));
+        let mut pixels = Pixmap::new(width, height).ok_or(PlotError::TooLarge { width, height })?;
+        resvg::render(
+            &tree,
+            Transform::from_scale(PNG_SCALE, PNG_SCALE),
+            &mut pixels.as_mut(),
+        );
+        pixels.encode_png().map_err(|e| PlotError::Encoding(Box::new(e)))
+    }
+
+    /// The SVG as a `data:` address, for pages that hold all they show.
+    pub fn data_uri(&self) -> String {
+        format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(&self.svg))
+    }
+}
+
+impl Overlay {
+    /// Over the inner part of a chart.
+    pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<SVGBackend<'_>, C>, pixels: RgbImage) -> Self {
+        let (x, y) = plot.get_pixel_range();
+        Self {
+            left: x.start,
+            top: y.start,
+            width: (x.end - x.start) as u32,
+            height: (y.end - y.start) as u32,
+            pixels,
+        }
+    }
+
+    fn element(&self) -> Result<String, PlotError> {
+        let mut png = Vec::new();
+        let encoder = image::codecs::png::PngEncoder::new(&mut png);
+        let written = self.pixels.write_with_encoder(encoder);
+        written.map_err(|e| PlotError::Encoding(Box::new(e)))?;
+        let (left, top, width, height) = (self.left, self.top, self.width, self.height);
+        let place = format!("x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\"");
+        Ok(format!(
+            "<image {place} preserveAspectRatio=\"none\" image-rendering=\"optimizeSpeed\" \
+             href=\"data:image/png;base64,{}\"/>\n\
+             <rect {place} fill=\"none\" stroke=\"#808080\"/>\n",
+            BASE64_STANDARD.encode(&png),
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+    use plotters::prelude::{IntoFont, Text};
+
+    #[test]
+    fn text_and_overlays_reach_the_png() {
+        let figure = Figure::draw((80, 40), |root| {
+            root.draw(&Text::new("MMM", (4, 4), ("sans-serif", 20).into_font()))?;
+            Ok(vec![Overlay {
+                left: 60,
+                top: 10,
+                width: 20,
+                height: 20,
+                pixels: RgbImage::from_pixel(2, 2, Rgb([255, 0, 0])),
+            }])
+        })
+        .unwrap();
+        let png = image::load_from_memory(&figure.png().unwrap()).unwrap().to_rgb8();
+        assert_eq!(png.dimensions(), (160, 80));
+        assert_eq!(png.get_pixel(140, 40), &Rgb([255, 0, 0]));
+        let dark = png.enumerate_pixels().filter(|(x, _, p)| *x < 110 && p[0] < 100);
+        assert!(dark.count() > 50, "the text is not there");
+    }
+}

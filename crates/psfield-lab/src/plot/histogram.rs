@@ -1,0 +1,158 @@
+//! Counts in bins of one width, and histograms that are compared.
+
+use plotters::chart::SeriesLabelPosition;
+use plotters::prelude::{AreaSeries, LineSeries, PathElement};
+use plotters::style::Color;
+use serde::Serialize;
+
+use crate::plot::axes::{bounds, draw_key, even_chart};
+use crate::plot::colours::SERIES;
+use crate::plot::figure::{Figure, PlotError};
+
+/// Counts of values in bins of one width. A value on an edge counts in the bin above, the upper end in the last bin.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Histogram {
+    low: f64,
+    high: f64,
+    /// How many values are in each bin.
+    pub counts: Vec<usize>,
+    /// How many values are in none.
+    pub outside: usize,
+}
+
+impl Histogram {
+    /// Counts `values` in `bins` bins (at least one) from `low` to `high`; what is not finite or lies outside is counted apart.
+    pub fn new(values: impl IntoIterator<Item = f64>, (low, high): (f64, f64), bins: usize) -> Self {
+        let bins = bins.max(1);
+        let mut histogram = Self {
+            low,
+            high,
+            counts: vec![0; bins],
+            outside: 0,
+        };
+        for value in values {
+            if value >= low && value <= high {
+                let bin = ((value - low) / (high - low) * bins as f64) as usize;
+                histogram.counts[bin.min(bins - 1)] += 1;
+            } else {
+                histogram.outside += 1;
+            }
+        }
+        histogram
+    }
+
+    /// Histograms of several lists over their common range, with the same bins.
+    pub fn of_all<const N: usize>(lists: [&[f64]; N], bins: usize) -> [Self; N] {
+        let (low, high) = bounds(lists.iter().flat_map(|list| list.iter().copied()));
+        let range = if low < high {
+            (low, high)
+        } else if low == high {
+            (low - 0.5, high + 0.5)
+        } else {
+            (0.0, 1.0)
+        };
+        lists.map(|list| Self::new(list.iter().copied(), range, bins))
+    }
+
+    /// The lower edge of the first and the upper edge of the last bin.
+    pub fn range(&self) -> (f64, f64) {
+        (self.low, self.high)
+    }
+
+    /// The lower edge of a bin; of one past the last, the upper end.
+    pub fn edge(&self, bin: usize) -> f64 {
+        self.low + (self.high - self.low) * bin as f64 / self.counts.len() as f64
+    }
+}
+
+/// Histograms over one pair of axes, with the same bins.
+#[derive(Debug, Clone)]
+pub struct HistogramPanel<'a> {
+    /// The quantity, with its unit.
+    pub quantity: &'a str,
+    /// Name and counts of each.
+    pub histograms: Vec<(&'a str, &'a Histogram)>,
+}
+
+const PANEL: (u32, u32) = (560, 420);
+
+/// Panels side by side, two in a row.
+///
+/// # Errors
+/// [`PlotError`] when the drawing fails.
+pub fn histograms(panels: &[HistogramPanel<'_>]) -> Result<Figure, PlotError> {
+    let across = panels.len().clamp(1, 2);
+    let down = panels.len().div_ceil(across).max(1);
+    let size = (across as u32 * PANEL.0, down as u32 * PANEL.1);
+    Figure::draw(size, |root| {
+        for (panel, area) in panels.iter().zip(root.split_evenly((down, across))) {
+            let counts = panel.histograms.iter().flat_map(|(_, h)| &h.counts);
+            let most = counts.copied().max().unwrap_or(0).max(1) as f64;
+            let Some((_, first)) = panel.histograms.first() else {
+                continue;
+            };
+            let (low, high) = first.range();
+            let axes = [
+                (panel.quantity, low..high),
+                ("objects in a bin", 0.0..most * 1.08),
+            ];
+            let mut chart = even_chart(&area, axes)?;
+            for (n, ((name, histogram), colour)) in panel.histograms.iter().zip(SERIES).enumerate() {
+                let steps = outline(histogram);
+                // The first is filled, the others are lines, so that equal histograms both show.
+                if n == 0 {
+                    chart.draw_series(AreaSeries::new(steps.clone(), 0.0, colour.mix(0.3)))?;
+                }
+                let width = if n == 0 { 1 } else { 2 };
+                let line = chart.draw_series(LineSeries::new(steps, colour.stroke_width(width)))?;
+                if panel.histograms.len() > 1 {
+                    line.label(*name).legend(move |(x, y)| {
+                        PathElement::new(vec![(x, y), (x + 22, y)], colour.stroke_width(3))
+                    });
+                }
+            }
+            if panel.histograms.len() > 1 {
+                draw_key(&mut chart, SeriesLabelPosition::UpperRight)?;
+            }
+        }
+        Ok(Vec::new())
+    })
+}
+
+/// The corners of a histogram.
+fn outline(histogram: &Histogram) -> Vec<(f64, f64)> {
+    let mut corners = vec![(histogram.range().0, 0.0)];
+    for (bin, &count) in histogram.counts.iter().enumerate() {
+        corners.extend([bin, bin + 1].map(|edge| (histogram.edge(edge), count as f64)));
+    }
+    corners.push((histogram.range().1, 0.0));
+    corners
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_value_counts_once() {
+        let histogram = Histogram::new([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, -0.1, f64::NAN], (0.0, 2.0), 2);
+        assert_eq!(histogram.counts, [2, 3]);
+        assert_eq!(histogram.outside, 3);
+        assert_eq!(
+            (histogram.edge(0), histogram.edge(1), histogram.edge(2)),
+            (0.0, 1.0, 2.0)
+        );
+    }
+
+    #[test]
+    fn lists_share_their_bins() {
+        let [a, b] = Histogram::of_all([&[1.0, 2.0], &[5.0]], 4);
+        assert_eq!(a.range(), (1.0, 5.0));
+        assert_eq!(a.range(), b.range());
+        assert_eq!(b.counts, [0, 0, 0, 1]);
+        let [one] = Histogram::of_all([&[3.0, 3.0]], 3);
+        assert_eq!(one.counts.iter().sum::<usize>(), 2);
+        let [none] = Histogram::of_all([&[]], 3);
+        assert!(none.range().0 < none.range().1);
+    }
+}

@@ -1,0 +1,19 @@
+//! Figures: drawn once as SVG, from which the PNG is made.
+//!
+//! Every figure of psfield has its colours, its axes and its way to a file from here. Colours: Okabe and Ito (2008) for lines, viridis
+//! for values, blue-white-red (ColorBrewer's RdBu) for differences; all three stay apart for colour-blind eyes and in grey.
+
+mod axes;
+mod colours;
+mod curves;
+mod figure;
+mod histogram;
+mod maps;
+mod pictures;
+
+pub use colours::{SERIES, Scale};
+pub use curves::{Axis, Curve, Curves, Mark, Marker, curve_panels};
+pub use figure::{Figure, PlotError};
+pub use histogram::{Histogram, HistogramPanel, histograms};
+pub use maps::{FieldMap, positions_figure};
+pub use pictures::{Picture, PictureAxes, pictures};

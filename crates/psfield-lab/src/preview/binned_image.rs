@@ -1,0 +1,133 @@
+//! An image at fewer pixels.
+
+use ndarray::{Array2, ArrayView2};
+use psf_io::{ImageReader, IoError};
+
+/// Rows of a file read at once, at least.
+const BAND: usize = 64;
+
+/// An image by means over squares of pixels, so that it is at most so large.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BinnedImage {
+    pixels: Array2<f64>,
+    /// Pixels of the image along the side of a square.
+    pub factor: usize,
+    /// Pixels of the image that are NaN or infinite.
+    pub undefined_pixels: usize,
+}
+
+impl BinnedImage {
+    /// An image `[y, x]` in squares as small as a `max_size` of pixels along the longer axis allows, 1 at least. The squares begin at
+    /// pixel 0; those at the far edges may hold fewer pixels.
+    ///
+    /// A square is the mean of its finite pixels, and NaN where there are none.
+    ///
+    /// ```
+    /// use psfield_lab::preview::BinnedImage;
+    /// let image = ndarray::array![[1.0, 3.0, 5.0], [f64::NAN, 2.0, f64::NAN]];
+    /// let binned = BinnedImage::of(image.view(), 2);
+    /// assert_eq!(binned.pixels(), ndarray::array![[2.0, 5.0]]);
+    /// assert_eq!((binned.factor, binned.undefined_pixels), (2, 2));
+    /// ```
+    pub fn of(image: ArrayView2<'_, f64>, max_size: usize) -> Self {
+        let mut squares = Squares::new(image.dim(), max_size);
+        squares.add(image);
+        squares.means()
+    }
+
+    /// The same of an image in a file, read by bands: it may be larger than memory.
+    ///
+    /// # Errors
+    /// Those of the reader.
+    pub fn read(reader: &mut ImageReader, max_size: usize) -> Result<Self, IoError> {
+        let (ny, nx) = (reader.shape().ny(), reader.shape().nx());
+        let mut squares = Squares::new((ny, nx), max_size);
+        for first in (0..ny).step_by(BAND) {
+            let rows = reader.read_rows_with_undefined(first..ny.min(first + BAND))?;
+            squares.add(rows.view());
+        }
+        Ok(squares.means())
+    }
+
+    /// The means `[y, x]`.
+    pub fn pixels(&self) -> ArrayView2<'_, f64> {
+        self.pixels.view()
+    }
+}
+
+/// Sums over the squares while rows come.
+struct Squares {
+    factor: usize,
+    sums: Array2<f64>,
+    counts: Array2<u32>,
+    rows: usize,
+    undefined_pixels: usize,
+}
+
+impl Squares {
+    fn new((ny, nx): (usize, usize), max_size: usize) -> Self {
+        let factor = ny.max(nx).div_ceil(max_size.max(1)).max(1);
+        let shape = (ny.div_ceil(factor), nx.div_ceil(factor));
+        Self {
+            factor,
+            sums: Array2::zeros(shape),
+            counts: Array2::zeros(shape),
+            rows: 0,
+            undefined_pixels: 0,
+        }
+    }
+
+    /// The next rows.
+    fn add(&mut self, rows: ArrayView2<'_, f64>) {
+        for row in rows.outer_iter() {
+            let y = self.rows / self.factor;
+            for (x, &value) in row.iter().enumerate() {
+                let square = [y, x / self.factor];
+                if value.is_finite() {
+                    self.sums[square] += value;
+                    self.counts[square] += 1;
+                } else {
+                    self.undefined_pixels += 1;
+                }
+            }
+            self.rows += 1;
+        }
+    }
+
+    fn means(self) -> BinnedImage {
+        let mut pixels = self.sums;
+        // 0 / 0 is NaN.
+        pixels.zip_mut_with(&self.counts, |sum, &count| *sum /= f64::from(count));
+        BinnedImage {
+            pixels,
+            factor: self.factor,
+            undefined_pixels: self.undefined_pixels,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn squares_keep_the_light() {
+        let image = Array2::from_shape_fn((11, 17), |(y, x)| (x * x + 3 * y) as f64);
+        for max_size in [1, 2, 5, 9, 16, 17, 400] {
+            let binned = BinnedImage::of(image.view(), max_size);
+            let (ny, nx) = binned.pixels().dim();
+            assert!(nx.max(ny) <= max_size, "{max_size}");
+            let factor = binned.factor;
+            let light: f64 = binned
+                .pixels()
+                .indexed_iter()
+                .map(|((y, x), mean)| {
+                    let side = |k: usize, n: usize| factor.min(n - k * factor) as f64;
+                    mean * side(y, 11) * side(x, 17)
+                })
+                .sum();
+            assert!((light - image.sum()).abs() < 1e-9, "{max_size}: {light}");
+        }
+        assert_eq!(BinnedImage::of(image.view(), 17).pixels(), image);
+    }
+}

@@ -1,0 +1,109 @@
+//! Pictures of images, as [`psfield preview`](crate) writes them: which values are shown, how bright, in which colours.
+//!
+//! The steps are types of their own, so that pictures which are compared can share them:
+//!
+//! 1. [`BinnedImage`]: at most so many pixels, by means; what is not a number stays apart.
+//! 2. [`LimitRule`] gives [`Limits`]: the value at the dark end of the scale and that at the bright end.
+//! 3. [`Stretch`] and [`Colormap`]: from a value between the limits to a colour.
+//! 4. [`Picture`]: all of it, and its PNG.
+//!
+//! The formulas are those of `astropy.visualization`. Arrays are `[y, x]`; pictures have row 0 at the bottom, as FITS viewers show it.
+//!
+//! ```
+//! use ndarray::Array2;
+//! use psfield_lab::preview::{BinnedImage, Colormap, LimitRule, Percentiles, Picture, Stretch};
+//!
+//! let image = Array2::from_shape_fn((300, 400), |(y, x)| (x * y) as f64);
+//! let shown = BinnedImage::of(image.view(), 100);
+//! let limits = LimitRule::Percentile(Percentiles::new(1.0, 99.0)?).limits(shown.pixels())?;
+//! let picture = Picture::new(shown.pixels(), limits, Stretch::Asinh, Colormap::Viridis)?;
+//! assert_eq!((picture.width(), picture.height()), (100, 75));
+//! assert!(picture.png().starts_with(b"\x89PNG"));
+//! # Ok::<(), psfield_lab::preview::PreviewError>(())
+//! ```
+
+mod binned_image;
+mod limits;
+mod picture;
+
+use psfield::readable;
+use thiserror::Error;
+
+use limits::FIGURES;
+
+pub use binned_image::BinnedImage;
+pub use limits::{LimitRule, Limits, Percentiles};
+pub use picture::{Colormap, Picture, Stretch};
+
+/// Why there is no picture.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[non_exhaustive]
+pub enum PreviewError {
+    /// Limits that are no range.
+    #[error("the limits {low} and {high} are no range: two finite numbers are needed, the lower one first")]
+    Range {
+        /// The value at the dark end.
+        low: f64,
+        /// The value at the bright end.
+        high: f64,
+    },
+    /// Percentiles that are none.
+    #[error("the percentiles {low} and {high} are not two numbers from 0 to 100, the lower one first")]
+    Percentiles {
+        /// The lower percentile.
+        low: f64,
+        /// The upper percentile.
+        high: f64,
+    },
+    /// A text that is not two numbers.
+    #[error("two numbers LO,HI are needed, as in 0.5,99.5")]
+    NotTwoNumbers,
+    /// A name that is none of those known.
+    #[error("{got:?} is none of {known}")]
+    Name {
+        /// The names there are.
+        known: &'static str,
+        /// What was given.
+        got: String,
+    },
+    /// An image in which nothing is a number.
+    #[error("none of the {pixels} pixels is a finite number: there is nothing to show")]
+    NoFinitePixel {
+        /// Pixels of the image.
+        pixels: usize,
+    },
+    /// An image of one value.
+    #[error("every pixel is {}: there is no contrast to show; give limits about it (--range)", readable(*value, FIGURES))]
+    Constant {
+        /// The value.
+        value: f64,
+    },
+    /// Limits that a rule finds equal, though the image has contrast.
+    #[error(
+        "{rule} puts both limits at {}, while the pixels go from {} to {}: most of them are that value; take wider percentiles \
+         (--percentile 0,100) or give limits (--range)",
+        readable(*value, FIGURES),
+        readable(*lowest, FIGURES),
+        readable(*highest, FIGURES)
+    )]
+    EqualLimits {
+        /// The rule, as in a sentence.
+        rule: String,
+        /// Both limits.
+        value: f64,
+        /// The lowest pixel.
+        lowest: f64,
+        /// The highest pixel.
+        highest: f64,
+    },
+    /// An array that is empty or has more pixels along an axis than PNG allows.
+    #[error("an image of {nx} x {ny} pixels cannot be a picture: 1 to {limit} are needed along each axis")]
+    Size {
+        /// Columns.
+        nx: usize,
+        /// Rows.
+        ny: usize,
+        /// The most pixels along an axis.
+        limit: usize,
+    },
+}

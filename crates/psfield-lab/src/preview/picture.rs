@@ -1,0 +1,343 @@
+//! An image as a picture: brightness, colours, PNG.
+
+use std::io::Cursor;
+use std::str::FromStr;
+
+use image::{DynamicImage, GrayImage, ImageFormat, Luma, Rgb, RgbImage};
+use ndarray::ArrayView2;
+
+use crate::preview::{Limits, PreviewError};
+
+/// The most pixels along an axis: those of a picture of 1 GB in grey.
+const LARGEST: usize = 32_768;
+
+/// A picture of 8 bits a channel, with row 0 of the image at the bottom. It is grey where the colour map is and every pixel has a value,
+/// else in colours.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture(DynamicImage);
+
+impl Picture {
+    /// The picture of an image `[y, x]`: `colormap(stretch(limits(value)))` of each pixel. NaN and infinities have no value and get the
+    /// colour map's [`undefined_colour`](Colormap::undefined_colour).
+    ///
+    /// # Errors
+    /// [`PreviewError::Size`] for an image without pixels or of more than 32768 along an axis.
+    pub fn new(
+        image: ArrayView2<'_, f64>,
+        limits: Limits,
+        stretch: Stretch,
+        colormap: Colormap,
+    ) -> Result<Self, PreviewError> {
+        let (ny, nx) = image.dim();
+        if ![nx, ny].iter().all(|n| (1..=LARGEST).contains(n)) {
+            return Err(PreviewError::Size {
+                nx,
+                ny,
+                limit: LARGEST,
+            });
+        }
+        let colour = |x: u32, row: u32| {
+            let value = image[[ny - 1 - row as usize, x as usize]];
+            if value.is_finite() {
+                colormap.colour(stretch.brightness(limits.fraction(value)))
+            } else {
+                colormap.undefined_colour()
+            }
+        };
+        let (width, height) = (nx as u32, ny as u32);
+        let grey = colormap == Colormap::Grey && image.iter().all(|value| value.is_finite());
+        Ok(Self(if grey {
+            GrayImage::from_fn(width, height, |x, row| Luma([colour(x, row)[0]])).into()
+        } else {
+            RgbImage::from_fn(width, height, |x, row| Rgb(colour(x, row))).into()
+        }))
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.0.width() as usize
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.0.height() as usize
+    }
+
+    /// Whether it has a grey channel alone.
+    pub fn is_grey(&self) -> bool {
+        self.0.as_luma8().is_some()
+    }
+
+    /// Red, green and blue of the pixel that shows `[y, x]` of the image; none outside.
+    pub fn colour_at(&self, [y, x]: [usize; 2]) -> Option<[u8; 3]> {
+        let row = self.height().checked_sub(1 + y)?;
+        match &self.0 {
+            DynamicImage::ImageLuma8(grey) => Some([grey.get_pixel_checked(x as u32, row as u32)?[0]; 3]),
+            DynamicImage::ImageRgb8(colours) => Some(colours.get_pixel_checked(x as u32, row as u32)?.0),
+            _ => None,
+        }
+    }
+
+    /// The bytes of a PNG file. The same picture gives the same bytes.
+    pub fn png(&self) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        self.0
+            .write_to(&mut bytes, ImageFormat::Png)
+            .expect("pictures of 8 bits and a checked size can be written to memory");
+        bytes.into_inner()
+    }
+}
+
+/// How bright a value is between the limits. All are those of `astropy.visualization`, with its parameters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Stretch {
+    /// `x`.
+    Linear,
+    /// `sqrt(x)`.
+    Sqrt,
+    /// `ln(1000 x + 1) / ln(1001)`.
+    Log,
+    /// `asinh(10 x) / asinh(10)`: linear below a tenth of the range, logarithmic above.
+    Asinh,
+}
+
+impl Stretch {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Linear, Self::Sqrt, Self::Log, Self::Asinh];
+
+    /// Its name, which it is parsed from.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Linear => "linear",
+            Self::Sqrt => "sqrt",
+            Self::Log => "log",
+            Self::Asinh => "asinh",
+        }
+    }
+
+    /// The brightness, 0 to 1, at a fraction of the range, 0 to 1. NaN stays NaN.
+    pub fn brightness(self, fraction: f64) -> f64 {
+        const LOG: f64 = 1000.0;
+        const ASINH: f64 = 0.1;
+        match self {
+            Self::Linear => fraction,
+            Self::Sqrt => fraction.sqrt(),
+            Self::Log => (LOG * fraction).ln_1p() / LOG.ln_1p(),
+            Self::Asinh => (fraction / ASINH).asinh() / ASINH.recip().asinh(),
+        }
+    }
+}
+
+impl FromStr for Stretch {
+    type Err = PreviewError;
+    fn from_str(text: &str) -> Result<Self, PreviewError> {
+        named(text, Self::ALL, Self::name, "linear, sqrt, log, asinh")
+    }
+}
+
+/// Colours from dark to bright that also colour-blind people can tell apart: lightness grows all along. matplotlib's, beside grey.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Colormap {
+    /// Black to white.
+    Grey,
+    /// Violet, green, yellow.
+    Viridis,
+    /// Blue, grey, yellow: the same for most colour-blind people as for others.
+    Cividis,
+    /// Black, red, pale yellow.
+    Inferno,
+    /// Black, pink, white.
+    Magma,
+    /// Blue, pink, yellow.
+    Plasma,
+}
+
+impl Colormap {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::Grey,
+        Self::Viridis,
+        Self::Cividis,
+        Self::Inferno,
+        Self::Magma,
+        Self::Plasma,
+    ];
+
+    /// Its name, which it is parsed from.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Grey => "grey",
+            Self::Viridis => "viridis",
+            Self::Cividis => "cividis",
+            Self::Inferno => "inferno",
+            Self::Magma => "magma",
+            Self::Plasma => "plasma",
+        }
+    }
+
+    /// Red, green and blue of a brightness from 0 to 1; what is not a number has the [`undefined_colour`](Self::undefined_colour).
+    pub fn colour(self, brightness: f64) -> [u8; 3] {
+        let gradient = match self {
+            _ if brightness.is_nan() => return self.undefined_colour(),
+            Self::Grey => return [(255.0 * brightness).round() as u8; 3],
+            Self::Viridis => colorous::VIRIDIS,
+            Self::Cividis => colorous::CIVIDIS,
+            Self::Inferno => colorous::INFERNO,
+            Self::Magma => colorous::MAGMA,
+            Self::Plasma => colorous::PLASMA,
+        };
+        gradient.eval_continuous(brightness.clamp(0.0, 1.0)).into_array()
+    }
+
+    /// The colour of pixels without a value, which is none of the map's: magenta where the map has no pink, else cyan.
+    pub fn undefined_colour(self) -> [u8; 3] {
+        match self {
+            Self::Grey | Self::Viridis | Self::Cividis => [255, 0, 255],
+            Self::Inferno | Self::Magma | Self::Plasma => [0, 255, 255],
+        }
+    }
+}
+
+impl FromStr for Colormap {
+    type Err = PreviewError;
+    fn from_str(text: &str) -> Result<Self, PreviewError> {
+        let known = "grey, viridis, cividis, inferno, magma, plasma";
+        named(text, Self::ALL, Self::name, known)
+    }
+}
+
+/// The one of this name.
+fn named<T: Copy, const N: usize>(
+    text: &str,
+    all: [T; N],
+    name: fn(T) -> &'static str,
+    known: &'static str,
+) -> Result<T, PreviewError> {
+    let found = all.into_iter().find(|&one| name(one) == text);
+    found.ok_or_else(|| PreviewError::Name {
+        known,
+        got: text.to_owned(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ndarray::array;
+
+    fn shown(image: ArrayView2<'_, f64>, colormap: Colormap) -> Picture {
+        Picture::new(image, Limits::new(0.0, 10.0).unwrap(), Stretch::Linear, colormap).unwrap()
+    }
+
+    #[test]
+    fn row_0_is_at_the_bottom() {
+        let picture = shown(
+            array![[0.0, 10.0], [5.0, -3.0], [99.0, 2.0]].view(),
+            Colormap::Grey,
+        );
+        assert!(picture.is_grey());
+        let png = image::load_from_memory(&picture.png()).unwrap();
+        assert_eq!(png.as_luma8().unwrap().as_raw(), &[255, 51, 128, 0, 0, 255]);
+        assert_eq!(picture.colour_at([2, 1]), Some([51; 3]));
+        assert_eq!(
+            (picture.colour_at([3, 0]), picture.colour_at([0, 2])),
+            (None, None)
+        );
+    }
+
+    #[test]
+    fn what_has_no_value_is_not_zero() {
+        let picture = shown(
+            array![[0.0, f64::NAN, f64::NEG_INFINITY, f64::INFINITY]].view(),
+            Colormap::Grey,
+        );
+        let marked = Colormap::Grey.undefined_colour();
+        assert_eq!(picture.colour_at([0, 0]), Some([0; 3]));
+        for x in 1..4 {
+            assert_eq!(picture.colour_at([0, x]), Some(marked));
+        }
+        let png = image::load_from_memory(&picture.png()).unwrap();
+        assert_eq!(png.as_rgb8().unwrap().get_pixel(1, 0).0, marked);
+    }
+
+    #[test]
+    fn pictures_have_pixels() {
+        let empty = ndarray::Array2::zeros((0, 3));
+        let limits = Limits::new(0.0, 1.0).unwrap();
+        let refused = Picture::new(empty.view(), limits, Stretch::Sqrt, Colormap::Magma);
+        assert!(matches!(refused, Err(PreviewError::Size { nx: 3, ny: 0, .. })));
+    }
+
+    /// Brightnesses are compared with figures of 12 digits.
+    const DIGITS: f64 = 1e-11;
+
+    // from astropy.visualization import *; x = np.array([0.0, 0.01, 0.3, 1.0])    (astropy 8.0.2)
+    // for s in LinearStretch(), SqrtStretch(), LogStretch(), AsinhStretch(): print(s(x))
+    #[test]
+    fn stretches_are_those_of_astropy() {
+        for (stretch, expected) in [
+            (Stretch::Linear, [0.0, 0.01, 0.3, 1.0]),
+            (Stretch::Sqrt, [0.0, 0.1, 0.547_722_557_505, 1.0]),
+            (Stretch::Log, [0.0, 0.347_080_675_085, 0.826_069_305_837, 1.0]),
+            (Stretch::Asinh, [0.0, 0.033_297_750_218_8, 0.606_508_084_748, 1.0]),
+        ] {
+            let got = [0.0, 0.01, 0.3, 1.0].map(|x| stretch.brightness(x));
+            let near = got
+                .iter()
+                .zip(&expected)
+                .all(|(a, b): (&f64, &f64)| (a - b).abs() <= DIGITS);
+            assert!(near, "{stretch:?}: {got:?}");
+            assert_eq!(stretch.name().parse(), Ok(stretch));
+        }
+        assert!(Stretch::Log.brightness(f64::NAN).is_nan());
+        assert!("power".parse::<Stretch>().is_err());
+    }
+
+    /// Colours nearer than this in red, green and blue together could be taken for one another; two greys of a step of 28 % are as far.
+    const APART: f64 = 120.0;
+
+    fn distance(a: [u8; 3], b: [u8; 3]) -> f64 {
+        let squares = a
+            .iter()
+            .zip(b)
+            .map(|(&a, b)| (f64::from(a) - f64::from(b)).powi(2));
+        squares.sum::<f64>().sqrt()
+    }
+
+    #[test]
+    fn pixels_without_a_value_stand_out() {
+        for map in Colormap::ALL {
+            let nearest = (0..=255)
+                .map(|level| distance(map.colour(f64::from(level) / 255.0), map.undefined_colour()))
+                .fold(f64::INFINITY, f64::min);
+            assert!(nearest > APART, "{map:?}: {nearest}");
+            assert_eq!(map.colour(f64::NAN), map.undefined_colour());
+            assert_eq!(map.name().parse(), Ok(map));
+        }
+        assert!("jet".parse::<Colormap>().is_err());
+    }
+
+    #[test]
+    fn lightness_grows_all_along() {
+        // Luma of Rec. 709 on linear light.
+        let lightness = |[r, g, b]: [u8; 3]| {
+            let linear = |c: u8| (f64::from(c) / 255.0).powf(2.2);
+            0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b)
+        };
+        for map in Colormap::ALL {
+            let steps: Vec<f64> = (0..=16)
+                .map(|n| lightness(map.colour(f64::from(n) / 16.0)))
+                .collect();
+            assert!(steps.is_sorted_by(|a, b| a < b), "{map:?}: {steps:?}");
+        }
+    }
+
+    // matplotlib.colormaps["viridis"](x, bytes=True) at x = 0 and 1.
+    #[test]
+    fn viridis_is_matplotlibs() {
+        assert_eq!(Colormap::Viridis.colour(0.0), [68, 1, 84]);
+        assert_eq!(Colormap::Viridis.colour(1.0), [253, 231, 37]);
+    }
+}

@@ -1,0 +1,254 @@
+//! Errors of all objects together, and whether they meet their targets.
+
+use metrics::Summary;
+use ndarray::Array2;
+use psf_types::{FrameShape, Position};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::report::{Histogram, ObjectRow};
+
+/// Objects of one kind, each measured in the simulated and in the true image.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Evaluation {
+    /// What they say together.
+    pub summary: ErrorSummary,
+    /// Of the differences of ellipticity, absolute.
+    pub ellipticity_differences: Histogram,
+    /// FWHM along rows in pixels: true, simulated.
+    pub fwhm_rows_px: [Histogram; 2],
+    /// FWHM along columns in pixels: true, simulated.
+    pub fwhm_columns_px: [Histogram; 2],
+    /// MAE over the mean.
+    pub mae_over_mean: Histogram,
+    /// One row an object.
+    #[serde(skip)]
+    pub rows: Vec<ObjectRow>,
+    /// The field, where it is known.
+    #[serde(skip)]
+    pub frame: Option<FrameShape>,
+    /// Columns of the grid that the objects form, if they do.
+    #[serde(skip)]
+    pub grid_columns: Option<usize>,
+}
+
+const BINS: usize = 50;
+
+impl Evaluation {
+    /// Measures pairs of windows, simulated and true.
+    pub fn measure(
+        positions: &[Position],
+        simulated: &[Array2<f64>],
+        truth: &[Array2<f64>],
+        frame: Option<FrameShape>,
+        grid_columns: Option<usize>,
+    ) -> Self {
+        let rows: Vec<ObjectRow> = positions
+            .par_iter()
+            .zip(simulated.par_iter().zip(truth))
+            .map(|(&at, (ours, theirs))| ObjectRow::measure(at, ours.view(), theirs.view()))
+            .collect();
+        Self::of_rows(rows, frame, grid_columns)
+    }
+
+    /// Of rows that are at hand.
+    pub fn of_rows(rows: Vec<ObjectRow>, frame: Option<FrameShape>, grid_columns: Option<usize>) -> Self {
+        let values = |of: fn(&ObjectRow) -> Option<f64>| rows.iter().filter_map(of).collect::<Vec<f64>>();
+        let from_zero = |values: Vec<f64>| {
+            let most = values.iter().copied().fold(0.0, f64::max);
+            Histogram::new(values, (0.0, if most > 0.0 { most } else { 1.0 }), BINS)
+        };
+        let pair = |a: fn(&ObjectRow) -> Option<f64>, b: fn(&ObjectRow) -> Option<f64>| {
+            Histogram::of_all([&values(a), &values(b)], BINS)
+        };
+        Self {
+            summary: ErrorSummary::of(&rows),
+            ellipticity_differences: from_zero(values(|r| r.ellipticity_difference().map(f64::abs))),
+            fwhm_rows_px: pair(|r| r.fwhm_rows_px_true, |r| r.fwhm_rows_px),
+            fwhm_columns_px: pair(|r| r.fwhm_columns_px_true, |r| r.fwhm_columns_px),
+            mae_over_mean: from_zero(values(|r| r.mae_over_mean)),
+            rows,
+            frame,
+            grid_columns,
+        }
+    }
+}
+
+/// The differences of simulated from true objects.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ErrorSummary {
+    /// Objects.
+    pub objects: usize,
+    /// Those that could not be measured in both images; they count in none of the differences of shape.
+    pub failed: usize,
+    /// Of `e = sqrt(1 - b^2 / a^2)`.
+    pub ellipticity: Option<Spread>,
+    /// Of the distortion's `e1`.
+    pub e1: Option<Spread>,
+    /// Of the distortion's `e2`.
+    pub e2: Option<Spread>,
+    /// Of the FWHM, in pixels.
+    pub fwhm_px: Option<Spread>,
+    /// Mean absolute error over the window's mean.
+    pub mae_over_mean: Option<Spread>,
+    /// Mean squared error, in squared units of the image.
+    pub mse: Option<Spread>,
+    /// Relative L2 error.
+    pub relative_l2: Option<Spread>,
+    /// Largest error over the peak.
+    pub max_over_peak: Option<Spread>,
+}
+
+impl ErrorSummary {
+    /// Of some objects.
+    pub fn of(rows: &[ObjectRow]) -> Self {
+        let spread = |of: fn(&ObjectRow) -> Option<f64>| Spread::of(rows.iter().filter_map(of));
+        Self {
+            objects: rows.len(),
+            failed: rows
+                .iter()
+                .filter(|r| r.ellipticity_difference().is_none())
+                .count(),
+            ellipticity: spread(ObjectRow::ellipticity_difference),
+            e1: spread(ObjectRow::e1_difference),
+            e2: spread(ObjectRow::e2_difference),
+            fwhm_px: spread(ObjectRow::fwhm_difference_px),
+            mae_over_mean: spread(|r| r.mae_over_mean),
+            mse: spread(|r| r.mse),
+            relative_l2: spread(|r| r.relative_l2),
+            max_over_peak: spread(|r| r.max_over_peak),
+        }
+    }
+}
+
+/// How large the absolute values of some differences are.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Spread {
+    /// Half of them are below.
+    pub median: f64,
+    /// 90 % of them are below.
+    pub q90: f64,
+    /// The largest.
+    pub largest: f64,
+    /// Their mean.
+    pub mean: f64,
+}
+
+impl Spread {
+    /// Of the absolute values; none where there are no values, or one is not finite.
+    pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
+        let summary = Summary::of(values.into_iter().map(f64::abs)).ok()?;
+        Some(Self {
+            median: summary.median(),
+            q90: summary.quantile(0.9).ok()?,
+            largest: summary.max(),
+            mean: summary.mean(),
+        })
+    }
+}
+
+/// A limit and what was measured.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Target {
+    /// The quantity.
+    pub what: String,
+    /// It should be below this.
+    pub limit: f64,
+    /// What it is; none where nothing could be measured.
+    pub measured: Option<f64>,
+    /// Whether it is below, and every object could be measured: those that could not would count for nothing else.
+    pub met: bool,
+}
+
+/// 90 % of the differences of ellipticity (the paper: 0.0901), the largest of them, and MAE over the mean.
+const ELLIPTICITY_Q90: f64 = 1e-3;
+const ELLIPTICITY_LARGEST: f64 = 5e-3;
+const MAE_OVER_MEAN: f64 = 2e-4;
+/// What the paper reports for the first.
+pub(super) const PAPER_ELLIPTICITY_Q90: f64 = 0.0901;
+
+impl Target {
+    /// The targets for objects of a kind.
+    pub(super) fn of(kind: &str, summary: &ErrorSummary) -> Vec<Self> {
+        let e = |of: fn(Spread) -> f64| summary.ellipticity.map(of);
+        let all = summary.failed == 0;
+        let kind = if all {
+            kind.to_owned()
+        } else {
+            format!("{kind} ({} could not be measured)", summary.failed)
+        };
+        let mae = |of: fn(Spread) -> f64| summary.mae_over_mean.map(of);
+        [
+            (
+                "90 % of the differences of ellipticity",
+                ELLIPTICITY_Q90,
+                e(|s| s.q90),
+            ),
+            (
+                "largest difference of ellipticity",
+                ELLIPTICITY_LARGEST,
+                e(|s| s.largest),
+            ),
+            (
+                "MAE / mean, mean over the objects",
+                MAE_OVER_MEAN,
+                mae(|s| s.mean),
+            ),
+            (
+                "MAE / mean, largest of the objects",
+                MAE_OVER_MEAN,
+                mae(|s| s.largest),
+            ),
+        ]
+        .into_iter()
+        .map(|(what, limit, measured)| Self {
+            what: format!("{kind}: {what}"),
+            limit,
+            measured,
+            met: all && measured.is_some_and(|m| m < limit),
+        })
+        .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn signs_do_not_count() {
+        let values = (-50..=50).map(f64::from);
+        let spread = Spread::of(values).unwrap();
+        assert_eq!(spread.largest, 50.0);
+        assert_eq!(spread.median, 25.0);
+        assert_eq!(spread.q90, 45.0);
+        assert!((spread.mean - 2550.0 / 101.0).abs() < 1e-12);
+        assert_eq!(Spread::of([]), None);
+        assert_eq!(Spread::of([f64::NAN]), None);
+    }
+
+    #[test]
+    fn an_object_that_cannot_be_measured_meets_no_target() {
+        let good = ObjectRow {
+            ellipticity: Some(0.2),
+            ellipticity_true: Some(0.2),
+            mae_over_mean: Some(1e-6),
+            ..ObjectRow::default()
+        };
+        let met = |rows: &[ObjectRow]| -> Vec<bool> {
+            let targets = Target::of("stars", &ErrorSummary::of(rows));
+            targets.iter().map(|target| target.met).collect()
+        };
+        assert_eq!(met(&[good.clone(), good.clone()]), [true; 4]);
+        assert_eq!(met(&[good.clone(), ObjectRow::default()]), [false; 4]);
+        let off = ObjectRow {
+            ellipticity: Some(0.3),
+            ..good.clone()
+        };
+        assert_eq!(met(&[good, off]), [false, false, true, true]);
+    }
+}

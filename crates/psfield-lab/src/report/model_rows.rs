@@ -1,0 +1,145 @@
+//! Errors of models with fewer samples, fewer components or other interpolators, without the engine.
+
+use psf_optics::Telescope;
+use psf_sample::{SamplingMethod, UniformSampling};
+use psf_types::{Interpolation, NoProgress, PsfModel, PsfModelRecord};
+use psfield::{Fit, FitOptions, fit, model_of};
+use rayon::prelude::*;
+use serde::Serialize;
+
+use crate::LabError;
+use crate::report::document::{Table, short};
+use crate::report::object_figures::error_table;
+use crate::report::scenes::Scenes;
+use crate::report::{ErrorSummary, ObjectRow};
+
+/// A model against the truth, by the exact sum: no engine takes part.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ModelRow {
+    /// Uniform samples along each axis.
+    pub samples_across: usize,
+    /// Components kept, the mean not counted.
+    pub rank: usize,
+    /// Largest truncation error over the samples, relative L2.
+    pub truncation_error: f64,
+    /// How far its PSFs are from the true ones.
+    pub summary: ErrorSummary,
+}
+
+impl ModelRow {
+    /// Models of the telescope with half the samples along each axis, a quarter, and so on.
+    ///
+    /// # Errors
+    /// [`LabError`] of sampling, fit and model.
+    pub(super) fn of_fewer_samples(
+        telescope: &Telescope,
+        most_across: usize,
+        scenes: &Scenes,
+    ) -> Result<Vec<Self>, LabError> {
+        let mut rows = Vec::new();
+        let mut across = most_across.div_ceil(2);
+        while across >= FEWEST_ACROSS {
+            let samples = UniformSampling::new(across, across)?
+                .sample(telescope, &NoProgress)?
+                .samples;
+            let fitted = fit(samples, &FitOptions::default())?;
+            rows.push(Self::measure(fitted, across, scenes)?);
+            across = across.div_ceil(2);
+        }
+        Ok(rows)
+    }
+
+    /// A model, and its first components alone: half as many, a quarter, and so on.
+    ///
+    /// # Errors
+    /// [`LabError`] of the model.
+    pub(super) fn of_fewer_components(
+        fitted: &Fit,
+        across: usize,
+        scenes: &Scenes,
+    ) -> Result<Vec<Self>, LabError> {
+        let mut rows = Vec::new();
+        let mut rank = fitted.record().basis().rank();
+        while rank >= FEWEST_COMPONENTS {
+            rows.push(Self::measure(fitted.truncated(rank)?, across, scenes)?);
+            rank = rank.div_ceil(2);
+        }
+        Ok(rows)
+    }
+
+    pub(super) fn table(caption: &str, rows: &[Self]) -> Table {
+        let rows = rows.iter().map(|row| {
+            let first = vec![
+                format!("{0} x {0}", row.samples_across),
+                row.rank.to_string(),
+                short(Some(row.truncation_error)),
+            ];
+            (first, &row.summary)
+        });
+        error_table(caption, &["samples", "components", "truncation"], rows)
+    }
+
+    fn measure(fitted: Fit, samples_across: usize, scenes: &Scenes) -> Result<Self, LabError> {
+        let (rank, truncation_error) = (fitted.record().basis().rank(), fitted.max_error());
+        let model = fitted.into_model()?;
+        Ok(Self {
+            samples_across,
+            rank,
+            truncation_error,
+            summary: errors(&model, scenes)?,
+        })
+    }
+}
+
+/// Of a model's PSFs at the objects, by the exact sum over its components, beside the true ones.
+fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
+    let objects = scenes.positions.par_iter().zip(&scenes.star_truth);
+    let rows = objects.map(|(&at, truth)| {
+        let psf = model.psf_at(at)?;
+        Ok(ObjectRow::measure(at, psf.values(), truth.view()))
+    });
+    Ok(ErrorSummary::of(&rows.collect::<Result<Vec<_>, LabError>>()?))
+}
+
+/// Samples along each axis below which a field is not worth showing.
+const FEWEST_ACROSS: usize = 5;
+/// Components below which a basis is not worth showing.
+const FEWEST_COMPONENTS: usize = 3;
+
+/// The model's PSFs, by the exact sum over its components, against the true ones, with one of the interpolators.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct InterpolationRow {
+    /// The interpolator.
+    pub interpolation: Interpolation,
+    /// Whether it is the one that the images were made with.
+    pub in_use: bool,
+    /// How far its PSFs are from the true ones.
+    pub summary: ErrorSummary,
+}
+
+impl InterpolationRow {
+    /// Measures the same components and coefficients with an interpolator.
+    ///
+    /// # Errors
+    /// Those of the interpolator, of the model and its field.
+    pub(super) fn measure(
+        record: &PsfModelRecord,
+        interpolation: Interpolation,
+        scenes: &Scenes,
+    ) -> Result<Self, LabError> {
+        let model = model_of(PsfModelRecord::new(
+            record.basis().clone(),
+            record.coefficients().clone(),
+            interpolation,
+            record.outside(),
+            record.normalisation(),
+        )?)?;
+        Ok(Self {
+            interpolation,
+            in_use: interpolation == record.interpolation(),
+            summary: errors(&model, scenes)?,
+        })
+    }
+}

@@ -1,0 +1,130 @@
+//! The method beside patches of constant PSF.
+
+use conv_core::{ConvolutionMethod, Direct, PlanOptions};
+use metrics::Comparison;
+use ndarray::Array2;
+use psf_types::{
+    Anchor, FrameShape, Image, NoProgress, Position, PsfModelRecord, SersicProfile, SersicSource,
+};
+use serde::Serialize;
+
+use crate::LabError;
+use crate::bench::{BenchCase, BenchOptions, BenchOutcome, Contender, lit_scene, run, stretched};
+use psfield::{Device, Method, Psf, Scene, model_of};
+
+/// Run time and error at several sizes of the image: Table 1 of the paper.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct PatchComparison {
+    /// What was measured, one outcome a size.
+    pub sizes: Vec<BenchOutcome>,
+}
+
+impl PatchComparison {
+    /// Measures patches and the fast engine on lit images, over each of which the PSF varies as over the whole field.
+    ///
+    /// # Errors
+    /// Those of [`run`].
+    pub(super) fn measure(
+        record: &PsfModelRecord,
+        sizes: &[usize],
+        patches: &[usize],
+        repeat: usize,
+        seed: u64,
+    ) -> Result<Self, LabError> {
+        let mut contenders = vec![
+            Contender::LowRank { tolerance: 1e-3 },
+            Contender::LowRank {
+                tolerance: PlanOptions::DEFAULT_TOLERANCE,
+            },
+        ];
+        contenders.extend(patches.iter().map(|&size| Contender::Patch { size }));
+        let options = BenchOptions {
+            repeat,
+            seed,
+            ..BenchOptions::default()
+        };
+        let sizes = sizes
+            .iter()
+            .map(|&side| {
+                let frame = FrameShape::new(side, side)?;
+                let case = BenchCase::new(stretched(record, frame)?, lit_scene::<f32>(frame, seed)?);
+                Ok(run(&case, &contenders, &options, &NoProgress)?)
+            })
+            .collect::<Result<_, LabError>>()?;
+        Ok(Self { sizes })
+    }
+}
+
+/// A large galaxy by the fast engine, by patches and by the direct sum.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct GalaxyComparison {
+    /// Pixels along each side of the image, over which the PSF varies as over the whole field.
+    pub side: usize,
+    /// Pixels along each side of a patch.
+    pub patch: usize,
+    /// Relative L2 error of the patches against the direct sum.
+    pub patch_relative_l2: f64,
+    /// Largest error of the patches over the peak.
+    pub patch_max_over_peak: f64,
+    /// Relative L2 error of the fast engine, by transforms alone at its default tolerance.
+    pub lowrank_relative_l2: f64,
+    /// Its largest error over the peak.
+    pub lowrank_max_over_peak: f64,
+    /// The galaxy as it is.
+    #[serde(skip)]
+    pub original: Array2<f64>,
+    /// By the fast engine.
+    #[serde(skip)]
+    pub lowrank: Array2<f64>,
+    /// By patches.
+    #[serde(skip)]
+    pub patches: Array2<f64>,
+    /// By the direct sum.
+    #[serde(skip)]
+    pub exact: Array2<f64>,
+}
+
+/// Half-light radius over the image's side.
+const GALAXY_SIZE: f64 = 0.12;
+
+impl GalaxyComparison {
+    /// Images a galaxy that fills the frame in all three ways.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`](psfield::PsfieldError::Convolution).
+    pub(super) fn measure(record: &PsfModelRecord, side: usize, patch: usize) -> Result<Self, LabError> {
+        let frame = FrameShape::new(side, side)?;
+        let model = model_of(stretched(record, frame)?)?;
+        let middle = (side - 1) as f64 / 2.0;
+        let profile = SersicProfile::new(GALAXY_SIZE * side as f64, 1.0, 0.6, 30.0)?;
+        let galaxy = SersicSource::new(Position::new(middle, middle)?, 1e6, profile)?;
+        let mut original = Array2::<f64>::zeros((side, side));
+        sersic::add_galaxies(original.view_mut(), (0, 0), &[galaxy]);
+        let light = Image::new(original.clone())?;
+        let exact = Direct::new(Anchor::Source)
+            .convolve(&model, &light.view(), frame.region(), &NoProgress)?
+            .into_pixels();
+        let psf = Psf::from(model);
+        let by = |method| -> Result<Array2<f64>, LabError> {
+            let simulator = psf.simulator((side, side)).method(method).device(Device::Cpu);
+            Ok(simulator.build()?.simulate(&Scene::from(&light))?.into_pixels())
+        };
+        let (lowrank, patches) = (by(Method::LowRank)?, by(Method::Patch(patch))?);
+        let of_patches = Comparison::of(patches.view(), exact.view())?;
+        let of_lowrank = Comparison::of(lowrank.view(), exact.view())?;
+        Ok(Self {
+            side,
+            patch,
+            patch_relative_l2: of_patches.relative_l2()?,
+            patch_max_over_peak: of_patches.max_over_peak()?,
+            lowrank_relative_l2: of_lowrank.relative_l2()?,
+            lowrank_max_over_peak: of_lowrank.max_over_peak()?,
+            original,
+            lowrank,
+            patches,
+            exact,
+        })
+    }
+}

@@ -1,0 +1,344 @@
+//! The paper's figures, remade.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use conv_core::PlanOptions;
+use psf_optics::Telescope;
+use psf_sample::{
+    AdaptiveSampling, DifferenceMeasure, InterpolationError, SampleError, SamplingMethod, UniformSampling,
+};
+use psf_types::{FrameShape, Interpolation, NoProgress, Position, Progress, PsfSource};
+use psfield::{FitOptions, fit, model_of};
+use serde::Serialize;
+
+use crate::LabError;
+use crate::report::scenes::{GALAXY, Scenes};
+use crate::report::{
+    ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow, PatchComparison, Target,
+};
+
+/// Everything that the paper shows, measured on psfield's own survey telescope.
+///
+/// The optics ([`Telescope::survey_2m`]) are sampled on a regular grid, a model is fitted with the default settings, and objects are drawn
+/// on the whole frame by transforms alone: stars as single lit pixels, and small galaxies. Each is compared with its true image, computed
+/// from the optics at its own position; the model has no part in the truth.
+///
+/// ```no_run
+/// use psfield::psf_types::NoProgress;
+/// use psfield_lab::report::{Reproduction, ReproductionOptions};
+/// let reproduction = Reproduction::run(&ReproductionOptions::quick(), &NoProgress)?;
+/// for target in &reproduction.targets {
+///     println!("{}: {:?}, should be below {}", target.what, target.measured, target.limit);
+/// }
+/// # Ok::<(), psfield_lab::LabError>(())
+/// ```
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct Reproduction {
+    /// The telescope's name.
+    pub telescope: String,
+    /// Columns and rows of the frame.
+    pub frame: FrameShape,
+    /// Columns and rows of a stamp.
+    pub stamp: [usize; 2],
+    /// Uniform samples.
+    pub samples: usize,
+    /// Objects of each kind.
+    pub objects: usize,
+    /// The galaxies: half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
+    pub galaxy: [f64; 4],
+    /// The tolerance of the figures: the default.
+    pub tolerance: f64,
+    /// The basis.
+    pub basis: BasisFigures,
+    /// Samples of the non-uniform sampling shown, and its threshold (relative L2 of the interpolation).
+    pub adaptive_samples: usize,
+    /// Its threshold.
+    pub adaptive_threshold: f64,
+    /// What should hold at the default tolerance, and whether it does.
+    pub targets: Vec<Target>,
+    /// Errors at several tolerances, by kind of object.
+    pub tolerances: Vec<ToleranceRow>,
+    /// Errors of the model alone, by interpolator.
+    pub interpolations: Vec<InterpolationRow>,
+    /// Errors of models with fewer samples.
+    pub fewer_samples: Vec<ModelRow>,
+    /// The same of all samples with fewer components.
+    pub fewer_components: Vec<ModelRow>,
+    /// Stars at the default tolerance.
+    pub stars: Evaluation,
+    /// Galaxies at the default tolerance.
+    pub galaxies: Evaluation,
+    /// Table 1.
+    pub table_1: PatchComparison,
+    /// A large galaxy, with the seams of patches.
+    pub large_galaxy: GalaxyComparison,
+    /// Seconds in all.
+    pub seconds: f64,
+    /// Where the uniform samples lie.
+    #[serde(skip)]
+    pub sample_positions: Vec<Position>,
+    /// Where the non-uniform samples lie.
+    #[serde(skip)]
+    pub adaptive_positions: Vec<Position>,
+}
+
+/// What the decomposition of the samples says.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct BasisFigures {
+    /// Components kept, the mean not counted.
+    pub rank: usize,
+    /// Components at the elbow.
+    pub elbow: Option<usize>,
+    /// Largest truncation error over the samples, relative L2.
+    pub max_error: f64,
+    /// Median leave-one-out error of the samples, relative L2: the interpolation over twice the distance of the samples.
+    pub leave_one_out_median: Option<f64>,
+    /// The interpolator.
+    pub interpolation: Interpolation,
+    /// All singular values.
+    pub singular_values: Vec<f64>,
+    /// Their cumulative weights.
+    pub cumulative_weights: Vec<f64>,
+}
+
+/// What is drawn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ObjectKind {
+    /// A single lit pixel.
+    Point,
+    /// A small galaxy.
+    Extended,
+}
+
+/// Errors of the objects of a kind at a tolerance.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ToleranceRow {
+    /// The engine's tolerance.
+    pub tolerance: f64,
+    /// What was drawn.
+    pub kind: ObjectKind,
+    /// How far it is from the truth.
+    pub summary: ErrorSummary,
+    /// Seconds of the image of the whole frame.
+    pub seconds: f64,
+}
+
+/// The highest degree of the polynomial that is shown beside the default interpolation.
+const MAX_DEGREE: usize = 16;
+/// Samples for each term of the polynomial, so that they determine it well.
+const SAMPLES_A_TERM: usize = 4;
+/// Patches of the large galaxy over its side.
+const PATCHES_ACROSS: usize = 8;
+
+impl Reproduction {
+    /// Measures everything.
+    ///
+    /// # Errors
+    /// [`LabError`] of any stage; [`LabError::ObjectsTooClose`] when a small frame has no room for
+    /// the objects.
+    pub fn run(options: &ReproductionOptions, progress: &dyn Progress) -> Result<Self, LabError> {
+        let start = Instant::now();
+        let mut tolerances = options.tolerances.clone();
+        let default = PlanOptions::DEFAULT_TOLERANCE;
+        if !tolerances.contains(&default) {
+            tolerances.push(default);
+        }
+        progress.start(8 + tolerances.len() as u64);
+        let telescope = telescope_on(options.frame)?;
+        let frame = telescope.field();
+        let grid = telescope.grid();
+        let across = options.samples_across;
+        let samples = UniformSampling::new(across, across)?
+            .sample(&telescope, &NoProgress)?
+            .samples;
+        let sample_positions = samples.positions().as_slice().to_vec();
+        progress.advance(1);
+        let adaptive_positions = adaptive_positions(&telescope, options.adaptive_threshold)?;
+        progress.advance(1);
+
+        let fitted = fit(samples, &FitOptions::default())?;
+        let report = fitted.report()?;
+        let record = fitted.record().clone();
+        let model = model_of(record.clone())?;
+        progress.advance(1);
+
+        let scene = Scenes::new(&telescope, options.objects_across)?;
+        progress.advance(1);
+
+        let mut tolerance_rows = Vec::new();
+        let mut shown = None;
+        for &tolerance in &tolerances {
+            let (stars, galaxies) = scene.drawn(&model, tolerance, &mut tolerance_rows)?;
+            if tolerance == default {
+                shown = Some((stars, galaxies));
+            }
+            progress.advance(1);
+        }
+        let (stars, galaxies) = shown.expect("the default tolerance is among them");
+
+        let interpolations = [
+            record.interpolation(),
+            Interpolation::Bilinear,
+            Interpolation::NaturalNeighbour,
+            polynomial_of(sample_positions.len()),
+        ]
+        .into_iter()
+        .map(|interpolation| InterpolationRow::measure(&record, interpolation, &scene))
+        .collect::<Result<_, _>>()?;
+        progress.advance(1);
+        let fewer_samples = ModelRow::of_fewer_samples(&telescope, across, &scene)?;
+        let fewer_components = ModelRow::of_fewer_components(&fitted, across, &scene)?;
+        progress.advance(1);
+        let table_1 = PatchComparison::measure(
+            &record,
+            &options.image_sides,
+            &options.patches,
+            options.repeat,
+            options.seed,
+        )?;
+        progress.advance(1);
+        let patch = (options.galaxy_side / PATCHES_ACROSS).max(1);
+        let large_galaxy = GalaxyComparison::measure(&record, options.galaxy_side, patch)?;
+        progress.advance(1);
+
+        let mut targets = Target::of("stars", &stars.summary);
+        targets.extend(Target::of("galaxies", &galaxies.summary));
+        Ok(Self {
+            telescope: telescope.params().name.clone(),
+            frame,
+            stamp: [grid.nx(), grid.ny()],
+            samples: sample_positions.len(),
+            objects: scene.positions.len(),
+            galaxy: GALAXY,
+            tolerance: default,
+            basis: BasisFigures {
+                rank: report.rank,
+                elbow: report.elbow,
+                max_error: report.max_error,
+                leave_one_out_median: report.leave_one_out.median,
+                interpolation: report.interpolation,
+                singular_values: report.singular_values,
+                cumulative_weights: report.cumulative_weights,
+            },
+            adaptive_samples: adaptive_positions.len(),
+            adaptive_threshold: options.adaptive_threshold,
+            targets,
+            tolerances: tolerance_rows,
+            interpolations,
+            fewer_samples,
+            fewer_components,
+            stars,
+            galaxies,
+            table_1,
+            large_galaxy,
+            seconds: start.elapsed().as_secs_f64(),
+            sample_positions,
+            adaptive_positions,
+        })
+    }
+}
+
+/// The polynomial that so many samples determine well.
+fn polynomial_of(samples: usize) -> Interpolation {
+    let determined = |degree: &usize| (degree + 1) * (degree + 2) / 2 * SAMPLES_A_TERM <= samples;
+    let degree = (1..=MAX_DEGREE).rev().find(determined).unwrap_or(0);
+    Interpolation::Polynomial { degree }
+}
+
+/// The survey telescope on a frame of another size: the field of view shrinks to it with all its aberrations.
+fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, LabError> {
+    let telescope = Telescope::survey_2m();
+    let Some(frame) = frame else { return Ok(telescope) };
+    let mut params = telescope.params().clone();
+    (params.frame.nx, params.frame.ny) = (frame.nx(), frame.ny());
+    Ok(Telescope::new(params)?)
+}
+
+fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Position>, LabError> {
+    let criterion = InterpolationError::new(threshold, DifferenceMeasure::L2)?;
+    let sampling = match AdaptiveSampling::new(Arc::new(criterion)).sample(source, &NoProgress) {
+        Err(SampleError::CapReached(cap)) => cap.into_sampling(),
+        other => other?,
+    };
+    Ok(sampling.samples.positions().as_slice().to_vec())
+}
+
+/// Sizes of a [`Reproduction`](crate::report::Reproduction). Smaller ones run the same code on
+/// less.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ReproductionOptions {
+    /// The frame, over which the optics vary in the same way whatever its size; none: the telescope's own.
+    pub frame: Option<FrameShape>,
+    /// PSF samples along each axis.
+    pub samples_across: usize,
+    /// Objects along each axis.
+    pub objects_across: usize,
+    /// Tolerances of the fast engine; the default one is added where it is missing.
+    pub tolerances: Vec<f64>,
+    /// Sides of the images of Table 1.
+    pub image_sides: Vec<usize>,
+    /// Sides of patches.
+    pub patches: Vec<usize>,
+    /// Timed runs in Table 1.
+    pub repeat: usize,
+    /// Side of the image of the large galaxy.
+    pub galaxy_side: usize,
+    /// Interpolation error (relative L2) down to which the non-uniform sampling goes that is shown beside the uniform one.
+    pub adaptive_threshold: f64,
+    /// Chooses the light of Table 1 and the pixels compared.
+    pub seed: u64,
+}
+
+impl ReproductionOptions {
+    /// The paper's: 71 x 71 = 5041 samples, 54 x 54 = 2916 objects, the telescope's own frame.
+    pub fn full() -> Self {
+        Self {
+            frame: None,
+            samples_across: 71,
+            objects_across: 54,
+            tolerances: vec![1e-2, 1e-3, 1e-4, 1e-5],
+            image_sides: vec![512, 1024],
+            patches: vec![32, 64, 128, 256],
+            repeat: 5,
+            galaxy_side: 512,
+            adaptive_threshold: 1e-3,
+            seed: 1,
+        }
+    }
+
+    /// The same on a frame of a quarter the side, with a quarter of the samples and a ninth of the objects.
+    pub fn quick() -> Self {
+        Self {
+            frame: FrameShape::new(2308, 2304).ok(),
+            samples_across: 36,
+            objects_across: 18,
+            repeat: 2,
+            galaxy_side: 256,
+            adaptive_threshold: 4e-3,
+            ..Self::full()
+        }
+    }
+}
+
+impl Default for ReproductionOptions {
+    fn default() -> Self {
+        Self::full()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn polynomials_do_not_outgrow_their_samples() {
+        for (samples, degree) in [(1, 0), (64, 4), (1296, 16), (5041, 16)] {
+            assert_eq!(polynomial_of(samples), Interpolation::Polynomial { degree });
+        }
+    }
+}

@@ -1,0 +1,69 @@
+//! On the processor or on a GPU: the choice.
+
+#[cfg(feature = "gpu")]
+mod open_gpus;
+mod placement;
+
+use conv_core::{ConvReal, Engine, Plan};
+
+use crate::PsfieldError;
+use crate::simulate_options::{Device, SimulateOptions};
+
+#[cfg(feature = "gpu")]
+pub use open_gpus::{forget_gpus, open_gpu};
+#[cfg(feature = "gpu")]
+use open_gpus::{place_on_gpu, place_where_faster};
+pub use placement::{CpuReason, GpuSeconds, Placement, PredictedSeconds};
+
+/// Work predicted to take less on the processor is not worth a look at what GPUs there are, which takes longer. GPUs that are
+/// open already have no part in it, so that a plan is executed in the same place whatever ran before it.
+pub const WORTH_A_LOOK_SECONDS: f64 = 0.05;
+
+/// Decides where a plan is executed, and hands it over. The number of threads of the current pool decides how fast the
+/// processor is taken to be.
+pub(crate) fn place<T: ConvReal>(
+    plan: Plan<T>,
+    options: &SimulateOptions,
+) -> Result<(Engine<T>, Placement), PsfieldError> {
+    let predicted = || plan.summary().predicted_seconds / rayon::current_num_threads().max(1) as f64;
+    let reason = match options.device {
+        Device::Gpu => return place_on_gpu(plan, options),
+        Device::Cpu => CpuReason::Asked,
+        Device::Auto if size_of::<T>() != size_of::<f32>() => CpuReason::Precision { precision: T::NAME },
+        Device::Auto => match predicted() {
+            cpu_seconds if cpu_seconds < WORTH_A_LOOK_SECONDS => CpuReason::Small { cpu_seconds },
+            cpu_seconds => return Ok(place_where_faster(plan, options, cpu_seconds)),
+        },
+    };
+    Ok((Engine::new(plan), Placement::cpu(reason)))
+}
+
+/// Fails: this build has no support of GPUs.
+///
+/// # Errors
+/// [`PsfieldError::NoGpuSupport`].
+#[cfg(not(feature = "gpu"))]
+pub fn open_gpu(_adapter: Option<&str>) -> Result<String, PsfieldError> {
+    Err(PsfieldError::NoGpuSupport)
+}
+
+/// Does nothing: this build has no support of GPUs.
+#[cfg(not(feature = "gpu"))]
+pub fn forget_gpus() {}
+
+#[cfg(not(feature = "gpu"))]
+fn place_on_gpu<T: ConvReal>(
+    _plan: Plan<T>,
+    _options: &SimulateOptions,
+) -> Result<(Engine<T>, Placement), PsfieldError> {
+    Err(PsfieldError::NoGpuSupport)
+}
+
+#[cfg(not(feature = "gpu"))]
+fn place_where_faster<T: ConvReal>(
+    plan: Plan<T>,
+    _options: &SimulateOptions,
+    _cpu_seconds: f64,
+) -> (Engine<T>, Placement) {
+    (Engine::new(plan), Placement::cpu(CpuReason::NotBuilt))
+}

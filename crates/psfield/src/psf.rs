@@ -1,0 +1,248 @@
+//! A PSF over a field, whatever it came from.
+
+mod format_records;
+mod open;
+mod resample;
+
+use std::sync::{Arc, OnceLock};
+
+use ndarray::{Array3, ArrayView3};
+use psf_io::FileKind;
+use psf_sample::{SamplingMethod, SamplingReport};
+use psf_types::{
+    Position, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource, SamplePositions, StampGrid,
+};
+
+use crate::fit::{Fit, fit, model_of};
+use crate::{FitOptions, PsfieldError};
+
+pub use format_records::record_of_psfex;
+pub use open::{FitChoices, PsfFileOptions};
+
+/// A PSF over a field: samples, a model, or a PSF file of any format. It is fitted when the model is first needed, and
+/// the fit is kept. Cheap to clone: clones share the fit.
+///
+/// ```
+/// use ndarray::Array3;
+/// use psfield::Psf;
+/// // A PSF that widens to the right, known in the corners of a frame of 100 x 80 pixels.
+/// let corners = [(0.0, 0.0), (99.0, 0.0), (0.0, 79.0), (99.0, 79.0)];
+/// let stamps = Array3::from_shape_fn((4, 17, 17), |(j, y, x)| {
+///     let sigma = if j % 2 == 0 { 1.2 } else { 1.8 };
+///     let square = (y as f64 - 8.0).powi(2) + (x as f64 - 8.0).powi(2);
+///     (-square / (2.0 * sigma * sigma)).exp()
+/// });
+/// let psf = Psf::from_samples(stamps.view(), &corners)?;
+/// assert_eq!(psf.model()?.rank(), 1);
+/// # Ok::<(), psfield::PsfieldError>(())
+/// ```
+#[derive(Debug, Clone)]
+pub struct Psf(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    origin: Origin,
+    kind: Option<FileKind>,
+    notes: Vec<String>,
+    fit: OnceLock<Fit>,
+    model: OnceLock<PsfModel>,
+}
+
+#[derive(Debug)]
+enum Origin {
+    Samples(PsfSamples, FitOptions),
+    Record(PsfModelRecord),
+    /// A model with a coefficient field of the caller's own.
+    Model(PsfModel, SamplePositions),
+}
+
+impl From<Origin> for Psf {
+    fn from(origin: Origin) -> Self {
+        Self(Arc::new(Inner {
+            origin,
+            kind: None,
+            notes: Vec::new(),
+            fit: OnceLock::new(),
+            model: OnceLock::new(),
+        }))
+    }
+}
+
+impl From<PsfSamples> for Psf {
+    /// Samples with the default [`FitOptions`].
+    fn from(samples: PsfSamples) -> Self {
+        Self::new(samples, FitOptions::default())
+    }
+}
+
+impl From<PsfModelRecord> for Psf {
+    fn from(record: PsfModelRecord) -> Self {
+        Origin::Record(record).into()
+    }
+}
+
+impl From<PsfModel> for Psf {
+    /// A model as it is: its stamps are neither resampled nor refitted.
+    fn from(model: PsfModel) -> Self {
+        let first = SamplePositions::new(vec![Position::of_pixel(0, 0)], model.field_shape());
+        Origin::Model(model, first.expect("one position on the field")).into()
+    }
+}
+
+impl Psf {
+    /// Samples, and how to fit them.
+    pub fn new(samples: PsfSamples, options: FitOptions) -> Self {
+        Origin::Samples(samples, options).into()
+    }
+
+    /// Samples `[sample, y, x]` at positions `(x, y)` in pixels of the frame (0-based, an integer is the centre of a
+    /// pixel), with the frame's own pixels, centred at index `n / 2`, and the default [`FitOptions`].
+    ///
+    /// # Errors
+    /// [`PsfieldError::Data`] for stamps or positions that make no [`PsfSamples`].
+    pub fn from_samples(stamps: ArrayView3<'_, f64>, positions: &[(f64, f64)]) -> Result<Self, PsfieldError> {
+        let (_, ny, nx) = stamps.dim();
+        let positions = positions.iter().map(|&(x, y)| Position::new(x, y));
+        let positions = SamplePositions::new(positions.collect::<Result<_, _>>()?, None)?;
+        let stamps: Array3<f64> = stamps.to_owned();
+        Ok(PsfSamples::new(stamps, positions, StampGrid::new(nx, ny)?)?.into())
+    }
+
+    /// A PSF that can be drawn at any position, sampled over its field.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Sampling`].
+    pub fn from_source(
+        source: &dyn PsfSource,
+        method: &dyn SamplingMethod,
+        options: FitOptions,
+        progress: &dyn Progress,
+    ) -> Result<(Self, SamplingReport), PsfieldError> {
+        let sampling = method.sample(source, progress)?;
+        Ok((Self::new(sampling.samples, options), sampling.report))
+    }
+
+    /// The samples and the options of their fit, where there are samples.
+    pub fn samples(&self) -> Option<(&PsfSamples, &FitOptions)> {
+        match &self.0.origin {
+            Origin::Samples(samples, options) => Some((samples, options)),
+            _ => None,
+        }
+    }
+
+    /// The model as it was stored, where it was not made from samples.
+    pub fn stored(&self) -> Option<&PsfModelRecord> {
+        match &self.0.origin {
+            Origin::Record(record) => Some(record),
+            _ => None,
+        }
+    }
+
+    /// The format of the file that the PSF was read from.
+    pub fn kind(&self) -> Option<FileKind> {
+        self.0.kind
+    }
+
+    /// How the file was read, in plain sentences for the user.
+    pub fn notes(&self) -> &[String] {
+        &self.0.notes
+    }
+
+    /// The pixel grid of the stamps.
+    pub fn grid(&self) -> StampGrid {
+        match &self.0.origin {
+            Origin::Samples(samples, _) => samples.grid(),
+            Origin::Record(record) => record.basis().grid(),
+            Origin::Model(model, _) => model.grid(),
+        }
+    }
+
+    /// Positions of the samples, or of the model's nodes. A model of the caller's own has no nodes: pixel (0, 0).
+    pub fn positions(&self) -> &SamplePositions {
+        match &self.0.origin {
+            Origin::Samples(samples, _) => samples.positions(),
+            Origin::Record(record) => record.coefficients().positions(),
+            Origin::Model(_, positions) => positions,
+        }
+    }
+
+    /// The fit of the samples, made when it is first needed; none where there are no samples.
+    ///
+    /// # Errors
+    /// As [`fit()`].
+    pub fn fit(&self) -> Result<Option<&Fit>, PsfieldError> {
+        let Some((samples, options)) = self.samples() else {
+            return Ok(None);
+        };
+        get_or_make(&self.0.fit, || fit(samples.clone(), options)).map(Some)
+    }
+
+    /// The model as a file stores it: the fit of the samples, or the stored model.
+    ///
+    /// # Errors
+    /// As [`fit()`]; [`PsfieldError::Unholdable`] for a model with a coefficient field of the caller's own.
+    pub fn record(&self) -> Result<&PsfModelRecord, PsfieldError> {
+        match &self.0.origin {
+            Origin::Record(record) => Ok(record),
+            Origin::Samples(..) => Ok(self.fit()?.expect("samples have a fit").record()),
+            Origin::Model(..) => Err(PsfieldError::Unholdable {
+                format: "a PSF model",
+                what: "a coefficient field of the caller's own",
+                remedy: "sample it first",
+            }),
+        }
+    }
+
+    /// The model on the stamps' own grid, made when it is first needed.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] when the fit or the interpolator fails.
+    pub fn model(&self) -> Result<&PsfModel, PsfieldError> {
+        match &self.0.origin {
+            Origin::Model(model, _) => Ok(model),
+            _ => get_or_make(&self.0.model, || model_of(self.record()?.clone())),
+        }
+    }
+
+    /// Pixels of the image as far as which light beyond its edges comes in, never too few: one more than a stamp is wide,
+    /// or than `stamp_size` where stamps are cut or padded ([`stamp_size`](crate::SimulateOptions::stamp_size)).
+    pub fn reach(&self, stamp_size: Option<usize>) -> usize {
+        let grid = self.grid();
+        let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
+        stamp_size.unwrap_or(own.ceil() as usize).saturating_add(1)
+    }
+}
+
+/// The largest stack of stamps that is made: 16 GiB.
+const MAX_STACK_BYTES: usize = 16 << 30;
+
+/// Refuses stacks of stamps that are larger than any that are meant.
+///
+/// # Errors
+/// [`PsfieldError::TooLarge`].
+pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
+    let bytes = stamps
+        .saturating_mul(grid.pixel_count())
+        .saturating_mul(size_of::<f64>());
+    if bytes > MAX_STACK_BYTES {
+        return Err(PsfieldError::TooLarge {
+            stamps,
+            nx: grid.nx(),
+            ny: grid.ny(),
+            limit: MAX_STACK_BYTES,
+        });
+    }
+    Ok(())
+}
+
+/// The value, made now if it is not there yet.
+///
+/// No thread waits for another: two that come at once both make the value, and one result is kept. A lock would be held
+/// while rayon works, and a thread that takes up other work meanwhile could come back to the same lock.
+pub(crate) fn get_or_make<V, E>(kept: &OnceLock<V>, make: impl FnOnce() -> Result<V, E>) -> Result<&V, E> {
+    if let Some(value) = kept.get() {
+        return Ok(value);
+    }
+    let made = make()?;
+    Ok(kept.get_or_init(|| made))
+}

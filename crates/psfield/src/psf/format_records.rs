@@ -1,0 +1,163 @@
+//! PSFEx models and field-varying PSFs of ScopeSim as models: nothing is fitted anew.
+
+use ndarray::{Array3, Axis};
+use psf_basis::{PixelNoise, RankSelection};
+use psf_io::{PsfexModel, ScopesimPsf};
+use psf_types::{
+    Interpolation, Normalisation, OutsidePolicy, PsfModelRecord, PsfSamples, SampleCoefficients,
+    SamplePositions,
+};
+
+use crate::{FitOptions, PsfieldError, fit};
+
+/// A PSFEx model as a basis and polynomial coefficient fields: the same PSFs to rounding, nothing is fitted anew.
+///
+/// The planes' polynomial of degree d is evaluated at (d+1) x (d+1) nodes, Chebyshev's extrema over `POLZERO +- POLSCAL / 2`,
+/// which determine it; their full basis and an interpolating polynomial of degree d give it back. Outside the nodes the
+/// polynomial goes on ([`OutsidePolicy::Extend`]), as in PSFEx's own tools. PSFEx's planes need not have unit flux; the
+/// record says that every PSF is scaled to it ([`Normalisation::Unit`]).
+///
+/// # Errors
+/// [`PsfieldError::DarkNode`] when the PSF has no positive flux somewhere in the area it was fitted to.
+pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldError> {
+    let nodes = model.nodes()?;
+    let mut stamps = Array3::zeros((nodes.len(), model.grid().ny(), model.grid().nx()));
+    for (mut stamp, &position) in stamps.outer_iter_mut().zip(&nodes) {
+        let psf = model.psf_at(position)?;
+        let flux = psf.flux();
+        if !(flux > 0.0 && flux.is_finite()) {
+            return Err(PsfieldError::DarkNode { position, flux });
+        }
+        stamp.assign(&psf.values());
+    }
+    let samples = PsfSamples::new(stamps, SamplePositions::new(nodes, None)?, model.grid())?;
+    let degree = model.degree();
+    let nodes = full_basis(samples, Interpolation::Polynomial { degree })?;
+    Ok(PsfModelRecord::new(
+        nodes.basis().clone(),
+        nodes.coefficients().clone(),
+        nodes.interpolation(),
+        OutsidePolicy::Extend,
+        Normalisation::Unit,
+    )?)
+}
+
+/// A field-varying PSF of ScopeSim as a basis of its layers, and at each node of the map the coefficients of its layer: no stamp is
+/// there twice, however fine the map. The nearest node's PSF applies, scaled to unit flux as ScopeSim does.
+pub(super) fn record_of_scopesim(psf: &ScopesimPsf) -> Result<PsfModelRecord, PsfieldError> {
+    let layers = full_basis(psf.layers().clone(), Interpolation::Nearest)?;
+    let of_layers = layers.coefficients().values();
+    let of_nodes = of_layers.select(Axis(0), psf.layer_of_node());
+    Ok(PsfModelRecord::new(
+        layers.basis().clone(),
+        SampleCoefficients::new(of_nodes, psf.nodes().clone())?,
+        Interpolation::Nearest,
+        OutsidePolicy::Nearest,
+        Normalisation::Unit,
+    )?)
+}
+
+/// All components of samples as they are.
+fn full_basis(samples: PsfSamples, interpolation: Interpolation) -> Result<PsfModelRecord, PsfieldError> {
+    let options = FitOptions {
+        rank: RankSelection::Full,
+        noise: PixelNoise::Known(0.0),
+        interpolation,
+        normalisation: Normalisation::Keep,
+        ..FitOptions::default()
+    };
+    Ok(fit(samples, &options)?.record().clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model_of;
+    use psf_io::{PsfexAxis, PsfexPolynomial};
+    use psf_types::Position;
+
+    /// Rounding, relative to the peak, also two scales away from the nodes, where high powers amplify it.
+    const ROUNDING: f64 = 1e-12;
+
+    fn model(degree: usize, scale: f64) -> PsfexModel {
+        let axis = |name, zero| PsfexAxis::new(name, zero, scale).unwrap();
+        let polynomial =
+            PsfexPolynomial::new(axis("X_IMAGE", 700.0), axis("Y_IMAGE", 1500.25), degree).unwrap();
+        let planes = Array3::from_shape_fn((PsfexPolynomial::term_count(degree), 9, 8), |(t, y, x)| {
+            let r2 = (x as f64 - 4.0).powi(2) + (y as f64 - 4.0).powi(2);
+            let wave = (t as f64 + 1.0 + 0.7 * x as f64 * (y as f64 + 0.3 * t as f64)).sin();
+            (-0.2 * r2).exp() * if t == 0 { 1.0 } else { 0.2 * wave }
+        });
+        PsfexModel::new(planes, 0.7, Some(polynomial)).unwrap()
+    }
+
+    fn largest_error(psfex: &PsfexModel, record: PsfModelRecord, positions: &[(f64, f64)]) -> f64 {
+        let record = PsfModelRecord::new(
+            record.basis().clone(),
+            record.coefficients().clone(),
+            record.interpolation(),
+            record.outside(),
+            Normalisation::Keep,
+        );
+        let model = model_of(record.unwrap()).unwrap();
+        let errors = positions.iter().map(|&(x, y)| {
+            let position = Position::new(x, y).unwrap();
+            let (found, truth) = (model.psf_at(position).unwrap(), psfex.psf_at(position).unwrap());
+            let peak = truth.values().iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            let differences = found.values().to_owned() - truth.values();
+            differences.iter().fold(0.0f64, |m, v| m.max(v.abs())) / peak
+        });
+        errors.fold(0.0, f64::max)
+    }
+
+    #[test]
+    fn every_degree_is_carried_over_exactly_inside_and_outside() {
+        let positions = [
+            (700.0, 1500.25),
+            (213.7, 2400.1),
+            (1890.0, 3.0),
+            (-300.0, 5000.0),
+            (0.0, 0.0),
+        ];
+        for degree in 0..=4 {
+            for scale in [2000.0, -2000.0] {
+                let psfex = model(degree, scale);
+                let record = record_of_psfex(&psfex).unwrap();
+                assert_eq!(record.coefficients().positions().len(), (degree + 1).pow(2));
+                assert_eq!(record.basis().rank() + 1, PsfexPolynomial::term_count(degree));
+                assert_eq!(record.basis().grid(), psfex.grid());
+                let error = largest_error(&psfex, record, &positions);
+                assert!(error <= ROUNDING, "degree {degree}: {error:e}");
+            }
+        }
+        // Another polynomial is another model: the comparison can fail.
+        let error = largest_error(
+            &model(2, 1990.0),
+            record_of_psfex(&model(2, 2000.0)).unwrap(),
+            &positions,
+        );
+        assert!(error > 1e-4, "{error:e}");
+    }
+
+    #[test]
+    fn a_constant_model_is_the_same_everywhere() {
+        let constant = PsfexModel::new(Array3::from_elem((1, 3, 5), 0.2), 1.5, None).unwrap();
+        let record = record_of_psfex(&constant).unwrap();
+        assert_eq!(
+            (record.basis().rank(), record.normalisation()),
+            (0, Normalisation::Unit)
+        );
+        assert!(largest_error(&constant, record, &[(0.0, 0.0), (1e4, -3e3)]) <= ROUNDING);
+    }
+
+    #[test]
+    fn a_model_without_light_is_refused() {
+        let psfex = model(1, 2000.0);
+        let dark = psfex.planes().mapv(|v| -v);
+        let dark = PsfexModel::new(dark, 0.7, psfex.polynomial().cloned()).unwrap();
+        assert!(matches!(
+            record_of_psfex(&dark),
+            Err(PsfieldError::DarkNode { .. })
+        ));
+    }
+}

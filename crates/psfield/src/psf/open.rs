@@ -1,0 +1,405 @@
+//! One door for every PSF file.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use psf_basis::{Centring, PixelNoise, RankSelection};
+use psf_io::{FileKind, HduChoice, PlaneOrder, ScopesimOptions, StampCubeOptions};
+use psf_types::{
+    Interpolation, Normalisation, OutsidePolicy, Position, PsfBasis, PsfModelRecord, PsfSamples,
+    SamplePositions,
+};
+
+use super::format_records::{record_of_psfex, record_of_scopesim};
+use super::{Inner, Origin, Psf};
+use crate::{FitOptions, PsfieldError};
+
+/// What a PSF file does not say of itself, or leaves to be chosen. Each option is of some formats; to give one to a file of
+/// another format is an error.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct PsfFileOptions {
+    /// Which of several models (PSFEx) or images (STPSF, STDPSF, a cube or a single stamp).
+    pub extension: Option<HduChoice>,
+    /// Which of several detectors (STDPSF).
+    pub detector: Option<usize>,
+    /// How positions belong to planes (STPSF).
+    pub plane_order: Option<PlaneOrder>,
+    /// The wavelength in micrometres, of several (ScopeSim).
+    pub wavelength_um: Option<f64>,
+    /// The size of a frame pixel in arcseconds (ScopeSim).
+    pub pixel_scale_arcsec: Option<f64>,
+    /// Where the centre of the field lies on the frame (ScopeSim).
+    pub field_centre: Option<Position>,
+    /// Where the planes of a cube belong.
+    pub positions: Option<Vec<Position>>,
+    /// Stamp pixels per frame pixel, of a cube or a single stamp.
+    pub oversampling: Option<f64>,
+    /// The stamps' reference point, a 0-based index that may be fractional, of a cube or a single stamp.
+    pub centre: Option<Position>,
+    /// Whether the pixel response is in the stamps, whatever the file says.
+    pub pixel_response_included: Option<bool>,
+}
+
+impl PsfFileOptions {
+    /// The first option given that a format does not know, and the formats that do.
+    pub(crate) fn unknown_to(&self, kind: FileKind) -> Option<(&'static str, &'static str)> {
+        use FileKind::{Cube, Image, Psfex, Scopesim, Stdpsf, Stpsf};
+        const SCOPESIM: &str = "field-varying PSFs of ScopeSim";
+        let table: [(bool, &[FileKind], &str, &str); 9] = [
+            (
+                self.extension.is_some(),
+                &[Psfex, Stpsf, Stdpsf, Cube, Image],
+                "--psf-extension",
+                "PSFEx models, STPSF and STDPSF libraries, and plain stamps",
+            ),
+            (
+                self.detector.is_some(),
+                &[Stdpsf],
+                "--psf-detector",
+                "STDPSF libraries",
+            ),
+            (
+                self.plane_order.is_some(),
+                &[Stpsf],
+                "--psf-order",
+                "STPSF libraries",
+            ),
+            (
+                self.wavelength_um.is_some(),
+                &[Scopesim],
+                "--psf-wavelength",
+                SCOPESIM,
+            ),
+            (
+                self.pixel_scale_arcsec.is_some(),
+                &[Scopesim],
+                "--pixel-scale",
+                SCOPESIM,
+            ),
+            (
+                self.field_centre.is_some(),
+                &[Scopesim],
+                "--field-centre",
+                SCOPESIM,
+            ),
+            (
+                self.positions.is_some(),
+                &[Cube],
+                "--psf-positions",
+                "cubes without positions",
+            ),
+            (
+                self.centre.is_some(),
+                &[Cube, Image],
+                "--psf-centre",
+                "cubes and single stamps without a table POSITIONS",
+            ),
+            (
+                self.oversampling.is_some(),
+                &[Cube, Image],
+                "--psf-oversampling",
+                "cubes and single stamps without a table POSITIONS",
+            ),
+        ];
+        table
+            .into_iter()
+            .find(|(given, kinds, ..)| *given && !kinds.contains(&kind))
+            .map(|(_, _, option, formats)| (option, formats))
+    }
+}
+
+/// Fit options as far as the user has chosen them: what is none takes the default of the file's format.
+///
+/// ```
+/// use psfield::{FitChoices, FitOptions, psf_types::Normalisation};
+/// let choices = FitChoices { normalisation: Some(Normalisation::Keep), ..FitChoices::default() };
+/// let options = choices.or(FitOptions::default());
+/// assert_eq!(options, FitOptions { normalisation: Normalisation::Keep, ..FitOptions::default() });
+/// ```
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FitChoices {
+    /// How many components are kept.
+    pub rank: Option<RankSelection>,
+    /// With or without a mean stamp.
+    pub centring: Option<Centring>,
+    /// What is known of the noise in the samples' pixels.
+    pub noise: Option<PixelNoise>,
+    /// How coefficients are carried over the field.
+    pub interpolation: Option<Interpolation>,
+    /// What happens outside the samples; also for a model.
+    pub outside: Option<OutsidePolicy>,
+    /// Whether samples and PSFs are scaled to unit flux; also for a model.
+    pub normalisation: Option<Normalisation>,
+}
+
+impl FitChoices {
+    /// The options, with these for what is not chosen.
+    #[must_use]
+    pub fn or(self, defaults: FitOptions) -> FitOptions {
+        FitOptions {
+            rank: self.rank.unwrap_or(defaults.rank),
+            centring: self.centring.unwrap_or(defaults.centring),
+            noise: self.noise.unwrap_or(defaults.noise),
+            interpolation: self.interpolation.unwrap_or(defaults.interpolation),
+            outside: self.outside.unwrap_or(defaults.outside),
+            normalisation: self.normalisation.unwrap_or(defaults.normalisation),
+        }
+    }
+
+    /// Whether something is chosen that only a fit can follow, not a model that is ready.
+    pub fn needs_fit(&self) -> bool {
+        self.rank.is_some() || self.centring.is_some() || self.noise.is_some() || self.interpolation.is_some()
+    }
+}
+
+/// All of them chosen.
+impl From<FitOptions> for FitChoices {
+    fn from(options: FitOptions) -> Self {
+        Self {
+            rank: Some(options.rank),
+            centring: Some(options.centring),
+            noise: Some(options.noise),
+            interpolation: Some(options.interpolation),
+            outside: Some(options.outside),
+            normalisation: Some(options.normalisation),
+        }
+    }
+}
+
+impl Psf {
+    /// Reads PSF samples, a model, or any other PSF file that [`psf_io`] knows, with the defaults of its format.
+    ///
+    /// # Errors
+    /// As [`open_with`](Self::open_with).
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, PsfieldError> {
+        Self::open_with(path, &PsfFileOptions::default(), &FitChoices::default())
+    }
+
+    /// Reads a PSF file whose format asks for more to be said, with the defaults of the format for what is not chosen.
+    ///
+    /// | file | normalised | what is chosen |
+    /// |---|---|---|
+    /// | [PSF samples](psf_io::samples) | unit | all of `choices` |
+    /// | [PSF model](psf_io::model) | as it says | `outside` and `normalisation` of `choices` |
+    /// | [PSFEx model](psf_io::psfex) | unit | the same; `file.extension` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | as it is | all of `choices` (every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
+    /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
+    /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
+    /// | single stamp: the same PSF everywhere | unit | `file.oversampling`, `file.centre`, `file.extension` |
+    ///
+    /// `file.pixel_response_included` applies to all.
+    ///
+    /// ```no_run
+    /// use psfield::{FitChoices, Psf, PsfFileOptions};
+    /// let file = PsfFileOptions { extension: Some("2".parse()?), ..PsfFileOptions::default() };
+    /// let psf = Psf::open_with("field.psf", &file, &FitChoices::default())?;
+    /// for note in psf.notes() {
+    ///     eprintln!("{note}");
+    /// }
+    /// let model = psf.model()?;
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
+    /// # Errors
+    /// [`PsfieldError::ForeignOption`] for an option that the format does not know, [`PsfieldError::FitOfModel`] for a choice
+    /// that a model leaves no room for, [`PsfieldError::MissingChoice`] for a choice that is needed, and
+    /// [`PsfieldError::Io`] when the file holds no PSF or is damaged.
+    pub fn open_with(
+        path: impl AsRef<Path>,
+        file: &PsfFileOptions,
+        choices: &FitChoices,
+    ) -> Result<Self, PsfieldError> {
+        let path = path.as_ref();
+        let (origin, kind, notes) = read(path, file)?;
+        let origin = match origin {
+            Origin::Samples(samples, _) => {
+                let defaults = defaults(kind, samples.positions());
+                Origin::Samples(samples, choices.or(defaults))
+            }
+            Origin::Record(_) if choices.needs_fit() => {
+                return Err(PsfieldError::FitOfModel {
+                    path: path.to_owned(),
+                    kind,
+                });
+            }
+            Origin::Record(record) => Origin::Record(PsfModelRecord::new(
+                record.basis().clone(),
+                record.coefficients().clone(),
+                record.interpolation(),
+                choices.outside.unwrap_or(record.outside()),
+                choices.normalisation.unwrap_or(record.normalisation()),
+            )?),
+            model @ Origin::Model(..) => model,
+        };
+        let inner = Arc::into_inner(Self::from(origin).0).expect("nobody else has it yet");
+        Ok(Self(Arc::new(Inner {
+            kind: Some(kind),
+            notes,
+            ..inner
+        })))
+    }
+
+    /// These samples with other options of their fit; a model stays as it is.
+    #[must_use]
+    pub fn with_fit_options(&self, options: FitOptions) -> Self {
+        match self.samples() {
+            Some((samples, _)) => Self::new(samples.clone(), options),
+            None => self.clone(),
+        }
+    }
+}
+
+/// The fit options of samples of a format where nothing is chosen.
+fn defaults(kind: FileKind, positions: &SamplePositions) -> FitOptions {
+    match kind {
+        FileKind::Stpsf | FileKind::Stdpsf => FitOptions::of_gridded_library(positions),
+        FileKind::Image => FitOptions::of_single_stamp(),
+        _ => FitOptions::default(),
+    }
+}
+
+fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, Vec<String>), PsfieldError> {
+    let choice = file.extension.as_ref();
+    let kind = psf_io::detect_hdu(path, choice)?;
+    if let Some((option, formats)) = file.unknown_to(kind) {
+        return Err(PsfieldError::ForeignOption {
+            path: path.to_owned(),
+            kind,
+            option,
+            formats,
+        });
+    }
+    let of_library = |library: psf_io::GriddedPsf| {
+        let notes = library.notes().to_vec();
+        (unfitted(library.into_samples()), notes)
+    };
+    let (origin, notes) = match kind {
+        FileKind::PsfModel => (Origin::Record(psf_io::read_model(path)?), Vec::new()),
+        FileKind::Psfex => {
+            let model = psf_io::read_psfex(path, choice)?;
+            (Origin::Record(record_of_psfex(&model)?), Vec::new())
+        }
+        FileKind::Stpsf => of_library(psf_io::read_stpsf_hdu(
+            path,
+            choice,
+            file.plane_order.unwrap_or_default(),
+        )?),
+        FileKind::Stdpsf => of_library(psf_io::read_stdpsf_hdu(path, choice, file.detector)?),
+        FileKind::Scopesim => {
+            let psf = psf_io::read_scopesim(path, &scopesim_options(path, file)?)?;
+            (Origin::Record(record_of_scopesim(&psf)?), psf.notes().to_vec())
+        }
+        FileKind::Cube | FileKind::Image => plain(path, kind, file)?,
+        // Whatever else it is, the reader of samples says best what is missing.
+        _ => (unfitted(psf_io::read_samples(path)?), Vec::new()),
+    };
+    let origin = match file.pixel_response_included {
+        Some(included) => origin.with_pixel_response_included(included)?,
+        None => origin,
+    };
+    Ok((origin, kind, notes))
+}
+
+fn missing(path: &Path, kind: FileKind, what: &'static str, option: &'static str) -> PsfieldError {
+    PsfieldError::MissingChoice {
+        path: path.to_owned(),
+        kind,
+        what,
+        option,
+    }
+}
+
+fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOptions, PsfieldError> {
+    let lacks = |what, option| missing(path, FileKind::Scopesim, what, option);
+    let scale = file.pixel_scale_arcsec.ok_or_else(|| {
+        lacks(
+            "a word on the frame's pixels",
+            "--pixel-scale ARCSEC (the size of a frame pixel)",
+        )
+    })?;
+    let centre = file.field_centre.ok_or_else(|| {
+        lacks(
+            "a word on where its field lies on the frame",
+            "--field-centre X,Y (the centre of the field in 0-based pixels)",
+        )
+    })?;
+    let options = ScopesimOptions::new(scale, centre)?;
+    Ok(match file.wavelength_um {
+        Some(wavelength) => options.with_wavelength_um(wavelength)?,
+        None => options,
+    })
+}
+
+/// Stamps without a word about them.
+fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, Vec<String>), PsfieldError> {
+    // An image may as well be a scene that was given by mistake: someone must say that it is a PSF.
+    let header = psf_io::read_stamp_header(path, file.extension.as_ref())?;
+    if file.oversampling.is_none() && header.get("OVERSAMP").is_none() {
+        return Err(missing(
+            path,
+            kind,
+            "a table POSITIONS, as PSF samples have, nor a word on how fine its stamps are",
+            "--psf-oversampling S to take it as PSF stamps (S stamp pixels per frame pixel; 1 for the frame's own pixels)",
+        ));
+    }
+    let mut options = StampCubeOptions::default();
+    if let Some(positions) = &file.positions {
+        options = options.with_positions(positions.clone());
+    }
+    if let Some(oversampling) = file.oversampling {
+        options = options.with_oversampling(oversampling);
+    }
+    if let Some(centre) = file.centre {
+        options = options.with_centre(centre.x(), centre.y());
+    }
+    if let Some(extension) = &file.extension {
+        options = options.with_extension(extension.clone());
+    }
+    let samples = psf_io::read_stamp_cube(path, &options)?;
+    let mut notes = Vec::new();
+    let grid = samples.grid();
+    let says_centre = file.centre.is_some() || ["CENX", "CENY"].iter().all(|card| header.get(card).is_some());
+    if !says_centre && (grid.nx() % 2 == 0 || grid.ny() % 2 == 0) {
+        notes.push(format!(
+            "stamps of {} x {} pixels have no middle pixel: ({}, {}) is taken as their centre (0-based; --psf-centre X,Y for another)",
+            grid.nx(),
+            grid.ny(),
+            grid.centre_x(),
+            grid.centre_y()
+        ));
+    }
+    if samples.len() == 1 {
+        notes.push("one stamp, taken as the PSF of the whole field".to_owned());
+    }
+    Ok((unfitted(samples), notes))
+}
+
+fn unfitted(samples: PsfSamples) -> Origin {
+    Origin::Samples(samples, FitOptions::default())
+}
+
+impl Origin {
+    /// These PSFs, declared to hold the pixel response or not.
+    fn with_pixel_response_included(self, included: bool) -> Result<Self, PsfieldError> {
+        Ok(match self {
+            Self::Samples(samples, options) => {
+                let grid = samples.grid().with_pixel_response_included(included);
+                let (stamps, positions) = (samples.stamps().to_owned(), samples.positions().clone());
+                Self::Samples(PsfSamples::new(stamps, positions, grid)?, options)
+            }
+            Self::Record(record) => {
+                let basis = record.basis();
+                let grid = basis.grid().with_pixel_response_included(included);
+                let mean = basis.mean().map(|mean| mean.to_owned());
+                Self::Record(PsfModelRecord::new(
+                    PsfBasis::new(mean, basis.components().to_owned(), grid)?,
+                    record.coefficients().clone(),
+                    record.interpolation(),
+                    record.outside(),
+                    record.normalisation(),
+                )?)
+            }
+            model @ Self::Model(..) => model,
+        })
+    }
+}

@@ -1,0 +1,296 @@
+//! A PSF on other pixels.
+
+use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
+use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
+use psf_types::{
+    Anchor, FrameShape, Position, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions, StampGrid,
+};
+
+use super::{Origin, Psf, check_stack};
+use crate::PsfieldError;
+
+impl Psf {
+    /// This PSF with stamps at the frame's own pixels, centred on one, as images need them, the pixel response in them;
+    /// `size` pixels wide and high, centred at `size / 2`, where given, else as large as the stamps. A PSF with such stamps
+    /// stays as it is, and so does a model with a coefficient field of the caller's own.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux or the stamps would fill more memory than
+    /// [`PsfieldError::TooLarge`] allows.
+    pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
+        let target = self.native_target(size)?;
+        if target == self.grid() {
+            return Ok(self.clone());
+        }
+        self.remade(&Remaking::at_same_places(target))
+    }
+
+    /// Whether [`native`](Self::native) only picks pixels of the stamps, so that nothing is interpolated.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Data`] when `size` is 0.
+    pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
+        let grid = self.grid();
+        let picks = grid.whole_centre().is_some()
+            && grid.oversampling().fract() == 0.0
+            && grid.pixel_response_included();
+        Ok(picks || self.native_target(size)? == grid)
+    }
+
+    fn native_target(&self, size: Option<usize>) -> Result<StampGrid, PsfieldError> {
+        let base = match size {
+            None => native_grid(grid_with_pixel_response(self.grid())?)?,
+            Some(n) => StampGrid::new(n, n)?,
+        };
+        Ok(base
+            .with_pixel_response_included(true)
+            .with_interpolation(self.grid().interpolation()))
+    }
+
+    /// This PSF with the response of a frame pixel in its stamps, at their own sampling. Stamps that hold it already stay as
+    /// they are.
+    ///
+    /// # Errors
+    /// As [`native`](Self::native).
+    pub fn with_pixel_response(&self) -> Result<Self, PsfieldError> {
+        let target = grid_with_pixel_response(self.grid())?;
+        if target == self.grid() {
+            return Ok(self.clone());
+        }
+        self.remade(&Remaking::at_same_places(target))
+    }
+
+    /// This PSF for scenes whose pixels are `finer` times smaller than the frame's, with stamps for images at the scene's
+    /// pixels: `size` frame pixels wide and high, where given.
+    ///
+    /// Frame pixel `i` has its centre at `finer i + (finer - 1) / 2` of the scene. The convolution of a scene with these stamps,
+    /// taken at every `finer`-th pixel from `(finer - 1) / 2` (rounded down) on and times `finer^2`, is the frame's image: the response of
+    /// the frame's pixel is in the stamps, so that it is sampled, not summed.
+    pub(crate) fn for_finer_scene(
+        &self,
+        finer: usize,
+        size: Option<usize>,
+        anchor: Anchor,
+    ) -> Result<Self, PsfieldError> {
+        let s = finer as f64;
+        let own = grid_with_pixel_response(self.grid())?;
+        let target = match size {
+            None => native_grid(own.with_oversampling(own.oversampling() / s)?)?,
+            Some(n) => StampGrid::new(n * finer, n * finer)?,
+        };
+        let target = target
+            .with_pixel_response_included(true)
+            .with_interpolation(own.interpolation());
+        // An even number of scene pixels puts the centre of the frame's between two of them.
+        let between = (s - 1.0) / 2.0 - ((finer - 1) / 2) as f64;
+        let offset_of_field = if anchor == Anchor::Output {
+            (s - 1.0) / 2.0 - between
+        } else {
+            (s - 1.0) / 2.0
+        };
+        let sampled = target
+            .with_oversampling(s)?
+            .with_centre(target.centre_x() - between, target.centre_y() - between)?;
+        self.remade(&Remaking {
+            sampled,
+            target,
+            finer,
+            offset_of_field,
+        })
+    }
+
+    /// The PSF with every stamp remade.
+    ///
+    /// Remaking is linear in the stamps, and so is interpolation: a model of remade stamps gives the PSFs that come of remaking its own,
+    /// before the scaling to unit flux; that is done last, on the new stamps.
+    fn remade(&self, remaking: &Remaking) -> Result<Self, PsfieldError> {
+        let target = remaking.target;
+        match &self.0.origin {
+            Origin::Samples(samples, options) => {
+                check_stack(samples.len(), samples.grid())?;
+                check_stack(samples.len(), target)?;
+                let stamps = remaking.stamps(samples.stamps(), samples.grid());
+                let positions = remaking.positions(samples.positions())?;
+                Ok(Self::new(PsfSamples::new(stamps, positions, target)?, *options))
+            }
+            Origin::Record(record) => {
+                let (basis, nodes) = (record.basis(), record.coefficients());
+                check_stack(basis.rank() + 1, target)?;
+                let (new_basis, values) = psf_basis::orthonormal(
+                    basis.mean().map(|mean| remaking.stamp(mean, basis.grid())),
+                    remaking.stamps(basis.components(), basis.grid()),
+                    nodes.values(),
+                    target,
+                )?;
+                let nodes = SampleCoefficients::new(values, remaking.positions(nodes.positions())?)?;
+                Ok(Self::from(PsfModelRecord::new(
+                    new_basis,
+                    nodes,
+                    record.interpolation(),
+                    record.outside(),
+                    record.normalisation(),
+                )?))
+            }
+            Origin::Model(..) => Ok(self.clone()),
+        }
+    }
+}
+
+/// Stamps on other pixels, at positions of another frame.
+struct Remaking {
+    /// Where the PSF is sampled.
+    sampled: StampGrid,
+    /// What the new stamps are taken for.
+    target: StampGrid,
+    /// How many of the new frame's pixels make one of the old.
+    finer: usize,
+    /// Where pixel 0 of the old frame lies in the new.
+    offset_of_field: f64,
+}
+
+impl Remaking {
+    fn at_same_places(target: StampGrid) -> Self {
+        Self {
+            sampled: target,
+            target,
+            finer: 1,
+            offset_of_field: 0.0,
+        }
+    }
+
+    fn stamp(&self, stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Array2<f64> {
+        let s = self.finer as f64;
+        // Fractions of the flux in a pixel of the new frame.
+        StampInterpolator::new(stamp, grid).resample((0.0, 0.0), self.sampled) / (s * s)
+    }
+
+    fn stamps(&self, stamps: ArrayView3<'_, f64>, grid: StampGrid) -> Array3<f64> {
+        let (ny, nx) = self.target.dim();
+        let mut remade = Array3::zeros((stamps.dim().0, ny, nx));
+        for (mut to, stamp) in remade.outer_iter_mut().zip(stamps.outer_iter()) {
+            to.assign(&self.stamp(stamp, grid));
+        }
+        remade
+    }
+
+    fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
+        if self.finer == 1 {
+            return Ok(positions.clone());
+        }
+        finer_positions(positions, self.finer, self.offset_of_field)
+    }
+}
+
+/// Positions in pixels of the scene. All interpolators follow a change of scale.
+fn finer_positions(
+    positions: &SamplePositions,
+    finer: usize,
+    offset: f64,
+) -> Result<SamplePositions, PsfieldError> {
+    let s = finer as f64;
+    let moved = positions
+        .as_slice()
+        .iter()
+        .map(|p| Position::new(s * p.x() + offset, s * p.y() + offset))
+        .collect::<Result<_, _>>()?;
+    let field = positions
+        .field()
+        .map(|field| FrameShape::new(finer * field.nx(), finer * field.ny()))
+        .transpose()?;
+    Ok(SamplePositions::new(moved, field)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use ndarray::s;
+    use psf_types::{Interpolation, Normalisation, OutsidePolicy, PsfBasis};
+
+    use super::*;
+
+    /// Three stamps of order 1e-2 that are carried along two ways.
+    const ROUNDING: f64 = 1e-12;
+
+    fn gauss(n: usize, sigma: f64, shift: f64) -> Array2<f64> {
+        let at = |i: usize| i as f64 - (n / 2) as f64;
+        Array2::from_shape_fn((n, n), |(y, x)| {
+            (-((at(x) - shift).powi(2) + at(y).powi(2)) / (2.0 * sigma * sigma)).exp()
+        })
+    }
+
+    /// `side` by `side` nodes; the last component lies outside the native stamps that are asked for.
+    fn model(n: usize, side: i64) -> PsfModelRecord {
+        let grid = StampGrid::new(n, n)
+            .and_then(|g| g.with_oversampling(4.0))
+            .unwrap();
+        let sigma = 3.0 + n as f64 / 50.0;
+        let first = &gauss(n, sigma, 1.0) - &gauss(n, sigma, -1.0);
+        let mut corner = Array2::zeros((n, n));
+        corner.slice_mut(s![..2, ..2]).fill(0.5);
+        let mut components = Array3::zeros((2, n, n));
+        let norm = first.iter().map(|v| v * v).sum::<f64>().sqrt();
+        components.slice_mut(s![0, .., ..]).assign(&(first / norm));
+        let inside: f64 = (&components.slice(s![0, .., ..]) * &corner).sum();
+        assert!(inside.abs() < 1e-6);
+        components.slice_mut(s![1, .., ..]).assign(&corner);
+        let places = (0..side * side).map(|j| Position::of_pixel(10 * (j % side), 10 * (j / side)));
+        let positions = SamplePositions::new(places.collect(), None).unwrap();
+        let values = Array2::from_shape_fn((positions.len(), 2), |(j, k)| (0.3 * (j + 5 * k) as f64).sin());
+        let mean = gauss(n, sigma, 0.0);
+        let mean = &mean / mean.sum() * 16.0;
+        let basis = PsfBasis::new(Some(mean), components, grid).unwrap();
+        PsfModelRecord::new(
+            basis,
+            SampleCoefficients::new(values, positions).unwrap(),
+            Interpolation::Nearest,
+            OutsidePolicy::Nearest,
+            Normalisation::Keep,
+        )
+        .unwrap()
+    }
+
+    fn at_node(record: &PsfModelRecord, node: usize) -> Array2<f64> {
+        let basis = record.basis();
+        let mut stamp = basis.mean().unwrap().to_owned();
+        for (a, component) in record
+            .coefficients()
+            .values()
+            .row(node)
+            .iter()
+            .zip(basis.components().outer_iter())
+        {
+            stamp.scaled_add(*a, &component);
+        }
+        stamp
+    }
+
+    #[test]
+    fn a_resampled_model_gives_the_resampled_psfs() {
+        let record = model(65, 3);
+        for size in [None, Some(11)] {
+            let native = Psf::from(record.clone()).native(size).unwrap();
+            let native = native.stored().expect("a model stays one");
+            // The corner is beyond 11 pixels.
+            assert_eq!(native.basis().rank(), if size.is_some() { 1 } else { 2 });
+            let (own, target) = (record.basis().grid(), native.basis().grid());
+            for node in 0..9 {
+                let expected =
+                    StampInterpolator::new(at_node(&record, node).view(), own).resample((0.0, 0.0), target);
+                for (a, b) in at_node(native, node).iter().zip(&expected) {
+                    assert!((a - b).abs() < ROUNDING, "{node}: {a} against {b}");
+                }
+            }
+        }
+    }
+
+    /// The stamps of all nodes would fill 32 GiB.
+    #[test]
+    fn many_nodes_of_large_stamps_are_resampled_without_their_stamps() {
+        let record = model(512, 128);
+        let finer = Psf::from(record.clone())
+            .for_finer_scene(2, None, Anchor::Source)
+            .unwrap();
+        assert_eq!(finer.positions().len(), 128 * 128);
+        let native = Psf::from(record).native(None).unwrap();
+        assert_eq!(native.grid().oversampling(), 1.0);
+    }
+}

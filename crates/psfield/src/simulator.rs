@@ -1,0 +1,695 @@
+//! A PSF, a frame and settings, ready to make images.
+
+mod check;
+mod geometry;
+mod stream;
+#[cfg(test)]
+mod tests;
+
+use std::sync::{Arc, OnceLock};
+use std::time::Instant;
+
+use conv_core::{
+    ConvError, ConvReal, ConvolutionMethod, Engine, Plan, PlanSummary, StarPainter, StarPlan, TileCounts,
+};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
+use psf_types::{
+    Anchor, DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, PointSource, Progress,
+    PsfModel, Uncounted,
+};
+
+use crate::device::{self, CpuReason, GpuSeconds, Placement};
+use crate::psf::get_or_make;
+use crate::{Device, Method, Psf, PsfieldError, Scene, SimulateOptions};
+
+use geometry::Geometry;
+
+pub use check::SimulationWarning;
+
+/// Collects the settings of a [`Simulator`]; made by [`Psf::simulator`]. Each setter is named after the field of
+/// [`SimulateOptions`] that it sets.
+#[derive(Debug, Clone)]
+pub struct SimulatorBuilder {
+    psf: Psf,
+    shape: (usize, usize),
+    options: SimulateOptions,
+}
+
+impl Psf {
+    /// A builder of simulators for scenes of `(ny, nx)` pixels, in the scenes' own pixels.
+    pub fn simulator(&self, shape: (usize, usize)) -> SimulatorBuilder {
+        SimulatorBuilder {
+            psf: self.clone(),
+            shape,
+            options: SimulateOptions::default(),
+        }
+    }
+}
+
+impl SimulatorBuilder {
+    /// Replaces all settings.
+    #[must_use]
+    pub fn options(self, options: SimulateOptions) -> Self {
+        Self { options, ..self }
+    }
+
+    /// Sets the largest relative L2 error that the engine may add to the PSF of any pixel or star.
+    #[must_use]
+    pub fn tolerance(mut self, tolerance: f64) -> Self {
+        self.options.tolerance = tolerance;
+        self
+    }
+
+    /// Sets whose PSF applies.
+    #[must_use]
+    pub fn anchor(mut self, anchor: Anchor) -> Self {
+        self.options.anchor = anchor;
+        self
+    }
+
+    /// Sets the convolution method.
+    #[must_use]
+    pub fn method(mut self, method: Method) -> Self {
+        self.options.method = method;
+        self
+    }
+
+    /// Sets how many pixels of the scene's image lie along each side of a frame pixel.
+    #[must_use]
+    pub fn oversample(mut self, oversample: usize) -> Self {
+        self.options.oversample = oversample;
+        self
+    }
+
+    /// Sets the part of the scene that the image shows.
+    #[must_use]
+    pub fn frame(mut self, frame: PixelRegion) -> Self {
+        self.options.frame = Some(frame);
+        self
+    }
+
+    /// Sets where images are convolved.
+    #[must_use]
+    pub fn device(mut self, device: Device) -> Self {
+        self.options.device = device;
+        self
+    }
+
+    /// Checks the settings. Plans are made when the first scene needs them.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] for settings that make no simulation: a tolerance, an oversampling or a stamp size out of range, a
+    /// frame that reaches beyond the scene or the field of the PSF, a region beyond the frame.
+    pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
+        let method = self.options.method.without_plan(self.options.anchor)?;
+        self.build_by(method)
+    }
+
+    /// Builds a simulator that convolves images by a method of the caller's own, whose anchoring it takes. Stars are drawn
+    /// one by one in f64.
+    ///
+    /// # Errors
+    /// As [`build`](Self::build).
+    pub fn build_with<T: ConvReal>(
+        mut self,
+        method: Box<dyn ConvolutionMethod<T>>,
+    ) -> Result<Simulator<T>, PsfieldError> {
+        self.options.anchor = method.anchor();
+        self.build_by(Some(method))
+    }
+
+    fn build_by<T: ConvReal>(
+        self,
+        method: Option<Box<dyn ConvolutionMethod<T>>>,
+    ) -> Result<Simulator<T>, PsfieldError> {
+        let Self { psf, shape, options } = self;
+        options.plan_options()?;
+        let geometry = Geometry::new(FrameShape::new(shape.1, shape.0)?, &options)?;
+        if method.is_some() && !geometry.is_whole() {
+            return Err(PsfieldError::RegionNeedsPlan);
+        }
+        if options.stamp_size == Some(0) {
+            FrameShape::new(0, 0)?;
+        }
+        let frame = geometry.frame.shape();
+        if let Some(field) = psf.positions().field()
+            && (frame.nx() > field.nx() || frame.ny() > field.ny())
+        {
+            return Err(PsfieldError::FrameBeyondField { frame, field });
+        }
+        Ok(Simulator {
+            shared: Arc::new(Shared {
+                psf,
+                method,
+                image_model: OnceLock::new(),
+                stars: OnceLock::new(),
+            }),
+            options,
+            geometry,
+            images: OnceLock::new(),
+            padded: OnceLock::new(),
+        })
+    }
+}
+
+/// Makes images of scenes of one shape through a PSF. Models and plans are made when the first scene needs them and kept
+/// for all that follow; [`prepare`](Self::prepare) makes them beforehand. Serves many threads at once, each with a scene of
+/// its own. Two threads that need a plan before it is made both make it, and one result is kept.
+///
+/// Images are convolved with stamps at the scene's pixels, stars with the stamps as they are: an oversampled stamp places a
+/// star between pixels better than its own pixels would. The response of a frame pixel is applied once: stamps that lack it
+/// get it here.
+///
+/// Galaxies are integrated over the pixels of the scene and then convolved, so that the scene's pixels blur them:
+/// [`SimulationWarning::BlurredGalaxies`] says when.
+///
+/// ```
+/// use ndarray::{Array2, Array3};
+/// use psfield::prelude::*;
+/// use psfield::psf_types::{PointSource, Position};
+/// let corners = [(0.0, 0.0), (99.0, 0.0), (0.0, 79.0), (99.0, 79.0)];
+/// let stamps = Array3::from_shape_fn((4, 15, 15), |(j, y, x)| {
+///     let sigma = if j % 2 == 0 { 1.2 } else { 1.5 };
+///     (-((y as f64 - 7.0).powi(2) + (x as f64 - 7.0).powi(2)) / (2.0 * sigma * sigma)).exp()
+/// });
+/// let psf = Psf::from_samples(stamps.view(), &corners)?;
+/// let simulator = psf.simulator((80, 100)).tolerance(1e-3).build::<f32>()?;
+///
+/// // Many scenes: the plan is made once.
+/// for flux in [100.0, 200.0] {
+///     let star = PointSource::new(Position::new(60.0, 30.0)?, flux)?;
+///     let scene = Scene::new(Array2::from_elem((80, 100), 0.01))?.with_stars(vec![star]);
+///     let image = simulator.simulate(&scene)?;
+///     assert!(image.pixels()[[30, 60]] > 0.05 * flux as f32);
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Simulator<T: ConvReal> {
+    shared: Arc<Shared<T>>,
+    options: SimulateOptions,
+    geometry: Geometry,
+    /// For scenes without galaxies.
+    images: OnceLock<Convolver<T>>,
+    /// For scenes with galaxies, which reach in from beyond the edges: the scene with dark pixels around it.
+    padded: OnceLock<Convolver<T>>,
+}
+
+/// What the simulators of all regions of a frame share.
+#[derive(Debug)]
+struct Shared<T: ConvReal> {
+    psf: Psf,
+    /// None: the fast engine.
+    method: Option<Box<dyn ConvolutionMethod<T>>>,
+    /// The model on the scene's pixels, and the seconds that it took.
+    image_model: OnceLock<(PsfModel, f64)>,
+    stars: OnceLock<Stars<T>>,
+}
+
+/// How extended light is convolved.
+#[derive(Debug)]
+struct Convolver<T: ConvReal> {
+    /// None: by the method.
+    engine: Option<Engine<T>>,
+    placement: Placement,
+    padding: usize,
+    seconds: f64,
+}
+
+/// How stars are drawn.
+#[derive(Debug)]
+struct Stars<T: ConvReal> {
+    model: PsfModel,
+    /// None: one by one from all components, in f64.
+    plan: Option<StarPlan<T>>,
+    fit_seconds: f64,
+    plan_seconds: f64,
+}
+
+/// What was made for a kind of scenes.
+#[derive(Debug, Clone)]
+#[non_exhaustive]
+pub struct Preparation<'a> {
+    /// The model that convolves images; for stars alone, the one that draws them.
+    pub model: &'a PsfModel,
+    /// The plan for extended light; none for stars alone, and for methods without a plan.
+    pub plan: Option<PlanSummary>,
+    /// Where extended light is convolved.
+    pub placement: Placement,
+    /// Seconds that it took to fit the model, whenever that was.
+    pub fit_seconds: f64,
+    /// Seconds that it took to plan, whenever that was.
+    pub plan_seconds: f64,
+}
+
+/// Extended light as a convolver takes it, and the column and the row of the scene (padded, where there are galaxies) that
+/// it begins at.
+type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
+
+impl<T: ConvReal> Simulator<T> {
+    /// The largest scene without an image, 4 GiB in f32; a larger number is a slip.
+    pub const MAX_PIXELS: usize = 1 << 30;
+
+    /// The PSF.
+    pub fn psf(&self) -> &Psf {
+        &self.shared.psf
+    }
+
+    /// The settings.
+    pub fn options(&self) -> &SimulateOptions {
+        &self.options
+    }
+
+    /// Columns and rows of scenes, in their own pixels.
+    pub fn scene_shape(&self) -> FrameShape {
+        self.geometry.shape
+    }
+
+    /// Columns and rows of images.
+    pub fn image_shape(&self) -> FrameShape {
+        self.geometry.region.shape()
+    }
+
+    /// The frame, in frame pixels from the scene's first.
+    pub fn frame(&self) -> PixelRegion {
+        self.geometry.frame
+    }
+
+    /// The image of a scene.
+    ///
+    /// # Errors
+    /// As [`simulate_into`](Self::simulate_into).
+    pub fn simulate(&self, scene: &Scene<'_, T>) -> Result<Image<T>, PsfieldError> {
+        // Before memory is taken.
+        self.check_sources(scene, false)?;
+        let mut image = self.zeros();
+        self.simulate_into(scene, image.view_mut(), &NoProgress)?;
+        Ok(Image::new(image)?)
+    }
+
+    /// An image `[y, x]` without light, for [`simulate_into`](Self::simulate_into). Adding to its fresh memory takes less
+    /// time than to that of a large array of zeros made otherwise: its pages have been written to.
+    pub fn zeros(&self) -> Array2<T> {
+        let shape = self.image_shape();
+        conv_core::zeros((shape.ny(), shape.nx()))
+    }
+
+    /// Adds the image of a scene to `image`, `[y, x]` of the frame or of the region that is made. Tells how the tiles of its
+    /// extended light were treated.
+    ///
+    /// The scene's image has the shape of the simulator's scenes; where a region is made, it may be the part that reaches
+    /// the region ([`light_region`](Self::light_region)).
+    ///
+    /// # Errors
+    /// [`PsfieldError`]: shapes that do not fit, light where there is no PSF, a flux that `T` does not hold, and
+    /// [`ConvError::Cancelled`], after which the image is left half done.
+    pub fn simulate_into(
+        &self,
+        scene: &Scene<'_, T>,
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        self.check_sources(scene, false)?;
+        let expected = self.image_shape();
+        if image.dim() != (expected.ny(), expected.nx()) {
+            let got = FrameShape::new(image.ncols(), image.nrows())?;
+            return Err(ConvError::FrameShape { expected, got }.into());
+        }
+        let mut counts = TileCounts::default();
+        if has_extended_light(scene) {
+            let convolver = self.convolver(scene, progress)?;
+            let (light, _) = self.light(scene, convolver, progress)?;
+            counts = self.convolve_into(convolver, &light, image.view_mut(), progress)?;
+        }
+        self.draw_stars_into(scene.stars(), self.geometry.region, image, progress)?;
+        Ok(counts)
+    }
+
+    /// The transpose of [`simulate`](Self::simulate) for scenes that are images: what each pixel of the scene gives to the
+    /// scalar product of its image with `image`, `[y, x]` of the frame or of the region that is made.
+    /// `<A f, g> = <f, A^T g>` for every image scene `f`; of a finer scene, `A` convolves and then samples at the centres of
+    /// the frame's pixels, times their area in pixels of the scene. The result is `[y, x]` of the scene, or, where a region
+    /// is made, of the part that reaches it ([`light_region`](Self::light_region)).
+    ///
+    /// # Errors
+    /// [`PsfieldError::Convolution`] for an image of another shape; [`PsfieldError::AdjointNeedsPlan`].
+    pub fn adjoint(
+        &self,
+        image: &ImageView<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<Image<T>, PsfieldError> {
+        let (expected, got) = (self.image_shape(), image.shape());
+        if expected != got {
+            return Err(ConvError::FrameShape { expected, got }.into());
+        }
+        let convolver = self.convolver(&Scene::dark(), progress)?;
+        let engine = convolver.engine.as_ref().ok_or(PsfieldError::AdjointNeedsPlan)?;
+        let shape = if self.geometry.is_whole() {
+            self.geometry.shape
+        } else {
+            engine.plan().light_region().shape()
+        };
+        let mut light = conv_core::zeros((shape.ny(), shape.nx()));
+        if self.geometry.oversample == 1 {
+            engine.adjoint_into(image, light.view_mut(), progress)?;
+        } else {
+            let fine = self.geometry.spread(image)?;
+            engine.adjoint_into(&fine.view(), light.view_mut(), progress)?;
+        }
+        Ok(Image::new(light)?)
+    }
+
+    /// A simulator for another region of the same frame, in frame pixels from the frame's first, with the tiles that were
+    /// chosen for this one and the stars' plan that it has: much sooner made than one that has to choose.
+    ///
+    /// # Errors
+    /// [`ConvError::RegionOutsideFrame`] or [`ConvError::Cancelled`]; [`PsfieldError::RegionNeedsPlan`].
+    pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
+        let options = SimulateOptions {
+            region: Some(region),
+            ..self.options.clone()
+        };
+        let geometry = Geometry::new(self.geometry.shape, &options)?;
+        let chosen = self.convolver(&Scene::dark(), progress)?;
+        let engine = chosen.engine.as_ref().ok_or(PsfieldError::RegionNeedsPlan)?;
+        let clock = Instant::now();
+        let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
+        let (engine, placement) = device::place(plan, &options)?;
+        let images = Convolver {
+            engine: Some(engine),
+            placement,
+            padding: 0,
+            seconds: clock.elapsed().as_secs_f64(),
+        };
+        Ok(Self {
+            shared: Arc::clone(&self.shared),
+            options,
+            geometry,
+            images: OnceLock::from(images),
+            padded: OnceLock::new(),
+        })
+    }
+
+    /// The part of the scene whose light reaches what is made, in pixels of the scene; all of it for methods without a
+    /// plan.
+    ///
+    /// # Errors
+    /// As [`prepare`](Self::prepare).
+    pub fn light_region(&self, progress: &dyn Progress) -> Result<PixelRegion, PsfieldError> {
+        let convolver = self.convolver(&Scene::dark(), progress)?;
+        Ok(match &convolver.engine {
+            Some(engine) => engine.plan().light_region(),
+            None => self.geometry.shape.region(),
+        })
+    }
+
+    /// Makes the models and the plans that scenes of this kind need, unless they are there. `rows`: an image comes by rows
+    /// ([`stream`](Self::stream)) that the scene does not hold.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] when a fit or a plan fails, or a GPU that was asked for cannot be used.
+    pub fn prepare(
+        &self,
+        scene: &Scene<'_, T>,
+        rows: bool,
+        progress: &dyn Progress,
+    ) -> Result<Preparation<'_>, PsfieldError> {
+        self.check_sources(scene, rows)?;
+        let extended = rows || has_extended_light(scene);
+        let convolver = if extended {
+            Some(self.convolver(scene, progress)?)
+        } else {
+            None
+        };
+        let stars = if scene.stars().is_empty() && extended {
+            None
+        } else {
+            Some(self.stars()?)
+        };
+        let of_stars = stars.map_or([0.0; 2], |stars| [stars.fit_seconds, stars.plan_seconds]);
+        Ok(match (convolver, stars) {
+            (Some(convolver), _) => {
+                let (model, fit_seconds) = self.image_model()?;
+                Preparation {
+                    model,
+                    plan: convolver.engine.as_ref().map(|engine| engine.plan().summary()),
+                    placement: convolver.placement.clone(),
+                    fit_seconds: fit_seconds + of_stars[0],
+                    plan_seconds: convolver.seconds + of_stars[1],
+                }
+            }
+            (None, stars) => Preparation {
+                model: &stars.expect("stars alone").model,
+                plan: None,
+                placement: self.placement_of_stars(),
+                fit_seconds: of_stars[0],
+                plan_seconds: of_stars[1],
+            },
+        })
+    }
+
+    /// Whether [`prepare`](Self::prepare) has nothing left to make for scenes of this kind.
+    pub fn is_prepared(&self, scene: &Scene<'_, T>, rows: bool) -> bool {
+        let convolver = if scene.galaxies().is_empty() {
+            &self.images
+        } else {
+            &self.padded
+        };
+        let extended = rows || has_extended_light(scene);
+        (!extended || convolver.get().is_some())
+            && (extended && scene.stars().is_empty() || self.shared.stars.get().is_some())
+    }
+
+    /// How long the parts of the last convolution on a GPU took; none where images are convolved on the processor.
+    pub fn gpu_seconds(&self) -> Option<GpuSeconds> {
+        let convolver = self.images.get().or(self.padded.get())?;
+        convolver.engine.as_ref().and_then(GpuSeconds::of_last)
+    }
+
+    fn placement_of_stars(&self) -> Placement {
+        Placement::cpu(match (self.options.device, &self.shared.method) {
+            (Device::Cpu, _) => CpuReason::Asked,
+            (_, Some(_)) => CpuReason::Method,
+            (_, None) => CpuReason::Stars,
+        })
+    }
+
+    fn check_sources(&self, scene: &Scene<'_, T>, rows: bool) -> Result<(), PsfieldError> {
+        let stars = scene.stars().iter().map(|star| star.flux());
+        let mut fluxes = stars.chain(scene.galaxies().iter().map(|galaxy| galaxy.flux()));
+        if let Some(flux) = fluxes.find(|&flux| !T::nearest(flux).as_f64().is_finite()) {
+            return Err(PsfieldError::FluxBeyondPrecision { flux });
+        }
+        let (shape, s) = (self.geometry.shape, self.geometry.oversample);
+        if !rows && scene.image().is_none() && shape.pixel_count() > Self::MAX_PIXELS {
+            return Err(PsfieldError::SceneTooLarge {
+                nx: shape.nx() / s,
+                ny: shape.ny() / s,
+            });
+        }
+        Ok(())
+    }
+
+    /// Dark pixels that are put around a scene on every side, into which galaxies at its edges reach.
+    fn padding(&self, scene: &Scene<'_, T>) -> usize {
+        if scene.galaxies().is_empty() {
+            0
+        } else {
+            let reach = self.psf().reach(self.options.stamp_size);
+            reach.saturating_mul(self.geometry.oversample)
+        }
+    }
+
+    /// The model on the scene's pixels, and the seconds that it took.
+    fn image_model(&self) -> Result<(&PsfModel, f64), PsfieldError> {
+        let (psf, options) = (self.psf(), &self.options);
+        let (model, seconds) = get_or_make(&self.shared.image_model, || {
+            let clock = Instant::now();
+            let psf = match options.oversample {
+                1 => psf.native(options.stamp_size)?,
+                finer => psf.for_finer_scene(finer, options.stamp_size, options.anchor)?,
+            };
+            let model = psf.model()?.clone();
+            Ok::<_, PsfieldError>((model, clock.elapsed().as_secs_f64()))
+        })?;
+        Ok((model, *seconds))
+    }
+
+    fn stars(&self) -> Result<&Stars<T>, PsfieldError> {
+        get_or_make(&self.shared.stars, || {
+            let clock = Instant::now();
+            let model = self.psf().with_pixel_response()?.model()?.clone();
+            let fit_seconds = clock.elapsed().as_secs_f64();
+            let plan = match self.options.plan_options()? {
+                Some(options) if self.shared.method.is_none() => {
+                    Some(StarPlan::new(&model, options, self.options.stamp_size)?)
+                }
+                _ => None,
+            };
+            let plan_seconds = clock.elapsed().as_secs_f64() - fit_seconds;
+            Ok(Stars {
+                model,
+                plan,
+                fit_seconds,
+                plan_seconds,
+            })
+        })
+    }
+
+    /// What convolves the extended light of a scene.
+    fn convolver(
+        &self,
+        scene: &Scene<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<&Convolver<T>, PsfieldError> {
+        let padding = self.padding(scene);
+        let kept = if padding == 0 { &self.images } else { &self.padded };
+        get_or_make(kept, || {
+            let (model, _) = self.image_model()?;
+            let clock = Instant::now();
+            let (engine, placement) = match self.options.plan_options()? {
+                Some(options) if self.shared.method.is_none() => {
+                    let (shape, frame) = (
+                        self.geometry.padded_shape(padding)?,
+                        self.geometry.fine_frame(padding)?,
+                    );
+                    let region = self.geometry.fine(self.geometry.region)?;
+                    let plan = Plan::for_region(model, shape, frame, region, options, progress)?;
+                    let (engine, placement) = device::place(plan, &self.options)?;
+                    (Some(engine), placement)
+                }
+                _ => (None, self.placement_of_stars()),
+            };
+            let seconds = clock.elapsed().as_secs_f64();
+            Ok(Convolver {
+                engine,
+                placement,
+                padding,
+                seconds,
+            })
+        })
+    }
+
+    /// Extended light as a convolver takes it.
+    fn light<'a>(
+        &self,
+        scene: &'a Scene<'_, T>,
+        convolver: &Convolver<T>,
+        progress: &dyn Progress,
+    ) -> Result<Light<'a, T>, PsfieldError> {
+        let (whole, padding) = (self.geometry.shape, convolver.padding);
+        // A part of the scene tells itself by its shape.
+        let mut of_image = (0, 0);
+        if let Some(image) = scene.image()
+            && image.shape() != whole
+        {
+            let part = self.light_region(progress)?;
+            if image.shape() != part.shape() {
+                let (expected, got) = ((whole.ny(), whole.nx()), image.pixels().dim());
+                return Err(DataError::ImageShape { expected, got }.into());
+            }
+            of_image = (part.x0(), part.y0());
+        }
+        if let Some(image) = scene.image()
+            && padding == 0
+        {
+            return Ok((image.view(), (of_image.0 as usize, of_image.1 as usize)));
+        }
+        let padded = self.geometry.padded_shape(padding)?;
+        let part = match &convolver.engine {
+            Some(engine) => engine.plan().light_region(),
+            None => padded.region(),
+        };
+        let mut light = Array2::zeros((part.shape().ny(), part.shape().nx()));
+        if let Some(image) = scene.image() {
+            let p = padding as i64;
+            assign_overlap(
+                light.view_mut(),
+                image.pixels(),
+                (of_image.0 + p - part.x0(), of_image.1 + p - part.y0()),
+            );
+        }
+        let galaxies = self.geometry.fine_galaxies(scene.galaxies(), padding)?;
+        // Progress counts the steps of the convolution.
+        let (first, uncounted) = ((part.x0(), part.y0()), Uncounted(progress));
+        sersic::add_galaxies_with_progress(light.view_mut(), first, &galaxies, &uncounted)
+            .map_err(ConvError::from)?;
+        let light = ImageView::from(Image::new(light)?);
+        Ok((light, (part.x0() as usize, part.y0() as usize)))
+    }
+
+    /// Adds the image of extended light.
+    fn convolve_into(
+        &self,
+        convolver: &Convolver<T>,
+        light: &ImageView<'_, T>,
+        mut image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<TileCounts, PsfieldError> {
+        let Some(engine) = &convolver.engine else {
+            let method = self
+                .shared
+                .method
+                .as_ref()
+                .expect("without a plan there is a method");
+            let frame = self.geometry.fine_frame(convolver.padding)?;
+            let fine = method.convolve(self.image_model()?.0, light, frame, progress)?;
+            self.geometry.add_sampled(fine.pixels(), image);
+            return Ok(TileCounts::default());
+        };
+        if self.geometry.oversample == 1 {
+            return Ok(engine.convolve_into(light, image, progress)?);
+        }
+        let shape = engine.plan().region().shape();
+        let mut fine = conv_core::zeros((shape.ny(), shape.nx()));
+        let counts = engine.convolve_into(light, fine.view_mut(), progress)?;
+        self.geometry.add_sampled(fine.view(), image.view_mut());
+        Ok(counts)
+    }
+
+    /// Adds stars to a region of the frame.
+    fn draw_stars_into(
+        &self,
+        sources: &[PointSource],
+        region: PixelRegion,
+        image: ArrayViewMut2<'_, T>,
+        progress: &dyn Progress,
+    ) -> Result<(), PsfieldError> {
+        if sources.is_empty() {
+            return Ok(());
+        }
+        let (stars, frame) = (self.stars()?, self.geometry.frame);
+        match &stars.plan {
+            Some(plan) => plan.draw_into(sources, frame, region, image, progress)?,
+            None => self
+                .painter(&stars.model)?
+                .draw_into(sources, region, image, progress)?,
+        }
+        Ok(())
+    }
+
+    fn painter<'a>(&self, model: &'a PsfModel) -> Result<StarPainter<'a>, PsfieldError> {
+        let (frame, anchor) = (self.geometry.frame, self.options.anchor);
+        Ok(StarPainter::new(model, frame, anchor, self.options.stamp_size)?)
+    }
+}
+
+fn has_extended_light<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
+    scene.image().is_some() || !scene.galaxies().is_empty()
+}
+
+/// Puts an image onto a plane, its first pixel at column and row `first` of the plane, as far as they overlap.
+fn assign_overlap<T: ConvReal>(mut plane: ArrayViewMut2<'_, T>, image: ArrayView2<'_, T>, first: (i64, i64)) {
+    // Where both begin, and for how long.
+    let along = |first: i64, plane: usize, image: usize| {
+        let (of_plane, of_image) = (first.clamp(0, plane as i64), (-first).clamp(0, image as i64));
+        let length = (plane as i64 - of_plane).min(image as i64 - of_image).max(0);
+        let range = |from: i64| from as usize..(from + length) as usize;
+        (range(of_plane), range(of_image))
+    };
+    let (rows, image_rows) = along(first.1, plane.nrows(), image.nrows());
+    let (columns, image_columns) = along(first.0, plane.ncols(), image.ncols());
+    plane
+        .slice_mut(s![rows, columns])
+        .assign(&image.slice(s![image_rows, image_columns]));
+}

@@ -1,0 +1,179 @@
+//! How a scene lies on the frame: sizes, the frame in both kinds of pixels, and sampling from one to the other.
+
+use conv_core::{ConvError, ConvReal};
+use ndarray::{Array2, ArrayView2, ArrayViewMut2, Ix2, SliceInfo, SliceInfoElem, s};
+use psf_types::{
+    DataError, FrameShape, Image, ImageView, PixelRegion, Position, SersicProfile, SersicSource,
+};
+
+use crate::{PsfieldError, SimulateOptions};
+
+/// How scenes of one shape lie on the frame.
+///
+/// With `s` pixels of the scene along each side of a frame pixel, frame pixel `i` has its centre at `s i + (s - 1) / 2` of the
+/// scene. The engine's stamps hold the response of the frame's pixel and the shift of half a pixel that an even `s` asks
+/// for, so that the frame's image is every `s`-th pixel of the scene's, times `s^2`.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Geometry {
+    /// The scene, in its own pixels.
+    pub(super) shape: FrameShape,
+    /// Pixels of the scene along each side of a frame pixel.
+    pub(super) oversample: usize,
+    /// What the image shows, in frame pixels from the scene's first.
+    pub(super) frame: PixelRegion,
+    /// The part of the frame that is made, in frame pixels from the frame's first.
+    pub(super) region: PixelRegion,
+}
+
+impl Geometry {
+    pub(super) fn new(shape: FrameShape, options: &SimulateOptions) -> Result<Self, PsfieldError> {
+        let s = options.oversample;
+        if !(1..=SimulateOptions::MAX_OVERSAMPLE).contains(&s) {
+            return Err(PsfieldError::Oversample {
+                got: s,
+                most: SimulateOptions::MAX_OVERSAMPLE,
+            });
+        }
+        let (nx, ny) = (shape.nx(), shape.ny());
+        let frame = match options.frame {
+            Some(frame) => {
+                check_frame(shape, s, frame)?;
+                frame
+            }
+            None if nx.is_multiple_of(s) && ny.is_multiple_of(s) => FrameShape::new(nx / s, ny / s)?.region(),
+            None => return Err(PsfieldError::UnevenScene { shape, oversample: s }),
+        };
+        let whole = frame.shape();
+        let region = options.region.unwrap_or(whole.region());
+        if !whole.region().contains(region) {
+            return Err(ConvError::RegionOutsideFrame { region, frame: whole }.into());
+        }
+        Ok(Self {
+            shape,
+            oversample: s,
+            frame,
+            region,
+        })
+    }
+
+    /// Whether the whole frame is made.
+    pub(super) fn is_whole(&self) -> bool {
+        self.region == self.frame.shape().region()
+    }
+
+    /// Columns and rows of the scene with `padding` dark pixels around it.
+    pub(super) fn padded_shape(&self, padding: usize) -> Result<FrameShape, DataError> {
+        let padded = |n: usize| n.saturating_add(padding.saturating_mul(2));
+        FrameShape::new(padded(self.shape.nx()), padded(self.shape.ny()))
+    }
+
+    /// The frame in pixels of the scene with `padding` dark pixels around it.
+    pub(super) fn fine_frame(&self, padding: usize) -> Result<PixelRegion, DataError> {
+        let fine = self.fine(self.frame)?;
+        let p = padding as i64;
+        Ok(PixelRegion::new(fine.x0() + p, fine.y0() + p, fine.shape()))
+    }
+
+    /// A region in frame pixels, in pixels of the scene.
+    pub(super) fn fine(&self, region: PixelRegion) -> Result<PixelRegion, DataError> {
+        let (s, shape) = (self.oversample, region.shape());
+        let shape = FrameShape::new(shape.nx() * s, shape.ny() * s)?;
+        Ok(PixelRegion::new(
+            region.x0() * s as i64,
+            region.y0() * s as i64,
+            shape,
+        ))
+    }
+
+    /// The pixel of the region's fine image, counted from the frame's first, that shows a pixel of the region.
+    pub(super) fn sampled_pixel(&self, (column, row): (usize, usize)) -> (usize, usize) {
+        let (x0, y0) = (self.region.x0() as usize, self.region.y0() as usize);
+        let of = |v: usize| self.oversample * v + self.offset();
+        (of(column + x0), of(row + y0))
+    }
+
+    /// Pixels of the scene in a pixel of the frame.
+    pub(super) fn pixel_area(&self) -> f64 {
+        (self.oversample * self.oversample) as f64
+    }
+
+    /// The first pixel, along either axis, of a fine image that shows a frame pixel.
+    fn offset(&self) -> usize {
+        (self.oversample - 1) / 2
+    }
+
+    /// The pixels of a fine image that show those of the frame.
+    fn samples(&self) -> SliceInfo<[SliceInfoElem; 2], Ix2, Ix2> {
+        let (first, step) = (self.offset(), self.oversample);
+        s![first..;step, first..;step]
+    }
+
+    /// Adds the frame's image to one that is there, from an image at the scene's pixels.
+    pub(super) fn add_sampled<T: ConvReal>(&self, fine: ArrayView2<'_, T>, mut image: ArrayViewMut2<'_, T>) {
+        let area = T::nearest(self.pixel_area());
+        image.zip_mut_with(&fine.slice(self.samples()), |pixel, &v| *pixel += v * area);
+    }
+
+    /// Rows of the frame's image among rows of the scene's, the first of which is its row `first`.
+    pub(super) fn sampled_rows<T: ConvReal>(&self, rows: ArrayView2<'_, T>, first: usize) -> Array2<T> {
+        let (s, offset) = (self.oversample, self.offset());
+        if s == 1 {
+            return rows.to_owned();
+        }
+        let skip = (offset + s - first % s) % s;
+        let area = T::nearest(self.pixel_area());
+        if skip >= rows.nrows() {
+            return Array2::zeros((0, self.region.shape().nx()));
+        }
+        rows.slice(s![skip..;s, offset..;s]).mapv(|v| v * area)
+    }
+
+    /// The transpose of sampling: an image at the pixels of the scene that holds the frame's in those which show it and is
+    /// dark between them.
+    pub(super) fn spread<T: ConvReal>(&self, image: &ImageView<'_, T>) -> Result<Image<T>, PsfieldError> {
+        let (rows, columns) = image.pixels().dim();
+        let area = T::nearest(self.pixel_area());
+        let mut fine = Array2::zeros((rows * self.oversample, columns * self.oversample));
+        fine.slice_mut(self.samples())
+            .zip_mut_with(&image.pixels(), |fine, &v| *fine = v * area);
+        Ok(Image::new(fine)?)
+    }
+
+    /// Galaxies in pixels of the scene with `padding` dark pixels around it.
+    pub(super) fn fine_galaxies(
+        &self,
+        galaxies: &[SersicSource],
+        padding: usize,
+    ) -> Result<Vec<SersicSource>, DataError> {
+        let s = self.oversample as f64;
+        let fine = |v: f64| v * s + (s - 1.0) / 2.0 + padding as f64;
+        let of_scene = |galaxy: &SersicSource| {
+            let (at, of) = (galaxy.position(), galaxy.profile());
+            let radius = of.half_light_radius_px() * s;
+            let profile = SersicProfile::new(radius, of.index(), of.axis_ratio(), of.angle_deg())?;
+            SersicSource::new(Position::new(fine(at.x()), fine(at.y()))?, galaxy.flux(), profile)
+        };
+        galaxies.iter().map(of_scene).collect()
+    }
+}
+
+/// Whether a frame, in frame pixels, lies on a scene, in its own.
+fn check_frame(shape: FrameShape, oversample: usize, frame: PixelRegion) -> Result<(), PsfieldError> {
+    let (nx, ny) = (frame.shape().nx(), frame.shape().ny());
+    let place = |v: i64| v.checked_mul(oversample as i64);
+    let length = |n: usize| n.checked_mul(oversample);
+    let fine = match (place(frame.x0()), place(frame.y0()), length(nx), length(ny)) {
+        (Some(x0), Some(y0), Some(nx), Some(ny)) => PixelRegion::new(x0, y0, FrameShape::new(nx, ny)?),
+        _ => return Err(PsfieldError::FrameOffAnyScene { frame }),
+    };
+    if shape.region().contains(fine) {
+        return Ok(());
+    }
+    let source = DataError::FrameOutsideScene {
+        x0: fine.x0(),
+        y0: fine.y0(),
+        shape: fine.shape(),
+        scene: shape,
+    };
+    Err(PsfieldError::FrameOffScene { source })
+}

@@ -1,0 +1,294 @@
+//! Scenes on the frame: where everything lies, what does not fit, and what a user is told.
+
+use ndarray::{Array2, Array3, s};
+use psf_types::{Position, PsfSamples, SamplePositions, SersicProfile, SersicSource, StampGrid};
+
+use super::*;
+
+fn shape(nx: usize, ny: usize) -> FrameShape {
+    FrameShape::new(nx, ny).unwrap()
+}
+
+fn at(x: f64, y: f64) -> Position {
+    Position::new(x, y).unwrap()
+}
+
+fn star(x: f64, y: f64, flux: f64) -> PointSource {
+    PointSource::new(at(x, y), flux).unwrap()
+}
+
+fn galaxy(x: f64, y: f64, radius: f64) -> SersicSource {
+    SersicSource::new(
+        at(x, y),
+        100.0,
+        SersicProfile::new(radius, 1.0, 0.7, 20.0).unwrap(),
+    )
+    .unwrap()
+}
+
+fn ramp(nx: usize, ny: usize) -> Array2<f64> {
+    Array2::from_shape_fn((ny, nx), |(y, x)| (10 * y + x) as f64)
+}
+
+/// One stamp of 3 x 3 frame pixels for any field, which holds light in its middle alone.
+fn psf(oversampling: usize) -> Psf {
+    let side = 3 * oversampling;
+    let grid = StampGrid::new(side, side).and_then(|grid| grid.with_oversampling(oversampling as f64));
+    let mut stamps = Array3::zeros((1, side, side));
+    stamps[[0, side / 2, side / 2]] = 1.0;
+    let positions = SamplePositions::new(vec![Position::of_pixel(0, 0)], None).unwrap();
+    PsfSamples::new(stamps, positions, grid.unwrap()).unwrap().into()
+}
+
+/// For scenes of so many columns and rows, in their own pixels.
+fn built<T: ConvReal>(
+    (nx, ny): (usize, usize),
+    options: SimulateOptions,
+) -> Result<Simulator<T>, PsfieldError> {
+    let options = SimulateOptions {
+        device: Device::Cpu,
+        ..options
+    };
+    psf(1).simulator((ny, nx)).options(options).build()
+}
+
+fn finer(oversample: usize) -> SimulateOptions {
+    SimulateOptions {
+        oversample,
+        ..SimulateOptions::default()
+    }
+}
+
+#[test]
+fn everything_is_in_pixels_of_the_padded_scene() {
+    let frame = PixelRegion::new(2, 1, shape(10, 8));
+    let options = SimulateOptions {
+        frame: Some(frame),
+        ..finer(3)
+    };
+    let simulator = built::<f64>((60, 45), options).unwrap();
+    let galaxies = vec![galaxy(-1.0, 0.0, 2.0)];
+    let stars = Scene::dark().with_stars(vec![star(5.0, 2.0, 7.0)]);
+    let padding = simulator.padding(&stars.clone().with_galaxies(&galaxies[..]));
+    assert_eq!(padding, 12);
+    let geometry = simulator.geometry;
+    assert_eq!(geometry.padded_shape(padding).unwrap(), shape(60 + 24, 45 + 24));
+    let expected = PixelRegion::new(2 * 3 + 12, 3 + 12, shape(30, 24));
+    assert_eq!(geometry.fine_frame(padding).unwrap(), expected);
+    let fine = geometry.fine_galaxies(&galaxies, padding).unwrap();
+    assert_eq!(fine[0].position(), at(10.0, 13.0));
+    assert_eq!(fine[0].profile().half_light_radius_px(), 6.0);
+    // Pixel (3, 1) of the frame, whose centre is pixel (10, 4) of its part of the scene.
+    assert_eq!(geometry.sampled_pixel((3, 1)), (10, 4));
+    let image = simulator.simulate(&stars).unwrap();
+    let mut expected = Array2::zeros((8, 10));
+    expected[[1, 3]] = 7.0;
+    assert!((&image.pixels() - &expected).iter().all(|d| d.abs() < 1e-12));
+    // Stars alone reach in from anywhere.
+    assert_eq!(simulator.padding(&stars), 0);
+    assert_eq!(geometry.padded_shape(0).unwrap(), shape(60, 45));
+}
+
+#[test]
+fn owned_and_borrowed_images_give_the_same_light() {
+    let (nx, ny) = (20, 15);
+    for (galaxies, stamp_size) in [
+        (vec![], 3),
+        (vec![galaxy(4.0, 3.0, 2.5)], 1),
+        (vec![galaxy(-2.0, 3.0, 2.5)], 3),
+    ] {
+        let options = SimulateOptions {
+            stamp_size: Some(stamp_size),
+            method: Method::Direct,
+            ..SimulateOptions::default()
+        };
+        let simulator = built::<f64>((nx, ny), options.clone()).unwrap();
+        let image = ramp(nx, ny);
+        let borrowed = Scene::from(ImageView::new(image.view()).unwrap());
+        let borrowed = borrowed
+            .with_stars(vec![star(3.0, 3.0, 2.0)])
+            .with_galaxies(&galaxies[..]);
+        let owned = Scene::new(image.clone()).unwrap().with_galaxies(&galaxies[..]);
+        let convolver = simulator.convolver(&borrowed, &NoProgress).unwrap();
+        let light_of = |scene: &Scene<'_, f64>| {
+            let (light, first) = simulator.light(scene, convolver, &NoProgress).unwrap();
+            assert_eq!(first, (0, 0));
+            // No copy is made of an image alone.
+            let of_image = scene.image().map(|image| image.pixels().as_ptr());
+            assert_eq!(of_image == Some(light.pixels().as_ptr()), galaxies.is_empty());
+            light.pixels().to_owned()
+        };
+        let mut light = light_of(&borrowed);
+        assert_eq!(light_of(&owned), light);
+        let p = convolver.padding;
+        assert_eq!(light.dim(), (ny + 2 * p, nx + 2 * p));
+
+        // What reaches a region is a part of it.
+        let planned = SimulateOptions {
+            method: Method::Auto,
+            region: Some(PixelRegion::new(7, 2, shape(5, 6))),
+            ..options
+        };
+        let planned = built::<f64>((nx, ny), planned).unwrap();
+        let convolver = planned.convolver(&owned, &NoProgress).unwrap();
+        let (part, (x, y)) = planned.light(&owned, convolver, &NoProgress).unwrap();
+        let (rows, columns) = part.pixels().dim();
+        assert_eq!(part.pixels(), light.slice(s![y..y + rows, x..x + columns]));
+        assert_eq!(rows < light.nrows(), !galaxies.is_empty());
+
+        // The image within, and the galaxies' light on it.
+        light.slice_mut(s![p..p + ny, p..p + nx]).scaled_add(-1.0, &image);
+        // All but the light that is off the padded scene.
+        let flux = light.sum();
+        assert!(
+            if galaxies.is_empty() {
+                flux == 0.0
+            } else {
+                (30.0..100.0).contains(&flux)
+            },
+            "{flux}"
+        );
+        // Without an image: the galaxies alone.
+        let dark = Scene::dark().with_galaxies(&galaxies[..]);
+        assert_eq!(has_extended_light(&dark), !galaxies.is_empty());
+        if has_extended_light(&dark) {
+            // Rounding of the sums above, with values up to 160.
+            assert!((&light_of(&dark) - &light).iter().all(|d: &f64| d.abs() < 1e-12));
+        }
+    }
+}
+
+#[test]
+fn what_does_not_fit_is_refused() {
+    let frame = |x0, y0, nx, ny| SimulateOptions {
+        frame: Some(PixelRegion::new(x0, y0, shape(nx, ny))),
+        ..finer(2)
+    };
+    let refused = |options| built::<f32>((20, 15), options).unwrap_err();
+    assert!(matches!(
+        refused(finer(2)),
+        PsfieldError::UnevenScene { oversample: 2, .. }
+    ));
+    assert!(built::<f32>((20, 15), frame(0, 0, 10, 7)).is_ok());
+    for options in [frame(0, 0, 10, 8), frame(-1, 0, 2, 2)] {
+        assert!(matches!(refused(options), PsfieldError::FrameOffScene { .. }));
+    }
+    assert!(matches!(
+        refused(frame(i64::MAX, 0, 2, 2)),
+        PsfieldError::FrameOffAnyScene { .. }
+    ));
+
+    let single = built::<f32>((20, 15), frame(0, 0, 10, 7)).unwrap();
+    let double = built::<f64>((20, 15), frame(0, 0, 10, 7)).unwrap();
+    let bright = [star(1.0, 1.0, 1e39)];
+    assert!(double.simulate(&Scene::dark().with_stars(&bright[..])).is_ok());
+    assert!(matches!(
+        single.simulate(&Scene::dark().with_stars(&bright[..])),
+        Err(PsfieldError::FluxBeyondPrecision { flux }) if flux == 1e39
+    ));
+    // Padding is not counted beyond any memory.
+    assert!(matches!(
+        double.geometry.padded_shape(usize::MAX),
+        Err(DataError::FrameTooLarge { .. })
+    ));
+    let huge = SimulateOptions {
+        stamp_size: Some(usize::MAX),
+        ..frame(0, 0, 10, 7)
+    };
+    assert!(matches!(refused(huge), PsfieldError::Data(_)));
+
+    let other = ramp(15, 20);
+    let borrowed = Scene::from(ImageView::new(other.view()).unwrap());
+    assert!(matches!(
+        double.simulate(&borrowed),
+        Err(PsfieldError::Data(DataError::ImageShape { .. }))
+    ));
+    assert!(double.simulate(&Scene::new(other.clone()).unwrap()).is_err());
+}
+
+#[test]
+fn a_frame_must_lie_in_the_scene() {
+    let framed = |x0, y0, nx, ny| {
+        let options = SimulateOptions {
+            frame: Some(PixelRegion::new(x0, y0, shape(nx, ny))),
+            ..SimulateOptions::default()
+        };
+        built::<f64>((10, 8), options)
+    };
+    assert!(framed(2, 1, 8, 7).is_ok());
+    for (x0, y0, nx, ny) in [(-1, 0, 4, 4), (3, 0, 8, 4), (0, 2, 4, 7), (0, 0, 1 << 40, 1)] {
+        let refused = framed(x0, y0, nx, ny);
+        assert!(
+            matches!(
+                refused,
+                Err(PsfieldError::FrameOffScene {
+                    source: DataError::FrameOutsideScene { .. }
+                })
+            ),
+            "{refused:?}"
+        );
+    }
+}
+
+#[test]
+fn sizes_are_checked_before_memory_is_taken() {
+    // Of frames of so many pixels.
+    let with_a_star = |nx: usize, ny: usize, s: usize| {
+        let simulator = built::<f32>((nx.saturating_mul(s), ny.saturating_mul(s)), finer(s))?;
+        let scene = Scene::dark().with_stars(vec![star(1.0, 1.0, 1.0)]);
+        simulator.check_sources(&scene, false)?;
+        Ok::<_, PsfieldError>((simulator, scene))
+    };
+    let side = 1 << 15;
+    assert!(with_a_star(side, side, 1).is_ok());
+    for (nx, ny, s) in [(side, side, 2), (side, side + 1, 1)] {
+        let refused = with_a_star(nx, ny, s).map(|_| ());
+        assert!(
+            matches!(refused, Err(PsfieldError::SceneTooLarge { .. })),
+            "{nx} x {ny}: {refused:?}"
+        );
+    }
+    // No memory is taken for the image either.
+    let simulator = built::<f32>((1 << 40, 1 << 10), finer(1)).unwrap();
+    assert!(matches!(
+        simulator.simulate(&Scene::dark()),
+        Err(PsfieldError::SceneTooLarge { .. })
+    ));
+    for (nx, ny) in [(0, 5), (5, 0), (0, usize::MAX), (usize::MAX, 3)] {
+        let refused = built::<f32>((nx, ny), finer(2));
+        assert!(matches!(refused, Err(PsfieldError::Data(_))), "{refused:?}");
+    }
+    for s in [0, SimulateOptions::MAX_OVERSAMPLE + 1] {
+        assert!(matches!(
+            built::<f32>((5, 5), finer(s)),
+            Err(PsfieldError::Oversample { .. })
+        ));
+    }
+}
+
+#[test]
+fn warnings_tell_of_stars_between_pixels_and_blurred_galaxies() {
+    use SimulationWarning::{BlurredGalaxies, StarsBetweenPixels};
+    let warnings = |oversampling, s, x, radius| {
+        let simulator = psf(oversampling).simulator((30 * s, 40 * s)).oversample(s);
+        let simulator: Simulator<f64> = simulator.device(Device::Cpu).build().unwrap();
+        let scene = Scene::dark().with_stars(vec![star(x, 4.0, 1.0)]);
+        simulator.warnings(&scene.with_galaxies(vec![galaxy(5.0, 5.0, radius)]))
+    };
+    let between = |s, x| warnings(1, s, x, 3.0).contains(&StarsBetweenPixels);
+    for s in [1, 2, 3] {
+        assert!(!between(s, 7.0), "{s}");
+        assert!(between(s, 7.25), "{s}");
+    }
+    // On pixels coarser than a quarter of the frame's all galaxies are blurred; on finer ones those that fill none.
+    for s in [1, 2, 3] {
+        assert_eq!(warnings(1, s, 7.0, 30.0), [BlurredGalaxies { count: 1 }], "{s}");
+    }
+    assert_eq!(warnings(1, 4, 7.0, 0.49), [BlurredGalaxies { count: 1 }]);
+    assert!(warnings(1, 4, 7.0, 0.51).is_empty());
+    assert_eq!(
+        warnings(1, 1, 7.25, 1.9),
+        [StarsBetweenPixels, BlurredGalaxies { count: 1 }]
+    );
+    assert!(warnings(2, 4, 7.25, 3.0).is_empty());
+}
