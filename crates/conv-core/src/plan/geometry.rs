@@ -92,6 +92,7 @@ impl Geometry {
         (columns + self.stamp.0 - 1, rows + self.stamp.1 - 1)
     }
 
+    #[cfg(feature = "gpu")]
     /// Columns and rows of the light that a tile of some size takes.
     pub(crate) fn light_size(&self, direction: Direction, tile: (usize, usize)) -> (usize, usize) {
         match direction {
@@ -100,6 +101,7 @@ impl Geometry {
         }
     }
 
+    #[cfg(feature = "gpu")]
     /// Values of a stamp.
     pub(crate) fn stamp_values(&self) -> usize {
         self.stamp.0 * self.stamp.1
