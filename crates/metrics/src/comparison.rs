@@ -1,7 +1,7 @@
 //! How far an image is from its reference, and what many numbers say together.
 
 use ndarray::{ArrayView, ArrayView3, Axis, Dimension};
-use psf_types::{Real, getters};
+use psf_types::Real;
 use serde::Serialize;
 
 use crate::MetricsError;
@@ -152,15 +152,24 @@ impl Comparison {
             .collect()
     }
 
-    getters! { &self;
-        /// Mean absolute error, `mean abs(F - T)`.
-        mae: f64,
-        /// Mean squared error, `mean (F - T)^2`.
-        mse: f64,
-        /// Largest error, `max abs(F - T)`.
-        max_abs: f64,
-        /// Index of the largest error, in the arrays' order of axes; the first of several, all zeros when there is no error.
-        max_abs_index: &[usize],
+    /// Mean absolute error, `mean abs(F - T)`.
+    pub fn mae(&self) -> f64 {
+        self.mae
+    }
+
+    /// Mean squared error, `mean (F - T)^2`.
+    pub fn mse(&self) -> f64 {
+        self.mse
+    }
+
+    /// Largest error, `max abs(F - T)`.
+    pub fn max_abs(&self) -> f64 {
+        self.max_abs
+    }
+
+    /// Index of the largest error, in the arrays' order of axes; the first of several, all zeros when there is no error.
+    pub fn max_abs_index(&self) -> &[usize] {
+        &self.max_abs_index
     }
 
     /// Relative L2 error, `norm(F - T) / norm(T)`.
@@ -356,11 +365,14 @@ impl Summary {
         self.at(0.5)
     }
 
-    getters! { &self;
-        /// Arithmetic mean.
-        mean: f64,
-        /// Root of the mean square.
-        rms: f64,
+    /// Arithmetic mean.
+    pub fn mean(&self) -> f64 {
+        self.mean
+    }
+
+    /// Root of the mean square.
+    pub fn rms(&self) -> f64 {
+        self.rms
     }
 
     /// The value below which the fraction `q` of the values lies: linear between the sorted values, the first at `q = 0`

@@ -2,7 +2,7 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-use psf_types::{getters, read_through_new};
+use psf_types::read_through_new;
 use serde::{Deserialize, Serialize};
 
 use crate::MetricsError;
@@ -58,13 +58,19 @@ impl Covariance {
         }
     }
 
-    getters! { self;
-        /// Second moment along x in square pixels.
-        xx: f64,
-        /// Mixed second moment in square pixels.
-        xy: f64,
-        /// Second moment along y in square pixels.
-        yy: f64,
+    /// Second moment along x in square pixels.
+    pub fn xx(self) -> f64 {
+        self.xx
+    }
+
+    /// Mixed second moment in square pixels.
+    pub fn xy(self) -> f64 {
+        self.xy
+    }
+
+    /// Second moment along y in square pixels.
+    pub fn yy(self) -> f64 {
+        self.yy
     }
 
     /// The determinant `xx yy - xy^2`.
@@ -152,12 +158,16 @@ macro_rules! ellipticity {
                 Self { $first, $second }
             }
 
-            getters! { self;
-                /// Component along the axes of the grid.
-                $first: f64,
-                /// Component along the diagonals of the grid.
-                $second: f64,
+            /// Component along the axes of the grid.
+            pub fn $first(self) -> f64 {
+                self.$first
             }
+
+            /// Component along the diagonals of the grid.
+            pub fn $second(self) -> f64 {
+                self.$second
+            }
+
 
             #[doc = concat!("The length `", $length, "`.")]
             pub fn length(self) -> f64 {

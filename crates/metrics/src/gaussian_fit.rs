@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use ndarray::ArrayView2;
-use psf_types::{Real, getters, setters};
+use psf_types::Real;
 use serde::Serialize;
 
 use crate::gaussian_model::{GaussianModel, Profile, coarse_search};
@@ -30,35 +30,71 @@ pub struct GaussianFit {
 }
 
 impl GaussianFit {
-    getters! { &self;
-        /// The integral of the Gaussian, `2 pi A sigma_major sigma_minor`, in units of the stamp; without the background, with
-        /// what lies beyond the window.
-        flux: f64,
-        /// The Gaussian's value at its centre above the background.
-        amplitude: f64,
-        /// Column coordinate of the centre, a 0-based index of the stamp.
-        x_centroid: f64,
-        /// Row coordinate of the centre, a 0-based index of the stamp.
-        y_centroid: f64,
-        /// Geometric mean of the two FWHM.
-        fwhm_px: f64,
-        /// FWHM along the major axis.
-        fwhm_major_px: f64,
-        /// FWHM along the minor axis.
-        fwhm_minor_px: f64,
-        /// Direction of the major axis from +x towards +y, in (-pi/2, pi/2]; 0 for a round fit.
-        angle_rad: f64,
-        /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`; not a distortion, which
-        /// [`covariance`](Self::covariance) gives.
-        ellipticity: f64,
-        /// The constant background, where it was fitted.
-        background: Option<f64>,
-        /// Root of the mean squared residual over the window, in units of the stamp.
-        residual_rms: f64,
-        /// Iterations that the fit took.
-        iterations: usize,
-        /// The Gaussian's covariance, with its distortion and its reduced shear.
-        covariance: Covariance,
+    /// The integral of the Gaussian, `2 pi A sigma_major sigma_minor`, in units of the stamp; without the background, with
+    /// what lies beyond the window.
+    pub fn flux(&self) -> f64 {
+        self.flux
+    }
+
+    /// The Gaussian's value at its centre above the background.
+    pub fn amplitude(&self) -> f64 {
+        self.amplitude
+    }
+
+    /// Column coordinate of the centre, a 0-based index of the stamp.
+    pub fn x_centroid(&self) -> f64 {
+        self.x_centroid
+    }
+
+    /// Row coordinate of the centre, a 0-based index of the stamp.
+    pub fn y_centroid(&self) -> f64 {
+        self.y_centroid
+    }
+
+    /// Geometric mean of the two FWHM.
+    pub fn fwhm_px(&self) -> f64 {
+        self.fwhm_px
+    }
+
+    /// FWHM along the major axis.
+    pub fn fwhm_major_px(&self) -> f64 {
+        self.fwhm_major_px
+    }
+
+    /// FWHM along the minor axis.
+    pub fn fwhm_minor_px(&self) -> f64 {
+        self.fwhm_minor_px
+    }
+
+    /// Direction of the major axis from +x towards +y, in (-pi/2, pi/2]; 0 for a round fit.
+    pub fn angle_rad(&self) -> f64 {
+        self.angle_rad
+    }
+
+    /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`; not a distortion, which
+    /// [`covariance`](Self::covariance) gives.
+    pub fn ellipticity(&self) -> f64 {
+        self.ellipticity
+    }
+
+    /// The constant background, where it was fitted.
+    pub fn background(&self) -> Option<f64> {
+        self.background
+    }
+
+    /// Root of the mean squared residual over the window, in units of the stamp.
+    pub fn residual_rms(&self) -> f64 {
+        self.residual_rms
+    }
+
+    /// Iterations that the fit took.
+    pub fn iterations(&self) -> usize {
+        self.iterations
+    }
+
+    /// The Gaussian's covariance, with its distortion and its reduced shear.
+    pub fn covariance(&self) -> Covariance {
+        self.covariance
     }
 }
 
@@ -121,11 +157,16 @@ impl GaussianFitter {
         }
     }
 
-    setters! {
-        /// The same fit, with or without a constant background as a further parameter.
-        with_background => background: bool,
-        /// The same fit on the pixels of a window alone.
-        with_window => window: Window,
+    /// The same fit, with or without a constant background as a further parameter.
+    #[must_use]
+    pub fn with_background(self, background: bool) -> Self {
+        Self { background, ..self }
+    }
+
+    /// The same fit on the pixels of a window alone.
+    #[must_use]
+    pub fn with_window(self, window: Window) -> Self {
+        Self { window, ..self }
     }
 
     /// Fits `stamp`, `[y, x]`. Centroids come back as 0-based indices of the whole stamp, whatever the window.

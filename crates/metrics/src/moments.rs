@@ -1,7 +1,7 @@
 //! Second moments: adaptive (under a Gaussian weight that matches them) and unweighted.
 
 use ndarray::ArrayView2;
-use psf_types::{Real, getters};
+use psf_types::Real;
 use serde::Serialize;
 
 use crate::comparison::CompensatedSum;
@@ -99,11 +99,14 @@ pub struct AdaptiveMoments {
 shape_accessors!(AdaptiveMoments, "M", "adaptive second moments");
 
 impl AdaptiveMoments {
-    getters! { &self;
-        /// Flux of the best-fit elliptical Gaussian, `2 sum w I`, in units of the stamp (HSM's amplitude).
-        amplitude: f64,
-        /// Iterations that the measurement took.
-        iterations: usize,
+    /// Flux of the best-fit elliptical Gaussian, `2 sum w I`, in units of the stamp (HSM's amplitude).
+    pub fn amplitude(&self) -> f64 {
+        self.amplitude
+    }
+
+    /// Iterations that the measurement took.
+    pub fn iterations(&self) -> usize {
+        self.iterations
     }
 }
 

@@ -2,7 +2,7 @@
 //! stamps from elsewhere.
 
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis, concatenate};
-use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, getters, named, setters};
+use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named};
 
 use crate::decomposition::{BasisError, ROUNDING_UNITS, decompose, fix_signs, project};
 use crate::noise::{PixelNoise, by_sample, noise_floor, uneven_floor};
@@ -58,13 +58,19 @@ impl BasisFit {
         })
     }
 
-    getters! { &self;
-        /// The basis.
-        basis: &PsfBasis,
-        /// The samples' coefficients.
-        coefficients: &SampleCoefficients,
-        /// The truncation error of every sample: relative L2, in sample order.
-        errors: &[f64],
+    /// The basis.
+    pub fn basis(&self) -> &PsfBasis {
+        &self.basis
+    }
+
+    /// The samples' coefficients.
+    pub fn coefficients(&self) -> &SampleCoefficients {
+        &self.coefficients
+    }
+
+    /// The truncation error of every sample: relative L2, in sample order.
+    pub fn errors(&self) -> &[f64] {
+        &self.errors
     }
 
     /// Basis and coefficients, without a copy.
@@ -214,13 +220,22 @@ impl Svd {
         Self::default()
     }
 
-    setters! {
-        /// With or without a mean stamp.
-        with_centring => centring: Centring,
-        /// How many components are kept.
-        with_rank => rank: RankSelection,
-        /// What is known of the noise in the samples' pixels.
-        with_noise => noise: PixelNoise,
+    /// With or without a mean stamp.
+    #[must_use]
+    pub fn with_centring(self, centring: Centring) -> Self {
+        Self { centring, ..self }
+    }
+
+    /// How many components are kept.
+    #[must_use]
+    pub fn with_rank(self, rank: RankSelection) -> Self {
+        Self { rank, ..self }
+    }
+
+    /// What is known of the noise in the samples' pixels.
+    #[must_use]
+    pub fn with_noise(self, noise: PixelNoise) -> Self {
+        Self { noise, ..self }
     }
 
     /// Like [`BasisMethod::fit`], with more training stamps `[stamp, y, x]` beside the samples, such as the samples' PSFs

@@ -1,6 +1,6 @@
 //! Polynomials of the field position.
 
-use psf_types::{FrameShape, Position, getters};
+use psf_types::{FrameShape, Position};
 use serde::{Deserialize, Serialize};
 
 use crate::OpticsError;
@@ -41,11 +41,14 @@ impl FieldCoordinates {
         }
     }
 
-    getters! { self;
-        /// The column coordinate.
-        u: f64,
-        /// The row coordinate.
-        v: f64,
+    /// The column coordinate.
+    pub fn u(self) -> f64 {
+        self.u
+    }
+
+    /// The row coordinate.
+    pub fn v(self) -> f64 {
+        self.v
     }
 }
 

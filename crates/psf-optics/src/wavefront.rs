@@ -3,8 +3,6 @@
 
 use std::f64::consts::TAU;
 
-use psf_types::getters;
-
 use crate::{FieldCoordinates, FieldPolynomial, OpticsError, WavefrontParams, WavefrontUnit};
 
 /// One Zernike polynomial in Noll's order and normalisation (Noll 1976, J. Opt. Soc. Am. 66, 207).
@@ -84,13 +82,19 @@ impl Zernike {
         })
     }
 
-    getters! { &self;
-        /// Noll's index `j`.
-        noll: usize,
-        /// The radial order.
-        n: usize,
-        /// The azimuthal order, 0 or above; see [`is_sine`](Self::is_sine).
-        m: usize,
+    /// Noll's index `j`.
+    pub fn noll(&self) -> usize {
+        self.noll
+    }
+
+    /// The radial order.
+    pub fn n(&self) -> usize {
+        self.n
+    }
+
+    /// The azimuthal order, 0 or above; see [`is_sine`](Self::is_sine).
+    pub fn m(&self) -> usize {
+        self.m
     }
 
     /// Whether the term goes with `sin(m theta)`: odd `j` and `m > 0`.

@@ -2,7 +2,6 @@
 //! spline.
 
 use ndarray::{Array2, ArrayView2, s};
-use psf_types::getters;
 use psf_types::maths::{mirrored_index, spline_coefficients, spline_weights};
 use rayon::prelude::*;
 
@@ -127,15 +126,24 @@ pub struct Background {
 }
 
 impl Background {
-    getters! { &self;
-        /// The background of every pixel `[y, x]`.
-        level: view ArrayView2<'_, f64>,
-        /// The standard deviation of its noise `[y, x]`, above 0.
-        rms: view ArrayView2<'_, f64>,
-        /// The median level over the cells of the mesh.
-        typical_level: f64,
-        /// The median noise over the cells of the mesh.
-        typical_rms: f64,
+    /// The background of every pixel `[y, x]`.
+    pub fn level(&self) -> ArrayView2<'_, f64> {
+        self.level.view()
+    }
+
+    /// The standard deviation of its noise `[y, x]`, above 0.
+    pub fn rms(&self) -> ArrayView2<'_, f64> {
+        self.rms.view()
+    }
+
+    /// The median level over the cells of the mesh.
+    pub fn typical_level(&self) -> f64 {
+        self.typical_level
+    }
+
+    /// The median noise over the cells of the mesh.
+    pub fn typical_rms(&self) -> f64 {
+        self.typical_rms
     }
 }
 

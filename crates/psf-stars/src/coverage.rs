@@ -2,7 +2,7 @@
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::maths::ConvexHull;
-use psf_types::{FrameShape, Position, getters};
+use psf_types::{FrameShape, Position};
 use serde::Serialize;
 
 /// How samples cover the field: their number and the distance to the nearest of them, cell by cell, and their convex hull.
@@ -110,13 +110,19 @@ impl CoverageMap {
         }
     }
 
-    getters! { &self;
-        /// Number of samples in each cell `[y, x]`.
-        counts: view ArrayView2<'_, f64>,
-        /// Distance from the centre of each cell to the nearest sample `[y, x]`, pixels of the frame.
-        distances_px: view ArrayView2<'_, f64>,
-        /// The figures.
-        report: &CoverageReport,
+    /// Number of samples in each cell `[y, x]`.
+    pub fn counts(&self) -> ArrayView2<'_, f64> {
+        self.counts.view()
+    }
+
+    /// Distance from the centre of each cell to the nearest sample `[y, x]`, pixels of the frame.
+    pub fn distances_px(&self) -> ArrayView2<'_, f64> {
+        self.distances_px.view()
+    }
+
+    /// The figures.
+    pub fn report(&self) -> &CoverageReport {
+        &self.report
     }
 
     /// 1 where the centre of a cell lies inside the convex hull of the samples, else 0 `[y, x]`.

@@ -1,7 +1,6 @@
 //! Where there are sources.
 
 use ndarray::{Array2, ArrayView2};
-use psf_types::getters;
 use psf_types::maths::FWHM_PER_SIGMA;
 use rayon::prelude::*;
 
@@ -62,11 +61,14 @@ impl Detection {
             else "the prominence of a peak", "a number of sigma, 0 or above";
     }
 
-    getters! { &self;
-        /// The threshold in sigma.
-        threshold: f64,
-        /// The kernel's width in pixels.
-        kernel_fwhm_px: f64,
+    /// The threshold in sigma.
+    pub fn threshold(&self) -> f64 {
+        self.threshold
+    }
+
+    /// The kernel's width in pixels.
+    pub fn kernel_fwhm_px(&self) -> f64 {
+        self.kernel_fwhm_px
     }
 
     /// The peaks in a frame `[y, x]`, the most significant first.

@@ -1,7 +1,7 @@
 //! From a frame to PSF samples.
 
 use ndarray::{Array2, Array3, Axis};
-use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid, setters};
+use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
 use crate::background::Spline;
@@ -56,17 +56,34 @@ const LEAST_PIXELS: usize = 24;
 const WIDER: f64 = 1.5;
 
 impl StarSampling {
-    setters! {
-        /// With other settings of the background.
-        with_background => background: BackgroundMesh,
-        /// With other settings of the detection.
-        with_detection => detection: Detection,
-        /// With what is known of the camera.
-        with_camera => camera: Camera,
-        /// With other cuts.
-        with_selection => selection: Selection,
-        /// With another registration.
-        with_registration => registration: Registration,
+    /// With other settings of the background.
+    #[must_use]
+    pub fn with_background(self, background: BackgroundMesh) -> Self {
+        Self { background, ..self }
+    }
+
+    /// With other settings of the detection.
+    #[must_use]
+    pub fn with_detection(self, detection: Detection) -> Self {
+        Self { detection, ..self }
+    }
+
+    /// With what is known of the camera.
+    #[must_use]
+    pub fn with_camera(self, camera: Camera) -> Self {
+        Self { camera, ..self }
+    }
+
+    /// With other cuts.
+    #[must_use]
+    pub fn with_selection(self, selection: Selection) -> Self {
+        Self { selection, ..self }
+    }
+
+    /// With another registration.
+    #[must_use]
+    pub fn with_registration(self, registration: Registration) -> Self {
+        Self { registration, ..self }
     }
 
     /// Samples of the PSF from the stars of `frame`.

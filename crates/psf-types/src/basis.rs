@@ -4,7 +4,6 @@ use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
 use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Quantity, read_through_new};
-use crate::getters;
 use crate::image::{finite2, finite3, row_major};
 use crate::samples::SamplePositions;
 use crate::stamp::StampGrid;
@@ -61,11 +60,14 @@ impl PsfBasis {
         self.mean.as_ref().map(|mean| mean.view())
     }
 
-    getters! { &self;
-        /// The components `[component, y, x]`, row-major.
-        components: view ArrayView3<'_, f64>,
-        /// The pixel grid of every stamp.
-        grid: StampGrid,
+    /// The components `[component, y, x]`, row-major.
+    pub fn components(&self) -> ArrayView3<'_, f64> {
+        self.components.view()
+    }
+
+    /// The pixel grid of every stamp.
+    pub fn grid(&self) -> StampGrid {
+        self.grid
     }
 
     /// The number of components `K`, the mean not counted.
@@ -118,11 +120,14 @@ impl SampleCoefficients {
         })
     }
 
-    getters! { &self;
-        /// The coefficients `[sample, component]`, row-major.
-        values: view ArrayView2<'_, f64>,
-        /// Where the samples lie.
-        positions: &SamplePositions,
+    /// The coefficients `[sample, component]`, row-major.
+    pub fn values(&self) -> ArrayView2<'_, f64> {
+        self.values.view()
+    }
+
+    /// Where the samples lie.
+    pub fn positions(&self) -> &SamplePositions {
+        &self.positions
     }
 
     /// The number of components.

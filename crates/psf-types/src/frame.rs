@@ -28,62 +28,6 @@ macro_rules! read_through_new {
 }
 pub(crate) use crate::read_through_new;
 
-/// The methods of a type that give its fields away, inside an `impl`: a table of field and kind, by
-/// value; by reference where `&` stands before the kind, and as a view where `view` does.
-#[doc(hidden)]
-#[macro_export]
-macro_rules! getters {
-    (&$self:ident; $($fields:tt)*) => { $crate::getters!(@ (&$self) $self $($fields)*); };
-    ($self:ident; $($fields:tt)*) => { $crate::getters!(@ ($self) $self $($fields)*); };
-    (@ ($($by:tt)+) $self:ident) => {};
-    (@ ($($by:tt)+) $self:ident $(#[$doc:meta])* $field:ident: &$kind:ty, $($rest:tt)*) => {
-        $(#[$doc])*
-        pub fn $field($($by)+) -> &$kind {
-            &$self.$field
-        }
-        $crate::getters!(@ ($($by)+) $self $($rest)*);
-    };
-    (@ ($($by:tt)+) $self:ident $(#[$doc:meta])* $field:ident: view $kind:ty, $($rest:tt)*) => {
-        $(#[$doc])*
-        pub fn $field(&$self) -> $kind {
-            $self.$field.view()
-        }
-        $crate::getters!(@ ($($by)+) $self $($rest)*);
-    };
-    (@ ($($by:tt)+) $self:ident $(#[$doc:meta])* $field:ident: $kind:ty, $($rest:tt)*) => {
-        $(#[$doc])*
-        pub fn $field($($by)+) -> $kind {
-            $self.$field
-        }
-        $crate::getters!(@ ($($by)+) $self $($rest)*);
-    };
-}
-
-/// The methods of a type that change one field of it, inside an `impl`: a table of method, field and
-/// kind; where the kind stands in `Some`, the field is an option.
-#[doc(hidden)]
-#[macro_export]
-macro_rules! setters {
-    () => {};
-    ($(#[$doc:meta])* $method:ident => $field:ident: Some($kind:ty), $($rest:tt)*) => {
-        $(#[$doc])*
-        #[must_use]
-        pub fn $method(self, $field: $kind) -> Self {
-            let $field = Some($field);
-            Self { $field, ..self }
-        }
-        $crate::setters!($($rest)*);
-    };
-    ($(#[$doc:meta])* $method:ident => $field:ident: $kind:ty, $($rest:tt)*) => {
-        $(#[$doc])*
-        #[must_use]
-        pub fn $method(self, $field: $kind) -> Self {
-            Self { $field, ..self }
-        }
-        $crate::setters!($($rest)*);
-    };
-}
-
 /// A position in pixels of the frame: 0-based, an integer is the centre of a pixel.
 ///
 /// Both coordinates are finite. Positions may lie between pixels and outside the frame.
@@ -123,11 +67,14 @@ impl Position {
         }
     }
 
-    getters! { self;
-        /// Column coordinate in pixels.
-        x: f64,
-        /// Row coordinate in pixels.
-        y: f64,
+    /// Column coordinate in pixels.
+    pub fn x(self) -> f64 {
+        self.x
+    }
+
+    /// Row coordinate in pixels.
+    pub fn y(self) -> f64 {
+        self.y
     }
 
     /// The point half way to `other`.
@@ -189,11 +136,14 @@ impl FrameShape {
         }
     }
 
-    getters! { self;
-        /// Number of columns.
-        nx: usize,
-        /// Number of rows.
-        ny: usize,
+    /// Number of columns.
+    pub fn nx(self) -> usize {
+        self.nx
+    }
+
+    /// Number of rows.
+    pub fn ny(self) -> usize {
+        self.ny
     }
 
     /// Number of pixels.
@@ -239,13 +189,19 @@ impl PixelRegion {
         Self { x0, y0, shape }
     }
 
-    getters! { self;
-        /// First column.
-        x0: i64,
-        /// First row.
-        y0: i64,
-        /// Number of columns and rows.
-        shape: FrameShape,
+    /// First column.
+    pub fn x0(self) -> i64 {
+        self.x0
+    }
+
+    /// First row.
+    pub fn y0(self) -> i64 {
+        self.y0
+    }
+
+    /// Number of columns and rows.
+    pub fn shape(self) -> FrameShape {
+        self.shape
     }
 
     /// The same rectangle moved by (`dx`, `dy`) pixels.

@@ -3,7 +3,6 @@
 use ndarray::{Array, Array2, ArrayView2, ArrayView3, CowArray, Dimension, Ix2, NdFloat};
 
 use crate::frame::{DataError, FrameShape, Quantity};
-use crate::getters;
 
 /// An image `[y, x]` in flux per pixel; not empty, every pixel finite.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,11 +34,14 @@ impl<T: Real> Image<T> {
         }
     }
 
-    getters! { &self;
-        /// The pixels `[y, x]`, row-major.
-        pixels: view ArrayView2<'_, T>,
-        /// Columns and rows.
-        shape: FrameShape,
+    /// The pixels `[y, x]`, row-major.
+    pub fn pixels(&self) -> ArrayView2<'_, T> {
+        self.pixels.view()
+    }
+
+    /// Columns and rows.
+    pub fn shape(&self) -> FrameShape {
+        self.shape
     }
 
     /// The image, borrowed.
@@ -108,11 +110,14 @@ impl<'a, T: Real> ImageView<'a, T> {
         }
     }
 
-    getters! { &self;
-        /// The pixels `[y, x]`. Those of a row are neighbours in memory; rows may be apart.
-        pixels: view ArrayView2<'_, T>,
-        /// Columns and rows.
-        shape: FrameShape,
+    /// The pixels `[y, x]`. Those of a row are neighbours in memory; rows may be apart.
+    pub fn pixels(&self) -> ArrayView2<'_, T> {
+        self.pixels.view()
+    }
+
+    /// Columns and rows.
+    pub fn shape(&self) -> FrameShape {
+        self.shape
     }
 
     /// Whether the pixels are where they were, rather than copied because of their layout.

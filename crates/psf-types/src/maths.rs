@@ -2,8 +2,6 @@
 
 use ndarray::{Array2, ArrayView2, Axis};
 
-use crate::getters;
-
 /// The full width at half maximum of a Gaussian, in units of its sigma: `2 sqrt(2 ln 2)`.
 pub const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
@@ -162,12 +160,15 @@ impl ConvexHull {
         }
     }
 
-    getters! { &self;
-        /// The corners, counter-clockwise from the leftmost one; two for points on a line, one for a
-        /// single point. No three of them lie on a line.
-        corners: &[[f64; 2]],
-        /// The points at the corners, by their indices in the list given.
-        indices: &[usize],
+    /// The corners, counter-clockwise from the leftmost one; two for points on a line, one for a
+    /// single point. No three of them lie on a line.
+    pub fn corners(&self) -> &[[f64; 2]] {
+        &self.corners
+    }
+
+    /// The points at the corners, by their indices in the list given.
+    pub fn indices(&self) -> &[usize] {
+        &self.indices
     }
 
     /// The area; 0 for points on a line.

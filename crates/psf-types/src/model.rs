@@ -11,7 +11,6 @@ use thiserror::Error;
 use crate::basis::{PsfBasis, SampleCoefficients};
 use crate::choices::{Interpolation, Normalisation, OutsidePolicy};
 use crate::frame::{DataError, FrameShape, PixelRegion, Position, read_through_new};
-use crate::getters;
 use crate::stamp::{Stamp, StampGrid};
 
 /// Coefficient fields `a_k(x)`: a vector of `component_count()` values at any position of the field.
@@ -230,15 +229,24 @@ impl PsfModel {
         }
     }
 
-    getters! { &self;
-        /// The stamps `[stamp, y, x]`, row-major, the mean first where there is one.
-        stamps: view ndarray::ArrayView3<'_, f64>,
-        /// The pixel grid of the stamps.
-        grid: StampGrid,
-        /// The shape of the field, if it is known.
-        field_shape: Option<FrameShape>,
-        /// Whether every PSF is scaled to unit flux.
-        normalisation: Normalisation,
+    /// The stamps `[stamp, y, x]`, row-major, the mean first where there is one.
+    pub fn stamps(&self) -> ndarray::ArrayView3<'_, f64> {
+        self.stamps.view()
+    }
+
+    /// The pixel grid of the stamps.
+    pub fn grid(&self) -> StampGrid {
+        self.grid
+    }
+
+    /// The shape of the field, if it is known.
+    pub fn field_shape(&self) -> Option<FrameShape> {
+        self.field_shape
+    }
+
+    /// Whether every PSF is scaled to unit flux.
+    pub fn normalisation(&self) -> Normalisation {
+        self.normalisation
     }
 
     /// The fields of the components' coefficients.
@@ -433,17 +441,29 @@ impl PsfModelRecord {
         })
     }
 
-    getters! { &self;
-        /// The basis.
-        basis: &PsfBasis,
-        /// The samples' coefficients.
-        coefficients: &SampleCoefficients,
-        /// How the coefficients are carried over the field.
-        interpolation: Interpolation,
-        /// What happens outside the samples.
-        outside: OutsidePolicy,
-        /// Whether PSFs are scaled to unit flux.
-        normalisation: Normalisation,
+    /// The basis.
+    pub fn basis(&self) -> &PsfBasis {
+        &self.basis
+    }
+
+    /// The samples' coefficients.
+    pub fn coefficients(&self) -> &SampleCoefficients {
+        &self.coefficients
+    }
+
+    /// How the coefficients are carried over the field.
+    pub fn interpolation(&self) -> Interpolation {
+        self.interpolation
+    }
+
+    /// What happens outside the samples.
+    pub fn outside(&self) -> OutsidePolicy {
+        self.outside
+    }
+
+    /// Whether PSFs are scaled to unit flux.
+    pub fn normalisation(&self) -> Normalisation {
+        self.normalisation
     }
 
     /// The record with its first components alone, at most `rank` of them.

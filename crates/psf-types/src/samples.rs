@@ -7,7 +7,6 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::frame::{DataError, FrameShape, Position, Quantity, read_through_new};
-use crate::getters;
 use crate::image::{finite3, row_major};
 use crate::stamp::{Stamp, StampGrid};
 
@@ -146,13 +145,19 @@ impl PsfSamples {
         self.grid.flux_of_sum(self.stamp(sample).sum())
     }
 
-    getters! { &self;
-        /// The stamps `[sample, y, x]`, row-major.
-        stamps: view ArrayView3<'_, f64>,
-        /// Where the samples lie.
-        positions: &SamplePositions,
-        /// The pixel grid that all stamps share.
-        grid: StampGrid,
+    /// The stamps `[sample, y, x]`, row-major.
+    pub fn stamps(&self) -> ArrayView3<'_, f64> {
+        self.stamps.view()
+    }
+
+    /// Where the samples lie.
+    pub fn positions(&self) -> &SamplePositions {
+        &self.positions
+    }
+
+    /// The pixel grid that all stamps share.
+    pub fn grid(&self) -> StampGrid {
+        self.grid
     }
 
     /// Number of samples, at least 1.

@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Position, read_through_new};
-use crate::getters;
 
 /// A star: a position in pixels of the scene (sub-pixel, possibly outside the scene) and a finite flux.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -28,11 +27,14 @@ impl PointSource {
         }
     }
 
-    getters! { self;
-        /// Where it is, in pixels of the scene.
-        position: Position,
-        /// Its total flux.
-        flux: f64,
+    /// Where it is, in pixels of the scene.
+    pub fn position(self) -> Position {
+        self.position
+    }
+
+    /// Its total flux.
+    pub fn flux(self) -> f64 {
+        self.flux
     }
 }
 
@@ -114,15 +116,24 @@ impl SersicProfile {
         })
     }
 
-    getters! { self;
-        /// Semi-major axis, in pixels, of the ellipse that holds half of the light.
-        half_light_radius_px: f64,
-        /// The Sersic index `n`.
-        index: f64,
-        /// Minor over major axis.
-        axis_ratio: f64,
-        /// Angle of the major axis, in degrees from +x towards +y.
-        angle_deg: f64,
+    /// Semi-major axis, in pixels, of the ellipse that holds half of the light.
+    pub fn half_light_radius_px(self) -> f64 {
+        self.half_light_radius_px
+    }
+
+    /// The Sersic index `n`.
+    pub fn index(self) -> f64 {
+        self.index
+    }
+
+    /// Minor over major axis.
+    pub fn axis_ratio(self) -> f64 {
+        self.axis_ratio
+    }
+
+    /// Angle of the major axis, in degrees from +x towards +y.
+    pub fn angle_deg(self) -> f64 {
+        self.angle_deg
     }
 }
 

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 use crate::choices::StampInterpolation;
 use crate::frame::{DataError, Quantity, read_through_new};
 use crate::image::{finite2, row_major};
-use crate::{getters, setters};
 
 /// The pixel grid of a stamp: shape, centre, oversampling, whether the pixel response is in the values, and how they continue
 /// between the pixels.
@@ -102,28 +101,57 @@ impl StampGrid {
         }
     }
 
-    setters! {
-        /// The same grid, told whether the stamps hold the response of a frame pixel already.
-        with_pixel_response_included => pixel_response_included: bool,
-        /// The same grid with another rule for the values between the stamps' pixels.
-        with_interpolation => interpolation: StampInterpolation,
+    /// The same grid, told whether the stamps hold the response of a frame pixel already.
+    #[must_use]
+    pub fn with_pixel_response_included(self, pixel_response_included: bool) -> Self {
+        Self {
+            pixel_response_included,
+            ..self
+        }
     }
 
-    getters! { self;
-        /// Number of columns.
-        nx: usize,
-        /// Number of rows.
-        ny: usize,
-        /// Column index of the PSF's reference point.
-        centre_x: f64,
-        /// Row index of the PSF's reference point.
-        centre_y: f64,
-        /// Stamp pixels per frame pixel.
-        oversampling: f64,
-        /// Whether the values hold the response of a frame pixel already.
-        pixel_response_included: bool,
-        /// How the values continue between the stamps' pixels.
-        interpolation: StampInterpolation,
+    /// The same grid with another rule for the values between the stamps' pixels.
+    #[must_use]
+    pub fn with_interpolation(self, interpolation: StampInterpolation) -> Self {
+        Self {
+            interpolation,
+            ..self
+        }
+    }
+
+    /// Number of columns.
+    pub fn nx(self) -> usize {
+        self.nx
+    }
+
+    /// Number of rows.
+    pub fn ny(self) -> usize {
+        self.ny
+    }
+
+    /// Column index of the PSF's reference point.
+    pub fn centre_x(self) -> f64 {
+        self.centre_x
+    }
+
+    /// Row index of the PSF's reference point.
+    pub fn centre_y(self) -> f64 {
+        self.centre_y
+    }
+
+    /// Stamp pixels per frame pixel.
+    pub fn oversampling(self) -> f64 {
+        self.oversampling
+    }
+
+    /// Whether the values hold the response of a frame pixel already.
+    pub fn pixel_response_included(self) -> bool {
+        self.pixel_response_included
+    }
+
+    /// How the values continue between the stamps' pixels.
+    pub fn interpolation(self) -> StampInterpolation {
+        self.interpolation
     }
 
     /// `[rows, columns]`, the shape of the arrays.
@@ -196,11 +224,14 @@ impl Stamp {
         })
     }
 
-    getters! { &self;
-        /// The values `[y, x]`.
-        values: view ArrayView2<'_, f64>,
-        /// The pixel grid.
-        grid: StampGrid,
+    /// The values `[y, x]`.
+    pub fn values(&self) -> ArrayView2<'_, f64> {
+        self.values.view()
+    }
+
+    /// The pixel grid.
+    pub fn grid(&self) -> StampGrid {
+        self.grid
     }
 
     /// The values, without a copy.

@@ -92,8 +92,8 @@ impl Geometry {
         (columns + self.stamp.0 - 1, rows + self.stamp.1 - 1)
     }
 
-    #[cfg(feature = "gpu")]
     /// Columns and rows of the light that a tile of some size takes.
+    #[cfg(feature = "gpu")]
     pub(crate) fn light_size(&self, direction: Direction, tile: (usize, usize)) -> (usize, usize) {
         match direction {
             Direction::Scatter => tile,
@@ -101,8 +101,8 @@ impl Geometry {
         }
     }
 
-    #[cfg(feature = "gpu")]
     /// Values of a stamp.
+    #[cfg(feature = "gpu")]
     pub(crate) fn stamp_values(&self) -> usize {
         self.stamp.0 * self.stamp.1
     }

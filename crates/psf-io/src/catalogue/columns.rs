@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use psf_types::{DataError, setters};
+use psf_types::DataError;
 
 use crate::catalogue::sky_coordinates::SkyCoordinates;
 use crate::error::IoError;
@@ -229,19 +229,42 @@ impl CatalogOptions {
         Self::default()
     }
 
-    setters! {
-        /// With these columns.
-        with_columns => columns: CatalogColumns,
-        /// With positions in pixels counted from 1, as SExtractor's and those of FITS are (`true`), or
-        /// from 0.
-        with_one_based => one_based: bool,
-        /// With the world coordinates of the frame, for catalogues of positions on the sky.
-        with_sky => sky: Some(SkyCoordinates),
-        /// Whether rows that make no source (a position or flux that is missing or not finite, a galaxy
-        /// out of range) are left out and counted (`true`), or errors.
-        with_invalid_skipped => skip_invalid: bool,
-        /// With this table of a FITS file.
-        with_table => table: Some(HduChoice),
+    /// With these columns.
+    #[must_use]
+    pub fn with_columns(self, columns: CatalogColumns) -> Self {
+        Self { columns, ..self }
+    }
+
+    /// With positions in pixels counted from 1, as SExtractor's and those of FITS are (`true`), or
+    /// from 0.
+    #[must_use]
+    pub fn with_one_based(self, one_based: bool) -> Self {
+        Self { one_based, ..self }
+    }
+
+    /// With the world coordinates of the frame, for catalogues of positions on the sky.
+    #[must_use]
+    pub fn with_sky(self, sky: SkyCoordinates) -> Self {
+        Self {
+            sky: Some(sky),
+            ..self
+        }
+    }
+
+    /// Whether rows that make no source (a position or flux that is missing or not finite, a galaxy
+    /// out of range) are left out and counted (`true`), or errors.
+    #[must_use]
+    pub fn with_invalid_skipped(self, skip_invalid: bool) -> Self {
+        Self { skip_invalid, ..self }
+    }
+
+    /// With this table of a FITS file.
+    #[must_use]
+    pub fn with_table(self, table: HduChoice) -> Self {
+        Self {
+            table: Some(table),
+            ..self
+        }
     }
 
     /// With the magnitude of flux 1.

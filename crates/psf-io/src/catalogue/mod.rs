@@ -31,7 +31,7 @@
 
 use std::path::Path;
 
-use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource, getters};
+use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
 use crate::error::{IoError, invalid, request};
 use crate::fits::columns::{Gaps, NumberColumns, Table, positions};
@@ -95,17 +95,26 @@ pub struct Catalog {
 }
 
 impl Catalog {
-    getters! { &self;
-        /// The point sources.
-        stars: &[PointSource],
-        /// The sources with a Sersic profile.
-        galaxies: &[SersicSource],
-        /// Rows left out because they make no source; 0 unless
-        /// [`with_invalid_skipped`](CatalogOptions::with_invalid_skipped) allows it.
-        invalid_rows: usize,
-        /// Rows left out because the frame's projection does not show their place on the sky: they lie
-        /// far off the frame.
-        rows_off_projection: usize,
+    /// The point sources.
+    pub fn stars(&self) -> &[PointSource] {
+        &self.stars
+    }
+
+    /// The sources with a Sersic profile.
+    pub fn galaxies(&self) -> &[SersicSource] {
+        &self.galaxies
+    }
+
+    /// Rows left out because they make no source; 0 unless
+    /// [`with_invalid_skipped`](CatalogOptions::with_invalid_skipped) allows it.
+    pub fn invalid_rows(&self) -> usize {
+        self.invalid_rows
+    }
+
+    /// Rows left out because the frame's projection does not show their place on the sky: they lie
+    /// far off the frame.
+    pub fn rows_off_projection(&self) -> usize {
+        self.rows_off_projection
     }
 
     /// Stars and galaxies, without a copy.

@@ -30,7 +30,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use ndarray::{Array1, Array2, Array3, ArrayViewMut2};
-use psf_types::{FrameShape, Image, Real, getters};
+use psf_types::{FrameShape, Image, Real};
 
 use crate::error::{IoError, invalid, request};
 use crate::fits::cfitsio::Fits;
@@ -50,11 +50,14 @@ pub struct FitsImage<T = f64> {
 }
 
 impl<T: Real> FitsImage<T> {
-    getters! { &self;
-        /// The image.
-        image: &Image<T>,
-        /// The header cards, without those about the structure of the file.
-        header: &HeaderCards,
+    /// The image.
+    pub fn image(&self) -> &Image<T> {
+        &self.image
+    }
+
+    /// The header cards, without those about the structure of the file.
+    pub fn header(&self) -> &HeaderCards {
+        &self.header
     }
 
     /// Both, without a copy.
@@ -276,11 +279,14 @@ impl ImageReader {
         })
     }
 
-    getters! { &self;
-        /// Columns and rows of the whole image.
-        shape: FrameShape,
-        /// The header cards, without those about the structure of the file.
-        header: &HeaderCards,
+    /// Columns and rows of the whole image.
+    pub fn shape(&self) -> FrameShape {
+        self.shape
+    }
+
+    /// The header cards, without those about the structure of the file.
+    pub fn header(&self) -> &HeaderCards {
+        &self.header
     }
 
     /// Reads rows as an array `[y, x]`, row-major, whose first row is row `rows.start` (0-based) of

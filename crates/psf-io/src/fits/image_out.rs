@@ -4,7 +4,7 @@ use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use ndarray::{ArrayView1, ArrayView2, ArrayView3};
-use psf_types::{DataError, FrameShape, Image, Quantity, Real, getters};
+use psf_types::{DataError, FrameShape, Image, Quantity, Real};
 
 use crate::error::{IoError, bad_card, invalid, request, unwritable};
 use crate::fits::card::{Card, CardValue, Record};
@@ -135,11 +135,14 @@ impl<T: Real> ImageWriter<T> {
         })
     }
 
-    getters! { &self;
-        /// Columns and rows of the whole image.
-        shape: FrameShape,
-        /// The number of rows written so far: the next band starts at this row.
-        rows_written: usize,
+    /// Columns and rows of the whole image.
+    pub fn shape(&self) -> FrameShape {
+        self.shape
+    }
+
+    /// The number of rows written so far: the next band starts at this row.
+    pub fn rows_written(&self) -> usize {
+        self.rows_written
     }
 
     /// Writes the next rows `[y, x]`, of any memory layout. A band that is refused for its values

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use ndarray::{Array3, Axis};
-use psf_types::{DataError, Position, PsfSamples, SamplePositions, StampGrid, getters};
+use psf_types::{DataError, Position, PsfSamples, SamplePositions, StampGrid};
 
 use crate::error::{IoError, invalid, unsuitable};
 use crate::fits::card::{Card, FromValue};
@@ -54,12 +54,15 @@ impl GriddedPsf {
         })
     }
 
-    getters! { &self;
-        /// The PSFs with their positions.
-        samples: &PsfSamples,
-        /// Notes for the user on how the file was read, in plain sentences: which order of planes
-        /// or which detector was taken, which border rows are bad.
-        notes: &[String],
+    /// The PSFs with their positions.
+    pub fn samples(&self) -> &PsfSamples {
+        &self.samples
+    }
+
+    /// Notes for the user on how the file was read, in plain sentences: which order of planes
+    /// or which detector was taken, which border rows are bad.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 
     /// The PSFs with their positions, without a copy.

@@ -36,7 +36,7 @@
 use std::path::Path;
 
 use ndarray::{Array2, Axis, s};
-use psf_types::{PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions, getters};
+use psf_types::{PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions};
 
 use crate::error::{IoError, Row, content, invalid};
 use crate::fits::card::{Card, CardValue};
@@ -63,13 +63,19 @@ pub struct ModelFile {
 }
 
 impl ModelFile {
-    getters! { &self;
-        /// The model.
-        record: &PsfModelRecord,
-        /// The singular values of the fit; empty when the file has none.
-        singular_values: &[f64],
-        /// The cards of the primary header, without those about the structure of the file.
-        header: &HeaderCards,
+    /// The model.
+    pub fn record(&self) -> &PsfModelRecord {
+        &self.record
+    }
+
+    /// The singular values of the fit; empty when the file has none.
+    pub fn singular_values(&self) -> &[f64] {
+        &self.singular_values
+    }
+
+    /// The cards of the primary header, without those about the structure of the file.
+    pub fn header(&self) -> &HeaderCards {
+        &self.header
     }
 
     /// The model, without a copy.

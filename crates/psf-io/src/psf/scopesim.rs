@@ -29,7 +29,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use ndarray::Axis;
-use psf_types::{DataError, Position, PsfSamples, SamplePositions, getters};
+use psf_types::{DataError, Position, PsfSamples, SamplePositions};
 
 use crate::error::{IoError, invalid, unsuitable};
 use crate::fits::columns::Table;
@@ -54,17 +54,29 @@ pub struct ScopesimPsf {
 }
 
 impl ScopesimPsf {
-    getters! { &self;
-        /// The layers that the map uses, each at the position of the first node that shows it.
-        layers: &PsfSamples,
-        /// The nodes of the map, in pixels of the frame.
-        nodes: &SamplePositions,
-        /// For each node the index of its layer in [`layers`](Self::layers).
-        layer_of_node: &[usize],
-        /// The wavelength of the PSFs that were taken, in micrometres.
-        wavelength_um: f64,
-        /// Notes for the user on how the file was read, in plain sentences.
-        notes: &[String],
+    /// The layers that the map uses, each at the position of the first node that shows it.
+    pub fn layers(&self) -> &PsfSamples {
+        &self.layers
+    }
+
+    /// The nodes of the map, in pixels of the frame.
+    pub fn nodes(&self) -> &SamplePositions {
+        &self.nodes
+    }
+
+    /// For each node the index of its layer in [`layers`](Self::layers).
+    pub fn layer_of_node(&self) -> &[usize] {
+        &self.layer_of_node
+    }
+
+    /// The wavelength of the PSFs that were taken, in micrometres.
+    pub fn wavelength_um(&self) -> f64 {
+        self.wavelength_um
+    }
+
+    /// Notes for the user on how the file was read, in plain sentences.
+    pub fn notes(&self) -> &[String] {
+        &self.notes
     }
 }
 
@@ -199,13 +211,19 @@ impl ScopesimOptions {
         })
     }
 
-    getters! { &self;
-        /// Size of a frame pixel.
-        pixel_scale_arcsec: f64,
-        /// Where the centre of the field lies on the frame.
-        field_centre: Position,
-        /// The wavelength asked for.
-        wavelength_um: Option<f64>,
+    /// Size of a frame pixel.
+    pub fn pixel_scale_arcsec(&self) -> f64 {
+        self.pixel_scale_arcsec
+    }
+
+    /// Where the centre of the field lies on the frame.
+    pub fn field_centre(&self) -> Position {
+        self.field_centre
+    }
+
+    /// The wavelength asked for.
+    pub fn wavelength_um(&self) -> Option<f64> {
+        self.wavelength_um
     }
 
     /// The position of a point at an offset from the centre of the field.

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use psf_types::{DataError, Position, PsfSamples, SamplePositions, setters};
+use psf_types::{DataError, Position, PsfSamples, SamplePositions};
 
 use crate::error::{IoError, invalid, unsuitable};
 use crate::fits::hdu::HduChoice;
@@ -30,15 +30,40 @@ pub struct StampCubeOptions {
 }
 
 impl StampCubeOptions {
-    setters! {
-        /// One position for each plane, in their order.
-        with_positions => positions: Some(Vec<Position>),
-        /// Stamp pixels per frame pixel.
-        with_oversampling => oversampling: Some(f64),
-        /// The image to read, of several.
-        with_extension => extension: Some(HduChoice),
-        /// Whether the response of a frame pixel is in the stamps.
-        with_pixel_response_included => pixel_response_included: Some(bool),
+    /// One position for each plane, in their order.
+    #[must_use]
+    pub fn with_positions(self, positions: Vec<Position>) -> Self {
+        Self {
+            positions: Some(positions),
+            ..self
+        }
+    }
+
+    /// Stamp pixels per frame pixel.
+    #[must_use]
+    pub fn with_oversampling(self, oversampling: f64) -> Self {
+        Self {
+            oversampling: Some(oversampling),
+            ..self
+        }
+    }
+
+    /// The image to read, of several.
+    #[must_use]
+    pub fn with_extension(self, extension: HduChoice) -> Self {
+        Self {
+            extension: Some(extension),
+            ..self
+        }
+    }
+
+    /// Whether the response of a frame pixel is in the stamps.
+    #[must_use]
+    pub fn with_pixel_response_included(self, pixel_response_included: bool) -> Self {
+        Self {
+            pixel_response_included: Some(pixel_response_included),
+            ..self
+        }
     }
 
     /// The stamps' reference point, a 0-based index that may be fractional.

@@ -39,7 +39,7 @@ pub(crate) mod file;
 use std::f64::consts::PI;
 
 use ndarray::{Array2, Array3, ArrayView3};
-use psf_types::{DataError, Position, Quantity, Stamp, StampGrid, StampInterpolation, getters};
+use psf_types::{DataError, Position, Quantity, Stamp, StampGrid, StampInterpolation};
 
 /// The usual name of the table.
 const EXTENSION: &str = "PSF_DATA";
@@ -77,13 +77,19 @@ impl PsfexAxis {
         Ok(Self { name, zero, scale })
     }
 
-    getters! { &self;
-        /// The coordinate's name, `X_IMAGE` or the like.
-        name: &str,
-        /// The offset in 0-based pixels.
-        zero: f64,
-        /// The scale in pixels.
-        scale: f64,
+    /// The coordinate's name, `X_IMAGE` or the like.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The offset in 0-based pixels.
+    pub fn zero(&self) -> f64 {
+        self.zero
+    }
+
+    /// The scale in pixels.
+    pub fn scale(&self) -> f64 {
+        self.scale
     }
 
     /// The extrema of Chebyshev's polynomial of this degree, the ends included, over
@@ -134,13 +140,19 @@ impl PsfexPolynomial {
         Ok(Self { x, y, degree })
     }
 
-    getters! { &self;
-        /// The column coordinate.
-        x: &PsfexAxis,
-        /// The row coordinate.
-        y: &PsfexAxis,
-        /// The total degree.
-        degree: usize,
+    /// The column coordinate.
+    pub fn x(&self) -> &PsfexAxis {
+        &self.x
+    }
+
+    /// The row coordinate.
+    pub fn y(&self) -> &PsfexAxis {
+        &self.y
+    }
+
+    /// The total degree.
+    pub fn degree(&self) -> usize {
+        self.degree
     }
 
     /// Number of terms of a total degree: `(d+1)(d+2)/2`.
@@ -241,16 +253,25 @@ impl PsfexModel {
         Self { figures, ..self }
     }
 
-    getters! { &self;
-        /// The planes `[term, y, x]`, row-major.
-        planes: view ArrayView3<'_, f64>,
-        /// Frame pixels a plane pixel.
-        sampling: f64,
-        /// The pixel grid of the planes: centre `n / 2`, oversampled `1 / sampling` times, with the
-        /// pixel response.
-        grid: StampGrid,
-        /// PSFEx's own figures.
-        figures: PsfexFigures,
+    /// The planes `[term, y, x]`, row-major.
+    pub fn planes(&self) -> ArrayView3<'_, f64> {
+        self.planes.view()
+    }
+
+    /// Frame pixels a plane pixel.
+    pub fn sampling(&self) -> f64 {
+        self.sampling
+    }
+
+    /// The pixel grid of the planes: centre `n / 2`, oversampled `1 / sampling` times, with the
+    /// pixel response.
+    pub fn grid(&self) -> StampGrid {
+        self.grid
+    }
+
+    /// PSFEx's own figures.
+    pub fn figures(&self) -> PsfexFigures {
+        self.figures
     }
 
     /// The polynomial; none where the PSF is the same everywhere.
