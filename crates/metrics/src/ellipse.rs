@@ -168,7 +168,6 @@ macro_rules! ellipticity {
                 self.$second
             }
 
-
             #[doc = concat!("The length `", $length, "`.")]
             pub fn length(self) -> f64 {
                 self.$first.hypot(self.$second)
