@@ -195,7 +195,12 @@ fn what_does_not_fit_is_refused() {
         stamp_size: Some(usize::MAX),
         ..frame(0, 0, 10, 7)
     };
-    assert!(matches!(refused(huge), PsfieldError::Data(_)));
+    let huge = built::<f64>((20, 15), huge).unwrap();
+    let reaching = [galaxy(1.0, 1.0, 3.0)];
+    assert!(matches!(
+        huge.simulate(&Scene::dark().with_galaxies(&reaching[..])),
+        Err(PsfieldError::Data(_) | PsfieldError::TooLarge { .. })
+    ));
 
     let other = ramp(15, 20);
     let borrowed = Scene::from(ImageView::new(other.view()).unwrap());
