@@ -5,11 +5,12 @@ use std::ops::Range;
 use plotters::chart::{ChartBuilder, ChartContext, SeriesLabelPosition};
 use plotters::coord::ranged1d::{Ranged, ValueFormatter};
 use plotters::coord::types::RangedCoordf64;
-use plotters::prelude::{Cartesian2d, IntoFont, RGBColor, SVGBackend, Text, TextStyle, WHITE};
+use plotters::prelude::{Cartesian2d, IntoFont, RGBColor, Text, TextStyle, WHITE};
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{BLACK, Color};
 use psfield::readable;
 
+use crate::plot::canvas::Canvas;
 use crate::plot::figure::{Area, PlotError};
 
 /// Sizes of text, readable where a panel of 560 pixels takes half a page.
@@ -24,7 +25,7 @@ pub(super) const MARGIN: u32 = 14;
 pub(super) trait Counting: Ranged<ValueType = f64> + ValueFormatter<f64> {}
 impl<R: Ranged<ValueType = f64> + ValueFormatter<f64>> Counting for R {}
 
-pub(super) type Chart<'a, 'b, X, Y> = ChartContext<'a, SVGBackend<'b>, Cartesian2d<X, Y>>;
+pub(super) type Chart<'a, 'b, X, Y> = ChartContext<'a, Canvas<'b>, Cartesian2d<X, Y>>;
 /// A chart with even steps along both axes.
 pub(super) type EvenChart<'a, 'b> = Chart<'a, 'b, RangedCoordf64, RangedCoordf64>;
 

@@ -7,8 +7,7 @@ use plotters::coord::CoordTranslate;
 use plotters::coord::combinators::{BindKeyPoints, IntoLogRange};
 use plotters::element::EmptyElement;
 use plotters::prelude::{
-    Circle, Cross, DrawingArea, LineSeries, PathElement, Polygon, RGBColor, Rectangle, SVGBackend, Text,
-    TriangleMarker,
+    Circle, Cross, DrawingArea, LineSeries, PathElement, Polygon, RGBColor, Rectangle, Text, TriangleMarker,
 };
 use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{BLACK, Color};
@@ -17,6 +16,7 @@ use crate::plot::axes::{
     Chart, Counting, LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, SMALL, TEXT, decades, draw_axes, draw_key, extent,
     logarithmic_ticks, text_style, under_title,
 };
+use crate::plot::canvas::Canvas;
 use crate::plot::colours::SERIES;
 use crate::plot::figure::{Area, Figure, PlotError};
 
@@ -267,7 +267,7 @@ impl Curves {
 
 /// A marker in pixels about a point.
 fn draw_marker<C: CoordTranslate>(
-    area: &DrawingArea<SVGBackend<'_>, C>,
+    area: &DrawingArea<Canvas<'_>, C>,
     marker: Marker,
     at: C::From,
     colour: RGBColor,

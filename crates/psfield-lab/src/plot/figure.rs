@@ -1,19 +1,18 @@
-//! A figure: SVG, and PNG made of it.
-
-use std::sync::{Arc, LazyLock};
+//! A figure: SVG and PNG.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
-use image::RgbImage;
+use image::codecs::png::PngEncoder;
+use image::{ExtendedColorType, ImageEncoder, ImageError, RgbImage};
 use plotters::coord::{CoordTranslate, Shift};
-use plotters::prelude::{DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, SVGBackend, WHITE};
-use resvg::tiny_skia::{Pixmap, Transform};
-use resvg::usvg::fontdb::Database;
-use resvg::usvg::{Options, Tree};
+use plotters::prelude::{DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, WHITE};
 use thiserror::Error;
+use tiny_skia::Pixmap;
+
+use crate::plot::canvas::{Canvas, PNG_SCALE, lay_over};
 
 /// Where a figure's parts are drawn.
-pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+pub(super) type Area<'a> = DrawingArea<Canvas<'a>, Shift>;
 
 /// Why there is no figure.
 #[derive(Debug, Error)]
@@ -22,9 +21,6 @@ pub enum PlotError {
     /// The drawing failed.
     #[error("a figure could not be drawn: {0}")]
     Drawing(#[from] DrawingAreaErrorKind<std::io::Error>),
-    /// The drawing could not be made pixels.
-    #[error("a figure could not be made a PNG: {0}")]
-    Svg(#[from] resvg::usvg::Error),
     /// There is no memory for so many pixels.
     #[error("a figure of {width} x {height} pixels is too large for a PNG")]
     TooLarge {
@@ -35,13 +31,14 @@ pub enum PlotError {
     },
     /// The pixels could not be written as PNG.
     #[error("a PNG could not be encoded: {0}")]
-    Encoding(Box<dyn std::error::Error + Send + Sync>),
+    Encoding(#[from] ImageError),
 }
 
-/// A figure as SVG. Text is `sans-serif`, the background white.
+/// A figure as SVG and as pixels. Text is `sans-serif`, the background white.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
     svg: String,
+    pixels: Pixmap,
     size: (u32, u32),
 }
 
@@ -55,38 +52,29 @@ pub(super) struct Overlay {
     pub(super) pixels: RgbImage,
 }
 
-/// PNG pixels along each side of a figure's pixel, for sharp print.
-const PNG_SCALE: f32 = 2.0;
-
-/// The font of PNGs, which look the same on every machine.
-static FONTS: LazyLock<Arc<Database>> = LazyLock::new(|| {
-    let mut fonts = Database::new();
-    fonts.load_font_data(dejavu::sans::regular().to_vec());
-    fonts.set_sans_serif_family("DejaVu Sans");
-    Arc::new(fonts)
-});
-
 impl Figure {
     /// A figure of `width` x `height` pixels. What `draw` returns is laid over it.
     pub(super) fn draw(
         size: (u32, u32),
         draw: impl FnOnce(&Area<'_>) -> Result<Vec<Overlay>, PlotError>,
     ) -> Result<Self, PlotError> {
+        let scaled = |n: u32| (n as f32 * PNG_SCALE).round() as u32;
+        let (width, height) = (scaled(size.0), scaled(size.1));
+        let mut pixels = Pixmap::new(width, height).ok_or(PlotError::TooLarge { width, height })?;
         let mut svg = String::new();
-        let overlays = {
-            let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
-            root.fill(&WHITE)?;
-            let overlays = draw(&root)?;
-            root.present()?;
-            overlays
-        };
+        let root = Canvas::new(&mut svg, &mut pixels, size).into_drawing_area();
+        root.fill(&WHITE)?;
+        let overlays = draw(&root)?;
+        root.present()?;
+        drop(root);
         let end = svg.rfind("</svg>").unwrap_or(svg.len());
         let mut images = String::new();
         for overlay in overlays {
             images.push_str(&overlay.element()?);
+            lay_over(&mut pixels, &overlay);
         }
         svg.insert_str(end, &images);
-        Ok(Self { svg, size })
+        Ok(Self { svg, pixels, size })
     }
 
     /// The SVG.
@@ -104,21 +92,10 @@ impl Figure {
     /// # Errors
     /// [`PlotError`] when there is not enough memory.
     pub fn png(&self) -> Result<Vec<u8>, PlotError> {
-        let options = Options {
-            fontdb: FONTS.clone(),
-            font_family: "sans-serif".to_owned(),
-            ..Options::default()
-        };
-        let tree = Tree::from_str(&self.svg, &options)?;
-        let scaled = |n: u32| (n as f32 * PNG_SCALE).round() as u32;
-        let (width, height) = (scaled(self.size.0), scaled(self.size.1));
-        let mut pixels = Pixmap::new(width, height).ok_or(PlotError::TooLarge { width, height })?;
-        resvg::render(
-            &tree,
-            Transform::from_scale(PNG_SCALE, PNG_SCALE),
-            &mut pixels.as_mut(),
-        );
-        pixels.encode_png().map_err(|e| PlotError::Encoding(Box::new(e)))
+        let (width, height) = (self.pixels.width(), self.pixels.height());
+        let mut png = Vec::new();
+        PngEncoder::new(&mut png).write_image(self.pixels.data(), width, height, ExtendedColorType::Rgba8)?;
+        Ok(png)
     }
 
     /// The SVG as a `data:` address, for pages that hold all they show.
@@ -129,7 +106,7 @@ impl Figure {
 
 impl Overlay {
     /// Over the inner part of a chart.
-    pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<SVGBackend<'_>, C>, pixels: RgbImage) -> Self {
+    pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<Canvas<'_>, C>, pixels: RgbImage) -> Self {
         let (x, y) = plot.get_pixel_range();
         Self {
             left: x.start,
@@ -142,9 +119,7 @@ impl Overlay {
 
     fn element(&self) -> Result<String, PlotError> {
         let mut png = Vec::new();
-        let encoder = image::codecs::png::PngEncoder::new(&mut png);
-        let written = self.pixels.write_with_encoder(encoder);
-        written.map_err(|e| PlotError::Encoding(Box::new(e)))?;
+        self.pixels.write_with_encoder(PngEncoder::new(&mut png))?;
         let (left, top, width, height) = (self.left, self.top, self.width, self.height);
         let place = format!("x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\"");
         Ok(format!(

@@ -1,9 +1,10 @@
-//! Figures: drawn once as SVG, from which the PNG is made.
+//! Figures: each is drawn once, as SVG and as PNG.
 //!
 //! Every figure of psfield has its colours, its axes and its way to a file from here. Colours: Okabe and Ito (2008) for lines, viridis
 //! for values, blue-white-red (ColorBrewer's RdBu) for differences; all three stay apart for colour-blind eyes and in grey.
 
 mod axes;
+mod canvas;
 mod colours;
 mod curves;
 mod figure;

@@ -1,0 +1,272 @@
+//! One drawing as SVG and as pixels.
+
+use std::io;
+use std::sync::LazyLock;
+
+use image::DynamicImage;
+use plotters::backend::DrawingBackend;
+use plotters::prelude::SVGBackend;
+use plotters_backend::text_anchor::{HPos, VPos};
+use plotters_backend::{
+    BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingErrorKind, FontTransform,
+};
+use tiny_skia::{FillRule, IntSize, Paint, Path, PathBuilder, Pixmap, PixmapPaint, Rect, Stroke, Transform};
+use ttf_parser::{Face, OutlineBuilder};
+
+use crate::plot::figure::Overlay;
+
+/// PNG pixels along each side of a figure's pixel, for sharp print.
+pub(super) const PNG_SCALE: f32 = 2.0;
+
+/// The font of PNGs, which look the same on every machine.
+static FONT: LazyLock<Face<'static>> =
+    LazyLock::new(|| Face::parse(dejavu::sans::regular(), 0).expect("DejaVu Sans is a TrueType font"));
+
+/// Draws each shape twice: into an SVG, and into an image with [`PNG_SCALE`] times its pixels each way.
+pub(super) struct Canvas<'a> {
+    svg: SVGBackend<'a>,
+    pixels: &'a mut Pixmap,
+}
+
+type Drawn = Result<(), DrawingErrorKind<io::Error>>;
+
+impl<'a> Canvas<'a> {
+    pub(super) fn new(svg: &'a mut String, pixels: &'a mut Pixmap, size: (u32, u32)) -> Self {
+        Self {
+            svg: SVGBackend::with_string(svg, size),
+            pixels,
+        }
+    }
+
+    fn stroke(&mut self, path: Option<Path>, style: &impl BackendStyle) {
+        let stroke = Stroke {
+            width: style.stroke_width() as f32,
+            ..Stroke::default()
+        };
+        if let Some(path) = path {
+            self.pixels
+                .stroke_path(&path, &paint(style.color()), &stroke, scaled(), None);
+        }
+    }
+
+    fn fill(&mut self, path: Option<Path>, colour: BackendColor, transform: Transform) {
+        if let Some(path) = path {
+            self.pixels
+                .fill_path(&path, &paint(colour), FillRule::Winding, transform, None);
+        }
+    }
+
+    fn stroke_or_fill(&mut self, path: Option<Path>, style: &impl BackendStyle, fill: bool) {
+        if fill {
+            self.fill(path, style.color(), scaled());
+        } else {
+            self.stroke(path, style);
+        }
+    }
+}
+
+/// Lays a picture over an image that was drawn with a canvas, its pixels as squares; and a grey line about it.
+pub(super) fn lay_over(image: &mut Pixmap, overlay: &Overlay) {
+    let rgba = DynamicImage::from(overlay.pixels.clone()).into_rgba8();
+    let (columns, rows) = rgba.dimensions();
+    let Some(picture) =
+        IntSize::from_wh(columns, rows).and_then(|size| Pixmap::from_vec(rgba.into_raw(), size))
+    else {
+        return;
+    };
+    let (left, top) = (overlay.left as f32, overlay.top as f32);
+    let (width, height) = (overlay.width as f32, overlay.height as f32);
+    let transform = scaled()
+        .pre_translate(left, top)
+        .pre_scale(width / columns as f32, height / rows as f32);
+    image.draw_pixmap(0, 0, picture.as_ref(), &PixmapPaint::default(), transform, None);
+    if let Some(edge) = Rect::from_xywh(left, top, width, height) {
+        let grey = paint(BackendColor {
+            rgb: (128, 128, 128),
+            alpha: 1.0,
+        });
+        image.stroke_path(
+            &PathBuilder::from_rect(edge),
+            &grey,
+            &Stroke::default(),
+            scaled(),
+            None,
+        );
+    }
+}
+
+fn scaled() -> Transform {
+    Transform::from_scale(PNG_SCALE, PNG_SCALE)
+}
+
+fn paint(colour: BackendColor) -> Paint<'static> {
+    let (r, g, b) = colour.rgb;
+    let mut paint = Paint::default();
+    paint.set_color_rgba8(r, g, b, (colour.alpha * 255.0).round() as u8);
+    paint
+}
+
+fn rectangle((left, top): BackendCoord, (right, bottom): BackendCoord) -> Option<Path> {
+    let rect = Rect::from_ltrb(left as f32, top as f32, right as f32, bottom as f32)?;
+    Some(PathBuilder::from_rect(rect))
+}
+
+fn polyline(points: &[BackendCoord], closed: bool) -> Option<Path> {
+    let mut path = PathBuilder::new();
+    for (k, &(x, y)) in points.iter().enumerate() {
+        if k == 0 {
+            path.move_to(x as f32, y as f32);
+        } else {
+            path.line_to(x as f32, y as f32);
+        }
+    }
+    if closed {
+        path.close();
+    }
+    path.finish()
+}
+
+impl DrawingBackend for Canvas<'_> {
+    type ErrorType = io::Error;
+
+    fn get_size(&self) -> (u32, u32) {
+        self.svg.get_size()
+    }
+
+    fn ensure_prepared(&mut self) -> Drawn {
+        self.svg.ensure_prepared()
+    }
+
+    fn present(&mut self) -> Drawn {
+        self.svg.present()
+    }
+
+    fn draw_pixel(&mut self, at: BackendCoord, colour: BackendColor) -> Drawn {
+        self.fill(rectangle(at, (at.0 + 1, at.1 + 1)), colour, scaled());
+        self.svg.draw_pixel(at, colour)
+    }
+
+    fn draw_line<S: BackendStyle>(&mut self, from: BackendCoord, to: BackendCoord, style: &S) -> Drawn {
+        self.stroke(polyline(&[from, to], false), style);
+        self.svg.draw_line(from, to, style)
+    }
+
+    fn draw_rect<S: BackendStyle>(
+        &mut self,
+        upper_left: BackendCoord,
+        bottom_right: BackendCoord,
+        style: &S,
+        fill: bool,
+    ) -> Drawn {
+        self.stroke_or_fill(rectangle(upper_left, bottom_right), style, fill);
+        self.svg.draw_rect(upper_left, bottom_right, style, fill)
+    }
+
+    fn draw_path<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(
+        &mut self,
+        path: I,
+        style: &S,
+    ) -> Drawn {
+        let points: Vec<_> = path.into_iter().collect();
+        self.stroke(polyline(&points, false), style);
+        self.svg.draw_path(points, style)
+    }
+
+    fn draw_circle<S: BackendStyle>(
+        &mut self,
+        centre: BackendCoord,
+        radius: u32,
+        style: &S,
+        fill: bool,
+    ) -> Drawn {
+        let circle = PathBuilder::from_circle(centre.0 as f32, centre.1 as f32, radius as f32);
+        self.stroke_or_fill(circle, style, fill);
+        self.svg.draw_circle(centre, radius, style, fill)
+    }
+
+    fn fill_polygon<S: BackendStyle, I: IntoIterator<Item = BackendCoord>>(
+        &mut self,
+        path: I,
+        style: &S,
+    ) -> Drawn {
+        let points: Vec<_> = path.into_iter().collect();
+        self.fill(polyline(&points, true), style.color(), scaled());
+        self.svg.fill_polygon(points, style)
+    }
+
+    /// Text stands where the SVG has it: its size and its offsets are those of plotters' SVG.
+    fn draw_text<S: BackendTextStyle>(&mut self, text: &str, style: &S, at: BackendCoord) -> Drawn {
+        let em = style.size() as f32 / 1.24;
+        let unit = em / f32::from(FONT.units_per_em());
+        let x_height = FONT
+            .x_height()
+            .map_or(em / 2.0, |height| unit * f32::from(height));
+        let (outline, width) = outline(text);
+        let right = match style.anchor().h_pos {
+            HPos::Left => 0.0,
+            HPos::Center => -unit * width / 2.0,
+            HPos::Right => -unit * width,
+        };
+        let down = match style.anchor().v_pos {
+            VPos::Top => 0.76 * em,
+            VPos::Center => 0.5 * x_height,
+            VPos::Bottom => -0.5 * x_height,
+        };
+        let degrees = match style.transform() {
+            FontTransform::None => 0.0,
+            FontTransform::Rotate90 => 90.0,
+            FontTransform::Rotate180 => 180.0,
+            FontTransform::Rotate270 => 270.0,
+        };
+        let transform = scaled()
+            .pre_translate(at.0 as f32, at.1 as f32)
+            .pre_rotate(degrees)
+            .pre_translate(right, down)
+            .pre_scale(unit, -unit);
+        self.fill(outline, style.color(), transform);
+        self.svg.draw_text(text, style, at)
+    }
+}
+
+/// The outlines of a text from (0, 0) on, and its width, in the font's units, y upwards.
+fn outline(text: &str) -> (Option<Path>, f32) {
+    let mut outline = Outline {
+        path: PathBuilder::new(),
+        left: 0.0,
+    };
+    for character in text.chars() {
+        let glyph = FONT.glyph_index(character).unwrap_or_default();
+        FONT.outline_glyph(glyph, &mut outline);
+        outline.left += f32::from(FONT.glyph_hor_advance(glyph).unwrap_or(0));
+    }
+    (outline.path.finish(), outline.left)
+}
+
+/// Glyphs side by side.
+struct Outline {
+    path: PathBuilder,
+    left: f32,
+}
+
+impl OutlineBuilder for Outline {
+    fn move_to(&mut self, x: f32, y: f32) {
+        self.path.move_to(self.left + x, y);
+    }
+
+    fn line_to(&mut self, x: f32, y: f32) {
+        self.path.line_to(self.left + x, y);
+    }
+
+    fn quad_to(&mut self, x1: f32, y1: f32, x: f32, y: f32) {
+        self.path.quad_to(self.left + x1, y1, self.left + x, y);
+    }
+
+    fn curve_to(&mut self, x1: f32, y1: f32, x2: f32, y2: f32, x: f32, y: f32) {
+        self.path
+            .cubic_to(self.left + x1, y1, self.left + x2, y2, self.left + x, y);
+    }
+
+    fn close(&mut self) {
+        self.path.close();
+    }
+}
