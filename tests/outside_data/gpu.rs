@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
 use psfield::conv_core::gpu::{GpuDevice, GpuError, GpuOptions};
-use psfield::conv_core::{Engine, Paths, Plan, PlanOptions};
+use psfield::conv_core::{Engine, Operation, Paths, Plan, PlanOptions};
 use psfield::metrics::Comparison;
 use psfield::psf_types::{Anchor, NoProgress};
 
@@ -65,7 +65,7 @@ fn images(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
         let plan = || Plan::new(&model, scene.shape(), scene.shape().region(), options);
         let image = |engine: Engine<f32>| -> Result<Array2<f32>, Failed> {
             let mut image = engine.plan().zeros();
-            engine.convolve_into(&scene.view(), image.view_mut(), &NoProgress)?;
+            engine.execute(Operation::Convolve, &scene.view(), image.view_mut(), &NoProgress)?;
             Ok(image)
         };
         let (on_cpu, on_gpu) = (image(Engine::new(plan()?))?, image(on_gpu(plan()?)?)?);

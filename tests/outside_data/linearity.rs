@@ -2,7 +2,7 @@
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
-use psfield::conv_core::{Engine, Paths, Plan, PlanOptions};
+use psfield::conv_core::{Engine, Operation, Paths, Plan, PlanOptions};
 use psfield::psf_types::{Anchor, ImageView, NoProgress};
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
@@ -40,7 +40,12 @@ fn linear(field: Field, anchor: Anchor) -> Result<(), Failed> {
             let engine = Engine::<f64>::new(Plan::new(&model, frame, frame.region(), options)?);
             let image = |light: &Array2<f64>| -> Result<Array2<f64>, Failed> {
                 let mut image = engine.plan().zeros();
-                engine.convolve_into(&ImageView::new(light.view())?, image.view_mut(), &NoProgress)?;
+                engine.execute(
+                    Operation::Convolve,
+                    &ImageView::new(light.view())?,
+                    image.view_mut(),
+                    &NoProgress,
+                )?;
                 Ok(image)
             };
             let (of_f, of_g) = (image(&f)?, image(&g)?);
@@ -49,7 +54,12 @@ fn linear(field: Field, anchor: Anchor) -> Result<(), Failed> {
             let off = difference / (a.abs() * norm(of_f.view()) + b.abs() * norm(of_g.view()));
             let weights: Array2<f64> = lit_everywhere(frame.nx(), frame.ny(), 6);
             let mut back = engine.plan().zeros();
-            engine.adjoint_into(&ImageView::new(weights.view())?, back.view_mut(), &NoProgress)?;
+            engine.execute(
+                Operation::Adjoint,
+                &ImageView::new(weights.view())?,
+                back.view_mut(),
+                &NoProgress,
+            )?;
             let (left, right) = ((&of_g * &weights).sum(), (&back * &g).sum());
             let transposed = (left / right - 1.0).abs();
             println!(

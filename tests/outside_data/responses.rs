@@ -2,7 +2,7 @@
 
 use libtest_mimic::Failed;
 use ndarray::{Array2, ArrayView2};
-use psfield::conv_core::{ConvReal, Engine};
+use psfield::conv_core::{ConvReal, Engine, Operation};
 use psfield::psf_types::{Anchor, ImageView, NoProgress, Position, PsfModel};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -124,8 +124,8 @@ impl Probes {
         let mut image = engine.plan().zeros();
         let (light, into) = (ImageView::new(light.view())?, image.view_mut());
         match self.anchor {
-            Anchor::Output => engine.adjoint_into(&light, into, &NoProgress)?,
-            _ => engine.convolve_into(&light, into, &NoProgress)?,
+            Anchor::Output => engine.execute(Operation::Adjoint, &light, into, &NoProgress)?,
+            _ => engine.execute(Operation::Convolve, &light, into, &NoProgress)?,
         };
         Ok(image)
     }

@@ -4,7 +4,7 @@ mod common;
 
 use std::hint::black_box;
 
-use conv_core::{ConvReal, Engine, Paths, Plan, PlanOptions, StarPlan};
+use conv_core::{ConvReal, Engine, Operation, Paths, Plan, PlanOptions, StarPlan};
 use criterion::{BenchmarkId, Criterion, SamplingMode, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;
 use psf_types::{FrameShape, Image, NoProgress, PointSource, Position, PsfModel, Real};
@@ -72,7 +72,7 @@ fn execute<T: ConvReal>(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::new(name(tolerance), size), |bencher| {
                 bencher.iter(|| {
                     engine
-                        .convolve_into(&light.view(), image.view_mut(), &NoProgress)
+                        .execute(Operation::Convolve, &light.view(), image.view_mut(), &NoProgress)
                         .expect("an image")
                 });
             });
@@ -95,7 +95,7 @@ fn draw(criterion: &mut Criterion) {
         group.bench_function(BenchmarkId::new("lit-pixels", size), |bencher| {
             bencher.iter(|| {
                 engine
-                    .convolve_into(&pixels.view(), image.view_mut(), &NoProgress)
+                    .execute(Operation::Convolve, &pixels.view(), image.view_mut(), &NoProgress)
                     .expect("an image")
             });
         });

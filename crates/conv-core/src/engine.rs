@@ -15,6 +15,15 @@ use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::plan::geometry::Direction;
 use crate::{ConvError, ConvReal, ConvolutionMethod, Plan, PlanOptions};
 
+/// What a plan is executed for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Operation {
+    /// From light to its image.
+    Convolve,
+    /// From an image to light: the transpose of [`Convolve`](Self::Convolve).
+    Adjoint,
+}
+
 /// A plan on a device, ready to convolve any amount of light: the processor, on all threads of
 /// rayon's current pool, or a GPU.
 ///
@@ -26,7 +35,7 @@ use crate::{ConvError, ConvReal, ConvolutionMethod, Plan, PlanOptions};
 /// ```
 /// use std::sync::Arc;
 ///
-/// use conv_core::{ConvolutionMethod, Direct, Engine, Plan, PlanOptions};
+/// use conv_core::{ConvolutionMethod, Direct, Engine, Operation, Plan, PlanOptions};
 /// use ndarray::{Array2, Array3};
 /// use psf_types::{
 ///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position, PsfBasis, PsfModel, StampGrid,
@@ -56,7 +65,7 @@ use crate::{ConvError, ConvReal, ConvolutionMethod, Plan, PlanOptions};
 ///     let light = Array2::from_shape_fn((60, 70), |(y, x)| ((3 * x + 5 * y + seed) % 7) as f64);
 ///     let light = ImageView::new(light.view())?;
 ///     let mut image = engine.plan().zeros();
-///     engine.convolve_into(&light, image.view_mut(), &NoProgress)?;
+///     engine.execute(Operation::Convolve, &light, image.view_mut(), &NoProgress)?;
 ///     let exact = Direct::default().convolve(&model, &light, shape.region(), &NoProgress)?;
 ///     let largest = (&image - &exact.pixels()).fold(0.0, |m: f64, d| m.max(d.abs()));
 ///     assert!(largest < 1e-3 * 7.0);
@@ -121,60 +130,57 @@ impl<T: ConvReal> Engine<T> {
         self.gpu.as_ref().and_then(GpuEngine::times)
     }
 
-    /// Convolves light and adds the result to an image. `light` is `[y, x]` of the plan's whole
-    /// light, or of its part that reaches the image ([`Plan::light_region`]); `image` of the frame,
-    /// or of the plan's [region](Plan::region) of it.
+    /// Sends pixels through the operator and adds the result to others, both `[y, x]`.
     ///
-    /// An image in which the pixels of a row are no neighbours in memory is copied and back.
+    /// - [`Operation::Convolve`]: from light to an image. The image is that of the frame, or of the
+    ///   plan's [region](Plan::region) of it.
+    /// - [`Operation::Adjoint`]: from an image to light. Each pixel of the light gets its share in
+    ///   the scalar product of its image with the given one: `<A f, g> = <f, A^T g>` for every light `f`.
     ///
-    /// # Errors
-    /// [`ConvError`] for light or an image of another shape, and light where there is no PSF. [`ConvError::Cancelled`]: the image is left half done.
-    pub fn convolve_into(
-        &self,
-        light: &ImageView<'_, T>,
-        image: ArrayViewMut2<'_, T>,
-        progress: &dyn Progress,
-    ) -> Result<TileCounts, ConvError> {
-        check_shape(self.plan().region().shape(), image.dim())?;
-        let [columns, rows] = self.plan().light_part(light.shape())?;
-        let light = light.pixels();
-        let light = light.slice(s![rows, columns]);
-        with_rows_in_memory(image, |image| self.run_all(light, image, false, progress))
-    }
-
-    /// Adds the transpose of an image to light, `[y, x]` of the plan's whole light, or of its part
-    /// that reaches the image ([`Plan::light_region`]): to each pixel, its share in the scalar
-    /// product of its image with `image`, so that `<A f, g> = <f, A^T g>` for every light `f`.
-    ///
-    /// Light in which the pixels of a row are no neighbours in memory is copied and back.
+    /// The light is the plan's whole light, or its part that reaches the image
+    /// ([`Plan::light_region`]). Where the pixels of a row of the result are no neighbours in
+    /// memory, it is copied and back.
     ///
     /// # Errors
-    /// [`ConvError`] for an image or light of another shape. [`ConvError::Cancelled`]: the light is
-    /// left half done.
-    pub fn adjoint_into(
+    /// [`ConvError`] for light or an image of another shape, and light where there is no PSF.
+    /// [`ConvError::Cancelled`]: the result is left half done.
+    pub fn execute(
         &self,
-        image: &ImageView<'_, T>,
-        light: ArrayViewMut2<'_, T>,
+        operation: Operation,
+        from: &ImageView<'_, T>,
+        into: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
-        let pixels = image.pixels();
-        check_shape(self.plan().region().shape(), pixels.dim())?;
-        let (height, width) = light.dim();
-        let got = FrameShape::new(width, height).map_err(ConvError::Result)?;
-        let [columns, rows] = self.plan().light_part(got)?;
-        with_rows_in_memory(light.slice_move(s![rows, columns]), |light| {
-            self.run_all(pixels, light, true, progress)
+        let plan = self.plan();
+        let (from, into) = match operation {
+            Operation::Convolve => {
+                check_shape(plan.region().shape(), into.dim())?;
+                let [columns, rows] = plan.light_part(from.shape())?;
+                (from.pixels().slice_move(s![rows, columns]), into)
+            }
+            Operation::Adjoint => {
+                check_shape(plan.region().shape(), from.pixels().dim())?;
+                let (height, width) = into.dim();
+                let got = FrameShape::new(width, height).map_err(ConvError::Result)?;
+                let [columns, rows] = plan.light_part(got)?;
+                (from.pixels(), into.slice_move(s![rows, columns]))
+            }
+        };
+        let rows = 0..plan.tiling.rows.len();
+        progress.start(rows.len() as u64);
+        with_rows_in_memory(into, |into| {
+            self.run(rows, (from, 0), (into, 0), operation, progress)
         })
     }
 
     /// Convolves light that comes and goes by bands of rows, so that neither it nor its image is
-    /// ever in memory as a whole. The bytes are those of [`convolve_into`](Self::convolve_into) an
-    /// image of zeros.
+    /// ever in memory as a whole. The bytes are those that [`execute`](Self::execute) adds to
+    /// zeros.
     ///
     /// A plan of a region reads the rows that reach it and writes those of the region.
     ///
     /// # Errors
-    /// The errors of the stream, and [`ConvError`] as for [`convolve_into`](Self::convolve_into).
+    /// The errors of the stream, and [`ConvError`] as for [`execute`](Self::execute).
     pub fn stream<R: RowStream<T>>(
         &self,
         stream: &mut R,
@@ -206,7 +212,7 @@ impl<T: ConvReal> Engine<T> {
             let into = if self.gathers() { reached } else { written..end };
             let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
             let (light, output) = ((light.view(), light_rows.start), (output, into.start));
-            counts += self.run(band, light, output, false, progress)?;
+            counts += self.run(band, light, output, Operation::Convolve, progress)?;
             pending = image.slice(s![next - written.., ..]).to_owned();
             if next > written {
                 let finished = image.slice_move(s![..next - written, ..]);
@@ -218,19 +224,6 @@ impl<T: ConvReal> Engine<T> {
         Ok(counts)
     }
 
-    /// Sends all of the light through the operator, or through its transpose where `flip`.
-    fn run_all(
-        &self,
-        light: ArrayView2<'_, T>,
-        output: ArrayViewMut2<'_, T>,
-        flip: bool,
-        progress: &dyn Progress,
-    ) -> Result<TileCounts, ConvError> {
-        let rows = 0..self.plan().tiling.rows.len();
-        progress.start(rows.len() as u64);
-        self.run(rows, (light, 0), (output, 0), flip, progress)
-    }
-
     /// Sends light through some rows of blocks: `light` and `output` come with the first row that
     /// they hold of their side. This is where devices part.
     fn run(
@@ -238,9 +231,10 @@ impl<T: ConvReal> Engine<T> {
         rows: Range<usize>,
         (light, first_light): (ArrayView2<'_, T>, usize),
         (output, first_output): (ArrayViewMut2<'_, T>, usize),
-        flip: bool,
+        operation: Operation,
         progress: &dyn Progress,
     ) -> Result<TileCounts, ConvError> {
+        let flip = operation == Operation::Adjoint;
         let pass = LightPass {
             processor: &self.processor,
             rows,
@@ -346,7 +340,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for LowRank {
     ) -> Result<Image<T>, ConvError> {
         let engine = Engine::new(Plan::new(model, light.shape(), frame, self.options)?);
         let mut image = engine.plan().zeros();
-        engine.convolve_into(light, image.view_mut(), progress)?;
+        engine.execute(Operation::Convolve, light, image.view_mut(), progress)?;
         Image::new(image).map_err(ConvError::Result)
     }
 }

@@ -79,7 +79,7 @@ pub mod internals {
     pub use crate::transform::TileTransform;
 }
 
-pub use engine::{Engine, LowRank, RowStream, TileCounts};
+pub use engine::{Engine, LowRank, Operation, RowStream, TileCounts};
 pub use error::ConvError;
 pub use image_memory::zeros;
 pub use plan::{Paths, Plan, PlanOptions, PlanSummary};

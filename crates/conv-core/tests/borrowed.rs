@@ -6,7 +6,7 @@ mod common;
 use std::sync::Arc;
 
 use common::{ANCHORS, Execute, PATHS, Scene, Waves, drawn, model_with, noise, options, region};
-use conv_core::{ConvError, Direct, StarPlan};
+use conv_core::{ConvError, Direct, Operation, StarPlan};
 use ndarray::{Array2, ArrayViewMut2, s};
 use psf_types::{
     FrameShape, Image, ImageView, NoProgress, Normalisation, PixelRegion, PointSource, Position, PsfModel,
@@ -57,14 +57,19 @@ fn every_layout_gives_the_same_bytes() {
             let mut expected = present.clone();
             let scene_light = scene.light.view();
             engine
-                .convolve_into(&scene_light, expected.view_mut(), &NoProgress)
+                .execute(
+                    Operation::Convolve,
+                    &scene_light,
+                    expected.view_mut(),
+                    &NoProgress,
+                )
                 .unwrap();
             let back = engine.adjoint(&Image::new(present.clone()).unwrap()).unwrap();
             layouts(&light, |layout, light| {
                 let view = ImageView::new(light.view()).unwrap();
                 let mut image = present.clone();
                 engine
-                    .convolve_into(&view, image.view_mut(), &NoProgress)
+                    .execute(Operation::Convolve, &view, image.view_mut(), &NoProgress)
                     .unwrap();
                 assert_eq!(image, expected, "light {layout}, {anchor} {paths:?}");
             });
@@ -73,14 +78,14 @@ fn every_layout_gives_the_same_bytes() {
                 let light = engine.adjoint_of(&view, &NoProgress).unwrap();
                 assert_eq!(light, back, "adjoint of {layout}, {anchor} {paths:?}");
                 engine
-                    .convolve_into(&scene_light, image.view_mut(), &NoProgress)
+                    .execute(Operation::Convolve, &scene_light, image.view_mut(), &NoProgress)
                     .unwrap();
                 assert_eq!(image, expected, "image {layout}, {anchor} {paths:?}");
             });
             layouts(&Array2::zeros((SCENE.1, SCENE.0)), |layout, mut plane| {
                 let image = ImageView::new(present.view()).unwrap();
                 engine
-                    .adjoint_into(&image, plane.view_mut(), &NoProgress)
+                    .execute(Operation::Adjoint, &image, plane.view_mut(), &NoProgress)
                     .unwrap();
                 assert_eq!(plane, back.pixels(), "adjoint to {layout}, {anchor} {paths:?}");
             });
@@ -102,14 +107,24 @@ fn the_light_that_reaches_the_frame_is_enough() {
         let cut = light.slice(s![rows.clone(), columns.clone()]);
         let mut image = engine.plan().zeros();
         engine
-            .convolve_into(&ImageView::new(cut).unwrap(), image.view_mut(), &NoProgress)
+            .execute(
+                Operation::Convolve,
+                &ImageView::new(cut).unwrap(),
+                image.view_mut(),
+                &NoProgress,
+            )
             .unwrap();
-        let expected = engine.execute(&scene).unwrap();
+        let expected = engine.image_of(&scene).unwrap();
         assert_eq!(image, expected.pixels());
 
         let mut plane = Array2::zeros(cut.dim());
         engine
-            .adjoint_into(&expected.view(), plane.view_mut(), &NoProgress)
+            .execute(
+                Operation::Adjoint,
+                &expected.view(),
+                plane.view_mut(),
+                &NoProgress,
+            )
             .unwrap();
         let whole = engine.adjoint(&expected).unwrap();
         assert_eq!(plane, whole.pixels().slice(s![rows, columns]));
@@ -130,7 +145,8 @@ fn other_shapes_are_errors_that_say_what_fits() {
     let engine = scene.engine(&model, options(1e-3, ANCHORS[0], PATHS[0]));
     let mut image = engine.plan().zeros();
     let wrong = Array2::zeros((SCENE.1, SCENE.0 + 1));
-    let error = engine.convolve_into(
+    let error = engine.execute(
+        Operation::Convolve,
         &ImageView::new(wrong.view()).unwrap(),
         image.view_mut(),
         &NoProgress,
@@ -143,7 +159,7 @@ fn other_shapes_are_errors_that_say_what_fits() {
     let mut wide = Array2::zeros((29, 38));
     for result in [
         engine
-            .convolve_into(&light, wide.view_mut(), &NoProgress)
+            .execute(Operation::Convolve, &light, wide.view_mut(), &NoProgress)
             .map(|_| ()),
         engine.adjoint_of(&light, &NoProgress).map(|_| ()),
         StarPlan::new(&model, options(1e-3, ANCHORS[0], PATHS[0]), None)

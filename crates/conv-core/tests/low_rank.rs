@@ -79,7 +79,7 @@ fn the_adjoint_is_exact() {
                 let engine = scene.engine(&model, options(tolerance, anchor, paths));
                 let shape = scene.frame.shape();
                 let g = Image::new(noise(shape.ny(), shape.nx(), 77)).unwrap();
-                let forward = engine.execute(&scene).unwrap();
+                let forward = engine.image_of(&scene).unwrap();
                 let back = engine.adjoint(&g).unwrap();
                 let left = (&forward.pixels() * &g.pixels()).sum();
                 let right = (&scene.pixels() * &back.pixels()).sum();
@@ -139,14 +139,14 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
         ] {
             for anchor in ANCHORS {
                 let engine = lit(&light).engine(&model, options(tolerance, anchor, paths));
-                let before = engine.execute(&lit(&light)).unwrap().into_pixels();
+                let before = engine.image_of(&lit(&light)).unwrap().into_pixels();
                 for n in 0..40 {
                     let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
                     // Output-anchored, the kernel of one output pixel is a row of the operator: a column of its transpose.
                     let response = if anchor == Anchor::Source {
                         let mut more = light.clone();
                         more[[y, x]] += 1.0;
-                        engine.execute(&lit(&more)).unwrap().into_pixels() - &before
+                        engine.image_of(&lit(&more)).unwrap().into_pixels() - &before
                     } else {
                         let mut one = Array2::zeros((ny, nx));
                         one[[y, x]] = 1.0;
@@ -193,8 +193,8 @@ fn the_result_does_not_depend_on_threads_nor_on_what_is_made_anew() {
                 let options = options(1e-3, anchor, Paths::Cheapest).with_memory(memory);
                 let engine = scene.engine(&model, options);
                 assert!(engine.plan().summary().blocks > 1);
-                let image = engine.execute(&scene).unwrap();
-                let again = engine.execute(&scene).unwrap();
+                let image = engine.image_of(&scene).unwrap();
+                let again = engine.image_of(&scene).unwrap();
                 assert_eq!(image, again, "workspaces are dirty the second time");
                 (engine.adjoint(&image).unwrap(), image)
             })
@@ -321,7 +321,7 @@ fn kernels_whose_flux_nearly_cancels_are_exact_and_keep_it() {
         let truth = double_sum(&model, &scene, anchor);
         for tolerance in [0.0, 1e-3, 1e-1] {
             let engine = scene.engine(&model, options(tolerance, anchor, Paths::Transforms));
-            let image = engine.execute(&scene).unwrap().into_pixels();
+            let image = engine.image_of(&scene).unwrap().into_pixels();
             let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
             let error = norm(&(&image - &truth)) / norm(&truth);
             // Light of one sign through kernels of both: errors add up a little.
@@ -413,7 +413,7 @@ fn a_plan_refuses_what_it_was_not_made_for() {
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
     let engine = scene(30, 20, 1).engine(&model, PlanOptions::default());
     assert!(matches!(
-        engine.execute(&scene(20, 30, 1)),
+        engine.image_of(&scene(20, 30, 1)),
         Err(ConvError::LightShape { .. })
     ));
     let wrong = Image::new(noise(3, 3, 1)).unwrap();
@@ -465,7 +465,7 @@ fn a_streamed_image_has_the_same_bytes() {
         let scene = scene(20, 9000, 6).with_frame(frame);
         for anchor in ANCHORS {
             let engine = scene.engine(&model, options(1e-3, anchor, Paths::Cheapest));
-            let whole = engine.execute(&scene).unwrap();
+            let whole = engine.image_of(&scene).unwrap();
             let mut rows = Rows {
                 scene: &scene,
                 image: Vec::new(),

@@ -151,7 +151,7 @@ proptest! {
             for tolerance in [0.0, 1e-3] {
                 let options = PlanOptions::new(tolerance).unwrap().with_anchor(anchor);
                 let engine = scene.engine(&model, options);
-                pairs.push((engine.execute(&scene).unwrap(), engine.adjoint(&seen).unwrap()));
+                pairs.push((engine.image_of(&scene).unwrap(), engine.adjoint(&seen).unwrap()));
             }
             let basis = BasisConvolution::new(anchor);
             pairs.push((scene.through(&model, &basis).unwrap(), basis.adjoint(&model, &seen.view(), scene.shape(), scene.frame).unwrap()));

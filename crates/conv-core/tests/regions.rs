@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use common::grid_field::GridField;
 use common::{ANCHORS, Execute, PATHS, Scene, Waves, drawn, model_with, noise, options, region};
-use conv_core::{ConvError, ConvReal, Engine, Plan, PlanOptions, RowStream, StarPlan};
+use conv_core::{ConvError, ConvReal, Engine, Operation, Plan, PlanOptions, RowStream, StarPlan};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
     Anchor, FrameShape, Image, ImageView, NoProgress, Normalisation, PixelRegion, PointSource, Position,
@@ -104,7 +104,8 @@ fn image_of<T: ConvReal>(engine: &Engine<T>, light: &Image<T>) -> Array2<T> {
     let cut = slice_of(light.pixels(), engine.plan().light_region()).to_owned();
     let mut image = engine.plan().zeros();
     engine
-        .convolve_into(
+        .execute(
+            Operation::Convolve,
             &ImageView::new(cut.view()).unwrap(),
             image.view_mut(),
             &NoProgress,
@@ -129,7 +130,7 @@ fn compare<T: ConvReal>(
     ((same, same_back), make): ((f64, f64), &dyn Fn(PixelRegion) -> Engine<T>),
 ) {
     let scene = Scene::new(light.pixels().to_owned()).with_frame(whole.plan().frame());
-    let truth = whole.execute(&scene).unwrap();
+    let truth = whole.image_of(&scene).unwrap();
     let seen = of_precision::<T>(&Image::new(noise(truth.shape().ny(), truth.shape().nx(), 31)).unwrap());
     let back = whole.adjoint(&seen).unwrap();
     let mut image = Array2::from_elem(truth.pixels().dim(), T::nan());
@@ -145,7 +146,12 @@ fn compare<T: ConvReal>(
         // The transpose of the whole is the sum of those of its parts.
         let cut = slice_of(seen.pixels(), part);
         engine
-            .adjoint_into(&ImageView::new(cut).unwrap(), sum.view_mut(), &NoProgress)
+            .execute(
+                Operation::Adjoint,
+                &ImageView::new(cut).unwrap(),
+                sum.view_mut(),
+                &NoProgress,
+            )
             .unwrap();
     }
     let error = relative_l2(image.view(), truth.pixels());
@@ -234,7 +240,7 @@ fn single_pixels_and_thin_regions_anywhere() {
                 );
                 let light = light(true);
                 let scene = Scene::new(light.pixels().to_owned()).with_frame(frame);
-                let truth = engine.execute(&scene).unwrap();
+                let truth = engine.image_of(&scene).unwrap();
                 for part in [
                     region(0, 0, 1, 1),
                     region(nx - 1, 0, 1, 1),
@@ -251,7 +257,7 @@ fn single_pixels_and_thin_regions_anywhere() {
                     let error = relative_l2(image_of(&engine, &light).view(), slice_of(truth.pixels(), part));
                     assert!(error <= SAME_F64, "{case}: {error:e}");
                     // Light of the whole scene does as well, and so does the scene itself.
-                    let image = engine.execute(&scene).unwrap();
+                    let image = engine.image_of(&scene).unwrap();
                     assert_eq!(image.pixels(), image_of(&engine, &light), "{case}");
                 }
             }
@@ -282,7 +288,7 @@ fn a_region_has_its_own_adjoint() {
             assert!((left - right).abs() <= ROUNDING_F64 * scale, "{name} {anchor}");
             let mut plane = Array2::zeros(slice_of(back.pixels(), engine.plan().light_region()).dim());
             engine
-                .adjoint_into(&seen.view(), plane.view_mut(), &NoProgress)
+                .execute(Operation::Adjoint, &seen.view(), plane.view_mut(), &NoProgress)
                 .unwrap();
             assert_eq!(plane, slice_of(back.pixels(), engine.plan().light_region()));
             let outside = norm(back.pixels()).powi(2) - norm(plane.view()).powi(2);
@@ -330,7 +336,7 @@ fn a_region_streams_its_rows_and_draws_its_stars() {
             let engine = Engine::new(
                 Plan::for_region(&model, scene.shape(), frame, part, options, &NoProgress).unwrap(),
             );
-            let image = engine.execute(&scene).unwrap();
+            let image = engine.image_of(&scene).unwrap();
             let mut rows = Rows {
                 light: scene.pixels(),
                 read: Vec::new(),
@@ -381,7 +387,7 @@ fn regions_lie_within_the_frame() {
     );
     let wrong = light(true);
     let mut image = Array2::zeros((127, 151));
-    let refused = engine.convolve_into(&wrong.view(), image.view_mut(), &NoProgress);
+    let refused = engine.execute(Operation::Convolve, &wrong.view(), image.view_mut(), &NoProgress);
     assert!(
         matches!(refused, Err(ConvError::FrameShape { .. })),
         "{refused:?}"

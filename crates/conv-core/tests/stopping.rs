@@ -7,8 +7,8 @@ use std::sync::Arc;
 
 use common::{ANCHORS, Execute, Patience, Scene, Waves, model_with, noise};
 use conv_core::{
-    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, PatchConvolution, Paths, PlanOptions,
-    StarPlan,
+    BasisConvolution, ConvError, ConvolutionMethod, Direct, LowRank, Operation, PatchConvolution, Paths,
+    PlanOptions, StarPlan,
 };
 use ndarray::Array2;
 use psf_types::{Normalisation, PointSource, Position, PsfBasis, PsfModel, StampGrid};
@@ -76,16 +76,21 @@ fn a_plan_stops_soon_and_serves_again() {
                 .with_paths(paths);
             let engine = scene.engine(&model(), options);
             let tiles = engine.plan().summary().tiles;
-            let before = engine.execute(&scene).unwrap();
+            let before = engine.image_of(&scene).unwrap();
             let back = engine.adjoint(&before).unwrap();
             stops("forward", (tiles, BLOCKS), |patience| {
                 let mut image = engine.plan().zeros();
-                engine.convolve_into(&scene.light.view(), image.view_mut(), patience)
+                engine.execute(
+                    Operation::Convolve,
+                    &scene.light.view(),
+                    image.view_mut(),
+                    patience,
+                )
             });
             stops("adjoint", (tiles, BLOCKS), |patience| {
                 engine.adjoint_of(&before.view(), patience)
             });
-            assert_eq!(engine.execute(&scene).unwrap(), before);
+            assert_eq!(engine.image_of(&scene).unwrap(), before);
             assert_eq!(engine.adjoint(&before).unwrap(), back);
         }
     }

@@ -10,7 +10,8 @@ use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Engine, Plan, PlanSummary, StarPainter, StarPlan, TileCounts,
+    ConvError, ConvReal, ConvolutionMethod, Engine, Operation, Plan, PlanSummary, StarPainter, StarPlan,
+    TileCounts,
 };
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
@@ -351,10 +352,10 @@ impl<T: ConvReal> Simulator<T> {
         };
         let mut light = conv_core::zeros((shape.ny(), shape.nx()));
         if self.geometry.oversample == 1 {
-            engine.adjoint_into(image, light.view_mut(), progress)?;
+            engine.execute(Operation::Adjoint, image, light.view_mut(), progress)?;
         } else {
             let fine = self.geometry.spread(image)?;
-            engine.adjoint_into(&fine.view(), light.view_mut(), progress)?;
+            engine.execute(Operation::Adjoint, &fine.view(), light.view_mut(), progress)?;
         }
         Ok(Image::new(light)?)
     }
@@ -638,11 +639,11 @@ impl<T: ConvReal> Simulator<T> {
             return Ok(TileCounts::default());
         };
         if self.geometry.oversample == 1 {
-            return Ok(engine.convolve_into(light, image, progress)?);
+            return Ok(engine.execute(Operation::Convolve, light, image, progress)?);
         }
         let shape = engine.plan().region().shape();
         let mut fine = conv_core::zeros((shape.ny(), shape.nx()));
-        let counts = engine.convolve_into(light, fine.view_mut(), progress)?;
+        let counts = engine.execute(Operation::Convolve, light, fine.view_mut(), progress)?;
         self.geometry.add_sampled(fine.view(), image.view_mut());
         Ok(counts)
     }

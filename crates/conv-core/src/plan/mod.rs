@@ -92,7 +92,7 @@ impl<T: ConvReal> Plan<T> {
     /// ```
     /// use std::sync::Arc;
     ///
-    /// use conv_core::{Engine, Plan, PlanOptions};
+    /// use conv_core::{Engine, Operation, Plan, PlanOptions};
     /// use ndarray::{Array2, Array3, s};
     /// use psf_types::{
     ///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, PixelRegion, Position, PsfBasis, PsfModel, StampGrid,
@@ -116,7 +116,7 @@ impl<T: ConvReal> Plan<T> {
     /// let (shape, options) = (FrameShape::new(80, 60)?, PlanOptions::new(1e-3)?);
     /// let engine = Engine::new(Plan::new(&model, shape, shape.region(), options)?);
     /// let mut whole = engine.plan().zeros();
-    /// engine.convolve_into(&ImageView::new(light.view())?, whole.view_mut(), &NoProgress)?;
+    /// engine.execute(Operation::Convolve, &ImageView::new(light.view())?, whole.view_mut(), &NoProgress)?;
     ///
     /// let region = PixelRegion::new(32, 20, FrameShape::new(16, 20)?);
     /// let engine = Engine::new(Plan::for_region(&model, shape, shape.region(), region, options, &NoProgress)?);
@@ -124,7 +124,7 @@ impl<T: ConvReal> Plan<T> {
     /// assert_eq!((part.x0(), part.y0(), part.shape()), (30, 18, FrameShape::new(20, 24)?));
     /// let light = ImageView::new(light.slice(s![18..42, 30..50]))?;
     /// let mut image = Array2::zeros((20, 16));
-    /// engine.convolve_into(&light, image.view_mut(), &NoProgress)?;
+    /// engine.execute(Operation::Convolve, &light, image.view_mut(), &NoProgress)?;
     /// let difference = &image - &whole.slice(s![20..40, 32..48]);
     /// assert!(difference.iter().all(|d: &f64| d.abs() < 1e-12));
     /// # Ok::<(), Box<dyn std::error::Error>>(())

@@ -6,7 +6,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use conv_core::{
-    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Paths, Plan, PlanOptions, StarPlan, TileCounts,
+    ConvError, ConvReal, ConvolutionMethod, Direct, Engine, Operation, Paths, Plan, PlanOptions, StarPlan,
+    TileCounts,
 };
 use ndarray::{Array2, Array3, ArrayView2};
 use psf_types::{
@@ -103,7 +104,7 @@ pub(crate) trait Execute<T: ConvReal> {
 
     fn adjoint_of(&self, image: &ImageView<'_, T>, progress: &dyn Progress) -> Result<Image<T>, ConvError>;
 
-    fn execute(&self, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
+    fn image_of(&self, scene: &Scene<T>) -> Result<Image<T>, ConvError> {
         Ok(self.counted(scene, &NoProgress)?.0)
     }
 
@@ -119,14 +120,19 @@ impl<T: ConvReal> Execute<T> for Engine<T> {
         progress: &dyn Progress,
     ) -> Result<(Image<T>, TileCounts), ConvError> {
         let mut image = self.plan().zeros();
-        let counts = self.convolve_into(&scene.light.view(), image.view_mut(), progress)?;
+        let counts = self.execute(
+            Operation::Convolve,
+            &scene.light.view(),
+            image.view_mut(),
+            progress,
+        )?;
         Ok((Image::new(image).unwrap(), counts))
     }
 
     fn adjoint_of(&self, image: &ImageView<'_, T>, progress: &dyn Progress) -> Result<Image<T>, ConvError> {
         let shape = self.plan().scene_shape();
         let mut light = Array2::zeros((shape.ny(), shape.nx()));
-        self.adjoint_into(image, light.view_mut(), progress)?;
+        self.execute(Operation::Adjoint, image, light.view_mut(), progress)?;
         Ok(Image::new(light).unwrap())
     }
 }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use conv_core::{ConvError, Paths, RowStream};
+use conv_core::{ConvError, Operation, Paths, RowStream};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
     Anchor, CoefficientField, FieldError, Image, ImageView, NoProgress, Normalisation, Position, PsfModel,
@@ -77,7 +77,7 @@ fn double_sums(device: &OnDevice) {
                 for paths in PATHS {
                     let scene = single(&scene);
                     let plan = scene.plan(&model, options(0.0, anchor, paths));
-                    let image = device.with(plan).execute(&scene).unwrap();
+                    let image = device.with(plan).image_of(&scene).unwrap();
                     let largest = (doubles(&image) - &truth)
                         .iter()
                         .fold(0.0_f64, |m, v| m.max(v.abs()));
@@ -97,7 +97,7 @@ fn adjoints(device: &OnDevice) {
             let plan = scene.plan(&model, options(1e-2, anchor, paths));
             let engine = device.with(plan);
             let g = noise(37, 50, 77);
-            let forward = doubles(&engine.execute(&scene).unwrap());
+            let forward = doubles(&engine.image_of(&scene).unwrap());
             let back = doubles(
                 &engine
                     .adjoint(&Image::new(g.mapv(|v| v as f32)).unwrap())
@@ -127,7 +127,7 @@ fn tolerances(device: &OnDevice) {
                 one[[y, x]] = 1.0;
                 // Output-anchored, the kernel of one output pixel is a row of the operator: a column of its transpose.
                 let (response, sign) = if anchor == Anchor::Source {
-                    (engine.execute(&of_light(one)).unwrap(), 1)
+                    (engine.image_of(&of_light(one)).unwrap(), 1)
                 } else {
                     (engine.adjoint(&Image::new(one).unwrap()).unwrap(), -1)
                 };
@@ -164,7 +164,7 @@ fn fluxes(device: &OnDevice) {
     for tolerance in [0.0, 1e-2, 0.5] {
         let options = options(tolerance, Anchor::Source, Paths::Cheapest);
         let engine = device.with(scene.plan(&model, options));
-        let flux = doubles(&engine.execute(&scene).unwrap()).sum();
+        let flux = doubles(&engine.image_of(&scene).unwrap()).sum();
         assert!(
             (flux / exact - 1.0).abs() < 1e-6,
             "{flux} {exact} at {tolerance:e}"
@@ -186,7 +186,7 @@ fn bright_stars(device: &OnDevice) {
         let error = |paths: Paths| {
             let scene = single(&scene);
             let plan = scene.plan(&model, options(0.0, anchor, paths));
-            let image = device.with(plan).execute(&scene).unwrap();
+            let image = device.with(plan).image_of(&scene).unwrap();
             let pairs = far.iter().zip(&truth);
             let squares = pairs.map(|(&(x, y), v)| (f64::from(image.pixels()[[y, x]]) - v).powi(2));
             (squares.sum::<f64>() / truth.iter().map(|v| v * v).sum::<f64>()).sqrt()
@@ -204,10 +204,10 @@ fn ranges(device: &OnDevice) {
         let scene = of_light(light.clone());
         let options = options(0.0, anchor, Paths::Transforms);
         let engine = device.with(scene.plan(&model, options));
-        let usual = doubles(&engine.execute(&scene).unwrap());
+        let usual = doubles(&engine.image_of(&scene).unwrap());
         for exponent in [-110, 110] {
             let power = 2_f32.powi(exponent);
-            let image = engine.execute(&of_light(light.mapv(|v| v * power))).unwrap();
+            let image = engine.image_of(&of_light(light.mapv(|v| v * power))).unwrap();
             let error = relative(&(doubles(&image) / f64::from(power)), &usual);
             assert!(error < 1e-6, "{error:e} at 2^{exponent}, {anchor}");
         }
@@ -253,8 +253,8 @@ fn same_bytes(device: &OnDevice) {
                 // Something else between, so that what it left is not what belongs there.
                 let half = scene.pixels().mapv(|v| v.max(0.0) * -3.0);
                 let other = of_light(half).with_frame(scene.frame);
-                assert!(engine.execute(&other).unwrap() != image);
-                let again = engine.execute(&scene).unwrap();
+                assert!(engine.image_of(&other).unwrap() != image);
+                let again = engine.image_of(&scene).unwrap();
                 assert_eq!(image, again, "buffers are dirty by then");
                 (engine, image)
             })
@@ -278,13 +278,13 @@ fn at_once(device: &OnDevice) {
     let engine = device.with(scenes[0].plan(&model, options));
     let one_by_one: Vec<_> = scenes
         .iter()
-        .map(|scene| engine.execute(scene).unwrap())
+        .map(|scene| engine.image_of(scene).unwrap())
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
     let at_once: Vec<_> = pool.install(|| {
         scenes
             .par_iter()
-            .map(|scene| engine.execute(scene).unwrap())
+            .map(|scene| engine.image_of(scene).unwrap())
             .collect()
     });
     assert!(one_by_one == at_once);
@@ -317,12 +317,12 @@ fn no_psf(device: &OnDevice) {
         let fine = of_light(light.clone());
         let options = options(1e-3, anchor, Paths::Cheapest);
         let engine = device.with(fine.plan(&model, options));
-        assert!(engine.execute(&fine).is_ok(), "{anchor}");
+        assert!(engine.image_of(&fine).is_ok(), "{anchor}");
         light[[7, 10]] = 1.0;
-        let error = engine.execute(&of_light(light)).unwrap_err();
+        let error = engine.image_of(&of_light(light)).unwrap_err();
         assert!(matches!(error, ConvError::Field(_)), "{error}");
         // It is none the worse for it.
-        assert!(engine.execute(&fine).is_ok(), "{anchor}");
+        assert!(engine.image_of(&fine).is_ok(), "{anchor}");
     }
 }
 
@@ -350,13 +350,22 @@ fn regions(device: &OnDevice) {
                 let (right, above) = (left + reach.shape().nx(), below + reach.shape().ny());
                 let light = scene.pixels().slice_move(s![below..above, left..right]);
                 let into = image.slice_mut(s![y..y + ny, x..x + nx]);
-                part.convolve_into(&ImageView::new(light).unwrap(), into, &NoProgress)
-                    .unwrap();
+                part.execute(
+                    Operation::Convolve,
+                    &ImageView::new(light).unwrap(),
+                    into,
+                    &NoProgress,
+                )
+                .unwrap();
                 let of_part = ImageView::new(seen.pixels().slice_move(s![y..y + ny, x..x + nx])).unwrap();
-                part.adjoint_into(&of_part, back.view_mut(), &NoProgress).unwrap();
+                part.execute(Operation::Adjoint, &of_part, back.view_mut(), &NoProgress)
+                    .unwrap();
             }
             let engine = device.with(plan);
-            let error = relative(&image.mapv(f64::from), &doubles(&engine.execute(&scene).unwrap()));
+            let error = relative(
+                &image.mapv(f64::from),
+                &doubles(&engine.image_of(&scene).unwrap()),
+            );
             assert!(error <= 1e-6, "{error:e} {anchor} {paths:?}");
             let error = relative(&back.mapv(f64::from), &doubles(&engine.adjoint(&seen).unwrap()));
             assert!(error <= ROUNDING, "adjoint {error:e} {anchor} {paths:?}");
@@ -370,7 +379,7 @@ fn stopped(device: &OnDevice) {
     for anchor in ANCHORS {
         let options = options(1e-3, anchor, Paths::Transforms);
         let engine = device.with(scene.plan(&model, options));
-        let image = engine.execute(&scene).unwrap();
+        let image = engine.image_of(&scene).unwrap();
         let back = engine.adjoint(&image).unwrap();
         let endless = Patience::endless();
         engine.counted(&scene, &endless).unwrap();
@@ -379,7 +388,7 @@ fn stopped(device: &OnDevice) {
         for enough in [0, 1, all / 2, all - 1] {
             let refused = engine.counted(&scene, &Patience::of(enough)).map(|_| ());
             assert!(matches!(refused, Err(ConvError::Cancelled(_))), "{refused:?}");
-            assert!(engine.execute(&scene).unwrap() == image, "{anchor}");
+            assert!(engine.image_of(&scene).unwrap() == image, "{anchor}");
             let refused = engine.adjoint_of(&image.view(), &Patience::of(enough / 2));
             assert!(matches!(refused, Err(ConvError::Cancelled(_))), "{refused:?}");
             assert!(engine.adjoint(&image).unwrap() == back, "{anchor}");

@@ -62,7 +62,7 @@ fn twin(gpu: &GpuDevice, name: &str) {
 
 /// The images of both devices by one plan.
 fn both(gpu: &GpuDevice, plan: Plan<f32>, scene: &Scene<f32>) -> [Array2<f64>; 2] {
-    let image = |engine: Engine<f32>| engine.execute(scene).unwrap().pixels().mapv(f64::from);
+    let image = |engine: Engine<f32>| engine.image_of(scene).unwrap().pixels().mapv(f64::from);
     let whole = plan.region();
     let on_gpu = plan.for_other_region(whole, &NoProgress).unwrap();
     [
@@ -156,7 +156,7 @@ fn pieces(device: &OnDevice) {
             let with = |limits: GpuOptions, host: usize| {
                 let options = options(0.0, anchor, paths).with_memory(host);
                 let engine = on_gpu_with(scene.plan(&model, options), device.handle(), limits);
-                let image = engine.execute(scene).unwrap();
+                let image = engine.image_of(scene).unwrap();
                 let back = engine.adjoint(&image).unwrap();
                 [image, back].map(|image| image.pixels().mapv(f64::from))
             };
@@ -185,10 +185,10 @@ fn lost(_: &OnDevice) {
     let scene = single(&scene(67, 53, 3));
     let plan = || scene.plan(&model, options(1e-3, Anchor::Source, Paths::Cheapest));
     let used = on_gpu_with(plan(), &gpu, GpuOptions::default());
-    let before = used.execute(&scene).unwrap();
+    let before = used.image_of(&scene).unwrap();
     gpu.close();
     let is_lost = |error: &ConvError| matches!(error, ConvError::Gpu(GpuError::Lost { .. }));
-    let error = used.execute(&scene).unwrap_err();
+    let error = used.image_of(&scene).unwrap_err();
     assert!(is_lost(&error), "{error}");
     assert!(error.to_string().contains("was lost"), "{error}");
     let error = used.adjoint(&before).unwrap_err();
@@ -207,7 +207,7 @@ fn refused(device: &OnDevice) {
     assert_eq!(error, GpuError::Precision { precision: "f64" });
     // It still runs on the processor.
     let engine = Engine::new(plan);
-    assert!(engine.execute(&scene).is_ok() && engine.gpu().is_none());
+    assert!(engine.image_of(&scene).is_ok() && engine.gpu().is_none());
     let huge = shaders::error_against_twin(gpu, gpu.adapter(), "add_rows", (1 << 15, 32), false);
     assert!(
         matches!(huge, Err(GpuError::TransformSize { size, most, .. }) if size == 1 << 15 && most < size)
@@ -225,7 +225,7 @@ fn times(device: &OnDevice) {
     let plan = scene.plan(&model, options(1e-3, Anchor::Source, Paths::Transforms));
     let engine = device.with(plan);
     assert!(engine.gpu_times().is_none());
-    engine.execute(&scene).unwrap();
+    engine.image_of(&scene).unwrap();
     let times = engine.gpu_times().unwrap();
     let work = engine.plan().gpu_work();
     // What has to be moved is moved: the light, and the image with what panels share.
