@@ -134,11 +134,8 @@ impl SimulateArgs {
         context: &Context,
     ) -> anyhow::Result<Preparation<'a>> {
         let new = !simulator.is_prepared(scene, rows);
-        if new {
-            let extended = rows || scene.image().is_some() || !scene.galaxies().is_empty();
-            if let Some(warning) = simulator.psf_warning(extended)? {
-                context.warn(&warning.to_string());
-            }
+        if new && let Some(warning) = simulator.psf_warning(scene, rows)? {
+            context.warn(&warning.to_string());
         }
         let spinner = context.spinner("fitting and planning");
         let made = simulator.prepare(scene, rows, &NoProgress);

@@ -8,7 +8,7 @@ use conv_core::{ConvError, ConvReal, Engine, Plan};
 use super::{CpuReason, Placement, PredictedSeconds};
 use crate::{PsfieldError, SimulateOptions};
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 struct OpenGpus {
     process: u32,
     /// Looked up once.
@@ -17,19 +17,26 @@ struct OpenGpus {
     gpus: Vec<(Option<String>, GpuDevice)>,
 }
 
-static OPEN: Mutex<Option<OpenGpus>> = Mutex::new(None);
+impl OpenGpus {
+    const fn none(process: u32) -> Self {
+        Self {
+            process,
+            adapters: None,
+            gpus: Vec::new(),
+        }
+    }
+}
+
+/// No process has the number 0.
+static OPEN: Mutex<OpenGpus> = Mutex::new(OpenGpus::none(0));
 
 /// No work of rayon's is done while this is held.
-fn open_gpus() -> MutexGuard<'static, Option<OpenGpus>> {
+fn open_gpus() -> MutexGuard<'static, OpenGpus> {
     let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();
-    if open.as_ref().is_none_or(|open| open.process != process) {
+    if open.process != process {
         // A forked process must not close its parent's.
-        std::mem::forget(open.take());
-        *open = Some(OpenGpus {
-            process,
-            ..OpenGpus::default()
-        });
+        std::mem::forget(std::mem::replace(&mut *open, OpenGpus::none(process)));
     }
     open
 }
@@ -47,7 +54,7 @@ pub fn open_gpu(adapter: Option<&str>) -> Result<String, PsfieldError> {
 
 /// Forgets the GPUs that are open, after trouble with one: it may be lost.
 pub fn forget_gpus() {
-    open_gpus().take();
+    *open_gpus() = OpenGpus::none(std::process::id());
 }
 
 /// Hands a plan to a GPU.
@@ -103,7 +110,7 @@ fn candidate(name: Option<&str>) -> Result<Adapter, GpuError> {
         return Ok(opened(name)?.adapter().clone());
     }
     let mut open = open_gpus();
-    let listed = open.get_or_insert_default().adapters.get_or_insert_with(adapters);
+    let listed = open.adapters.get_or_insert_with(adapters);
     listed.first().cloned().ok_or(GpuError::NoAdapter)
 }
 
@@ -129,12 +136,11 @@ fn handed_over<T: ConvReal>(plan: Plan<T>, options: &SimulateOptions) -> HandedO
 
 fn opened(name: Option<&str>) -> Result<GpuDevice, GpuError> {
     let mut open = open_gpus();
-    let gpus = &mut open.get_or_insert_default().gpus;
-    if let Some((_, gpu)) = gpus.iter().find(|(asked, _)| asked.as_deref() == name) {
+    if let Some((_, gpu)) = open.gpus.iter().find(|(asked, _)| asked.as_deref() == name) {
         return Ok(gpu.clone());
     }
     let gpu = GpuDevice::new(name)?;
-    gpus.push((name.map(str::to_owned), gpu.clone()));
+    open.gpus.push((name.map(str::to_owned), gpu.clone()));
     Ok(gpu)
 }
 

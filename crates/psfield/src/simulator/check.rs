@@ -158,13 +158,19 @@ impl<T: ConvReal> Simulator<T> {
         }
     }
 
-    /// What a user should know of the PSF for scenes with extended light (`extended`) or for stars alone.
+    /// A warning where scenes of this kind get stamps that are interpolated between their own pixels. `rows` as for
+    /// [`prepare`](Self::prepare).
     ///
     /// # Errors
     /// [`PsfieldError::Data`] for a stamp size of 0.
-    pub fn psf_warning(&self, extended: bool) -> Result<Option<SimulationWarning>, PsfieldError> {
-        let options = &self.options;
-        let picked = !extended || options.oversample > 1 || self.psf().native_is_exact(options.stamp_size)?;
+    pub fn psf_warning(
+        &self,
+        scene: &Scene<'_, T>,
+        rows: bool,
+    ) -> Result<Option<SimulationWarning>, PsfieldError> {
+        let (options, stars_alone) = (&self.options, !rows && !has_extended_light(scene));
+        let picked =
+            stars_alone || options.oversample > 1 || self.psf().native_is_exact(options.stamp_size)?;
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
