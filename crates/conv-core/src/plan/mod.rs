@@ -272,7 +272,7 @@ impl<T: ConvReal> Plan<T> {
     }
 
     /// An image of the frame, or of the plan's region of it, `[y, x]` of zeros, for an engine to
-    /// [add to](crate::Engine::convolve_into). That takes less time than adding to a large array of
+    /// [add to](crate::Engine::execute). That takes less time than adding to a large array of
     /// zeros made otherwise: the pages of its memory have been written to.
     pub fn zeros(&self) -> Array2<T> {
         zeros((self.region.shape().ny(), self.region.shape().nx()))
