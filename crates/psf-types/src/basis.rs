@@ -1,4 +1,4 @@
-//! Orthonormal basis stamps, and the coefficients of the samples in them.
+//! Orthonormal basis stamps, and the samples' coefficients in the basis.
 
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
 use serde::{Deserialize, Serialize};
@@ -8,10 +8,11 @@ use crate::image::{finite2, finite3, row_major};
 use crate::samples::SamplePositions;
 use crate::stamp::StampGrid;
 
-/// Orthonormal stamps `B_k` `[component, y, x]`, and the mean stamp `B_0` where the basis is mean-centred.
+/// Orthonormal stamps `B_k` `[component, y, x]`, and the mean stamp `B_0` if the basis is
+/// mean-centred.
 ///
-/// `h(u; x) = B_0(u) + sum_k a_k(x) B_k(u)`. The inner products of the components are the unit matrix within
-/// [`PsfBasis::ORTHONORMALITY_TOLERANCE`]; every value is finite.
+/// `h(u; x) = B_0(u) + sum_k a_k(x) B_k(u)`. The inner products of the components form the unit
+/// matrix within [`PsfBasis::ORTHONORMALITY_TOLERANCE`]. Every value is finite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawPsfBasis")]
 pub struct PsfBasis {
@@ -23,14 +24,17 @@ pub struct PsfBasis {
 read_through_new!(RawPsfBasis => PsfBasis { mean: Option<Array2<f64>>, components: Array3<f64>, grid: StampGrid });
 
 impl PsfBasis {
-    /// How far an inner product may be from 0 or 1: loose enough for a basis of other software that was stored in single
-    /// precision, far tighter than any that is not meant to be orthonormal. The bases made here are orthonormal to 1e-12.
+    /// The largest allowed difference of an inner product from 0 or 1. It admits bases that other
+    /// software stored in single precision, and rejects stamps that were never made orthonormal.
+    /// psfield's own bases are orthonormal to 1e-12.
     pub const ORTHONORMALITY_TOLERANCE: f64 = 1e-5;
 
-    /// A basis from its mean stamp (if centred) and orthonormal components `[component, y, x]`.
+    /// A basis from its mean stamp (if mean-centred) and orthonormal components `[component, y,
+    /// x]`.
     ///
     /// # Errors
-    /// [`DataError::EmptyBasis`], [`DataError::StampShape`], [`DataError::NonFinite`] or [`DataError::NotOrthonormal`].
+    /// [`DataError::EmptyBasis`], [`DataError::StampShape`], [`DataError::NonFinite`] or
+    /// [`DataError::NotOrthonormal`].
     pub fn new(
         mean: Option<Array2<f64>>,
         components: Array3<f64>,
@@ -70,7 +74,7 @@ impl PsfBasis {
         self.grid
     }
 
-    /// The number of components `K`, the mean not counted.
+    /// The number of components `K`, without the mean.
     pub fn rank(&self) -> usize {
         self.components.dim().0
     }
@@ -95,7 +99,8 @@ fn check_orthonormal(components: ArrayView3<'_, f64>) -> Result<(), DataError> {
     Ok(())
 }
 
-/// The coefficients `a_k` of every sample, `[sample, component]`, with the samples' positions; every value is finite.
+/// The coefficients `a_k` of every sample, `[sample, component]`, and the samples' positions. Every
+/// value is finite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawSampleCoefficients")]
 pub struct SampleCoefficients {
@@ -106,7 +111,7 @@ pub struct SampleCoefficients {
 read_through_new!(RawSampleCoefficients => SampleCoefficients { values: Array2<f64>, positions: SamplePositions });
 
 impl SampleCoefficients {
-    /// Coefficients `[sample, component]` at positions.
+    /// Coefficients `[sample, component]` at the samples' positions.
     ///
     /// # Errors
     /// [`DataError::CountMismatch`] or [`DataError::NonFinite`].
@@ -125,7 +130,7 @@ impl SampleCoefficients {
         self.values.view()
     }
 
-    /// Where the samples lie.
+    /// The positions of the samples.
     pub fn positions(&self) -> &SamplePositions {
         &self.positions
     }

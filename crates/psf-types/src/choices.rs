@@ -1,4 +1,4 @@
-//! Choices that are made on the command line, stored in models and acted on in the stages.
+//! Settings that users choose, that models store and that the stages apply.
 
 use std::str::FromStr;
 
@@ -6,9 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::DataError;
 
-/// Which interpolator carries coefficients from the samples to the field.
+/// The interpolator that computes coefficients between the samples.
 ///
-/// Written as `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest`.
+/// Text forms: `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`,
+/// `polynomial=DEGREE` or `nearest`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -27,7 +28,8 @@ pub enum Interpolation {
     },
     /// Bilinear inside the cells of a regular (rectilinear) grid.
     Bilinear,
-    /// Cubics through four columns and four rows of a regular (rectilinear) grid, in pieces that are bilinear.
+    /// Products of cubics through four columns and four rows of a regular (rectilinear) grid,
+    /// approximated by bilinear pieces.
     Bicubic,
     /// One polynomial in x and y over the whole field, by least squares.
     Polynomial {
@@ -41,7 +43,8 @@ pub enum Interpolation {
 impl Interpolation {
     /// The exponent of inverse distance weighting when none is given.
     pub const DEFAULT_POWER: f64 = 2.0;
-    /// The highest polynomial degree accepted; far beyond it no sampling of a field supports the fit.
+    /// The highest polynomial degree accepted. Real samplings of a field do not support higher
+    /// ones.
     pub const MAX_DEGREE: usize = 20;
 }
 
@@ -92,7 +95,8 @@ impl FromStr for Interpolation {
     }
 }
 
-/// What an interpolator does outside the area that the samples cover (their convex hull; for bilinear and bicubic, their grid).
+/// The values of an interpolator outside the area that the samples cover. That area is their convex
+/// hull, or their grid for bilinear and bicubic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -100,13 +104,13 @@ pub enum OutsidePolicy {
     /// The value at the nearest point of the covered area.
     #[default]
     Nearest,
-    /// Continue the interpolant linearly.
+    /// The linear continuation of the interpolant.
     Extend,
-    /// Refuse.
+    /// An error.
     Error,
 }
 
-/// Whether every PSF is scaled to unit flux.
+/// The choice between PSFs scaled to unit flux and PSFs as stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -114,36 +118,38 @@ pub enum Normalisation {
     /// Every PSF holds unit flux at every position.
     #[default]
     Unit,
-    /// The values are taken as they are.
+    /// The values are used as they are.
     Keep,
 }
 
-/// Which position's PSF applies.
+/// The position that selects the PSF.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Anchor {
-    /// Each source spreads with the PSF of its own position ("scattering"): how light travels.
+    /// Each source spreads with the PSF of its own position ("scattering"), as light does.
     #[default]
     Source,
-    /// Each output pixel gathers with the PSF of its own position; the form in the method's paper.
+    /// Each output pixel gathers with the PSF of its own position, as in the paper of the method.
     Output,
 }
 
-/// How the values of a stamp continue between its pixels.
+/// The interpolation between the pixels of a stamp.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum StampInterpolation {
-    /// The interpolating cubic spline, as photutils and the makers of gridded ePSFs have it.
+    /// The interpolating cubic spline, as in photutils and in the software that makes gridded
+    /// ePSFs.
     #[default]
     CubicSpline,
-    /// The Lanczos kernel of three lobes, corrected to keep a constant, as GalSim draws PSFEx models.
+    /// The Lanczos kernel of three lobes, corrected to preserve constants, as GalSim draws PSFEx
+    /// models.
     Lanczos3,
 }
 
-/// `Display` and `FromStr` of a choice without parameters, from one table. A text that is not in it
-/// is [`DataError::Setting`], or another error made of the text.
+/// Implements `Display` and `FromStr` of a choice without parameters from one table. Any other text
+/// is [`DataError::Setting`], or another error made from the text.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! named {
@@ -178,7 +184,7 @@ named!(Normalisation, "normalise", "unit or keep", "unit" => Unit, "keep" => Kee
 named!(StampInterpolation, "stamp interpolation", "cubic-spline or lanczos3", "cubic-spline" => CubicSpline, "lanczos3" => Lanczos3);
 named!(Anchor, "anchor", "source or output", "source" => Source, "output" => Output);
 
-/// Serde through the text forms above, so that a file cannot hold what the command line would refuse.
+/// Makes serde use the text forms above, so that files obey the rules of the command line.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! through_text {

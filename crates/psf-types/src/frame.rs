@@ -1,11 +1,11 @@
-//! Positions on the frame, frame shapes and rectangles of pixels; what makes data invalid.
+//! Positions on the frame, frame shapes, rectangles of pixels, and the errors of invalid data.
 
 use serde::{Deserialize, Serialize};
 
 use thiserror::Error;
 
-/// Reads a type from a file through its constructor, so that no file brings in what the constructor
-/// refuses: with [`DataError`], or another error.
+/// Makes serde build a type through its constructor, so that files obey the constructor's checks.
+/// The error is [`DataError`] or another type.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! read_through_new {
@@ -59,7 +59,8 @@ impl Position {
         }
     }
 
-    /// The centre of the pixel in column `column` and row `row` (negative left of or below the frame).
+    /// The centre of the pixel in column `column` and row `row`. Both are negative for pixels left
+    /// of and below the frame.
     pub fn of_pixel(column: i64, row: i64) -> Self {
         Self {
             x: column as f64,
@@ -125,7 +126,8 @@ impl FrameShape {
     /// A frame of `nx` columns and `ny` rows.
     ///
     /// # Errors
-    /// [`DataError::EmptyFrame`] when either is 0, [`DataError::FrameTooLarge`] when the pixels cannot be counted.
+    /// [`DataError::EmptyFrame`] when either is 0, [`DataError::FrameTooLarge`] when the frame has
+    /// too many pixels for the address space.
     pub fn new(nx: usize, ny: usize) -> Result<Self, DataError> {
         if nx == 0 || ny == 0 {
             return Err(DataError::EmptyFrame { nx, ny });
@@ -151,7 +153,8 @@ impl FrameShape {
         self.nx * self.ny
     }
 
-    /// Whether `position` lies on a pixel of the frame: `-0.5 <= x <= nx - 0.5`, likewise for y.
+    /// Returns whether `position` lies on a pixel of the frame: `-0.5 <= x <= nx - 0.5`, likewise
+    /// for y.
     pub fn contains(self, position: Position) -> bool {
         let inside = |v: f64, n: usize| (-0.5..=n as f64 - 0.5).contains(&v);
         inside(position.x(), self.nx) && inside(position.y(), self.ny)
@@ -175,7 +178,7 @@ impl std::fmt::Display for FrameShape {
 
 /// A rectangle of pixels: columns `x0 .. x0 + nx` and rows `y0 .. y0 + ny`, never empty.
 ///
-/// The origin may be negative: a scene may reach beyond the frame.
+/// The origin may be negative, because a scene may extend beyond the frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PixelRegion {
     x0: i64,
@@ -204,7 +207,7 @@ impl PixelRegion {
         self.shape
     }
 
-    /// The same rectangle moved by (`dx`, `dy`) pixels.
+    /// Returns this rectangle moved by (`dx`, `dy`) pixels.
     #[must_use]
     pub fn shifted(self, dx: i64, dy: i64) -> Self {
         Self {
@@ -214,7 +217,7 @@ impl PixelRegion {
         }
     }
 
-    /// Whether all pixels of `other` are pixels of this region.
+    /// Returns whether all pixels of `other` are pixels of this region.
     pub fn contains(self, other: Self) -> bool {
         let within = |first: i64, count: usize, whole: i64, limit: usize| {
             first >= whole && i128::from(first) + count as i128 <= i128::from(whole) + limit as i128
@@ -223,13 +226,13 @@ impl PixelRegion {
             && within(other.y0, other.shape.ny, self.y0, self.shape.ny)
     }
 
-    /// The position of the pixel `column`, `row` counted from the region's first pixel.
+    /// The position of the pixel (`column`, `row`), counted from the region's first pixel.
     pub fn position(self, column: usize, row: usize) -> Position {
         Position::of_pixel(self.x0 + column as i64, self.y0 + row as i64)
     }
 }
 
-/// Which values an error speaks of, and the meaning of the index beside it.
+/// The kind of values that an error reports. It gives the meaning of the error's index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Quantity {
@@ -261,16 +264,16 @@ impl std::fmt::Display for Quantity {
 }
 
 impl DataError {
-    /// [`DataError::Setting`] for something given that is not what is allowed.
+    /// [`DataError::Setting`] for a given value that is not allowed.
     pub fn setting(name: &'static str, allowed: &'static str, got: impl std::fmt::Display) -> Self {
         let got = got.to_string();
         Self::Setting { name, allowed, got }
     }
 
-    /// [`DataError::CountMismatch`] unless the number found is the one needed.
+    /// Checks that the number found is the number needed.
     ///
     /// # Errors
-    /// That one.
+    /// [`DataError::CountMismatch`].
     pub fn check_count(what: &'static str, expected: usize, got: usize) -> Result<(), Self> {
         if got == expected {
             return Ok(());
@@ -299,8 +302,8 @@ pub enum DataError {
         /// Rows.
         ny: usize,
     },
-    /// A frame that no memory holds.
-    #[error("a frame of {nx} x {ny} pixels is larger than any memory")]
+    /// A frame too large for memory.
+    #[error("a frame of {nx} x {ny} pixels is too large for memory")]
     FrameTooLarge {
         /// Columns.
         nx: usize,
@@ -315,7 +318,7 @@ pub enum DataError {
         /// Rows.
         ny: usize,
     },
-    /// A stamp centre off the stamp.
+    /// A stamp centre outside the stamp.
     #[error("the stamp centre ({x}, {y}) does not lie on the {nx} x {ny} stamp")]
     StampCentre {
         /// Column index.
@@ -333,16 +336,16 @@ pub enum DataError {
         /// The value given.
         got: f64,
     },
-    /// An array whose last two axes are not the stamp's.
-    #[error("the stamp array is {got:?} [y, x], its grid says {expected:?}")]
+    /// An array whose last two axes differ from the grid's shape.
+    #[error("the stamp array has the shape {got:?} [y, x], but its grid has {expected:?}")]
     StampShape {
         /// Shape of the grid.
         expected: (usize, usize),
         /// Shape of the array.
         got: (usize, usize),
     },
-    /// An array whose shape is not the one that goes with it.
-    #[error("an image of {got:?} [y, x] was given where {expected:?} is needed")]
+    /// An image of the wrong shape.
+    #[error("the image has the shape {got:?} [y, x], but {expected:?} is needed")]
     ImageShape {
         /// Shape needed.
         expected: (usize, usize),
@@ -352,17 +355,17 @@ pub enum DataError {
     /// NaN or infinity among the values.
     #[error("{quantity} {index:?} is {value}")]
     NonFinite {
-        /// Which values.
+        /// The kind of values.
         quantity: Quantity,
-        /// Where, 0-based.
+        /// Its index, 0-based.
         index: Vec<usize>,
         /// NaN or an infinity.
         value: f64,
     },
-    /// Two arrays that should have one row or plane for the same thing.
+    /// Two arrays that should have equal numbers of rows or planes.
     #[error("{what}: expected {expected}, got {got}")]
     CountMismatch {
-        /// What is counted.
+        /// A description of the counted things.
         what: &'static str,
         /// The number needed.
         expected: usize,
@@ -372,7 +375,7 @@ pub enum DataError {
     /// No samples at all.
     #[error("there are no samples: at least one is needed")]
     NoSamples,
-    /// Two samples at the same place.
+    /// Two samples at one position.
     #[error(
         "samples {first} and {second} (0-based) share the position {position}: remove one, or average them"
     )]
@@ -381,22 +384,22 @@ pub enum DataError {
         first: usize,
         /// The later one.
         second: usize,
-        /// Where they are.
+        /// Their position.
         position: Position,
     },
-    /// A sample off the field.
+    /// A sample outside the field.
     #[error(
         "sample {sample} (0-based) at {position} lies outside the field of {field} pixels (pixel centres are 0-based integers)"
     )]
     OutsideField {
         /// Index of the sample.
         sample: usize,
-        /// Where it is.
+        /// Its position.
         position: Position,
         /// The field.
         field: FrameShape,
     },
-    /// A PSF that holds no light.
+    /// A PSF without positive flux.
     #[error("PSF sample {sample} (0-based) has flux {flux}: a PSF must have positive flux")]
     NonPositiveFlux {
         /// Index of the sample.
@@ -404,7 +407,7 @@ pub enum DataError {
         /// Its flux.
         flux: f64,
     },
-    /// A basis that spans nothing.
+    /// A basis without stamps.
     #[error("a basis needs a mean stamp or at least one component")]
     EmptyBasis,
     /// Basis stamps that are not orthonormal.
@@ -426,22 +429,22 @@ pub enum DataError {
     /// A point source whose flux is NaN or infinite.
     #[error("the point source at {position} has flux {flux}")]
     SourceFlux {
-        /// Where it is.
+        /// Its position.
         position: Position,
         /// Its flux.
         flux: f64,
     },
-    /// A galaxy whose profile is not one that can be drawn.
+    /// A galaxy with a profile parameter out of range.
     #[error("{parameter} must be {allowed}, got {got}")]
     Galaxy {
         /// The parameter.
         parameter: &'static str,
-        /// What is allowed, in words.
+        /// The allowed range, in words.
         allowed: &'static str,
-        /// What was given.
+        /// The given value.
         got: f64,
     },
-    /// A frame that reaches beyond the scene.
+    /// A frame that extends beyond the scene.
     #[error("the frame (first pixel {x0}, {y0}; {shape} pixels) reaches beyond the scene of {scene} pixels")]
     FrameOutsideScene {
         /// First column.
@@ -458,9 +461,9 @@ pub enum DataError {
     Setting {
         /// Name of the setting.
         name: &'static str,
-        /// What is allowed, in words.
+        /// The allowed values, in words.
         allowed: &'static str,
-        /// What was given.
+        /// The given value.
         got: String,
     },
 }

@@ -4,7 +4,7 @@ use ndarray::{Array, Array2, ArrayView2, ArrayView3, CowArray, Dimension, Ix2, N
 
 use crate::frame::{DataError, FrameShape, Quantity};
 
-/// An image `[y, x]` in flux per pixel; not empty, every pixel finite.
+/// An image `[y, x]` in flux per pixel. It is not empty, and every pixel is finite.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Image<T = f64> {
     pixels: Array2<T>,
@@ -44,21 +44,23 @@ impl<T: Real> Image<T> {
         self.shape
     }
 
-    /// The image, borrowed.
+    /// Borrows the image.
     pub fn view(&self) -> ImageView<'_, T> {
         ImageView::of_image(self)
     }
 
-    /// The pixels, without a copy.
+    /// Returns the pixels without copying them.
     pub fn into_pixels(self) -> Array2<T> {
         self.pixels
     }
 }
 
-/// An image `[y, x]` in flux per pixel whose pixels are borrowed: the twin of [`Image`]. Not empty, every pixel finite.
+/// An image `[y, x]` in flux per pixel with borrowed pixels, the counterpart of [`Image`]. It is
+/// not empty, and every pixel is finite.
 ///
-/// Any layout is taken. Where the pixels of a row are neighbours in memory nothing is copied, however far apart the rows are and
-/// whichever way they follow each other; other layouts are copied to row-major memory.
+/// Any memory layout is accepted. The view borrows the pixels if those of each row are adjacent in
+/// memory. The rows may have any distance and either order. Other layouts are copied to row-major
+/// memory.
 ///
 /// ```
 /// use ndarray::{Array2, s};
@@ -72,13 +74,13 @@ impl<T: Real> Image<T> {
 /// ```
 #[derive(Debug, Clone)]
 pub struct ImageView<'a, T = f64> {
-    /// The pixels of a row are neighbours.
+    /// The pixels of a row are adjacent in memory.
     pixels: CowArray<'a, T, Ix2>,
     shape: FrameShape,
 }
 
 impl<'a, T: Real> ImageView<'a, T> {
-    /// An image from somebody else's pixels `[y, x]`.
+    /// An image from borrowed pixels `[y, x]`.
     ///
     /// # Errors
     /// [`DataError::EmptyFrame`] or [`DataError::NonFinite`].
@@ -94,7 +96,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         Ok(Self { pixels, shape })
     }
 
-    /// An image, which was checked before.
+    /// A view of an image, which was checked when it was made.
     pub(crate) fn of_image(image: &'a Image<T>) -> Self {
         Self {
             pixels: image.pixels().into(),
@@ -102,7 +104,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         }
     }
 
-    /// Borrows these pixels once more.
+    /// Borrows the pixels again.
     pub fn view(&self) -> ImageView<'_, T> {
         ImageView {
             pixels: self.pixels.view().into(),
@@ -110,7 +112,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         }
     }
 
-    /// The pixels `[y, x]`. Those of a row are neighbours in memory; rows may be apart.
+    /// The pixels `[y, x]`. Pixels of a row are adjacent in memory, while rows may be apart.
     pub fn pixels(&self) -> ArrayView2<'_, T> {
         self.pixels.view()
     }
@@ -120,7 +122,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         self.shape
     }
 
-    /// Whether the pixels are where they were, rather than copied because of their layout.
+    /// Returns whether the pixels are borrowed, not copied because of their layout.
     pub fn is_borrowed(&self) -> bool {
         self.pixels.is_view()
     }
@@ -132,7 +134,7 @@ pub trait Real: NdFloat + Default + sealed::Sealed {
     const NAME: &'static str;
     /// The nearest value of this type.
     fn nearest(value: f64) -> Self;
-    /// The same value in double precision.
+    /// This value in double precision.
     fn as_f64(self) -> f64;
 }
 
@@ -162,11 +164,11 @@ mod sealed {
     impl Sealed for f64 {}
 }
 
-/// Values that are looked at between two questions whether one of them is not finite: enough that the loop over them has no way out
-/// and fills vectors, few enough that they stay in the first cache.
+/// Values tested in one loop before the first early exit. Enough values let the compiler vectorise
+/// the loop. Few enough values stay in the first-level cache.
 const AT_ONCE: usize = 1024;
 
-/// Whether all values are finite, at the speed of memory.
+/// Returns whether all values are finite, at the speed of memory.
 fn all_finite<T: Real>(values: &[T]) -> bool {
     values
         .chunks(AT_ONCE)
@@ -174,7 +176,7 @@ fn all_finite<T: Real>(values: &[T]) -> bool {
 }
 
 pub(crate) fn finite2<T: Real>(quantity: Quantity, values: ArrayView2<'_, T>) -> Result<(), DataError> {
-    // Without indices this is as fast as memory; nearly always it is enough.
+    // This loop without indices runs at the speed of memory and nearly always decides.
     let finite = match values.as_slice() {
         Some(values) => all_finite(values),
         None => values
@@ -205,7 +207,7 @@ pub(crate) fn finite3(quantity: Quantity, values: ArrayView3<'_, f64>) -> Result
     }
 }
 
-/// Row-major without a copy where the array already is.
+/// Returns the array in row-major order, and copies it only if its order differs.
 pub(crate) fn row_major<T: Clone, D: Dimension>(array: Array<T, D>) -> Array<T, D> {
     if array.is_standard_layout() {
         array
@@ -272,7 +274,7 @@ mod tests {
 
     #[test]
     fn nothing_gets_by_that_is_no_number() {
-        // Pieces that are looked at together, their ends, and rows that are apart.
+        // Values tested in one loop, the ends of such loops, and rows that are apart.
         for (ny, nx) in [(1, 1), (3, 1023), (2, 1025), (5, 700)] {
             for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
                 for (y, x) in [(0, 0), (ny - 1, nx - 1), (ny / 2, nx / 2)] {
@@ -290,7 +292,7 @@ mod tests {
                 }
             }
         }
-        // Beside the part that is shown.
+        // A NaN next to the part that the view shows.
         let mut pixels = Array2::zeros((4, 6));
         pixels[[1, 5]] = f64::NAN;
         assert!(ImageView::new(pixels.slice(s![.., ..5])).is_ok());

@@ -7,11 +7,13 @@
 //! ```
 //!
 //! # Conventions
-//! * Arrays are `[y, x]`, row-major; stacks `[sample, y, x]`.
-//! * Positions are `(x, y)` in pixels of the frame, 0-based, an integer is the centre of a pixel ([`Position`]).
-//! * A stamp carries its centre, by default index `n / 2` ([`StampGrid`]). Its values are fractions of the source's flux
-//!   in a *frame* pixel, so a stamp oversampled `s` times holds unit flux when its values sum to `s^2`.
-//! * Every type checks its invariants once, in its constructor; serde goes through the same check.
+//! * Arrays are `[y, x]`, row-major. Stacks are `[sample, y, x]`.
+//! * Positions are `(x, y)` in pixels of the frame, 0-based. An integer is the centre of a pixel
+//!   ([`Position`]).
+//! * A stamp stores its centre, by default index `n / 2` ([`StampGrid`]). Its values are fractions
+//!   of the source's flux in a *frame* pixel. So a stamp oversampled `s` times holds unit flux when
+//!   its values sum to `s^2`.
+//! * Every type checks its invariants once, in its constructor. Serde runs the same check.
 
 mod basis;
 mod choices;

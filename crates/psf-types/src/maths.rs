@@ -1,12 +1,12 @@
-//! Small maths that several stages share: cubic B-splines, Legendre polynomials, convex hulls.
+//! Mathematics that several stages share: cubic B-splines, Legendre polynomials, convex hulls.
 
 use ndarray::{Array2, ArrayView2, Axis};
 
 /// The full width at half maximum of a Gaussian, in units of its sigma: `2 sqrt(2 ln 2)`.
 pub const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
-/// The index at which a line of `length` values that is continued by mirroring about its outermost
-/// values repeats the one asked for: `... 2 1 | 0 1 2 ... n-1 | n-2 n-3 ...`.
+/// The index in a line of `length` values that equals `index` when the line is mirrored about its
+/// outermost values: `... 2 1 | 0 1 2 ... n-1 | n-2 n-3 ...`.
 #[inline]
 pub fn mirrored_index(index: i64, length: usize) -> usize {
     if length == 1 {
@@ -21,7 +21,7 @@ pub fn mirrored_index(index: i64, length: usize) -> usize {
 /// ([`mirrored_index`]).
 ///
 /// The value of the spline at `i + u` (`0 <= u <= 1`) along an axis is the sum of the coefficients
-/// at `i - 1` to `i + 2` with the weights [`spline_weights`]`(u)`. The recursive filter is that of
+/// at `i - 1` to `i + 2` with the weights [`spline_weights`]`(u)`. The recursive filter is from
 /// Unser, Aldroubi and Eden 1993 (IEEE Trans. Signal Process. 41, 834).
 ///
 /// ```
@@ -43,14 +43,14 @@ pub fn spline_coefficients(values: ArrayView2<'_, f64>) -> Array2<f64> {
     coefficients
 }
 
-/// From values to B-spline coefficients along one line, in place.
+/// Converts values to B-spline coefficients along one line, in place.
 fn spline_prefilter(line: &mut [f64]) {
     let n = line.len();
     if n == 1 {
         return;
     }
     let pole = 3f64.sqrt() - 2.0;
-    // The causal filter starts from the sum over the mirrored line, which repeats after 2n - 2.
+    // The causal filter starts from the sum over the mirrored line, whose period is 2n - 2.
     let (mut start, mut power) = (0.0, 1.0);
     for k in 0..2 * n - 2 {
         start += power * line[mirrored_index(k as i64, n)];
@@ -72,8 +72,8 @@ fn spline_prefilter(line: &mut [f64]) {
     }
 }
 
-/// The weights of the four B-spline coefficients around a coordinate, `u` (0 to 1) above the second
-/// of them.
+/// The weights of the four B-spline coefficients around a coordinate that lies `u` (0 to 1) above
+/// the second one.
 #[inline]
 pub fn spline_weights(u: f64) -> [f64; 4] {
     let v = 1.0 - u;
@@ -85,7 +85,7 @@ pub fn spline_weights(u: f64) -> [f64; 4] {
     ]
 }
 
-/// The derivatives of [`spline_weights`] by `u`.
+/// The derivatives of [`spline_weights`] with respect to `u`.
 #[inline]
 pub fn spline_slopes(u: f64) -> [f64; 4] {
     let v = 1.0 - u;
@@ -109,7 +109,8 @@ pub fn legendre(degree: usize, t: f64) -> Vec<f64> {
     values
 }
 
-/// Twice the area of the triangle `a b c`; positive when `c` lies left of the way from `a` to `b`.
+/// Twice the area of the triangle `a b c`. It is positive when `c` lies left of the direction from
+/// `a` to `b`.
 #[inline]
 pub fn turn(a: [f64; 2], b: [f64; 2], c: [f64; 2]) -> f64 {
     (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
@@ -131,7 +132,7 @@ pub struct ConvexHull {
 }
 
 impl ConvexHull {
-    /// Andrew's monotone chain (A. M. Andrew 1979, Inf. Process. Lett. 9, 216).
+    /// The hull by Andrew's monotone chain (A. M. Andrew 1979, Inf. Process. Lett. 9, 216).
     pub fn new(points: &[[f64; 2]]) -> Self {
         let p = points;
         let mut order: Vec<usize> = (0..p.len()).collect();
@@ -160,26 +161,26 @@ impl ConvexHull {
         }
     }
 
-    /// The corners, counter-clockwise from the leftmost one; two for points on a line, one for a
-    /// single point. No three of them lie on a line.
+    /// The corners, counter-clockwise from the leftmost one. Points on a line have two, a single
+    /// point has one. No three corners lie on a line.
     pub fn corners(&self) -> &[[f64; 2]] {
         &self.corners
     }
 
-    /// The points at the corners, by their indices in the list given.
+    /// The indices of the corners in the given list of points.
     pub fn indices(&self) -> &[usize] {
         &self.indices
     }
 
-    /// The area; 0 for points on a line.
+    /// The area. It is 0 for points on a line.
     pub fn area(&self) -> f64 {
         let c = &self.corners;
         let edges = (0..c.len()).map(|k| (c[k], c[(k + 1) % c.len()]));
         edges.map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum::<f64>() / 2.0
     }
 
-    /// Whether a point lies in the closed hull; found by bisection over the fan of the first
-    /// corner. A hull without area contains its corners alone.
+    /// Returns whether a point lies in the closed hull, by bisection over the fan of the first
+    /// corner. A hull without area contains only its corners.
     pub fn contains(&self, p: [f64; 2]) -> bool {
         let c = &self.corners;
         if c.len() < 3 {

@@ -1,4 +1,4 @@
-//! PSF models: a basis and the fields of its coefficients, in use and as they are stored.
+//! PSF models: a basis and the fields of its coefficients, for evaluation and for storage.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -13,10 +13,11 @@ use crate::choices::{Interpolation, Normalisation, OutsidePolicy};
 use crate::frame::{DataError, FrameShape, PixelRegion, Position, read_through_new};
 use crate::stamp::{Stamp, StampGrid};
 
-/// Coefficient fields `a_k(x)`: a vector of `component_count()` values at any position of the field.
+/// Coefficient fields `a_k(x)`: a vector of `component_count()` values at any position of the
+/// field.
 ///
-/// Object-safe; implementations are evaluated from many threads at once, and must return the same values whatever the
-/// thread, the region or the range of components asked for.
+/// Object-safe. Many threads evaluate one field at once. The values must not depend on the thread,
+/// the requested region or the requested range of components.
 pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// The number of coefficients `K`.
     fn component_count(&self) -> usize;
@@ -24,18 +25,19 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// Writes all `K` coefficients at `position`.
     ///
     /// # Errors
-    /// [`FieldError`] where the field has no value.
+    /// [`FieldError`] if the field has no value there.
     ///
     /// # Panics
     /// May panic when `coefficients.len() != self.component_count()`.
     fn evaluate_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError>;
 
-    /// Writes the coefficients of a range of components at every pixel of a region, `[component, y, x]`.
+    /// Writes the coefficients of a range of components at every pixel of a region, `[component, y,
+    /// x]`.
     ///
     /// The provided method evaluates pixel by pixel.
     ///
     /// # Errors
-    /// [`FieldError`] where the field has no value.
+    /// [`FieldError`] if the field has no value at a pixel.
     ///
     /// # Panics
     /// May panic when `values` is not of shape `[components.len(), ny, nx]`.
@@ -57,28 +59,35 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Ok(())
     }
 
-    /// The values `v` `[node, component]` that the field combines: `a_k(x) = sum_n w_n(x) v_nk`, with the weights of
-    /// [`weights_along_row`](Self::weights_along_row).
+    /// The values `v` `[node, component]` that the field combines: `a_k(x) = sum_n w_n(x) v_nk`.
+    /// The weights `w_n` are those of [`weights_along_row`](Self::weights_along_row).
     ///
-    /// The provided method returns the unit matrix, so that the weights are the coefficients themselves.
+    /// The provided method returns the unit matrix, so that the weights are the coefficients
+    /// themselves.
     fn node_values(&self) -> Cow<'_, Array2<f64>> {
         Cow::Owned(Array2::eye(self.component_count()))
     }
 
-    /// The x and the y coordinates of the lines between which every weight is bilinear (or constant), where the field has such cells, both
-    /// ascending. A pixel on a line belongs to the cell above it, and runs of the rows between two lines are those of both. Convolution
-    /// evaluates the weights of the first and the last row between two lines, and cuts its tiles at lines.
+    /// The x and y coordinates of the lines between which every weight is bilinear (or constant),
+    /// both ascending, or `None` for a field without such cells.
+    ///
+    /// A pixel on a line belongs to the cell above it. A row between two lines has the runs of both
+    /// lines. Convolution evaluates the weights of only the first and the last row between two
+    /// lines, and cuts its tiles at the lines.
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         None
     }
 
-    /// Visits the weights of the nodes along a row of pixels, `length` pixels from `(x, y)` on, in runs along which every weight
-    /// is linear in x. The runs follow each other without a gap; how they are cut may depend on the row asked for.
+    /// Visits the weights of the nodes along a row of `length` pixels that begins at `(x, y)`. The
+    /// row is cut into runs along which every weight is linear in x. The runs follow each other
+    /// without a gap. The cuts may differ from row to row.
     ///
-    /// A field that names few nodes a run and has long runs makes convolution fast. The provided method visits pixel by pixel.
+    /// Convolution is fast for a field with few nodes per run and long runs. The provided method
+    /// visits pixel by pixel.
     ///
     /// # Errors
-    /// [`FieldError`] at the first pixel where the field has no value, when all pixels before it have been visited.
+    /// [`FieldError`] at the first pixel where the field has no value, after all pixels before it
+    /// have been visited.
     fn weights_along_row(
         &self,
         (x, y): (i64, i64),
@@ -102,9 +111,9 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
 pub struct RowRun<'a> {
     /// The number of pixels, at least 1.
     pub length: usize,
-    /// `(node, weight)` at the first pixel; no node appears twice.
+    /// `(node, weight)` at the first pixel. No node appears twice.
     pub first: &'a [(usize, f64)],
-    /// `(node, weight)` at the last pixel; no node appears twice.
+    /// `(node, weight)` at the last pixel. No node appears twice.
     pub last: &'a [(usize, f64)],
 }
 
@@ -119,33 +128,33 @@ impl<'a> RowRun<'a> {
     }
 }
 
-/// Why a field has no value at a position.
+/// The reason why a field has no value at a position.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FieldError {
-    /// The position lies outside the samples' convex hull and the policy is to refuse.
+    /// The position lies outside the samples' convex hull and the outside policy is `Error`.
     #[error(
         "position {position} lies outside the area that the samples cover: choose an outside policy (nearest, extend) or \
          add samples there"
     )]
     OutsideSamples {
-        /// The position asked for.
+        /// The requested position.
         position: Position,
     },
-    /// The interpolated PSF holds no light, so that it cannot be given unit flux.
+    /// The interpolated PSF has no positive flux, so it cannot be scaled to unit flux.
     #[error("the PSF at {position} has flux {flux}: it cannot be normalised to unit flux")]
     NonPositiveFlux {
-        /// The position asked for.
+        /// The requested position.
         position: Position,
         /// The PSF's flux there.
         flux: f64,
     },
-    /// An error of a field implemented elsewhere.
+    /// An error of a field in another crate.
     #[error("the coefficient field failed at {position}")]
     External {
-        /// The position asked for.
+        /// The requested position.
         position: Position,
-        /// What happened.
+        /// The underlying error.
         #[source]
         source: Box<dyn std::error::Error + Send + Sync>,
     },
@@ -153,9 +162,9 @@ pub enum FieldError {
 
 /// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`.
 ///
-/// The stamps `B_0` (if the basis is mean-centred) and `B_1 ... B_K` are kept in one array, the mean first; its
-/// coefficient is 1 everywhere. `s(x)` is the flux of the bracket under [`Normalisation::Unit`] and 1 under
-/// [`Normalisation::Keep`].
+/// One array stores the stamps `B_0` (if the basis is mean-centred) and `B_1 ... B_K`, the mean
+/// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the bracket under
+/// [`Normalisation::Unit`] and 1 under [`Normalisation::Keep`].
 #[derive(Debug, Clone)]
 pub struct PsfModel {
     /// Mean first, `[stamp, y, x]`.
@@ -169,14 +178,16 @@ pub struct PsfModel {
     needs_scaling: bool,
 }
 
-/// PSFs whose flux is this close to 1 need no scaling: it is rounding of the sum over a stamp's pixels.
+/// A PSF needs no scaling if its flux is this close to 1. Such a difference is rounding of the sum
+/// over a stamp's pixels.
 const UNIT_FLUX_TOLERANCE: f64 = 1e-14;
 
 impl PsfModel {
-    /// A model from a basis and its coefficient field, over a field of the given shape where that is known.
+    /// A model from a basis and its coefficient field, over a field of the given shape if it is
+    /// known.
     ///
     /// # Errors
-    /// [`DataError::CountMismatch`] when the field does not give one coefficient a component.
+    /// [`DataError::CountMismatch`] when the field does not return one coefficient per component.
     pub fn new(
         basis: &PsfBasis,
         field: Arc<dyn CoefficientField>,
@@ -212,8 +223,9 @@ impl PsfModel {
         })
     }
 
-    /// The same model without the scaling to unit flux where samples with these coefficients `[sample, component]` show it to be
-    /// needless: where the components take no flux from a mean of unit flux at any sample, they take none between them.
+    /// Removes the scaling to unit flux if the samples' coefficients `[sample, component]` show
+    /// that it is not needed. If the mean has unit flux and the components change the flux at no
+    /// sample, they change it nowhere between the samples.
     pub(crate) fn without_needless_scaling(self, coefficients: ArrayView2<'_, f64>) -> Self {
         let first = usize::from(self.mean_centred);
         let unit_mean = first == 1 && (self.fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE;
@@ -229,7 +241,7 @@ impl PsfModel {
         }
     }
 
-    /// The stamps `[stamp, y, x]`, row-major, the mean first where there is one.
+    /// The stamps `[stamp, y, x]`, row-major, beginning with the mean if there is one.
     pub fn stamps(&self) -> ndarray::ArrayView3<'_, f64> {
         self.stamps.view()
     }
@@ -244,7 +256,7 @@ impl PsfModel {
         self.field_shape
     }
 
-    /// Whether every PSF is scaled to unit flux.
+    /// The choice between scaling every PSF to unit flux and keeping its flux.
     pub fn normalisation(&self) -> Normalisation {
         self.normalisation
     }
@@ -254,17 +266,17 @@ impl PsfModel {
         self.field.as_ref()
     }
 
-    /// Whether the first stamp is the mean.
+    /// Returns whether the first stamp is the mean.
     pub fn is_mean_centred(&self) -> bool {
         self.mean_centred
     }
 
-    /// The number of components `K`, the mean not counted.
+    /// The number of components `K`, without the mean.
     pub fn rank(&self) -> usize {
         self.field.component_count()
     }
 
-    /// The number of stamps: `K`, and one more for the mean.
+    /// The number of stamps: `K`, plus one for the mean if there is one.
     pub fn stamp_count(&self) -> usize {
         self.stamps.dim().0
     }
@@ -277,29 +289,30 @@ impl PsfModel {
         self.stamps.index_axis(ndarray::Axis(0), index)
     }
 
-    /// Whether `s(x)` differs from 1, so that [`flux_region_into`](Self::flux_region_into) must be applied.
+    /// Returns whether `s(x)` differs from 1, so that callers must divide by
+    /// [`flux_region_into`](Self::flux_region_into).
     pub fn needs_flux_scaling(&self) -> bool {
         self.needs_scaling
     }
 
-    /// The coefficients of all stamps at `position`, before the division by `s(x)`.
+    /// Writes the coefficients of all stamps at `position`, before the division by `s(x)`.
     ///
     /// # Errors
-    /// [`FieldError`] where the field has no value.
+    /// [`FieldError`] if the field has no value there.
     ///
     /// # Panics
     /// When `coefficients.len() != self.stamp_count()`.
     pub fn coefficients_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
-        assert_eq!(coefficients.len(), self.stamp_count(), "one coefficient a stamp");
+        assert_eq!(coefficients.len(), self.stamp_count(), "one coefficient per stamp");
         let first = usize::from(self.mean_centred);
         coefficients[..first].fill(1.0);
         self.field.evaluate_into(position, &mut coefficients[first..])
     }
 
-    /// The coefficients of all stamps at `position`, divided by `s(x)`.
+    /// Writes the coefficients of all stamps at `position`, divided by `s(x)`.
     ///
     /// # Errors
-    /// [`FieldError`] where the field has no value or the PSF no flux.
+    /// [`FieldError`] if the field has no value there or the PSF's flux is not positive.
     ///
     /// # Panics
     /// When `coefficients.len() != self.stamp_count()`.
@@ -318,10 +331,11 @@ impl PsfModel {
         Ok(())
     }
 
-    /// The coefficients of a range of stamps at every pixel of a region, `[stamp, y, x]`, before the division by `s(x)`.
+    /// Writes the coefficients of a range of stamps at every pixel of a region, `[stamp, y, x]`,
+    /// before the division by `s(x)`.
     ///
     /// # Errors
-    /// [`FieldError`] where the field has no value.
+    /// [`FieldError`] if the field has no value at a pixel.
     ///
     /// # Panics
     /// When `values` is not of shape `[stamps.len(), ny, nx]`.
@@ -334,7 +348,7 @@ impl PsfModel {
         assert_eq!(
             values.dim(),
             (stamps.len(), region.shape().ny(), region.shape().nx()),
-            "one plane a stamp"
+            "one plane per stamp"
         );
         let first = usize::from(self.mean_centred);
         let mean_planes = first.saturating_sub(stamps.start).min(stamps.len());
@@ -347,10 +361,10 @@ impl PsfModel {
             .evaluate_region_into(region, components, values.slice_mut(s![mean_planes.., .., ..]))
     }
 
-    /// The flux `s(x)` of the unscaled PSF at every pixel of a region, `[y, x]`.
+    /// Writes the flux `s(x)` of the unscaled PSF at every pixel of a region, `[y, x]`.
     ///
     /// # Errors
-    /// [`FieldError`] where the field has no value or the flux is not positive.
+    /// [`FieldError`] if the field has no value at a pixel or the flux is not positive.
     ///
     /// # Panics
     /// When `fluxes` does not have the region's shape.
@@ -360,7 +374,7 @@ impl PsfModel {
         mut fluxes: ArrayViewMut2<'_, f64>,
     ) -> Result<(), FieldError> {
         let shape = region.shape();
-        assert_eq!(fluxes.dim(), (shape.ny(), shape.nx()), "one flux a pixel");
+        assert_eq!(fluxes.dim(), (shape.ny(), shape.nx()), "one flux per pixel");
         let mut coefficients = vec![0.0; self.stamp_count()];
         for ((row, column), flux) in fluxes.indexed_iter_mut() {
             let position = region.position(column, row);
@@ -370,14 +384,15 @@ impl PsfModel {
         Ok(())
     }
 
-    /// The PSF at `position`, in double precision.
+    /// Returns the PSF at `position`, in double precision.
     ///
     /// # Errors
-    /// [`FieldError`] where the field has no value or the PSF no flux.
+    /// [`FieldError`] if the field has no value there or the PSF's flux is not positive.
     pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
         let mut coefficients = vec![0.0; self.stamp_count()];
         self.scaled_coefficients_into(position, &mut coefficients)?;
-        // Stamp by stamp over contiguous memory: a product of a vector and a row-major matrix strides through it.
+        // Stamp by stamp over contiguous memory: a product of a vector and a row-major matrix would
+        // read it with strides.
         let mut values = Array2::zeros(self.grid.dim());
         for (&a, stamp) in coefficients.iter().zip(self.stamps.outer_iter()) {
             values.scaled_add(a, &stamp);
@@ -403,10 +418,10 @@ pub(crate) fn check_components(rank: usize, coefficients: usize) -> Result<(), D
     DataError::check_count(what, rank, coefficients)
 }
 
-/// What a `psf-model` file holds: a basis, the samples' coefficients and how to interpolate them.
+/// The content of a `psf-model` file: a basis, the samples' coefficients and their interpolation.
 ///
-/// Plain data; `coeff-field` turns coefficients and interpolation into a [`CoefficientField`], which with the basis makes
-/// a [`PsfModel`].
+/// This is plain data. `coeff-field` makes a [`CoefficientField`] from the coefficients and the
+/// interpolation. That field and the basis make a [`PsfModel`].
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawPsfModelRecord")]
 pub struct PsfModelRecord {
@@ -423,7 +438,7 @@ impl PsfModelRecord {
     /// A model from its parts.
     ///
     /// # Errors
-    /// [`DataError::CountMismatch`] when there is not one coefficient a component.
+    /// [`DataError::CountMismatch`] when there is not one coefficient per component.
     pub fn new(
         basis: PsfBasis,
         coefficients: SampleCoefficients,
@@ -451,22 +466,22 @@ impl PsfModelRecord {
         &self.coefficients
     }
 
-    /// How the coefficients are carried over the field.
+    /// The interpolation of the coefficients over the field.
     pub fn interpolation(&self) -> Interpolation {
         self.interpolation
     }
 
-    /// What happens outside the samples.
+    /// The values outside the area that the samples cover.
     pub fn outside(&self) -> OutsidePolicy {
         self.outside
     }
 
-    /// Whether PSFs are scaled to unit flux.
+    /// The choice between scaling every PSF to unit flux and keeping its flux.
     pub fn normalisation(&self) -> Normalisation {
         self.normalisation
     }
 
-    /// The record with its first components alone, at most `rank` of them.
+    /// Truncates the model to its first `rank` components. A model with fewer is unchanged.
     ///
     /// # Errors
     /// [`DataError::EmptyBasis`] for rank 0 of a basis without a mean.
@@ -488,10 +503,11 @@ impl PsfModelRecord {
         )
     }
 
-    /// The model with its coefficient field; `field` is the caller's interpolation of [`Self::coefficients`].
+    /// Combines the record with `field`, the caller's interpolation of [`Self::coefficients`], into
+    /// a model.
     ///
     /// # Errors
-    /// As [`PsfModel::new`].
+    /// See [`PsfModel::new`].
     pub fn into_model(self, field: Arc<dyn CoefficientField>) -> Result<PsfModel, DataError> {
         let shape = self.coefficients.positions().field();
         let model = PsfModel::new(&self.basis, field, self.normalisation, shape)?;

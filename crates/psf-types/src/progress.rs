@@ -1,35 +1,36 @@
-//! Progress of long work.
+//! Progress and cancellation of long work.
 
 use std::fmt;
 
 use thiserror::Error;
 
-/// Told how far long work has come, and asked whether it is still wanted; called from many threads.
+/// Receives progress and can cancel. Called from many threads.
 pub trait Progress: Sync {
-    /// The work has `total` steps; called once, before the first step (again when the total grows).
+    /// The work has `total` steps. Called once before the first step, and again when the total
+    /// grows.
     fn start(&self, total: u64);
     /// `steps` more steps are done.
     fn advance(&self, steps: u64);
-    /// Whether the work is to stop before its end. Asked between pieces of work of some milliseconds, by all threads, so that it must be
-    /// cheap: the look at an atomic flag. Once it is `true` it stays so.
+    /// Returns whether the work should stop early. All threads ask every few milliseconds, so the
+    /// call must be cheap, such as reading an atomic flag. Once `true`, it stays `true`.
     fn cancelled(&self) -> bool {
         false
     }
-    /// [`Self::cancelled`] as work asks it.
+    /// [`Self::cancelled`] as a `Result`, for use with `?`.
     ///
     /// # Errors
-    /// [`Cancelled`] where the work is to stop.
+    /// [`Cancelled`] when the work should stop.
     fn still_wanted(&self) -> Result<(), Cancelled> {
         if self.cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 }
 
-/// Somebody wanted the work to stop before its end ([`Progress::cancelled`]).
+/// The work was cancelled through [`Progress::cancelled`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
-#[error("the work was stopped before its end")]
+#[error("the work was cancelled")]
 pub struct Cancelled;
 
-/// Says nothing, and never stops the work.
+/// Ignores progress and never cancels.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct NoProgress;
 
@@ -38,7 +39,8 @@ impl Progress for NoProgress {
     fn advance(&self, _steps: u64) {}
 }
 
-/// Stops work as another does, and does not tell it how far the work has come: for parts of work whose steps are not counted.
+/// Passes on another object's cancellation but not the progress, for work whose steps are not
+/// counted.
 pub struct Uncounted<'a>(pub &'a dyn Progress);
 
 impl fmt::Debug for Uncounted<'_> {

@@ -1,4 +1,4 @@
-//! PSFs at any position, and samples of them: stamps at positions.
+//! Sources that know the PSF at any position, and PSF samples: stamps at positions.
 
 use std::collections::HashMap;
 
@@ -10,9 +10,9 @@ use crate::frame::{DataError, FrameShape, Position, Quantity, read_through_new};
 use crate::image::{finite3, row_major};
 use crate::stamp::{Stamp, StampGrid};
 
-/// Something that knows the PSF at every position of a field: an optical model, an analytic profile, a fitted model.
+/// A PSF known at every position of a field: an optical model, an analytic profile, a fitted model.
 ///
-/// Object-safe; drawn from many threads at once, and a position always yields the same stamp.
+/// Object-safe. Many threads draw from one source at once. A position always yields the same stamp.
 pub trait PsfSource: Sync {
     /// The pixel grid of the stamps.
     fn grid(&self) -> StampGrid;
@@ -20,17 +20,18 @@ pub trait PsfSource: Sync {
     /// The field (frame) over which the PSF is defined.
     fn field(&self) -> FrameShape;
 
-    /// Draws the PSF of a source at `position`, centred on the grid's centre, into `stamp` `[y, x]`, which has the grid's
-    /// shape and whose content is overwritten.
+    /// Draws the PSF of a source at `position`, centred on the grid's centre, into `stamp` `[y,
+    /// x]`. `stamp` has the grid's shape, and its content is overwritten.
     ///
     /// # Errors
-    /// [`SourceError`] when the PSF cannot be drawn there.
+    /// [`SourceError`] when the source cannot draw a PSF at this position.
     fn draw_into(&self, position: Position, stamp: ArrayViewMut2<'_, f64>) -> Result<(), SourceError>;
 
-    /// Like [`draw_into`](Self::draw_into), with the source `dx`, `dy` frame pixels right of and above the grid's centre.
+    /// Like [`draw_into`](Self::draw_into), with the source moved from the grid's centre by `dx`,
+    /// `dy` frame pixels to the right and up.
     ///
     /// # Errors
-    /// The provided method refuses with [`SourceError::ShiftUnsupported`] unless both are 0.
+    /// The provided method returns [`SourceError::ShiftUnsupported`] unless both are 0.
     fn draw_shifted_into(
         &self,
         position: Position,
@@ -44,10 +45,10 @@ pub trait PsfSource: Sync {
         }
     }
 
-    /// The PSF at `position` as a stamp of its own.
+    /// Returns the PSF at `position` as a new stamp.
     ///
     /// # Errors
-    /// [`SourceError`] when the PSF cannot be drawn there.
+    /// [`SourceError`] when the source cannot draw a PSF at this position.
     fn draw(&self, position: Position) -> Result<Stamp, SourceError> {
         let mut values = ndarray::Array2::zeros(self.grid().dim());
         self.draw_into(position, values.view_mut())?;
@@ -55,36 +56,37 @@ pub trait PsfSource: Sync {
     }
 }
 
-/// Why a source gives no PSF.
+/// The reason why a source cannot draw a PSF.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum SourceError {
     /// The source can only draw centred PSFs.
     #[error("this PSF source cannot draw sub-pixel shifts")]
     ShiftUnsupported,
-    /// What was drawn is not a valid stamp.
+    /// The source drew an invalid stamp.
     #[error("the PSF drawn at {position} is not valid")]
     Stamp {
-        /// The position asked for.
+        /// The requested position.
         position: Position,
-        /// What is wrong with it.
+        /// The defect of the stamp.
         #[source]
         source: DataError,
     },
-    /// An error of a source implemented elsewhere.
+    /// An error of a source in another crate.
     #[error("the PSF at {position} could not be drawn")]
     External {
-        /// The position asked for.
+        /// The requested position.
         position: Position,
-        /// What happened.
+        /// The underlying error.
         #[source]
         source: Box<dyn std::error::Error + Send + Sync>,
     },
 }
 
-/// PSF stamps `[sample, y, x]` on one grid, each with the position it belongs to.
+/// PSF stamps `[sample, y, x]` on one grid, each with its position.
 ///
-/// There is one stamp a position, every value is finite and every stamp holds positive, finite flux. Negative pixels are kept.
+/// There is one stamp per position. Every value is finite and every stamp has positive, finite
+/// flux. Negative pixels are kept.
 ///
 /// ```
 /// use ndarray::Array3;
@@ -150,12 +152,12 @@ impl PsfSamples {
         self.stamps.view()
     }
 
-    /// Where the samples lie.
+    /// The positions of the samples.
     pub fn positions(&self) -> &SamplePositions {
         &self.positions
     }
 
-    /// The pixel grid that all stamps share.
+    /// The pixel grid of all stamps.
     pub fn grid(&self) -> StampGrid {
         self.grid
     }
@@ -166,7 +168,7 @@ impl PsfSamples {
         self.positions.len()
     }
 
-    /// Every stamp divided by its flux, so that each holds unit flux.
+    /// Divides every stamp by its flux, so that each has unit flux.
     #[must_use]
     pub fn into_unit_flux(mut self) -> Self {
         for mut stamp in self.stamps.axis_iter_mut(Axis(0)) {
@@ -177,9 +179,9 @@ impl PsfSamples {
     }
 }
 
-/// The distinct positions of the samples, in order, and the field they cover if it is known.
+/// The distinct positions of the samples, in order, and the shape of their field if it is known.
 ///
-/// At least one position; no two are equal; all lie on the field where one is given.
+/// There is at least one position, and no two are equal. If a field is given, all lie on it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawSamplePositions")]
 pub struct SamplePositions {

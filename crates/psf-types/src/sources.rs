@@ -4,7 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Position, read_through_new};
 
-/// A star: a position in pixels of the scene (sub-pixel, possibly outside the scene) and a finite flux.
+/// A star: a position in pixels of the scene and a finite flux. The position is sub-pixel and may
+/// lie outside the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawPointSource")]
 pub struct PointSource {
@@ -27,7 +28,7 @@ impl PointSource {
         }
     }
 
-    /// Where it is, in pixels of the scene.
+    /// Its position, in pixels of the scene.
     pub fn position(self) -> Position {
         self.position
     }
@@ -38,15 +39,15 @@ impl PointSource {
     }
 }
 
-/// The smallest Sersic index: flatter than any galaxy.
+/// The smallest Sersic index. Its profile is flatter than any galaxy.
 const SMALLEST_INDEX: f64 = 0.3;
-/// The largest Sersic index; beyond it fits of galaxies are not meaningful either.
+/// The largest Sersic index. Beyond it, fits of galaxies are not meaningful either.
 const LARGEST_INDEX: f64 = 8.0;
-/// The smallest axis ratio: the time to integrate a profile over pixels grows as its inverse, to a large part of a second here, and edge-on discs are
-/// a hundred times thicker.
+/// The smallest axis ratio, a hundred times below that of edge-on discs. The time to integrate a
+/// profile over pixels grows as the inverse of the ratio. It is a large part of a second here.
 const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 
-/// How a galaxy's light is spread: a Sersic profile with elliptical isophotes.
+/// A Sersic profile with elliptical isophotes: the distribution of a galaxy's light.
 ///
 /// The surface brightness at elliptical radius `r` (measured along the major axis) is
 ///
@@ -54,8 +55,9 @@ const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 /// I(r) = I_e exp(-b [(r / re)^(1/n) - 1]),    P(2n, b) = 1/2
 /// ```
 ///
-/// (Sersic 1968; Graham and Driver 2005, PASA 22, 118), `P` the regularised lower incomplete gamma function: half of the light
-/// lies within the ellipse of semi-major axis `re`. `n = 0.5` is a Gaussian, 1 an exponential disc, 4 a de Vaucouleurs profile.
+/// (Sersic 1968 and Graham and Driver 2005, PASA 22, 118). `P` is the regularised lower incomplete
+/// gamma function, so half of the light lies within the ellipse of semi-major axis `re`. `n = 0.5`
+/// is a Gaussian, 1 an exponential disc, 4 a de Vaucouleurs profile.
 ///
 /// ```
 /// use psf_types::SersicProfile;
@@ -77,8 +79,12 @@ pub struct SersicProfile {
 read_through_new!(RawProfile => SersicProfile { half_light_radius_px: f64, index: f64, axis_ratio: f64, angle_deg: f64 });
 
 impl SersicProfile {
-    /// A profile: `half_light_radius_px` (`re`) along the major axis in pixels, above 0; `index` (`n`) from 0.3 to 8; `axis_ratio`
-    /// (`q = b/a`) from 0.001 to 1; `angle_deg` of the major axis in degrees from +x towards +y.
+    /// Creates a profile from four parameters:
+    ///
+    /// * `half_light_radius_px` (`re`): along the major axis in pixels, above 0,
+    /// * `index` (`n`): from 0.3 to 8,
+    /// * `axis_ratio` (`q = b/a`): from 0.001 to 1,
+    /// * `angle_deg`: angle of the major axis in degrees from +x towards +y.
     ///
     /// # Errors
     /// [`DataError::Galaxy`] with the parameter that is out of range.
@@ -116,7 +122,7 @@ impl SersicProfile {
         })
     }
 
-    /// Semi-major axis, in pixels, of the ellipse that holds half of the light.
+    /// Semi-major axis, in pixels, of the ellipse that contains half of the light.
     pub fn half_light_radius_px(self) -> f64 {
         self.half_light_radius_px
     }
@@ -126,7 +132,7 @@ impl SersicProfile {
         self.index
     }
 
-    /// Minor over major axis.
+    /// Minor axis divided by major axis.
     pub fn axis_ratio(self) -> f64 {
         self.axis_ratio
     }
@@ -137,8 +143,8 @@ impl SersicProfile {
     }
 }
 
-/// A galaxy: a position in pixels of the scene (sub-pixel, possibly outside the scene), a finite total flux (to infinite radius)
-/// and the profile of its light.
+/// A galaxy: a position in pixels of the scene, a finite total flux (to infinite radius) and a
+/// light profile. The position is sub-pixel and may lie outside the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SersicSource {
     light: PointSource,
@@ -146,7 +152,7 @@ pub struct SersicSource {
 }
 
 impl SersicSource {
-    /// A galaxy of this total flux, as it is before the PSF.
+    /// A galaxy of this total flux, before convolution with the PSF.
     ///
     /// # Errors
     /// [`DataError::SourceFlux`] when the flux is NaN or infinite.
@@ -157,7 +163,7 @@ impl SersicSource {
         })
     }
 
-    /// Where its centre is, in pixels of the scene.
+    /// The position of its centre, in pixels of the scene.
     pub fn position(self) -> Position {
         self.light.position()
     }
@@ -167,7 +173,7 @@ impl SersicSource {
         self.light.flux()
     }
 
-    /// How its light is spread.
+    /// The profile of its light.
     pub fn profile(self) -> SersicProfile {
         self.profile
     }

@@ -7,13 +7,13 @@ use crate::choices::StampInterpolation;
 use crate::frame::{DataError, Quantity, read_through_new};
 use crate::image::{finite2, row_major};
 
-/// The pixel grid of a stamp: shape, centre, oversampling, whether the pixel response is in the values, and how they continue
-/// between the pixels.
+/// The pixel grid of a stamp: its shape, its centre, its oversampling, whether its values include
+/// the pixel response, and the interpolation between its pixels.
 ///
-/// * A stamp value at index `(row, column)` belongs to the offset
-///   `((column - centre_x) / oversampling, (row - centre_y) / oversampling)` in frame pixels from the source.
-/// * A value is the fraction of the source's flux that falls in a *frame* pixel centred there. So a stamp oversampled
-///   `s` times holds unit flux when its values sum to `s^2`.
+/// * A stamp value at index `(row, column)` belongs to the offset `((column - centre_x) /
+///   oversampling, (row - centre_y) / oversampling)` in frame pixels from the source.
+/// * A value is the fraction of the source's flux that falls in a *frame* pixel centred there. So a
+///   stamp oversampled `s` times holds unit flux when its values sum to `s^2`.
 ///
 /// ```
 /// use psf_types::StampGrid;
@@ -47,8 +47,8 @@ struct RawStampGrid {
 }
 
 impl StampGrid {
-    /// A grid of `nx` columns and `ny` rows at the frame's own pixel scale, centred at index `(nx / 2, ny / 2)` (integer
-    /// division), with the pixel response included.
+    /// A grid of `nx` columns and `ny` rows at the frame's own pixel scale, with the pixel response
+    /// included. Its centre is index `(nx / 2, ny / 2)` (integer division).
     ///
     /// # Errors
     /// [`DataError::EmptyStamp`] when either is 0.
@@ -67,7 +67,8 @@ impl StampGrid {
         })
     }
 
-    /// The same grid with the PSF's reference point at the 0-based stamp index (`x`, `y`), fractional if need be.
+    /// Returns this grid with the PSF's reference point at the 0-based stamp index (`x`, `y`),
+    /// which may be fractional.
     ///
     /// # Errors
     /// [`DataError::StampCentre`] when the point does not lie on a pixel of the stamp.
@@ -89,7 +90,8 @@ impl StampGrid {
         }
     }
 
-    /// The same grid with `oversampling` stamp pixels per frame pixel (a float; below 1 for coarser stamps).
+    /// Returns this grid with `oversampling` stamp pixels per frame pixel: any positive number,
+    /// below 1 for stamps coarser than the frame.
     ///
     /// # Errors
     /// [`DataError::Oversampling`] when it is not finite and positive.
@@ -101,7 +103,8 @@ impl StampGrid {
         }
     }
 
-    /// The same grid, told whether the stamps hold the response of a frame pixel already.
+    /// Returns this grid with a new record of whether stamp values include the response of a frame
+    /// pixel.
     #[must_use]
     pub fn with_pixel_response_included(self, pixel_response_included: bool) -> Self {
         Self {
@@ -110,7 +113,7 @@ impl StampGrid {
         }
     }
 
-    /// The same grid with another rule for the values between the stamps' pixels.
+    /// Returns this grid with another interpolation between the stamp's pixels.
     #[must_use]
     pub fn with_interpolation(self, interpolation: StampInterpolation) -> Self {
         Self {
@@ -144,12 +147,12 @@ impl StampGrid {
         self.oversampling
     }
 
-    /// Whether the values hold the response of a frame pixel already.
+    /// Returns whether the values include the response of a frame pixel.
     pub fn pixel_response_included(self) -> bool {
         self.pixel_response_included
     }
 
-    /// How the values continue between the stamps' pixels.
+    /// The interpolation between the stamp's pixels.
     pub fn interpolation(self) -> StampInterpolation {
         self.interpolation
     }
@@ -159,7 +162,7 @@ impl StampGrid {
         (self.ny, self.nx)
     }
 
-    /// Number of stamp pixels; the largest number there is where they are more.
+    /// Number of stamp pixels, or `usize::MAX` if it is too large to count.
     pub fn pixel_count(self) -> usize {
         self.nx.saturating_mul(self.ny)
     }
@@ -176,13 +179,14 @@ impl StampGrid {
         }
     }
 
-    /// The centre as whole `(column, row)` indices, if it lies on a pixel centre.
+    /// Returns the centre as whole `(column, row)` indices if it lies on a pixel centre.
     pub fn whole_centre(self) -> Option<(usize, usize)> {
         (self.centre_x.fract() == 0.0 && self.centre_y.fract() == 0.0)
             .then_some((self.centre_x as usize, self.centre_y as usize))
     }
 
-    /// The flux (fraction of the source's light) of a stamp whose values add up to `sum`: `sum / oversampling^2`.
+    /// The flux (fraction of the source's light) of a stamp whose values sum to `sum`: `sum /
+    /// oversampling^2`.
     pub fn flux_of_sum(self, sum: f64) -> f64 {
         sum / (self.oversampling * self.oversampling)
     }
@@ -199,7 +203,7 @@ impl TryFrom<RawStampGrid> for StampGrid {
     }
 }
 
-/// One PSF image `[y, x]` on its [`StampGrid`]; every value is finite.
+/// One PSF image `[y, x]` on its [`StampGrid`]. Every value is finite.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawStamp")]
 pub struct Stamp {
@@ -213,8 +217,8 @@ impl Stamp {
     /// A stamp from its values `[y, x]`.
     ///
     /// # Errors
-    /// [`DataError::StampShape`] when the array does not have the grid's shape, [`DataError::NonFinite`] for a NaN or an
-    /// infinity.
+    /// [`DataError::StampShape`] when the array does not have the grid's shape,
+    /// [`DataError::NonFinite`] for a NaN or an infinity.
     pub fn new(values: Array2<f64>, grid: StampGrid) -> Result<Self, DataError> {
         grid.check_dim(values.dim())?;
         finite2(Quantity::StampValue, values.view())?;
@@ -234,17 +238,17 @@ impl Stamp {
         self.grid
     }
 
-    /// The values, without a copy.
+    /// Returns the values without copying them.
     pub fn into_values(self) -> Array2<f64> {
         self.values
     }
 
-    /// The fraction of the source's light in the stamp: the sum over `oversampling^2`.
+    /// The fraction of the source's light in the stamp: the sum divided by `oversampling^2`.
     pub fn flux(&self) -> f64 {
         self.grid.flux_of_sum(self.values.sum())
     }
 
-    /// The stamp mirrored in both axes; its centre moves along (index 32 of 64 becomes 31).
+    /// The stamp mirrored in both axes. Its centre is mirrored too (index 32 of 64 becomes 31).
     ///
     /// Convolution with the mirrored stamp is correlation with the stamp itself.
     #[must_use]
