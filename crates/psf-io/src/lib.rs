@@ -1,9 +1,9 @@
-//! FITS and table files of psfield: scenes, samples, models and catalogues in, results out.
+//! Reads and writes the FITS and table files of psfield: scenes, samples, models and catalogues.
 //!
-//! | file | layout | in | out |
+//! | file | layout | read | written |
 //! |---|---|---|---|
 //! | scene, image | [`image`] | [`read_image`] | [`write_image`] |
-//! | the same, by bands of rows | [`image`] | [`ImageReader`] | [`ImageWriter`] |
+//! | large image, by bands of rows | [`image`] | [`ImageReader`] | [`ImageWriter`] |
 //! | whole numbers: raw counts, masks | [`image`] | [`read_image`] | [`write_integers`] |
 //! | PSF samples, stamps | [`samples`] | [`read_samples`] | [`write_samples`] |
 //! | STPSF, WebbPSF library | [`stpsf`] | [`read_stpsf`] | [`write_gridded`] |
@@ -16,40 +16,40 @@
 //! | any table of results | CSV with a line of names | [`read_columns`] | [`write_csv`] |
 //! | any cube | | [`read_cube`] | [`write_cube`] |
 //!
-//! [`detect`] tells the kinds apart by content.
+//! [`detect`] finds the kind of a file from its content.
 //!
 //! # Conventions
-//! Arrays are `[y, x]` and positions 0-based, an integer being the centre of a pixel, in the files
-//! as in the code. Where a format counts from 1, its reader converts.
+//! Arrays are `[y, x]`. Positions are 0-based, and whole numbers are the centres of pixels, in the
+//! files as in the code. Where a format counts from 1, its reader converts.
 //!
 //! # Bad files
-//! A file, or the rows of it that are asked for, is read completely and checked, or refused with an
-//! [`IoError`] that names the file, the HDU or row, and what to do. Headers are checked against the
-//! length of the file before memory is taken for the data; no content of a file makes this crate
-//! panic. Nothing is repaired silently: a NaN pixel is an error.
+//! A reader reads and checks the whole file, or the rows that are asked for. If anything is wrong,
+//! it returns an [`IoError`] that names the file, the HDU or row, and what to do. Headers are
+//! checked against the length of the file before memory is allocated for the data. No content of a
+//! file makes this crate panic. Nothing is repaired silently: a NaN pixel is an error.
 //!
 //! # Compressed files
-//! FITS files compressed as a whole by gzip (`.gz`) and images compressed by tiles (`.fz`:
-//! `RICE_1`, `GZIP_1`, `GZIP_2`, `PLIO_1`, quantised floats) are read wherever plain ones are, told
-//! by content. A gzip file is unpacked to a temporary file, which goes when it is no longer needed;
-//! it may unpack to 1 GiB and 100 times its own size. An image in tiles may take 16 MiB and 4096
-//! times the bytes of its tiles. A file that claims or holds more is refused before it takes disk
-//! or memory.
+//! FITS files compressed by gzip (`.gz`) and images compressed in tiles (`.fz`: `RICE_1`, `GZIP_1`,
+//! `GZIP_2`, `PLIO_1`, quantised floats) are read wherever plain ones are. They are recognised by
+//! their content. A gzip file is unpacked to a temporary file, which is removed when it is no
+//! longer needed. It may unpack to at most 1 GiB plus 100 times its own size. An image in tiles may
+//! unpack to at most 16 MiB plus 4096 times the bytes of its tiles. A larger file is refused before
+//! it takes disk space or memory.
 //!
 //! # Outputs
-//! Every file appears whole or not at all, and replaces another only when told to
-//! ([`write_atomically`]), also one that is written by bands. That holds for a full disk, a killed
-//! process and a loss of power; a program that handles signals calls [`remove_unfinished`]. Equal
-//! input gives equal bytes: no dates are written.
+//! Every file appears complete or not at all, even after a full disk, a killed process or a loss of
+//! power ([`write_atomically`]). This holds also for files that are written by bands. An existing
+//! file is replaced only on request. A program that handles signals calls [`remove_unfinished`].
+//! Equal input gives equal bytes: no dates are written.
 //!
 //! # CFITSIO
-//! Pixels and columns pass through CFITSIO, which the build compiles (no system library needed).
-//! File names are taken literally: brackets, `+` or a leading `!` have no meaning. All functions
-//! may be called from several threads at once.
+//! Pixels and columns are read and written by CFITSIO, which the build compiles (no system library
+//! needed). File names are taken literally: brackets, `+` or a leading `!` have no meaning. All
+//! functions may be called from several threads at once.
 //!
 //! # A new format
-//! One file in `psf/` for the format, with its model, its reader, its writer and an `is_...` test;
-//! one line in the list of `psf/detect.rs`.
+//! Add one file to `psf/` with the model, the reader, the writer and an `is_...` test, and one line
+//! to the list of `psf/detect.rs`.
 
 pub mod catalogue;
 mod error;

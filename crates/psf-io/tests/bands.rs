@@ -505,7 +505,7 @@ fn planes_of_a_cube_are_images() {
     }
     assert_request(
         ImageReader::open_plane(&path, None, 3),
-        "there is no plane 3: the image has 3, counted from 0",
+        "there is no plane 3: the image has 3 planes, counted from 0",
     );
 }
 

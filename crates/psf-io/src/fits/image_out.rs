@@ -1,4 +1,4 @@
-//! Images out: whole, by bands of rows, as whole numbers, and cubes.
+//! Writing images: at once, by bands of rows, as whole numbers, and cubes.
 
 use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
@@ -15,9 +15,10 @@ use crate::output::PendingFile;
 
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.
 ///
-/// `header` are cards carried over from an input (cut frames: [`HeaderCards::shifted_origin`]);
-/// `added` follow, each in the place of the cards of its keyword, texts (HISTORY, COMMENT) at the
-/// end. The file appears whole or not at all ([`write_atomically`](crate::write_atomically)).
+/// `header` holds cards copied from an input (cut frames: [`HeaderCards::shifted_origin`]). The
+/// cards of `added` follow. Each replaces the cards with its keyword. Text cards (HISTORY, COMMENT)
+/// are appended at the end. The file appears complete or not at all
+/// ([`write_atomically`](crate::write_atomically)).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -34,8 +35,8 @@ use crate::output::PendingFile;
 /// ```
 ///
 /// # Errors
-/// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or what the file system
-/// and CFITSIO report.
+/// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or an error of the file
+/// system or of CFITSIO.
 pub fn write_image<T: Real>(
     path: impl AsRef<Path>,
     image: &Image<T>,
@@ -48,13 +49,13 @@ pub fn write_image<T: Real>(
     writer.finish()
 }
 
-/// An image written a band of rows at a time, from row 0 on: the whole of it need never be in
+/// Writes an image one band of rows at a time, from row 0 on. The whole image need never be in
 /// memory.
 ///
-/// The file is the one that [`write_image`](crate::write_image) would write, byte by byte. It
-/// appears under its name when [`finish`](Self::finish) has succeeded, whole; a writer that is
-/// dropped before leaves nothing behind, and what stood at the path before is untouched. Memory:
-/// the caller's band and buffers of some 100 kB. A writer stays in its thread.
+/// The file is equal byte by byte to the file that [`write_image`](crate::write_image) would write.
+/// It appears complete under its name when [`finish`](Self::finish) has succeeded. A writer that is
+/// dropped before that leaves nothing behind, and an old file at the path stays untouched. Memory:
+/// the caller's band and buffers of some 100 kB. A writer cannot be sent to another thread.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -78,7 +79,7 @@ pub struct ImageWriter<T> {
     file: NewFits,
     path: PathBuf,
     shape: FrameShape,
-    /// As they stand in the file.
+    /// The cards as they are in the file.
     cards: HeaderCards,
     rows_written: usize,
     pixels: PhantomData<T>,
@@ -89,8 +90,8 @@ impl<T: Real> ImageWriter<T> {
     /// [`write_image`](crate::write_image).
     ///
     /// # Errors
-    /// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or what the file
-    /// system and CFITSIO report.
+    /// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or an error of the
+    /// file system or of CFITSIO.
     pub fn create(
         path: impl AsRef<Path>,
         shape: FrameShape,
@@ -101,12 +102,12 @@ impl<T: Real> ImageWriter<T> {
         Self::create_reserving(path, shape, header, added, 0, overwrite)
     }
 
-    /// As [`create`](Self::create), with room in the header for the `late` records that
-    /// [`finish_with`](Self::finish_with) will add.
+    /// Works like [`create`](Self::create), and reserves room in the header for the `late` records
+    /// that [`finish_with`](Self::finish_with) will add.
     ///
-    /// A card is one record of 80 characters; a text of more than 68 characters, or a line of
-    /// HISTORY of more than 72, needs more. Room that stays empty is blank records, which FITS
-    /// allows at the end of a header; 100 000 records (8 MB) are the most that is set aside.
+    /// A card is one record of 80 characters. A text of more than 68 characters, or a line of
+    /// HISTORY of more than 72, needs more records. Unused room is filled with blank records, which
+    /// FITS allows at the end of a header. At most 100 000 records (8 MB) are reserved.
     ///
     /// # Errors
     /// As [`create`](Self::create).
@@ -146,13 +147,13 @@ impl<T: Real> ImageWriter<T> {
     }
 
     /// Writes the next rows `[y, x]`, of any memory layout. A band that is refused for its values
-    /// or its shape leaves the file as it was: another may follow in its place.
+    /// or its shape leaves the file as it was, and another band may be written in its place.
     ///
     /// # Errors
     /// [`IoError::Rows`] for more rows than the image has, [`IoError::Request`] for a band of
     /// another width, [`IoError::Data`] with [`DataError::NonFinite`] for the first pixel `[y, x]`,
-    /// counted in the whole image, that is NaN or infinite, or what the file system and CFITSIO
-    /// report.
+    /// counted in the whole image, that is NaN or infinite, or an error of the file system or of
+    /// CFITSIO.
     pub fn write_rows(&mut self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
         let clean = |row: ArrayView1<'_, T>| row.fold(true, |clean, value| clean & value.is_finite());
         self.check_shape(rows)?;
@@ -178,7 +179,7 @@ impl<T: Real> ImageWriter<T> {
             fits.write_pixels(first, values)?;
         } else {
             for (y, row) in rows.rows().into_iter().enumerate() {
-                // Copies a row at a time, and only where its pixels do not follow one another.
+                // Copies one row at a time, and only if its pixels are not contiguous.
                 let row = row.as_standard_layout();
                 fits.write_pixels(first + y * nx, row.as_slice().expect("now they do"))?;
             }
@@ -203,22 +204,22 @@ impl<T: Real> ImageWriter<T> {
         Ok(())
     }
 
-    /// Completes the file and gives it its name.
+    /// Completes the file and gives it its final name.
     ///
     /// # Errors
-    /// [`IoError::Request`] unless all rows were written, [`IoError::Exists`] when a file has
-    /// appeared at the path that may not be replaced, or what the file system and CFITSIO report.
-    /// On an error the file is gone.
+    /// [`IoError::Request`] unless all rows were written, [`IoError::Exists`] if a file that may
+    /// not be replaced has appeared at the path, or an error of the file system or of CFITSIO.
+    /// After an error the unfinished file is removed.
     pub fn finish(self) -> Result<(), IoError> {
         self.finish_with(&[])
     }
 
-    /// As [`finish`](Self::finish), with cards whose values come out of the pixels. Each takes the
-    /// place of the cards of its keyword, as those given to [`create`](Self::create) do.
+    /// Works like [`finish`](Self::finish), and adds cards whose values depend on the pixels. Each
+    /// card replaces the cards with its keyword, as in [`create`](Self::create).
     ///
-    /// Cards that find no room in the header, neither in its last block of 36 records nor in what
-    /// [`create_reserving`](Self::create_reserving) has left, are written all the same; CFITSIO
-    /// then moves all pixels by a block of 2880 bytes, once for every 36 records: a pass over the
+    /// Cards are written even if neither the last header block of 36 records nor
+    /// [`create_reserving`](Self::create_reserving) has left room for them. CFITSIO then moves all
+    /// pixels by a block of 2880 bytes, once for every 36 records. Each move is a pass over the
     /// file, in little memory.
     ///
     /// # Errors
@@ -246,11 +247,11 @@ fn records(cards: &HeaderCards) -> Vec<&Record> {
     cards.iter().flat_map(Card::records).collect()
 }
 
-/// A FITS file under a temporary name: [`finish`](Self::finish) gives it its own, dropping it
-/// removes it.
+/// A FITS file under a temporary name. [`finish`](Self::finish) gives it its final name, and
+/// dropping it removes it.
 #[derive(Debug)]
 pub(crate) struct NewFits {
-    // Closed before it is removed: fields are dropped in this order.
+    // The file is closed before it is removed: fields are dropped in this order.
     fits: Fits,
     file: PendingFile,
 }
@@ -287,7 +288,7 @@ fn bitpix<T: Real>() -> i32 {
     -8 * size_of::<T>() as i32
 }
 
-/// Adds the header of an image HDU, ahead of the pixels, so that CFITSIO need not move them.
+/// Writes the header of a new image HDU before the pixels, so that CFITSIO need not move them.
 pub(crate) fn write_image_header(
     fits: &mut Fits,
     shape: &[usize],
@@ -298,7 +299,7 @@ pub(crate) fn write_image_header(
     write_cards(fits, cards)
 }
 
-/// Adds cards to the header of the HDU in hand.
+/// Adds cards to the header of the current HDU.
 pub(crate) fn write_cards(fits: &mut Fits, cards: &HeaderCards) -> Result<(), IoError> {
     records(cards)
         .into_iter()
@@ -316,7 +317,7 @@ pub(crate) fn write_image_hdu<T: Real>(
     fits.write_pixels(0, pixels)
 }
 
-/// Values in single precision, which must hold them.
+/// Converts values to single precision. Returns an error if one of them is too large for it.
 pub(crate) fn in_single_precision<'a>(
     path: &Path,
     values: impl IntoIterator<Item = &'a f64>,
@@ -330,7 +331,7 @@ pub(crate) fn in_single_precision<'a>(
     })
 }
 
-/// Cards from keyword, value and comment.
+/// Makes cards from keywords, values and comments.
 pub(crate) fn cards<'a, K: AsRef<str>>(
     path: &Path,
     list: impl IntoIterator<Item = (K, CardValue, &'a str)>,
@@ -340,7 +341,7 @@ pub(crate) fn cards<'a, K: AsRef<str>>(
         .collect()
 }
 
-/// How whole numbers are stored.
+/// The storage type of whole numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum IntegerKind {
@@ -353,7 +354,7 @@ pub enum IntegerKind {
 }
 
 impl IntegerKind {
-    /// CFITSIO's code of the image type; 20 stands for `BITPIX` 16 with `BZERO` 32768.
+    /// CFITSIO's code of the image type. Code 20 stands for `BITPIX` 16 with `BZERO` 32768.
     fn bitpix(self) -> i32 {
         match self {
             Self::Unsigned8 => 8,
@@ -362,7 +363,7 @@ impl IntegerKind {
         }
     }
 
-    /// The smallest kind for the counts of a converter of so many bits, 31 at most.
+    /// The smallest kind that holds the counts of a converter with this many bits, at most 31.
     pub fn of_bits(bits: u32) -> Self {
         match bits {
             0..=8 => Self::Unsigned8,
@@ -371,7 +372,7 @@ impl IntegerKind {
         }
     }
 
-    /// The lowest and the highest number it holds.
+    /// The lowest and the highest number that the kind can store.
     pub fn range(self) -> (i32, i32) {
         match self {
             Self::Unsigned8 => (0, i32::from(u8::MAX)),
@@ -381,9 +382,9 @@ impl IntegerKind {
     }
 }
 
-/// Writes an image `[y, x]` of whole numbers, held in any type.
+/// Writes an image `[y, x]` of whole numbers, which may be held in any type.
 ///
-/// Cards and file are as [`write_image`](crate::write_image) has them.
+/// Cards and file are treated as in [`write_image`](crate::write_image).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -397,8 +398,8 @@ impl IntegerKind {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Request`] for the first value that is no whole number in the kind's range, else as
-/// [`write_image`](crate::write_image).
+/// [`IoError::Request`] for the first value that is not a whole number in the range of `kind`, else
+/// the errors of [`write_image`](crate::write_image).
 pub fn write_integers<V: Copy + Into<f64>>(
     path: impl AsRef<Path>,
     pixels: ArrayView2<'_, V>,
@@ -422,7 +423,7 @@ pub fn write_integers<V: Copy + Into<f64>>(
             let value: f64 = value.into();
             if !(f64::from(lowest)..=f64::from(highest)).contains(&value) || value.fract() != 0.0 {
                 let problem = format!(
-                    "the pixel {:?} ([y, x]) is {value}: a whole number from {lowest} to {highest} is needed",
+                    "the pixel {:?} ([y, x]) is {value}, but it must be a whole number from {lowest} to {highest}",
                     [y, x]
                 );
                 return Err(request(path, problem));
@@ -434,8 +435,8 @@ pub fn write_integers<V: Copy + Into<f64>>(
     file.finish()
 }
 
-/// Writes a stack `[plane, y, x]` in single precision, with `cards` in its header; the file appears
-/// whole or not at all.
+/// Writes a stack `[plane, y, x]` in single precision, with `cards` in its header. The file appears
+/// complete or not at all.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -449,7 +450,7 @@ pub fn write_integers<V: Copy + Into<f64>>(
 ///
 /// # Errors
 /// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
 pub fn write_cube(
     path: impl AsRef<Path>,
     cube: ArrayView3<'_, f64>,

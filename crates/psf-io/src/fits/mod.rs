@@ -1,5 +1,5 @@
-//! FITS files: headers, images and tables, through CFITSIO, with checks of all that CFITSIO takes
-//! on trust.
+//! FITS files: headers, images and tables. CFITSIO reads and writes them, and this module checks
+//! what CFITSIO does not.
 
 pub(crate) mod card;
 pub(crate) mod cfitsio;

@@ -1,5 +1,5 @@
-//! The HDUs of a FITS file, found and checked against the file's length before anything is
-//! allocated for their data.
+//! Finds the HDUs of a FITS file and checks them against the length of the file, before any memory
+//! is allocated for their data.
 
 use std::fs::File;
 use std::io::Read;
@@ -10,10 +10,10 @@ use crate::fits::hdu::{FitsSource, Hdu, HduChoice, HduKind};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::scan::{self, GZIP, Scanner};
 
-/// The option of the command line that chooses an HDU, for errors.
+/// The option of the command line that chooses an HDU, for error messages.
 pub(crate) const EXTENSION_OPTION: &str = "--extension N|NAME";
 const MAGIC: &[u8] = b"SIMPLE  =";
-/// First bytes of files that are compressed in ways not read here, and what to do.
+/// The first bytes of files whose compression is not supported, and what to do.
 const COMPRESSED: &[(&[u8], &str)] = &[
     (b"BZh", "compressed by bzip2: run bunzip2 first"),
     (b"\x1f\x9d", "compressed by compress: run uncompress first"),
@@ -21,7 +21,7 @@ const COMPRESSED: &[(&[u8], &str)] = &[
     (b"PK\x03\x04", "a zip archive: run unzip first"),
 ];
 
-/// The HDUs of a file, all of whose data are there.
+/// The HDUs of a file. Their data are known to be complete.
 #[derive(Debug)]
 pub(crate) struct FitsStructure {
     pub(crate) path: PathBuf,
@@ -29,9 +29,9 @@ pub(crate) struct FitsStructure {
 }
 
 impl FitsStructure {
-    /// Reads every header and checks that the file is long enough for every HDU. A file that gzip
-    /// has compressed is unpacked to a temporary file, which lives as long as the structure and
-    /// anything opened through it.
+    /// Reads every header and checks that the file is long enough for every HDU. A gzip file is
+    /// unpacked to a temporary file. It lives as long as the structure and everything that is
+    /// opened through it.
     pub(crate) fn scan(path: &Path) -> Result<Self, IoError> {
         if !is_fits(path)? {
             return Err(IoError::NotFits {
@@ -52,7 +52,7 @@ impl FitsStructure {
         })
     }
 
-    /// The first image that has pixels.
+    /// The first image with pixels.
     pub(crate) fn first_image(&self) -> Result<&Hdu, IoError> {
         if let Some(hdu) = self.hdus.iter().find(|hdu| hdu.has_pixels()) {
             return Ok(hdu);
@@ -60,18 +60,19 @@ impl FitsStructure {
         Err(self.missing("image with pixels"))
     }
 
-    /// The first binary table of this name (upper or lower case).
+    /// The first binary table with this name (upper or lower case).
     pub(crate) fn table(&self, name: &str) -> Option<&Hdu> {
         self.tables()
             .find(|hdu| hdu.name().is_some_and(|n| n.eq_ignore_ascii_case(name)))
     }
 
-    /// Such a table, which must be there; `what` says what it would hold.
+    /// Works like [`table`](Self::table), but a missing table is an error. `what` describes the
+    /// table.
     pub(crate) fn needed_table(&self, name: &str, what: &str) -> Result<&Hdu, IoError> {
         self.table(name).ok_or_else(|| self.missing(what))
     }
 
-    /// The HDU chosen, which must be one of those that `fits` takes.
+    /// The chosen HDU, which `fits` must accept.
     fn chosen(
         &self,
         choice: &HduChoice,
@@ -84,8 +85,8 @@ impl FitsStructure {
         }
     }
 
-    /// The only HDU that `fits` takes; where there are several, the error asks for a choice with
-    /// this option.
+    /// The only HDU that `fits` accepts. If there are several, the error says that `option` chooses
+    /// one.
     pub(crate) fn only(
         &self,
         what: &'static str,
@@ -99,9 +100,9 @@ impl FitsStructure {
         }
     }
 
-    /// The image with pixels that is chosen. Without a choice the primary HDU's, where it has
-    /// pixels, and else the only one: which of several is the science image, and which its mask or
-    /// weight, is not guessed.
+    /// The chosen image with pixels. Without a choice it is the image of the primary HDU, or else
+    /// the only image. Among several extensions the science image cannot be told from its mask or
+    /// weights, so a choice is required.
     pub(crate) fn image(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
         if let Some(choice) = choice {
             return self.chosen(choice, "images with pixels", Hdu::has_pixels);
@@ -112,9 +113,9 @@ impl FitsStructure {
         }
     }
 
-    /// The HDU whose header describes the frame: an image, with pixels or without. Without a choice
-    /// the image with pixels, as [`image`](Self::image) has it; where there is none the first HDU
-    /// with world coordinates, or else the primary.
+    /// The HDU whose header describes the frame: an image, which need not have pixels. Without a
+    /// choice it is the HDU of [`image`](Self::image). In a file without pixels it is the first HDU
+    /// with world coordinates, or else the primary HDU.
     pub(crate) fn header_of_frame(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
         let is_image = |hdu: &Hdu| hdu.kind == HduKind::Image;
         if let Some(choice) = choice {
@@ -127,8 +128,8 @@ impl FitsStructure {
         Ok(self.hdus.iter().find(describes).unwrap_or(&self.hdus[0]))
     }
 
-    /// The cards of an image for files of another structure. An image in an extension inherits
-    /// those of an empty primary HDU, unless `INHERIT = F` says otherwise.
+    /// The cards of an image that may be copied to another file. An image in an extension inherits
+    /// those of an empty primary HDU, unless `INHERIT = F`.
     pub(crate) fn cards(&self, hdu: &Hdu) -> HeaderCards {
         let primary = &self.hdus[0];
         if hdu.index == 0 || primary.has_pixels() || hdu.value("INHERIT") == Some(false) {
@@ -137,7 +138,7 @@ impl FitsStructure {
         hdu.header.carried().inheriting(&primary.header.carried())
     }
 
-    /// The binary table chosen.
+    /// The chosen binary table.
     pub(crate) fn chosen_table(&self, choice: &HduChoice) -> Result<&Hdu, IoError> {
         let mut meant = self.hdus.iter().filter(|hdu| choice.matches(hdu)).take(1);
         match meant.find(|hdu| hdu.is_ascii_table()) {
@@ -146,7 +147,7 @@ impl FitsStructure {
         }
     }
 
-    /// The error for a file that holds no binary table.
+    /// The error for a file without a binary table.
     pub(crate) fn no_table(&self, needed: &str) -> IoError {
         match self.hdus.iter().find(|hdu| hdu.is_ascii_table()) {
             Some(hdu) => self.ascii_table(hdu),
@@ -156,14 +157,14 @@ impl FitsStructure {
 
     fn ascii_table(&self, hdu: &Hdu) -> IoError {
         let problem = format!(
-            "HDU {} is an ASCII table (XTENSION = 'TABLE'), which is not read: write it as a binary table or as CSV, as astropy's \
+            "HDU {} is an ASCII table (XTENSION = 'TABLE'), which is not supported: write it as a binary table or as CSV, as astropy's \
              Table.read(FILE).write(OTHER) does",
             hdu.index
         );
         content(&self.path, problem)
     }
 
-    /// The error for a choice that is none of the HDUs that `fits` takes.
+    /// The error for a choice that `fits` does not accept.
     pub(crate) fn no_such(
         &self,
         choice: &HduChoice,
@@ -179,7 +180,7 @@ impl FitsStructure {
         }
     }
 
-    /// The image with PSF stamps that is chosen; without a choice the only one with pixels.
+    /// The chosen image of PSF stamps. Without a choice it is the only image with pixels.
     pub(crate) fn stamps(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
         if choice.is_some() {
             return self.image(choice);
@@ -188,7 +189,7 @@ impl FitsStructure {
         self.only("images", "--psf-extension N|NAME", Hdu::has_pixels)
     }
 
-    /// The error for HDUs of which one must be chosen with this option.
+    /// The error for several HDUs, of which `option` must choose one.
     pub(crate) fn several<'a>(
         &self,
         what: &'static str,
@@ -203,7 +204,7 @@ impl FitsStructure {
         }
     }
 
-    /// The binary tables.
+    /// All binary tables.
     pub(crate) fn tables(&self) -> impl Iterator<Item = &Hdu> {
         self.hdus.iter().filter(|hdu| hdu.kind == HduKind::BinaryTable)
     }
@@ -216,8 +217,8 @@ impl FitsStructure {
     }
 }
 
-/// Tells a FITS file, also one compressed by gzip, from others by its first bytes. A file that is
-/// compressed otherwise is an error.
+/// Returns whether the first bytes are those of a FITS file, which may be compressed by gzip. A
+/// file with another compression is an error.
 pub(crate) fn is_fits(path: &Path) -> Result<bool, IoError> {
     let start = start_of(path)?;
     if let Some(&(_, problem)) = COMPRESSED.iter().find(|(bytes, _)| start.starts_with(bytes)) {
@@ -231,11 +232,11 @@ pub(crate) fn is_fits(path: &Path) -> Result<bool, IoError> {
     }
     Err(content(
         path,
-        "compressed by gzip, and not a FITS file: run gunzip first",
+        "a gzip file that does not hold a FITS file: run gunzip first",
     ))
 }
 
-/// The first bytes of a file.
+/// The first bytes of a file, as many as [`MAGIC`] has.
 fn start_of(path: &Path) -> Result<Vec<u8>, IoError> {
     let failed = unreadable(path);
     if !std::fs::metadata(path).map_err(failed)?.is_file() {

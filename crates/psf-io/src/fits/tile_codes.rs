@@ -1,43 +1,44 @@
-//! The codes of compressed tiles, followed before CFITSIO does.
+//! Checks of the codes in compressed tiles, before CFITSIO decodes them.
 //!
 //! # RICE_1
-//! CFITSIO looks for the end of a tile's bytes once a block of pixels, and reads beyond them up to
-//! there. A tile (Pence et al., FITS standard 4.0, section 10.4.1) is its first pixel as it is,
-//! then blocks of differences between pixels. A block begins with the number of low bits that its
-//! differences share (FS), plus one; 0 stands for a block of equal pixels, and one more than the
-//! largest FS for differences as they are. Else a difference is as many zeros as its high bits say,
-//! a one, and FS low bits.
+//! CFITSIO checks for the end of a tile's bytes only once per block of pixels, and may read beyond
+//! them within a block. A tile (Pence et al., FITS standard 4.0, section 10.4.1) is its first
+//! pixel, uncoded, and then blocks of differences between pixels. A block begins with a code. Code
+//! 0 stands for a block of equal pixels. Code FS + 1 stands for differences that are split at FS
+//! low bits: each is as many zeros as its high bits say, a one, and the FS low bits. The largest
+//! code stands for differences that are stored uncoded.
 //!
 //! # PLIO_1
-//! CFITSIO takes the lengths of lists of runs on trust. A list is of 16-bit words (Pence et al.,
-//! FITS standard 4.0, section 10.4.3): its length and the place of its first instruction in a
-//! header, then instructions, one of which (`SH`, set high value) takes the word after it.
+//! CFITSIO does not check the lengths of lists of runs. A list consists of 16-bit words (Pence et
+//! al., FITS standard 4.0, section 10.4.3). Its header holds its length and the place of the first
+//! instruction. The instructions follow, one of which (`SH`, set high value) uses the next word
+//! too.
 
 use crate::error::IoError;
 use crate::fits::hdu::Hdu;
 
-/// Parameters of an algorithm are looked for up to this number of `ZNAMEi`.
+/// Parameters of an algorithm are searched in `ZNAME1` up to `ZNAME` with this number.
 const MOST_PARAMETERS: usize = 9;
 
-/// How the tiles of an image are coded.
+/// The parameters of the `RICE_1` code of an image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Rice {
-    /// Pixels of a block.
+    /// Pixels per block.
     block: u64,
-    /// Bits of a pixel that stands as it is.
+    /// Bits of an uncoded pixel.
     pixel_bits: u64,
-    /// Bits of the code at the head of a block.
+    /// Bits of the code at the start of a block.
     head_bits: u32,
-    /// The code of blocks that stand as they are.
+    /// The code of blocks whose differences are uncoded.
     plain: u32,
 }
 
 impl Rice {
-    /// Checks the block size and the bytes of a pixel that CFITSIO takes: it goes by the place of
-    /// `ZVALi`, and by `ZNAMEi` hardly.
+    /// Checks the block size and the bytes per pixel that CFITSIO will use. CFITSIO goes mostly by
+    /// the position of `ZVALi` and almost never by `ZNAMEi`.
     pub(crate) fn of(table: &Hdu) -> Result<Self, IoError> {
         let name = |number: usize| table.text(&format!("ZNAME{number}"));
-        // Of old files, whose pixels have 4 bytes.
+        // An old convention, in which pixels have 4 bytes.
         let old = name(2).is_some_and(|name| name.trim() == "NOISEBIT");
         let first = table.structural("ZVAL1", Some(32))?;
         let second = if old {
@@ -76,8 +77,8 @@ impl Rice {
         Ok(Self::new(block as u64, width))
     }
 
-    /// The sizes of codes are those of `ricecomp.c` in CFITSIO, which takes pixels of 8 bytes for
-    /// such of 4.
+    /// The sizes of the codes are those of `ricecomp.c` in CFITSIO, which treats pixels of 8 bytes
+    /// like pixels of 4 bytes.
     fn new(block: u64, pixel_bytes: i64) -> Self {
         let (pixel_bits, head_bits, plain) = match pixel_bytes {
             1 => (8, 3, 7),
@@ -92,8 +93,8 @@ impl Rice {
         }
     }
 
-    /// Whether a tile has the codes of as many pixels within its bytes. There may be more bytes
-    /// than that.
+    /// Returns whether the bytes of a tile hold the codes of this many pixels. More bytes may
+    /// follow.
     pub(crate) fn is_sound(&self, tile: &[u8], pixels: u64) -> bool {
         let mut bits = Bits {
             bytes: tile,
@@ -119,21 +120,21 @@ impl Rice {
     }
 }
 
-/// Bits of a tile from a place on, the highest of a byte first.
+/// A reader of the bits of a tile, the highest bit of a byte first.
 struct Bits<'a> {
     bytes: &'a [u8],
-    /// Bits that lie behind.
+    /// Number of bits read so far.
     at: u64,
 }
 
 impl Bits<'_> {
-    /// Whether what lies behind was there.
+    /// Returns whether all bits read so far exist.
     fn within(&self) -> bool {
         self.at <= 8 * self.bytes.len() as u64
     }
 
-    /// The next bits at the top of a word, zeros below them and where the tile ends, and how many
-    /// they are: 56 to 63.
+    /// Returns the next bits at the top of a word, and their number, 56 to 63. The bits below them,
+    /// and bits beyond the end of the tile, are zero.
     #[inline]
     fn ahead(&self) -> (u64, u32) {
         let (byte, bit) = ((self.at / 8) as usize, (self.at % 8) as u32);
@@ -148,25 +149,25 @@ impl Bits<'_> {
         (word << bit, u64::BITS - 1 - bit)
     }
 
-    /// A number of a few bits; none where the tile ends.
+    /// Reads a number of `count` bits. Returns `None` where the tile ends.
     fn take(&mut self, count: u32) -> Option<u32> {
         let (word, _) = self.ahead();
         self.at += u64::from(count);
         self.within().then_some((word >> (u64::BITS - count)) as u32)
     }
 
-    /// Passes over codes of zeros, a one and `low` bits. False where the tile ends among them; it
-    /// may also end among the last low bits.
+    /// Skips `count` codes of zeros, a one and `low` bits. Returns false where the tile ends within
+    /// them. The low bits of the last code may lie beyond the end.
     fn pass_codes(&mut self, count: u64, low: u32) -> bool {
         let (mut left, per_word) = (count, codes_per_word(low));
         while left > 0 {
             let (mut word, length) = self.ahead();
             let (mut passed, then) = (0, left.saturating_sub(per_word));
             loop {
-                // The lowest bit is none of the length.
+                // The lowest bit of the word is not one of the `length` bits.
                 let zeros = (word | 1).leading_zeros();
                 if passed + zeros >= length {
-                    // The rest of a run of zeros comes with the next word.
+                    // The rest of a run of zeros is in the next word.
                     passed = passed.max(length);
                     break;
                 }
@@ -186,23 +187,23 @@ impl Bits<'_> {
     }
 }
 
-/// As many codes as a word has nearly always, so that the processor can tell where the loop over
-/// them ends.
+/// The number of codes that almost every word holds. A loop of this fixed length is easy for the
+/// processor to predict.
 fn codes_per_word(low: u32) -> u64 {
     u64::from((56 / (low + 3)).max(1))
 }
 
-/// The instruction that takes the next word.
+/// The instruction that uses the next word too.
 const SET_HIGH: i16 = 1;
 
-/// Whether a `PLIO_1` list stays within its words.
+/// Returns whether the instructions of a `PLIO_1` list stay within its words.
 pub(crate) fn is_sound_plio(list: &[u8]) -> bool {
     let word = |number: usize| {
         let bytes = list.get(2 * number..2 * number + 2)?;
         Some(i16::from_be_bytes([bytes[0], bytes[1]]))
     };
     let words = list.len() / 2;
-    // The third word is the length in short lists, and not positive in long ones.
+    // The third word is the length in a short list, and zero or negative in a long one.
     let Some(short) = word(2) else {
         return false;
     };
@@ -217,7 +218,7 @@ pub(crate) fn is_sound_plio(list: &[u8]) -> bool {
         }
         (i64::from(high) << 15) + i64::from(low)
     };
-    // CFITSIO leaves the pixels of an empty list as they were in memory.
+    // For an empty list CFITSIO leaves the pixels uninitialised.
     let Some(length) = usize::try_from(length).ok().filter(|&length| length > 0) else {
         return false;
     };

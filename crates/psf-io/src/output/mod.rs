@@ -1,4 +1,4 @@
-//! Outputs that appear whole or not at all.
+//! Output files that appear complete or not at all.
 
 pub(crate) mod temporary;
 
@@ -12,15 +12,15 @@ use crate::error::{IoError, unwritable};
 
 /// Writes a file under a temporary name in its own directory and renames it when it is complete.
 ///
-/// `write` gets the temporary name, where an empty file stands that it may open, truncate or
-/// remove. The name ends like `path`, so that libraries which look at the extension do the right
-/// thing. When `write` fails, the temporary file is removed and what stood at `path` before is
-/// untouched. The content reaches the disk (fsync) before the renaming, so that also a loss of
-/// power leaves the old file or the new one. Leftovers of the same output from a process that was
-/// killed are removed, unless the file system knows no locks;
-/// [`remove_unfinished`](crate::remove_unfinished) is for programs that are told to stop. The new
-/// file has the permissions of any new file (umask). A symbolic link is followed: the file it
-/// points to is replaced.
+/// `write` gets the temporary name. An empty file has been created there, which `write` may open,
+/// truncate or remove. The name ends like `path`, so that libraries which look at the extension do
+/// the right thing. When `write` fails, the temporary file is removed and an old file at `path`
+/// stays untouched. The content is flushed to the disk (fsync) before the renaming. So a loss of
+/// power leaves either the old file or the new one. Temporary files that a killed process has left
+/// for this output are removed, unless the file system does not support locks. A program that
+/// handles signals calls [`remove_unfinished`](crate::remove_unfinished). The new file has the
+/// permissions of any new file (umask). A symbolic link is followed: the file it points to is
+/// replaced.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -33,7 +33,7 @@ use crate::error::{IoError, unwritable};
 /// ```
 ///
 /// # Errors
-/// The errors of [`check_output`], [`IoError::Write`], and whatever `write` returns.
+/// The errors of [`check_output`], [`IoError::Write`], and any error that `write` returns.
 pub fn write_atomically<R, E: From<IoError>>(
     path: impl AsRef<Path>,
     overwrite: bool,
@@ -45,7 +45,7 @@ pub fn write_atomically<R, E: From<IoError>>(
     Ok(result)
 }
 
-/// Writes a text file, whole or not at all.
+/// Writes a text file atomically: it appears complete or not at all.
 ///
 /// # Errors
 /// As [`write_atomically`].
@@ -53,7 +53,7 @@ pub fn write_text(path: impl AsRef<Path>, content: &str, overwrite: bool) -> Res
     write_bytes(path, content.as_bytes(), overwrite)
 }
 
-/// Writes a file of any bytes, such as a picture, whole or not at all.
+/// Writes bytes, such as a picture, to a file, which appears complete or not at all.
 ///
 /// # Errors
 /// As [`write_atomically`].
@@ -64,8 +64,10 @@ pub fn write_bytes(path: impl AsRef<Path>, content: &[u8], overwrite: bool) -> R
     })
 }
 
-/// Whether `path` can be written, as far as can be told before the work is done: its directory
-/// exists, and it is not there yet, or is a regular file that may be replaced.
+/// Checks before any work is done that `path` can be written.
+///
+/// Its directory must exist. The file must be new, or a regular file that may be replaced. A write
+/// may still fail later, for example because the disk is full.
 ///
 /// # Errors
 /// [`IoError::MissingDirectory`], [`IoError::NotAFile`], [`IoError::Exists`] or [`IoError::Write`].
@@ -73,7 +75,7 @@ pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoErr
     checked_target(path.as_ref(), overwrite).map(drop)
 }
 
-/// The file that is written in the end: `path`, or what it links to.
+/// The file that is replaced in the end: `path`, or the target of a symbolic link.
 pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, IoError> {
     let owned = || path.to_owned();
     if path.file_name().is_none() {
@@ -90,7 +92,7 @@ pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, Io
         Ok(found) if !found.is_file() => Err(IoError::NotAFile { path: owned() }),
         Ok(_) if !overwrite => Err(IoError::Exists { path: owned() }),
         Ok(_) => fs::canonicalize(path).map_err(unwritable(path)),
-        // A link to nothing counts as a file that exists.
+        // A link whose target does not exist counts as an existing file.
         Err(e) if e.kind() == ErrorKind::NotFound && fs::symlink_metadata(path).is_ok() && !overwrite => {
             Err(IoError::Exists { path: owned() })
         }
@@ -99,24 +101,24 @@ pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, Io
     }
 }
 
-/// A file under a temporary name in its own directory: [`commit`](Self::commit) renames it,
+/// An output under a temporary name in its own directory. [`commit`](Self::commit) renames it, and
 /// dropping it removes it.
 #[derive(Debug)]
 pub(crate) struct PendingFile {
     temporary: Temporary,
-    /// Tells other processes that the file is not abandoned.
+    /// The lock that tells other processes that the file is in use.
     claim: Option<File>,
-    /// As the caller named it, for error messages.
+    /// The path given by the caller, for error messages.
     path: PathBuf,
-    /// The file that is replaced in the end: `path`, or the file that it links to.
+    /// The file that is replaced in the end: `path`, or the target of a symbolic link.
     target: PathBuf,
     overwrite: bool,
 }
 
 impl PendingFile {
-    /// Creates the temporary file, empty, after the checks of
-    /// [`check_output`](crate::check_output), and returns it with the result of `open`, which may
-    /// replace the empty file by another.
+    /// Does the checks of [`check_output`](crate::check_output), creates an empty temporary file
+    /// and calls `open`, which may replace that file by another. Returns the pending file and the
+    /// result of `open`.
     pub(crate) fn create<R>(
         path: &Path,
         overwrite: bool,
@@ -138,13 +140,13 @@ impl PendingFile {
         Ok((file, opened))
     }
 
-    /// The temporary name. It ends like the final one.
+    /// The temporary name, which ends like the final one.
     pub(crate) fn temporary(&self) -> &Path {
         self.temporary.path()
     }
 
-    /// Gives the file its name, once its content is on the disk. One that has appeared there in the
-    /// meantime is kept, unless it may be replaced.
+    /// Flushes the content to the disk and gives the file its final name. If another file has
+    /// appeared there in the meantime, it is kept unless it may be replaced.
     pub(crate) fn commit(self) -> Result<(), IoError> {
         let Self {
             temporary,
@@ -153,8 +155,8 @@ impl PendingFile {
             target,
             overwrite,
         } = self;
-        // Else a loss of power after the renaming could leave an empty file where the old one was.
-        // A disk that fills up may say so only here.
+        // Without the flush a loss of power after the renaming could leave an empty file in the
+        // place of the old one. A full disk may be reported only here.
         File::options()
             .write(true)
             .open(temporary.path())
@@ -166,7 +168,7 @@ impl PendingFile {
             } else {
                 temporary.persist_noclobber(&target)
             };
-            // A file that could not be renamed is removed here.
+            // A file that could not be renamed is removed when `failed` is dropped.
             renamed.map_err(|failed| failed.error)
         });
         drop(claim);
@@ -181,8 +183,8 @@ impl PendingFile {
     }
 }
 
-/// Writes the names in a directory to the disk. Where it cannot be done, a loss of power may bring
-/// the old file back: whole as well, so that it is no error.
+/// Flushes the names in a directory to the disk. A failure is ignored: after a loss of power the
+/// old file may then be back, which is complete as well.
 fn sync_directory(directory: &Path) {
     if cfg!(unix) {
         let _ = File::open(directory).and_then(|directory| directory.sync_all());

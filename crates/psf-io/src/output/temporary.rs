@@ -1,10 +1,10 @@
-//! The temporary files of outputs: those of this process, which a program that is told to stop can
-//! remove, and those of processes that were killed.
+//! The temporary files of outputs. A program that is told to stop can remove those of its own
+//! process. Those of killed processes are removed by the next process that writes the same output.
 //!
-//! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT` and stands beside its output. The
+//! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT` and lies next to its output. The
 //! process that writes it holds an advisory lock on it. The system releases the lock when the
-//! process ends in whatever way, on this machine or on another that shares the folder. So a file
-//! that nobody has locked belongs to nobody.
+//! process ends for any reason, also on another machine that shares the folder. So an unlocked
+//! temporary file belongs to no running process.
 
 use std::collections::HashMap;
 use std::ffi::{OsStr, OsString};
@@ -14,30 +14,30 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use tempfile::TempPath;
 
-/// The temporary files of this process: their absolute names, and what they will be, as the caller
-/// named it; none for a copy that is only read.
+/// The temporary files of this process: the absolute name of each, and the path of its output as
+/// the caller gave it. The path is `None` for a temporary copy that is only read.
 type Entries = Vec<(PathBuf, Option<PathBuf>)>;
 
 static ENTRIES: Mutex<Entries> = Mutex::new(Vec::new());
 
-/// The list, locked: what is done while it is held is done before or after [`remove_unfinished`],
-/// never meanwhile.
+/// Locks the list. [`remove_unfinished`] takes the same lock, so it never runs at the same time as
+/// the holder of this guard.
 pub(crate) fn entries() -> MutexGuard<'static, Entries> {
-    // Every change of the list is a single step, which a panic elsewhere cannot leave undone.
+    // Each change of the list is a single step, so a panic elsewhere cannot leave it half done.
     ENTRIES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A temporary file in the list: removed from the disk and from the list when it is dropped.
+/// A temporary file in the list. Dropping it removes it from the disk and from the list.
 #[derive(Debug)]
 pub(crate) struct Temporary {
-    /// Always there until it is dropped or renamed.
+    /// `Some` until the file is dropped or renamed.
     file: Option<TempPath>,
     /// Its name in the list.
     absolute: PathBuf,
 }
 
 impl Temporary {
-    /// Takes a temporary file that has just been created, while the list was locked, into the list.
+    /// Adds a temporary file to the list. It must have been created while the list was locked.
     pub(crate) fn new(file: TempPath, output: Option<&Path>, entries: &mut Entries) -> Self {
         let absolute = std::path::absolute(&file).unwrap_or_else(|_| file.to_path_buf());
         entries.push((absolute.clone(), output.map(Path::to_owned)));
@@ -49,12 +49,12 @@ impl Temporary {
         self.file.as_ref().expect("there until it is renamed")
     }
 
-    /// Lets `rename` give the file its name; one that fails has removed it.
+    /// Lets `rename` give the file its name. If `rename` fails, it must have removed the file.
     pub(crate) fn rename<R>(mut self, rename: impl FnOnce(TempPath) -> R) -> R {
         self.finish(rename)
     }
 
-    /// Takes the file away and its entry off the list, as a single step.
+    /// Takes the file out and removes its entry from the list, as a single step.
     fn finish<R>(&mut self, end: impl FnOnce(TempPath) -> R) -> R {
         let mut entries = entries();
         let ended = end(self.file.take().expect("there until it is renamed"));
@@ -74,10 +74,11 @@ impl Drop for Temporary {
 /// Removes the temporary files of all outputs that this process has not finished, and calls `then`
 /// with the names of the outputs.
 ///
-/// For a program that is about to end because it was told to, such as by Ctrl-C: this crate
-/// installs no signal handlers. It may be called from any thread, also while others write. While
-/// `then` runs no output is begun and none gets its name, so that a program which ends there leaves
-/// each output as it was or whole. Writers that go on afterwards fail when they finish.
+/// This crate installs no signal handlers. A program that is about to end, for example because of
+/// Ctrl-C, calls this function from any thread, also while other threads write. While `then` runs,
+/// no output is started and none gets its final name. So a program that ends inside `then` leaves
+/// each output either as it was or complete. A writer that goes on afterwards fails when it
+/// finishes.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -95,7 +96,7 @@ pub fn remove_unfinished<R>(then: impl FnOnce(&[PathBuf]) -> R) -> R {
     let mut entries = entries();
     let mut outputs = Vec::new();
     for (temporary, output) in entries.drain(..) {
-        // Nothing can be done about one that stays; the next run that writes the same output tries
+        // A file that cannot be removed stays. The next run that writes the same output tries
         // again.
         let _ = fs::remove_file(temporary);
         outputs.extend(output);
@@ -104,13 +105,13 @@ pub fn remove_unfinished<R>(then: impl FnOnce(&[PathBuf]) -> R) -> R {
 }
 
 const MARK: &str = ".psfield-";
-/// Characters that [`tempfile`] puts between prefix and suffix.
+/// Number of characters that [`tempfile`] puts between prefix and suffix.
 const RANDOM: usize = 6;
-/// A longer name is not repeated in the temporary one: some file systems take no more than 143
-/// bytes.
+/// The temporary name does not repeat a longer name, because some file systems allow no more than
+/// 143 bytes.
 const LONGEST_REPEATED: usize = 100;
 
-/// The directory of a file; the current one for a bare name.
+/// The directory of a file, or the current one for a bare name.
 pub(crate) fn directory_of(path: &Path) -> &Path {
     match path.parent() {
         Some(directory) if !directory.as_os_str().is_empty() => directory,
@@ -118,22 +119,21 @@ pub(crate) fn directory_of(path: &Path) -> &Path {
     }
 }
 
-/// Creates the temporary file of an output, empty.
+/// Creates the temporary file of an output, which is empty.
 pub(crate) fn create(target: &Path) -> std::io::Result<TempPath> {
     let file = tempfile::Builder::new()
         .prefix(&format!("{MARK}{}-", std::process::id()))
         .rand_bytes(RANDOM)
         .suffix(&suffix(target))
-        // Not `tempfile_in`: its files can be read by their owner alone, and stay so after the
-        // renaming.
+        // `tempfile_in` would create a file that only its owner can read, also after the renaming.
         .make_in(directory_of(target), |at| {
             File::options().write(true).create_new(true).open(at)
         })?;
     Ok(file.into_temp_path())
 }
 
-/// The end of the name of an output's temporary file: the output's own name, or another one with
-/// its extension.
+/// The end of the name of an output's temporary file: the name of the output, or a placeholder with
+/// its extension if that name is too long.
 fn suffix(target: &Path) -> OsString {
     let name = target.file_name().unwrap_or_default();
     let mut suffix = OsString::from("-");
@@ -146,11 +146,11 @@ fn suffix(target: &Path) -> OsString {
     suffix
 }
 
-/// Locks a new temporary file for as long as the handle is open. Where the file system knows no
-/// locks, its file just stays when the process is killed.
+/// Locks a new temporary file for as long as the handle is open. On a file system without locks,
+/// the temporary file of a killed process stays.
 pub(crate) fn claim(temporary: &Path) -> Option<File> {
-    // Elsewhere than on Unix a lock would keep CFITSIO, which opens the file a second time, from
-    // writing.
+    // On systems other than Unix a lock would keep CFITSIO, which opens the file a second time,
+    // from writing.
     if cfg!(unix) {
         let file = File::open(temporary).ok()?;
         file.try_lock_shared().ok()?;
@@ -160,11 +160,11 @@ pub(crate) fn claim(temporary: &Path) -> Option<File> {
     }
 }
 
-/// Removes the temporary files that killed processes have left of `target`. One that cannot be
+/// Removes the temporary files that killed processes have left for `target`. A file that cannot be
 /// removed does no harm.
 pub(crate) fn remove_left(target: &Path) {
-    /// The temporary files that stood in a folder when this process first wrote there: a folder may
-    /// hold ten thousands of files, too many to look at for every one that is written.
+    /// The temporary files found in each folder when this process first wrote there. A folder may
+    /// hold tens of thousands of files, too many to list again for every output.
     static SEEN: Mutex<Option<HashMap<PathBuf, Vec<OsString>>>> = Mutex::new(None);
 
     if !cfg!(unix) {
@@ -199,7 +199,7 @@ fn temporaries_in(directory: &Path) -> Vec<OsString> {
         .collect()
 }
 
-/// Whether a name is `.psfield-PROCESS-RANDOM` and this suffix.
+/// Returns whether a name is `.psfield-PROCESS-RANDOM` followed by this suffix.
 fn is_of(name: &OsStr, suffix: &OsStr) -> bool {
     let rest = name.as_encoded_bytes().strip_prefix(MARK.as_bytes());
     let Some(middle) = rest.and_then(|rest| rest.strip_suffix(suffix.as_encoded_bytes())) else {
@@ -215,8 +215,8 @@ fn remove_if_abandoned(temporary: &Path) {
     if !is_file {
         return;
     }
-    // Network file systems want a file open for writing for a lock that excludes others, and for
-    // reading for one that does not.
+    // Network file systems require a file open for writing for an exclusive lock, and a file open
+    // for reading for a shared one.
     let opened = File::options().read(true).write(true).open(temporary);
     if opened.is_ok_and(|file| file.try_lock().is_ok()) {
         let _ = fs::remove_file(temporary);
