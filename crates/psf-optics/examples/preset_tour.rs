@@ -1,4 +1,5 @@
-//! Draws the presets over the field: time, flux, size, and how much neighbouring PSFs differ.
+//! Draws the presets over the field and prints time, flux, size and the difference between
+//! neighbouring PSFs.
 //!
 //! `cargo run --release -p psf-optics --example preset_tour`
 
@@ -26,7 +27,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             telescope.draw(at(f64::from(i) / f64::from(draws), 0.3)?)?;
         }
         println!(
-            "{name}: {:.1} ms a PSF on one core",
+            "{name}: {:.1} ms per PSF on one core",
             start.elapsed().as_secs_f64() * 1e3 / f64::from(draws)
         );
         let (mut sum, mut count, mut largest) = (0.0, 0.0, 0f64);
@@ -53,7 +54,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                     (sum, count, largest) = (sum + d * d, count + 1.0, largest.max(d));
                 }
                 let peak = stamp.values().iter().copied().fold(0.0, f64::max);
-                // The FWHM of the round Gaussian of the same peak, a rough size.
+                // The FWHM of the round Gaussian with the same flux and peak, as a rough size.
                 let fwhm = (4.0 * std::f64::consts::LN_2 / std::f64::consts::PI * stamp.flux() / peak).sqrt();
                 print!(
                     "  {:.4} {fwhm:.2}px {:.1}% {:.1}% |",

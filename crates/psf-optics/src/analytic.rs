@@ -10,10 +10,13 @@ use crate::{FieldCoordinates, FieldPolynomial, OpticsError};
 
 /// Size and shape of a profile over the field.
 ///
-/// The isophotes are ellipses of axes `a >= b` at the angle `phi` from the x axis towards the y axis, with
+/// The isophotes are ellipses of axes `a >= b` at the angle `phi` from the x axis towards the y
+/// axis, with
 ///
-/// * `fwhm_px`: the geometric mean of the full widths at half maximum along both axes, in frame pixels;
-/// * `e1`, `e2`: the **distortion** `(a^2 - b^2) / (a^2 + b^2) (cos 2 phi, sin 2 phi)` (not the reduced shear).
+/// * `fwhm_px`: the geometric mean of the full widths at half maximum along both axes, in frame
+///   pixels.
+/// * `e1`, `e2`: the **distortion** `(a^2 - b^2) / (a^2 + b^2) (cos 2 phi, sin 2 phi)` (not the
+///   reduced shear).
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ProfileShape {
     /// Geometric-mean FWHM in frame pixels.
@@ -25,7 +28,7 @@ pub struct ProfileShape {
 }
 
 impl ProfileShape {
-    /// Round, of the same size everywhere.
+    /// A round shape with the same size everywhere.
     ///
     /// # Errors
     /// [`OpticsError::Setting`] when the size is not finite.
@@ -54,7 +57,8 @@ struct ProfileField {
     integrated: bool,
 }
 
-/// The isophotes at one position: `r^2 = xx dx^2 + 2 xy dx dy + yy dy^2` in units of the FWHM's radius, 1 at half maximum.
+/// The isophotes at one position: `r^2 = xx dx^2 + 2 xy dx dy + yy dy^2` in units of half the FWHM,
+/// so that `r = 1` at half maximum.
 struct Ellipse {
     xx: f64,
     xy: f64,
@@ -70,7 +74,8 @@ impl ProfileField {
             shape,
             integrated: false,
         };
-        // Most mistakes show at the corners; what goes wrong between them is refused when it is drawn.
+        // Most mistakes show at the corners. Mistakes between them are refused when the stamp is
+        // drawn.
         let (right, top) = (field.nx() as i64 - 1, field.ny() as i64 - 1);
         for (x, y) in [(0, 0), (right, 0), (0, top), (right, top), (right / 2, top / 2)] {
             this.ellipse(Position::of_pixel(x, y))?;
@@ -106,7 +111,7 @@ impl ProfileField {
         })
     }
 
-    /// Draws `density(r^2, fwhm_px)`, flux per square frame pixel, `r` in units of half the FWHM.
+    /// Draws `density(r^2, fwhm_px)`: flux per square frame pixel, `r` in units of half the FWHM.
     fn draw(
         &self,
         position: Position,
@@ -133,7 +138,7 @@ impl ProfileField {
     }
 }
 
-/// The integral over `-1/2 <= a, b <= 1/2`.
+/// The integral of `f` over `-1/2 <= a, b <= 1/2`.
 fn over_pixel(f: impl Fn(f64, f64) -> f64) -> f64 {
     let nodes = || {
         GAUSS_LEGENDRE
@@ -145,7 +150,7 @@ fn over_pixel(f: impl Fn(f64, f64) -> f64) -> f64 {
         .sum()
 }
 
-/// Draws the profile by its `density`.
+/// Implements [`PsfSource`] from the `density` of the profile.
 macro_rules! profile_source {
     ($source:ident) => {
         impl PsfSource for $source {
@@ -178,17 +183,20 @@ macro_rules! profile_source {
     };
 }
 
-/// An elliptical Gaussian PSF of unit flux (over the plane) whose size and shape are polynomials of the field.
+/// An elliptical Gaussian PSF of unit flux over the infinite plane whose size and shape are
+/// polynomials of the field.
 ///
-/// The density is `4 ln 2 / (pi F^2) 2^(-r^2)` with `F` the geometric-mean FWHM and `r` the elliptical radius in units of
-/// half the FWHM. By default values are the density at the pixel centres times the area of a frame pixel: the profile is
-/// the effective PSF, pixel response and all, as far as the given grid says so. See
+/// The density is `4 ln 2 / (pi F^2) 2^(-r^2)` with `F` the geometric-mean FWHM and `r` the
+/// elliptical radius in units of half the FWHM. By default values are the density at the pixel
+/// centres times the area of a frame pixel. The profile then is the effective PSF: it includes the
+/// pixel response if the given grid says so. To integrate over pixels, see
 /// [`with_pixel_integration`](Self::with_pixel_integration).
 ///
 /// ```
 /// use psf_optics::{GaussianField, ProfileShape};
 /// use psf_types::{FrameShape, Position, PsfSource, StampGrid};
-/// let source = GaussianField::new(FrameShape::new(100, 100)?, StampGrid::new(32, 32)?, ProfileShape::round(3.0)?)?;
+/// let (frame, grid) = (FrameShape::new(100, 100)?, StampGrid::new(32, 32)?);
+/// let source = GaussianField::new(frame, grid, ProfileShape::round(3.0)?)?;
 /// assert!((source.draw(Position::new(50.0, 20.0)?)?.flux() - 1.0).abs() < 1e-6);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -201,16 +209,16 @@ impl GaussianField {
     /// A Gaussian of the given shape over `field`, drawn on `grid`.
     ///
     /// # Errors
-    /// [`OpticsError::ProfileSize`] or [`OpticsError::ProfileShape`] when the shape is impossible at a corner or at the
-    /// centre of the field. Elsewhere drawing says so.
+    /// [`OpticsError::ProfileSize`] or [`OpticsError::ProfileShape`] when the shape is impossible
+    /// at a corner or at the centre of the field. At other positions drawing returns the error.
     pub fn new(field: FrameShape, grid: StampGrid, shape: ProfileShape) -> Result<Self, OpticsError> {
         Ok(Self {
             profile: ProfileField::new(field, grid, shape)?,
         })
     }
 
-    /// The same profile integrated over each frame pixel by an 8 x 8 Gauss-Legendre rule (for a FWHM of 1 pixel and above
-    /// within 1e-8 of the peak); 64 times the work.
+    /// Integrates the profile over each frame pixel by an 8 x 8 Gauss-Legendre rule, which takes
+    /// 64 times as long. The error is below 1e-8 of the peak for a FWHM of at least 1 pixel.
     #[must_use]
     pub fn with_pixel_integration(self) -> Self {
         Self {
@@ -226,13 +234,13 @@ impl GaussianField {
 
 profile_source!(GaussianField);
 
-/// An elliptical Moffat PSF (Moffat 1969, A&A 3, 455) of unit flux over the plane whose size and shape are polynomials of
-/// the field.
+/// An elliptical Moffat PSF (Moffat 1969, A&A 3, 455) of unit flux over the infinite plane whose
+/// size and shape are polynomials of the field.
 ///
-/// The density is `(beta - 1) / (pi alpha^2) (1 + q r^2)^(-beta)` with `q = 2^(1/beta) - 1`, `r` the elliptical radius in
-/// units of half the FWHM `F` (geometric mean of both axes) and `alpha = F / (2 sqrt(q))`. A stamp misses the wings:
-/// `(1 + (R / alpha)^2)^(1 - beta)` of the flux falls outside the radius `R`. Values are sampled as those of
-/// [`GaussianField`].
+/// The density is `(beta - 1) / (pi alpha^2) (1 + q r^2)^(-beta)` with `q = 2^(1/beta) - 1`, `r`
+/// the elliptical radius in units of half the FWHM `F` (geometric mean of both axes) and `alpha = F
+/// / (2 sqrt(q))`. A stamp does not contain the far wings: `(1 + (R / alpha)^2)^(1 - beta)` of the
+/// flux falls outside the radius `R`. Values are sampled as in [`GaussianField`].
 ///
 /// ```
 /// use psf_optics::{MoffatField, ProfileShape};
@@ -250,11 +258,13 @@ pub struct MoffatField {
 }
 
 impl MoffatField {
-    /// A Moffat profile of exponent `beta` (above 1, or its flux would be infinite) over `field`, drawn on `grid`.
+    /// A Moffat profile over `field`, drawn on `grid`. The exponent `beta` must be above 1, because
+    /// otherwise the flux is infinite.
     ///
     /// # Errors
-    /// [`OpticsError::Setting`] for `beta`; [`OpticsError::ProfileSize`] or [`OpticsError::ProfileShape`] when the shape is
-    /// impossible at a corner or at the centre of the field. Elsewhere drawing says so.
+    /// [`OpticsError::Setting`] for `beta`. [`OpticsError::ProfileSize`] or
+    /// [`OpticsError::ProfileShape`] when the shape is impossible at a corner or at the centre of
+    /// the field. At other positions drawing returns the error.
     pub fn new(
         field: FrameShape,
         grid: StampGrid,
@@ -267,7 +277,8 @@ impl MoffatField {
         })
     }
 
-    /// The same profile integrated over each frame pixel by an 8 x 8 Gauss-Legendre rule; 64 times the work.
+    /// Integrates the profile over each frame pixel by an 8 x 8 Gauss-Legendre rule, which takes 64
+    /// times as long.
     #[must_use]
     pub fn with_pixel_integration(self) -> Self {
         Self {

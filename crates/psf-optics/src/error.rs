@@ -1,13 +1,14 @@
-//! Why a PSF source cannot be made or drawn.
+//! Errors of making or drawing a PSF source.
 
 use std::path::PathBuf;
 
 use psf_types::{DataError, Position};
 use thiserror::Error;
 
-/// What is wrong with the description of a PSF source, or with the source at a position.
+/// An error in the description of a PSF source, or of the source at a position.
 ///
-/// Keys are written as in the TOML file, `aperture.diameter_m`; list entries are counted from 0.
+/// Keys are written as in the TOML file, for example `aperture.diameter_m`. List entries are
+/// counted from 0.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum OpticsError {
@@ -16,16 +17,16 @@ pub enum OpticsError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         #[source]
         source: std::io::Error,
     },
-    /// The file was read, its content is no telescope.
+    /// The file was read, but its content does not describe a telescope.
     #[error("the telescope file {} is not usable", path.display())]
     InFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The error in it.
         #[source]
         source: Box<OpticsError>,
     },
@@ -37,42 +38,41 @@ pub enum OpticsError {
     Setting {
         /// The key.
         key: String,
-        /// What is allowed, in words.
+        /// The values that are allowed.
         allowed: &'static str,
-        /// What was given.
+        /// The value that was given.
         got: String,
     },
-    /// A description that cannot be used, in words: none or several of keys of which exactly one is
-    /// needed, something listed twice that may be listed once, a computation that would need more
-    /// memory than is sensible, or a wavefront that sends light further out than the computed part
-    /// of the focal plane.
+    /// A description that cannot be used. Examples: exactly one of several keys is needed but none
+    /// or several are given, an entry is repeated, a computation needs too much memory, or a
+    /// wavefront sends light beyond the computed part of the focal plane.
     #[error("{0}")]
     Unusable(String),
-    /// A profile without a size.
+    /// The size of a profile is not finite or not above 0.
     #[error("the profile's FWHM at {position} is {fwhm_px} pixels: it must be finite and above 0")]
     ProfileSize {
-        /// The field position.
+        /// The position in the field.
         position: Position,
         /// The polynomial's value there.
         fwhm_px: f64,
     },
-    /// A profile whose ellipticity is that of no ellipse.
+    /// The distortion of a profile is too large for an ellipse.
     #[error("the profile's distortion at {position} is e1 = {e1}, e2 = {e2}: e1^2 + e2^2 must be below 1")]
     ProfileShape {
-        /// The field position.
+        /// The position in the field.
         position: Position,
         /// The first component there.
         e1: f64,
         /// The second component there.
         e2: f64,
     },
-    /// A frame or a stamp grid that cannot be.
+    /// A frame or a stamp grid that is not possible.
     #[error(transparent)]
     Data(#[from] DataError),
 }
 
 impl OpticsError {
-    /// The error for something that may be listed once; `key` is the later of the two.
+    /// Returns the error for a repeated entry. `key` is the later of the two.
     pub(crate) fn repeated(key: &str, what: &str) -> Self {
         Self::Unusable(format!("{key} repeats {what}: merge the two"))
     }
@@ -90,7 +90,7 @@ impl OpticsError {
     }
 }
 
-/// `value` if it is finite and `holds`, else an error that names `key`.
+/// Returns `value` if it is finite and `holds` is true, else an error that names `key`.
 pub(crate) fn require(key: &str, allowed: &'static str, value: f64, holds: bool) -> Result<f64, OpticsError> {
     if value.is_finite() && holds {
         Ok(value)

@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 use crate::OpticsError;
 use crate::error::require;
 
-/// Normalised field coordinates: -1 at the centre of the first pixel of an axis, 1 at the centre of the last.
+/// Normalised field coordinates: -1 at the centre of the first pixel of an axis, 1 at the centre of
+/// the last.
 ///
-/// `u = (x - (nx - 1) / 2) / ((nx - 1) / 2)` and likewise `v` for y and `ny`; 0 along an axis of one pixel. Beyond the
-/// outermost pixel centres they go on linearly.
+/// `u = (x - (nx - 1) / 2) / ((nx - 1) / 2)` and likewise `v` for y and `ny`. Along an axis of one
+/// pixel the coordinate is 0. Beyond the outermost pixel centres the formula continues linearly.
 ///
 /// ```
 /// use psf_optics::FieldCoordinates;
@@ -62,7 +63,7 @@ pub struct FieldTerm {
     /// The power of `v`, 0 when absent.
     #[serde(default)]
     pub y: u32,
-    /// The coefficient, in the unit of what the polynomial describes.
+    /// The coefficient, in the unit of the quantity that the polynomial describes.
     pub value: f64,
 }
 
@@ -87,19 +88,19 @@ pub struct FieldPolynomial {
 }
 
 impl FieldPolynomial {
-    /// The highest power of `u` or `v`; no optics needs more, a typing error does.
+    /// The highest power of `u` or `v`. A higher one is most likely a typing error.
     pub const MAX_POWER: u32 = 20;
 
-    /// A polynomial from its terms; none at all is 0 everywhere.
+    /// A polynomial from its terms. Without terms it is 0 everywhere.
     ///
     /// # Errors
-    /// [`OpticsError::Setting`] for a value that is not finite or a power above [`Self::MAX_POWER`],
-    /// [`OpticsError::Unusable`] for two terms of the same powers.
+    /// [`OpticsError::Setting`] for a value that is not finite or a power above
+    /// [`Self::MAX_POWER`], [`OpticsError::Unusable`] for two terms of the same powers.
     pub fn new(terms: Vec<FieldTerm>) -> Result<Self, OpticsError> {
         Self::named("", terms)
     }
 
-    /// Like [`new`](Self::new); errors name the keys below `key`.
+    /// Like [`new`](Self::new), but errors name the keys below `key`.
     pub(crate) fn named(key: &str, terms: Vec<FieldTerm>) -> Result<Self, OpticsError> {
         for (i, term) in terms.iter().enumerate() {
             let name = |last: &str| format!("{key}{}terms[{i}]{last}", if key.is_empty() { "" } else { "." });
@@ -117,7 +118,7 @@ impl FieldPolynomial {
         Ok(Self { terms })
     }
 
-    /// The same value everywhere.
+    /// A polynomial with the same value everywhere.
     ///
     /// # Errors
     /// [`OpticsError::Setting`] when it is not finite.

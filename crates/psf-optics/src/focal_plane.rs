@@ -1,4 +1,5 @@
-//! From the pupil to the stamp: two transforms to the optical transfer function, one back.
+//! From the pupil to the stamp: two transforms give the optical transfer function, a third one the
+//! stamp.
 
 use std::sync::{Arc, Mutex};
 
@@ -9,32 +10,35 @@ use rustfft::{Fft, FftPlanner};
 use crate::pupil::PupilCells;
 use crate::wavefront::{PupilPolynomial, PupilRowPolynomial, PupilRowValues};
 
-/// Columns that pass through a transform together: 16 complex numbers are four cache lines.
+/// Columns that are transformed together: 16 complex numbers are four cache lines.
 const BLOCK: usize = 16;
 
-/// Everything about the transforms of one telescope that does not depend on the field position.
+/// The data for the transforms of one telescope that do not depend on the field position.
 ///
-/// A pupil cell is `lambda / (M step)` wide, `step` the stamp's pixel size and `M` the period of the computed focal plane
-/// in stamp pixels. Lag `k` of the pupil's autocorrelation then is the spatial frequency `k / M` cycles per stamp pixel,
-/// and the transform back lands on the stamp's pixels exactly, whatever the ratio of pixel size to lambda / D.
+/// A pupil cell is `lambda / (M step)` wide. Here `step` is the stamp's pixel size and `M` the
+/// period of the computed focal plane in stamp pixels. Lag `k` of the pupil's autocorrelation then
+/// is the spatial frequency `k / M` cycles per stamp pixel, and the inverse transform gives values
+/// exactly at the stamp's pixels, for any ratio of pixel size to lambda / D.
 pub(crate) struct FocalPlane {
     pupil: PupilCells,
     /// Length of the transforms that hold the autocorrelation without overlap.
     length: usize,
-    /// Highest lag that matters.
+    /// Highest lag that contributes.
     lags: usize,
     /// Width of the computed focal plane in stamp pixels.
     pub(crate) period: usize,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
-    /// `1 / sinc^2(m / length)` along an axis: undoes the averaging of the amplitude over a pupil cell.
+    /// `1 / sinc^2(m / length)` along an axis: undoes the averaging of the amplitude over a pupil
+    /// cell.
     cell_correction: Vec<f64>,
     /// Transfer function of the seeing at lags `[ky][kx]`, both 0 to `lags`.
     seeing: Option<Vec<f64>>,
     scratch: Mutex<Vec<FocalScratch>>,
 }
 
-/// Transfer functions along one axis, lags 0 to `lags`, for one position of the source on the stamp.
+/// Transfer functions along one axis, lags 0 to `lags`, for one position of the source on the
+/// stamp.
 pub(crate) struct AxisTransfer(pub(crate) Vec<Complex64>);
 
 impl std::fmt::Debug for FocalPlane {
@@ -76,9 +80,11 @@ impl FocalPlane {
         }
     }
 
-    /// Draws the stamp of a pupil phase; `gain` turns the unit-flux density on the period into stamp values.
+    /// Draws the stamp of a pupil phase. `gain` turns the unit-flux density on the period into
+    /// stamp values.
     ///
-    /// Returns the steepest phase gradient in radians per cell; the stamp is not drawn when it exceeds pi.
+    /// Returns the steepest phase gradient in radians per cell. If it exceeds pi, the stamp is not
+    /// drawn.
     pub(crate) fn draw(
         &self,
         phase: &PupilPolynomial,
@@ -120,14 +126,16 @@ impl FocalPlane {
         }
     }
 
-    /// Pupil rows to focal-plane columns; the rows beyond the pupil are zero and not transformed.
+    /// Transforms pupil rows to focal-plane columns. Rows beyond the pupil are zero and are not
+    /// transformed.
     fn transform_rows(&self, s: &mut FocalScratch) {
         for row in s.amplitude.chunks_exact_mut(self.length) {
             self.forward.process_with_scratch(row, &mut s.fft);
         }
     }
 
-    /// Along each column: amplitude to intensity and on to lags, two real columns in one complex transform.
+    /// Transforms each column from amplitude to intensity and then to lags, two real columns in one
+    /// complex transform.
     fn correlate_columns(&self, s: &mut FocalScratch) {
         let (n, side) = (self.length, self.pupil.side);
         for first in (0..n).step_by(BLOCK) {
@@ -157,7 +165,8 @@ impl FocalPlane {
         }
     }
 
-    /// Along each row of lags to the transfer function, times the others, folded onto the period.
+    /// Transforms each row of lags to the transfer function, multiplies it by the other transfer
+    /// functions and folds it onto the period.
     fn fold(&self, s: &mut FocalScratch, x: &AxisTransfer, y: &AxisTransfer) {
         let (n, m, top) = (self.length, self.period, self.lags);
         s.folded.fill(Complex64::ZERO);
@@ -165,7 +174,7 @@ impl FocalPlane {
             let row = &mut s.lags[ky * n..(ky + 1) * n];
             self.forward.process_with_scratch(row, &mut s.fft);
             let target = &mut s.folded[ky % m * m..(ky % m + 1) * m];
-            // Rows -ky hold the conjugate: twice the real part in the end.
+            // Rows -ky hold the conjugate, so the result has twice the real part.
             let weight = y.0[ky] * if ky == 0 { 1.0 } else { 2.0 };
             let reach = ((top * top - ky * ky) as f64).sqrt() as usize;
             let seeing = |kx: usize| self.seeing.as_ref().map_or(1.0, |t| t[ky * (top + 1) + kx]);
@@ -196,12 +205,12 @@ impl FocalPlane {
     }
 }
 
-/// Buffers that a drawing overwrites entirely: what they held before never matters.
+/// Buffers that each drawing overwrites entirely, so that old content does not matter.
 #[derive(Debug)]
 struct FocalScratch {
     /// Pupil rows `[row][length]`, then their transforms.
     amplitude: Vec<Complex64>,
-    /// Some columns, `[column][length]`.
+    /// A block of columns, `[column][length]`.
     block: Vec<Complex64>,
     /// `[lag in y][length]`.
     lags: Vec<Complex64>,
@@ -215,8 +224,9 @@ struct FocalScratch {
 }
 
 impl FocalScratch {
-    /// Writes the amplitude of every cell: the mean over the cell of `exp(i phase)` where it is lit, the phase taken as
-    /// linear within the cell. Returns the steepest gradient along an axis in radians per cell.
+    /// Writes the amplitude of every cell: the mean of `exp(i phase)` over its lit part, with a
+    /// phase that is linear within the cell. Returns the steepest gradient along an axis in radians
+    /// per cell.
     fn fill_amplitude(&mut self, pupil: &PupilCells, phase: &PupilPolynomial, length: usize) -> f64 {
         if !phase.is_finite() {
             return f64::INFINITY;
@@ -253,7 +263,8 @@ impl FocalScratch {
     }
 }
 
-/// The mean of `exp(i g t)` over `-1/2 <= t <= 1/2`, `sin(g/2) / (g/2)`, by its series: 2e-6 off at most for `|g| <= pi`.
+/// The mean of `exp(i g t)` over `-1/2 <= t <= 1/2`, `sin(g/2) / (g/2)`, by its series. The error
+/// is at most 2e-6 for `|g| <= pi`.
 fn mean_over_cell(g: f64) -> f64 {
     let z2 = g * g / 4.0;
     1.0 - z2 / 6.0 * (1.0 - z2 / 20.0 * (1.0 - z2 / 42.0 * (1.0 - z2 / 72.0)))

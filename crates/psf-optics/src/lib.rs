@@ -1,49 +1,61 @@
-//! PSF sources: physical optics (pupil, Zernike wavefront over the field, seeing) and analytic profiles.
+//! Sources of PSFs: physical optics (pupil, Zernike wavefront over the field, seeing) and analytic
+//! profiles.
 //!
-//! Every source implements [`psf_types::PsfSource`]: it draws a stamp at any position of its field.
+//! Every source implements [`psf_types::PsfSource`], which draws a stamp at any position of its
+//! field.
 //!
-//! * [`Telescope`]: a PSF from the pupil and the wavefront, described by a TOML file ([`TelescopeParams`]) or by code;
-//!   presets [`Telescope::survey_2m`] and [`Telescope::wide_field_lens`].
-//! * [`GaussianField`], [`MoffatField`]: analytic profiles whose size and shape are [`FieldPolynomial`]s.
+//! * [`Telescope`]: a PSF computed from the pupil and the wavefront. A TOML file
+//!   ([`TelescopeParams`]) or code describes it. Presets: [`Telescope::survey_2m`] and
+//!   [`Telescope::wide_field_lens`].
+//! * [`GaussianField`], [`MoffatField`]: analytic profiles whose size and shape are
+//!   [`FieldPolynomial`]s.
 //!
 //! # The optical PSF
 //!
-//! With the pupil transmission `P` (0 or 1), the wavefront error `W(u; x)` at the field position `x`, and `f` the spatial
-//! frequency in cycles per radian, the optical transfer function is the pupil's autocorrelation times the transfer
-//! functions of what blurs behind and before it (Goodman, *Introduction to Fourier Optics*, ch. 6):
+//! The pupil transmission is `P` (0 or 1), `W(u; x)` the wavefront error at the field position `x`,
+//! and `f` the spatial frequency in cycles per radian. The optical transfer function is the
+//! autocorrelation of the pupil times the transfer functions of the blurs by seeing, pixel and
+//! detector (Goodman, *Introduction to Fourier Optics*, ch. 6):
 //!
 //! ```text
 //! A(u) = P(u) exp(2 pi i W(u; x) / lambda),    W(u; x) = sum_j c_j(x) Z_j(2 u / D)
-//! OTF(f) = 1 / area * integral A(u + lambda f) A*(u) du  *  seeing(lambda f)  *  sinc(p f_x) sinc(p f_y)  *  exp(-2 pi^2 sigma^2 f^2)
+//! OTF(f) = 1 / area * integral A(u + lambda f) A*(u) du
+//!          * seeing(lambda f) * sinc(p f_x) sinc(p f_y) * exp(-2 pi^2 sigma^2 f^2)
 //! h(theta) = p^2 integral OTF(f) exp(2 pi i f (theta - shift)) df
 //! ```
 //!
-//! with the pixel scale `p`. A positive tilt `c_2` moves the PSF to +x, `c_3` to +y: the axes of pupil, image and field are
-//! the same. `Z_j` are Noll's polynomials ([`Zernike`]), `c_j(x)` polynomials of the field.
+//! Here `p` is the pixel scale, `sigma` the detector's Gaussian blur, `Z_j` are Noll's polynomials
+//! ([`Zernike`]) and `c_j(x)` polynomials of the field position. A positive tilt `c_2` moves the
+//! PSF to +x, `c_3` to +y: pupil, image and field share the same axes.
 //!
 //! # Sampling
 //!
-//! The pupil is cut into cells of `lambda / (M step)`, where `step` is the stamp's pixel size and `M` the width of the
-//! computed focal plane in stamp pixels. The lags of its discrete autocorrelation then are the frequencies of a transform of
-//! `M` points with exactly the stamp's step, whatever the ratio of pixel to lambda / D; under-sampled stamps are right
-//! because the whole OTF is folded, not cut. Shifts are phases, so a shift or an oversampling costs no interpolation: every
-//! `s`-th pixel of a stamp oversampled `s` times is the native stamp to rounding. Cells that an edge crosses are grey, and
-//! each cell holds the *mean* of the amplitude over it (phase linear within the cell), whose effect on the focal plane,
-//! `sinc^2`, is divided out.
+//! The pupil is cut into cells of `lambda / (M step)`, where `step` is the stamp's pixel size and
+//! `M` the width of the computed focal plane in stamp pixels. The lags of its discrete
+//! autocorrelation then are the frequencies of a transform of `M` points with exactly the stamp's
+//! step, for any ratio of pixel size to lambda / D. Under-sampled stamps are correct because the
+//! whole OTF is folded and nothing is cut off.
+//!
+//! Shifts are phases, so a shift or an oversampling needs no interpolation: every `s`-th pixel of a
+//! stamp oversampled `s` times equals the native stamp to rounding. Cells that an edge crosses are
+//! grey. Each cell holds the *mean* of the amplitude over it (with a phase linear within the cell).
+//! Its effect on the focal plane, `sinc^2`, is divided out.
 //!
 //! # Normalisation and accuracy
 //!
-//! A stamp value is the fraction of the source's light that falls in a frame pixel centred there (with
-//! `detector.pixel_integration = false`: the density at the centre times a pixel's area), also when oversampled. The flux
-//! over the infinite plane is 1, so **a stamp's flux is the fraction that falls on it and is below 1**: at `r` times lambda / D
-//! from the centre a perfect aperture has `2 / (pi^2 r)` of its light still outside.
+//! A stamp value is the fraction of the source's light that falls in a frame pixel centred there,
+//! also when the stamp is oversampled. With `detector.pixel_integration = false` it is the density
+//! at the centre times the area of a pixel. The flux over the infinite plane is 1, so **the flux of
+//! a stamp is the fraction that falls on it and is below 1**: at `r` times lambda / D from the
+//! centre, `2 / (pi^2 r)` of the light of a perfect aperture is still outside.
 //!
-//! What is approximate: the focal plane is computed on a period of `padding` times the stamp and at least 64 lambda / D.
-//! Light beyond it comes back in. At the default padding of 2 this is up to 5e-5 in the flux and 2e-5 of the peak in the
-//! values (5e-5 for a ring of obscuration 0.6), measured on stamps of 30 lambda / D against the Airy formula; doubling the
-//! padding divides the flux error by more than 2 and takes four times as long. A wavefront so steep that it sends light
-//! beyond the period is refused ([`OpticsError::Unusable`]). The PSF is monochromatic, and the Fraunhofer (scalar,
-//! small angle) approximation holds.
+//! Approximation: the focal plane is computed on a period of `padding` times the stamp and at least
+//! 64 lambda / D. Light beyond the period reappears on the opposite side. At the default padding of
+//! 2 the error is up to 5e-5 in the flux and 2e-5 of the peak in the values (5e-5 for a ring of
+//! obscuration 0.6), measured on stamps of 30 lambda / D against the Airy formula. Doubling the
+//! padding divides the flux error by more than 2 and takes four times as long. A wavefront so steep
+//! that it sends light beyond the period is refused ([`OpticsError::Unusable`]). The PSF is
+//! monochromatic, in the Fraunhofer approximation (scalar, small angles).
 
 mod analytic;
 mod error;
@@ -65,7 +77,7 @@ pub use params::{
 pub use telescope::{SURVEY_2M_TOML, Telescope, WIDE_FIELD_LENS_TOML};
 pub use wavefront::Zernike;
 
-/// Radians in an angle of so many arcseconds.
+/// Converts an angle from arcseconds to radians.
 pub(crate) fn arcsec_to_rad(arcsec: f64) -> f64 {
     (arcsec / 3600.0).to_radians()
 }

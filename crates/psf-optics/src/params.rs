@@ -1,13 +1,13 @@
-//! The description of a telescope as it stands in a TOML file: unchecked.
+//! The parameters of a telescope as they stand in a TOML file, not yet checked.
 
 use serde::{Deserialize, Serialize};
 
 use crate::FieldTerm;
 
-/// Everything that describes a telescope, with the keys of the TOML file. Nothing is checked here: [`Telescope::new`]
-/// does it, in one place, for files and for code alike.
+/// The full description of a telescope, with the keys of the TOML file. Nothing is checked here:
+/// [`Telescope::new`] checks descriptions from files and from code.
 ///
-/// Unknown keys are errors. Keys without a default are needed.
+/// Unknown keys are errors. Keys without a default are required.
 ///
 /// | key | unit, range | default |
 /// |---|---|---|
@@ -24,16 +24,16 @@ use crate::FieldTerm;
 /// | `wavefront.unit` | `"nm"` or `"waves"` (of `wavelength_nm`) | `"nm"` |
 /// | `wavefront.modes` | list of [`ModeParams`] | empty |
 /// | `seeing` | [`SeeingParams`] | none |
-/// | `detector` | [`DetectorParams`] | pixel integration alone |
+/// | `detector` | [`DetectorParams`] | pixel integration only |
 ///
 /// [`Telescope::new`]: crate::Telescope::new
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct TelescopeParams {
-    /// A name for people.
+    /// A name for human readers.
     #[serde(default)]
     pub name: String,
-    /// The wavelength in nm; the PSF is monochromatic.
+    /// The wavelength in nm. The PSF is monochromatic.
     pub wavelength_nm: f64,
     /// Arcseconds per frame pixel.
     pub pixel_scale_arcsec: f64,
@@ -49,7 +49,7 @@ pub struct TelescopeParams {
     /// Long-exposure atmospheric seeing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seeing: Option<SeeingParams>,
-    /// What the detector adds.
+    /// Pixel integration and blur of the detector.
     #[serde(default)]
     pub detector: DetectorParams,
 }
@@ -75,8 +75,9 @@ pub struct StampParams {
     /// Stamp pixels per frame pixel.
     #[serde(default = "one")]
     pub oversampling: usize,
-    /// Width of the computed focal plane over the stamp's larger side. Light beyond it comes back in on the other side,
-    /// so this bounds the error of the far wings and of the flux (see the crate's page).
+    /// Width of the computed focal plane divided by the stamp's larger side. Light beyond it
+    /// reappears on the opposite side, so this bounds the error of the far wings and of the flux
+    /// (see the crate's page).
     #[serde(default = "two")]
     pub padding: f64,
 }
@@ -87,7 +88,7 @@ pub struct StampParams {
 pub struct ApertureParams {
     /// Diameter in m.
     pub diameter_m: f64,
-    /// Diameter of the central obscuration over the aperture's.
+    /// Diameter of the central obscuration divided by the diameter of the aperture.
     #[serde(default)]
     pub obscuration: f64,
     /// The vanes that hold the secondary mirror.
@@ -99,7 +100,7 @@ pub struct ApertureParams {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SpiderParams {
-    /// How many, 1 to 64.
+    /// Number of vanes, 1 to 64.
     pub vanes: usize,
     /// Width of each in m, above 0 and below the diameter.
     pub width_m: f64,
@@ -135,40 +136,43 @@ pub enum WavefrontUnit {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ModeParams {
-    /// Noll's index, 1 to 231 (piston, 1, is accepted and has no effect); each at most once.
+    /// Noll's index, 1 to 231, each at most once. Piston (1) is accepted and has no effect.
     pub noll: usize,
     /// The terms of the coefficient's [`FieldPolynomial`](crate::FieldPolynomial).
     pub terms: Vec<FieldTerm>,
 }
 
-/// Long-exposure seeing: exactly one of `r0_m` and `fwhm_arcsec`.
+/// Long-exposure seeing: give exactly one of `r0_m` and `fwhm_arcsec`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SeeingParams {
     /// Fried's parameter in m at `at_wavelength_nm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub r0_m: Option<f64>,
-    /// The Kolmogorov seeing in arcsec at `at_wavelength_nm`: `0.97586 lambda / r0`. (A finite outer scale makes the
-    /// actual FWHM smaller.)
+    /// The Kolmogorov seeing in arcsec at `at_wavelength_nm`: `0.97586 lambda / r0`. (A finite
+    /// outer scale makes the actual FWHM smaller.)
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fwhm_arcsec: Option<f64>,
-    /// The wavelength in nm to which `r0_m` or `fwhm_arcsec` belongs; r0 goes with its power 6/5.
+    /// The wavelength in nm at which `r0_m` or `fwhm_arcsec` is given. r0 is proportional to its
+    /// power 6/5.
     #[serde(default = "reference_wavelength")]
     pub at_wavelength_nm: f64,
-    /// The outer scale in m of von Karman turbulence; Kolmogorov turbulence when absent.
+    /// The outer scale in m of von Karman turbulence. If it is absent, the turbulence is
+    /// Kolmogorov.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outer_scale_m: Option<f64>,
 }
 
-/// The detector's own blur.
+/// Pixel integration and blur of the detector.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DetectorParams {
-    /// Whether values are integrated over a frame pixel (a top hat); otherwise they are the intensity at its centre
-    /// times its area.
+    /// If true, values are integrated over a frame pixel (a top hat). If false, they are the
+    /// intensity at the pixel's centre times its area.
     #[serde(default = "yes")]
     pub pixel_integration: bool,
-    /// Standard deviation along each axis, in frame pixels, of a Gaussian blur (charge diffusion, jitter).
+    /// Standard deviation along each axis, in frame pixels, of a Gaussian blur (charge diffusion,
+    /// jitter).
     #[serde(default)]
     pub blur_sigma_px: f64,
 }

@@ -64,7 +64,7 @@ impl Aperture {
         })
     }
 
-    /// Whether light passes at (`x`, `y`).
+    /// Returns whether light passes at (`x`, `y`).
     pub(crate) fn is_lit(&self, x: f64, y: f64) -> bool {
         let rho2 = x * x + y * y;
         let in_ring = rho2 <= 1.0 && rho2 >= self.obscuration * self.obscuration;
@@ -74,7 +74,7 @@ impl Aperture {
                 .any(|(along, across, half)| along >= 0.0 && across.abs() < half)
     }
 
-    /// Whether an edge may pass within `distance` of (`x`, `y`).
+    /// Returns whether an edge may pass within `distance` of (`x`, `y`).
     pub(crate) fn is_near_edge(&self, x: f64, y: f64, distance: f64) -> bool {
         let rho = x.hypot(y);
         (rho - 1.0).abs() <= distance
@@ -97,10 +97,10 @@ impl Aperture {
     }
 }
 
-/// The aperture cut into cells: whole ones and those that an edge crosses ("grey"), row by row.
+/// The aperture cut into cells, row by row: fully lit cells, and "grey" cells that an edge crosses.
 #[derive(Debug)]
 pub(crate) struct PupilCells {
-    /// Cells an axis of the grid.
+    /// Cells per axis of the grid.
     pub(crate) side: usize,
     /// Width of a cell in units of the aperture's radius.
     pub(crate) cell: f64,
@@ -120,22 +120,24 @@ pub(crate) struct PupilRow {
     grey: Range<usize>,
 }
 
-/// A cell that is not wholly lit.
+/// A cell that is not fully lit.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GreyCell {
     pub(crate) column: usize,
     /// The lit fraction of its area.
     pub(crate) coverage: f64,
-    /// From the cell's centre to the centroid of the lit part, in units of the aperture's radius.
+    /// Vector from the cell's centre to the centroid of the lit part, in units of the aperture's
+    /// radius.
     pub(crate) dx: f64,
     pub(crate) dy: f64,
 }
 
-/// Points an axis and quadrant of the lattice that measures a grey cell.
+/// Lattice points per quadrant used to measure a grey cell.
 const LATTICE: usize = 256;
 
 impl PupilCells {
-    /// Cuts an aperture whose diameter is `diameter` cells (any number, the grid is centred on it).
+    /// Cuts an aperture whose diameter is `diameter` cells. The diameter need not be whole. The
+    /// grid is centred on the aperture.
     pub(crate) fn new(aperture: &Aperture, diameter: f64) -> Self {
         let side = diameter.ceil() as usize + 2;
         let cell = 2.0 / diameter;
@@ -200,8 +202,8 @@ impl PupilCells {
     }
 }
 
-/// Offsets over a cell: a golden-ratio lattice in one quadrant's parametrisation and its mirror images, so that vertical,
-/// horizontal and slanted edges are all measured to better than 1/256 and symmetric apertures stay symmetric.
+/// Offsets over a cell: a golden-ratio lattice and its mirror images. Vertical, horizontal and
+/// slanted edges are all measured to better than 1/256, and symmetric apertures stay symmetric.
 fn lattice(cell: f64) -> Vec<(f64, f64)> {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     (0..LATTICE)
@@ -282,7 +284,7 @@ mod tests {
             width_m: 0.013,
             angle_deg: 0.0,
         });
-        // A strip from radius 0.2 to 0.5; the arcs at its ends cost less than 1e-4 of it.
+        // A strip from radius 0.2 to 0.5. The error from the arcs at its ends is below 1e-4 of it.
         let expected = PI / 4.0 * 0.84 - 0.3 * 0.013;
         assert!((area(&params, 145.37) / expected - 1.0).abs() < AREA);
     }

@@ -11,11 +11,12 @@ const GAMMA_5_6: f64 = 1.128_787_029_908_125_7;
 const GAMMA_11_6: f64 = 0.940_655_858_256_771_4;
 const GAMMA_1_6: f64 = 5.566_316_001_780_236;
 
-/// `exp(-D(b) / 2)` for a baseline `b` in metres, with the phase structure function `D` of
+/// `exp(-D(b) / 2)` for a baseline `b` in metres, where `D` is the phase structure function:
 ///
-/// * Kolmogorov: `D = 6.8839 (b / r0)^(5/3)`;
-/// * von Karman: `D = C (L0 / r0)^(5/3) [Gamma(5/6) / 2^(1/6) - z^(5/6) K_{5/6}(z)]`, `z = 2 pi b / L0`,
-///   `C = 2^(1/6) Gamma(11/6) / pi^(8/3) (24/5 Gamma(6/5))^(5/6)` (Tokovinin 2002, PASP 114, 1156).
+/// * Kolmogorov: `D = 6.8839 (b / r0)^(5/3)`.
+/// * von Karman: `D = C (L0 / r0)^(5/3) [Gamma(5/6) / 2^(1/6) - z^(5/6) K_{5/6}(z)]`, `z = 2 pi b /
+///   L0`, `C = 2^(1/6) Gamma(11/6) / pi^(8/3) (24/5 Gamma(6/5))^(5/6)` (Tokovinin 2002, PASP 114,
+///   1156).
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Seeing {
     r0_m: f64,
@@ -49,7 +50,7 @@ impl Seeing {
         })
     }
 
-    /// The transfer at the baseline `b_m` = wavelength times spatial frequency.
+    /// The transfer function at the baseline `b_m` = wavelength times spatial frequency.
     pub(crate) fn transfer(&self, b_m: f64) -> f64 {
         (-0.5 * self.structure(b_m)).exp()
     }
@@ -64,12 +65,13 @@ impl Seeing {
     }
 }
 
-/// `Gamma(5/6) / 2^(1/6) - z^(5/6) K_{5/6}(z)`, 0 at 0, without cancellation at small z.
+/// `Gamma(5/6) / 2^(1/6) - z^(5/6) K_{5/6}(z)`: 0 at z = 0, without cancellation at small z.
 fn bessel_deficit(z: f64) -> f64 {
     let nu: f64 = 5.0 / 6.0;
     let limit = GAMMA_5_6 / 2f64.powf(1.0 / 6.0);
     if z < 2.0 {
-        // K_nu = pi / (2 sin(nu pi)) (I_-nu - I_nu), sin(5 pi / 6) = 1/2; the first term of I_-nu is the limit itself.
+        // K_nu = pi / (2 sin(nu pi)) (I_-nu - I_nu), sin(5 pi / 6) = 1/2. The first term of I_-nu
+        // equals `limit`.
         let q = z * z / 4.0;
         let (mut sum, mut minus, mut plus) = (
             0.0,
@@ -85,7 +87,8 @@ fn bessel_deficit(z: f64) -> f64 {
         }
         std::f64::consts::PI * sum
     } else {
-        // K_nu(z) = integral over t > 0 of exp(-z cosh t) cosh(nu t): the trapezoid rule converges exponentially.
+        // K_nu(z) = integral over t > 0 of exp(-z cosh t) cosh(nu t): the trapezoid rule converges
+        // exponentially.
         let step = 0.05;
         let k: f64 = (1..120)
             .map(|i| f64::from(i) * step)
@@ -116,7 +119,8 @@ mod tests {
 
     #[test]
     fn a_large_outer_scale_is_kolmogorov() {
-        // The first correction goes with (b / L0)^(1/3): small only for huge scales.
+        // The first correction is proportional to (b / L0)^(1/3), which is small only for huge
+        // scales.
         let ratio = seeing(0.1, Some(1e12)).structure(0.3) / seeing(0.1, None).structure(0.3);
         assert!((ratio - 1.0).abs() < 1e-3, "{ratio}");
         let outer = seeing(0.1, Some(20.0));
@@ -125,7 +129,8 @@ mod tests {
 
     #[test]
     fn the_structure_function_saturates_at_twice_the_phase_variance() {
-        // The integral over the plane of 0.0229 r0^(-5/3) (k^2 + L0^-2)^(-11/6) (Noll 1976): 0.0229 has three digits.
+        // The integral over the plane of 0.0229 r0^(-5/3) (k^2 + L0^-2)^(-11/6) (Noll 1976). The
+        // constant 0.0229 has three digits.
         let (r0, scale) = (0.2f64, 25.0f64);
         let variance = 0.5 * seeing(r0, Some(scale)).structure(1e4);
         let integral = 0.0229 * std::f64::consts::TAU * 0.6 * (scale / r0).powf(5.0 / 3.0);

@@ -20,10 +20,12 @@ pub const SURVEY_2M_TOML: &str = include_str!("../presets/survey_2m.toml");
 /// The TOML text of [`Telescope::wide_field_lens`].
 pub const WIDE_FIELD_LENS_TOML: &str = include_str!("../presets/wide_field_lens.toml");
 
-/// A telescope that draws its PSF anywhere on its frame: pupil, wavefront over the field, seeing, pixel and blur.
+/// A telescope that draws its PSF anywhere on its frame, from pupil, wavefront over the field,
+/// seeing, pixel and blur.
 ///
-/// See the [crate's page](crate) for the equations, the sampling and the accuracy. Drawing is deterministic and takes
-/// `&self`: any number of threads may draw at once, each with work arrays from a pool.
+/// See the [crate's page](crate) for the equations, the sampling and the accuracy. Drawing is
+/// deterministic and takes `&self`: any number of threads may draw at the same time, each with its
+/// own work arrays from a pool.
 ///
 /// ```
 /// use psf_optics::Telescope;
@@ -49,22 +51,25 @@ pub struct Telescope {
     grid: StampGrid,
     wavefront: Wavefront,
     focal_plane: FocalPlane,
-    /// Transfer along an axis of what is the same everywhere: pixel and Gaussian blur, at lags 0 to the highest.
+    /// Transfer function along an axis that does not depend on the position: pixel and Gaussian
+    /// blur, at lags 0 to the highest.
     detector: Vec<f64>,
 }
 
 impl Telescope {
-    /// The narrowest computed focal plane in units of lambda / D, so that the pupil is well resolved.
+    /// The smallest width of the computed focal plane in units of lambda / D, so that the pupil is
+    /// well resolved.
     const MIN_PUPIL_CELLS: f64 = 64.0;
-    /// The longest transform: 1.1 GB of work arrays a thread.
+    /// The longest transform: 1.1 GB of work arrays per thread.
     const MAX_TRANSFORM: usize = 6144;
-    /// Lags at which seeing and blur leave less than this are dropped.
+    /// Lags where the transfer function of seeing and blur is below this value are dropped.
     const NEGLIGIBLE_TRANSFER: f64 = 1e-15;
 
-    /// A telescope from its parameters. Checks all of them; computes the pupil, the plans and the transfer functions.
+    /// Makes a telescope from its parameters. Checks all of them and computes the pupil, the plans
+    /// and the transfer functions.
     ///
     /// # Errors
-    /// [`OpticsError`], naming the key and what is allowed.
+    /// [`OpticsError`], which names the key and the allowed values.
     pub fn new(params: TelescopeParams) -> Result<Self, OpticsError> {
         let (nm, arcsec) = (params.wavelength_nm, params.pixel_scale_arcsec);
         let wavelength_m = 1e-9 * require("wavelength_nm", "a number of nm above 0", nm, nm > 0.0)?;
@@ -89,8 +94,8 @@ impl Telescope {
         let too_large = |got: f64| {
             let (got, limit) = (got as usize, Self::MAX_TRANSFORM);
             OpticsError::Unusable(format!(
-                "the PSF would need transforms of {got} x {got} points, at most {limit} x {limit} are supported: make the stamp or \
-                 its padding smaller, or choose a pixel scale closer to lambda / D"
+                "the PSF would need transforms of {got} x {got} points, but at most {limit} x {limit} are \
+                 supported: make the stamp or its padding smaller, or choose a pixel scale closer to lambda / D"
             ))
         };
         if period.max(diameter) > Self::MAX_TRANSFORM as f64 {
@@ -134,15 +139,16 @@ impl Telescope {
         })
     }
 
-    /// A telescope from TOML text with the keys of [`TelescopeParams`].
+    /// Makes a telescope from TOML text with the keys of [`TelescopeParams`].
     ///
     /// # Errors
-    /// [`OpticsError::Toml`] with line, column and key for text that is not such a file; else as [`new`](Self::new).
+    /// [`OpticsError::Toml`] with line, column and key for text that is not such a file. Otherwise
+    /// the errors of [`new`](Self::new).
     pub fn from_toml_str(text: &str) -> Result<Self, OpticsError> {
         Self::new(toml::from_str(text).map_err(|e| OpticsError::Toml(Box::new(e)))?)
     }
 
-    /// A telescope from a TOML file.
+    /// Makes a telescope from a TOML file.
     ///
     /// # Errors
     /// [`OpticsError::Read`] or [`OpticsError::InFile`], which name the file.
@@ -158,23 +164,25 @@ impl Telescope {
         })
     }
 
-    /// A 2 m off-axis survey telescope in space, without obscuration, at 0.074 arcsec a pixel on 9232 x 9216 pixels (the
-    /// size and sampling of the CSST survey camera; the aberrations are made up, not those of the instrument).
+    /// A 2 m off-axis survey telescope in space, without obscuration, at 0.074 arcsec per pixel on
+    /// 9232 x 9216 pixels. Size and sampling are those of the CSST survey camera, the aberrations
+    /// are invented.
     ///
     /// The file is [`SURVEY_2M_TOML`].
     pub fn survey_2m() -> Self {
         Self::from_toml_str(SURVEY_2M_TOML).expect("the preset is valid")
     }
 
-    /// An under-sampled wide-field lens on the ground: 180 mm aperture, 11.7 arcsec a pixel on 4096 x 4096 pixels (the
-    /// class of the GWAC cameras; the aberrations are made up).
+    /// An under-sampled wide-field lens on the ground: 180 mm aperture, 11.7 arcsec per pixel on
+    /// 4096 x 4096 pixels. Its size is that of the GWAC cameras, the aberrations are invented.
     ///
     /// The file is [`WIDE_FIELD_LENS_TOML`].
     pub fn wide_field_lens() -> Self {
         Self::from_toml_str(WIDE_FIELD_LENS_TOML).expect("the preset is valid")
     }
 
-    /// The parameters it was made from; change a copy and call [`new`](Self::new) for another telescope.
+    /// The parameters that the telescope was made from. To make another telescope, change a copy
+    /// and call [`new`](Self::new).
     pub fn params(&self) -> &TelescopeParams {
         &self.params
     }
@@ -195,7 +203,7 @@ impl Telescope {
             .with_pixel_response_included(params.detector.pixel_integration))
     }
 
-    /// The transfer along an axis with the source at index `centre` of the stamp.
+    /// The transfer function along an axis for a source at index `centre` of the stamp.
     fn axis_transfer(&self, centre: f64) -> AxisTransfer {
         let turn = -TAU * centre / self.focal_plane.period as f64;
         let lags = self.detector.iter().enumerate();
@@ -238,8 +246,8 @@ impl PsfSource for Telescope {
         let period_px = self.focal_plane.period as f64 / s;
         let (got_px, limit_px) = (steepest / TAU * period_px, period_px / 2.0);
         let source = OpticsError::Unusable(format!(
-            "the wavefront at {position} sends light {got_px:.1} frame pixels off the PSF's centre, the computed focal plane \
-             reaches {limit_px:.1}: enlarge the stamp or stamp.padding, or check the Zernike coefficients"
+            "the wavefront at {position} sends light {got_px:.1} frame pixels off the PSF's centre, but the computed focal \
+             plane reaches only {limit_px:.1}: enlarge the stamp or stamp.padding, or check the Zernike coefficients"
         ));
         Err(SourceError::External {
             position,

@@ -7,7 +7,8 @@ use crate::{FieldCoordinates, FieldPolynomial, OpticsError, WavefrontParams, Wav
 
 /// One Zernike polynomial in Noll's order and normalisation (Noll 1976, J. Opt. Soc. Am. 66, 207).
 ///
-/// With polar coordinates `(rho, theta)` of the unit disc, `n` the radial and `m >= 0` the azimuthal order,
+/// With polar coordinates `(rho, theta)` of the unit disc, `n` the radial and `m >= 0` the
+/// azimuthal order,
 ///
 /// ```text
 /// Z_j = sqrt(n + 1) R_n^0(rho)                           m = 0
@@ -16,9 +17,10 @@ use crate::{FieldCoordinates, FieldPolynomial, OpticsError, WavefrontParams, Wav
 /// R_n^m(rho) = sum_k (-1)^k (n - k)! / (k! ((n + m)/2 - k)! ((n - m)/2 - k)!) rho^(n - 2k)
 /// ```
 ///
-/// so that the mean of `Z_i Z_j` over the disc is 1 for `i = j` and 0 otherwise: a coefficient is the r.m.s. of its term over
-/// an unobscured pupil. `j` = 1 is piston, 2 and 3 tilts along x and y, 4 defocus, 5 and 6 astigmatism, 7 and 8 coma, 11
-/// spherical aberration. Over an obscured pupil the same (full-disc) polynomials are used; they are not orthogonal there.
+/// The mean of `Z_i Z_j` over the disc is 1 for `i = j` and 0 otherwise, so a coefficient is the
+/// r.m.s. of its term over an unobscured pupil. `j` = 1 is piston, 2 and 3 tilts along x and y, 4
+/// defocus, 5 and 6 astigmatism, 7 and 8 coma, 11 spherical aberration. Over an obscured pupil the
+/// same full-disc polynomials are used, although they are not orthogonal there.
 ///
 /// ```
 /// use psf_optics::Zernike;
@@ -53,7 +55,7 @@ impl Zernike {
         while (n + 1) * (n + 2) / 2 < j {
             n += 1;
         }
-        // Counted from 1 in the row of radial order n, whose azimuthal orders ascend in pairs.
+        // Counted from 1 within radial order n. The azimuthal orders ascend in pairs.
         let in_row = j - n * (n + 1) / 2;
         let m = if n % 2 == 0 {
             in_row / 2 * 2
@@ -92,18 +94,18 @@ impl Zernike {
         self.n
     }
 
-    /// The azimuthal order, 0 or above; see [`is_sine`](Self::is_sine).
+    /// The azimuthal order, 0 or above. See also [`is_sine`](Self::is_sine).
     pub fn m(&self) -> usize {
         self.m
     }
 
-    /// Whether the term goes with `sin(m theta)`: odd `j` and `m > 0`.
+    /// Returns whether the term contains `sin(m theta)`: odd `j` and `m > 0`.
     pub fn is_sine(&self) -> bool {
         self.m > 0 && self.noll % 2 == 1
     }
 
-    /// The value at the Cartesian pupil coordinates (`x`, `y`), the unit circle being the aperture's edge. Outside the
-    /// unit disc the polynomial goes on.
+    /// The value at the Cartesian pupil coordinates (`x`, `y`). The unit circle is the edge of the
+    /// aperture. Outside the unit disc the polynomial is not cut off.
     pub fn evaluate(&self, x: f64, y: f64) -> f64 {
         let rho2 = x * x + y * y;
         let radial = self.radial.iter().rev().fold(0.0, |sum, c| sum * rho2 + c);
@@ -115,7 +117,7 @@ impl Zernike {
         radial * if self.is_sine() { im } else { re }
     }
 
-    /// The same polynomial in powers of `x` and `y`.
+    /// Converts the polynomial to powers of `x` and `y`.
     pub(crate) fn to_cartesian(&self) -> PupilPolynomial {
         let binomial = |n: usize, k: usize| (1..=k).fold(1.0, |b, i| b * (n - k + i) as f64 / i as f64);
         let mut sum = PupilPolynomial::zero(self.n);
@@ -137,8 +139,9 @@ impl Zernike {
 
 /// `sum_{a + b <= degree} c_ab x^a y^b` over the pupil.
 ///
-/// A wavefront is summed in this form once for each PSF and then evaluated row by row, with its gradient, by Horner's
-/// rule: cheaper than a sum over maps of many Zernike polynomials, and without their memory.
+/// A wavefront is summed in this form once for each PSF and then evaluated row by row, with its
+/// gradient, by Horner's rule. This is faster than a sum over maps of many Zernike polynomials and
+/// needs no memory for the maps.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PupilPolynomial {
     degree: usize,
@@ -146,7 +149,7 @@ pub(crate) struct PupilPolynomial {
     coefficients: Vec<f64>,
 }
 
-/// A [`PupilPolynomial`] at one y: coefficients of ascending powers of x.
+/// A [`PupilPolynomial`] at a fixed y: coefficients of ascending powers of x.
 #[derive(Debug, Default)]
 pub(crate) struct PupilRowPolynomial {
     value: Vec<f64>,
@@ -190,7 +193,7 @@ impl PupilPolynomial {
         }
     }
 
-    /// Reduces the polynomial and its derivative in y to one y.
+    /// Reduces the polynomial and its derivative in y to a fixed y.
     pub(crate) fn at_y(&self, y: f64, row: &mut PupilRowPolynomial) {
         let d = self.degree;
         row.value.clear();
@@ -238,7 +241,7 @@ impl PupilRowPolynomial {
     }
 }
 
-/// Zernike terms with coefficients that are polynomials of the field, ready to be summed.
+/// Zernike terms whose coefficients are polynomials of the field position.
 #[derive(Debug)]
 pub(crate) struct Wavefront {
     modes: Vec<(PupilPolynomial, FieldPolynomial)>,
@@ -287,9 +290,10 @@ mod tests {
     use super::*;
     use crate::{FieldTerm, ModeParams};
 
-    /// Midpoint rule on 400 x 400 points: the jagged edge of the disc leaves about 1e-3.
+    /// Midpoint rule on 400 x 400 points. The jagged edge of the disc causes an error of about
+    /// 1e-3.
     const ORTHONORMAL: f64 = 5e-3;
-    /// The two forms differ by rounding in sums of terms below 1e3.
+    /// The two forms differ only by rounding in sums of terms below 1e3.
     const SAME_POLYNOMIAL: f64 = 1e-11;
 
     #[test]

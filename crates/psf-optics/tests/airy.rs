@@ -8,7 +8,8 @@ use common::{LAMBDA_OVER_D, bessel_j, draw, perfect};
 use ndarray::Array2;
 use psf_optics::TelescopeParams;
 
-/// The amplitude of the (obscured) Airy pattern at `v = pi theta D / lambda`, 1 at the centre.
+/// The amplitude of the Airy pattern of an obscured aperture at `v = pi theta D / lambda`, 1 at the
+/// centre.
 fn airy_amplitude(v: f64, obscuration: f64) -> f64 {
     let jinc = |v: f64| if v == 0.0 { 1.0 } else { 2.0 * bessel_j(1, v) / v };
     let e2 = obscuration * obscuration;
@@ -31,14 +32,15 @@ fn error_over_peak(params: &TelescopeParams) -> f64 {
     common::largest_difference(got.view(), expected.view()) / common::peak(expected.view())
 }
 
-/// Light from beyond the computed focal plane (padding 2); measured 2e-5 of the peak.
+/// Error from light beyond the computed focal plane (padding 2). Measured: 2e-5 of the peak.
 const AIRY: f64 = 3e-5;
-/// A narrow ring has more of it; measured 5e-5.
+/// A narrow ring sends more light there. Measured: 5e-5.
 const OBSCURED_AIRY: f64 = 8e-5;
 
 #[test]
 fn airy_pattern_at_any_sampling() {
-    // 2.3 to 0.37 pixels per lambda / D, none of them a round number; the last is far under-sampled.
+    // 2.3 to 0.37 pixels per lambda / D, all with uneven numbers. The last one is far
+    // under-sampled.
     for (pixel, oversampling) in [(0.045, 1), (0.1, 3), (0.1, 1), (0.28, 1)] {
         let mut params = perfect(pixel, 64);
         params.stamp.oversampling = oversampling;
@@ -63,7 +65,7 @@ fn obscured_airy_pattern() {
     }
 }
 
-/// The intensity's error of 2e-5 of the peak moves the zero by 7e-4.
+/// The error of 2e-5 of the peak in the intensity moves the zero by 7e-4.
 const FIRST_ZERO: f64 = 1e-3;
 
 #[test]
@@ -78,7 +80,7 @@ fn first_dark_ring_is_at_1_2197_lambda_over_d() {
     assert!((zero - 1.219_669_891).abs() < FIRST_ZERO, "{zero}");
 }
 
-/// Pixels are counted whole where the ring's edge cuts them; the intensity is 0 there.
+/// Pixels that the ring's edge crosses count fully. The intensity there is 0.
 const ENCIRCLED: f64 = 1e-4;
 
 #[test]
@@ -88,7 +90,7 @@ fn encircled_energy_of_the_dark_rings() {
     params.stamp.oversampling = 8;
     params.stamp.padding = 4.0;
     let stamp = draw(&params);
-    // Zeros of J1 over pi; 1 - J0^2 at the zeros (Rayleigh).
+    // Zeros of J1 divided by pi, and 1 - J0^2 at the zeros (Rayleigh).
     for (radius, rounded) in [
         (1.219_669_891, 0.838),
         (2.233_130_603, 0.910),
@@ -111,7 +113,7 @@ fn encircled_energy_of_the_dark_rings() {
     }
 }
 
-/// Light from beyond the focal plane that is computed, by padding; measured 5e-5 and 1e-5.
+/// Error from light beyond the computed focal plane, for each padding. Measured: 5e-5 and 1e-5.
 const FLUX: [(f64, f64); 2] = [(2.0, 1e-4), (6.0, 2e-5)];
 
 #[test]
@@ -130,8 +132,9 @@ fn the_flux_of_a_stamp_is_the_fraction_that_falls_in_it() {
     }
 }
 
-/// The light of the Airy pattern in a square of half width `h` lambda/D: the disc inside it by Rayleigh's formula, the
-/// corners by the midpoint rule over the radius, each ring with the part of it that lies in the square.
+/// The light of the Airy pattern in a square of half width `h` lambda/D. The disc inside it follows
+/// from Rayleigh's formula. The corners are summed by the midpoint rule over the radius, each ring
+/// weighted with the fraction of it that lies in the square.
 fn ensquared(h: f64) -> f64 {
     let j = |n, r: f64| bessel_j(n, PI * r);
     let disc = 1.0 - j(0, h).powi(2) - j(1, h).powi(2);

@@ -1,4 +1,4 @@
-//! One contract over every source: shifts, oversampling, field, threads.
+//! The contract that every source fulfils: shifts, oversampling, field, threads.
 
 mod common;
 
@@ -11,7 +11,7 @@ use psf_optics::{
 use psf_types::{FrameShape, Position, PsfSource, StampGrid};
 use rayon::prelude::*;
 
-/// Rounding of transforms and phases.
+/// Rounding errors of transforms and phases.
 const ROUNDING: f64 = 1e-12;
 
 const FIELD: FrameParams = FrameParams { nx: 301, ny: 201 };
@@ -28,7 +28,7 @@ fn linear(constant: f64, u: f64, v: f64) -> Vec<FieldTerm> {
     ]
 }
 
-/// Everything switched on.
+/// A telescope with every option switched on.
 fn full_telescope(nx: usize, ny: usize, oversampling: usize) -> TelescopeParams {
     let mut params = TelescopeParams::diffraction_limited(0.8, 650.0, 0.21, FIELD, 8);
     params.stamp = StampParams {
@@ -126,8 +126,8 @@ fn sub_pixel_shifts_move_between_pixels() {
     for ((name, fine), (_, coarse)) in sources(60, 50, 2).into_iter().zip(sources(30, 25, 1)) {
         let expected = shifted(&*fine, at(250.0, 3.0), (0.0, 0.0));
         let got = shifted(&*coarse, at(250.0, 3.0), (0.5, -0.5));
-        // Column c of the coarse stamp, (c - 15 - 0.5) pixels from the source, is column 2 c - 1 of the fine one; row r,
-        // (r - 12 + 0.5) pixels, is row 2 r + 2.
+        // Column c of the coarse stamp, (c - 15 - 0.5) pixels from the source, is column 2 c - 1 of
+        // the fine one. Row r, (r - 12 + 0.5) pixels, is row 2 r + 2.
         let error = largest_difference(got.slice(s![..24, 1..]), expected.slice(s![2..;2, 1..59;2]));
         assert!(error < ROUNDING, "{name}: {error:e}");
     }
@@ -142,7 +142,7 @@ fn an_oversampled_stamp_holds_the_native_one() {
         );
         let error = largest_difference(fine.values().slice(s![..;3, ..;3]), native.values());
         assert!(error < ROUNDING, "{name}: {error:e}");
-        // Rounded flux: the oversampled sum is s^2 times as large.
+        // The fluxes agree approximately: the oversampled sum is s^2 times as large.
         assert!(
             (fine.flux() - native.flux()).abs() < 5e-3,
             "{name}: {} {}",
@@ -195,7 +195,7 @@ fn the_field_matters_and_only_through_its_polynomials() {
             "{name}"
         );
     }
-    // A constant wavefront with the values that the polynomials have at the position gives the same PSF.
+    // A constant wavefront with the polynomials' values at the position gives an identical PSF.
     let params = full_telescope(32, 32, 1);
     let (u, v) = (0.5, -0.5);
     let mut constant = params.clone();

@@ -1,4 +1,4 @@
-//! Telescope files: what is accepted, what is refused, and how the message reads.
+//! Telescope files: accepted and refused content, and the messages.
 
 use std::error::Error;
 
@@ -25,7 +25,7 @@ pixel_integration = false
 blur_sigma_px = 0.3
 "#;
 
-/// The messages of the whole chain of an error.
+/// Returns the messages of the whole chain of an error.
 fn chain(error: OpticsError) -> String {
     let mut text = error.to_string();
     let mut next = error.source();
@@ -38,7 +38,7 @@ fn chain(error: OpticsError) -> String {
 }
 
 fn refused(from: &str, to: &str) -> String {
-    assert!(GOOD.contains(from), "the test replaces something: {from}");
+    assert!(GOOD.contains(from), "the file contains the text to replace: {from}");
     chain(Telescope::from_toml_str(&GOOD.replacen(from, to, 1)).unwrap_err())
 }
 
@@ -80,7 +80,7 @@ fn unknown_and_missing_keys_and_wrong_types_are_named() {
     ] {
         let message = refused(from, to);
         assert!(message.contains(expected), "{to}: {message}");
-        assert!(message.contains("line"), "the place is named: {message}");
+        assert!(message.contains("line"), "the message names the place: {message}");
     }
 }
 
@@ -213,7 +213,7 @@ fn a_wavefront_that_throws_light_off_the_computed_plane_is_refused_where_it_does
     assert!(source.contains("the wavefront at (0, 0) sends light"), "{source}");
     assert!(
         telescope.draw(Position::new(1e300, 0.0).unwrap()).is_err(),
-        "overflow is no PSF"
+        "an overflow does not give a PSF"
     );
 }
 
@@ -257,7 +257,7 @@ fn the_presets_are_what_they_say() {
     }
 }
 
-/// "About 3 %": the r.m.s. over the field.
+/// "About 3 %" is the r.m.s. over the field.
 const NEIGHBOURS: std::ops::Range<f64> = 0.025..0.035;
 
 #[test]

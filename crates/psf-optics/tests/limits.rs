@@ -19,7 +19,7 @@ fn fwhm_of_row(stamp: ArrayView2<'_, f64>) -> f64 {
     crossing(1) + crossing(-1)
 }
 
-/// A 4 m telescope in bad seeing: diffraction is negligible beside it.
+/// A 4 m telescope in bad seeing: diffraction is negligible in comparison.
 fn seeing_limited(seeing: SeeingParams) -> TelescopeParams {
     let mut params = perfect(0.1, 160);
     params.aperture.diameter_m = 4.0;
@@ -34,9 +34,9 @@ const KOLMOGOROV: SeeingParams = SeeingParams {
     outer_scale_m: None,
 };
 
-/// The aperture (1 %) and the interpolation of the crossing widen the profile.
+/// The profile is widened by the aperture (1 %) and by the interpolation of the crossing.
 const SEEING_FWHM: f64 = 1e-2;
-/// Tokovinin's formula is a fit, good to a per cent.
+/// Tokovinin's formula is a fit, accurate to 1 per cent.
 const OUTER_SCALE_FWHM: f64 = 2e-2;
 
 #[test]
@@ -46,7 +46,8 @@ fn seeing_has_the_kolmogorov_width() {
     let kolmogorov = fwhm(KOLMOGOROV);
     assert!((kolmogorov / 0.976 - 1.0).abs() < SEEING_FWHM, "{kolmogorov}");
 
-    // The same seeing, given by its FWHM at another wavelength: r0 goes with lambda^(6/5), the FWHM with lambda^(-1/5).
+    // A seeing with the same r0, given by its FWHM at another wavelength. r0 is proportional to
+    // lambda^(6/5), the FWHM to lambda^(-1/5).
     let by_fwhm = SeeingParams {
         r0_m: None,
         fwhm_arcsec: Some(0.975_864 * lambda_over_r0 * 1.6f64.powf(-0.2)),
@@ -68,7 +69,7 @@ fn seeing_has_the_kolmogorov_width() {
     );
 }
 
-/// lambda / D is a fortieth of the blur; the diffraction's wings take light from the core.
+/// lambda / D is a fortieth of the blur. The wings of the diffraction take light from the core.
 const GAUSSIAN_LIMIT: f64 = 2e-2;
 
 #[test]
@@ -91,12 +92,14 @@ fn a_dominating_blur_is_gaussian() {
     );
 }
 
-/// A blur shortens the transforms, which moves the error of the far wings; measured 1.2e-5 square pixels of 10.
+/// A blur shortens the transforms, which changes the error of the far wings. Measured: 1.2e-5 of 10
+/// square pixels.
 const VARIANCE: f64 = 3e-5;
 
 #[test]
 fn blur_and_pixel_add_their_variances() {
-    // Measured against the same telescope, so that the diffraction drops out: 1/12 from the pixel, sigma^2 from the blur.
+    // Compared with the unblurred telescope, so that the diffraction cancels: 1/12 from the pixel,
+    // sigma^2 from the blur.
     let variance = |pixel: bool, sigma: f64| {
         let mut params = perfect(0.25, 96);
         params.seeing = Some(SeeingParams {
@@ -105,7 +108,8 @@ fn blur_and_pixel_add_their_variances() {
         });
         params.detector.pixel_integration = pixel;
         params.detector.blur_sigma_px = sigma;
-        // On a periodic domain the logarithm of the first Fourier component is -var (2 pi / n)^2 / 2.
+        // On a periodic domain the logarithm of the first Fourier component is -var (2 pi / n)^2 /
+        // 2.
         let stamp = draw(&TelescopeParams {
             stamp: psf_optics::StampParams {
                 padding: 1.0,
@@ -135,7 +139,7 @@ fn flux_tends_to_one() {
         })
         .into();
     for pair in missing.windows(2) {
-        // The wings hold 2 / (pi^2 r) of the light outside r lambda / D: half as much at twice the radius.
+        // Outside r lambda / D the wings hold 2 / (pi^2 r) of the light: half as much at twice r.
         let ratio = pair[1] / pair[0];
         assert!((0.4..0.6).contains(&ratio), "{missing:?}");
     }

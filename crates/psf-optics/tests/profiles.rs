@@ -26,7 +26,8 @@ fn corner() -> Position {
     Position::of_pixel(0, 0)
 }
 
-/// Sampling a Gaussian of this width at pixel centres changes its sums by exp(-2 pi^2 sigma^2), nothing.
+/// Sampling a Gaussian of this width at pixel centres changes its sums only by exp(-2 pi^2
+/// sigma^2), which is negligible.
 const SAMPLED: f64 = 1e-9;
 
 #[test]
@@ -56,7 +57,7 @@ fn pixel_integration_adds_the_variance_of_the_pixel_and_keeps_the_flux() {
     assert!((b.xx - a.xx - 1.0 / 12.0).abs() < SAMPLED && (b.xy - a.xy).abs() < SAMPLED);
 }
 
-/// The rule's own claim for a FWHM of one pixel.
+/// The error that the documentation states for a FWHM of one pixel.
 const QUADRATURE: f64 = 1e-8;
 
 #[test]
@@ -66,7 +67,7 @@ fn pixel_integration_is_exact_down_to_a_pixel() {
         .unwrap()
         .with_pixel_integration();
     let stamp = source.draw(corner()).unwrap();
-    // The Gaussian separates: the same integral by Simpson's rule with 2000 intervals.
+    // The Gaussian separates: the reference is the integral by Simpson's rule with 2000 intervals.
     let sigma = 1.0 / (8.0 * std::f64::consts::LN_2).sqrt();
     let g = |t: f64| (-t * t / (2.0 * sigma * sigma)).exp() / (sigma * std::f64::consts::TAU.sqrt());
     let strip = |centre: f64| {
@@ -107,7 +108,7 @@ fn moffat_profile_and_wings() {
         .sum();
     let expected = 1.0 - (1.0 + (radius / alpha).powi(2)).powf(1.0 - beta);
     assert!((inside - expected).abs() < 1e-5, "{inside}, expected {expected}");
-    // Elliptical: the half-maximum contour has the axes' ratio sqrt((1 - e) / (1 + e)).
+    // Elliptical: the ratio of axes of the half-maximum contour is sqrt((1 - e) / (1 + e)).
     let source = MoffatField::new(field(), grid, beta, elliptical(fwhm, 0.0, 0.6)).unwrap();
     let v = source.draw(corner()).unwrap();
     let (major, minor) = (fwhm * 2f64.sqrt(), fwhm / 2f64.sqrt());
@@ -136,7 +137,7 @@ fn impossible_shapes_are_refused_with_the_position() {
     for beta in [1.0, f64::NAN, f64::INFINITY] {
         assert!(MoffatField::new(field(), grid, beta, elliptical(2.0, 0.0, 0.0)).is_err());
     }
-    // 1 - 8 u^2 + 8 u^4 is positive at corners and centre, negative between: drawing refuses.
+    // 1 - 8 u^2 + 8 u^4 is positive at corners and centre and negative between. Drawing refuses it.
     let between = FieldPolynomial::new(vec![
         FieldTerm {
             x: 0,

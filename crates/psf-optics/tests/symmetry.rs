@@ -1,4 +1,4 @@
-//! What single Zernike terms do to the PSF, and in which direction.
+//! The effect of single Zernike terms on the PSF, and its direction.
 
 mod common;
 
@@ -21,7 +21,7 @@ fn aberrated(terms: &[(usize, f64)]) -> TelescopeParams {
     params
 }
 
-/// Light from beyond the computed focal plane differs between a tilt and a shift.
+/// A tilt and a shift differ by light from beyond the computed focal plane.
 const TILT: f64 = 1e-4;
 
 #[test]
@@ -47,7 +47,8 @@ fn piston_does_nothing() {
     assert!(error < 1e-14, "{error:e}");
 }
 
-/// The pupil's grid is square: it has the symmetries of the square exactly, those of the circle nearly.
+/// The pupil's grid is square. It has the symmetries of the square exactly, and those of the circle
+/// nearly.
 const MIRROR: f64 = 1e-12;
 const DIAGONAL: f64 = 2e-4;
 
@@ -60,7 +61,7 @@ fn defocus_is_round_and_its_sign_does_not_matter() {
     assert!(error(stamp.slice(s![..;-1, ..]).to_owned()) < MIRROR);
     assert!(error(stamp.t().to_owned()) < DIAGONAL);
     assert!(error(draw(&aberrated(&[(4, -0.25)]))) < 1e-9);
-    assert!(top < 0.5 * peak(draw(&aberrated(&[])).view()), "and it blurs");
+    assert!(top < 0.5 * peak(draw(&aberrated(&[])).view()), "defocus blurs");
 }
 
 #[test]
@@ -69,7 +70,7 @@ fn astigmatism_elongates_as_its_sign_says() {
     let (x, y) = (m(&[(4, 0.3), (6, 0.2)]), m(&[(4, 0.3), (6, -0.2)]));
     assert!(
         x.xx > 1.3 * x.yy && y.yy > 1.3 * y.xx,
-        "Z6 beside positive defocus: along x when positive"
+        "Z6 with positive defocus: along x when positive"
     );
     let (up, down) = (m(&[(4, 0.3), (5, 0.2)]), m(&[(4, 0.3), (5, -0.2)]));
     assert!(
@@ -80,7 +81,7 @@ fn astigmatism_elongates_as_its_sign_says() {
 
 #[test]
 fn coma_draws_a_tail() {
-    // dW/dx of Z8 is positive at the pupil's edge: the tail points to +x.
+    // dW/dx of Z8 is positive at the pupil's edge, so the tail points to +x.
     let stamp = draw(&aberrated(&[(8, 0.3)]));
     let m = moments(stamp.view());
     let brightest = stamp

@@ -25,7 +25,8 @@ pub(crate) fn draw(params: &TelescopeParams) -> Array2<f64> {
     telescope.draw(centre_of_field()).unwrap().into_values()
 }
 
-/// Bessel function of the first kind, by the trapezoid rule on Bessel's integral: exact to rounding for `x` below 300.
+/// Bessel function of the first kind, by the trapezoid rule on Bessel's integral. It is exact to
+/// rounding for `x` below 300.
 pub(crate) fn bessel_j(n: u32, x: f64) -> f64 {
     let points = 400;
     let sum: f64 = (0..points)
@@ -35,7 +36,8 @@ pub(crate) fn bessel_j(n: u32, x: f64) -> f64 {
     sum / f64::from(points)
 }
 
-/// Sum, first moments over the sum and central second moments over the sum, about index `n / 2`.
+/// The sum, and the first moments and central second moments divided by the sum. Coordinates count
+/// from index `n / 2`.
 pub(crate) struct Moments {
     pub(crate) sum: f64,
     pub(crate) x: f64,
