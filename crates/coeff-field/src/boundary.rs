@@ -1,9 +1,10 @@
-//! The boundary of the triangulation: what lies beyond it, and the slivers along it.
+//! The boundary of the triangulation: the positions beyond it, and the slivers along it.
 //!
-//! Samples along an edge of the field are rarely collinear to the last bit. Where one dents the hull by a hair, a sliver
-//! closes the dent, whose long side joins two distant samples: the value at the hull would pass by the sample in between.
-//! So slivers along the hull are peeled off, and the samples behind them join the boundary. Each side of the hull then
-//! has a chain of samples that runs along it, at most [`DENT`] of a chain step deep.
+//! Samples along an edge of the field are rarely collinear to the last bit. If one lies slightly
+//! inside the hull, a sliver closes this dent. The sliver's long side joins two distant samples, so
+//! the value at the hull would ignore the sample in between. Therefore slivers along the hull are
+//! peeled off, and the samples behind them join the boundary. Each side of the hull then has a
+//! chain of samples along it. Each dent is at most [`DENT`] of a chain step deep.
 
 use std::num::NonZeroU32;
 
@@ -13,11 +14,11 @@ use spade::handles::{FixedDirectedEdgeHandle, FixedVertexHandle};
 use crate::geometry::{Point, Scale, along, dot, foot_on_segment, length, sub};
 use crate::triangles::{GradientStencil, Node, Triangles, gradient_stencil, point_of, sample_of};
 
-/// How deep a dent of the hull may be, relative to the step it interrupts, and count as unevenness.
+/// Largest depth of a dent that counts as unevenness, relative to the step that it interrupts.
 const DENT: f64 = 1e-3;
-/// From this many depths of a dent inside on, it does not matter to natural neighbours.
+/// Beyond this many times a dent's depth inside, the dent does not affect natural neighbours.
 const CLEAR: f64 = 4.0;
-/// A dent has slopes below 1 in this number.
+/// The slopes of a dent are below 1 in this number.
 const SLOPE: f64 = 10.0;
 
 /// The sides of the hull, counter-clockwise.
@@ -30,11 +31,13 @@ pub(crate) struct Boundary {
 #[derive(Debug)]
 pub(crate) struct Side {
     start: Point,
-    /// From the start to the end. All else is relative to the start too, so that large coordinates cost no digits.
+    /// From the start to the end. All other points are relative to the start too, so that large
+    /// coordinates lose no digits.
     span: Point,
     direction: Point,
     chain: Vec<Link>,
-    /// How deep the dents are, at least rounding; 0 where nothing was peeled off.
+    /// Largest depth of the dents, at least the rounding of coordinates. It is 0 if nothing was
+    /// peeled off.
     depth: f64,
 }
 
@@ -46,33 +49,34 @@ pub(crate) struct Link {
     offset: Point,
     pub(crate) sample: usize,
     vertex: FixedVertexHandle,
-    /// Empty until it is asked for.
+    /// Empty until [`Boundary::prepare_gradients`] fills it.
     pub(crate) gradient: GradientStencil,
 }
 
-/// A position seen from the boundary.
+/// The nearest point of the boundary to a position.
 #[derive(Debug)]
 pub(crate) struct Foot<'a> {
-    /// The two samples of the chain around it and the part of the second.
+    /// The two samples of the chain around it.
     pub(crate) links: [&'a Link; 2],
     pub(crate) s: f64,
-    /// From the point of the chain between them to the point of the hull that is nearest to the position.
+    /// From the point of the chain between them to the point of the hull that is nearest to the
+    /// position.
     pub(crate) to_hull: Point,
-    /// From there to the position itself.
+    /// From that point of the hull to the position.
     pub(crate) to_position: Point,
 }
 
-/// What the nearest point of the hull lies on.
+/// The part of the hull that contains the nearest point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum BoundaryPiece {
     /// The start of this side.
     Corner(usize),
-    /// This side, and in its chain the link before this sample.
+    /// This side, and the link of its chain before this sample.
     Link(usize, usize),
 }
 
 impl Boundary {
-    /// Finds the sides and peels their slivers, which are marked in their triangles.
+    /// Finds the sides and peels off their slivers, which are marked in the triangulation.
     pub(crate) fn peel(triangles: &mut Triangles, scale: Scale) -> Self {
         let edges = hull_edges(triangles);
         let mut on_boundary = vec![false; triangles.num_vertices()];
@@ -94,7 +98,7 @@ impl Boundary {
         Self { sides }
     }
 
-    /// Prepares the gradients along uneven sides, or along all.
+    /// Computes the gradients along uneven sides, or along all sides.
     pub(crate) fn prepare_gradients(&mut self, triangles: &Triangles, all: bool) {
         for side in self.sides.iter_mut().filter(|side| all || side.depth > 0.0) {
             for link in &mut side.chain {
@@ -103,14 +107,16 @@ impl Boundary {
         }
     }
 
-    /// The foot of `p` on the side that is nearest to it.
+    /// The foot of `p` on the nearest side.
     pub(crate) fn nearest(&self, p: Point) -> Foot<'_> {
         self.foot(self.nearest_side(p), p)
     }
 
-    /// The piece of the hull that `p` has its foot on; none inside, and on uneven sides, where the weights are not linear.
+    /// The piece of the hull nearest to `p`, or `None` inside the hull and on uneven sides, where
+    /// the weights are not linear.
     ///
-    /// Between two positions with the same piece lie only such: each is a half strip or a wedge.
+    /// Each piece belongs to a half strip or a wedge of positions. So all positions between two
+    /// positions with equal pieces have that piece.
     pub(crate) fn piece(&self, p: Point) -> Option<BoundaryPiece> {
         let index = self.nearest_side(p);
         let side = &self.sides[index];
@@ -156,8 +162,8 @@ impl Boundary {
         }
     }
 
-    /// How far `p` lies clear of dents: 0 at the chain of an uneven side and down to the depth of its dents, 1 from
-    /// [`CLEAR`] times that depth on.
+    /// The distance of `p` from dents, on a scale from 0 to 1. It is 0 from the chain of an uneven
+    /// side to the depth of its dents, and 1 from [`CLEAR`] times that depth on.
     pub(crate) fn clearance(&self, p: Point) -> f64 {
         let uneven = self.sides.iter().filter(|side| side.depth > 0.0);
         uneven.fold(1.0, |least: f64, side| {
@@ -166,7 +172,7 @@ impl Boundary {
         })
     }
 
-    /// Samples along the whole boundary.
+    /// The samples along the whole boundary.
     pub(crate) fn samples(&self) -> impl Iterator<Item = usize> + '_ {
         self.sides
             .iter()
@@ -175,7 +181,8 @@ impl Boundary {
 }
 
 impl Side {
-    /// A side from the start of one hull edge to the end of another; its chain holds the start alone.
+    /// A side from the start of one hull edge to the end of another. Its chain contains only the
+    /// start.
     fn new(triangles: &Triangles, first: FixedDirectedEdgeHandle, last: FixedDirectedEdgeHandle) -> Self {
         let from = triangles.directed_edge(first).from();
         let (start, end) = (
@@ -199,7 +206,7 @@ impl Side {
         }
     }
 
-    /// The second of the two links around a distance along the side.
+    /// The index of the second of the two links around a distance along the side.
     fn link(&self, t: f64) -> usize {
         self.chain
             .partition_point(|link| link.t <= t)
@@ -251,7 +258,7 @@ impl Side {
         }
     }
 
-    /// How far inside the side an offset lies.
+    /// The distance of an offset from the side, positive inside the hull.
     fn depth_of(&self, offset: Point) -> f64 {
         dot(offset, [-self.direction[1], self.direction[0]])
     }
@@ -265,7 +272,8 @@ impl Side {
     }
 }
 
-/// The edges of the hull, counter-clockwise and with a triangle on their left, from a vertex that is surely a corner.
+/// The edges of the hull, counter-clockwise and with a triangle on their left. The first edge
+/// starts at a vertex that is certainly a corner.
 fn hull_edges(triangles: &Triangles) -> Vec<FixedDirectedEdgeHandle> {
     let mut edges: Vec<_> = triangles.convex_hull().map(|edge| edge.rev().fix()).collect();
     edges.reverse();
@@ -280,7 +288,8 @@ fn hull_edges(triangles: &Triangles) -> Vec<FixedDirectedEdgeHandle> {
     edges
 }
 
-/// How many hull edges, counted from the start of the list, can be told from a straight side only by rounding.
+/// The end of the side that starts at the hull edge `first`: the index after its last edge. The
+/// edges of a side form a straight line within rounding.
 fn end_of_side(
     triangles: &Triangles,
     edges: &[FixedDirectedEdgeHandle],

@@ -1,9 +1,9 @@
-//! What can go wrong when an interpolator is prepared.
+//! Errors of preparing an interpolator and of evaluating it.
 
 use psf_types::{Interpolation, OutsidePolicy, Position};
 use thiserror::Error;
 
-/// Why coefficients cannot be interpolated. Indices and counts are 0-based.
+/// The reason why coefficients cannot be interpolated. Indices and counts are 0-based.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum CoeffFieldError {
@@ -14,53 +14,53 @@ pub enum CoeffFieldError {
     SampleRange {
         /// Index of the sample.
         sample: usize,
-        /// Where it is.
+        /// Its position.
         position: Position,
         /// The largest magnitude of a coordinate.
         limit: f64,
     },
-    /// A position asked for whose coordinates are too large for double precision geometry.
+    /// A requested position whose coordinates are too large for double precision geometry.
     #[error("position {position} is too far away: coordinates may be at most {limit:e} pixels")]
     QueryRange {
-        /// The position asked for.
+        /// The requested position.
         position: Position,
         /// The largest magnitude of a coordinate.
         limit: f64,
     },
-    /// Two samples closer to each other than double precision geometry resolves.
+    /// Two samples closer to each other than double precision geometry can resolve.
     #[error("samples {first} and {second} (0-based) are too close to each other at {position}: remove one")]
     CoincidentSamples {
         /// The earlier of the two.
         first: usize,
         /// The later one.
         second: usize,
-        /// Where they are.
+        /// Their position.
         position: Position,
     },
     /// Weights that overflow, far outside the samples.
     #[error("the weights at {position} overflow: it is too far outside the samples for this interpolator")]
     WeightOverflow {
-        /// The position asked for.
+        /// The requested position.
         position: Position,
     },
     /// Samples that do not fill a regular grid.
     #[error(
         "the {samples} samples do not form a regular grid: their coordinates make {columns} columns and {rows} rows, but \
-         no sample lies at column {column}, row {row} (0-based), near {position}; choose another interpolation, such as \
+         no sample lies at column {column}, row {row} (0-based), near {position}. Choose another interpolation, such as \
          natural-neighbour"
     )]
     NotRegular {
         /// Number of samples.
         samples: usize,
-        /// Number of distinct x.
+        /// Number of distinct x coordinates.
         columns: usize,
-        /// Number of distinct y.
+        /// Number of distinct y coordinates.
         rows: usize,
         /// Column of the first cell without a sample.
         column: usize,
         /// Row of the first cell without a sample.
         row: usize,
-        /// Where a sample was expected.
+        /// The position where a sample was expected.
         position: Position,
     },
     /// Two samples that share a node of a regular grid within its tolerance.
@@ -77,7 +77,7 @@ pub enum CoeffFieldError {
         column: usize,
         /// Row of the grid.
         row: usize,
-        /// Where the second one is.
+        /// Position of the second sample.
         position: Position,
     },
     /// Fewer samples than the polynomial has terms.
@@ -107,14 +107,14 @@ pub enum CoeffFieldError {
         /// Numerical rank of the design matrix.
         rank: usize,
     },
-    /// A parameter out of its range.
+    /// A parameter out of range.
     #[error("{name} must be {allowed}, got {got}")]
     Parameter {
         /// Name of the parameter.
         name: &'static str,
-        /// What is allowed, in words.
+        /// The allowed values, in words.
         allowed: &'static str,
-        /// What was given.
+        /// The given value.
         got: f64,
     },
     /// An interpolation that this version does not know.
@@ -123,10 +123,10 @@ pub enum CoeffFieldError {
     /// An outside policy that this version does not know.
     #[error("outside policy {0} is not provided by this version")]
     UnknownOutsidePolicy(OutsidePolicy),
-    /// Sample values and interpolator that do not belong together.
+    /// Sample values whose number does not match the interpolator.
     #[error("{what}: expected {expected}, got {got}")]
     CountMismatch {
-        /// What is counted.
+        /// A description of the counted things.
         what: &'static str,
         /// The number needed.
         expected: usize,
@@ -143,7 +143,7 @@ pub enum CoeffFieldError {
         /// NaN or an infinity.
         value: f64,
     },
-    /// An error of an interpolator implemented elsewhere, or of the search tree.
+    /// An error of an interpolator in another crate, or of the search tree.
     #[error("the interpolator could not be prepared")]
     External(#[source] Box<dyn std::error::Error + Send + Sync>),
 }

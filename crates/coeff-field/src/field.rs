@@ -1,4 +1,4 @@
-//! The methods by name, and the coefficient field that one of them makes of samples.
+//! The methods by name, and the coefficient field that a method makes from samples.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -18,10 +18,12 @@ use crate::interpolation::{FieldInterpolation, FieldWeights, Judged, OnRun, Prep
 use crate::neighbours::{InverseDistance, Nearest};
 use crate::polynomial::Polynomial;
 
-/// What [`Interpolation::Auto`] stands for with samples at these positions; any other choice stands for itself.
+/// Replaces [`Interpolation::Auto`] by the method that suits samples at these positions. Any other
+/// choice is returned unchanged.
 ///
-/// Where the samples form a regular grid of at least 2 x 2, bicubic, or bilinear if it has but 2 x 2; nearest for a single
-/// sample; else natural neighbour (which interpolates along the line where samples are collinear).
+/// * Samples on a regular grid of at least 2 x 2: bicubic, or bilinear on exactly 2 x 2.
+/// * A single sample: nearest.
+/// * Otherwise: natural neighbour, which interpolates along the line of collinear samples.
 ///
 /// ```
 /// use coeff_field::resolve;
@@ -52,7 +54,7 @@ pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolat
     }
 }
 
-/// The method that a choice names; [`Auto`] decides when it sees the samples.
+/// Returns the method of a choice. [`Auto`] decides when it receives the samples.
 ///
 /// ```
 /// use coeff_field::interpolation;
@@ -63,8 +65,8 @@ pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolat
 /// ```
 ///
 /// # Errors
-/// [`CoeffFieldError::Parameter`] for a parameter out of range, [`CoeffFieldError::UnknownInterpolation`] for a choice
-/// newer than this crate.
+/// [`CoeffFieldError::Parameter`] for a parameter out of range,
+/// [`CoeffFieldError::UnknownInterpolation`] for a choice newer than this crate.
 pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation>, CoeffFieldError> {
     Ok(match choice {
         Interpolation::Auto => Box::new(Auto),
@@ -81,7 +83,7 @@ pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation
     })
 }
 
-/// The method that [`resolve`] names for the samples it is given.
+/// The method that [`resolve`] selects for the given samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Auto;
 
@@ -90,21 +92,21 @@ impl FieldInterpolation for Auto {
         interpolation(resolve(Interpolation::Auto, positions))?.prepare(positions, outside)
     }
 
-    /// Of the method chosen for all samples, which also predicts when one is left out.
+    /// The method selected for all samples also predicts each sample left out.
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
         interpolation(resolve(Interpolation::Auto, samples.positions()))?.leave_one_out(samples, outside)
     }
 }
 
-/// Pixels whose coefficients are gathered before they are written to their planes: a stretch of a plane's row is written
-/// at once, while the gathered values stay in the first cache levels.
+/// Pixels whose coefficients are gathered before they are written to their planes. Each plane then
+/// receives a stretch of its row at once, and the gathered values stay in the first cache levels.
 const STRETCH: usize = 32;
 
 /// Coefficients interpolated over the field: `a_k(x) = sum_n w_n(x) v_nk`.
 ///
-/// Holds the values at the interpolator's nodes and the interpolator; nothing is stored per pixel. A region is evaluated
-/// with each pixel's weights found once for all components asked for. Cheap to clone; evaluation takes no lock, so
-/// regions can be evaluated from many threads.
+/// Stores the interpolator and the values at its nodes, but nothing per pixel. Evaluating a region
+/// computes each pixel's weights once for all requested components. Clones are cheap. Evaluation
+/// takes no lock, so many threads can evaluate regions at once.
 ///
 /// ```
 /// use coeff_field::{Bilinear, InterpolatedField};
@@ -132,10 +134,11 @@ pub struct InterpolatedField {
 }
 
 impl InterpolatedField {
-    /// Prepares `method` for the samples and takes over their values.
+    /// Prepares `method` for the samples and stores their values.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the method does not suit the samples' positions, or the values overflow in it.
+    /// [`CoeffFieldError`] when the method does not suit the samples' positions, or its node values
+    /// overflow.
     pub fn new(
         samples: &SampleCoefficients,
         method: &dyn FieldInterpolation,
@@ -187,8 +190,8 @@ impl InterpolatedField {
         self.weights.as_ref()
     }
 
-    /// `sum_n w_n v_nk` for a range of components, always added up in the order of the weights, so that a value does not
-    /// depend on what is asked for beside it.
+    /// Writes `sum_n w_n v_nk` for a range of components. The terms are added in the order of the
+    /// weights, so that a value does not depend on the other requested components.
     fn apply(&self, weights: &WeightList, components: &Range<usize>, sums: &mut [f64]) {
         let all = self.nodes.as_slice().expect("row-major");
         let row = |node: usize| {
@@ -222,7 +225,7 @@ impl CoefficientField for InterpolatedField {
         assert_eq!(
             coefficients.len(),
             self.component_count(),
-            "one coefficient a component"
+            "one coefficient per component"
         );
         let mut weights = WeightList::new();
         self.weights.weights_into(position, &mut weights)?;
@@ -231,7 +234,7 @@ impl CoefficientField for InterpolatedField {
     }
 
     /// # Panics
-    /// When `values` is not of shape `[components.len(), ny, nx]`, or there are no such components.
+    /// When `values` is not of shape `[components.len(), ny, nx]`, or a component does not exist.
     fn evaluate_region_into(
         &self,
         region: PixelRegion,
@@ -240,7 +243,7 @@ impl CoefficientField for InterpolatedField {
     ) -> Result<(), FieldError> {
         let (nx, ny) = (region.shape().nx(), region.shape().ny());
         let planes = components.len();
-        assert_eq!(values.dim(), (planes, ny, nx), "one plane a component");
+        assert_eq!(values.dim(), (planes, ny, nx), "one plane per component");
         assert!(
             components.end <= self.component_count(),
             "components {components:?} of {}",

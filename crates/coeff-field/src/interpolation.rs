@@ -1,4 +1,4 @@
-//! The two traits of an interpolator (its choice and its prepared form), its weights, and its
+//! The two traits of an interpolator (the method and its prepared weights), lists of weights, and
 //! leave-one-out errors.
 
 use std::fmt::Debug;
@@ -10,10 +10,10 @@ use thiserror::Error;
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, Point, Points, Row};
 
-/// An interpolation method with its parameters: prepares weights for a set of sample positions.
+/// An interpolation method with its parameters. It prepares weights for a set of sample positions.
 ///
-/// Implement it, with [`FieldWeights`], to bring a method of your own: everything in this crate takes
-/// `&dyn FieldInterpolation`.
+/// Implement it and [`FieldWeights`] to add your own method. Everything in this crate accepts `&dyn
+/// FieldInterpolation`.
 ///
 /// ```
 /// use coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, InterpolatedField, WeightList};
@@ -66,14 +66,14 @@ pub trait FieldInterpolation: Debug + Send + Sync {
         outside: OutsidePolicy,
     ) -> Result<Box<dyn FieldWeights>, CoeffFieldError>;
 
-    /// Predicts every sample from all others; see [`LeaveOneOut`].
+    /// Predicts every sample from all others. See [`LeaveOneOut`].
     ///
-    /// The provided method prepares the interpolator anew for each sample left out, which is slow for thousands of samples;
-    /// the interpolators of this crate have shortcuts with the same result.
+    /// The provided method prepares the interpolator again for each sample left out, which is slow
+    /// for thousands of samples. The interpolators of this crate have shortcuts with equal results.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the method cannot serve these samples at all. A single sample that cannot be predicted is
-    /// no error.
+    /// [`CoeffFieldError`] when the method does not work for these samples at all. A single sample
+    /// that cannot be predicted is not an error.
     fn leave_one_out(
         &self,
         samples: &SampleCoefficients,
@@ -81,7 +81,7 @@ pub trait FieldInterpolation: Debug + Send + Sync {
     ) -> Result<LeaveOneOut, CoeffFieldError> {
         self.prepare(samples.positions(), outside)?;
         let without = |sample, policy| rebuilt_without(self, samples, sample, policy);
-        // Under the strict policy first, which tells interpolation from extrapolation.
+        // The strict policy first: it tells interpolation from extrapolation.
         let predict = |sample| match without(sample, OutsidePolicy::Error) {
             Err(Unpredictable::OutsideSamples) if outside != OutsidePolicy::Error => {
                 Ok((false, without(sample, outside)?))
@@ -94,43 +94,47 @@ pub trait FieldInterpolation: Debug + Send + Sync {
 
 /// A prepared interpolator: weights of nodes at any position.
 ///
-/// Every interpolator here is linear in the sample values, `a_k(x) = sum_n w_n(x) v_nk`, so a position's weights serve all
-/// components. For most methods the nodes are the samples; a method may have other nodes (a polynomial's are its terms)
-/// and says in [`node_values`](Self::node_values) how their values follow from the samples'.
+/// Every interpolator here is linear in the sample values, `a_k(x) = sum_n w_n(x) v_nk`, so a
+/// position's weights serve all components. In most methods the nodes are the samples. Other
+/// methods have other nodes, such as the terms of a polynomial. Their
+/// [`node_values`](Self::node_values) computes the values at the nodes from those at the samples.
 pub trait FieldWeights: Debug + Send + Sync {
     /// The number of samples the interpolator was prepared for.
     fn sample_count(&self) -> usize;
 
-    /// The number of nodes; weights name nodes below it.
+    /// The number of nodes. Weights refer to nodes below this number.
     fn node_count(&self) -> usize {
         self.sample_count()
     }
 
-    /// Values at the nodes `[node, component]` from values at the samples `[sample, component]`: the same by default.
+    /// Returns the values at the nodes `[node, component]` for values at the samples `[sample,
+    /// component]`. The provided method returns the sample values.
     ///
     /// # Errors
-    /// [`CoeffFieldError::CountMismatch`] when there is not one row a sample.
+    /// [`CoeffFieldError::CountMismatch`] when there is not one row per sample.
     fn node_values(&self, sample_values: ArrayView2<'_, f64>) -> Result<Array2<f64>, CoeffFieldError> {
         check_rows(self.sample_count(), sample_values)?;
         Ok(sample_values.to_owned())
     }
 
-    /// Replaces the content of `weights` with the (node, weight) pairs at `position`; no node appears twice.
+    /// Replaces the content of `weights` with the (node, weight) pairs at `position`. No node
+    /// appears twice.
     ///
-    /// The result depends on nothing but the position.
+    /// The result depends only on the position.
     ///
     /// # Errors
-    /// [`FieldError`] where there is no value.
+    /// [`FieldError`] if there is no value at the position.
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError>;
 
-    /// The x and the y coordinates of the lines between which all weights are bilinear or constant, where there are such cells:
+    /// The x and y coordinates of the lines between which all weights are bilinear or constant, or
+    /// `None` without such cells. See
     /// [`CoefficientField::grid_lines`](psf_types::CoefficientField::grid_lines).
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         None
     }
 
-    /// Calls `visit` with the weights at each of `positions` in turn: the same weights as
-    /// [`weights_into`](Self::weights_into), for interpolators that work faster in sequence.
+    /// Calls `visit` with the weights at each of `positions` in turn. They equal those of
+    /// [`weights_into`](Self::weights_into). Some interpolators work faster in sequence.
     ///
     /// # Errors
     /// [`FieldError`] at the first position without a value.
@@ -147,11 +151,12 @@ pub trait FieldWeights: Debug + Send + Sync {
         Ok(())
     }
 
-    /// Visits the weights along a row of pixels, `length` pixels from `(x, y)` on, in runs along which every node's weight is
-    /// linear in x: [`CoefficientField::weights_along_row`](psf_types::CoefficientField::weights_along_row).
+    /// Visits the weights along a row of `length` pixels that begins at `(x, y)`, in runs along
+    /// which every node's weight is linear in x. See
+    /// [`CoefficientField::weights_along_row`](psf_types::CoefficientField::weights_along_row).
     ///
-    /// A pixel's weights are those of [`weights_into`](Self::weights_into) but for rounding. The provided method visits
-    /// pixel by pixel.
+    /// A pixel's weights equal those of [`weights_into`](Self::weights_into) within rounding. The
+    /// provided method visits pixel by pixel.
     ///
     /// ```
     /// use coeff_field::{Bilinear, FieldInterpolation};
@@ -167,7 +172,8 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// ```
     ///
     /// # Errors
-    /// [`FieldError`] at the first pixel without a value, when all pixels before it have been visited.
+    /// [`FieldError`] at the first pixel without a value, after all pixels before it have been
+    /// visited.
     fn weights_along_row(
         &self,
         start: (i64, i64),
@@ -178,23 +184,22 @@ pub trait FieldWeights: Debug + Send + Sync {
     }
 }
 
-/// The outcome of [`FieldInterpolation::prepare`].
+/// The result of [`FieldInterpolation::prepare`].
 pub(crate) type Prepared = Result<Box<dyn FieldWeights>, CoeffFieldError>;
-/// The outcome of [`FieldInterpolation::leave_one_out`].
+/// The result of [`FieldInterpolation::leave_one_out`].
 pub(crate) type Judged = Result<LeaveOneOut, CoeffFieldError>;
-/// The outcome of a visit to pixels, which ends at the first one without a value.
+/// The result of visiting pixels, which stops at the first one without a value.
 pub(crate) type Visited = Result<(), FieldError>;
-/// Takes the runs of a row, one after the other.
+/// Receives the runs of a row, one after the other.
 pub(crate) type OnRun<'a> = &'a mut dyn FnMut(RowRun<'_>);
 
-/// A row in runs of one pixel.
+/// Visits a row in runs of one pixel.
 pub(crate) fn pixel_by_pixel<W: FieldWeights + ?Sized>(weights: &W, row: Row, visit: OnRun<'_>) -> Visited {
     let mut positions = (0..row.length).map(|column| row.position(column));
     weights.weights_each(&mut positions, &mut |weights| visit(RowRun::of_pixel(weights)))
 }
 
-/// Refuses a position that is not covered where the policy says so, with
-/// [`FieldError::OutsideSamples`].
+/// Returns [`FieldError::OutsideSamples`] if the position is not covered and the policy is `Error`.
 pub(crate) fn admit(covered: bool, outside: OutsidePolicy, position: Position) -> Result<(), FieldError> {
     if covered || outside != OutsidePolicy::Error {
         Ok(())
@@ -203,8 +208,8 @@ pub(crate) fn admit(covered: bool, outside: OutsidePolicy, position: Position) -
     }
 }
 
-/// Visits a row in runs, each from a column to the one before `end_of(column)`; `weights_into`
-/// finds the weights at the first and the last column of a run.
+/// Visits a row in runs. Each run extends from a column to the one before `end_of(column)`.
+/// `weights_into` writes the weights at the first and the last column of a run.
 pub(crate) fn in_runs(
     row: Row,
     mut weights_into: impl FnMut(usize, &mut WeightList) -> Result<(), FieldError>,
@@ -246,7 +251,7 @@ pub(crate) fn check_rows(samples: usize, values: ArrayView2<'_, f64>) -> Result<
 /// (node, weight) pairs at one position.
 pub type WeightList = Vec<(usize, f64)>;
 
-/// Adds to a node's weight; lists are short.
+/// Adds to a node's weight by a linear search, since lists are short.
 pub(crate) fn add_weight(weights: &mut WeightList, node: usize, weight: f64) {
     if weight == 0.0 {
         return;
@@ -257,13 +262,14 @@ pub(crate) fn add_weight(weights: &mut WeightList, node: usize, weight: f64) {
     }
 }
 
-/// One node alone.
+/// Makes one node the whole list, with weight 1.
 pub(crate) fn single(weights: &mut WeightList, node: usize) {
     weights.clear();
     weights.push((node, 1.0));
 }
 
-/// The linear mix of two nodes, `s` of the second; a node without weight is left out.
+/// Mixes two nodes linearly, `s` of the second and `1 - s` of the first. Nodes with weight 0 are
+/// omitted.
 pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64) {
     weights.clear();
     if s != 1.0 {
@@ -274,11 +280,12 @@ pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64
     }
 }
 
-/// How well each sample is predicted by an interpolator that does not know it.
+/// The prediction of each sample by an interpolator that does not know it.
 ///
-/// The error is `||a_predicted - a||_2` over the components. With an orthonormal basis that is the L2 norm of the
-/// difference of the two stamps, in the units of the stamps. Where the field is sampled evenly, it overestimates the error
-/// between samples: the gap to bridge is twice as wide, so a linear method does about four times worse.
+/// The error is `||a_predicted - a||_2` over the components. With an orthonormal basis that is the
+/// L2 norm of the difference of the two stamps, in the units of the stamps. On an even sampling it
+/// overestimates the error between samples: the gap is twice as wide, so a linear method has about
+/// four times the error.
 ///
 /// ```
 /// use coeff_field::{LeftOut, NaturalNeighbour, leave_one_out};
@@ -299,7 +306,7 @@ pub struct LeaveOneOut {
     outcomes: Vec<LeftOut>,
 }
 
-/// What came of leaving one sample out.
+/// The result of leaving one sample out.
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum LeftOut {
@@ -308,51 +315,52 @@ pub enum LeftOut {
         /// L2 error over the components.
         error: f64,
     },
-    /// The others do not cover the sample's position (a corner of the field): the outside policy made the prediction.
+    /// The others do not cover the sample's position (a corner of the field). The outside policy
+    /// decided the prediction.
     Extrapolated {
         /// L2 error over the components.
         error: f64,
     },
     /// There is no prediction.
     Unpredictable {
-        /// Why not.
+        /// The reason.
         reason: Unpredictable,
     },
 }
 
-/// Why the others say nothing about a sample.
+/// The reason why a sample cannot be predicted from the others.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Unpredictable {
-    /// They do not cover its position, and the policy is to refuse there.
+    /// The others do not cover its position, and the outside policy is `Error`.
     #[error("the other samples do not cover it")]
     OutsideSamples,
     /// There are no others.
     #[error("there is no other sample")]
     NoOthers,
-    /// They do not determine the polynomial.
+    /// The others do not determine the polynomial.
     #[error("the other samples do not determine the polynomial")]
     Undetermined,
-    /// The interpolator cannot be prepared for them.
+    /// The interpolator cannot be prepared without the sample.
     #[error("the interpolator cannot be prepared without it")]
     NotPrepared(#[source] CoeffFieldError),
-    /// The field has no value at its position.
+    /// The prepared field has no value at its position.
     #[error("the field has no value there")]
     NoValue(#[source] FieldError),
 }
 
 impl LeaveOneOut {
-    /// Collects outcomes, one for each sample.
+    /// Stores the outcomes, one for each sample.
     pub fn new(outcomes: Vec<LeftOut>) -> Self {
         Self { outcomes }
     }
 
-    /// One outcome for each sample, in sample order.
+    /// The outcomes, one for each sample, in sample order.
     pub fn outcomes(&self) -> &[LeftOut] {
         &self.outcomes
     }
 
-    /// (sample, error) of the samples predicted from around them; extrapolated ones are not among them.
+    /// The (sample, error) pairs of predicted samples. Extrapolated samples are omitted.
     pub fn predicted(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         self.outcomes
             .iter()
@@ -363,12 +371,12 @@ impl LeaveOneOut {
             })
     }
 
-    /// The predicted sample with the largest error; none when none could be predicted.
+    /// The predicted sample with the largest error, or `None` if no sample was predicted.
     pub fn worst(&self) -> Option<(usize, f64)> {
         self.predicted().max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// Root mean square of the predicted samples' errors; none when none could be predicted.
+    /// Root mean square of the predicted samples' errors, or `None` if no sample was predicted.
     pub fn rms(&self) -> Option<f64> {
         let (count, sum) = self.predicted().fold((0_usize, 0.0), |(n, sum), (_, error)| {
             (n + 1, sum + error * error)
@@ -377,10 +385,10 @@ impl LeaveOneOut {
     }
 }
 
-/// Predicts every sample from all others; the same as [`FieldInterpolation::leave_one_out`].
+/// Predicts every sample from all others by [`FieldInterpolation::leave_one_out`].
 ///
 /// # Errors
-/// [`CoeffFieldError`] when the method cannot serve these samples at all.
+/// [`CoeffFieldError`] when the method does not work for these samples at all.
 pub fn leave_one_out(
     samples: &SampleCoefficients,
     method: &dyn FieldInterpolation,
@@ -389,7 +397,7 @@ pub fn leave_one_out(
     method.leave_one_out(samples, outside)
 }
 
-/// The error of the prediction of a sample by the method prepared without it.
+/// The error of predicting a sample by the method prepared without it.
 fn rebuilt_without<M: FieldInterpolation + ?Sized>(
     method: &M,
     samples: &SampleCoefficients,
@@ -453,8 +461,8 @@ pub(crate) fn judged(
     LeaveOneOut::new(outcomes.collect())
 }
 
-/// Applies the outside policy to each sample's position as the others see it, and `predict`s the error of that sample by
-/// the method's value at the point that the policy names.
+/// Applies the outside policy to each sample's position relative to the other samples. Then
+/// `predict` returns the sample's error for the method's value at the policy's point.
 pub(crate) fn hull_leave_one_out(
     samples: &SampleCoefficients,
     points: &Points,
@@ -467,7 +475,7 @@ pub(crate) fn hull_leave_one_out(
         if points.len() == 1 {
             return Err(Unpredictable::NoOthers);
         }
-        // Only a corner leaves the hull of the others.
+        // Removing a sample uncovers its position only if it is a corner of the hull.
         let (covered, at) = if hull.is_corner(sample) {
             let others = points.subset((0..points.len()).filter(|&s| s != sample));
             let hull = Hull::new(&others, outside).map_err(Unpredictable::NotPrepared)?;

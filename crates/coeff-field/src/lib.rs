@@ -1,46 +1,52 @@
 //! Interpolation of PSF coefficients over the field of view.
 //!
-//! A basis turns each PSF sample into `K` coefficients. This crate carries them from the samples' positions to every
-//! position of the field:
+//! A basis turns each PSF sample into `K` coefficients. This crate interpolates them from the
+//! samples' positions to every position of the field:
 //!
 //! ```text
 //! a_k(x) = sum_n w_n(x) v_nk
 //! ```
 //!
-//! All interpolators are linear in the sample values, so a position yields one short list of (node, weight) that serves all
-//! components; the dense cube of coefficients is never built. Nodes are the samples, or the terms of a polynomial.
+//! All interpolators are linear in the sample values. So a position needs one short list of (node,
+//! weight) pairs for all components, and no cube of coefficients is stored. Nodes are the samples,
+//! or the terms of a polynomial.
 //!
-//! | method | weights a position | at the samples | reproduces | continuity |
+//! | method | weights per position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
 //! | [`Bilinear`] | 4 | exact | 1, x, y, xy | continuous |
-//! | [`Bicubic`] | 16 | exact | 1, x, y, xy; x^i y^j up to 3 at the fifths of cells | continuous |
+//! | [`Bicubic`] | 16 | exact | 1, x, y, xy, and x^i y^j up to 3 at the fifths of cells | continuous |
 //! | [`Delaunay`] | 3 | exact | 1, x, y | continuous |
-//! | [`NaturalNeighbour`] | about 6 | exact | 1, x, y | smooth but at the samples |
+//! | [`NaturalNeighbour`] | about 6 | exact | 1, x, y | smooth except at the samples |
 //! | [`InverseDistance`] | about 12 | exact | 1 | continuous |
 //! | [`Polynomial`] | (d+1)(d+2)/2 | least squares | polynomials of degree d | smooth |
 //! | [`Nearest`] | 1 | exact | 1 | jumps |
 //!
-//! [`FieldInterpolation`] is a method with its parameters. It prepares [`FieldWeights`] for a set of positions, which with
-//! the samples' values make an [`InterpolatedField`], a [`psf_types::CoefficientField`]. Both traits can be implemented
-//! elsewhere. [`interpolation`] gives the method that a [`psf_types::Interpolation`] names.
+//! [`FieldInterpolation`] is a method with its parameters. It prepares [`FieldWeights`] for a set
+//! of positions. Those weights and the samples' values make an [`InterpolatedField`], which is a
+//! [`psf_types::CoefficientField`]. Other crates can implement both traits. [`interpolation`]
+//! returns the method for a [`psf_types::Interpolation`].
 //!
 //! # Outside the samples
-//! An explicit [`psf_types::OutsidePolicy`] decides; each method documents what it does. Positions within 1e-9 of the samples'
-//! extent (at least 1e-9 pixels) of the covered area count as inside, so that rounding refuses nobody at an edge.
+//! The caller chooses a [`psf_types::OutsidePolicy`]. Each method documents its effect. Positions
+//! count as inside up to 1e-9 of the samples' extent (at least 1e-9 pixels) beyond the covered
+//! area, so that rounding at an edge causes no error.
 //!
 //! # Accuracy
-//! Weights are finite and sum to 1 within 1e-12 of the sum of their magnitudes (a polynomial's do not sum to 1, but it
-//! reproduces constants). Coordinates are used relative to the position asked for, so neither large offsets nor tight
-//! clusters cost digits; magnitudes up to 1e50 pixels are accepted. The same position gives the same bits, whatever the
-//! thread, region or range of components.
+//! Weights are finite and sum to 1 within 1e-12 of the sum of their magnitudes. A polynomial's
+//! weights do not sum to 1, but they reproduce constants. The geometry uses coordinates relative to
+//! the requested position, so neither large offsets nor tight clusters lose digits. It accepts
+//! magnitudes up to 1e50 pixels. A position always gives identical bits, for any thread, region or
+//! range of components.
 //!
 //! # Rows of pixels
-//! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear, so that it costs by cells and
-//! not by pixels: a run for each cell ([`Bilinear`]), fifth of a cell ([`Bicubic`]), triangle ([`Delaunay`]), link of collinear samples, Voronoi cell
-//! ([`Nearest`]), or one alone (a [`Polynomial`] of degree 0 or 1). Other methods, and positions where weights are not linear
-//! (outside [`Delaunay`]'s samples under the policy extend, in slivers), go pixel by pixel.
+//! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear. The
+//! cost then grows with the number of cells, not of pixels. A run is one cell ([`Bilinear`]), a
+//! fifth of a cell ([`Bicubic`]), a triangle ([`Delaunay`]), a link between collinear samples, a
+//! Voronoi cell ([`Nearest`]), or the whole row (a [`Polynomial`] of degree 0 or 1). Other methods
+//! visit pixel by pixel. So do positions with nonlinear weights, such as those in slivers, or
+//! outside [`Delaunay`]'s samples under the policy extend.
 //!
-//! # How good is it?
+//! # Measuring the error
 //! [`leave_one_out`] predicts every sample from all others.
 //!
 //! ```

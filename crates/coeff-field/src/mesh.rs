@@ -1,5 +1,5 @@
-//! The triangulation with its boundary, and weights inside and outside of it: what Delaunay and
-//! natural neighbour interpolation share.
+//! The triangulation with its boundary, and the weights inside and outside of it. Delaunay and
+//! natural neighbour interpolation share them.
 
 use psf_types::{OutsidePolicy, SampleCoefficients};
 use spade::handles::FixedVertexHandle;
@@ -13,7 +13,7 @@ use crate::interpolation::{
 use crate::line::LineWeights;
 use crate::triangles::{Triangles, in_triangle, point_of, sample_of, triangulate};
 
-/// The triangulation, its boundary, and where a position lies in it.
+/// The triangulation and its boundary. It locates positions in both.
 #[derive(Debug)]
 pub(crate) struct Mesh {
     pub(crate) triangles: Triangles,
@@ -23,7 +23,7 @@ pub(crate) struct Mesh {
     pub(crate) vertices: Vec<u32>,
 }
 
-/// Where a position lies.
+/// The location of a position.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Place {
     /// In a triangle, on its edge or at a vertex.
@@ -42,7 +42,7 @@ impl Mesh {
         mesh
     }
 
-    /// The triangulation alone, for positions known to lie well inside.
+    /// The triangulation without a boundary, for positions known to lie well inside.
     pub(crate) fn bare(points: &Points) -> Self {
         let (triangles, vertices) = triangulate(points);
         Self {
@@ -80,7 +80,7 @@ impl Mesh {
         }
     }
 
-    /// Weights that are linear inside each triangle; nothing outside the hull.
+    /// Writes weights that are linear inside each triangle, or none outside the hull.
     pub(crate) fn barycentric(&self, p: Point, located: PositionInTriangulation, weights: &mut WeightList) {
         weights.clear();
         match located {
@@ -107,7 +107,7 @@ impl Mesh {
     }
 }
 
-/// The samples' triangulation, or their line where they have none.
+/// The samples' triangulation, or their line if they are collinear.
 #[derive(Debug)]
 pub(crate) enum Support {
     Line(LineWeights),
@@ -126,22 +126,22 @@ impl Support {
     }
 }
 
-/// How a method finds weights inside the triangulation; `false` where it cannot (for rounding) or leaves it to the
-/// linear weights.
+/// Writes a method's weights inside the triangulation. Returns `false` if rounding prevents that,
+/// or if the method leaves the position to the linear weights.
 pub(crate) type InsideWeights<'a> =
     &'a mut dyn FnMut(Point, PositionInTriangulation, &mut WeightList) -> bool;
 
-/// Weights at `p` and whether the samples cover it.
+/// Writes the weights at `p` and returns whether the samples cover it.
 ///
-/// Inside, those of the method, or linear ones. Outside and in the slivers that were peeled off the
-/// hull, with `c` the foot on the chain of boundary samples: `f(c) + g(c) (x - c)`, where `f` and
-/// the gradient `g` of the samples are linear along the chain, and `x` is the position itself (in a
-/// sliver, and outside under [`OutsidePolicy::Extend`]) or the nearest point of the hull. All are
-/// continuous across the chain and the hull.
+/// Inside, the weights are those of the method, or linear ones. Outside, and in the slivers peeled
+/// off the hull, the value is `f(c) + g(c) (x - c)`. Here `c` is the foot on the chain of boundary
+/// samples, and the values `f` and gradients `g` of the samples are linear along the chain. `x` is
+/// the position itself in a sliver, and outside under [`OutsidePolicy::Extend`]. Otherwise `x` is
+/// the nearest point of the hull. The result is continuous across the chain and the hull.
 ///
-/// Close to an uneven side the method gives way to the linear weights. The Voronoi cells of samples in a dent reach out
-/// far, but not for ever, and beyond them the cell of a position in the dent takes its share from the distant corners of
-/// the hull, however shallow the dent is.
+/// Close to an uneven side the weights blend into the linear ones. The Voronoi cells of samples in
+/// a dent reach far out, but end. Beyond them the cell of a position in the dent overlaps those of
+/// the distant corners of the hull, however shallow the dent is.
 pub(crate) fn mesh_weights(
     mesh: &Mesh,
     method: InsideWeights<'_>,
@@ -178,12 +178,12 @@ pub(crate) fn mesh_weights(
     }
 }
 
-/// The weights of the point of the hull that is nearest to `p`, which lies outside.
+/// Writes the weights at the point of the hull nearest to `p`, which lies outside.
 pub(crate) fn weights_at_hull(mesh: &Mesh, p: Point, weights: &mut WeightList) {
     beyond_chain(&mesh.boundary.nearest(p), false, weights);
 }
 
-/// The weights at the chain, continued to the hull or on to the position.
+/// Writes the weights at the chain, continued to the hull or on to the position.
 fn beyond_chain(foot: &Foot<'_>, to_position: bool, weights: &mut WeightList) {
     let [a, b] = foot.links;
     pair(weights, a.sample, b.sample, foot.s);
@@ -196,18 +196,19 @@ fn beyond_chain(foot: &Foot<'_>, to_position: bool, weights: &mut WeightList) {
     }
 }
 
-/// Up to this many samples, all others are triangulated for each one left out.
+/// Up to this number of samples, each prediction triangulates all other samples.
 const FEW: usize = 24;
 
-/// A method that finds weights at a point from a triangulation alone, and whether the samples cover
-/// it.
+/// A method that writes weights at a point of a triangulation and returns whether the samples cover
+/// the point.
 pub(crate) type MeshMethod = fn(&Mesh, Point, OutsidePolicy, &mut WeightList) -> bool;
 
-/// Triangulates only what surrounds the sample left out.
+/// Predicts each sample from a triangulation of its surroundings only.
 ///
-/// The triangles that fill the gap of a removed vertex, and the Voronoi cells that share out its cell, are those of its
-/// Delaunay neighbours, so the neighbours alone give the prediction. On the boundary the continuation beyond the hull
-/// asks for the neighbours' gradients as well, which two more rings determine.
+/// When a vertex is removed, its Delaunay neighbours are the corners of the triangles that fill the
+/// gap. Their Voronoi cells divide its cell. So the neighbours determine the prediction. On the
+/// boundary, the continuation beyond the hull also needs the neighbours' gradients, which depend on
+/// two more rings.
 pub(crate) fn mesh_leave_one_out(
     method: MeshMethod,
     samples: &SampleCoefficients,
@@ -252,8 +253,8 @@ pub(crate) fn mesh_leave_one_out(
     }))
 }
 
-/// The samples that decide a prediction, without the one left out, and whether they form a ring
-/// around it, away from the boundary.
+/// The other samples that determine the prediction of `sample`. The flag is true if they form a
+/// ring around it, away from the boundary.
 fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>, bool) {
     let count = mesh.vertices.len();
     if count <= FEW {
@@ -281,7 +282,8 @@ fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>
             start = end;
         }
     }
-    // In sample order, so that ties between equally good triangulations do not hang on where the walk began.
+    // Sample order, so that ties between equally good triangulations do not depend on the start of
+    // the walk.
     ring.sort_unstable();
     (ring, all_around)
 }

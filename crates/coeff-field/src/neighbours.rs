@@ -1,4 +1,4 @@
-//! Interpolation from the samples around a position, found by a search tree: the nearest one, and
+//! Interpolation from the samples around a position, which a search tree finds: nearest sample, and
 //! inverse distances.
 
 use std::num::NonZeroUsize;
@@ -15,13 +15,15 @@ use crate::interpolation::{
     hull_leave_one_out, prediction_error, single,
 };
 
-/// The value of the nearest sample; of several at the same distance, that of the first.
+/// The value of the nearest sample, or of the first one among samples at equal distance.
 ///
 /// Piecewise constant, with jumps along the edges of the Voronoi cells.
 ///
 /// # Outside the samples
-/// Nearest: the sample nearest to the nearest point of the convex hull. Extend: the sample nearest to the position itself.
-/// Error: refuses (positions within 1e-9 of the samples' extent, at least 1e-9 pixels, still count as inside).
+/// * Nearest: the sample nearest to the nearest point of the convex hull.
+/// * Extend: the sample nearest to the position itself.
+/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
+///   count as inside.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Nearest;
 
@@ -57,10 +59,12 @@ struct NearestWeights {
 }
 
 impl NearestWeights {
-    /// The sample whose value `p` takes, and the piece of the plane in which that is the nearest sample of a linear function
-    /// of the position; none where rounding could decide for another one.
+    /// The sample whose value `p` takes and the piece of the plane around `p`, or `None` where
+    /// rounding could select another sample. Within a piece, the nearest point of the hull is
+    /// linear in the position.
     ///
-    /// Positions with the same result surround none with another: the pieces and the samples' Voronoi cells are convex.
+    /// Every position between two positions with equal results has that result, because the pieces
+    /// and the samples' Voronoi cells are convex.
     fn clearly(&self, p: Point) -> Option<(HullPiece, usize)> {
         let (piece, at) = match self.hull.outside {
             OutsidePolicy::Extend => (HullPiece::Inside, p),
@@ -85,7 +89,8 @@ impl FieldWeights for NearestWeights {
         Ok(())
     }
 
-    /// A run for each Voronoi cell that the row crosses, and single pixels close to their edges.
+    /// Visits one run for each Voronoi cell that the row crosses, and single pixels close to the
+    /// cells' edges.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.tree.points.len() == 1 && self.hull.outside != OutsidePolicy::Error && length > 0 {
@@ -119,29 +124,34 @@ impl FieldWeights for NearestWeights {
     }
 }
 
-/// The square of the radius over the distance of the k-th neighbour.
+/// The squared ratio of the radius to the distance of the k-th neighbour.
 const RADIUS_SQUARED: f64 = 2.0;
 
 /// Inverse distance weights (Shepard's method) of the samples around a position.
 ///
-/// With `d_i` the distance of sample `i` and `d_(k)` that of the `k`-th nearest sample,
+/// `d_i` is the distance of sample `i`, and `d_(k)` that of the `k`-th nearest sample:
 ///
 /// ```text
 /// w_i = u_i / sum_j u_j,   u_i = [max(R - d_i, 0) / (R d_i)]^p,   R = sqrt(2) d_(k)
 /// ```
 ///
-/// These are Franke and Little's weights (R. Franke & G. Nielson 1980, Int. J. Numer. Meth. Eng. 15, 1691; R. J. Renka 1988,
-/// ACM Trans. Math. Softw. 14, 139), which fall to 0 at the radius, so that the field is continuous while samples enter and
-/// leave. The radius grows with `d_(k)`, so at least `k` samples take part, and about `2 k` on an even sampling.
-/// Among `k` samples or fewer `R` is infinite: `u_i = d_i^-p`.
+/// These weights are by Franke and Little (R. Franke & G. Nielson 1980, Int. J. Numer. Meth. Eng.
+/// 15, 1691, and R. J. Renka 1988, ACM Trans. Math. Softw. 14, 139). They fall to 0 at the radius,
+/// so the field stays continuous as samples enter and leave. The radius grows with `d_(k)`, so at
+/// least `k` samples take part, and about `2 k` on an even sampling. For `k` samples or fewer, `R`
+/// is infinite: `u_i = d_i^-p`.
 ///
-/// Exact at the samples; no weight is negative. Linear fields are *not* reproduced: for `p > 1` every sample is a flat spot.
-/// It serves rough or noisy samples; on smooth ones the other methods are better.
+/// The result is exact at the samples, and no weight is negative. Linear fields are *not*
+/// reproduced: for `p > 1` the field is flat at every sample. It suits rough or noisy samples. On
+/// smooth ones the other methods are better.
 ///
 /// # Outside the samples
-/// The formula needs no hull and tends to a mean of the nearest samples far away. Nearest: its value at the nearest point of
-/// the convex hull. Extend: the formula itself, which is no linear continuation. Error: refuses (positions within 1e-9 of
-/// the samples' extent, at least 1e-9 pixels, still count as inside).
+/// The formula needs no hull. Far away it tends to a mean of the nearest samples.
+///
+/// * Nearest: the value at the nearest point of the convex hull.
+/// * Extend: the formula itself, which is not a linear continuation.
+/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
+///   count as inside.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InverseDistance {
     power: f64,
@@ -149,10 +159,10 @@ pub struct InverseDistance {
 }
 
 impl InverseDistance {
-    /// The `k` that sets the radius when none is given: about 12 samples take part.
+    /// The default `k` that sets the radius. About 12 samples take part.
     pub const DEFAULT_NEIGHBOURS: usize = 6;
 
-    /// Weights `d^-power` whose radius is set by the `neighbours`-th nearest sample.
+    /// Weights `d^-power` with a radius set by the `neighbours`-th nearest sample.
     ///
     /// # Errors
     /// [`CoeffFieldError::Parameter`] unless `power` is finite and above 0 and `neighbours` at least 1.
@@ -177,12 +187,13 @@ impl InverseDistance {
         self.power
     }
 
-    /// Which nearest sample sets the radius.
+    /// The rank of the nearest sample that sets the radius (1 for the nearest).
     pub fn neighbours(self) -> usize {
         self.neighbours.get()
     }
 
-    /// The formula without one sample; none when no sample is left.
+    /// Writes the weights by the formula, without the sample `skip`. Returns `None` if no sample is
+    /// left.
     fn weights(
         self,
         tree: &SearchTree,
@@ -193,7 +204,7 @@ impl InverseDistance {
         let k = self.neighbours;
         let others = tree.points.len() - usize::from(skip.is_some());
         weights.clear();
-        // With few samples nothing is cut off.
+        // Few samples have no cut-off radius.
         let radius = if others <= k.get() {
             weights.extend(
                 (0..tree.points.len())
@@ -214,7 +225,8 @@ impl InverseDistance {
             single(weights, nearest.0);
             return Some(());
         }
-        // Relative to the nearest sample's, whose u is the largest, nothing overflows and the sum is at least 1.
+        // Weights relative to the nearest sample, which has the largest u. So nothing overflows,
+        // and the sum is at least 1.
         let d_nearest = nearest.1.sqrt();
         let scale = d_nearest / (1.0 - d_nearest / radius);
         weights.retain_mut(|(_, weight)| {
@@ -288,16 +300,17 @@ impl FieldWeights for InverseDistanceWeights {
     }
 }
 
-/// A k-d tree whose answers do not depend on how it was built: distances are computed here, ties go to the lowest sample.
+/// A k-d tree whose answers do not depend on how it was built. Distances are computed here, and
+/// among equal distances the lowest sample wins.
 #[derive(Debug)]
 pub(crate) struct SearchTree {
     tree: ImmutableKdTree<f64, 2>,
     points: Vec<Point>,
 }
 
-/// The tree's own distances may be rounded differently.
+/// Allowance for a different rounding of the tree's own distances.
 const ROUNDING: f64 = 1.0 + 1e-12;
-/// Rounding of a squared distance, and of the position it is taken from, is well below this, relatively.
+/// Relative bound, well above the rounding of a squared distance and of its position.
 const DOUBT: f64 = 64.0 * f64::EPSILON;
 
 impl SearchTree {
@@ -310,7 +323,8 @@ impl SearchTree {
         })
     }
 
-    /// The sample nearest to `p` apart from `skip`; of several at the same distance the first. None when none is left.
+    /// The sample nearest to `p` other than `skip`, or the first of several at equal distance.
+    /// `None` if no sample is left.
     pub(crate) fn nearest(&self, p: Point, skip: Option<usize>) -> Option<usize> {
         let largest = self.square_of_kth(p, NonZeroUsize::MIN, skip)?;
         let mut best = (f64::INFINITY, usize::MAX);
@@ -322,10 +336,11 @@ impl SearchTree {
         Some(best.1)
     }
 
-    /// The sample nearest to `p`; none where another one is as near but for rounding.
+    /// The sample nearest to `p`, or `None` where another one is equally near within rounding.
     ///
-    /// Where `p` and `q` have the same result, so have the positions between them: the difference of the squared distances of
-    /// two samples is linear along the line, and the rounding allowed for convex.
+    /// If `p` and `q` have one result, so have all positions between them: along the line, the
+    /// difference of two samples' squared distances is linear, and the allowance for rounding is
+    /// convex.
     pub(crate) fn clearly_nearest(&self, p: Point) -> Option<usize> {
         let two = const { NonZeroUsize::new(2).expect("2 is not 0") };
         let mut found = self.closest(p, two);
@@ -338,7 +353,8 @@ impl SearchTree {
         (far.0 - near.0 > doubt).then_some(near.1)
     }
 
-    /// The squared distance of the `k`-th nearest sample apart from `skip`; of the last one where there are fewer.
+    /// The squared distance of the `k`-th nearest sample other than `skip`, or of the last one if
+    /// there are fewer.
     pub(crate) fn square_of_kth(&self, p: Point, k: NonZeroUsize, skip: Option<usize>) -> Option<f64> {
         let wanted = k.saturating_add(usize::from(skip.is_some()));
         let others = self
@@ -347,7 +363,8 @@ impl SearchTree {
         others.take(k.get()).map(|(square, _)| square).reduce(f64::max)
     }
 
-    /// The squared distances and the samples nearest to `p`, at most `count`.
+    /// The squared distances and indices of the `count` samples nearest to `p`, or of all if there
+    /// are fewer.
     fn closest(&self, p: Point, count: NonZeroUsize) -> impl Iterator<Item = (f64, usize)> {
         let query = self.tree.query(&p);
         let found = query.nearest_n::<SquaredEuclidean<f64>>(count).execute();
@@ -355,7 +372,8 @@ impl SearchTree {
         samples.map(move |sample| (self.square(p, sample), sample))
     }
 
-    /// Visits every sample whose squared distance from `p` is at most about `square`, apart from `skip`.
+    /// Visits every sample other than `skip` whose squared distance from `p` is at most about
+    /// `square`.
     pub(crate) fn within(
         &self,
         p: Point,
@@ -417,7 +435,7 @@ mod tests {
         for ((_, w), expected) in plain.iter().zip([16.0, 4.0, 1.0]) {
             assert!((w - expected / 21.0).abs() < 1e-15);
         }
-        // k = 2: R = 2 sqrt 2 and the third takes no part.
+        // k = 2: R = 2 sqrt 2, and the third sample has no weight.
         let r = 8.0_f64.sqrt();
         let u = [(r - 1.0) / r, (r - 2.0) / (2.0 * r)].map(|v| v.powi(3));
         let cut = formula(&points, 3.0, 2, [0.0, 0.0]);

@@ -12,26 +12,31 @@ use crate::interpolation::{
     check_rows, hull_leave_one_out, in_runs, pixel_by_pixel,
 };
 
-/// Singular values below this part of the largest count as 0: the samples leave a direction undetermined.
+/// Singular values below this fraction of the largest count as 0: the samples leave a direction
+/// undetermined.
 const DEGENERATE: f64 = 1e-10;
-/// A sample that holds all but this part of its own fitted value alone determines a direction.
+/// A sample that supplies all but this fraction of its own fitted value is the only one to
+/// determine a direction.
 const SELF_DETERMINED: f64 = 1e-10;
 
-/// A polynomial of a total degree in x and y, fitted to all samples by least squares, as PSFEx does (E. Bertin 2011, ADASS
-/// XX, 435).
+/// A polynomial of a total degree in x and y, fitted to all samples by least squares, as in PSFEx
+/// (E. Bertin 2011, ADASS XX, 435).
 ///
-/// `a_k(x, y) = sum_{i + j <= d} c_ijk L_i(x') L_j(y')` with normalised Legendre polynomials `L_n = sqrt(2n + 1) P_n`, `x'`
-/// and `y'` the coordinates scaled to [-1, 1] over the samples' bounding box: on an even sampling the terms are nearly
-/// orthogonal, so the fit is well conditioned. It is solved by Householder QR. The nodes are the `(d+1)(d+2)/2` terms:
-/// [`FieldWeights::node_values`] does the fit, and a position costs that many weights.
+/// `a_k(x, y) = sum_{i + j <= d} c_ijk L_i(x') L_j(y')` with normalised Legendre polynomials `L_n =
+/// sqrt(2n + 1) P_n`. The coordinates `x'` and `y'` are scaled to [-1, 1] over the samples'
+/// bounding box. On an even sampling the terms are nearly orthogonal, so the fit is well
+/// conditioned. Householder QR solves it. The nodes are the `(d+1)(d+2)/2` terms.
+/// [`FieldWeights::node_values`] computes the fit, and a position needs one weight per term.
 ///
-/// It smooths: the samples are *not* met exactly unless they lie on such a polynomial. Constants are reproduced, and every
-/// polynomial up to the degree; the weights of the terms do not sum to 1.
+/// The fit smooths: it is *not* exact at the samples unless they lie on such a polynomial. It
+/// reproduces every polynomial up to the degree, thus constants. The weights of the terms do not
+/// sum to 1.
 ///
 /// # Outside the samples
-/// Nearest: the value at the nearest point of the convex hull. Extend: the polynomial itself, which grows like the
-/// distance to the power of the degree. Error: refuses (positions within 1e-9 of the samples' extent, at least 1e-9
-/// pixels, still count as inside).
+/// * Nearest: the value at the nearest point of the convex hull.
+/// * Extend: the polynomial itself, which grows as the distance to the power of the degree.
+/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
+///   count as inside.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Polynomial {
     degree: usize,
@@ -58,7 +63,7 @@ impl Polynomial {
         self.degree
     }
 
-    /// The number of terms, `(d+1)(d+2)/2`: as many samples are needed.
+    /// The number of terms, `(d+1)(d+2)/2`. The fit needs at least as many samples.
     pub fn term_count(self) -> usize {
         (self.degree + 1) * (self.degree + 2) / 2
     }
@@ -73,8 +78,8 @@ impl FieldInterpolation for Polynomial {
         }))
     }
 
-    /// From one fit: without sample `i` the residual there is `r_i / (1 - h_ii)`, `h = Q Q^T` (D. M. Allen 1974,
-    /// Technometrics 16, 125).
+    /// All predictions come from one fit. Without sample `i` the residual there is `r_i / (1 -
+    /// h_ii)`, with `h = Q Q^T` (D. M. Allen 1974, Technometrics 16, 125).
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
         let points = Points::new(samples.positions())?;
         let fit = Fit::new(*self, &points)?;
@@ -195,8 +200,9 @@ impl FieldWeights for PolynomialWeights {
         Ok(())
     }
 
-    /// The terms up to degree 1 are linear where the point that they are taken at is: everywhere (extend), or in the hull
-    /// and beside each of its edges and corners. Others go pixel by pixel.
+    /// Terms up to degree 1 are linear where the point of evaluation is linear in the position.
+    /// That holds everywhere (extend), or in the hull and opposite each of its edges and corners.
+    /// Higher degrees are visited pixel by pixel.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.fit.degree > 1 {
@@ -226,7 +232,7 @@ impl FieldWeights for PolynomialWeights {
     }
 }
 
-/// The samples' bounding box, as a map to [-1, 1].
+/// The map from the samples' bounding box to [-1, 1].
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scaling {
     centre: Point,
@@ -238,12 +244,13 @@ impl Scaling {
         let ranges = [range(points, 0), range(points, 1)];
         Self {
             centre: ranges.map(|(a, b)| f64::midpoint(a, b)),
-            // Without a range all samples scale to 0, where every odd term vanishes.
+            // With equal coordinates, all samples scale to 0, where every odd term vanishes.
             half: ranges.map(|(a, b)| if a < b { 0.5 * (b - a) } else { 1.0 }),
         }
     }
 
-    /// The terms at a point, by total degree, each total degree by falling power of x.
+    /// The terms at a point, ordered by total degree, and for each total degree by falling power of
+    /// x.
     pub(crate) fn terms(&self, degree: usize, p: Point) -> Vec<f64> {
         let mut terms = Vec::with_capacity((degree + 1) * (degree + 2) / 2);
         let scaled = [0, 1].map(|axis| (p[axis] - self.centre[axis]) / self.half[axis]);
@@ -332,7 +339,7 @@ mod tests {
             })
         ));
         let rows = (0..20).map(|i| Position::of_pixel(i / 2, i % 2)).collect();
-        // Two rows: y^2 and y^3 follow from 1 and y, so do x y^2.
+        // Two rows: y^2 and y^3 are linear combinations of 1 and y. Likewise x y^2.
         assert!(matches!(
             prepare(rows),
             Err(CoeffFieldError::Undetermined {
@@ -371,7 +378,7 @@ mod tests {
     #[test]
     fn terms_come_by_total_degree() {
         let scaling = Scaling::new(&[[1e7, 3.0], [1e7 + 4.0, 3.0]]);
-        // x' = 0.5; all y agree, so that y' = 0.
+        // x' = 0.5. All y are equal, so y' = 0.
         let terms = scaling.terms(2, [1e7 + 3.0, 3.0]);
         let s = [1.0, 3.0_f64.sqrt(), 5.0_f64.sqrt()];
         let expected = [1.0, 0.5 * s[1], 0.0, -0.125 * s[2], 0.0, -0.5 * s[2]];
