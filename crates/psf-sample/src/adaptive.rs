@@ -1,4 +1,4 @@
-//! Non-uniform sampling.
+//! Adaptive sampling.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,9 +16,9 @@ use crate::sampling::{CapReached, SampleError, Sampling, SamplingMethod, Samplin
 /// Samples densely where the PSF varies much and sparsely where it does not.
 ///
 /// A coarse grid over the whole field, corners and edges included, is refined cell by cell until a
-/// [`RefinementCriterion`] holds in every cell: by default [`NeighbourDifference`] of 1 % (relative L2). The
-/// [crate's page](crate) describes the mesh. Every PSF is drawn once; one that a criterion looked at becomes a sample
-/// without another drawing when its cell is split.
+/// [`RefinementCriterion`] holds in every cell. The default is a [`NeighbourDifference`] of 1 %
+/// (relative L2). The [crate's page](crate) describes the mesh. Every PSF is drawn once: a PSF that
+/// a criterion has used becomes a sample without being drawn again when its cell is split.
 ///
 /// ```
 /// use ndarray::ArrayViewMut2;
@@ -30,7 +30,11 @@ use crate::sampling::{CapReached, SampleError, Sampling, SamplingMethod, Samplin
 /// impl PsfSource for Corner {
 ///     fn grid(&self) -> StampGrid { StampGrid::new(3, 1).unwrap() }
 ///     fn field(&self) -> FrameShape { FrameShape::new(1000, 1000).unwrap() }
-///     fn draw_into(&self, at: Position, mut stamp: ArrayViewMut2<'_, f64>) -> Result<(), SourceError> {
+///     fn draw_into(
+///         &self,
+///         at: Position,
+///         mut stamp: ArrayViewMut2<'_, f64>,
+///     ) -> Result<(), SourceError> {
 ///         let part = 0.5 * (-at.distance(Position::of_pixel(999, 999)) / 300.0).exp();
 ///         stamp.assign(&ndarray::array![[0.0, 1.0 - part, part]]);
 ///         Ok(())
@@ -51,16 +55,16 @@ pub struct AdaptiveSampling {
 }
 
 impl AdaptiveSampling {
-    /// Samples along each axis of the starting grid, unless told otherwise.
+    /// Default number of samples along each axis of the starting grid.
     pub const DEFAULT_START: usize = 5;
-    /// The cap on the number of samples, unless told otherwise: 640 MB of 64 x 64 stamps.
+    /// Default cap on the number of samples: 640 MB of 64 x 64 stamps.
     pub const DEFAULT_MAX_SAMPLES: usize = 20_000;
-    /// The smallest cell in pixels, unless told otherwise.
+    /// Default size of the smallest cell in pixels.
     pub const DEFAULT_MIN_CELL_PX: f64 = 1.0;
-    /// The largest ratio of a cell's sides, unless told otherwise.
+    /// Default of the largest ratio of a cell's sides.
     pub const DEFAULT_MAX_ASPECT: f64 = 2.0;
 
-    /// Adaptive sampling with this criterion and the defaults above.
+    /// Adaptive sampling with a criterion and the defaults above.
     pub fn new(criterion: Arc<dyn RefinementCriterion>) -> Self {
         Self {
             criterion,
@@ -71,9 +75,10 @@ impl AdaptiveSampling {
         }
     }
 
-    /// Starts from `nx` x `ny` samples. What varies on a smaller scale than this grid may be missed.
+    /// Starts from `nx` x `ny` samples. Variations on a smaller scale than this grid may be missed.
     ///
-    /// Along an axis of one pixel there is one sample; a grid finer than the smallest cell is thinned out.
+    /// Along an axis of one pixel there is one sample. A grid finer than the smallest cell is
+    /// thinned out.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless both are from 2 to 4096.
@@ -88,13 +93,15 @@ impl AdaptiveSampling {
         })
     }
 
-    /// Ends with [`SampleError::CapReached`] when the criterion needs more than `max_samples` samples.
+    /// Sets the cap on the number of samples. If the criterion needs more, sampling ends with
+    /// [`SampleError::CapReached`].
     #[must_use]
     pub fn with_max_samples(self, max_samples: usize) -> Self {
         Self { max_samples, ..self }
     }
 
-    /// Halves no cell whose halves would be narrower than `pixels`.
+    /// Sets the size of the smallest cell: no cell is halved if its halves would be narrower than
+    /// `pixels`.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless it is from 0.001 to 1e9.
@@ -107,9 +114,10 @@ impl AdaptiveSampling {
         })
     }
 
-    /// Lets the sides of a cell differ by this factor where the PSF varies along one axis more than along the other. More
-    /// saves samples; triangulations of long cells of different size may join samples far apart, so that their error
-    /// exceeds the criterion's.
+    /// Lets the sides of a cell differ by up to this factor where the PSF varies more along one
+    /// axis than along the other. A larger ratio saves samples. However, triangulations of long
+    /// cells of different size may join samples that are far apart, and their error then exceeds
+    /// that of the criterion.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless it is from 1 to 1e6.
@@ -182,7 +190,7 @@ struct AdaptiveRun<'a> {
 }
 
 impl AdaptiveRun<'_> {
-    /// Indices of the 3 x 3 points of a cell that the criterion looks at.
+    /// Indices of the 3 x 3 points of a cell that the criterion needs.
     fn probes(&self) -> impl Iterator<Item = (usize, usize)> + Clone + use<> {
         let all = self.criterion.probes() == CellProbes::CornersAndMidpoints;
         (0..9)
@@ -190,7 +198,7 @@ impl AdaptiveRun<'_> {
             .filter(move |&(column, row)| all || (column != 1 && row != 1))
     }
 
-    /// Draws what is missing for the cells that were not looked at yet, and measures these.
+    /// Draws the missing PSFs of the cells that are not measured yet, and measures these cells.
     fn assess_new_cells(&mut self) -> Result<(), SampleError> {
         let leaves = self.mesh.leaves();
         self.assessed.retain(|cell, _| leaves.contains(cell));
@@ -216,7 +224,8 @@ impl AdaptiveRun<'_> {
             .collect();
         for (cell, variation) in new.into_iter().zip(measured) {
             for value in [variation.along_x, variation.along_y] {
-                // Also false for NaN. Infinity has no order among others and no meaning in a report.
+                // The comparison is also false for NaN. Infinity cannot be ordered and has no
+                // meaning in a report.
                 if !(value >= 0.0 && value.is_finite()) {
                     let position = self.mesh.position(cell.node(1, 1))?;
                     return Err(SampleError::Criterion { position, value });
@@ -227,7 +236,8 @@ impl AdaptiveRun<'_> {
         Ok(())
     }
 
-    /// Cells that fail and can still be halved: where, how, and how badly they fail.
+    /// Cells that fail and can still be halved: the cell, the axes to halve and the value of the
+    /// criterion.
     fn failing(&self) -> Vec<(Cell, Halving, f64)> {
         let threshold = self.criterion.threshold();
         let halving = |cell, v: CellVariation| {
@@ -252,7 +262,7 @@ impl AdaptiveRun<'_> {
             mesh.halve(failing[..count].iter().map(|&(cell, halving, _)| (cell, halving)));
             mesh
         };
-        // More cells never need fewer samples: bisect.
+        // More cells never need fewer samples, so bisection finds the number.
         let (mut fits, mut too_many) = (0, failing.len());
         while too_many - fits > 1 {
             let middle = fits.midpoint(too_many);

@@ -1,38 +1,42 @@
-//! When a cell of the mesh is fine enough: how much two PSFs differ, and the criteria made of that.
+//! Criteria that decide whether a cell of the mesh is fine enough, and measures of the difference
+//! between two PSFs.
 
 use ndarray::ArrayView2;
 
 use crate::sampling::SampleError;
 
-/// Decides whether a cell between samples is fine enough. Object-safe; may be implemented elsewhere.
+/// Decides whether a cell between samples is fine enough. The trait is object-safe, and other
+/// crates may implement it.
 ///
-/// A cell is a rectangle whose four corners are samples. It is split along an axis whose value exceeds the threshold.
+/// A cell is a rectangle whose four corners are samples. It is split along an axis whose value
+/// exceeds the threshold.
 pub trait RefinementCriterion: std::fmt::Debug + Send + Sync {
-    /// The largest value that is fine, finite and above 0.
+    /// The largest value at which a cell is fine enough, finite and above 0.
     fn threshold(&self) -> f64;
 
-    /// Which PSFs of a cell the criterion looks at.
+    /// Returns which PSFs of a cell the criterion needs.
     fn probes(&self) -> CellProbes;
 
-    /// Measures a cell. Must depend on the stamps alone.
+    /// Measures a cell. The result must depend only on the stamps.
     fn assess(&self, cell: &CellStamps<'_>) -> CellVariation;
 }
 
-/// Which PSFs of a cell are drawn for a criterion.
+/// The PSFs of a cell that are drawn for a criterion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellProbes {
     /// The four corners, which are samples anyway.
     Corners,
-    /// The corners, the middles of the four edges and the cell's centre. They become samples where the cell is split.
+    /// The corners, the middles of the four edges and the cell's centre. They become samples where
+    /// the cell is split.
     CornersAndMidpoints,
 }
 
-/// How much the PSF varies in a cell, in the criterion's measure: numbers of 0 or above.
+/// The variation of the PSF in a cell, in the criterion's measure: numbers of 0 or above.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CellVariation {
-    /// Along x: above the threshold, the cell is halved by a vertical line.
+    /// Variation along x. If it exceeds the threshold, the cell is halved by a vertical line.
     pub along_x: f64,
-    /// Along y: above the threshold, the cell is halved by a horizontal line.
+    /// Variation along y. If it exceeds the threshold, the cell is halved by a horizontal line.
     pub along_y: f64,
 }
 
@@ -50,19 +54,22 @@ pub struct CellStamps<'a> {
 }
 
 impl CellStamps<'_> {
-    /// The PSF at `column` and `row`: 0 for the lower end of the axis, 1 for the middle, 2 for the upper end.
+    /// The PSF at `column` and `row`: 0 for the lower end of the axis, 1 for the middle, 2 for the
+    /// upper end.
     ///
     /// # Panics
-    /// When an index exceeds 2, or for a midpoint that [`RefinementCriterion::probes`] did not ask for.
+    /// When an index exceeds 2, or for a midpoint that [`RefinementCriterion::probes`] does not
+    /// include.
     pub fn at(&self, column: usize, row: usize) -> ArrayView2<'_, f64> {
         self.stamps[row][column]
             .as_ref()
-            .expect("the criterion asks for its midpoints")
+            .expect("the criterion includes the midpoints in its probes")
             .view()
     }
 }
 
-/// A relative difference of two stamps `a` and `b` on the same grid; symmetric in them, 0 for equal ones.
+/// A relative difference of two stamps `a` and `b` on the same grid. It is symmetric in them and 0
+/// for equal stamps.
 ///
 /// ```
 /// use ndarray::array;
@@ -73,9 +80,9 @@ impl CellStamps<'_> {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum DifferenceMeasure {
-    /// `sum |a - b| / (sum |a| + sum |b|) * 2`: up to 2, for PSFs that do not overlap.
+    /// `sum |a - b| / (sum |a| + sum |b|) * 2`: at most 2, reached by PSFs that do not overlap.
     L1,
-    /// `||a - b||_2 / (||a||_2 + ||b||_2) * 2`: up to sqrt(2) for PSFs of equal norm that do not overlap.
+    /// `||a - b||_2 / (||a||_2 + ||b||_2) * 2`: sqrt(2) for PSFs of equal norm that do not overlap.
     #[default]
     L2,
 }
@@ -99,7 +106,7 @@ impl DifferenceMeasure {
     }
 
     fn of_pairs(self, a: impl Iterator<Item = f64>, b: impl Iterator<Item = f64>, same_shape: bool) -> f64 {
-        assert!(same_shape, "stamps of one source have one shape");
+        assert!(same_shape, "stamps of one source have equal shapes");
         let norm = |v: f64| if self == Self::L1 { v.abs() } else { v * v };
         let (mut d, mut na, mut nb) = (0.0, 0.0, 0.0);
         for (a, b) in a.zip(b) {
@@ -110,17 +117,19 @@ impl DifferenceMeasure {
         if self == Self::L2 {
             (d, na, nb) = (d.sqrt(), na.sqrt(), nb.sqrt());
         }
-        // Two empty stamps do not differ; every stamp that is drawn holds light.
+        // The difference of two empty stamps is 0. Every stamp that is drawn holds light.
         if d == 0.0 { 0.0 } else { 2.0 * d / (na + nb) }
     }
 }
 
-/// Neighbouring samples differ by less than a threshold. Neighbours are the ends of every edge of the mesh: the next sample
-/// to the left, right, above and below (where a small cell meets a large one, along both the small and the large edge).
+/// Requires that neighbouring samples differ by less than a threshold. Neighbours are the ends of
+/// every edge of the mesh: the next sample to the left, right, above and below. Where a small cell
+/// meets a large one, both the small and the large edge count.
 ///
-/// What lies between two samples is not looked at: a PSF that comes back to the same shape within one cell of the starting
-/// grid goes unseen, and a PSF that varies linearly is sampled densely although interpolation would be exact.
-/// [`InterpolationError`](crate::InterpolationError) looks there, and mostly needs far fewer samples for the same error.
+/// The criterion does not examine points between two samples. It misses a PSF that returns to the
+/// same shape within one cell of the starting grid. It samples a PSF that varies linearly densely,
+/// although interpolation would be exact. [`InterpolationError`](crate::InterpolationError)
+/// examines points between samples, and usually needs far fewer samples for the same error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeighbourDifference {
     threshold: f64,
@@ -131,7 +140,7 @@ impl NeighbourDifference {
     /// The default threshold, 1 %.
     pub const DEFAULT_THRESHOLD: f64 = 0.01;
 
-    /// A criterion with this threshold on this measure.
+    /// A criterion with a threshold on a measure of the difference.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless the threshold is finite and above 0.
@@ -174,15 +183,18 @@ impl RefinementCriterion for NeighbourDifference {
     }
 }
 
-/// Linear interpolation between the samples is wrong by less than a threshold at points that are no samples:
+/// Requires that linear interpolation between the samples has an error below a threshold at points
+/// that are not samples:
 ///
-/// * at the middle of each edge, against the mean of the edge's ends;
-/// * at the centre of the cell, against the mean of **either** pair of opposite corners, whichever is worse: a Delaunay
-///   triangulation may draw either diagonal. Bilinear interpolation, the mean of both, is never worse than the worse one.
+/// * at the middle of each edge, against the mean of the edge's ends.
+/// * at the centre of the cell, against the mean of **either** pair of opposite corners, whichever
+///   error is larger: a Delaunay triangulation may draw either diagonal. Bilinear interpolation,
+///   the mean of both, is never worse than the worse of them.
 ///
-/// For a PSF that varies quadratically within a cell, the worst point of a triangle with a right angle is the middle of its
-/// longest side, so these points bound the error in the cell. Where cells of different size meet, a triangulation may join
-/// other samples; its error there is of the same order, not strictly bounded.
+/// For a PSF that varies quadratically within a cell, the worst point of a triangle with a right
+/// angle is the middle of its longest side, so these points bound the error in the cell. Where
+/// cells of different size meet, a triangulation may join other samples. Its error there is of the
+/// same order, but not strictly bounded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InterpolationError {
     threshold: f64,
@@ -190,7 +202,8 @@ pub struct InterpolationError {
 }
 
 impl InterpolationError {
-    /// A criterion with this threshold on this measure of (interpolated, true).
+    /// A criterion with a threshold on a measure of the difference between interpolated and true
+    /// PSF.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless the threshold is finite and above 0.
@@ -222,8 +235,9 @@ impl RefinementCriterion for InterpolationError {
         let x = error((0, 0), (2, 0), (1, 0)).max(error((0, 2), (2, 2), (1, 2)));
         let y = error((0, 0), (0, 2), (0, 1)).max(error((2, 0), (2, 2), (2, 1)));
         let centre = error((0, 0), (2, 2), (1, 1)).max(error((2, 0), (0, 2), (1, 1)));
-        // Halving an axis takes three quarters of a quadratic error along it and half of the twist (the rest of the centre's
-        // error). Where halving one axis is enough, that one bears the centre's error, else both do.
+        // Halving an axis removes three quarters of a quadratic error along it, and half of the
+        // twist (the remaining error at the centre). If halving one axis is enough, that axis is
+        // charged with the error at the centre, else both are.
         let twist = (centre - x - y).max(0.0);
         let enough = |of: f64, other: f64| {
             of.max(centre) > self.threshold

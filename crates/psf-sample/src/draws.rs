@@ -1,4 +1,4 @@
-//! Drawing many PSFs at once: anywhere, on a regular grid, and at sub-pixel shifts.
+//! Drawing of many PSFs: at any positions, on a regular grid, and at sub-pixel shifts.
 
 use std::collections::HashMap;
 
@@ -12,7 +12,7 @@ use crate::criteria::DifferenceMeasure;
 use crate::mesh::{Mesh, Node};
 use crate::sampling::{SampleError, Sampling, SamplingMethod, SamplingReport};
 
-/// One checked PSF: finite, with light.
+/// Draws a PSF and checks that it is finite and has light.
 fn draw(source: &dyn PsfSource, position: Position, shift: (f64, f64)) -> Result<Array2<f64>, SampleError> {
     let grid = source.grid();
     let mut values = Array2::zeros(grid.dim());
@@ -31,7 +31,8 @@ fn draw(source: &dyn PsfSource, position: Position, shift: (f64, f64)) -> Result
     }
 }
 
-/// Draws in parallel; the first error in the order of the positions wins, whatever the threads did.
+/// Draws in parallel. Returns the first error in the order of the positions, independent of the
+/// threads.
 fn draw_all(
     source: &dyn PsfSource,
     positions: &[Position],
@@ -48,7 +49,7 @@ fn draw_all(
     drawn.into_iter().collect()
 }
 
-/// Every PSF drawn so far, by its place on the mesh.
+/// Every PSF drawn so far, by its node of the mesh.
 #[derive(Debug, Default)]
 pub(crate) struct DrawnStamps {
     stamps: HashMap<Node, Array2<f64>>,
@@ -60,12 +61,12 @@ impl DrawnStamps {
         &self.stamps[&node]
     }
 
-    /// PSFs drawn, each once.
+    /// The number of PSFs drawn, each counted once.
     pub(crate) fn count(&self) -> usize {
         self.stamps.len()
     }
 
-    /// Draws the `nodes` of a mesh that are not here yet.
+    /// Draws the `nodes` of a mesh that are not drawn yet.
     pub(crate) fn add(
         &mut self,
         source: &dyn PsfSource,
@@ -87,7 +88,7 @@ impl DrawnStamps {
         Ok(())
     }
 
-    /// The samples at the nodes of a mesh, by y, then x.
+    /// The samples at the nodes of a mesh, ordered by y, then x.
     pub(crate) fn into_samples(
         mut self,
         source: &dyn PsfSource,
@@ -103,7 +104,7 @@ impl DrawnStamps {
     }
 }
 
-/// Samples from stamps and positions of a source.
+/// Builds samples from stamps and positions of a source.
 fn into_samples(
     source: &dyn PsfSource,
     positions: Vec<Position>,
@@ -111,7 +112,8 @@ fn into_samples(
 ) -> Result<PsfSamples, SampleError> {
     let (ny, nx) = source.grid().dim();
     let mut stack = Array3::zeros((stamps.len(), ny, nx));
-    // Each stamp is freed as it is copied, so that the stack comes on top of less and less.
+    // Each stamp is freed after it is copied, which limits the memory used in addition to the
+    // stack.
     for (mut plane, stamp) in stack.axis_iter_mut(Axis(0)).zip(stamps) {
         plane.assign(&stamp);
     }
@@ -119,7 +121,8 @@ fn into_samples(
     Ok(PsfSamples::new(stack, positions, source.grid())?)
 }
 
-/// Samples on a regular grid whose outermost positions are the pixel centres of the field's corners, 0 and `n - 1`.
+/// Samples on a regular grid whose outermost positions are the pixel centres of the field's
+/// corners, 0 and `n - 1`.
 ///
 /// ```
 /// use psf_sample::UniformSampling;
@@ -151,7 +154,7 @@ impl UniformSampling {
         })
     }
 
-    /// The same grid; the report measures the largest difference of neighbours in this way.
+    /// Sets the measure in which the report states the largest difference of neighbours.
     #[must_use]
     pub fn with_measure(self, measure: DifferenceMeasure) -> Self {
         Self { measure, ..self }
@@ -160,15 +163,15 @@ impl UniformSampling {
     /// The positions on a field, ordered by y, then x.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] when an axis of more than one pixel has a single sample (its two ends would not be
-    /// covered), or an axis of one pixel has several.
+    /// [`SampleError::Setting`] when an axis of more than one pixel has a single sample, which
+    /// would not cover its two ends, or an axis of one pixel has several.
     pub fn positions(&self, field: FrameShape) -> Result<Vec<Position>, SampleError> {
         let axis = |name, samples: usize, pixels: usize| {
             let allowed = "1 for an axis of one pixel, at least 2 otherwise";
             let got = format_args!("{samples} for {pixels} pixels");
             SampleError::check((samples == 1) == (pixels == 1), name, allowed, got)?;
             let last = (samples - 1).max(1) as f64;
-            // Multiplied first: the last one is exactly the last pixel.
+            // The product is formed first, so that the last value is exactly the last pixel.
             Ok::<_, SampleError>((0..samples).map(move |i| (pixels - 1) as f64 * i as f64 / last))
         };
         let xs = axis("samples along x", self.nx, field.nx())?;
@@ -210,10 +213,12 @@ impl SamplingMethod for UniformSampling {
     }
 }
 
-/// Draws every sample again at random sub-pixel shifts, so that a basis learns to represent shifted PSFs too.
+/// Draws every sample again at random sub-pixel shifts, so that a basis learns to represent shifted
+/// PSFs too.
 ///
-/// Shifts are uniform over `-max_shift_px <= dx, dy <= max_shift_px`. Each sample has a ChaCha stream of its own, given by
-/// the seed and the sample's index: the result depends neither on threads nor on the other samples.
+/// Shifts are uniform over `-max_shift_px <= dx, dy <= max_shift_px`. Each sample has its own
+/// ChaCha stream, given by the seed and the sample's index. The result therefore depends neither on
+/// threads nor on the other samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ShiftAugmentation {
     copies_per_sample: usize,
@@ -227,15 +232,17 @@ pub struct ShiftAugmentation {
 pub struct ShiftedStamps {
     /// The stamps `[stamp, y, x]`: all copies of the first sample, then those of the next.
     pub stamps: Array3<f64>,
-    /// Of each stamp, the index of its sample and the shift (dx, dy) in frame pixels.
+    /// For each stamp, the index of its sample and the shift (dx, dy) in frame pixels.
     pub shifts: Vec<(usize, (f64, f64))>,
 }
 
 impl ShiftAugmentation {
-    /// `copies_per_sample` shifted stamps of each sample, shifted by at most `max_shift_px` frame pixels along each axis.
+    /// Draws `copies_per_sample` stamps of each sample, shifted by at most `max_shift_px` frame
+    /// pixels along each axis.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] when there are no copies or the shift is not above 0 and at most 0.5.
+    /// [`SampleError::Setting`] when there are no copies or the shift is not above 0 and at most
+    /// 0.5.
     pub fn new(copies_per_sample: usize, max_shift_px: f64, seed: u64) -> Result<Self, SampleError> {
         let copies = copies_per_sample;
         SampleError::check(copies > 0, "copies per sample", "at least 1", copies)?;
@@ -266,8 +273,8 @@ impl ShiftAugmentation {
     /// Draws the shifted stamps of the samples at `positions`, in parallel.
     ///
     /// # Errors
-    /// [`SampleError::Draw`] when the source cannot shift, or cannot draw; [`SampleError::Stamp`] or
-    /// [`SampleError::NoLight`] when what it draws is no PSF.
+    /// [`SampleError::Draw`] when the source cannot draw or cannot shift. [`SampleError::Stamp`] or
+    /// [`SampleError::NoLight`] when the stamp that it draws is not a PSF.
     pub fn draw(
         &self,
         source: &dyn PsfSource,

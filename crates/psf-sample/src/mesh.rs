@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, HashSet};
 
 use psf_types::{FrameShape, Position};
 
-/// A point of the mesh in steps of the finest lattice; ordered by y, then x.
+/// A point of the mesh in steps of the finest lattice. Nodes are ordered by y, then x.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Node {
     pub(crate) y: u64,
@@ -21,20 +21,21 @@ pub(crate) struct Cell {
 /// The lattice along one axis of the field.
 #[derive(Debug, Clone, Copy)]
 struct Axis {
-    /// Pixel coordinate of the last lattice point; the first is 0.
+    /// Pixel coordinate of the last lattice point. The first is at 0.
     last_px: f64,
     /// Cells of the starting grid.
     cells: u64,
     /// Lattice steps in a cell of the starting grid.
     steps: u64,
-    /// Lattice steps of the narrowest cell that may still be halved.
+    /// Lattice steps across the narrowest cell that may still be halved.
     halvable: u64,
 }
 
-/// Rectangular cells that cover the field, their corners being the samples.
+/// Rectangular cells that cover the field. Their corners are the samples.
 ///
-/// Cells are halved along one axis or both. The mesh stays balanced: an edge holds at most one sample between its ends, at
-/// its middle (a "hanging node", where the cell on the other side is halved and this one is not).
+/// Cells are halved along one axis or both. The mesh stays balanced: an edge holds at most one
+/// sample between its ends, at its middle. This is a "hanging node": the cell on the other side is
+/// halved and this one is not.
 #[derive(Debug, Clone)]
 pub(crate) struct Mesh {
     axes: [Axis; 2],
@@ -43,7 +44,7 @@ pub(crate) struct Mesh {
     nodes: HashSet<Node>,
 }
 
-/// Along which axes a cell is to be halved.
+/// The axes along which a cell is halved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Halving {
     pub(crate) x: bool,
@@ -60,7 +61,7 @@ impl Axis {
     fn new(pixels: usize, samples: usize, min_cell_px: f64) -> Self {
         let last_px = (pixels - 1) as f64;
         if pixels == 1 {
-            // One lattice point: cells without extent, never halved.
+            // One lattice point: the cells have no extent and are never halved.
             return Self {
                 last_px,
                 cells: 1,
@@ -74,7 +75,8 @@ impl Axis {
         while last_px / (cells << (levels + 1)) as f64 >= min_cell_px {
             levels += 1;
         }
-        // Two finer levels hold the midpoints of the smallest cells and the quarter points that balancing looks for.
+        // Two finer levels hold the midpoints of the smallest cells and the quarter points needed
+        // for balancing.
         Self {
             last_px,
             cells,
@@ -131,8 +133,9 @@ impl Cell {
 }
 
 impl Mesh {
-    /// The starting grid of about `start` samples along x and y, its outermost samples on the pixel centres of the field's
-    /// corners; fewer where cells would be smaller than `min_cell_px`.
+    /// The starting grid of about `start` samples along x and y. Its outermost samples lie on the
+    /// pixel centres of the field's corners. It has fewer samples if cells would be smaller than
+    /// `min_cell_px`.
     pub(crate) fn new(field: FrameShape, start: [usize; 2], min_cell_px: f64, max_aspect: f64) -> Self {
         let axes = [
             Axis::new(field.nx(), start[0], min_cell_px),
@@ -151,7 +154,7 @@ impl Mesh {
         }
     }
 
-    /// Cells in a fixed order.
+    /// The cells in a fixed order.
     pub(crate) fn leaves(&self) -> &BTreeSet<Cell> {
         &self.leaves
     }
@@ -160,24 +163,25 @@ impl Mesh {
         self.nodes.len()
     }
 
-    /// The samples by y, then x.
+    /// The samples, ordered by y, then x.
     pub(crate) fn sorted_nodes(&self) -> Vec<Node> {
         let mut nodes: Vec<_> = self.nodes.iter().copied().collect();
         nodes.sort_unstable();
         nodes
     }
 
-    /// Where a node lies on the field.
+    /// The position of a node on the field.
     pub(crate) fn position(&self, node: Node) -> Result<Position, psf_types::DataError> {
         Position::new(self.axes[0].coordinate(node.x), self.axes[1].coordinate(node.y))
     }
 
-    /// Where nodes lie on the field, in their order.
+    /// The positions of nodes on the field, in the given order.
     pub(crate) fn positions(&self, nodes: &[Node]) -> Result<Vec<Position>, psf_types::DataError> {
         nodes.iter().map(|&node| self.position(node)).collect()
     }
 
-    /// What can be halved of what is wanted; both axes where one alone would make the cell too long.
+    /// The part of the `wanted` halving that is possible. Includes the second axis if halving only
+    /// one would make the cell too long.
     pub(crate) fn allowed(&self, cell: Cell, wanted: Halving) -> Halving {
         let size =
             |i: usize, ends: (u64, u64)| self.axes[i].coordinate(ends.1) - self.axes[i].coordinate(ends.0);
@@ -190,7 +194,7 @@ impl Mesh {
         }
     }
 
-    /// Halves cells and then as many others as the balance needs.
+    /// Halves the given cells, and then further cells until the mesh is balanced.
     pub(crate) fn halve(&mut self, cells: impl IntoIterator<Item = (Cell, Halving)>) {
         for (cell, halving) in cells {
             self.replace(cell, halving);
@@ -219,7 +223,7 @@ impl Mesh {
         }
     }
 
-    /// Along which axes an edge of the cell holds samples beyond its middle.
+    /// The axes along which an edge of the cell holds samples other than its middle.
     fn crowded(&self, cell: Cell) -> Halving {
         let quarters = |ends: (u64, u64)| [(ends.0, middle(ends)), (middle(ends), ends.1)].map(middle);
         let at = |x, y| self.nodes.contains(&Node { y, x });
@@ -282,7 +286,7 @@ mod tests {
         assert_eq!(rounds, 6);
         assert!(
             mesh.node_count() < 120,
-            "{}: the balance grades, it does not fill",
+            "{}: balancing adds graded cells, it does not fill the mesh",
             mesh.node_count()
         );
     }

@@ -1,34 +1,34 @@
-//! Samplings: the method, its samples and report, and its errors.
+//! The sampling trait, its result with samples and report, and its errors.
 
 use psf_types::{DataError, Position, Progress, PsfSamples, PsfSource, SourceError};
 use thiserror::Error;
 
-/// A way to choose the positions at which a PSF is sampled. Object-safe.
+/// A method to choose the positions at which a PSF is sampled. The trait is object-safe.
 pub trait SamplingMethod: std::fmt::Debug + Send + Sync {
-    /// Samples `source` over its field, in parallel on the current rayon pool. The result does not depend on the number
-    /// of threads.
+    /// Samples `source` over its field, in parallel on the current rayon pool. The result does not
+    /// depend on the number of threads.
     ///
     /// # Errors
-    /// [`SampleError`] with the position where there is one.
+    /// [`SampleError`], with the position if the error belongs to one.
     fn sample(&self, source: &dyn PsfSource, progress: &dyn Progress) -> Result<Sampling, SampleError>;
 }
 
-/// Samples and how they came about.
+/// Samples and the report about them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Sampling {
     /// The samples, ordered by y, then x.
     pub samples: PsfSamples,
-    /// How well they cover the field.
+    /// The report on how well the samples cover the field.
     pub report: SamplingReport,
 }
 
-/// How well the samples cover the field, and what that cost.
+/// The quality and the cost of a sampling.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct SamplingReport {
-    /// How the sampling ended.
+    /// The reason why the sampling ended.
     pub outcome: SamplingOutcome,
-    /// PSFs drawn: the samples and the points at which a criterion looked.
+    /// PSFs drawn: the samples and the other points that a criterion needs.
     pub draws: usize,
     /// Cells between the samples.
     pub cells: usize,
@@ -36,12 +36,12 @@ pub struct SamplingReport {
     pub unmet_cells: usize,
     /// The largest value of the criterion over the cells.
     pub worst: f64,
-    /// The value below which the criterion holds, where one was asked for.
+    /// The value below which the criterion holds, if there is a criterion.
     pub threshold: Option<f64>,
 }
 
 impl SamplingReport {
-    /// The report of a method that takes positions as they are and asks nothing of what lies between them.
+    /// The report of a method that uses fixed positions and does not check the PSF between them.
     pub fn of_fixed_positions(draws: usize) -> Self {
         Self {
             outcome: SamplingOutcome::Met,
@@ -54,19 +54,20 @@ impl SamplingReport {
     }
 }
 
-/// How a sampling ended.
+/// The reason why a sampling ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SamplingOutcome {
-    /// The criterion holds in every cell, or there was none.
+    /// The criterion holds in every cell, or there was no criterion.
     Met,
-    /// Some cells are as small as allowed and the criterion still does not hold: the PSF jumps there.
+    /// Some cells are as small as allowed and the criterion still does not hold: the PSF jumps
+    /// there.
     CellSizeReached,
-    /// The cap on the number of samples was reached first.
+    /// The number of samples reached its cap before the criterion held.
     CapReached,
 }
 
-/// What went wrong while a field was sampled.
+/// An error of sampling a field.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum SampleError {
@@ -75,48 +76,49 @@ pub enum SampleError {
     Setting {
         /// Name of the setting.
         name: &'static str,
-        /// What is allowed, in words.
+        /// The values that are allowed.
         allowed: &'static str,
-        /// What was given.
+        /// The value that was given.
         got: String,
     },
-    /// The source gave no PSF.
+    /// The source could not draw a PSF.
     #[error("the PSF at {position} could not be drawn")]
     Draw {
-        /// Where.
+        /// The field position.
         position: Position,
-        /// What the source says.
+        /// The error of the source.
         #[source]
         source: SourceError,
     },
-    /// The source drew something that is no PSF: NaN, infinity.
+    /// The source drew values that are not valid: NaN or infinity.
     #[error("the PSF drawn at {position} is not valid")]
     Stamp {
-        /// Where.
+        /// The field position.
         position: Position,
-        /// What is wrong with it.
+        /// The error in the values.
         #[source]
         source: DataError,
     },
     /// The source drew a PSF without light.
     #[error("the PSF drawn at {position} has flux {flux}: a PSF must have positive flux")]
     NoLight {
-        /// Where.
+        /// The field position.
         position: Position,
         /// The stamp's flux.
         flux: f64,
     },
-    /// A criterion that gave no number.
+    /// A criterion returned a value that is not a number of 0 or above.
     #[error(
-        "the refinement criterion gave {value} for the cell around {position}: it must be a number of 0 or above"
+        "the refinement criterion returned {value} for the cell around {position}: it must be a number of 0 or above"
     )]
     Criterion {
         /// Centre of the cell.
         position: Position,
-        /// What it gave.
+        /// The value that it returned.
         value: f64,
     },
-    /// The criterion does not hold with as many samples as are allowed. The samples drawn so far are inside.
+    /// The criterion does not hold with as many samples as are allowed. The error contains the
+    /// samples drawn so far.
     #[error(transparent)]
     CapReached(Box<CapReached>),
     /// Data that is not valid.
@@ -128,7 +130,7 @@ pub enum SampleError {
 }
 
 impl SampleError {
-    /// [`SampleError::Setting`] unless a setting is sound.
+    /// Returns [`SampleError::Setting`] unless `is_sound`.
     pub(crate) fn check(
         is_sound: bool,
         name: &'static str,
@@ -147,11 +149,12 @@ impl SampleError {
     }
 }
 
-/// The state of an adaptive sampling that hit its cap: a complete, valid sampling whose criterion does not hold everywhere.
+/// The state of an adaptive sampling that reached its cap: a complete, valid sampling whose
+/// criterion does not hold everywhere.
 #[derive(Debug, Error)]
 #[error(
     "the criterion does not hold with the {cap} samples allowed: the next refinement needs {wanted}. {unmet} of {cells} cells \
-     exceed {threshold}, the worst has {worst:.3e}. Raise the cap or the threshold, or take the {count} samples as they are",
+     exceed {threshold}, the worst has {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
     unmet = sampling.report.unmet_cells,
     cells = sampling.report.cells,
     threshold = sampling.report.threshold.unwrap_or(f64::NAN),
@@ -170,7 +173,7 @@ impl CapReached {
         self.cap
     }
 
-    /// The number of samples that the next refinement would have had; the criterion may need more in the end.
+    /// The number of samples that the next refinement would have. The criterion may need even more.
     pub fn wanted(&self) -> usize {
         self.wanted
     }
@@ -180,7 +183,7 @@ impl CapReached {
         &self.sampling
     }
 
-    /// The samples drawn, to go on with all the same.
+    /// Returns the samples drawn, to use them although the criterion does not hold.
     pub fn into_sampling(self) -> Sampling {
         self.sampling
     }

@@ -1,4 +1,5 @@
-//! Adaptive sampling: the criterion holds, corners and edges are covered, every ending is reported.
+//! Adaptive sampling: the criterion holds, corners and edges are covered, and the report states
+//! every outcome.
 
 mod common;
 
@@ -38,7 +39,7 @@ fn positions(sampling: &Sampling) -> Vec<(f64, f64)> {
         .collect()
 }
 
-/// Mostly in the corner (1, 1).
+/// Varies mostly in the corner (1, 1).
 fn corner(x: f64, y: f64) -> f64 {
     1.5 + (-((x - 1.0).powi(2) + (y - 1.0).powi(2)) / 0.02).exp()
 }
@@ -87,8 +88,9 @@ fn every_neighbour_is_close_and_corners_and_edges_are_there() {
         for c in [(0.0, 0.0), (999.0, 0.0), (0.0, 799.0), (999.0, 799.0)] {
             assert!(at.contains(&c), "corner {c:?}");
         }
-        // Independently of the mesh: along each row and each column, samples next to each other are close, except where
-        // a coarse cell's edge lies beyond a region of finer rows; there the two are no neighbours.
+        // Checked independently of the mesh: neighbouring samples of each row and each column
+        // differ little. The exception is a coarse cell's edge beyond a region of finer rows, whose
+        // ends are not neighbours.
         let mut rows: HashMap<u64, Vec<usize>> = HashMap::new();
         for (i, p) in at.iter().enumerate() {
             rows.entry(p.1.to_bits()).or_default().push(i);
@@ -133,7 +135,7 @@ fn variation_along_one_axis_is_sampled_along_it() {
     let source = Blob::new(1000, 1000, |x, _| 1.5 + x);
     let free = sample(&neighbours(0.02).with_max_aspect(1e6).unwrap(), &source);
     let rows = positions(&free).iter().filter(|p| p.0 == 0.0).count();
-    assert_eq!(rows, 5, "no row is added for a field that varies along x alone");
+    assert_eq!(rows, 5, "no row is added for a field that varies only along x");
     assert!(
         free.samples.len().is_multiple_of(5) && free.samples.len() > 100,
         "{}",

@@ -1,4 +1,4 @@
-//! Non-uniform sampling against uniform sampling at the same interpolation error.
+//! Adaptive sampling compared with uniform sampling at the same interpolation error.
 
 mod common;
 
@@ -25,7 +25,8 @@ impl HasPosition for Vertex {
     }
 }
 
-/// Positions of a dense check, corners and edges included; 101 shares few points with dyadic or coarse grids.
+/// Positions of a dense check, corners and edges included. 101 intervals share few points with
+/// dyadic or coarse grids.
 const CHECKS: usize = 102;
 
 /// The largest relative L2 error of Delaunay-linear interpolation over the check positions.
@@ -58,7 +59,8 @@ fn largest_error(samples: &PsfSamples, source: &Blob) -> f64 {
     largest
 }
 
-/// The smallest n x n grid that reaches an error, and its error. The error falls with n but not strictly: every n is tried.
+/// The smallest n x n grid with at most the given error, and its error. The error does not fall
+/// strictly with n, so every n is tried.
 fn smallest_uniform(source: &Blob, error: f64, at_most: usize) -> Option<(usize, f64)> {
     (2..=at_most).find_map(|n| {
         let grid = UniformSampling::new(n, n)
@@ -77,7 +79,7 @@ fn compare(name: &str, source: &Blob, criterion: Arc<dyn RefinementCriterion>) -
         .unwrap();
     let error = largest_error(&adaptive.samples, source);
     let count = adaptive.samples.len();
-    let (n, reached) = smallest_uniform(source, error, 80).expect("some grid is as good");
+    let (n, reached) = smallest_uniform(source, error, 80).expect("a uniform grid reaches the error");
     println!(
         "{name}: {count} samples ({} draws), error {error:.2e}; uniform {n} x {n} = {} samples, error {reached:.2e}",
         adaptive.report.draws,
@@ -86,9 +88,9 @@ fn compare(name: &str, source: &Blob, criterion: Arc<dyn RefinementCriterion>) -
     ((n * n) as f64 / count as f64, error / threshold)
 }
 
-/// What must hold: half the samples.
+/// The required gain: half the samples.
 const AT_LEAST: f64 = 2.0;
-/// The criterion bounds the error of either diagonal; measured 0.5 to 0.9.
+/// The criterion bounds the error for either diagonal. Measured: 0.5 to 0.9.
 const DELAUNAY_OVER_THRESHOLD: f64 = 1.0;
 
 fn interpolation_error() -> Arc<dyn RefinementCriterion> {

@@ -1,4 +1,4 @@
-//! Criteria and sources that are not the crate's own, good and broken.
+//! Criteria and sources that are implemented outside the crate, correct and broken.
 
 mod common;
 
@@ -11,12 +11,13 @@ use psf_sample::{
 };
 use psf_types::{FrameShape, NoProgress, Position, PsfSource, SourceError, StampGrid};
 
-/// Mostly in the corner (1, 1).
+/// Varies mostly in the corner (1, 1).
 fn corner(x: f64, y: f64) -> f64 {
     1.5 + (-((x - 1.0).powi(2) + (y - 1.0).powi(2)) / 0.02).exp()
 }
 
-/// A criterion from outside the crate: refine to cells whose corner PSFs have peaks within a factor.
+/// A criterion from outside the crate: it refines to cells whose corner PSFs have peaks within a
+/// factor.
 #[derive(Debug)]
 struct PeakRatio(f64);
 
@@ -51,7 +52,8 @@ fn criteria_from_outside_serve_and_are_checked() {
             .to_string()
             .contains("threshold of the criterion must be")
     );
-    // ln of the ratio of negative peaks is NaN; the sums below are positive, so the PSFs themselves pass.
+    // ln of the ratio of negative peaks is NaN. The sums are positive, so the PSFs themselves are
+    // accepted.
     let odd = Broken(|x| if x > 100.0 { -0.5 } else { 0.5 });
     let error = AdaptiveSampling::new(Arc::new(PeakRatio(0.1)))
         .sample(&odd, &NoProgress)
@@ -62,7 +64,7 @@ fn criteria_from_outside_serve_and_are_checked() {
     );
 }
 
-/// Draws one pixel of a given value at [6, 6] and 1 beside it.
+/// Draws one pixel of a given value at [6, 6] and 1 next to it.
 struct Broken(fn(f64) -> f64);
 
 impl PsfSource for Broken {

@@ -86,7 +86,7 @@ fn shifts_are_seeded_bounded_and_independent_of_threads() {
     assert!(mean(|v| v).abs() < 0.03 && (mean(|v| v * v) - 0.03).abs() < 0.005);
     let distinct: std::collections::HashSet<u64> = all.iter().map(|v| v.to_bits()).collect();
     assert_eq!(distinct.len(), all.len(), "every stream differs");
-    // The stamp is the one of that shift: its centroid moves along.
+    // The stamp belongs to its shift: its centroid moves by the same amount.
     let (_, (dx, _)) = shifted.shifts[0];
     let stamp = shifted.stamps.index_axis(Axis(0), 0);
     let centroid: f64 = stamp
@@ -95,7 +95,7 @@ fn shifts_are_seeded_bounded_and_independent_of_threads() {
         .sum::<f64>()
         / stamp.sum();
     assert!((centroid - dx).abs() < 1e-3, "{centroid} {dx}");
-    // A sample's shifts do not depend on how many other samples there are.
+    // The shifts of a sample do not depend on the number of other samples.
     let few = psf_types::SamplePositions::new(samples.positions().as_slice()[..2].to_vec(), None).unwrap();
     let part = ShiftAugmentation::new(40, 0.3, 5)
         .unwrap()

@@ -1,4 +1,4 @@
-//! A PSF source whose size over the field is any function, and which remembers what was drawn.
+//! A PSF source whose size is any function of the field position. It records what was drawn.
 #![allow(dead_code, reason = "each test file uses some of it")]
 
 use std::sync::Mutex;
@@ -22,7 +22,7 @@ impl Blob {
         }
     }
 
-    /// How many PSFs were drawn; none of them twice.
+    /// Returns how many PSFs were drawn and checks that none was drawn twice.
     pub(crate) fn distinct_draws(&self) -> usize {
         let mut drawn = self.drawn.lock().unwrap().clone();
         let count = drawn.len();
@@ -79,7 +79,7 @@ pub(crate) fn relative_l2(got: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) 
     (d2 / truth.iter().map(|v| v * v).sum::<f64>()).sqrt()
 }
 
-/// The same run on pools of 1, 2 and 4 threads.
+/// Runs `run` on pools of 1, 2 and 4 threads.
 pub(crate) fn on_threads<T: Send>(run: impl Fn() -> T + Sync) -> [T; 3] {
     [1, 2, 4].map(|n| {
         rayon::ThreadPoolBuilder::new()
