@@ -431,17 +431,17 @@ class PsfModel:
     @property
     def interpolation(self) -> str:
         """How coefficients are carried over the field."""
-        return self._handle.words()[0]
+        return self._handle.choices()[0]
 
     @property
     def outside(self) -> str:
         """What holds outside the area that the samples cover."""
-        return self._handle.words()[1]
+        return self._handle.choices()[1]
 
     @property
     def normalise(self) -> str:
         """Whether PSFs are scaled to unit flux ('unit') or not ('keep')."""
-        return self._handle.words()[2]
+        return self._handle.choices()[2]
 
     def fit_report(self) -> dict[str, Any] | None:
         """Return the figures of the fit of its samples; None where there are no samples.

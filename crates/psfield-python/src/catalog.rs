@@ -1,4 +1,4 @@
-//! Catalogues: from files, and from columns of numbers.
+//! Catalogues from files and from columns of numbers.
 
 use std::path::PathBuf;
 
@@ -8,15 +8,16 @@ use psfield::psf_types::{DataError, PointSource, Position, SersicProfile, Sersic
 use pyo3::prelude::*;
 
 use crate::error::{Failure, invalid};
-use crate::words::parsed;
+use crate::settings::parsed;
 
 /// A column of doubles.
 type Column<'py> = Bound<'py, PyArray1<f64>>;
 
-/// Stars `(x, y, flux)`, galaxies `(x, y, flux, re, n, q, angle)`, rows left out as invalid, and rows off the projection.
+/// Stars `(x, y, flux)`, galaxies `(x, y, flux, re, n, q, angle)`, the number of invalid rows that
+/// were skipped, and the number of rows outside the projection.
 type Read<'py> = ([Column<'py>; 3], [Column<'py>; 7], usize, usize);
 
-/// Reads a catalogue as the command line does.
+/// Reads a catalogue from a file.
 #[pyfunction]
 pub(crate) fn read_catalog<'py>(
     py: Python<'py>,
@@ -52,7 +53,7 @@ pub(crate) fn read_catalog<'py>(
     let catalog = py
         .detach(|| read_catalog_with(path, &options))
         .map_err(Failure::from)?;
-    let left_out = (catalog.invalid_rows(), catalog.rows_off_projection());
+    let skipped = (catalog.invalid_rows(), catalog.rows_off_projection());
     let (stars, galaxies) = catalog.into_parts();
     let of_star = |value: fn(&PointSource) -> f64| -> Column<'py> {
         stars.iter().map(value).collect::<Vec<_>>().into_pyarray(py)
@@ -74,17 +75,17 @@ pub(crate) fn read_catalog<'py>(
         of_galaxy(|galaxy| galaxy.profile().axis_ratio()),
         of_galaxy(|galaxy| galaxy.profile().angle_deg()),
     ];
-    Ok((star_columns, galaxy_columns, left_out.0, left_out.1))
+    Ok((star_columns, galaxy_columns, skipped.0, skipped.1))
 }
 
-/// Sources in pixels of the frame.
+/// Sources with positions in pixels of the frame.
 #[derive(Debug, Default)]
 pub(crate) struct Sources {
     pub(crate) stars: Vec<PointSource>,
     pub(crate) galaxies: Vec<SersicSource>,
 }
 
-/// The columns of a catalogue, all of one length: a row whose `re` is 0 or NaN is a star.
+/// The columns of a catalogue, all of one length. A row whose `re` is 0 or NaN is a star.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct SourceColumns<'py> {
@@ -98,7 +99,10 @@ pub(crate) struct SourceColumns<'py> {
 }
 
 impl SourceColumns<'_> {
-    /// The sources; the first row that makes none is an error that names it.
+    /// Builds the sources.
+    ///
+    /// # Errors
+    /// `ValueError` that names the first invalid row.
     pub(crate) fn sources(&self) -> PyResult<Sources> {
         let (x, y, flux) = (self.x.as_array(), self.y.as_array(), self.flux.as_array());
         let optional = |column: &Option<PyReadonlyArray1<'_, f64>>, otherwise: f64| match column {

@@ -11,16 +11,16 @@ use pyo3::prelude::*;
 use crate::error::{Failure, invalid};
 use crate::threads;
 
-/// The whole chain from light to counts.
+/// A detector: the steps from light to counts.
 #[pyclass(frozen, module = "psfield._native")]
 pub(crate) struct Detector(detector::Detector);
 
-/// Counts, flags, and the report as JSON.
+/// Counts, flags and the report as JSON.
 type Exposed<'py> = (Bound<'py, PyAny>, Bound<'py, PyArray2<u8>>, String);
 
 #[pymethods]
 impl Detector {
-    /// A detector from its parameters as JSON, with the keys of the TOML file.
+    /// A detector from its parameters as JSON. The keys are those of the TOML file.
     #[new]
     fn new(params: &str) -> PyResult<Self> {
         let params: DetectorParams =
@@ -45,12 +45,12 @@ impl Detector {
         self.0.unit().to_string()
     }
 
-    /// The level of saturated pixels, if there is one.
+    /// The count at which pixels saturate, if they do.
     fn saturation(&self) -> Option<f64> {
         self.0.saturation()
     }
 
-    /// Counts of an image.
+    /// Exposes an image.
     fn expose<'py>(
         &self,
         py: Python<'py>,

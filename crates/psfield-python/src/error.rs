@@ -1,4 +1,4 @@
-//! Errors as Python knows them.
+//! Errors of the library as exceptions of Python.
 
 use std::error::Error;
 
@@ -13,7 +13,7 @@ use pyo3::prelude::*;
 #[derive(Debug)]
 pub(crate) struct Failure {
     error: Box<PsfieldError>,
-    /// The argument to blame.
+    /// The argument that caused the error.
     argument: Option<&'static str>,
 }
 
@@ -27,7 +27,7 @@ impl<E: Into<PsfieldError>> From<E> for Failure {
 }
 
 impl Failure {
-    /// An error that an argument is to blame for.
+    /// An error caused by this argument.
     pub(crate) fn of<E: Into<PsfieldError>>(argument: &'static str) -> impl FnOnce(E) -> Self {
         move |error| Self {
             error: Box::new(error.into()),
@@ -37,13 +37,13 @@ impl Failure {
 }
 
 impl From<Failure> for PyErr {
-    /// `OSError` where a file or a device is to blame, else `ValueError`; the text is that of the command line.
+    /// `OSError` if the cause is a file or a device, else `ValueError`. The text is the library's.
     fn from(Failure { error, argument }: Failure) -> Self {
         let cause = cause_of::<PyErr>(&*error);
         let clone = |cause: &PyErr| Python::attach(|py| cause.clone_ref(py));
         let asks_for_an_end = |cause: &&PyErr| Python::attach(|py| !cause.is_instance_of::<PyException>(py));
         if let Some(end) = cause.filter(asks_for_an_end) {
-            // KeyboardInterrupt and SystemExit are no errors of the function that they were raised in.
+            // KeyboardInterrupt and SystemExit pass through as they are.
             return clone(end);
         }
         let text = psfield::error_text(&*error);
@@ -59,7 +59,7 @@ impl From<Failure> for PyErr {
                 (None, _) => PyValueError::new_err(text),
             },
         };
-        // What a function of the caller's raised.
+        // An exception raised by a function of the caller.
         if let Some(cause) = cause {
             Python::attach(|py| raised.set_cause(py, Some(clone(cause))));
         }
@@ -67,12 +67,12 @@ impl From<Failure> for PyErr {
     }
 }
 
-/// What the system said, if it was asked.
+/// The kind of the first error of the operating system among the causes.
 fn kind_of(error: &PsfieldError) -> Option<std::io::ErrorKind> {
     cause_of::<std::io::Error>(error).map(std::io::Error::kind)
 }
 
-/// The first cause of a type.
+/// The first cause of this type.
 fn cause_of<'a, E: Error + 'static>(error: &'a (dyn Error + 'static)) -> Option<&'a E> {
     std::iter::successors(error.source(), |&cause| cause.source()).find_map(|cause| cause.downcast_ref())
 }

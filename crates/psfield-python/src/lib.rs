@@ -1,12 +1,13 @@
 //! The native part of the Python package `psfield`: its module `psfield._native`.
 //!
-//! It is thin: arguments are checked and handed to [`psfield`], the interpreter is released while the work runs, and errors become
-//! `ValueError` or `OSError` with the texts of the Rust library. What is comfortable (tables, units, documentation) is in Python,
-//! in `python/psfield`, which alone calls this module; arrays come in the types that the signatures name.
+//! It is a thin layer. It checks arguments, calls [`psfield`] and releases the interpreter while
+//! the work runs. Errors become `ValueError` or `OSError` with the texts of the Rust library.
+//! Tables, units and documentation are handled in Python, in `python/psfield`. Only that package
+//! calls this module. It passes arrays of the types that the signatures name.
 
 #![allow(
     clippy::too_many_arguments,
-    reason = "functions are called by name from one place in Python each"
+    reason = "each function is called from a single place in Python"
 )]
 
 mod catalog;
@@ -16,12 +17,12 @@ mod metrics;
 mod plan;
 mod psf_model;
 mod sampling;
+mod settings;
 mod threads;
-mod words;
 
 use pyo3::prelude::*;
 
-/// The native part of psfield; use the package `psfield`.
+/// The native part of psfield. Use the package `psfield`.
 #[pymodule]
 mod _native {
     #[pymodule_export]
@@ -45,6 +46,6 @@ mod _native {
     fn init(module: &super::Bound<'_, super::PyModule>) -> super::PyResult<()> {
         use pyo3::types::PyModuleMethods as _;
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
-        module.add("DEFAULTS", crate::words::defaults(module.py())?)
+        module.add("DEFAULTS", crate::settings::defaults(module.py())?)
     }
 }

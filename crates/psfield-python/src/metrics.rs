@@ -7,13 +7,13 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::error::Failure;
+use crate::settings::positions;
 use crate::threads;
-use crate::words::positions;
 
 /// Figures by name.
 type Figures<'py> = PyResult<Bound<'py, PyDict>>;
 
-/// `size` pixels each way about the stamp's middle, or about (column, row).
+/// A window of `size` x `size` pixels about the middle of the stamp, or about (column, row).
 fn window(size: Option<usize>, about: Option<(usize, usize)>) -> Window {
     match (size, about) {
         (None, _) => Window::whole(),
@@ -30,7 +30,7 @@ fn figures<'py>(py: Python<'py>, named: &[(&str, f64)]) -> Figures<'py> {
     Ok(figures)
 }
 
-/// A Gaussian fitted to a stamp.
+/// Fits a Gaussian to a stamp.
 #[pyfunction]
 pub(crate) fn fit_gaussian<'py>(
     py: Python<'py>,
@@ -67,7 +67,7 @@ pub(crate) fn fit_gaussian<'py>(
     Ok(found)
 }
 
-/// HSM's adaptive moments of a stamp.
+/// Measures HSM's adaptive moments of a stamp.
 #[pyfunction]
 pub(crate) fn adaptive_moments<'py>(
     py: Python<'py>,
@@ -94,7 +94,7 @@ pub(crate) fn adaptive_moments<'py>(
     figures(py, &named)
 }
 
-/// Plain second moments of a stamp.
+/// Measures unweighted second moments of a stamp.
 #[pyfunction]
 pub(crate) fn quadrupole_moments<'py>(
     py: Python<'py>,
@@ -116,7 +116,7 @@ pub(crate) fn quadrupole_moments<'py>(
     figures(py, &named)
 }
 
-/// The difference of two arrays of any shape; what has no meaning for them is none.
+/// Compares two arrays of one shape. Figures that are undefined are `None`.
 #[pyfunction]
 pub(crate) fn compare<'py>(
     py: Python<'py>,
@@ -141,7 +141,7 @@ pub(crate) fn compare<'py>(
     Ok(named)
 }
 
-/// Sizes and shapes of every plane of a cube, as JSON.
+/// Measures sizes and shapes of every plane of a cube. Returns JSON.
 #[pyfunction]
 pub(crate) fn measure_stamps(
     py: Python<'_>,
@@ -157,7 +157,7 @@ pub(crate) fn measure_stamps(
     Ok(json(&threads::run(py, None, |_| options.cube(stamps, None))?))
 }
 
-/// The same in a window about each position of an image.
+/// Measures sizes and shapes in a window about each position of an image. Returns JSON.
 #[pyfunction]
 pub(crate) fn measure_image(
     py: Python<'_>,

@@ -16,17 +16,17 @@ use rayon::ThreadPool;
 use crate::catalog::{SourceColumns, Sources};
 use crate::error::{Failure, invalid};
 use crate::psf_model::PsfModel;
+use crate::settings::{parsed, region};
 use crate::threads::{self, Watch, pool};
-use crate::words::{parsed, region};
 
-/// How scenes of one shape are simulated.
+/// A plan for the simulation of scenes of one shape.
 #[pyclass(frozen, module = "psfield._native")]
 pub(crate) struct Plan {
     simulator: AnySimulator,
-    /// Held by a thread beside the pool that makes what a new kind of scene needs. Plans for other regions share it as they
-    /// share the plan for stars.
+    /// Held by a thread, outside the pool, that prepares the simulator for a new kind of scene.
+    /// Plans for other regions share it, as they share the plan for stars.
     making: Arc<Mutex<()>>,
-    /// The process that made it.
+    /// The process that made this plan.
     process: u32,
 }
 
@@ -35,7 +35,7 @@ enum AnySimulator {
     Double(Arc<Simulator<f64>>),
 }
 
-/// Runs one body in either precision.
+/// Runs the same body in single or double precision.
 macro_rules! in_precision {
     ($plan:expr, $simulator:ident => $body:expr) => {
         match &$plan.simulator {
@@ -48,7 +48,7 @@ macro_rules! in_precision {
 /// The arguments of a plan by name.
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct PlanWords {
+pub(crate) struct PlanSettings {
     /// (ny, nx) of the scene.
     shape: (usize, usize),
     /// (x0, y0, nx, ny) in pixels of the image.
@@ -67,7 +67,7 @@ pub(crate) struct PlanWords {
     gpu_memory: Option<u64>,
 }
 
-impl PlanWords {
+impl PlanSettings {
     fn options(&self) -> PyResult<SimulateOptions> {
         let method: Method = parsed(&self.method)?;
         if !method.has_plan() {
@@ -89,16 +89,16 @@ impl PlanWords {
     }
 }
 
-/// An image, or none where it went to an array of the caller's, and what should be known of it, in plain sentences.
+/// The image, or `None` if it was written to an array of the caller, and warnings in sentences.
 type Simulated<'py> = (Option<Bound<'py, PyAny>>, Vec<String>);
 
 #[pymethods]
 impl Plan {
-    /// Plans for scenes of one shape.
+    /// Makes a plan for scenes of one shape.
     #[new]
-    fn new(py: Python<'_>, model: &PsfModel, words: PlanWords) -> PyResult<Self> {
-        let builder = model.0.simulator(words.shape).options(words.options()?);
-        let simulator = match words.precision.as_str() {
+    fn new(py: Python<'_>, model: &PsfModel, settings: PlanSettings) -> PyResult<Self> {
+        let builder = model.0.simulator(settings.shape).options(settings.options()?);
+        let simulator = match settings.precision.as_str() {
             "f32" => AnySimulator::Single(planned(py, move |_| builder.build())?),
             "f64" => AnySimulator::Double(planned(py, move |_| builder.build())?),
             other => return Err(invalid(format!("precision must be f32 or f64, got {other}"))),
@@ -110,7 +110,7 @@ impl Plan {
         })
     }
 
-    /// The same for another region of the frame.
+    /// Makes a plan for another region of the same frame.
     fn for_region(&self, py: Python<'_>, at: (i64, i64, usize, usize)) -> PyResult<Self> {
         let at = region(at)?;
         let simulator = match &self.simulator {
@@ -130,7 +130,7 @@ impl Plan {
         })
     }
 
-    /// (x0, y0, nx, ny) of the part of the scene that reaches the image.
+    /// (x0, y0, nx, ny) of the part of the scene whose light reaches the image.
     fn light_region(&self) -> PyResult<(i64, i64, usize, usize)> {
         let light =
             in_precision!(self, simulator => simulator.light_region(&NoProgress)).map_err(Failure::from)?;
@@ -170,7 +170,7 @@ impl Plan {
         Ok(figures)
     }
 
-    /// The image of a scene and sources.
+    /// Simulates the image of a scene and sources.
     fn simulate<'py>(
         &self,
         py: Python<'py>,
@@ -196,7 +196,7 @@ impl Plan {
         })
     }
 
-    /// What each pixel of the scene gives to the scalar product of its image with this one.
+    /// Applies the transpose of the simulation to an image.
     fn adjoint<'py>(
         &self,
         py: Python<'py>,
@@ -215,7 +215,7 @@ impl Plan {
         })
     }
 
-    /// The figures of a check against the direct sum, as JSON.
+    /// Checks an image against the direct sum. Returns the figures as JSON.
     fn spot_check<'py>(
         &self,
         py: Python<'py>,
@@ -243,8 +243,8 @@ impl Plan {
 }
 
 impl Plan {
-    /// A scene for which everything is made. Of threads that need the same, one makes it and the others wait, for as long as
-    /// they want it.
+    /// A scene for which the simulator is prepared. If several threads need the same preparation,
+    /// one makes it and the others wait for it until they are cancelled.
     fn ready<'a, T: ConvReal>(
         &self,
         simulator: &Simulator<T>,
@@ -268,25 +268,26 @@ impl Plan {
         Ok(scene)
     }
 
-    /// What lies on a GPU cannot be used by a child of the process that put it there.
+    /// Refuses a plan on a GPU in a child of the process that made it.
     fn check_process(&self) -> PyResult<()> {
         if self.process == std::process::id() || self.preparation()?.placement.adapter().is_none() {
             return Ok(());
         }
         Err(PyOSError::new_err(
-            "this plan lies on a GPU that the parent of this process opened: make the plan in the forked process, or start processes with spawn",
+            "this plan is on a GPU opened by the parent of this process: make the plan in the forked \
+             process, or start processes with spawn",
         ))
     }
 
-    /// What was made for images.
+    /// The preparation for images.
     fn preparation(&self) -> PyResult<Preparation<'_>> {
         let made = in_precision!(self, simulator => simulator.prepare(&Scene::dark(), true, &NoProgress));
         Ok(made.map_err(Failure::from)?)
     }
 }
 
-/// The image of a scene for which everything is made, none where it went to an array of the caller's, and what should be known
-/// of it.
+/// Simulates a prepared scene. Returns the image, or `None` if it was written to an array of the
+/// caller, and the warnings.
 fn simulated<T: ConvReal>(
     simulator: &Simulator<T>,
     scene: &Scene<'_, T>,
@@ -303,12 +304,12 @@ fn simulated<T: ConvReal>(
         None => made.insert(simulator.zeros()).view_mut(),
     };
     simulator.simulate_into(scene, image.view_mut(), watch)?;
-    // As the library checks its own results.
+    // The library checks its own results in the same way.
     ImageView::new(image.view())?;
     Ok((made, simulator.warnings(scene)))
 }
 
-/// A simulator that has its plan for images.
+/// Builds a simulator and prepares it for images.
 fn planned<T: ConvReal>(
     py: Python<'_>,
     make: impl FnOnce(&Watch) -> Result<Simulator<T>, PsfieldError> + Send + 'static,
@@ -323,29 +324,29 @@ fn planned<T: ConvReal>(
     Ok(made?)
 }
 
-/// A NumPy array of the plan's precision; Python has seen to its type.
+/// Borrows a NumPy array for reading. Python has already converted it to the plan's precision.
 fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>, name: &str) -> PyResult<PyReadonlyArray2<'py, T>> {
     let array = array.cast::<PyArray2<T>>()?;
     array.try_readonly().map_err(|_| {
         invalid(format!(
-            "{name}: another call writes its image to this array: wait for it"
+            "{name}: another call is writing its image to this array: wait until it returns"
         ))
     })
 }
 
-/// The same for an array that is written to.
+/// Borrows a NumPy array for writing.
 fn writable<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadwriteArray2<'py, T>> {
     let array = array.cast::<PyArray2<T>>()?;
     array
         .try_readwrite()
-        .map_err(|_| invalid("out: another call reads or writes this array: give each call one of its own"))
+        .map_err(|_| invalid("out: another call reads or writes this array: give each call its own array"))
 }
 
 fn sources_of(columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
     columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())
 }
 
-/// A warning whose remedy is an option, with the option as Python writes it.
+/// The text of a warning. It names the argument of Python where the library names an option.
 fn text_of(warning: &SimulationWarning) -> String {
     warning.to_string().replace("--oversample 4", "oversample=4")
 }

@@ -18,8 +18,8 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::error::{Failure, invalid};
+use crate::settings::{FileSettings, FitSettings, GridSettings, frame_shape, parsed, positions};
 use crate::threads;
-use crate::words::{FileWords, FitWords, GridWords, frame_shape, parsed, positions};
 
 /// A PSF that changes over the field.
 #[pyclass(frozen, module = "psfield._native")]
@@ -37,7 +37,7 @@ type Choices = (String, String, String);
 type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
 impl PsfModel {
-    /// What takes long, in a way that can be interrupted.
+    /// Runs long work on a thread that can be interrupted.
     fn apart<R: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -47,7 +47,7 @@ impl PsfModel {
         Ok(threads::run_apart(py, move |_, pool| pool.install(|| work(&psf)))?.map_err(Failure::from)?)
     }
 
-    /// The model as it is stored.
+    /// The model as it is stored in files.
     fn record(&self, py: Python<'_>) -> PyResult<&PsfModelRecord> {
         self.apart(py, |psf| psf.record().map(drop))?;
         Ok(self.0.record().map_err(Failure::from)?)
@@ -56,7 +56,7 @@ impl PsfModel {
 
 #[pymethods]
 impl PsfModel {
-    /// Samples `[sample, y, x]` at positions.
+    /// A model from samples `[sample, y, x]` at positions.
     #[staticmethod]
     fn from_samples(
         py: Python<'_>,
@@ -64,8 +64,8 @@ impl PsfModel {
         x: PyReadonlyArray1<'_, f64>,
         y: PyReadonlyArray1<'_, f64>,
         field: Option<(usize, usize)>,
-        grid: GridWords,
-        fit: FitWords,
+        grid: GridSettings,
+        fit: FitSettings,
         gridded_library: bool,
     ) -> PyResult<Self> {
         let (count, ny, nx) = stamps.as_array().dim();
@@ -84,7 +84,8 @@ impl PsfModel {
         Ok(Self(Psf::new(samples, options)))
     }
 
-    /// A mean stamp, components `[component, y, x]` and their coefficients `[sample, component]` at positions.
+    /// A model from a mean stamp, components `[component, y, x]` and their coefficients
+    /// `[sample, component]` at positions.
     #[staticmethod]
     fn from_basis(
         mean: Option<PyReadonlyArray2<'_, f64>>,
@@ -93,13 +94,14 @@ impl PsfModel {
         x: PyReadonlyArray1<'_, f64>,
         y: PyReadonlyArray1<'_, f64>,
         field: Option<(usize, usize)>,
-        grid: GridWords,
-        words: Choices,
+        grid: GridSettings,
+        choices: Choices,
     ) -> PyResult<Self> {
         let (_, ny, nx) = components.as_array().dim();
         let grid = grid.grid((ny, nx))?;
         let positions = sample_positions(&x, &y, field)?;
-        let (interpolation, outside, normalise) = (parsed(&words.0)?, parsed(&words.1)?, parsed(&words.2)?);
+        let (interpolation, outside, normalise) =
+            (parsed(&choices.0)?, parsed(&choices.1)?, parsed(&choices.2)?);
         let mean = mean.map(|mean| mean.as_array().to_owned());
         let basis = PsfBasis::new(mean, components.as_array().to_owned(), grid).map_err(Failure::from)?;
         let coefficients = SampleCoefficients::new(coefficients.as_array().to_owned(), positions);
@@ -108,9 +110,9 @@ impl PsfModel {
         Ok(Self(Psf::from(record.map_err(Failure::from)?)))
     }
 
-    /// Any PSF file.
+    /// Reads any PSF file.
     #[staticmethod]
-    fn read(py: Python<'_>, path: PathBuf, file: FileWords, fit: FitWords) -> PyResult<Self> {
+    fn read(py: Python<'_>, path: PathBuf, file: FileSettings, fit: FitSettings) -> PyResult<Self> {
         let (file, choices) = (file.options()?, fit.choices()?);
         let psf = threads::run_apart(py, move |_, pool| {
             pool.install(|| Psf::open_with(&path, &file, &choices))
@@ -118,42 +120,42 @@ impl PsfModel {
         Ok(Self(psf.map_err(Failure::from)?))
     }
 
-    /// How the file was read, in plain sentences.
+    /// Sentences on how the file was read.
     fn notes(&self) -> Vec<String> {
         self.0.notes().to_vec()
     }
 
-    /// What makes the same model again: the name of a constructor and its arguments.
+    /// The name of the constructor that makes an equal model, and its arguments.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<(&'static str, Bound<'py, PyAny>)> {
         let (x, y) = self.positions(py);
         let (field, grid) = (self.field(), self.grid(py)?);
         if let Some((samples, options)) = self.0.samples() {
             let stamps = samples.stamps().to_owned().into_pyarray(py);
-            let fit = words_of(py, options)?;
+            let fit = fit_settings(py, options)?;
             let state = (stamps, x, y, field, grid, fit, false);
             return Ok(("from_samples", state.into_pyobject(py)?.into_any()));
         }
         let record = self.record(py)?;
         let (mean, components, coefficients) = arrays_of(py, record);
-        let words = choices_of(record);
-        let state = (mean, components, coefficients, x, y, field, grid, words);
+        let choices = choices_of(record);
+        let state = (mean, components, coefficients, x, y, field, grid, choices);
         Ok(("from_basis", state.into_pyobject(py)?.into_any()))
     }
 
-    /// Whether there are samples behind it.
+    /// Returns whether the model was fitted to samples.
     fn has_samples(&self) -> bool {
         self.0.samples().is_some()
     }
 
-    /// The stamps' grid, as the constructors take it.
+    /// The grid of the stamps, in the form that the constructors accept.
     fn grid<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let grid = self.0.grid();
-        let words = PyDict::new(py);
-        words.set_item("oversampling", grid.oversampling())?;
-        words.set_item("centre", (grid.centre_x(), grid.centre_y()))?;
-        words.set_item("pixel_response_included", grid.pixel_response_included())?;
-        words.set_item("stamp_interpolation", grid.interpolation().to_string())?;
-        Ok(words)
+        let settings = PyDict::new(py);
+        settings.set_item("oversampling", grid.oversampling())?;
+        settings.set_item("centre", (grid.centre_x(), grid.centre_y()))?;
+        settings.set_item("pixel_response_included", grid.pixel_response_included())?;
+        settings.set_item("stamp_interpolation", grid.interpolation().to_string())?;
+        Ok(settings)
     }
 
     /// (ny, nx) of the stamps.
@@ -161,19 +163,19 @@ impl PsfModel {
         self.0.grid().dim()
     }
 
-    /// Where the samples or the nodes lie.
+    /// Positions of the samples or nodes.
     fn positions<'py>(&self, py: Python<'py>) -> Points<'py> {
         points(py, self.0.positions())
     }
 
-    /// (ny, nx) of the field, if it is known.
+    /// (ny, nx) of the field, if known.
     fn field(&self) -> Option<(usize, usize)> {
         let field = self.0.positions().field()?;
         Some((field.ny(), field.nx()))
     }
 
-    /// The words of interpolation, outside and normalise.
-    fn words(&self, py: Python<'_>) -> PyResult<Choices> {
+    /// Interpolation, outside and normalise by name.
+    fn choices(&self, py: Python<'_>) -> PyResult<Choices> {
         Ok(choices_of(self.record(py)?))
     }
 
@@ -182,7 +184,7 @@ impl PsfModel {
         Ok(arrays_of(py, self.record(py)?))
     }
 
-    /// The figures of the fit as JSON; none for a model.
+    /// The figures of the fit as JSON. `None` for a model without samples.
     fn fit_report(&self, py: Python<'_>) -> PyResult<Option<String>> {
         let report = self.apart(py, |psf| psf.fit()?.map(Fit::report).transpose())?;
         Ok(report.map(|report| serde_json::to_string(&report).expect("figures are plain numbers")))
@@ -213,7 +215,8 @@ impl PsfModel {
         Ok(stamps.into_pyarray(py))
     }
 
-    /// The PSFs of a gridded library: stamps, x, y, oversampling, and the largest error of bilinear interpolation.
+    /// A gridded library: stamps, x and y, oversampling, and the largest error of bilinear
+    /// interpolation.
     fn gridded<'py>(
         &self,
         py: Python<'py>,
@@ -230,9 +233,9 @@ impl PsfModel {
         ))
     }
 
-    /// Writes a file; returns what should be known of it.
-    fn write(&self, py: Python<'_>, path: PathBuf, words: WriteWords) -> PyResult<Vec<String>> {
-        threads::run(py, None, |_| words.write(&path, &self.0))?
+    /// Writes a file. Returns notes for the user, in sentences.
+    fn write(&self, py: Python<'_>, path: PathBuf, settings: WriteSettings) -> PyResult<Vec<String>> {
+        threads::run(py, None, |_| settings.write(&path, &self.0))?
     }
 }
 
@@ -251,19 +254,19 @@ fn points<'py>(py: Python<'py>, of: &SamplePositions) -> Points<'py> {
     (x.into_pyarray(py), y.into_pyarray(py))
 }
 
-fn words_of<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'py, PyDict>> {
-    let words = PyDict::new(py);
-    words.set_item("rank", options.rank.to_string())?;
-    words.set_item("centring", options.centring.to_string())?;
+fn fit_settings<'py>(py: Python<'py>, options: &FitOptions) -> PyResult<Bound<'py, PyDict>> {
+    let settings = PyDict::new(py);
+    settings.set_item("rank", options.rank.to_string())?;
+    settings.set_item("centring", options.centring.to_string())?;
     let noise = match options.noise {
         PixelNoise::Known(sigma) => Some(sigma),
         _ => None,
     };
-    words.set_item("noise", noise)?;
-    words.set_item("interpolation", options.interpolation.to_string())?;
-    words.set_item("outside", options.outside.to_string())?;
-    words.set_item("normalise", options.normalisation.to_string())?;
-    Ok(words)
+    settings.set_item("noise", noise)?;
+    settings.set_item("interpolation", options.interpolation.to_string())?;
+    settings.set_item("outside", options.outside.to_string())?;
+    settings.set_item("normalise", options.normalisation.to_string())?;
+    Ok(settings)
 }
 
 fn choices_of(record: &PsfModelRecord) -> Choices {
@@ -283,25 +286,25 @@ fn arrays_of<'py>(py: Python<'py>, record: &PsfModelRecord) -> Basis<'py> {
     )
 }
 
-/// What is written, by name.
+/// The arguments of `write` by name.
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
-struct WriteWords {
+struct WriteSettings {
     format: String,
-    /// Of PSFEx's polynomial.
+    /// The degree of PSFEx's polynomial.
     degree: Option<usize>,
     /// (ny, nx) of a grid of positions.
     at: Option<(usize, usize)>,
-    /// Samples in double precision.
+    /// Write samples in double precision.
     double: bool,
     overwrite: bool,
 }
 
-/// The words of a file's HISTORY.
+/// The program named in the HISTORY of files.
 const COMMAND: &str = "psfield for Python";
 
-impl WriteWords {
-    /// Writes the file; returns what should be known of it.
+impl WriteSettings {
+    /// Writes the file. Returns notes for the user, in sentences.
     fn write(&self, path: &Path, psf: &Psf) -> PyResult<Vec<String>> {
         let (cards, at) = (provenance_cards(COMMAND), samples_at(self.at));
         let written = || -> Result<Option<Vec<String>>, PsfieldError> {
@@ -340,7 +343,7 @@ impl WriteWords {
     }
 }
 
-/// A grid of (ny, nx) positions, or the PSF's own.
+/// A grid of (ny, nx) positions, or those of the PSF.
 fn samples_at(at: Option<(usize, usize)>) -> SamplesAt {
     match at {
         Some((ny, nx)) => SamplesAt::Grid { nx, ny },

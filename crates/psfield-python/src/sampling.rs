@@ -1,4 +1,4 @@
-//! PSFs that a Python function draws, sampled where they vary.
+//! Sampling of a PSF that a Python function draws.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -15,24 +15,24 @@ use pyo3::types::PyDict;
 
 use crate::error::{Failure, invalid};
 use crate::psf_model::PsfModel;
+use crate::settings::{FitSettings, GridSettings, frame_shape};
 use crate::threads::{self, Watch};
-use crate::words::{FitWords, GridWords, frame_shape};
 
-/// How a field is sampled.
+/// The settings of the sampling by name.
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct SamplingWords {
+pub(crate) struct SamplingSettings {
     criterion: String,
     measure: String,
     threshold: f64,
     /// (ny, nx).
     start: (usize, usize),
     max_samples: usize,
-    /// (ny, nx) of a regular grid instead.
+    /// (ny, nx) of a regular grid that replaces refinement.
     uniform: Option<(usize, usize)>,
 }
 
-impl SamplingWords {
+impl SamplingSettings {
     fn method(&self) -> PyResult<Box<dyn SamplingMethod>> {
         let measure = match self.measure.as_str() {
             "l1" => DifferenceMeasure::L1,
@@ -64,16 +64,16 @@ impl SamplingWords {
     }
 }
 
-/// Samples the function `f(x, y)` over a field; returns the model and how the sampling ended.
+/// Samples the function `f(x, y)` over a field. Returns the model and a report of the sampling.
 #[pyfunction]
 pub(crate) fn sample_function(
     py: Python<'_>,
     function: Py<PyAny>,
     stamp_shape: (usize, usize),
     field: (usize, usize),
-    grid: GridWords,
-    sampling: SamplingWords,
-    fit: FitWords,
+    grid: GridSettings,
+    sampling: SamplingSettings,
+    fit: FitSettings,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(PsfModel, Bound<'_, PyDict>)> {
     let (grid, field) = (grid.grid(stamp_shape)?, frame_shape(field)?);
@@ -81,7 +81,8 @@ pub(crate) fn sample_function(
     if let Some((ny, nx)) = sampling.uniform {
         psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }
-    // Threads of its own: the function may call psfield itself, and those that wait for it are no use to anybody.
+    // A pool of its own: the function may call psfield itself, and threads that wait for the
+    // function must not block that call.
     let pool = threads::made(threads::threads()?)?;
     let sampled = threads::run_beside(py, progress.as_ref(), &pool, |watch, pool| {
         let source = FunctionSource {
@@ -116,14 +117,15 @@ pub(crate) fn sample_function(
     Ok((PsfModel(Psf::new(samples, options)), found))
 }
 
-/// A PSF that a Python function draws: `f(x, y)` gives the stamp `[y, x]` of the PSF at a position, in doubles. It is never called twice at a time.
+/// A PSF drawn by the Python function `f(x, y)`, which returns the stamp `[y, x]` at a position in
+/// doubles. It is never called by two threads at once.
 struct FunctionSource<'a> {
     function: &'a Py<PyAny>,
     grid: StampGrid,
     field: FrameShape,
     watch: &'a Watch,
-    /// Held while the function runs. It is taken without the interpreter, lest one thread waits for it while it keeps the interpreter from
-    /// another.
+    /// Held while the function runs. A thread locks it before it attaches to the interpreter.
+    /// Otherwise a thread could hold the interpreter while it waits for this lock, and deadlock.
     turn: Mutex<()>,
 }
 
@@ -141,7 +143,7 @@ impl PsfSource for FunctionSource<'_> {
             |source: Box<dyn std::error::Error + Send + Sync>| SourceError::External { position, source };
         let _turn = self.turn.lock().unwrap_or_else(PoisonError::into_inner);
         if self.watch.cancelled() {
-            return Err(failed("sampling was stopped".into()));
+            return Err(failed("sampling was cancelled".into()));
         }
         Python::attach(|py| {
             let drawn = self

@@ -1,4 +1,4 @@
-//! The threads that do the work, without the interpreter, which stays able to interrupt it.
+//! Threads that run the work without the interpreter, so that Python can interrupt it.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
@@ -12,16 +12,17 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::invalid;
 
-/// The pool of one process.
+/// The thread pool of one process.
 struct Pool {
     process: u32,
     pool: Arc<ThreadPool>,
 }
 
-/// A forked process (a data loader's worker) inherits the memory of its parent but none of its threads: it makes a pool of its own.
+/// The current pool. A forked process, such as a worker of a data loader, inherits the memory of
+/// its parent but none of its threads. It therefore makes a new pool.
 static POOL: Mutex<Option<Pool>> = Mutex::new(None);
 
-/// This process's threads.
+/// The thread pool of this process.
 pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     let mut kept = POOL.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();
@@ -30,7 +31,7 @@ pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     {
         return Ok(Arc::clone(&pool.pool));
     }
-    // Dropping the parent's pool would wait for threads that are not here.
+    // Dropping the pool of the parent would wait for threads that do not exist in this process.
     std::mem::forget(kept.take());
     let made = made(0)?;
     *kept = Some(Pool {
@@ -40,7 +41,7 @@ pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     Ok(made)
 }
 
-/// A pool of as many threads as asked for; 0: as `RAYON_NUM_THREADS` says, or one a core.
+/// Makes a pool of `count` threads. For 0 the number is `RAYON_NUM_THREADS`, or one per core.
 pub(crate) fn made(count: usize) -> PyResult<Arc<ThreadPool>> {
     ThreadPoolBuilder::new()
         .num_threads(count)
@@ -50,7 +51,7 @@ pub(crate) fn made(count: usize) -> PyResult<Arc<ThreadPool>> {
         .map_err(|error| invalid(format!("threads cannot be started: {error}")))
 }
 
-/// Sets the number of threads; 0 for the default.
+/// Sets the number of threads. 0 selects the default.
 #[pyfunction]
 pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
     let previous = pool()?;
@@ -59,7 +60,7 @@ pub(crate) fn set_threads(py: Python<'_>, count: usize) -> PyResult<()> {
         process: std::process::id(),
         pool: made,
     });
-    // The last one out waits for its threads.
+    // The thread that drops the last reference waits for the threads of the pool.
     py.detach(|| drop(previous));
     Ok(())
 }
@@ -70,10 +71,10 @@ pub(crate) fn threads() -> PyResult<usize> {
     Ok(pool()?.current_num_threads())
 }
 
-/// How often signals and progress are looked at.
+/// The interval between two checks of signals and progress.
 const TICK: Duration = Duration::from_millis(50);
 
-/// How far work has come, and whether it is to stop.
+/// The progress of some work, and a flag that cancels it.
 #[derive(Debug, Default)]
 pub(crate) struct Watch {
     total: AtomicU64,
@@ -95,7 +96,7 @@ impl Progress for Watch {
     }
 }
 
-/// Tells a function of the caller's how far work has come.
+/// Reports progress to a function of the caller.
 struct Teller<'a> {
     progress: Option<&'a Py<PyAny>>,
     watch: &'a Watch,
@@ -111,7 +112,7 @@ impl<'a> Teller<'a> {
         }
     }
 
-    /// Calls `progress(done, total)` where something happened.
+    /// Calls `progress(done, total)` if the figures have changed.
     fn tell(&mut self, py: Python<'_>) -> PyResult<()> {
         let of = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let steps = (of(&self.watch.done), of(&self.watch.total));
@@ -124,8 +125,8 @@ impl<'a> Teller<'a> {
         }
     }
 
-    /// Waits for the end of the work, or for an exception, which stops it: of a signal, or of the caller's function. Without the
-    /// interpreter.
+    /// Waits for the end of the work, without the interpreter. An exception, raised by a signal or
+    /// by the caller's function, cancels the work.
     fn wait(&mut self, end: &Receiver<()>) -> PyResult<()> {
         while let Err(RecvTimeoutError::Timeout) = end.recv_timeout(TICK) {
             let told = Python::attach(|py| py.check_signals().and_then(|()| self.tell(py)));
@@ -138,8 +139,10 @@ impl<'a> Teller<'a> {
     }
 }
 
-/// Runs work on psfield's threads without holding the interpreter. Meanwhile this thread looks after signals, so that Ctrl-C stops the work when it next
-/// asks whether it is still wanted, and tells `progress(done, total)`, if there is one; an exception in it stops the work too.
+/// Runs work on the pool without holding the interpreter.
+///
+/// Meanwhile this thread checks for signals and calls `progress(done, total)`, if given. Ctrl-C or
+/// an exception in `progress` cancels the work at its next check.
 pub(crate) fn run<R: Send>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -150,8 +153,10 @@ pub(crate) fn run<R: Send>(
     })
 }
 
-/// The same on a thread beside a pool, which the work hands its parts to. What it waits for (a lock that is held for long, Python) is waited for here: a
-/// thread of a pool that waits keeps it from others, and one that holds a lock may meanwhile take up a task that wants the same lock.
+/// Works like [`run`], but on a thread outside the pool. The work sends its parts to the pool.
+///
+/// This thread may wait for a lock or for Python. A thread of the pool must not: while it waits it
+/// does no work, and while it holds a lock it may pick up a task that needs the same lock.
 pub(crate) fn run_beside<R: Send>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -165,12 +170,12 @@ pub(crate) fn run_beside<R: Send>(
             let (ended, end) = channel::<()>();
             let watch = &watch;
             let worker = scope.spawn(move || {
-                // Told by being dropped, also where the work panics.
+                // Dropping it signals the end, also when the work panics.
                 let _ended = ended;
                 work(watch, pool)
             });
             let waited = teller.wait(&end);
-            // Its arrays are the caller's: it must have ended before they are given back.
+            // The work borrows arrays of the caller, so it must end before this function returns.
             let result = worker
                 .join()
                 .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -181,7 +186,8 @@ pub(crate) fn run_beside<R: Send>(
     Ok(result)
 }
 
-/// The same as [`run_beside`] for work that borrows nothing of the caller's, and is left behind where it is interrupted: it ends by itself, and what it gives is dropped.
+/// Works like [`run_beside`], for work that borrows nothing of the caller. If it is interrupted, it
+/// runs to its end in the background and its result is dropped.
 pub(crate) fn run_apart<R: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&Watch, &ThreadPool) -> R + Send + 'static,
@@ -202,17 +208,17 @@ pub(crate) fn run_apart<R: Send + 'static>(
     })
 }
 
-/// How often it is asked whether somebody who waits for a lock still wants it.
-const ASKED_EVERY: Duration = Duration::from_millis(2);
+/// The interval between two attempts to take a lock.
+const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 
-/// Waits for a lock as long as the work is wanted; on a thread beside the pool.
+/// Waits for a lock until the work is cancelled. Call it on a thread outside the pool.
 pub(crate) fn turn<'a>(mutex: &'a Mutex<()>, watch: &Watch) -> Result<MutexGuard<'a, ()>, ConvError> {
     loop {
         match mutex.try_lock() {
             Ok(guard) => return Ok(guard),
             Err(TryLockError::Poisoned(poisoned)) => return Ok(poisoned.into_inner()),
             Err(TryLockError::WouldBlock) if watch.cancelled() => return Err(Cancelled.into()),
-            Err(TryLockError::WouldBlock) => std::thread::sleep(ASKED_EVERY),
+            Err(TryLockError::WouldBlock) => std::thread::sleep(RETRY_INTERVAL),
         }
     }
 }

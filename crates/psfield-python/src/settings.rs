@@ -1,4 +1,4 @@
-//! Choices as Python writes them: the words of the command line, and their defaults.
+//! Arguments of Python by name, and their defaults.
 
 use std::str::FromStr;
 
@@ -11,7 +11,7 @@ use pyo3::types::PyDict;
 
 use crate::error::{Failure, invalid};
 
-/// A choice by its name.
+/// Parses a choice from its name.
 pub(crate) fn parsed<C>(text: &str) -> PyResult<C>
 where
     C: FromStr,
@@ -28,10 +28,10 @@ where
     text.map(parsed).transpose()
 }
 
-/// How samples become a model, as far as it is chosen.
+/// The settings of the fit that the caller gave.
 #[derive(Debug, Default, FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct FitWords {
+pub(crate) struct FitSettings {
     rank: Option<String>,
     centring: Option<String>,
     noise: Option<f64>,
@@ -40,7 +40,7 @@ pub(crate) struct FitWords {
     normalise: Option<String>,
 }
 
-impl FitWords {
+impl FitSettings {
     pub(crate) fn choices(&self) -> PyResult<FitChoices> {
         let bad = |sigma: f64| !(sigma >= 0.0 && sigma.is_finite());
         if self.noise.is_some_and(bad) {
@@ -57,10 +57,10 @@ impl FitWords {
     }
 }
 
-/// What stamps are, beside their values.
+/// The geometry of stamps: how their pixels relate to those of the frame.
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct GridWords {
+pub(crate) struct GridSettings {
     oversampling: f64,
     /// (x, y).
     centre: Option<(f64, f64)>,
@@ -68,8 +68,8 @@ pub(crate) struct GridWords {
     stamp_interpolation: String,
 }
 
-impl GridWords {
-    /// The grid of stamps of `(ny, nx)` pixels.
+impl GridSettings {
+    /// The grid for stamps of `(ny, nx)` pixels.
     pub(crate) fn grid(&self, (ny, nx): (usize, usize)) -> PyResult<StampGrid> {
         let made = || {
             let grid = StampGrid::new(nx, ny)?.with_oversampling(self.oversampling)?;
@@ -85,10 +85,10 @@ impl GridWords {
     }
 }
 
-/// The options of [`PsfFileOptions`] by name.
+/// The fields of [`PsfFileOptions`] by name.
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
-pub(crate) struct FileWords {
+pub(crate) struct FileSettings {
     extension: Option<String>,
     detector: Option<usize>,
     plane_order: Option<String>,
@@ -101,7 +101,7 @@ pub(crate) struct FileWords {
     pixel_response_included: Option<bool>,
 }
 
-impl FileWords {
+impl FileSettings {
     pub(crate) fn options(self) -> PyResult<PsfFileOptions> {
         let position = |at: Option<(f64, f64)>| at.map(|(x, y)| Position::new(x, y)).transpose();
         Ok(PsfFileOptions {
@@ -119,7 +119,7 @@ impl FileWords {
     }
 }
 
-/// A shape `(ny, nx)`, as NumPy has it.
+/// A shape from `(ny, nx)`, the order of NumPy.
 pub(crate) fn frame_shape((ny, nx): (usize, usize)) -> PyResult<FrameShape> {
     Ok(FrameShape::new(nx, ny).map_err(Failure::from)?)
 }
@@ -129,16 +129,20 @@ pub(crate) fn region((x0, y0, nx, ny): (i64, i64, usize, usize)) -> PyResult<Pix
     Ok(PixelRegion::new(x0, y0, frame_shape((ny, nx))?))
 }
 
-/// Positions from their coordinates, of which there must be as many.
+/// Positions from as many x as y.
 pub(crate) fn positions(x: &[f64], y: &[f64]) -> PyResult<Vec<Position>> {
     if x.len() != y.len() {
-        return Err(invalid(format!("there are {} x and {} y", x.len(), y.len())));
+        return Err(invalid(format!(
+            "x and y must have one length, got {} and {}",
+            x.len(),
+            y.len()
+        )));
     }
     let made: Result<_, _> = x.iter().zip(y).map(|(&x, &y)| Position::new(x, y)).collect();
     Ok(made.map_err(Failure::from)?)
 }
 
-/// The default of every option that the library has one for, by the name that Python has for it.
+/// The defaults of the library by the names of the arguments in Python.
 pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let (simulation, fit) = (SimulateOptions::default(), FitOptions::default());
     let grid = StampGrid::new(1, 1).map_err(Failure::from)?;
