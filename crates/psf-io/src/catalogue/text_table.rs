@@ -311,7 +311,7 @@ mod tests {
         assert!(
             error
                 .to_string()
-                .contains("the column \"x\" is there more than once"),
+                .contains("the column \"x\" exists more than once"),
             "{error}"
         );
         assert!(matches!(read(b""), Err(IoError::MissingColumn { .. })));

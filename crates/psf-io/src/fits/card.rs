@@ -1,18 +1,18 @@
-//! Header cards.
+//! One card of a FITS header.
 
 use crate::error::CardError;
 
-/// Bytes in a header record.
+/// The length of a header record, in bytes.
 pub(crate) const RECORD: usize = 80;
-/// A header record as it stands in the file.
+/// A header record as stored in the file.
 pub(crate) type Record = [u8; RECORD];
 
-/// Text in a COMMENT or HISTORY record.
+/// The length of the text in a COMMENT or HISTORY record.
 const COMMENTARY_TEXT: usize = 72;
-/// Where the value starts.
+/// The column where the value starts.
 const VALUE: usize = 10;
 
-/// A card of a FITS header: one record of 80 characters, or several when a text goes on.
+/// A card of a FITS header: one record of 80 characters, or several for a long text.
 ///
 /// A card read from a file keeps its records byte by byte.
 ///
@@ -25,17 +25,17 @@ const VALUE: usize = 10;
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Card {
-    /// At least one.
+    /// At least one record.
     records: Vec<Record>,
 }
 
 impl Card {
-    /// A card from its keyword, value and comment. A comment that does not fit is cut; characters
-    /// that FITS headers cannot hold (all but printable ASCII) are written as Rust escapes such as
+    /// Makes a card from its keyword, value and comment. A comment that is too long is cut. FITS
+    /// headers hold printable ASCII only, so other characters are written as Rust escapes such as
     /// `\u{e9}`.
     ///
     /// # Errors
-    /// [`CardError`] when FITS does not allow the keyword or the value.
+    /// [`CardError`] if FITS does not allow the keyword or the value.
     pub fn new(keyword: &str, value: impl Into<CardValue>, comment: &str) -> Result<Self, CardError> {
         if keyword.is_empty() || keyword.len() > 8 || !keyword.bytes().all(is_keyword_byte) {
             return Err(CardError::Keyword {
@@ -57,12 +57,12 @@ impl Card {
         Ok(Self { records })
     }
 
-    /// A line of HISTORY, in as many records as it needs.
+    /// Makes a HISTORY card with as many records as it needs.
     pub fn history(text: &str) -> Self {
         Self::commentary("HISTORY", text)
     }
 
-    /// A COMMENT, in as many records as it needs.
+    /// Makes a COMMENT card with as many records as it needs.
     pub fn comment(text: &str) -> Self {
         Self::commentary("COMMENT", text)
     }
@@ -86,7 +86,7 @@ impl Card {
         }
     }
 
-    /// Whether a CONTINUE record may follow.
+    /// Returns whether a CONTINUE record may follow.
     pub(crate) fn takes_continuation(&self) -> bool {
         let start = if self.records.len() > 1 {
             Some(VALUE)
@@ -106,7 +106,7 @@ impl Card {
         &self.records
     }
 
-    /// The keyword; for ESO's HIERARCH cards the words between HIERARCH and `=`.
+    /// The keyword. For ESO's HIERARCH cards the words between HIERARCH and `=`.
     pub fn keyword(&self) -> String {
         let record = &self.records[0];
         let name = match self.hierarch_equals() {
@@ -120,7 +120,7 @@ impl Card {
         keyword.len() <= 8 && self.records[0][..8].trim_ascii_end() == keyword.as_bytes()
     }
 
-    /// Where the `=` of a HIERARCH card stands.
+    /// The position of the `=` of a HIERARCH card.
     fn hierarch_equals(&self) -> Option<usize> {
         let record = &self.records[0];
         (&record[..8] == b"HIERARCH")
@@ -128,7 +128,7 @@ impl Card {
             .flatten()
     }
 
-    /// Whether the card is text without a value: COMMENT, HISTORY, or no `=` in its place.
+    /// Returns whether the card is text without a value: COMMENT, HISTORY, or no `=` in column 9.
     pub fn is_commentary(&self) -> bool {
         self.value_start().is_none()
     }
@@ -142,14 +142,14 @@ impl Card {
         (&record[8..VALUE] == b"= " && !commentary.contains(&&record[..8])).then_some(VALUE)
     }
 
-    /// Whether the keyword has characters that FITS does not allow, so that CFITSIO would not write
-    /// it.
+    /// Returns whether the keyword has characters that FITS does not allow, and which CFITSIO would
+    /// not write.
     pub(crate) fn is_foreign(&self) -> bool {
         let keyword = self.records[0][..8].trim_ascii_end();
         !keyword.iter().copied().all(is_keyword_byte)
     }
 
-    /// The value, if there is one that is a logical, a number or a text.
+    /// The value, if the card has one and it is a logical, a number or a text.
     pub fn value(&self) -> Option<CardValue> {
         let record = &self.records[0];
         let field = record[self.value_start()?..].trim_ascii();
@@ -158,7 +158,7 @@ impl Card {
         }
         let (mut text, _) = quoted(field)?;
         for record in &self.records[1..] {
-            // A part that goes on ends in `&`, which is not of the text.
+            // If another part follows, this part ends in `&`, which does not belong to the text.
             if text.pop() != Some('&') {
                 return None;
             }
@@ -188,7 +188,7 @@ impl Card {
 }
 
 impl std::fmt::Display for Card {
-    /// The records as they stand in the file, one a line.
+    /// Writes the records as stored in the file, one per line.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         for (i, record) in self.records.iter().enumerate() {
             let line_break = if i == 0 { "" } else { "\n" };
@@ -210,9 +210,9 @@ pub enum CardValue {
     Logical(bool),
     /// A whole number.
     Integer(i64),
-    /// A real number; written with as many digits as bring back the same bits.
+    /// A real number, written with as many digits as are needed to read the same bits back.
     Real(f64),
-    /// A text; long ones go on in CONTINUE records.
+    /// A text. A long one is continued in CONTINUE records.
     Text(String),
 }
 
@@ -229,7 +229,7 @@ macro_rules! card_value_from {
 card_value_from!(bool => Logical, i64 => Integer, i32 => Integer, u32 => Integer, f64 => Real, f32 => Real, &str => Text, String => Text);
 
 impl From<usize> for CardValue {
-    /// Counts of things in memory fit.
+    /// Counts of things in memory always fit.
     fn from(value: usize) -> Self {
         Self::Integer(value as i64)
     }
@@ -248,7 +248,7 @@ impl std::fmt::Display for CardValue {
 
 /// A type that the value of a card may have.
 pub(crate) trait FromValue: Sized {
-    /// The value; nothing where it is of another kind.
+    /// The value, or `None` if it is of another type.
     fn from_value(value: CardValue) -> Option<Self>;
 }
 
@@ -272,7 +272,7 @@ from_value! {
     String: Text(value) => value;
 }
 
-/// A logical or a number before any comment.
+/// Parses a logical or a number in front of any comment.
 fn plain_value(field: &[u8]) -> Option<CardValue> {
     let end = field.iter().position(|&b| b == b'/').unwrap_or(field.len());
     let text = std::str::from_utf8(field[..end].trim_ascii()).ok()?;
@@ -284,8 +284,8 @@ fn plain_value(field: &[u8]) -> Option<CardValue> {
     if let Ok(value) = text.parse() {
         return Some(CardValue::Integer(value));
     }
-    // Rust's parser also takes "inf" and "nan", which are no FITS numbers, and does not know FITS'
-    // D exponents.
+    // Rust's parser also accepts "inf" and "nan", which are not FITS numbers, and it rejects the D
+    // exponents of FITS.
     let number = text
         .bytes()
         .all(|b| b.is_ascii_digit() || b"+-.EeDd".contains(&b));
@@ -295,7 +295,7 @@ fn plain_value(field: &[u8]) -> Option<CardValue> {
     value.is_finite().then_some(CardValue::Real(value))
 }
 
-/// The shortest decimal number that gives the same bits, with a point and a capital E.
+/// The shortest decimal number that is read back as the same bits, with a point and a capital E.
 fn real_text(value: f64) -> String {
     let text = format!("{value:?}").to_uppercase();
     match text.split_once('E') {
@@ -304,12 +304,12 @@ fn real_text(value: f64) -> String {
     }
 }
 
-/// The longest text, quotes doubled, in a record of a long string that goes on in the next.
+/// The length of the longest text, with quotes doubled, in a record that another one continues.
 const CONTINUED_TEXT: usize = 67;
-/// The longest text, quotes doubled, in a single record.
+/// The length of the longest text, with quotes doubled, in a single record.
 const SINGLE_TEXT: usize = 68;
 
-/// Printable ASCII stays; all else becomes an escape.
+/// Keeps printable ASCII and escapes all other characters.
 fn printable(text: &str) -> String {
     let escaped = |c: char| match c {
         ' '..='~' => c.to_string(),
@@ -324,7 +324,7 @@ pub(crate) fn padded(text: &[u8]) -> Record {
     record
 }
 
-/// As much of the comment as fits.
+/// Makes a record from a text and as much of the comment as fits.
 fn with_comment(mut text: String, comment: &str) -> Record {
     if !comment.is_empty() && text.len() + 4 < RECORD {
         text.push_str(" / ");
@@ -342,7 +342,7 @@ pub(crate) fn text_records(keyword: &str, text: &str, comment: &str) -> Vec<Reco
             comment,
         )];
     }
-    // Doubled quotes must not be torn apart, so the split goes by the characters of the text.
+    // A doubled quote must not be split, so the text is split between its characters.
     let mut parts = vec![String::new()];
     for c in text.chars() {
         let piece = if c == '\'' { "''".to_owned() } else { c.to_string() };
@@ -367,7 +367,7 @@ pub(crate) fn text_records(keyword: &str, text: &str, comment: &str) -> Vec<Reco
     parts.iter().enumerate().map(record).collect()
 }
 
-/// A quoted text and what follows it; trailing blanks of the text do not count.
+/// Parses a quoted text. Returns it without trailing blanks, and the rest of the field.
 fn quoted(field: &[u8]) -> Option<(String, &[u8])> {
     let mut rest = field.strip_prefix(b"'")?;
     let mut text = Vec::new();

@@ -1,9 +1,10 @@
-//! The part of CFITSIO that this crate needs, made safe: the only `unsafe` code of the workspace.
+//! Safe wrappers of the functions of CFITSIO that this crate needs. This is the only `unsafe` code
+//! of the workspace.
 //!
 //! Files are opened and created through the disk-file entry points (`ffdkopn`, `ffdkinit`), so that
-//! brackets, `+` and `!` in a name are just characters. CFITSIO is built reentrant (a test asserts
-//! it): handles of different threads are independent, also on one file, since a read-only open
-//! never shares state. A [`Fits`] stays in its thread.
+//! brackets, `+` and `!` in a name have no special meaning. CFITSIO is built reentrant, which a
+//! test asserts. Handles of different threads are independent, also on one file, since a read-only
+//! open never shares state. A [`Fits`] cannot be sent to another thread.
 #![allow(
     unsafe_code,
     reason = "CFITSIO is a C library; every call is wrapped here and nowhere else"
@@ -21,28 +22,28 @@ use crate::error::{IoError, request, unreadable};
 use crate::fits::card::{RECORD, Record};
 use crate::fits::hdu::FitsSource;
 
-/// The longest file name, without the closing NUL.
+/// The length of the longest file name, without the closing NUL.
 const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;
-/// CFITSIO's status for a value that the type asked for cannot hold.
+/// CFITSIO's status for a value that the requested type cannot hold.
 const NUM_OVERFLOW: c_int = 412;
 
-/// CFITSIO's statuses for a system call that failed while it wrote: creating, writing, closing,
-/// seeking (which writes what is buffered).
+/// CFITSIO's statuses for a failed system call while writing: creating, writing, closing, and
+/// seeking (which flushes buffers).
 const SYSTEM_FAILURES: [c_int; 4] = [105, 106, 110, 116];
 
-/// CFITSIO counts the bytes of reserved records in an `int`, and a header much longer than this (8
-/// MB) is not read back.
+/// The largest number of records that may be reserved. CFITSIO counts their bytes in an `int`, and
+/// does not read back a header much longer than this (8 MB).
 const RESERVE_LIMIT: usize = 100_000;
 
 /// An open FITS file.
 #[derive(Debug)]
 pub(crate) struct Fits {
     handle: NonNull<sys::fitsfile>,
-    /// The name for error messages; not the temporary one.
+    /// The path for error messages, never a temporary name.
     path: PathBuf,
-    /// Whether the HDU in hand is an image that this handle writes.
+    /// True if the current HDU is an image that this handle writes.
     writes_image: bool,
-    /// Keeps an unpacked copy there for as long as it is open.
+    /// Keeps an unpacked copy on the disk while it is open.
     source: Option<FitsSource>,
 }
 
@@ -61,7 +62,7 @@ impl Fits {
         Ok(fits)
     }
 
-    /// Creates the file `at`, which must not exist; errors name `path`.
+    /// Creates the file `at`, which must not exist. Errors name `path`.
     pub(crate) fn create(at: &Path, path: &Path) -> Result<Self, IoError> {
         let name = c_name(at, path)?;
         let (mut handle, mut status) = (ptr::null_mut(), 0);
@@ -88,28 +89,28 @@ impl Fits {
         Ok(fits)
     }
 
-    /// Writes out what is buffered and closes the file.
+    /// Flushes all buffers and closes the file.
     pub(crate) fn close(mut self) -> Result<(), IoError> {
         let path = std::mem::take(&mut self.path);
         let writes = self.source.take().is_none();
         // The rest of `self` owns no memory, and the handle must not be closed twice.
         let this = std::mem::ManuallyDrop::new(self);
         let mut status = 0;
-        // SAFETY: the handle is open and not used again. CFITSIO frees it also on failure.
+        // SAFETY: the handle is open and not used again. CFITSIO frees it even if closing fails.
         unsafe { sys::ffclos(this.handle.as_ptr(), &raw mut status) };
         check(&path, status, "closing the file", writes)
     }
 
-    /// Goes to an HDU, counted from 0.
+    /// Moves to an HDU, counted from 0.
     pub(crate) fn move_to(&mut self, hdu: usize) -> Result<(), IoError> {
         let number = c_int::try_from(hdu + 1).unwrap_or(c_int::MAX);
-        // SAFETY: the handle is open; a null pointer for the HDU type is allowed.
+        // SAFETY: the handle is open. A null pointer for the HDU type is allowed.
         self.call("moving to an HDU", |fits, status| unsafe {
             sys::ffmahd(fits, number, ptr::null_mut(), status)
         })
     }
 
-    /// Reads `pixels.len()` pixels of the image from pixel `first` (0-based) on; with `blank`,
+    /// Reads `pixels.len()` pixels of the image from pixel `first` (0-based) on. With `blank`,
     /// undefined integer pixels become NaN.
     pub(crate) fn read_pixels<T: Real>(
         &mut self,
@@ -123,12 +124,12 @@ impl Fits {
         let (fits, data) = (self.handle.as_ptr(), pixels.as_mut_ptr().cast());
         let (mut any_null, mut status) = (0, 0);
         let (any, told) = (&raw mut any_null, &raw mut status);
-        // SAFETY: `pixels` holds as many values of the type `datatype` names as are asked for;
-        // `null` is null or points to one such value, which outlives the call, as do `any_null` and
-        // `status`. (CFITSIO writes to `any_null` unasked when it meets an undefined value.)
+        // SAFETY: `pixels` holds the requested number of values of the type that `datatype` names.
+        // `null` is null or points to one such value. It outlives the call, as do `any_null` and
+        // `status`. (CFITSIO writes to `any_null` whenever it finds an undefined value.)
         unsafe { sys::ffgpv(fits, datatype::<T>(), first, count, null, data, any, told) };
         if status == NUM_OVERFLOW && size_of::<T>() == size_of::<f32>() {
-            // SAFETY: clears the message stack, which CFITSIO guards itself.
+            // SAFETY: clears the message stack. CFITSIO protects it by a lock.
             unsafe { sys::ffcmsg() };
             return Err(IoError::Overflow {
                 path: self.path.clone(),
@@ -137,7 +138,7 @@ impl Fits {
         self.check(status, "reading pixels")
     }
 
-    /// Reads the first `values.len()` numbers of a column, counted from 1; with `null`, undefined
+    /// Reads the first `values.len()` numbers of a column, counted from 1. With `null`, undefined
     /// integers become NaN.
     pub(crate) fn read_column(
         &mut self,
@@ -167,12 +168,12 @@ impl Fits {
         })
     }
 
-    /// Adds an image HDU for pixels of this BITPIX, or of another of CFITSIO's image types; `shape`
+    /// Adds an image HDU for pixels of this BITPIX, or of another image type of CFITSIO. `shape` is
     /// in array order (x last). CFITSIO writes the BZERO of unsigned numbers.
     pub(crate) fn create_image(&mut self, shape: &[usize], bitpix: c_int) -> Result<(), IoError> {
         let mut axes: Vec<sys::LONGLONG> = shape.iter().rev().map(|&n| n as sys::LONGLONG).collect();
         self.writes_image = true;
-        // SAFETY: the handle is open and `axes` holds the number of values announced.
+        // SAFETY: the handle is open and `axes` holds the stated number of values.
         self.call("creating an image", |fits, status| unsafe {
             sys::ffcrimll(fits, bitpix, axes.len() as c_int, axes.as_mut_ptr(), status)
         })
@@ -186,9 +187,9 @@ impl Fits {
     ) -> Result<(), IoError> {
         let (first, count) = (first as sys::LONGLONG + 1, pixels.len() as sys::LONGLONG);
         let data = pixels.as_ptr().cast_mut().cast();
-        // SAFETY: `pixels` holds the number of values announced, of the type that `datatype` names.
-        // CFITSIO's prototype lacks a `const`; it copies the values into a buffer of its own before
-        // it changes their byte order.
+        // SAFETY: `pixels` holds the stated number of values, of the type that `datatype` names.
+        // CFITSIO's prototype lacks a `const`, but CFITSIO copies the values into its own buffer
+        // before it changes their byte order.
         self.call("writing pixels", |fits, status| unsafe {
             sys::ffppr(fits, datatype::<T>(), first, count, data, status)
         })
@@ -204,8 +205,8 @@ impl Fits {
         })
     }
 
-    /// Leaves room in the header for this many records more, [`RESERVE_LIMIT`] at most; to be
-    /// called after its cards and before the pixels.
+    /// Reserves room in the header for `count` further records, at most [`RESERVE_LIMIT`]. Call it
+    /// after the cards of the header are written and before the pixels.
     pub(crate) fn reserve_records(&mut self, count: usize) -> Result<(), IoError> {
         let count = count.min(RESERVE_LIMIT) as c_int;
         // SAFETY: the handle is open.
@@ -218,17 +219,17 @@ impl Fits {
     pub(crate) fn remove_records(&mut self, count: usize) -> Result<(), IoError> {
         const DOING: &str = "removing a header card";
         let mut last = 0;
-        // SAFETY: the handle is open; a null pointer for the room left is allowed.
+        // SAFETY: the handle is open. A null pointer for the room left is allowed.
         self.call(DOING, |fits, status| unsafe {
             sys::ffghsp(fits, &raw mut last, ptr::null_mut(), status)
         })?;
-        // SAFETY: the handle is open; CFITSIO refuses a record that is not there.
+        // SAFETY: the handle is open. CFITSIO returns an error for a record that does not exist.
         (1..=last).rev().take(count).try_for_each(|number| {
             self.call(DOING, |fits, status| unsafe { sys::ffdrec(fits, number, status) })
         })
     }
 
-    /// Adds a binary table with columns (name, TFORM).
+    /// Adds a binary table with these columns, each a name and a TFORM.
     pub(crate) fn create_table(
         &mut self,
         name: &str,
@@ -245,9 +246,8 @@ impl Fits {
         self.writes_image = false;
         let (rows, count) = (rows as sys::LONGLONG, columns.len() as c_int);
         let (names, forms, units) = (names_c.as_mut_ptr(), forms_c.as_mut_ptr(), ptr::null_mut());
-        // SAFETY: both lists hold as many NUL-terminated strings as there are columns, which live
-        // until the call returns and which CFITSIO only reads; a null pointer stands for "no
-        // units".
+        // SAFETY: each list holds one NUL-terminated string per column. The strings live until the
+        // call returns, and CFITSIO only reads them. A null pointer stands for "no units".
         self.call("creating a table", |fits, status| unsafe {
             let kind = sys::BINARY_TBL as c_int;
             sys::ffcrtb(
@@ -274,7 +274,7 @@ impl Fits {
         })
     }
 
-    /// Calls a function of CFITSIO, which returns its status.
+    /// Calls a function of CFITSIO and checks its status.
     fn call(
         &mut self,
         doing: &'static str,
@@ -286,7 +286,7 @@ impl Fits {
     }
 
     fn check(&self, status: c_int, doing: &'static str) -> Result<(), IoError> {
-        // A file that is read has a source.
+        // Only a file open for reading has a source.
         check(&self.path, status, doing, self.source.is_none())
     }
 }
@@ -295,17 +295,17 @@ impl Drop for Fits {
     fn drop(&mut self) {
         let (mut emptied, mut status) = (0, 0);
         if self.writes_image {
-            // Nobody wants this file any more. CFITSIO would fill an incomplete image up with
-            // zeros, however large it is.
+            // An unfinished file is of no use. CFITSIO would fill up an incomplete image of any
+            // size with zeros, so the image is made empty first.
             let (fits, keyword) = (self.handle.as_ptr(), c"NAXIS".as_ptr());
-            // SAFETY: the handle is open, the keyword is NUL-terminated; a null pointer keeps the
-            // comment.
+            // SAFETY: the handle is open and the keyword is NUL-terminated. A null pointer keeps
+            // the comment.
             unsafe { sys::ffmkyj(fits, keyword, 0, ptr::null(), &raw mut emptied) };
         }
         // SAFETY: the handle is open and not used again.
         unsafe { sys::ffclos(self.handle.as_ptr(), &raw mut status) };
         if emptied != 0 || status != 0 {
-            // SAFETY: clears the message stack, which CFITSIO guards itself.
+            // SAFETY: clears the message stack. CFITSIO protects it by a lock.
             unsafe { sys::ffcmsg() };
         }
     }
@@ -319,11 +319,11 @@ fn check(path: &Path, status: c_int, doing: &'static str, writes: bool) -> Resul
     }
 }
 
-/// The error for a status, with CFITSIO's text and the messages on its stack; with the system's
-/// reason where a file that is written fails.
+/// The error for a status, with CFITSIO's text and the messages on its stack. If writing a file
+/// fails, the error has the system's reason instead.
 fn failure(path: &Path, doing: &'static str, status: c_int, writes: bool) -> IoError {
-    // CFITSIO keeps no reason. It returns at once when the C library fails, so that `errno` is
-    // still that of the failure; nothing may come before this line.
+    // CFITSIO does not keep the system's reason. It returns at once when the C library fails, so
+    // `errno` still holds the reason. This line must be the first of the function.
     let system = std::io::Error::last_os_error();
     let path = path.to_owned();
     let mut buffer = [0 as c_char; sys::FLEN_ERRMSG as usize];
@@ -352,7 +352,7 @@ fn text_of(buffer: &[c_char]) -> String {
     String::from_utf8_lossy(&bytes).trim().to_owned()
 }
 
-/// CFITSIO's code of a type.
+/// CFITSIO's code for a type.
 fn datatype<T: 'static>() -> c_int {
     let types = [
         (TypeId::of::<f32>(), sys::TFLOAT),
@@ -363,11 +363,11 @@ fn datatype<T: 'static>() -> c_int {
     found.expect("pixels are f32, f64 or i32").1 as c_int
 }
 
-/// The absolute name: CFITSIO would drop leading blanks and expand a leading `~`.
+/// The absolute name, because CFITSIO would drop leading blanks and expand a leading `~`.
 fn c_name(at: &Path, path: &Path) -> Result<CString, IoError> {
     let refused = || {
         let problem = format!(
-            "CFITSIO takes file names of at most {NAME_LIMIT} bytes, with their directories and without NUL: use a shorter one"
+            "CFITSIO accepts file names of at most {NAME_LIMIT} bytes, including directories and without NUL: use a shorter name"
         );
         request(path, problem)
     };
@@ -394,7 +394,7 @@ mod tests {
         let long = PathBuf::from(format!("/{}", "d/".repeat(NAME_LIMIT)));
         for bad in [Path::new("a\0b.fits"), &long] {
             let error = Fits::open(&FitsSource::new(bad, None)).unwrap_err().to_string();
-            assert!(error.contains("CFITSIO takes file names of at most"), "{error}");
+            assert!(error.contains("CFITSIO accepts file names of at most"), "{error}");
         }
     }
 }

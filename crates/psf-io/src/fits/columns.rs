@@ -8,26 +8,26 @@ use crate::error::{IoError, Row, content, invalid};
 use crate::fits::cfitsio::Fits;
 use crate::fits::hdu::Hdu;
 
-/// Column names and values quoted in errors are cut to this many characters.
+/// Column names and values in error messages are cut to this many characters.
 const QUOTED: usize = 40;
-/// Column names listed in errors.
+/// The largest number of column names in an error message.
 const LISTED: usize = 20;
 
 /// A column of a binary table.
 #[derive(Debug)]
 pub(crate) struct Column {
-    /// Counted from 1, as CFITSIO does.
+    /// Counted from 1, as in CFITSIO.
     pub(crate) number: usize,
     pub(crate) name: String,
     form: String,
-    /// Values in a row.
+    /// Number of values per row.
     repeat: usize,
     /// The type letter of TFORM.
     pub(crate) code: u8,
 }
 
-/// A binary table whose columns fill its rows exactly, so that its row count is bounded by the
-/// file's length.
+/// A binary table whose columns fill its rows exactly. So the length of the file limits the number
+/// of rows.
 #[derive(Debug)]
 pub(crate) struct Table<'a> {
     hdu: &'a Hdu,
@@ -50,24 +50,23 @@ impl<'a> Table<'a> {
         self.columns.iter().map(|column| column.name.clone()).collect()
     }
 
-    /// The column of this name, upper or lower case.
+    /// The column with this name, in upper or lower case.
     pub(crate) fn column(&self, name: &str) -> Result<&Column, IoError> {
         let names = self.columns.iter().map(|column| &column.name);
         Ok(&self.columns[find(self.hdu.path(), names, name)?])
     }
 
-    /// All values of a column of numbers that has `repeat` of them in each row; NaN and infinities
-    /// are refused.
+    /// Reads a column that has `repeat` numbers in each row. NaN and infinities are errors.
     pub(crate) fn read(&self, name: &str, repeat: usize) -> Result<Vec<f64>, IoError> {
         self.read_with(name, repeat, Gaps::Refused)
     }
 
-    /// All values of such a column, where undefined values may be allowed.
+    /// Works like [`read`](Self::read), but `gaps` may allow undefined values.
     pub(crate) fn read_with(&self, name: &str, repeat: usize, gaps: Gaps) -> Result<Vec<f64>, IoError> {
         let column = self.column(name)?;
         if !b"BIJKED".contains(&column.code) || column.repeat != repeat {
             let problem = format!(
-                "HDU {}: the column {:?} has the format {}, {repeat} number(s) in a row (such as {repeat}D) is needed",
+                "HDU {}: the column {:?} has the format {}, but {repeat} number(s) per row are needed (such as {repeat}D)",
                 self.hdu.index, column.name, column.form
             );
             return Err(content(self.hdu.path(), problem));
@@ -93,7 +92,7 @@ impl<'a> Table<'a> {
     }
 }
 
-/// The columns of a binary table, which fill its rows.
+/// The columns of a binary table. It is an error if they do not fill its rows exactly.
 pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoError> {
     let count = hdu.structural("TFIELDS", None)?;
     let mut width = 0_usize;
@@ -108,7 +107,7 @@ pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoErro
             hdu.text(&format!("TTYPE{number}")).unwrap_or_default(),
             form,
         );
-        let column = column.ok_or_else(|| hdu.header_error(&keyword, "is no column format"))?;
+        let column = column.ok_or_else(|| hdu.header_error(&keyword, "is not a column format"))?;
         let bytes = column.bytes().and_then(|bytes| width.checked_add(bytes));
         width = bytes.ok_or_else(|| hdu.header_error(&keyword, "the column is wider than any table"))?;
         columns.push(column);
@@ -122,7 +121,7 @@ pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoErro
 }
 
 impl Column {
-    /// `None` when the form is not one of a binary table.
+    /// Returns `None` if `form` is not a format of binary tables.
     fn new(number: usize, name: String, form: String) -> Option<Self> {
         let text = form.trim();
         let digits = text.bytes().take_while(u8::is_ascii_digit).count();
@@ -142,13 +141,13 @@ impl Column {
         b"LXBIJKAEDCMPQ".contains(&code).then_some(column)
     }
 
-    /// The type letter of what the descriptors of a column of arrays stand for.
+    /// The type letter of the elements of a variable-length array column.
     pub(crate) fn element(&self) -> Option<u8> {
         let (_, element) = self.form.trim().split_once(['P', 'Q', 'p', 'q'])?;
         element.bytes().next().map(|letter| letter.to_ascii_uppercase())
     }
 
-    /// Bytes in a row.
+    /// Length in bytes per row.
     pub(crate) fn bytes(&self) -> Option<usize> {
         let size = match self.code {
             b'X' => return Some(self.repeat.div_ceil(8)),
@@ -162,7 +161,7 @@ impl Column {
     }
 }
 
-/// Positions from their coordinates.
+/// Makes positions from their coordinates.
 pub(crate) fn positions(path: &Path, x: Vec<f64>, y: Vec<f64>) -> Result<Vec<Position>, IoError> {
     x.into_iter()
         .zip(y)
@@ -170,7 +169,7 @@ pub(crate) fn positions(path: &Path, x: Vec<f64>, y: Vec<f64>) -> Result<Vec<Pos
         .collect()
 }
 
-/// The place of the column of this name among others, upper and lower case being the same.
+/// The index of the column with this name, in upper or lower case.
 pub(crate) fn find<'a>(
     path: &Path,
     names: impl Iterator<Item = &'a String> + Clone,
@@ -185,12 +184,12 @@ pub(crate) fn find<'a>(
         (None, _) => Err(missing_column(path, names, name)),
         (Some(_), Some(_)) => Err(content(
             path,
-            format!("the column {name:?} is there more than once: rename or remove one"),
+            format!("the column {name:?} exists more than once: rename or remove one"),
         )),
     }
 }
 
-/// The error for a table without a column that is needed.
+/// The error for a table that lacks a required column.
 pub(crate) fn missing_column<'a>(
     path: &Path,
     names: impl IntoIterator<Item = &'a String>,
@@ -203,7 +202,7 @@ pub(crate) fn missing_column<'a>(
     }
 }
 
-/// Names for an error: the first of those that are not empty.
+/// Names for an error message: the first ones that are not empty.
 fn listed<'a>(names: impl IntoIterator<Item = &'a String>) -> Vec<String> {
     let mut named = names.into_iter().filter(|name| !name.is_empty());
     let quoted = |name: &String| format!("{:?}", shown(name.as_bytes()));
@@ -215,31 +214,32 @@ fn listed<'a>(names: impl IntoIterator<Item = &'a String>) -> Vec<String> {
     list
 }
 
-/// As much of a field as errors quote.
+/// The first characters of a field, for an error message.
 pub(crate) fn shown(field: &[u8]) -> String {
     String::from_utf8_lossy(field).chars().take(QUOTED).collect()
 }
 
-/// The rule for values that are missing or not finite.
+/// The treatment of values that are missing or not finite.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Gaps {
-    /// They are errors.
+    /// Such values are errors.
     Refused,
-    /// Missing values become NaN, infinities stay; text that is no number is an error all the same.
+    /// Missing values become NaN and infinities are kept. Text that is not a number is still an
+    /// error.
     Kept,
 }
 
-/// Columns of numbers of any kind of table, in the order asked for.
+/// Columns of numbers from any kind of table, in the requested order.
 #[derive(Debug)]
 pub(crate) struct NumberColumns {
     pub(crate) values: Vec<Vec<f64>>,
     pub(crate) rows: usize,
-    /// The lines of a text table; those of a FITS table are counted.
+    /// The line of each row of a text table. `None` for a FITS table, whose rows are numbered.
     pub(crate) lines: Option<Vec<u64>>,
 }
 
 impl NumberColumns {
-    /// Where a row stands in the file.
+    /// The place of a row in the file.
     pub(crate) fn place(&self, row: usize) -> Row {
         self.lines
             .as_ref()

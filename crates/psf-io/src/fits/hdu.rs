@@ -1,4 +1,4 @@
-//! One HDU: what its mandatory keywords say.
+//! One HDU and its mandatory keywords.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,10 +10,10 @@ use crate::fits::card::{Card, CardValue, FromValue};
 use crate::fits::header_cards::{HeaderCards, TILED_NAME};
 use crate::output::temporary::Temporary;
 
-/// FITS files are made of blocks of this many bytes.
+/// The size of the blocks of a FITS file, in bytes.
 pub(crate) const BLOCK: u64 = 2880;
 
-/// The most columns of a table (FITS standard 4.0, section 7.3.1).
+/// The largest number of columns of a table (FITS standard 4.0, section 7.3.1).
 const MOST_COLUMNS: i64 = 999;
 
 /// The content of an HDU.
@@ -24,21 +24,21 @@ pub(crate) enum HduKind {
     Other,
 }
 
-/// An HDU whose mandatory keywords are sound.
+/// An HDU whose mandatory keywords have been checked.
 #[derive(Debug)]
 pub(crate) struct Hdu {
-    /// Where the file is to be opened.
+    /// The file that holds the HDU.
     pub(crate) source: FitsSource,
     /// Counted from 0.
     pub(crate) index: usize,
     pub(crate) kind: HduKind,
     pub(crate) header: HeaderCards,
     pub(crate) bitpix: i64,
-    /// `NAXIS1` first; of a compressed image, its own.
+    /// `NAXIS1` first. For a compressed image the axes of the image, not those of its table.
     pub(crate) axes: Vec<usize>,
-    /// The first byte of the data in the file.
+    /// The position of the first byte of the data in the file.
     pub(crate) data_start: u64,
-    /// Bytes, without the padding to whole blocks.
+    /// Length in bytes, without the padding to whole blocks.
     pub(crate) data_length: u64,
 }
 
@@ -74,7 +74,7 @@ impl Hdu {
         hdu.data_length = hdu
             .checked_length()?
             .ok_or_else(|| hdu.header_error("NAXIS", "the data would be larger than any file"))?;
-        // CFITSIO takes memory for so many columns when it passes the HDU, whatever is read.
+        // CFITSIO allocates memory for this many columns whenever it passes the HDU.
         hdu.ensure(
             (0..=MOST_COLUMNS).contains(&hdu.structural("TFIELDS", Some(0))?),
             "TFIELDS",
@@ -83,33 +83,34 @@ impl Hdu {
         Ok(hdu)
     }
 
-    /// The name of the file for error messages.
+    /// The path of the file, for error messages.
     pub(crate) fn path(&self) -> &Path {
         &self.source.path
     }
 
-    /// Whether a binary table holds the tiles of a compressed image; it counts as the image.
+    /// Returns whether a binary table holds the tiles of a compressed image. Such a table counts as
+    /// the image.
     pub(crate) fn is_tiled(&self) -> bool {
         self.index > 0
             && self.value("ZIMAGE") == Some(true)
             && self.text("XTENSION").as_deref() == Some("BINTABLE")
     }
 
-    /// Bytes of the data with the padding to whole blocks.
+    /// Length of the data in bytes, with the padding to whole blocks.
     pub(crate) fn padded_length(&self) -> Result<u64, IoError> {
         self.data_length
             .checked_next_multiple_of(BLOCK)
             .ok_or_else(|| self.header_error("NAXIS", "the data would be larger than any file"))
     }
 
-    /// Bytes of the data; `None` where they cannot be counted.
+    /// Length of the data in bytes, or `None` if it overflows.
     fn checked_length(&self) -> Result<Option<u64>, IoError> {
         if self.axes.is_empty() {
             return Ok(Some(0));
         }
         let count = |keyword, default| self.structural_count(keyword, Some(default));
         let (parameters, groups) = (count("PCOUNT", 0)? as u64, count("GCOUNT", 1)? as u64);
-        // In random groups the first axis has length 0 and does not count.
+        // In random groups the first axis has length 0 and is not counted.
         let random_groups = self.index == 0 && self.axes[0] == 0 && self.value("GROUPS") == Some(true);
         // Without a group there would be no data for the pixels that the axes promise.
         self.ensure(groups > 0 || random_groups, "GCOUNT", "must be above 0")?;
@@ -126,12 +127,12 @@ impl Hdu {
             .and_then(|values| values.checked_mul(self.bitpix.unsigned_abs() / 8)))
     }
 
-    /// Whether this is an image that has pixels.
+    /// Returns whether this is an image with pixels.
     pub(crate) fn has_pixels(&self) -> bool {
         self.kind == HduKind::Image && !self.axes.is_empty() && self.axes.iter().all(|&n| n > 0)
     }
 
-    /// Whether this is a table of text.
+    /// Returns whether this is an ASCII table.
     pub(crate) fn is_ascii_table(&self) -> bool {
         self.text("XTENSION").as_deref() == Some("TABLE")
     }
@@ -143,12 +144,12 @@ impl Hdu {
             .filter(|name| !(self.is_tiled() && name == TILED_NAME))
     }
 
-    /// The EXTVER.
+    /// The EXTVER, or 1 without one.
     pub(crate) fn version(&self) -> i64 {
         self.value("EXTVER").unwrap_or(1)
     }
 
-    /// Number, name and size, for a list to choose from.
+    /// Number, name and size of the HDU, for a list of choices.
     pub(crate) fn described(&self) -> String {
         let mut text = self.index.to_string();
         if let Some(name) = self.name() {
@@ -173,7 +174,7 @@ impl Hdu {
         }
     }
 
-    /// An error for this keyword unless it is sound.
+    /// Returns an error about this keyword unless `sound`.
     pub(crate) fn ensure(&self, sound: bool, keyword: &str, problem: &'static str) -> Result<(), IoError> {
         if sound {
             Ok(())
@@ -182,7 +183,7 @@ impl Hdu {
         }
     }
 
-    /// A whole number that the structure rests on.
+    /// A whole number that the structure of the file depends on.
     pub(crate) fn structural(&self, keyword: &str, default: Option<i64>) -> Result<i64, IoError> {
         match (self.header.get(keyword).map(Card::value), default) {
             (Some(Some(CardValue::Integer(value))), _) => Ok(value),
@@ -192,13 +193,13 @@ impl Hdu {
         }
     }
 
-    /// Such a number that must not be negative.
+    /// Works like [`structural`](Self::structural), but a negative number is an error.
     pub(crate) fn structural_count(&self, keyword: &str, default: Option<i64>) -> Result<usize, IoError> {
         let value = self.structural(keyword, default)?;
         usize::try_from(value).map_err(|_| self.header_error(keyword, "must not be negative"))
     }
 
-    /// Axes in array order, x last.
+    /// The axes in array order, x last.
     pub(crate) fn shape(&self) -> Vec<usize> {
         self.axes.iter().rev().copied().collect()
     }
@@ -227,17 +228,17 @@ impl Hdu {
         }
     }
 
-    /// A value, if the keyword is there and has one of this type.
+    /// The value of a keyword, if the keyword exists and its value has this type.
     pub(crate) fn value<T: FromValue>(&self, keyword: &str) -> Option<T> {
         self.header.value(keyword)
     }
 
-    /// A text keyword, if it is there and is one.
+    /// The text of a keyword, if the keyword exists and its value is a text.
     pub(crate) fn text(&self, keyword: &str) -> Option<String> {
         self.value(keyword)
     }
 
-    /// A value of this type; an error where it is of another.
+    /// The value of a keyword, if the keyword exists. A value of another type is an error.
     pub(crate) fn optional<T: FromValue>(
         &self,
         keyword: &'static str,
@@ -252,7 +253,8 @@ impl Hdu {
         }
     }
 
-    /// A value that must be there. One of another type is an error that says `expected` too.
+    /// The value of a keyword, which must exist. A value of another type is an error, too, and the
+    /// error says `expected`.
     pub(crate) fn required<T: FromValue>(
         &self,
         keyword: &'static str,
@@ -270,7 +272,7 @@ impl Hdu {
         self.optional(keyword, "T or F")
     }
 
-    /// A number that must be there.
+    /// A number that must be present.
     pub(crate) fn required_real(
         &self,
         keyword: &'static str,
@@ -280,7 +282,7 @@ impl Hdu {
             .ok_or_else(|| self.missing_keyword(keyword, expected))
     }
 
-    /// A count above 0 that must be there.
+    /// A number above 0 that must be present.
     pub(crate) fn required_length(
         &self,
         keyword: &'static str,
@@ -292,7 +294,7 @@ impl Hdu {
             .ok_or_else(|| self.keyword_error(keyword, expected))
     }
 
-    /// A text keyword that holds one of the forms of a choice.
+    /// A text keyword that holds one name from a list of choices, if it exists.
     pub(crate) fn optional_choice<T: std::str::FromStr<Err = DataError>>(
         &self,
         keyword: &'static str,
@@ -303,7 +305,7 @@ impl Hdu {
             .transpose()
     }
 
-    /// Such a choice, which must be there.
+    /// Works like [`optional_choice`](Self::optional_choice), but a missing keyword is an error.
     pub(crate) fn required_choice<T: std::str::FromStr<Err = DataError>>(
         &self,
         keyword: &'static str,
@@ -323,10 +325,10 @@ impl Hdu {
     }
 }
 
-/// The choice of one HDU: by number, or by name and perhaps version.
+/// Chooses one HDU by number, or by name and optional version.
 ///
-/// As text: a whole number counts HDUs from 0, the primary, as astropy does; anything else is an
-/// `EXTNAME`, upper and lower case being the same, which an `EXTVER` may follow after a comma.
+/// As text, a whole number counts HDUs from 0 (the primary), as in astropy. Any other text is an
+/// `EXTNAME`, in upper or lower case. A comma and an `EXTVER` may follow it.
 ///
 /// ```
 /// use psf_io::HduChoice;
@@ -338,19 +340,19 @@ impl Hdu {
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum HduChoice {
-    /// Counted from 0, the primary HDU.
+    /// An HDU number, counted from 0 (the primary HDU).
     Number(usize),
     /// The first HDU with this `EXTNAME`.
     Name {
         /// The `EXTNAME`, upper or lower case.
         name: String,
-        /// The `EXTVER`; an HDU without one has 1. Any when not given.
+        /// The `EXTVER`, or `None` for any. An HDU without an `EXTVER` has version 1.
         version: Option<i64>,
     },
 }
 
 impl HduChoice {
-    /// Whether an HDU is the one, or one of those, meant.
+    /// Returns whether the choice is this HDU. By name it may be true for several HDUs.
     pub(crate) fn matches(&self, hdu: &Hdu) -> bool {
         match self {
             Self::Number(number) => hdu.index == *number,
@@ -398,8 +400,8 @@ impl std::fmt::Display for HduChoice {
     }
 }
 
-/// A FITS file that can be read at any place: the file itself, or an unpacked copy of it, which
-/// goes with the last of its users.
+/// A FITS file that can be read at any position: the file itself, or an unpacked copy. The copy is
+/// removed with its last user.
 #[derive(Debug, Clone)]
 pub(crate) struct FitsSource {
     path: PathBuf,
@@ -407,7 +409,7 @@ pub(crate) struct FitsSource {
 }
 
 impl FitsSource {
-    /// The file itself, or an unpacked copy of it.
+    /// Uses the file itself, or an unpacked copy of it.
     pub(crate) fn new(path: &Path, copy: Option<Temporary>) -> Self {
         Self {
             path: path.to_owned(),
@@ -415,7 +417,7 @@ impl FitsSource {
         }
     }
 
-    /// The name for error messages.
+    /// The path for error messages.
     pub(crate) fn path(&self) -> &Path {
         &self.path
     }

@@ -1,10 +1,10 @@
-//! The cards of a header, in order.
+//! An ordered list of header cards.
 
 use std::collections::HashSet;
 
 use crate::fits::card::{Card, FromValue, Record};
 
-/// Keywords that say how the data are stored, not what they are: a new file has its own.
+/// Keywords about the storage of the data. A new file has its own.
 const STRUCTURE: &[&str] = &[
     "SIMPLE", "XTENSION", "BITPIX", "NAXIS", "EXTEND", "NEXTEND", "PCOUNT", "GCOUNT", "GROUPS", "INHERIT",
     "BLOCKED", "BSCALE", "BZERO", "BLANK", "DATAMIN", "DATAMAX", "CHECKSUM", "DATASUM", "LONGSTRN", "END",
@@ -12,19 +12,19 @@ const STRUCTURE: &[&str] = &[
     "ZPCOUNT", "ZGCOUNT", "ZBLANK", "ZSCALE", "ZZERO", "ZQUANTIZ", "ZDITHER0", "ZMASKCMP", "ZHECKSUM",
     "ZDATASUM",
 ];
-/// Such keywords with a number after them.
+/// Keywords about the storage of the data that end in a number.
 const NUMBERED_STRUCTURE: &[&str] = &[
     "NAXIS", "ZNAXIS", "ZTILE", "ZNAME", "ZVAL", "PTYPE", "PSCAL", "PZERO",
 ];
-/// Keywords of the table of a compressed image, with a number after them.
+/// Keywords of the table of a compressed image that end in a number.
 const NUMBERED_TABLE: &[&str] = &[
     "TTYPE", "TFORM", "TUNIT", "TNULL", "TSCAL", "TZERO", "TDISP", "TDIM",
 ];
-/// The name that the table of a compressed image gets when the image has none.
+/// The name given to the table of a compressed image if the image has none.
 pub(crate) const TILED_NAME: &str = "COMPRESSED_IMAGE";
-/// Keywords that name or number one HDU and mean nothing for another.
+/// Keywords that name or number one HDU and have no meaning for another.
 const OWN: &[&str] = &["EXTNAME", "EXTVER", "EXTLEVEL", "HDUNAME", "HDUVER", "INHERIT"];
-/// World coordinates: keywords, and stems that a number follows.
+/// Keywords of world coordinates.
 const WORLD: &[&str] = &["WCSAXES", "WCSNAME", "LONPOLE", "LATPOLE"];
 const NUMBERED_WORLD: &[&str] = &[
     "CTYPE", "CRVAL", "CRPIX", "CDELT", "CUNIT", "CROTA", "CD", "PC", "PV", "PS", "LTV", "LTM", "A_", "B_",
@@ -36,10 +36,10 @@ const STANDARD_COMMENTS: [&str; 2] = [
     "  and Astrophysics', volume 376, page 359; bibcode: 2001A&A...376..359H",
 ];
 
-/// The cards of a FITS header, in order, as they pass from an input to an output.
+/// The cards of a FITS header, in order, which may be copied from an input to an output.
 ///
-/// Headers that [`read_image`](crate::read_image) returns have no cards about the structure of the
-/// input file (SIMPLE, BITPIX, NAXISn, BSCALE, CHECKSUM ...): those of the output are its own.
+/// Headers returned by [`read_image`](crate::read_image) lack the cards about the structure of the
+/// input file (SIMPLE, BITPIX, NAXISn, BSCALE, CHECKSUM ...). The output has its own.
 ///
 /// ```
 /// use psf_io::{Card, HeaderCards};
@@ -56,12 +56,13 @@ pub struct HeaderCards {
 }
 
 impl HeaderCards {
-    /// No cards.
+    /// Creates a list without cards.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// The cards of a header without its END; CONTINUE records join the card they belong to.
+    /// Makes a list from the records of a header without its END. A CONTINUE record is added to the
+    /// card before it.
     pub(crate) fn from_records(records: impl IntoIterator<Item = Record>) -> Self {
         let mut cards: Vec<Card> = Vec::new();
         for record in records {
@@ -81,7 +82,7 @@ impl HeaderCards {
         Self { cards }
     }
 
-    /// The cards in order.
+    /// Iterates over the cards in order.
     pub fn iter(&self) -> std::slice::Iter<'_, Card> {
         self.cards.iter()
     }
@@ -91,7 +92,7 @@ impl HeaderCards {
         self.cards.len()
     }
 
-    /// Whether there are none.
+    /// Returns whether there are no cards.
     pub fn is_empty(&self) -> bool {
         self.cards.is_empty()
     }
@@ -101,7 +102,7 @@ impl HeaderCards {
         self.cards.iter().find(|card| card.has_keyword(keyword))
     }
 
-    /// The value of the first card with this keyword, where it is of this type.
+    /// The value of the first card with this keyword, if it has this type.
     pub(crate) fn value<T: FromValue>(&self, keyword: &str) -> Option<T> {
         T::from_value(self.get(keyword)?.value()?)
     }
@@ -111,8 +112,8 @@ impl HeaderCards {
         self.cards.push(card);
     }
 
-    /// Puts a card in the place of those with its keyword, or at the end; text cards (HISTORY,
-    /// COMMENT) are always added.
+    /// Replaces the cards with the keyword of `card`, or appends `card` if there are none. Text
+    /// cards (HISTORY, COMMENT) are always appended.
     pub fn set(&mut self, card: Card) {
         if card.is_commentary() {
             return self.cards.push(card);
@@ -131,12 +132,12 @@ impl HeaderCards {
         self.cards.retain(|card| card.keyword() != keyword);
     }
 
-    /// The cards for an image whose first pixel is the pixel (`x0`, `y0`), 0-based, of this one.
+    /// The cards for a cut image whose first pixel is pixel (`x0`, `y0`), 0-based, of this one.
     ///
-    /// The reference pixels of the world coordinates move along, `CRPIX1 - x0` and `CRPIX2 - y0`,
-    /// those of the alternate systems (`CRPIX1A` ...) too; where a world coordinate has no CRPIX,
-    /// it stands for 0 and is added. So do IRAF's `LTV1` and `LTV2`. Keywords whose value is not a
-    /// number stay as they are.
+    /// The reference pixels of the world coordinates become `CRPIX1 - x0` and `CRPIX2 - y0`, also
+    /// in alternate systems (`CRPIX1A` ...). If a world coordinate has no CRPIX, its value is 0 and
+    /// the shifted card is added. IRAF's `LTV1` and `LTV2` are shifted in the same way, if present.
+    /// A card whose value is not a number is kept as it is.
     #[must_use]
     pub fn shifted_origin(&self, x0: i64, y0: i64) -> Self {
         let mut shifted = self.clone();
@@ -156,7 +157,7 @@ impl HeaderCards {
         shifted
     }
 
-    /// Changes every number under a keyword; its comment stays.
+    /// Changes every number with this keyword and keeps its comment.
     fn change(&mut self, keyword: &str, changed: impl Fn(f64) -> f64) {
         for card in self.cards.iter_mut().filter(|card| card.has_keyword(keyword)) {
             if let Some(value) = card.value().and_then(f64::from_value)
@@ -167,8 +168,8 @@ impl HeaderCards {
         }
     }
 
-    /// The cards that go over to a file of another structure. A card whose keyword FITS does not
-    /// allow becomes a comment.
+    /// The cards that may be copied to a file of another structure. A card whose keyword FITS does
+    /// not allow becomes a COMMENT.
     pub(crate) fn carried(&self) -> Self {
         let tiled = self.get("ZIMAGE").is_some();
         let of_table = |card: &Card, numbered: &dyn Fn(&str) -> bool| {
@@ -201,9 +202,10 @@ impl HeaderCards {
         }
     }
 
-    /// The cards of an extension that also inherits those of its primary header (the convention of
-    /// `INHERIT = T`): the primary's come first, but for those that the extension has too, texts,
-    /// names of HDUs, and, where the extension has world coordinates of its own, the primary's.
+    /// The cards of an extension together with those that it inherits from its primary header (the
+    /// convention of `INHERIT = T`). The inherited cards are listed first. Not inherited are cards
+    /// that the extension has too, text cards, names of HDUs, and the world coordinates if the
+    /// extension has its own.
     pub(crate) fn inheriting(&self, primary: &Self) -> Self {
         let own: HashSet<String> = self.cards.iter().map(Card::keyword).collect();
         let has_world = own.iter().any(|keyword| keyword.starts_with("CTYPE"));
@@ -221,8 +223,8 @@ impl HeaderCards {
         }
     }
 
-    /// These cards and others, each of which takes the place of those with its keyword; none about
-    /// structure.
+    /// Adds cards to a copy of this list, without any cards about structure. Each added card
+    /// replaces the cards with its keyword.
     pub(crate) fn with(&self, added: &[Card]) -> Self {
         let mut all = self.clone();
         added.iter().cloned().for_each(|card| all.set(card));
@@ -230,14 +232,14 @@ impl HeaderCards {
     }
 }
 
-/// The endings of the keywords of each system of world coordinates.
+/// The suffixes of the keywords in each system of world coordinates.
 fn world_versions() -> impl Iterator<Item = String> {
     std::iter::once(String::new()).chain(('A'..='Z').map(String::from))
 }
 
-/// Whether a keyword is of world coordinates.
+/// Returns whether a keyword belongs to world coordinates.
 fn is_world(keyword: &str) -> bool {
-    // A letter may name an alternate system.
+    // The suffix may be the letter of an alternate system.
     WORLD
         .iter()
         .any(|word| keyword.strip_prefix(word).is_some_and(|rest| rest.len() <= 1))
@@ -265,14 +267,15 @@ impl FromIterator<Card> for HeaderCards {
 }
 
 impl HeaderCards {
-    /// The cards for an image each of whose pixels covers `factor` by `factor` pixels of this one,
-    /// from its first on.
+    /// The cards for a binned image. Each of its pixels covers `factor` by `factor` pixels of this
+    /// image, starting with the first.
     ///
-    /// A pixel coordinate `p` (1-based) becomes `(p - 1/2) / factor + 1/2`: reference pixels move
-    /// along, steps in the world (`CDELTi`, `CDi_j`) grow by the factor, and SIP distortions
-    /// (`A_p_q` and their kin), which are polynomials in pixels, by `factor^(p + q - 1)`; alternate
-    /// systems too. A world coordinate without a step has one of 1, which is added. So do IRAF's
-    /// `LTVi` and `LTMi_i`.
+    /// A pixel coordinate `p` (1-based) becomes `(p - 1/2) / factor + 1/2`, which changes the
+    /// reference pixels. Steps in the world (`CDELTi`, `CDi_j`) are multiplied by `factor`. SIP
+    /// distortions (`A_p_q`, `B_p_q`, `AP_p_q`, `BP_p_q`), which are polynomials in pixels, are
+    /// multiplied by `factor^(p+q-1)`. Alternate systems change in the same way. If a world
+    /// coordinate has no step, its step is 1 and the new one is added. IRAF's `LTVi` and `LTMi_i`
+    /// change accordingly.
     ///
     /// ```
     /// use psf_io::{Card, HeaderCards};

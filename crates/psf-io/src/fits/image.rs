@@ -1,22 +1,22 @@
-//! Images: scenes and results.
+//! Reading images: scenes and results.
 //!
 //! # Layout
 //!
 //! | part | read | written |
 //! |---|---|---|
-//! | HDU | the primary when it has pixels; else the only image extension; or the one chosen ([`HduChoice`]) | the primary |
-//! | axes | `NAXIS = 2`, or more with further axes of length 1 | `NAXIS = 2` |
+//! | HDU | the primary if it has pixels, else the only image extension, or the one chosen ([`HduChoice`]) | the primary |
+//! | axes | `NAXIS = 2`, or more if the further axes have length 1 | `NAXIS = 2` |
 //! | pixels | any `BITPIX`; `BSCALE` and `BZERO` are applied; NaN, infinities and `BLANK` pixels are refused | `BITPIX` -32 (f32) or -64 (f64) |
-//! | header | every card but those about the file's structure; an extension inherits those of an empty primary HDU, unless `INHERIT = F` | the same, then the caller's |
+//! | header | all cards except those about the structure of the file; an extension inherits those of an empty primary HDU, unless `INHERIT = F` | the cards of the input, then those of the caller |
 //!
-//! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`; world
-//! coordinates, which count in FITS pixels, go over as they are. Files compressed by gzip or fpack
-//! are read as they are.
+//! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`. World
+//! coordinates, which count in FITS pixels, are copied without a change. Files compressed by gzip
+//! or fpack are read directly.
 //!
-//! An image that does not fit into memory is read and written by bands of rows: [`ImageReader`] and
-//! [`ImageWriter`](crate::ImageWriter).
+//! An image that does not fit into memory is read and written by bands of rows, with
+//! [`ImageReader`] and [`ImageWriter`](crate::ImageWriter).
 //!
-//! A scene from Python:
+//! A scene made in Python:
 //!
 //! ```python
 //! import numpy as np
@@ -39,10 +39,10 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::structure::FitsStructure;
 use crate::fits::tiles;
 
-/// The axes of an image that may be a stack.
+/// The axes expected of an image that may be a stack.
 const STACK: &str = "an image [y, x] or a cube [plane, y, x]";
 
-/// An image with the header cards that go with it.
+/// An image with its header cards.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FitsImage<T = f64> {
     image: Image<T>,
@@ -60,27 +60,28 @@ impl<T: Real> FitsImage<T> {
         &self.header
     }
 
-    /// Both, without a copy.
+    /// Returns the image and the header cards without a copy.
     pub fn into_parts(self) -> (Image<T>, HeaderCards) {
         (self.image, self.header)
     }
 }
 
-/// Reads the image of a FITS file, whatever its BITPIX, in the precision asked for:
+/// Reads the image of a FITS file of any BITPIX in the requested precision. It calls
 /// [`read_image_hdu`] without a choice.
 ///
 /// # Errors
-/// As [`read_image_hdu`].
+/// The errors of [`read_image_hdu`].
 pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoError> {
     read_image_hdu(path, None)
 }
 
-/// Reads the image chosen; without a choice that of the primary HDU, or the only one there is.
+/// Reads the chosen image. Without a choice it reads the image of the primary HDU, or else the only
+/// image.
 ///
 /// # Errors
 /// [`IoError::SeveralHdus`] with a list where a choice is needed, [`IoError::NoSuchHdu`],
-/// [`IoError::Axes`] for a cube, [`IoError::NonFinitePixels`], [`IoError::Overflow`] when a value
-/// of a double-precision file is too large for f32, and the errors of any FITS file.
+/// [`IoError::Axes`] for a cube, [`IoError::NonFinitePixels`], [`IoError::Overflow`] if a value of
+/// a double-precision file is too large for f32, and the errors of any FITS file.
 pub fn read_image_hdu<T: Real>(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -94,21 +95,20 @@ pub fn read_image_hdu<T: Real>(
     })
 }
 
-/// Reads the image of a FITS file as a stack `[plane, y, x]`: a cube, or an image as a stack of
-/// one.
+/// Reads the image of a FITS file as a stack `[plane, y, x]`. A 2-D image is a stack of one plane.
 ///
-/// For stamps that need not be PSF samples, such as a reference to compare with.
+/// Use it for stamps that need not be PSF samples, such as a reference to compare with.
 ///
 /// # Errors
-/// As [`read_cube_hdu`].
+/// The errors of [`read_cube_hdu`].
 pub fn read_cube<T: Real>(path: impl AsRef<Path>) -> Result<Array3<T>, IoError> {
     read_cube_hdu(path, None)
 }
 
-/// Reads the image chosen as a stack `[plane, y, x]`.
+/// Reads the chosen image as a stack `[plane, y, x]`.
 ///
 /// # Errors
-/// As [`read_image_hdu`]; [`IoError::Axes`] for more than three axes.
+/// The errors of [`read_image_hdu`], and [`IoError::Axes`] for more than three axes.
 pub fn read_cube_hdu<T: Real>(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -122,15 +122,15 @@ pub fn read_cube_hdu<T: Real>(
 /// file.
 ///
 /// # Errors
-/// As [`read_header_hdu`].
+/// The errors of [`read_header_hdu`].
 pub fn read_header(path: impl AsRef<Path>) -> Result<HeaderCards, IoError> {
     read_header_hdu(path, None)
 }
 
-/// Reads the header cards of the image chosen, without those about the structure of the file.
+/// Reads the header cards of the chosen image, without those about the structure of the file.
 ///
 /// # Errors
-/// As [`read_image_hdu`]; the pixels are not read.
+/// The errors of [`read_image_hdu`], except those about pixels, which are not read.
 pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
     Ok(structure.cards(structure.image(choice)?))
@@ -139,8 +139,9 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 /// Reads the header cards that describe a frame, such as its world coordinates, from an HDU that
 /// need not have pixels.
 ///
-/// Without a choice they are those of the image, as in [`read_header_hdu`]; in a file without
-/// pixels those of the first HDU with world coordinates (`CTYPE1`), or else of the primary.
+/// Without a choice they are the cards of the image, as in [`read_header_hdu`]. In a file without
+/// pixels they are those of the first HDU with world coordinates (`CTYPE1`), or else of the primary
+/// HDU.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -157,13 +158,14 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 ///
 /// # Errors
 /// [`IoError::SeveralHdus`] where a choice among images with pixels is needed,
-/// [`IoError::NoSuchHdu`] for a choice that is no image, and the errors of any FITS file.
+/// [`IoError::NoSuchHdu`] for a choice that is not an image, and the errors of any FITS file.
 pub fn read_cards(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
     Ok(structure.cards(structure.header_of_frame(choice)?))
 }
 
-/// The shape in array order without the leading axes of length 1 (FITS' last ones) beyond two.
+/// The shape in array order, without leading axes of length 1 (the last ones in FITS) beyond two
+/// axes.
 pub(crate) fn squeezed(hdu: &Hdu) -> Vec<usize> {
     let shape = hdu.shape();
     let extra = shape.len().saturating_sub(2);
@@ -171,7 +173,7 @@ pub(crate) fn squeezed(hdu: &Hdu) -> Vec<usize> {
     shape[ones..].to_vec()
 }
 
-/// The shape `(planes, ny, nx)` of a cube; an image is a cube of one plane.
+/// The shape `(planes, ny, nx)` of a cube. An image is a cube of one plane.
 pub(crate) fn stack_shape(hdu: &Hdu, expected: &'static str) -> Result<(usize, usize, usize), IoError> {
     match squeezed(hdu)[..] {
         [ny, nx] => Ok((1, ny, nx)),
@@ -180,19 +182,18 @@ pub(crate) fn stack_shape(hdu: &Hdu, expected: &'static str) -> Result<(usize, u
     }
 }
 
-/// The error for a band of rows that is not as wide as the image.
+/// The error for a band of rows whose width differs from that of the image.
 pub(crate) fn band_width(path: &Path, expected: usize, got: usize) -> IoError {
     let problem = format!("a band of rows must be as wide as the image, {expected} columns, got {got}");
     request(path, problem)
 }
 
-/// An image open for reading a band of rows at a time: what is larger than memory can be worked on
-/// in parts.
+/// An open image that is read one band of rows at a time, so that it may be larger than memory.
 ///
-/// Files, axes and pixels are those of [`read_image`](crate::read_image), as are the errors; the
-/// bands put together are the image it returns, bit by bit. Rows may be read in any order and any
-/// number of times. Memory: the band, nothing else. A reader stays in its thread; several may be
-/// open on one file.
+/// Files, axes, pixels and errors are those of [`read_image`](crate::read_image). The bands
+/// together are equal bit by bit to the image that it returns. Rows may be read in any order and
+/// any number of times. Only the band takes memory. A reader cannot be sent to another thread, but
+/// several readers may be open on one file.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -213,7 +214,7 @@ pub(crate) fn band_width(path: &Path, expected: usize, got: usize) -> IoError {
 #[derive(Debug)]
 pub struct ImageReader {
     pixels: Pixels,
-    /// The number of the image's first pixel in its HDU, which may hold several images.
+    /// The index of the first pixel of the image in its HDU, which may hold several images.
     origin: usize,
     shape: FrameShape,
     header: HeaderCards,
@@ -223,13 +224,14 @@ impl ImageReader {
     /// Opens the image of a FITS file: [`open_hdu`](Self::open_hdu) without a choice.
     ///
     /// # Errors
-    /// As [`open_hdu`](Self::open_hdu).
+    /// The errors of [`open_hdu`](Self::open_hdu).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, IoError> {
         Self::open_hdu(path, None)
     }
 
-    /// Opens the image chosen; without a choice that of the primary HDU, or the only one there is.
-    /// Every header is read and checked against the length of the file, no pixel is read.
+    /// Opens the chosen image. Without a choice it opens the image of the primary HDU, or else the
+    /// only image. Every header is read and checked against the length of the file. No pixel is
+    /// read.
     ///
     /// # Errors
     /// [`IoError::SeveralHdus`] with a list where a choice is needed, [`IoError::NoSuchHdu`],
@@ -241,10 +243,10 @@ impl ImageReader {
         })
     }
 
-    /// Opens one plane, counted from 0, of a cube `[plane, y, x]`; an image is a cube of one plane.
+    /// Opens one plane, counted from 0, of a cube `[plane, y, x]`. An image is a cube of one plane.
     ///
     /// # Errors
-    /// As [`open_hdu`](Self::open_hdu); [`IoError::Axes`] for more than three axes,
+    /// The errors of [`open_hdu`](Self::open_hdu), [`IoError::Axes`] for more than three axes, and
     /// [`IoError::Request`] for a plane that the cube does not have.
     pub fn open_plane(
         path: impl AsRef<Path>,
@@ -254,15 +256,15 @@ impl ImageReader {
         Self::open_part(path.as_ref(), choice, |hdu| {
             let (planes, ny, nx) = stack_shape(hdu, STACK)?;
             if plane >= planes {
-                let problem = format!("there is no plane {plane}: the image has {planes}, counted from 0");
+                let problem = format!("there is no plane {plane}: the image has {planes} planes, counted from 0");
                 return Err(request(hdu.path(), problem));
             }
             Ok((plane * ny * nx, ny, nx))
         })
     }
 
-    /// Opens the pixels of the chosen HDU from the first on that `part` names, with the rows and
-    /// columns that it names.
+    /// Opens a part of the chosen HDU. `part` returns the index of its first pixel, its rows and
+    /// its columns.
     fn open_part(
         path: &Path,
         choice: Option<&HduChoice>,
@@ -289,27 +291,27 @@ impl ImageReader {
         &self.header
     }
 
-    /// Reads rows as an array `[y, x]`, row-major, whose first row is row `rows.start` (0-based) of
-    /// the image.
+    /// Reads rows as a row-major array `[y, x]`. Its first row is row `rows.start` (0-based) of the
+    /// image.
     ///
     /// # Errors
-    /// As [`read_rows_into`](Self::read_rows_into).
+    /// The errors of [`read_rows_into`](Self::read_rows_into).
     pub fn read_rows<T: Real>(&mut self, rows: Range<usize>) -> Result<Array2<T>, IoError> {
-        // Before memory is taken.
+        // Checked before memory is allocated.
         self.check_rows(&rows)?;
         let mut band = Array2::zeros((rows.len(), self.shape.nx()));
         self.read_rows_into(rows.start, band.view_mut())?;
         Ok(band)
     }
 
-    /// Reads as many rows as `band` `[y, x]` has, from row `first_row` (0-based) of the image on.
-    /// After an error the contents of `band` are not defined.
+    /// Fills `band` `[y, x]` with rows of the image, from row `first_row` (0-based) on. After an
+    /// error the contents of `band` are undefined.
     ///
     /// # Errors
     /// [`IoError::Rows`] for rows that the image does not have, [`IoError::Request`] for a band of
-    /// another width, [`IoError::NonFinitePixels`] with the place in the whole image and the number
-    /// of such pixels in these rows, [`IoError::Overflow`] when a value of a double-precision file
-    /// is too large for f32, and what CFITSIO reports.
+    /// another width, [`IoError::NonFinitePixels`] with the first such pixel of the image and the
+    /// number of them in these rows, [`IoError::Overflow`] if a value of a double-precision file is
+    /// too large for f32, and the errors of CFITSIO.
     pub fn read_rows_into<T: Real>(
         &mut self,
         first_row: usize,
@@ -332,23 +334,23 @@ impl ImageReader {
         }
     }
 
-    /// Reads rows as [`read_rows`](Self::read_rows) does, with what is not a number: NaN and
-    /// infinities as they stand in the file, `BLANK` pixels as NaN. For looking at an image;
-    /// nothing may be computed from what this returns as if every pixel were measured.
+    /// Works like [`read_rows`](Self::read_rows), but keeps undefined pixels: NaN and infinities as
+    /// stored, `BLANK` pixels as NaN. This is for looking at an image. Do not compute from these
+    /// pixels without testing each of them.
     ///
     /// # Errors
-    /// [`IoError::Rows`] for rows that the image does not have, and what CFITSIO reports.
+    /// [`IoError::Rows`] for rows that the image does not have, and the errors of CFITSIO.
     pub fn read_rows_with_undefined(&mut self, rows: Range<usize>) -> Result<Array2<f64>, IoError> {
         self.check_rows(&rows)?;
         let mut band = Array2::zeros((rows.len(), self.shape.nx()));
         let first = self.origin + rows.start * self.shape.nx();
         let values = band.as_slice_mut().expect("a new array is contiguous");
-        // Whether all are finite does not matter.
+        // Returns whether all are finite, which does not matter here.
         self.pixels.load(first, values)?;
         Ok(band)
     }
 
-    /// Reads into rows that are not one piece of memory.
+    /// Reads into rows that are not contiguous in memory.
     fn load_scattered<T: Real>(
         &mut self,
         first: usize,
@@ -377,7 +379,7 @@ impl ImageReader {
     }
 }
 
-/// Values looked at together in the search for NaN, few enough to stay in cache.
+/// Number of values that are tested together for NaN, few enough to stay in cache.
 const CHUNK: usize = 4096;
 
 /// The pixels of an image HDU, open for reading.
@@ -388,12 +390,12 @@ struct Pixels {
     hdu: usize,
     /// In array order, x last.
     shape: Vec<usize>,
-    /// Whether undefined pixels have a number of their own.
+    /// True if CFITSIO must replace undefined pixels by NaN.
     blank: bool,
 }
 
 impl Pixels {
-    /// The HDU comes from a [`FitsStructure`](FitsStructure), which has checked that the file holds
+    /// Opens an HDU of a [`FitsStructure`](FitsStructure), which has checked that the file holds
     /// its data.
     fn open(hdu: &Hdu) -> Result<Self, IoError> {
         tiles::check(hdu)?;
@@ -404,23 +406,22 @@ impl Pixels {
             path: hdu.path().to_owned(),
             hdu: hdu.index,
             shape: hdu.shape(),
-            // For floats CFITSIO must not look for undefined values: it would flush subnormal
-            // numbers to zero. But in compressed images NaN may be a number that only CFITSIO
-            // knows, and would else return as if it were a value.
+            // For floats CFITSIO must not search undefined values, because it would set subnormal
+            // numbers to zero. In compressed images, however, only CFITSIO knows which number
+            // stands for NaN, and without the search it would return that number as a value.
             blank: hdu.is_tiled() || (hdu.bitpix > 0 && hdu.header.get("BLANK").is_some()),
         })
     }
 
-    /// Reads pixels from number `first` (0-based, rows one after the other) on, BSCALE and BZERO
-    /// applied; false when one is not finite, for which [`defect`](Self::defect) then has the
-    /// error.
+    /// Reads pixels from index `first` (0-based, row by row) on, with BSCALE and BZERO applied.
+    /// Returns false if one of them is not finite. [`defect`](Self::defect) then makes the error.
     fn load<T: Real>(&mut self, first: usize, pixels: &mut [T]) -> Result<bool, IoError> {
         self.fits.read_pixels(first, pixels, self.blank)?;
         let clean = |chunk: &[T]| chunk.iter().fold(true, |clean, value| clean & value.is_finite());
         Ok(pixels.chunks(CHUNK).all(clean))
     }
 
-    /// The error for pixels that are not all finite in the type asked for.
+    /// The error for pixels that are not all finite in the requested type.
     fn defect(&mut self, first: usize, count: usize) -> IoError {
         match self.non_finite(first, count) {
             Ok(Some((flat, value, count))) => IoError::NonFinitePixels {
@@ -430,7 +431,7 @@ impl Pixels {
                 value,
                 count,
             },
-            // A value that is infinite in single precision may be a number in the file.
+            // A value that is infinite in single precision may be finite in the file.
             Ok(None) => IoError::Overflow {
                 path: self.path.clone(),
             },
@@ -438,10 +439,11 @@ impl Pixels {
         }
     }
 
-    /// The first pixel that is no number in double precision, its value, and how many there are.
+    /// The first pixel that is not finite in double precision, its value, and the number of such
+    /// pixels.
     fn non_finite(&mut self, first: usize, count: usize) -> Result<Option<(usize, f64, usize)>, IoError> {
         let mut found = None;
-        // By chunks: a second copy of the pixels might not fit into memory.
+        // In chunks, because a second copy of the pixels might not fit into memory.
         let mut values = vec![0.0_f64; CHUNK];
         for start in (first..first + count).step_by(CHUNK) {
             let chunk = &mut values[..CHUNK.min(first + count - start)];
@@ -455,7 +457,7 @@ impl Pixels {
         Ok(found)
     }
 
-    /// The place of a pixel along each axis.
+    /// Index of a pixel along each axis.
     fn index(&self, mut flat: usize) -> Vec<usize> {
         let mut index = vec![0; self.shape.len()];
         for (place, &n) in index.iter_mut().zip(&self.shape).rev() {
@@ -466,13 +468,13 @@ impl Pixels {
     }
 }
 
-/// Reads all pixels of an image HDU, BSCALE and BZERO applied, and refuses NaN, infinities and
-/// BLANK.
+/// Reads all pixels of an image HDU, with BSCALE and BZERO applied. NaN, infinities and BLANK are
+/// errors.
 ///
-/// The HDU comes from a [`FitsStructure`](FitsStructure), which has checked that the file holds its
-/// data: memory is bounded by the length of the file.
+/// The HDU is part of a [`FitsStructure`](FitsStructure), which has checked that the file holds its
+/// data. So memory is bounded by the length of the file.
 fn read_pixels<T: Real>(hdu: &Hdu) -> Result<Vec<T>, IoError> {
-    // Opening checks tiles, before memory is taken for what they claim to hold.
+    // The tiles are checked on opening, before memory is allocated for the size that they claim.
     let mut pixels = Pixels::open(hdu)?;
     let mut values = vec![T::zero(); hdu.axes.iter().product()];
     if pixels.load(0, &mut values)? {

@@ -1,5 +1,4 @@
-//! The headers of a FITS file, one after the other, and the unpacking of files that gzip has
-//! compressed as a whole.
+//! Reads the headers of a FITS file one after the other, and unpacks gzip files.
 
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter, Read, Seek, SeekFrom, Write};
@@ -14,10 +13,10 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::tiles;
 use crate::output::temporary::{Temporary, entries};
 
-/// A header longer than this many blocks (20 MB) has lost its END.
+/// A header of this many blocks (20 MB) is an error: its END is missing.
 const HEADER_BLOCK_LIMIT: usize = 7000;
 
-/// The records of a header, block by block.
+/// The records of a header, collected block by block.
 struct HeaderRecords<'a> {
     path: &'a Path,
     hdu: usize,
@@ -35,7 +34,7 @@ impl<'a> HeaderRecords<'a> {
         }
     }
 
-    /// Takes the next block; true when the header ends in it.
+    /// Adds the next block. Returns true if the header ends in it.
     fn push(&mut self, block: &[u8; BLOCK as usize]) -> Result<bool, IoError> {
         self.blocks += 1;
         for record in block.chunks_exact(RECORD) {
@@ -55,7 +54,7 @@ impl<'a> HeaderRecords<'a> {
         })
     }
 
-    /// The HDU of this header.
+    /// Makes the HDU of this header.
     fn into_hdu(self, source: &FitsSource) -> Result<Hdu, IoError> {
         let mut hdu = Hdu::new(source, self.hdu, HeaderCards::from_records(self.records))?;
         tiles::count_as_image(&mut hdu)?;
@@ -63,7 +62,7 @@ impl<'a> HeaderRecords<'a> {
     }
 }
 
-/// Walks over a file, header by header.
+/// Reads the headers of a file one after the other.
 pub(crate) struct Scanner<'a> {
     source: &'a FitsSource,
     file: File,
@@ -84,7 +83,8 @@ impl<'a> Scanner<'a> {
         })
     }
 
-    /// Whether another HDU starts here; what is not one (padding, records of old) is left alone.
+    /// Returns whether another HDU starts at the current offset. Anything else that follows
+    /// (padding, special records) is ignored.
     pub(crate) fn next_hdu_starts(&mut self, hdu: usize) -> Result<bool, IoError> {
         if hdu == 0 {
             return Ok(true);
@@ -99,7 +99,7 @@ impl<'a> Scanner<'a> {
         Ok(b"XTENSION".starts_with(&start))
     }
 
-    /// Reads the header at the offset and moves the offset behind the data.
+    /// Reads the header at the offset and moves the offset to the end of the data.
     pub(crate) fn read_hdu(&mut self, index: usize) -> Result<Hdu, IoError> {
         let mut hdu = self.read_header(index)?.into_hdu(self.source)?;
         hdu.data_start = self.offset;
@@ -134,7 +134,7 @@ impl<'a> Scanner<'a> {
     }
 }
 
-/// The error for an HDU of which only `length` bytes of the file are there.
+/// The error for an HDU in a file that ends too early, after `length` bytes.
 fn truncated(path: &Path, hdu: usize, needed: u64, length: u64) -> IoError {
     IoError::Truncated {
         path: path.to_owned(),
@@ -146,14 +146,14 @@ fn truncated(path: &Path, hdu: usize, needed: u64, length: u64) -> IoError {
 
 /// The first bytes of every gzip file.
 pub(crate) const GZIP: &[u8] = b"\x1f\x8b";
-/// A file may unpack to this many bytes whatever its own size (1 GiB), as masks of one value do ...
+/// A file may unpack to this many bytes (1 GiB) for any size of its own, as masks of one value do,
 const ALWAYS_ALLOWED: u64 = 1 << 30;
-/// ... and to so many bytes more for each of its own: images shrink to a half or a tenth, those of
-/// few values to a hundredth.
+/// and to this many more for each of its own bytes. Images shrink to a half or a tenth, those with
+/// few different values to a hundredth.
 const ALLOWED_PER_BYTE: u64 = 100;
 const BUFFER: usize = 1 << 16;
 
-/// The first bytes of what a gzip file holds, at most `count`.
+/// The first bytes of the unpacked content of a gzip file, at most `count`.
 pub(crate) fn first_bytes(path: &Path, count: usize) -> Result<Vec<u8>, IoError> {
     let mut unpacker = Unpacker::open(path)?;
     let mut bytes = vec![0; count];
@@ -162,8 +162,8 @@ pub(crate) fn first_bytes(path: &Path, count: usize) -> Result<Vec<u8>, IoError>
     Ok(bytes)
 }
 
-/// Unpacks a FITS file to a temporary one. Headers are read on the way: what would be larger than
-/// allowed, or holds less than its headers say, is refused before it fills the disk.
+/// Unpacks a FITS file to a temporary file. The headers are checked while it is unpacked, so a file
+/// that is too large, or too short for its headers, is refused before it fills the disk.
 pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
     let source = FitsSource::new(path, None);
     let failed = |source| IoError::Unpacking {
@@ -191,8 +191,8 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
             let length = unpacker.read_up_to(&mut block)?;
             let hdu_starts = header.blocks == 0 && index > 0;
             if hdu_starts && !block[..length].starts_with(b"XTENSION") {
-                // Bytes behind the last HDU belong to none; they are read for gzip's check sum
-                // alone.
+                // The bytes after the last HDU belong to no HDU. They are read only for the check
+                // sum of gzip.
                 unpacker.drain(&mut buffer)?;
                 out.flush().map_err(failed)?;
                 return Ok(copy);
@@ -222,12 +222,12 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
     }
 }
 
-/// The stream of what a gzip file holds, and how far it has been read.
+/// The stream of the unpacked content of a gzip file.
 struct Unpacker<'a> {
     path: &'a Path,
     stream: MultiGzDecoder<BufReader<File>>,
     done: u64,
-    /// Bytes of the compressed file.
+    /// Length of the compressed file in bytes.
     length: u64,
 }
 
@@ -244,7 +244,7 @@ impl<'a> Unpacker<'a> {
         })
     }
 
-    /// Fills the buffer, or as much of it as there is left.
+    /// Fills the buffer, or as much of it as the stream still has bytes for.
     fn read_up_to(&mut self, buffer: &mut [u8]) -> Result<usize, IoError> {
         let mut filled = 0;
         while filled < buffer.len() {
@@ -265,7 +265,7 @@ impl<'a> Unpacker<'a> {
         Ok(filled)
     }
 
-    /// Reads to the end.
+    /// Reads the rest of the stream.
     fn drain(&mut self, buffer: &mut [u8]) -> Result<(), IoError> {
         while self.read_up_to(buffer)? > 0 {
             self.check(self.done)?;
@@ -273,7 +273,7 @@ impl<'a> Unpacker<'a> {
         Ok(())
     }
 
-    /// Whether the file may unpack to so many bytes.
+    /// Returns an error if the file may not unpack to this many bytes.
     fn check(&self, bytes: u64) -> Result<(), IoError> {
         let allowed = ALWAYS_ALLOWED.saturating_add(self.length.saturating_mul(ALLOWED_PER_BYTE));
         if bytes <= allowed {

@@ -1,6 +1,6 @@
-//! The tiles of a compressed image, checked before CFITSIO follows them: it takes their lengths and
-//! what they unpack to on trust, writes beyond its buffers or leaves them as they were where these
-//! are wrong.
+//! Checks the tiles of a compressed image before CFITSIO unpacks them. CFITSIO does not check their
+//! lengths or their unpacked sizes. Where these are wrong it writes beyond its buffers or leaves
+//! them uninitialised.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read, Seek};
@@ -13,26 +13,27 @@ use crate::fits::hdu::{Hdu, HduKind};
 use crate::fits::tile_codes::{Rice, is_sound_plio};
 
 const BUFFER: usize = 1 << 13;
-/// Bytes read ahead of the tiles, which mostly lie one after the other.
+/// Number of bytes read ahead of the tiles, most of which lie one after the other.
 const HEAP_BUFFER: usize = 1 << 16;
 
-/// An image may have this many bytes whatever the size of its tiles (16 MiB) ...
+/// An image may take this many bytes (16 MiB) for any size of its tiles,
 const ALWAYS_ALLOWED: u64 = 16 << 20;
-/// ... and so many more for each byte of the table: the best that PLIO makes of a mask of one
-/// value.
+/// and this many more for each byte of the table. It is the best compression that PLIO reaches, for
+/// a mask of one value.
 const ALLOWED_PER_BYTE: u64 = 4096;
-/// The algorithms that are read. CFITSIO also knows `HCOMPRESS_1`, but writes beyond its memory
-/// when such data are damaged.
+/// The supported algorithms. CFITSIO also knows `HCOMPRESS_1`, but it writes beyond its memory when
+/// such data are damaged.
 const ALGORITHMS: &[&str] = &["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", PLIO];
-/// Masks as lists of runs.
+/// The algorithm for masks, stored as lists of runs.
 pub(crate) const PLIO: &str = "PLIO_1";
 
-/// Makes the table that holds the tiles of a compressed image count as the image; other HDUs stay.
-/// Reads and checks what the header of the table says, with the bytes of the table as the measure.
+/// Makes the table that holds the tiles of a compressed image count as the image. Other HDUs stay
+/// unchanged. The header of the table is checked, and the size that it claims for the image is
+/// limited by the bytes of the table.
 pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
     const ALGORITHM: &str = "must be RICE_1, GZIP_1, GZIP_2 or PLIO_1: run funpack first";
     const BITPIX: &str = "must be 8, 16, 32, -32 or -64";
-    const NOT_NONE: &str = "must not be NONE where pixels are whole numbers";
+    const NOT_NONE: &str = "must not be NONE if the pixels are whole numbers";
     const IMAGE_SIZE: &str = "the image would be larger than its tiles can hold";
     const TILE_SIZE: &str = "a tile would be larger than the table can hold";
     if !hdu.is_tiled() {
@@ -41,16 +42,16 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
     let table = &*hdu;
     let algorithm = table.text("ZCMPTYPE").unwrap_or_default();
     table.ensure(ALGORITHMS.contains(&algorithm.trim()), "ZCMPTYPE", ALGORITHM)?;
-    // CFITSIO takes these as they come, and looks up or divides by them.
+    // CFITSIO does not check these values before it uses them as an index or a divisor.
     let dither = table.structural("ZDITHER0", Some(1))?;
     table.ensure((1..=10_000).contains(&dither), "ZDITHER0", "must be 1 to 10000")?;
     if algorithm.trim().starts_with("RICE") {
         Rice::of(table)?;
     }
     let bitpix = table.structural("ZBITPIX", None)?;
-    // Whole numbers of 64 bits, which CFITSIO does not write, would leave its buffers as they are.
+    // CFITSIO does not write whole numbers of 64 bits, and would leave its buffers uninitialised.
     table.ensure([8, 16, 32, -32, -64].contains(&bitpix), "ZBITPIX", BITPIX)?;
-    // CFITSIO would take the bits of whole numbers for floats.
+    // CFITSIO would read the bits of whole numbers as floats.
     let none = table.text("ZQUANTIZ").is_some_and(|how| how.trim() == "NONE");
     table.ensure(bitpix < 0 || !none, "ZQUANTIZ", NOT_NONE)?;
     let count = table.structural("ZNAXIS", None)?;
@@ -63,10 +64,10 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
             usize::try_from(length)
                 .ok()
                 .filter(|&length| length > 0 && i32::try_from(length).is_ok())
-                .ok_or_else(|| table.header_error(keyword, "must be above 0, and below 2^31"))
+                .ok_or_else(|| table.header_error(keyword, "must be above 0 and below 2^31"))
         };
         let length = positive(&format!("ZNAXIS{axis}"), None)?;
-        // Rows are tiles where nothing is said.
+        // By default each row is a tile.
         let default = if axis == 1 { length } else { 1 };
         let across = positive(&format!("ZTILE{axis}"), Some(default as i64))?;
         tiles = tiles
@@ -92,7 +93,7 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
     Ok(())
 }
 
-/// Checks the tiles of an image in tiles; other images pass.
+/// Checks the tiles of a compressed image. Any other image passes.
 pub(crate) fn check(hdu: &Hdu) -> Result<(), IoError> {
     if !hdu.is_tiled() {
         return Ok(());
@@ -108,28 +109,29 @@ enum Algorithm {
     Plio,
 }
 
-/// A column of descriptors (number of elements, place in the heap).
+/// A column of descriptors: number of elements and position in the heap.
 #[derive(Clone, Copy)]
 struct Descriptors {
-    /// Bytes from the start of a row.
+    /// Offset in bytes from the start of a row.
     place: usize,
-    /// Bytes of each of the two numbers.
+    /// Length in bytes of each of the two numbers.
     width: usize,
 }
 
 struct Tiles<'a> {
     hdu: &'a Hdu,
-    /// The file for the rows, and once more for the tiles: each goes on where it was.
+    /// The file is open twice, for the rows and for the tiles, so that each reader keeps its
+    /// position.
     table: Places,
     packed: Places,
     algorithm: Algorithm,
-    /// Whether floats are kept as they are.
+    /// True if floats are stored without quantisation.
     unquantised: bool,
     /// `ZTILE1` first.
     tile: Vec<usize>,
     row_bytes: usize,
     rows: usize,
-    /// Where the heap starts, from the start of the data.
+    /// Start of the heap, counted from the start of the data.
     heap: u64,
     compressed: Descriptors,
     uncompressed: Option<Descriptors>,
@@ -158,7 +160,7 @@ impl<'a> Tiles<'a> {
         let table = row_bytes as u64 * rows as u64;
         let heap = match hdu.structural("THEAP", Some(table as i64))? {
             heap if heap >= 0 && heap as u64 >= table => heap as u64,
-            _ => return Err(hdu.header_error("THEAP", "must lie behind the rows")),
+            _ => return Err(hdu.header_error("THEAP", "the heap must start after the rows")),
         };
         let tile = (1..=hdu.axes.len()).map(|axis| {
             let default = if axis == 1 { hdu.axes[0] } else { 1 };
@@ -191,7 +193,7 @@ impl<'a> Tiles<'a> {
                 Algorithm::Rice(rice) => {
                     !self.unquantised && rice.is_sound(&self.bytes(row, start, count, 1)?, pixels)
                 }
-                // Floats become whole numbers of 32 bits when they are quantised.
+                // Quantised floats are whole numbers of 32 bits.
                 Algorithm::Gzip => {
                     let bytes = if self.hdu.bitpix > 0 || self.unquantised {
                         pixel_bytes
@@ -212,7 +214,7 @@ impl<'a> Tiles<'a> {
         if sound { Ok(()) } else { Err(self.broken(row)) }
     }
 
-    /// Pixels of a tile; those at the far edges may be smaller.
+    /// Number of pixels in a tile. Tiles at the far edges may be smaller.
     fn pixels(&self, row: usize) -> u64 {
         let mut rest = row;
         let lengths = self.hdu.axes.iter().zip(&self.tile).map(|(&length, &across)| {
@@ -223,7 +225,8 @@ impl<'a> Tiles<'a> {
         lengths.product()
     }
 
-    /// How many elements the heap has for a row, and from which byte of the data on.
+    /// Number of elements that the heap holds for a row, and the position of the first, counted
+    /// from the start of the data.
     fn descriptor(&mut self, row: usize, column: Descriptors) -> Result<(u64, u64), IoError> {
         let mut bytes = [0; 16];
         let bytes = &mut bytes[..2 * column.width];
@@ -235,7 +238,7 @@ impl<'a> Tiles<'a> {
         Ok((number(count), self.heap.saturating_add(number(place))))
     }
 
-    /// Whether the data go on as far as that.
+    /// Returns whether the data hold `count` elements of `width` bytes from `start` on.
     fn holds(&self, start: u64, count: u64, width: u64) -> bool {
         start.saturating_add(count.saturating_mul(width)) <= self.hdu.data_length
     }
@@ -253,7 +256,8 @@ impl<'a> Tiles<'a> {
         Ok(bytes)
     }
 
-    /// Whether a gzip stream holds as many bytes; it is read no further.
+    /// Returns whether a gzip stream holds exactly `expected` bytes. At most about that many are
+    /// unpacked.
     fn unpacks_to(&mut self, start: u64, count: u64, expected: u64) -> Result<bool, IoError> {
         if !self.holds(start, count, 1) {
             return Ok(false);
@@ -280,10 +284,10 @@ impl<'a> Tiles<'a> {
     }
 }
 
-/// The data of an HDU, in which places are sought.
+/// A reader of the data of an HDU that can jump to any position.
 struct Places {
     file: BufReader<File>,
-    /// Where the data start.
+    /// Position of the start of the data in the file.
     start: u64,
 }
 
@@ -296,7 +300,7 @@ impl Places {
         })
     }
 
-    /// Goes to a byte of the data, and keeps what has been read ahead.
+    /// Jumps to a byte of the data, and keeps the bytes that have been read ahead.
     fn seek(&mut self, at: u64) -> io::Result<&mut BufReader<File>> {
         let ahead = i128::from(self.start) + i128::from(at) - i128::from(self.file.stream_position()?);
         let ahead = i64::try_from(ahead).map_err(|_| io::ErrorKind::InvalidInput)?;
@@ -305,19 +309,20 @@ impl Places {
     }
 }
 
-/// The column of this name, which must not be there twice. Where elements are told, it holds them
-/// as they are: CFITSIO would convert others, and follow what has not been checked.
+/// The column with this name, if there is one. Two such columns are an error. With `element` the
+/// column must hold elements of this type, unscaled: CFITSIO would convert others, so that it would
+/// use values that have not been checked.
 fn descriptors(
     hdu: &Hdu,
     columns: &[Column],
     name: &str,
     element: Option<u8>,
 ) -> Result<Option<Descriptors>, IoError> {
-    const LENGTHS: &str = "tiles have lengths of their own: P or Q is needed";
-    const ONE: &str = "there must be one such column, with one tile a row";
+    const LENGTHS: &str = "the lengths of tiles vary: a format P or Q is needed";
+    const ONE: &str = "there must be one such column, with one tile per row";
     const ELEMENTS: &str =
-        "compressed tiles are of bytes (1PB, 1QB), or of 16-bit words in PLIO_1 (1PI, 1QI)";
-    const SCALED: &str = "compressed tiles are not scaled";
+        "compressed tiles must hold bytes (1PB, 1QB), or 16-bit words for PLIO_1 (1PI, 1QI)";
+    const SCALED: &str = "compressed tiles must not be scaled";
     let mut place = 0;
     let mut found = None;
     for (index, column) in columns.iter().enumerate() {

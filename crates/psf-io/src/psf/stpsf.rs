@@ -136,7 +136,7 @@ fn positions(cards: &LibraryCards<'_>, planes: usize) -> Result<Vec<Position>, I
             return Err(cards.plane_count(planes, "a card", &keyword));
         };
         if place.is_some() {
-            let problem = format!("card {keyword} is there more than once: remove the wrong one");
+            let problem = format!("card {keyword} exists more than once: remove the wrong one");
             return Err(cards.refused(&problem));
         }
         let text = card.value().and_then(String::from_value);
