@@ -1,5 +1,5 @@
-//! Bilinear and piecewise cubic interpolation on a regular grid: products of weights along its two
-//! axes.
+//! Bilinear and piecewise cubic interpolation on a regular grid. Weights are products of the
+//! weights along its two axes.
 
 use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 
@@ -12,22 +12,24 @@ use crate::interpolation::{
 
 /// Bilinear interpolation inside the cells of a [`RegularGrid`](crate::RegularGrid).
 ///
-/// In a cell with corners `(x_0, y_0)` and `(x_1, y_1)`, with `t = (x - x_0) / (x_1 - x_0)` and `s` likewise in y,
-/// `v = (1-s)(1-t) v_00 + (1-s) t v_10 + s (1-t) v_01 + s t v_11`. Reproduces `1, x, y, xy`; continuous; the error is at
-/// most `(h_x^2 |v_xx| + h_y^2 |v_yy|) / 8` for cells of `h_x` by `h_y`.
+/// In a cell with corners `(x_0, y_0)` and `(x_1, y_1)`, with `t = (x - x_0) / (x_1 - x_0)` and `s`
+/// likewise in y, `v = (1-s)(1-t) v_00 + (1-s) t v_10 + s (1-t) v_01 + s t v_11`. It is continuous
+/// and reproduces `1, x, y, xy`. The error is at most `(h_x^2 |v_xx| + h_y^2 |v_yy|) / 8` for cells
+/// of `h_x` by `h_y`.
 ///
 /// # Outside the grid
 /// * Nearest: coordinates are clamped to the grid.
-/// * Extend: the formula of the nearest cell goes on, linear in each coordinate. Across a single row or column, which has no
-///   slope, the values are constant.
-/// * Error: refuses. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still count as inside, so that a
-///   single row covers that row alone.
+/// * Extend: the formula of the nearest cell continues, linear in each coordinate. Across a single
+///   row or column the slope is unknown, and the values are constant.
+/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
+///   count as inside. A single row covers only that row.
 ///
 /// # Leave-one-out
-/// Without a sample the grid is no longer regular. Its row without its column, and its column without its row, still have
-/// cells that predict it: linearly between its two neighbours in the row, and between those in the column. The
-/// prediction is the mean of the two; on an edge of the grid, that along the edge; at a corner both
-/// extrapolate: their mean counts as [`LeftOut::Extrapolated`](crate::LeftOut::Extrapolated).
+/// The grid without a sample is no longer regular. But its row without its column, and its column
+/// without its row, still have cells that predict it linearly from its two neighbours there. The
+/// prediction is the mean of the two. On an edge of the grid, only the prediction along the edge is
+/// used. At a corner both extrapolate, and their mean counts as
+/// [`LeftOut::Extrapolated`](crate::LeftOut::Extrapolated).
 ///
 /// ```
 /// use coeff_field::{Bilinear, InterpolatedField};
@@ -54,32 +56,39 @@ impl FieldInterpolation for Bilinear {
     }
 }
 
-/// Cubics through four columns and four rows of a [`RegularGrid`](crate::RegularGrid), made of pieces that are bilinear.
+/// Cubics through four columns and four rows of a [`RegularGrid`](crate::RegularGrid), in bilinear
+/// pieces.
 ///
-/// In each coordinate the weights are those of Lagrange's polynomial through the two lines on either side (at an edge, through
-/// the four lines next to it), at the fifths of each cell; between these points, and the lines themselves, weights are
-/// linear. So values are exact at the samples and continuous, runs of pixels along which weights are linear are as long as
-/// a fifth of a cell, and the error is at most
+/// In each coordinate the knots are the lines and the fifths of each cell. At the knots, the
+/// weights are those of Lagrange's polynomial through the two lines on either side (at an edge,
+/// through the four lines next to it). Between knots, weights are linear. So values are exact at
+/// the samples and continuous. Runs of pixels with linear weights are a fifth of a cell long, and
+/// the error is at most
 ///
 /// ```text
 /// h^2 |v_xx| / 200 + 3 h^4 |v_xxxx| / 128
 /// ```
 ///
-/// in each coordinate, for evenly spaced lines a distance `h` apart and away from the edges (in the cells at an edge, 5 h^4 / 128):
-/// where the field is smooth, 1/25 of what [`Bilinear`](crate::Bilinear) leaves. Weights may be negative; their
-/// magnitudes add up to at most 1.25 in each coordinate, 1.63 at an edge. Noise of independent samples keeps 0.63 of its variance
-/// in the middle of a cell along a coordinate, where bilinear interpolation keeps 0.5.
+/// in each coordinate, for evenly spaced lines at a distance `h` and away from the edges. In the
+/// cells at an edge, the last term is 5 h^4 / 128. On a smooth field the error is 1/25 of that of
+/// [`Bilinear`](crate::Bilinear).
 ///
-/// With three lines in a coordinate the polynomial is a parabola, with two a straight line. Where lines are spaced so unevenly that
-/// the magnitudes of the weights would add up to more than 2, fewer lines are used.
+/// Weights may be negative. Their magnitudes sum to at most 1.25 in each coordinate, 1.63 at an
+/// edge. In the middle of a cell, noise of independent samples keeps 0.63 of its variance along a
+/// coordinate. Bilinear interpolation keeps 0.5.
+///
+/// With three lines in a coordinate the polynomial is a parabola, with two a straight line. Where
+/// uneven spacing would make the weights' magnitudes sum to more than 2, fewer lines are used.
 ///
 /// # Outside the grid
-/// As [`Bilinear`](crate::Bilinear): clamped, continued linearly with the slope of the last fifth of a cell, or refused.
+/// As for [`Bilinear`](crate::Bilinear): clamped, an error, or continued linearly with the slope of
+/// the last fifth of a cell.
 ///
 /// # Leave-one-out
-/// The mean of the predictions along the sample's row without its column and its column without its row, as
-/// [`Bilinear`](crate::Bilinear), each by cubics. Since the cell around it is twice as wide, both parts of the error above are foretold
-/// too large, 4 and 7 fold in the middle of even lines.
+/// The mean of the predictions along the sample's row without its column and along its column
+/// without its row, as for [`Bilinear`](crate::Bilinear), but with cubics. The cell around the
+/// sample is twice as wide, so both parts of the error above are overestimated: by factors of 4 and
+/// 7 in the middle of evenly spaced lines.
 ///
 /// ```
 /// use coeff_field::{Bicubic, InterpolatedField};
@@ -90,7 +99,7 @@ impl FieldInterpolation for Bilinear {
 /// let samples = SampleCoefficients::new(values, SamplePositions::new(positions, None)?)?;
 /// let field = InterpolatedField::new(&samples, &Bicubic, OutsidePolicy::Nearest)?;
 /// let mut value = [0.0];
-/// // A fifth of a cell behind a column.
+/// // A fifth of a cell beyond a column, where the cubics are exact.
 /// field.evaluate_into(Position::of_pixel(12, 16), &mut value)?;
 /// assert!((value[0] - 12_f64.powi(3) * 16.0).abs() < 1e-8);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -108,10 +117,10 @@ impl FieldInterpolation for Bicubic {
     }
 }
 
-/// How values go on between the lines of an axis.
+/// Makes the weights between the lines of an axis.
 type AlongAxis = fn(&Axis) -> AxisWeights;
 
-/// `w_n(x, y) = w_column(x) w_row(y)`.
+/// The weights `w_n(x, y) = w_column(x) w_row(y)`.
 #[derive(Debug)]
 struct GridWeights {
     grid: RegularGrid,
@@ -131,7 +140,8 @@ impl GridWeights {
         }))
     }
 
-    /// The nearest point of the grid where that is where to evaluate, if the policy admits the position.
+    /// Returns the point at which to evaluate `p`, or `None` if the policy rejects it. The point is
+    /// `p` itself (extend) or the nearest point of the grid.
     fn admit(&self, p: Point) -> Option<Point> {
         if self.outside == OutsidePolicy::Extend {
             return Some(p);
@@ -158,7 +168,8 @@ impl FieldWeights for GridWeights {
 
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         let axes = [&self.x.knots, &self.y.knots];
-        // Near a line about which samples scatter, weights are those of the line itself.
+        // Near a line with scattered samples, the weights are those of the line itself, thus not
+        // bilinear.
         let is_exact = axes.iter().all(|axis| axis.scatter_is_harmless());
         is_exact.then(|| axes.map(|axis| axis.lines.clone()))
     }
@@ -171,7 +182,7 @@ impl FieldWeights for GridWeights {
         Ok(())
     }
 
-    /// A run for each piece that the row crosses, and one beside the grid on either side.
+    /// Visits one run for each piece that the row crosses, and one outside the grid on either side.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         let is_clamped = self.outside != OutsidePolicy::Extend;
@@ -189,7 +200,7 @@ impl FieldWeights for GridWeights {
             if is_admitted(end - 1) {
                 end
             } else {
-                // What is covered is convex.
+                // The covered area is convex.
                 1 + last_where(column, end, is_admitted)
             }
         };
@@ -197,8 +208,9 @@ impl FieldWeights for GridWeights {
     }
 }
 
-/// Without a sample the grid is no longer regular. Its row without its column, and its column without its row, still are
-/// lines along which it can be predicted; the prediction is the mean of the two, or of those that lie around it.
+/// Predicts each sample along its row without its column and along its column without its row,
+/// which are still regular. The prediction is the mean of the two, or of those in which the sample
+/// lies between others.
 fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: OutsidePolicy) -> Judged {
     let grid = RegularGrid::detect(samples.positions())?;
     let outside = known(outside)?;
@@ -232,14 +244,15 @@ fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: O
     }))
 }
 
-/// How the other nodes of a line predict one of them.
+/// The prediction of one node of a line from the others.
 struct LeftOutLine {
     weights: WeightList,
     between: bool,
 }
 
 impl LeftOutLine {
-    /// Each line of an axis from the others; none where there are no others.
+    /// Returns the prediction of each line of an axis from the others, or `None` if there are no
+    /// others.
     fn each(axis: &Axis, along: AlongAxis, outside: OutsidePolicy) -> Vec<Option<Self>> {
         let without = |left_out: usize| {
             let mut others = axis.clone();
@@ -307,15 +320,15 @@ mod tests {
             LeftOut::Extrapolated { error } => (error, false),
             ref other => panic!("{other:?}"),
         };
-        // Centre, 11: the row gives 13, the column 21.
+        // Centre, value 11: the row predicts 13, the column 21.
         assert!((error(4).0 - 6.0).abs() < ROUNDING && error(4).1);
-        // Left edge: along the column 20 for 10.
+        // Left edge: the column predicts 20 instead of 10.
         assert!((error(3).0 - 10.0).abs() < ROUNDING && error(3).1);
-        // Corner: the neighbours hold 1 and 10.
+        // Corner: the neighbours have the values 1 and 10.
         assert!((error(0).0 - 5.5).abs() < ROUNDING && !error(0).1);
         let strict = Bilinear.leave_one_out(&samples, OutsidePolicy::Error).unwrap();
         assert_eq!(strict.predicted().count(), 5);
-        // Extended, the corner is predicted from two more nodes: -3 along the row, -20 along the column.
+        // Extended, two more nodes predict the corner: -3 along the row, -20 along the column.
         let extended = Bilinear.leave_one_out(&samples, OutsidePolicy::Extend).unwrap();
         match extended.outcomes()[0] {
             LeftOut::Extrapolated { error } => assert!((error - 11.5).abs() < ROUNDING),

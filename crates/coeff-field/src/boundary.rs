@@ -53,7 +53,7 @@ pub(crate) struct Link {
     pub(crate) gradient: GradientStencil,
 }
 
-/// The nearest point of the boundary to a position.
+/// A position and its nearest point of the boundary.
 #[derive(Debug)]
 pub(crate) struct Foot<'a> {
     /// The two samples of the chain around it.

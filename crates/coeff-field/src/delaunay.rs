@@ -1,4 +1,4 @@
-//! Interpolation on the Delaunay triangulation of the samples: linear in its triangles, and
+//! Interpolation on the Delaunay triangulation of the samples: linear in its triangles, or by
 //! Sibson's natural neighbours.
 
 use psf_types::{FieldError, OutsidePolicy, Position, RowRun, SampleCoefficients, SamplePositions};
@@ -15,25 +15,31 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 
 /// Linear interpolation inside the triangles of the Delaunay triangulation.
 ///
-/// A position in the triangle of samples `a, b, c` takes `w_a v_a + w_b v_b + w_c v_c` with its barycentric coordinates
-/// `w_a = area(x, b, c) / area(a, b, c)` and so on: at most three weights, none negative. Linear fields are reproduced;
-/// for others the error is at most `r^2 |v''| / 2` with `r` the radius of the triangle's circumcircle (S. Waldron 1998,
-/// SIAM J. Numer. Anal. 35, 1191). Continuous, with kinks along the triangles' edges. Where more than three samples lie on
-/// one circle, as on a regular grid, one of several equally good triangulations is taken, always the same one.
+/// In the triangle of samples `a, b, c` the value is `w_a v_a + w_b v_b + w_c v_c` with the
+/// barycentric coordinates `w_a = area(x, b, c) / area(a, b, c)` and so on. There are at most three
+/// weights, and none is negative. Linear fields are reproduced. For others the error is at most
+/// `r^2 |v''| / 2`, with `r` the radius of the triangle's circumcircle (S. Waldron 1998, SIAM J.
+/// Numer. Anal. 35, 1191). The field is continuous, with kinks along the triangles' edges. If more
+/// than three samples lie on one circle, as on a regular grid, several triangulations are equally
+/// good. The choice is then arbitrary but always the same.
 ///
 /// # Outside the samples
-/// * Nearest: the value at the nearest point of the convex hull.
-/// * Extend: `f(c) + g(c) (x - c)`, where `c` is that point and `g` the gradient of the hull's samples, each found by
-///   least squares over its Delaunay neighbours with weights that fall with distance, interpolated linearly along the hull. It is
-///   continuous and reproduces linear fields. (The hull triangles' own planes would jump from one triangle to the next,
-///   and those triangles are often slivers.) A slope across samples that lie within about 0.001 of a line counts as 0.
-/// * Error: refuses. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still count as inside.
+/// * Nearest: the value at the nearest point `c` of the convex hull.
+/// * Extend: `f(c) + g(c) (x - c)`. The gradient of each hull sample is a least squares fit over
+///   its Delaunay neighbours, with weights that fall with distance. `g` interpolates these
+///   gradients linearly along the hull. The result is continuous and reproduces linear fields. (The
+///   planes of the hull triangles would jump from one triangle to the next, and those triangles are
+///   often slivers.) A slope across samples that lie within about 0.001 of a line counts as 0.
+/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
+///   count as inside.
 ///
-/// Samples that dent the hull by less than 0.001 of their spacing count as lying on it: inside such a dent the
-/// continuation above applies, so that the boundary follows the samples and not the long thin triangles between them.
+/// Samples that dent the hull by less than 0.001 of their spacing count as lying on it. Inside such
+/// a dent the continuation above applies. So the boundary follows the samples and not the long thin
+/// triangles between them.
 ///
 /// # One, two, or collinear samples
-/// Linear interpolation along the line: a position takes the value at its foot on it. Positions off the line are outside.
+/// Linear interpolation along the line: a position has the value at its foot on the line. Positions
+/// off the line are outside.
 ///
 /// ```
 /// use coeff_field::{Delaunay, InterpolatedField};
@@ -50,27 +56,30 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Delaunay;
 
-/// A share below this much less than 0 is no rounding: the areas have cancelled.
+/// A share further below 0 than this is not rounding but cancellation of the areas.
 const NEGATIVE: f64 = 1e-9;
-/// How well `sum w_i x_i = x` must hold, relative to the mean distance of the neighbours ...
+/// Tolerance of `sum w_i x_i = x`, relative to the mean distance of the neighbours ...
 const MEETS_POSITION: f64 = 1e-6;
-/// ... and to the largest distance, whose rounding reaches every weight.
+/// ... and relative to the largest distance, whose rounding affects every weight.
 const MEETS_POSITION_AFAR: f64 = 1e-14;
 
 /// Sibson's natural neighbours.
 ///
-/// The weight of a sample is the share of its Voronoi cell in the cell that a sample at the position would have
-/// (R. Sibson 1981, "A brief description of natural neighbour interpolation", in *Interpreting Multivariate Data*, 21):
-/// `w_i = area(cell(x) and cell_i) / area(cell(x))`. No weight is negative; linear fields are reproduced. Smooth except at
-/// the samples, where it is continuous: no kinks along triangles, and no choice where samples lie on one circle.
+/// The weight of a sample is the share of its Voronoi cell in the cell that a sample at the
+/// position would have (R. Sibson 1981, "A brief description of natural neighbour interpolation",
+/// in *Interpreting Multivariate Data*, 21): `w_i = area(cell(x) and cell_i) / area(cell(x))`. No
+/// weight is negative, and linear fields are reproduced. The field is smooth except at the samples,
+/// where it is continuous. It has no kinks along triangles and does not depend on the choice of a
+/// triangulation.
 ///
-/// The areas lose digits among samples much closer to each other than to the rest: slopes are reproduced to about
-/// 1e-16 of the ratio of the two distances. Where less than 1e-6 is left (samples 1e-10 of the spacing apart, or positions at
-/// the very hull, where the areas grow without bound), the weights of [`Delaunay`](crate::Delaunay) take their place. At
-/// the hull both have the same limit; around such a cluster the two differ by a small step.
+/// The areas lose digits among samples much closer to each other than to the rest: the relative
+/// error of slopes is about 1e-16 times the ratio of the two distances. If it exceeds 1e-6, the
+/// weights of [`Delaunay`](crate::Delaunay) are used. That happens for samples 1e-10 of the spacing
+/// apart, and for positions very close to the hull, where the areas grow without bound. At the hull
+/// both methods have equal limits. Around such a cluster they differ by a small step.
 ///
-/// Outside the samples, in dents of the hull, and for collinear samples it does what [`Delaunay`](crate::Delaunay) does;
-/// on the hull the two agree.
+/// Outside the samples, in dents of the hull, and for collinear samples it equals
+/// [`Delaunay`](crate::Delaunay). On the hull the two agree.
 ///
 /// ```
 /// use coeff_field::{InterpolatedField, NaturalNeighbour};
@@ -87,7 +96,7 @@ const MEETS_POSITION_AFAR: f64 = 1e-14;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct NaturalNeighbour;
 
-/// Linear weights, or Sibson's, of prepared samples.
+/// Linear or Sibson's weights, ready for evaluation.
 #[derive(Debug)]
 struct TriangulationWeights {
     mesh: Box<Mesh>,
@@ -168,9 +177,9 @@ impl FieldWeights for TriangulationWeights {
         Ok(())
     }
 
-    /// Linear weights: a run for each triangle that the row crosses, but for slivers; under
-    /// [`OutsidePolicy::Nearest`] one for each piece of the hull that it passes. Pixel by pixel
-    /// elsewhere.
+    /// Visits linear weights in runs: one for each triangle that the row crosses, except slivers.
+    /// Under [`OutsidePolicy::Nearest`] there is also a run for each piece of the hull that it
+    /// passes. All other positions are visited pixel by pixel.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.natural {
@@ -200,7 +209,7 @@ impl FieldWeights for TriangulationWeights {
     }
 }
 
-/// Sibson's weights, with the buffers of one thread.
+/// Computes Sibson's weights, with the buffers of one thread.
 struct Sibson<'a> {
     mesh: &'a Mesh,
     spade: NaturalNeighbor<'a, Triangles>,
@@ -222,7 +231,8 @@ impl<'a> Sibson<'a> {
         mesh_weights(mesh, &mut inside, p, outside, weights)
     }
 
-    /// The weights inside the triangulation, as [`InsideWeights`](crate::mesh::InsideWeights).
+    /// Writes the weights inside the triangulation. See
+    /// [`InsideWeights`](crate::mesh::InsideWeights).
     fn inside(&mut self, p: Point, located: PositionInTriangulation, weights: &mut WeightList) -> bool {
         if !matches!(
             located,
@@ -234,7 +244,7 @@ impl<'a> Sibson<'a> {
         let (mut sum, mut mean, mut mean_distance, mut largest) = (0.0, [0.0; 2], 0.0_f64, 0.0_f64);
         weights.clear();
         for &(vertex, share) in &self.shares {
-            // Also refuses NaN.
+            // The negated test also rejects NaN.
             if !(-NEGATIVE..=1.0 + NEGATIVE).contains(&share) {
                 return false;
             }
@@ -264,15 +274,15 @@ impl<'a> Sibson<'a> {
 
 type Face<'a> = FaceHandle<'a, InnerTag, Node, (), (), Peeled>;
 
-/// A triangle whose height is below this part of its longest side is a sliver: its barycentric coordinates carry more
-/// than 1e-12 of rounding, and are not linear to the last digits.
+/// A triangle is a sliver if its height is below this fraction of its longest side. Its barycentric
+/// coordinates then have rounding errors above 1e-12, and are not linear to the last digits.
 const SLIVER: f64 = 1e-3;
 
 /// Finds runs of linear weights along a row, from one triangle to the next.
 ///
-/// Walks towards each position across the edges that have it on their other side, which ends in any Delaunay triangulation
-/// (H. Edelsbrunner 1990, Combinatorica 10, 251). Sides are decided without rounding, so that a run never leaves its
-/// triangle.
+/// The walk crosses the edges that separate it from the position. It ends in any Delaunay
+/// triangulation (H. Edelsbrunner 1990, Combinatorica 10, 251). The tests of sides have no
+/// rounding, so a run never leaves its triangle.
 #[derive(Debug)]
 struct MeshRow<'a> {
     mesh: &'a Mesh,
@@ -285,7 +295,8 @@ struct MeshRow<'a> {
 }
 
 impl<'a> MeshRow<'a> {
-    /// The longest run from a column on that is known to be linear; none where a pixel is better looked at alone.
+    /// The longest run from `column` on that is certainly linear, or `None` if the pixel must be
+    /// evaluated by itself.
     fn run_from(&mut self, column: usize) -> Option<RowRun<'_>> {
         let p = self.row.point(column);
         let end = match self.walk_to(p) {
@@ -299,7 +310,7 @@ impl<'a> MeshRow<'a> {
         })
     }
 
-    /// The triangle that holds `p`, on its edges too; none outside the hull.
+    /// The triangle that contains `p`, also on its edges, or `None` outside the hull.
     fn walk_to(&mut self, p: Point) -> Option<Face<'a>> {
         let mut face = self.at.or_else(|| self.start(p))?;
         let p = Point2::new(p[0], p[1]);
@@ -337,8 +348,8 @@ impl<'a> MeshRow<'a> {
         }
     }
 
-    /// The end of the run in the triangle that holds a column; none where its weights are not the barycentric ones, or
-    /// rounded too much.
+    /// The end of the run in the triangle that contains a column. `None` if its weights are not the
+    /// barycentric ones or have too much rounding.
     fn in_triangle(&mut self, face: Face<'a>, column: usize) -> Option<usize> {
         let vertices = face.vertices();
         let corners = vertices.map(|v| point_of(v.data()));
@@ -352,7 +363,7 @@ impl<'a> MeshRow<'a> {
         self.last.clear();
         for (corner, sample) in samples.into_iter().enumerate() {
             let [from, to] = ends.map(|shares| shares[corner]);
-            // Along an edge two corners suffice.
+            // Along an edge only two corners have weights.
             if from != 0.0 || to != 0.0 {
                 self.first.push((sample, from));
                 self.last.push((sample, to));
@@ -361,7 +372,7 @@ impl<'a> MeshRow<'a> {
         Some(last + 1)
     }
 
-    /// The last column in a triangle that holds an earlier one.
+    /// The last column in a triangle that contains `column`.
     fn last_inside(&self, face: Face<'a>, corners: [Point; 3], column: usize) -> usize {
         let p = self.row.point(column);
         // The row leaves through an edge that goes up, with the triangle on its left.
@@ -387,7 +398,8 @@ impl<'a> MeshRow<'a> {
         }
     }
 
-    /// The end of the run beside the hull, where the nearest point of it decides.
+    /// The end of the run outside the hull, where the nearest point of the hull determines the
+    /// weights.
     fn beside_hull(&mut self, column: usize) -> Option<usize> {
         if self.outside != OutsidePolicy::Nearest {
             return None;
@@ -401,7 +413,7 @@ impl<'a> MeshRow<'a> {
         Some(last + 1)
     }
 
-    /// The piece of the hull that a column outside it is nearest to.
+    /// The piece of the hull nearest to a column outside it.
     fn piece(&self, column: usize) -> Option<BoundaryPiece> {
         self.mesh.boundary.piece(self.row.point(column))
     }

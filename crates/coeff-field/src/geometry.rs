@@ -1,4 +1,5 @@
-//! The samples' points in double precision, checked once; their convex hull; rows of pixels.
+//! The samples' points in double precision, checked once. Also their convex hull, and rows of
+//! pixels.
 
 use std::collections::HashMap;
 
@@ -7,34 +8,36 @@ use psf_types::{FieldError, OutsidePolicy, Position, SamplePositions};
 
 use crate::error::CoeffFieldError;
 
-/// Coordinates in pixels; each is 0 or has a magnitude between `SMALLEST` and `LARGEST`.
+/// Coordinates in pixels. Each is 0 or has a magnitude between `SMALLEST` and `LARGEST`.
 pub(crate) type Point = [f64; 2];
 
 /// Products of four coordinates, as in the test of a circumcircle, must not overflow ...
 const LARGEST: f64 = 1e50;
-/// ... nor underflow; what is smaller counts as 0.
+/// ... nor underflow. Smaller coordinates count as 0.
 const SMALLEST: f64 = 1e-40;
-/// How far outside the samples a position may lie and still count as covered, relative to the samples' extent (or to
-/// one pixel, if that is more): well above the rounding of coordinates, far below any change of a PSF.
+/// Largest distance outside the samples at which a position still counts as covered, relative to
+/// the samples' extent (or to one pixel, if that is more). It is well above the rounding of
+/// coordinates and far below any change of a PSF.
 const COVERED: f64 = 1e-9;
-/// The rounding of coordinates that were computed in a few operations, relative to the largest of them ...
+/// The rounding of coordinates from a few operations, relative to the largest coordinate ...
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
-/// ... but samples that differ by a good part of their extent differ on purpose.
+/// ... but not more than this fraction of the samples' extent, since larger differences are
+/// intended.
 const MEANT: f64 = 1e-7;
 
-/// The samples' coordinates and the lengths that go with them.
+/// The samples' coordinates and their length scales.
 #[derive(Debug, Clone)]
 pub(crate) struct Points {
     pub(crate) points: Vec<Point>,
     pub(crate) scale: Scale,
 }
 
-/// Lengths that tell apart what is different from what is only rounded differently.
+/// Lengths that separate real differences from rounding.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scale {
     /// Positions this far outside the samples still count as covered.
     pub(crate) covered: f64,
-    /// Samples this close to a line are on it but for rounding.
+    /// Samples this close to a line lie on it within rounding.
     pub(crate) rounding: f64,
     /// The larger side of the bounding box.
     pub(crate) extent: f64,
@@ -63,7 +66,7 @@ impl Points {
         Ok(Self { points, scale })
     }
 
-    /// Some of the points, judged by the lengths of all of them.
+    /// Selects some of the points and keeps the scale of all of them.
     pub(crate) fn subset(&self, samples: impl Iterator<Item = usize>) -> Self {
         Self {
             points: samples.map(|s| self.points[s]).collect(),
@@ -98,7 +101,7 @@ pub(crate) fn range(points: &[Point], axis: usize) -> (f64, f64) {
     })
 }
 
-/// A position asked for, as a point.
+/// Converts a requested position to a point.
 pub(crate) fn query(position: Position) -> Result<Point, FieldError> {
     representable(position).ok_or_else(|| {
         external(
@@ -124,7 +127,7 @@ fn representable(position: Position) -> Option<Point> {
     point.iter().all(|v| v.abs() <= LARGEST).then_some(point)
 }
 
-/// Refuses an outside policy that this version does not know.
+/// Returns an error for an outside policy that this version does not know.
 pub(crate) fn known(outside: OutsidePolicy) -> Result<OutsidePolicy, CoeffFieldError> {
     match outside {
         OutsidePolicy::Nearest | OutsidePolicy::Extend | OutsidePolicy::Error => Ok(outside),
@@ -136,7 +139,7 @@ pub(crate) fn sub(a: Point, b: Point) -> Point {
     [a[0] - b[0], a[1] - b[1]]
 }
 
-/// `a + s d`.
+/// Returns `a + s d`.
 pub(crate) fn along(a: Point, s: f64, d: Point) -> Point {
     [a[0] + s * d[0], a[1] + s * d[1]]
 }
@@ -145,7 +148,7 @@ pub(crate) fn dot(a: Point, b: Point) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
-/// Twice the area of the triangle (0, a, b), positive when b lies to the left of a.
+/// Twice the area of the triangle (0, a, b). It is positive when b lies to the left of a.
 pub(crate) fn cross(a: Point, b: Point) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
@@ -154,13 +157,14 @@ pub(crate) fn length(a: Point) -> f64 {
     a[0].hypot(a[1])
 }
 
-/// The parameter in [0, 1] of the point of the segment a b that is nearest to p.
+/// The parameter, from 0 to 1, of the point on the segment a b that is nearest to p.
 pub(crate) fn foot_on_segment(a: Point, b: Point, p: Point) -> f64 {
     let ab = sub(b, a);
     (dot(sub(p, a), ab) / dot(ab, ab)).clamp(0.0, 1.0)
 }
 
-/// Rounding of coordinates below this part of the hull's width and height changes no weight by more than their own rounding.
+/// Rounding of coordinates below this fraction of the hull's width and height changes weights by no
+/// more than their own rounding.
 const PRECISE: f64 = 1e-13;
 
 /// The convex hull of the samples, for interpolators without a triangulation.
@@ -172,24 +176,24 @@ pub(crate) struct Hull {
     scale: Scale,
     /// The shorter side of the bounding box.
     narrower: f64,
-    /// What holds outside it.
+    /// The policy outside the hull.
     pub(crate) outside: OutsidePolicy,
 }
 
-/// A part of the plane whose positions have their nearest point of the hull on the same feature of it. Each is convex, and
-/// the nearest point is linear in the position.
+/// A part of the plane in which the nearest point of the hull lies on one feature of the hull. Each
+/// part is convex, and the nearest point is linear in the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum HullPiece {
     /// The hull itself.
     Inside,
-    /// Beside the edge that starts at this corner.
+    /// Nearest to the edge that starts at this corner.
     Edge(usize),
-    /// Around this corner.
+    /// Nearest to this corner.
     Corner(usize),
 }
 
 impl Hull {
-    /// The hull of some points, for a policy that this version knows.
+    /// The hull of some points. The policy must be one that this version knows.
     pub(crate) fn new(points: &Points, outside: OutsidePolicy) -> Result<Self, CoeffFieldError> {
         let hull = ConvexHull::new(&points.points);
         let mut corner_samples = hull.indices().to_vec();
@@ -204,17 +208,18 @@ impl Hull {
         })
     }
 
-    /// Whether a sample is a corner, so that the hull shrinks without it.
+    /// Returns whether a sample is a corner, so that removing it shrinks the hull.
     pub(crate) fn is_corner(&self, sample: usize) -> bool {
         self.corner_samples.binary_search(&sample).is_ok()
     }
 
-    /// Whether `p` lies in the hull or so little outside that it counts as covered.
+    /// Returns whether `p` lies in the hull, or so little outside that it counts as covered.
     pub(crate) fn covers(&self, p: Point) -> bool {
         self.contains(p) || length(sub(self.nearest(p), p)) <= self.scale.covered
     }
 
-    /// Where to evaluate for `position` under the policy: the point itself where the hull holds it.
+    /// Returns the point at which to evaluate `position` under the policy. Inside the hull it is
+    /// the position itself.
     pub(crate) fn admit(&self, position: Position) -> Result<Point, FieldError> {
         let p = query(position)?;
         if self.outside == OutsidePolicy::Extend || self.contains(p) {
@@ -222,7 +227,7 @@ impl Hull {
         }
         let nearest = self.nearest(p);
         let distance = length(sub(nearest, p));
-        // A sample on the hull whose corner was rounded away must be met exactly.
+        // The hull may lack a sample on it by rounding. Such a sample must keep its exact value.
         if distance <= self.scale.rounding {
             Ok(p)
         } else if self.outside == OutsidePolicy::Nearest || distance <= self.scale.covered {
@@ -232,13 +237,13 @@ impl Hull {
         }
     }
 
-    /// Whether the nearest points of the hull are rounded by so little of its width and height that no linear function shows
-    /// it.
+    /// Returns whether rounding of the hull's nearest points is too small, relative to its width
+    /// and height, to affect a linear function.
     pub(crate) fn is_precise(&self) -> bool {
         self.scale.rounding <= PRECISE * self.narrower
     }
 
-    /// The piece that holds `p`, and the point of the hull that is nearest to `p`.
+    /// Returns the piece that contains `p`, and the point of the hull nearest to `p`.
     pub(crate) fn piece(&self, p: Point) -> (HullPiece, Point) {
         if self.contains(p) {
             (HullPiece::Inside, p)
@@ -247,12 +252,12 @@ impl Hull {
         }
     }
 
-    /// Whether `p` lies in the closed hull.
+    /// Returns whether `p` lies in the closed hull.
     pub(crate) fn contains(&self, p: Point) -> bool {
         self.outline.contains(p)
     }
 
-    /// The point of the boundary that is nearest to `p`.
+    /// The point of the boundary nearest to `p`.
     fn nearest(&self, p: Point) -> Point {
         self.nearest_with_piece(p).1
     }
@@ -260,7 +265,7 @@ impl Hull {
     fn nearest_with_piece(&self, p: Point) -> (HullPiece, Point) {
         let c = self.outline.corners();
         let mut best = (f64::INFINITY, (HullPiece::Corner(0), c[0]));
-        // The way back along a line is the same edge.
+        // A hull with two corners has only one edge, in both directions.
         let edges = if c.len() == 2 { 1 } else { c.len() };
         for (i, &a) in c[..edges].iter().enumerate() {
             let end = (i + 1) % c.len();
@@ -283,7 +288,7 @@ impl Hull {
     }
 }
 
-/// Neighbouring pixels of one row; columns count from its start.
+/// Neighbouring pixels of one row. Columns count from its start.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Row {
     x: i64,
@@ -308,7 +313,7 @@ impl Row {
         Position::of_pixel(self.x + column as i64, self.y)
     }
 
-    /// A whole number is never out of the range of coordinates.
+    /// Integer coordinates are always in range, so this needs no check.
     pub(crate) fn point(self, column: usize) -> Point {
         [self.x(column), self.y()]
     }
@@ -327,8 +332,9 @@ impl Row {
     }
 }
 
-/// A column in `start..end` that `holds`, the last of all where those that do follow `start` without a gap: by doubling
-/// steps, then bisection. That `start` does is taken for granted.
+/// The last column in `start..end` for which `holds` is true, if all such columns follow `start`
+/// without a gap. Otherwise it is some such column. `holds(start)` is assumed. The search doubles
+/// its steps, then bisects.
 pub(crate) fn last_where(start: usize, end: usize, mut holds: impl FnMut(usize) -> bool) -> usize {
     let (mut low, mut high, mut step) = (start, end, 1);
     while high - low > 1 {
@@ -341,7 +347,7 @@ pub(crate) fn last_where(start: usize, end: usize, mut holds: impl FnMut(usize) 
             low = tried;
             step = step.saturating_mul(2);
         } else {
-            // From here on the rest is halved.
+            // From here on the search bisects.
             (high, step) = (tried, usize::MAX);
         }
     }

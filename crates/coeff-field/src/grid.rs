@@ -1,4 +1,4 @@
-//! Samples on a regular grid, and weights of its lines along one axis.
+//! Samples on a regular grid, and the weights of grid lines along one axis.
 
 use std::collections::HashMap;
 
@@ -7,10 +7,11 @@ use psf_types::{OutsidePolicy, Position, SamplePositions};
 use crate::error::CoeffFieldError;
 use crate::geometry::Points;
 
-/// Columns and rows of samples: every x of a list with every y of another, each once, in any order.
+/// A regular grid: one sample at every combination of a list of x and a list of y, in any order.
 ///
-/// The spacing may vary (a rectilinear grid); one row, one column and a single sample count. Coordinates that differ by at
-/// most 1e-9 of the samples' extent are taken as the same column or row, at the mean of its samples' coordinates.
+/// The spacing may vary (a rectilinear grid). One row, one column or a single sample is a grid too.
+/// Coordinates that differ by at most 1e-9 of the samples' extent belong to one column or row, at
+/// the mean of its samples' coordinates.
 ///
 /// ```
 /// use coeff_field::RegularGrid;
@@ -25,21 +26,21 @@ use crate::geometry::Points;
 pub struct RegularGrid {
     pub(crate) x: Axis,
     pub(crate) y: Axis,
-    /// Row by row.
+    /// Ordered row by row.
     samples: Vec<usize>,
-    /// How far outside a position still counts as covered.
+    /// Largest distance outside the grid at which a position still counts as covered.
     pub(crate) covered: f64,
 }
 
-/// Coordinates closer than this are one line, relative to the samples' extent.
+/// Coordinates closer than this belong to one line, relative to the samples' extent.
 const SAME_LINE: f64 = 1e-9;
 
 impl RegularGrid {
     /// Finds the columns and rows of samples.
     ///
     /// # Errors
-    /// [`CoeffFieldError::NotRegular`] with the first node that has no sample, [`CoeffFieldError::SharedNode`] when one
-    /// has two.
+    /// [`CoeffFieldError::NotRegular`] with the first node that has no sample,
+    /// [`CoeffFieldError::SharedNode`] with the first node that has two.
     pub fn detect(positions: &SamplePositions) -> Result<Self, CoeffFieldError> {
         let points = Points::new(positions)?;
         let tolerance = SAME_LINE * points.scale.extent;
@@ -58,7 +59,8 @@ impl RegularGrid {
                 });
             }
         }
-        // No node is taken twice, so one is free unless their numbers agree. It comes early: samples.len() of them are taken.
+        // No node is taken twice, so a node is free unless there are as many nodes as samples. The
+        // search ends soon, because only samples.len() nodes are taken.
         let mut samples = Vec::with_capacity(points.len());
         for node in 0..width * y.lines.len() {
             let (column, row) = (node % width, node / width);
@@ -91,10 +93,10 @@ impl RegularGrid {
         &self.y.lines
     }
 
-    /// The sample at a node.
+    /// Returns the index of the sample at a node.
     ///
     /// # Panics
-    /// When there is no such column or row.
+    /// When the column or the row does not exist.
     pub fn sample(&self, column: usize, row: usize) -> usize {
         assert!(
             column < self.x.lines.len(),
@@ -110,15 +112,15 @@ impl RegularGrid {
 pub(crate) struct Axis {
     /// Ascending.
     pub(crate) lines: Vec<f64>,
-    /// How far a sample lies off its line at most.
+    /// The largest distance of a sample from its line.
     pub(crate) scatter: f64,
 }
 
-/// Lines with less scatter than this part of a cell move no weight by more than rounding.
+/// Lines with less scatter than this fraction of a cell change weights only by rounding.
 const HARMLESS: f64 = 1e-13;
 
 impl Axis {
-    /// The lines, and each coordinate's line.
+    /// Returns the lines, and the index of each coordinate's line.
     pub(crate) fn new(coordinates: Vec<f64>, tolerance: f64) -> (Self, Vec<usize>) {
         let mut order: Vec<usize> = (0..coordinates.len()).collect();
         order.sort_by(|&a, &b| coordinates[a].total_cmp(&coordinates[b]));
@@ -132,7 +134,7 @@ impl Axis {
             let line = if first == last {
                 first
             } else {
-                // A mean of differences keeps the digits of large coordinates.
+                // A mean of differences preserves the digits of large coordinates.
                 let mean = group.iter().map(|&i| coordinates[i] - first).sum::<f64>() / group.len() as f64;
                 first + mean
             };
@@ -145,8 +147,8 @@ impl Axis {
         (axis, line_of)
     }
 
-    /// The cell around a coordinate, its lower line, and the part of the upper one: `v = (1 - t) lower + t upper`. Cell 0
-    /// and part 0 where there is one line only.
+    /// Returns the cell around a coordinate (the index of its lower line) and the fraction `t` of
+    /// the upper line: `v = (1 - t) lower + t upper`. Both are 0 if there is only one line.
     pub(crate) fn locate(&self, v: f64) -> (usize, f64) {
         let last = self.lines.len() - 1;
         if last == 0 {
@@ -154,7 +156,7 @@ impl Axis {
         }
         let cell = self.cell(v);
         let (a, b) = (self.lines[cell], self.lines[cell + 1]);
-        // Samples that scatter about their line still get their own value.
+        // A sample that lies slightly off its line still gets its own value.
         if (v - a).abs() <= self.scatter {
             (cell, 0.0)
         } else if (v - b).abs() <= self.scatter {
@@ -164,14 +166,15 @@ impl Axis {
         }
     }
 
-    /// The cell around a coordinate, or the one next to it; there are at least two lines.
+    /// The cell around a coordinate, or the nearest one. There must be at least two lines.
     fn cell(&self, v: f64) -> usize {
         let last = self.lines.len() - 1;
         self.lines.partition_point(|&line| line <= v).clamp(1, last) - 1
     }
 
-    /// Where the parts that [`Self::locate`] gives stop to be linear: they are for the whole numbers from `v` on that
-    /// are below the result, and for `v` alone where that is not above it. With `clamped` coordinates are first clamped.
+    /// The end of the range from `v` on in which the fractions of [`Self::locate`] are linear, for
+    /// the integers from `v` to below the result. If the result is not above `v`, the range
+    /// contains only `v`. With `clamped`, coordinates are first clamped to the lines.
     pub(crate) fn linear_until(&self, v: f64, clamped: bool) -> f64 {
         let (last, low) = (self.lines.len() - 1, self.lines[0]);
         if last == 0 {
@@ -198,7 +201,7 @@ impl Axis {
             for line in [a, b] {
                 if v < line {
                     until = until.min((line - self.scatter).ceil());
-                    // The bound itself is rounded.
+                    // Corrects for rounding of the bound.
                     while until > v && is_moved(until - 1.0, line) {
                         until -= 1.0;
                     }
@@ -208,13 +211,14 @@ impl Axis {
         until
     }
 
-    /// Whether weights are linear from line to line but for rounding.
+    /// Returns whether weights are linear from line to line within rounding.
     pub(crate) fn scatter_is_harmless(&self) -> bool {
         let cells = self.lines.windows(2).map(|line| line[1] - line[0]);
         self.scatter <= HARMLESS * cells.fold(f64::INFINITY, f64::min)
     }
 
-    /// Where a coordinate is looked up: the nearest that the lines cover, or itself where they are extended.
+    /// The coordinate to evaluate: the nearest one that the lines cover, or `v` itself if lines are
+    /// extended.
     pub(crate) fn place(&self, v: f64, outside: OutsidePolicy) -> f64 {
         if outside == OutsidePolicy::Extend {
             v
@@ -229,15 +233,17 @@ impl Axis {
     }
 }
 
-/// The most lines that have a weight at a coordinate.
+/// The largest number of lines with a weight at a coordinate.
 const LINES: usize = 4;
-/// Pieces of a cell along which cubic weights are taken as linear: 1 / 25 of the error of one piece. Their number is odd, so that
-/// a line that is left out lies in the middle of one, and leave-one-out errors have their part.
+/// Number of pieces of a cell along which cubic weights count as linear. The error is 1/25 of that
+/// of one piece. The number is odd, so that a line that is left out lies in the middle of a piece.
+/// Leave-one-out errors then include the error of the pieces.
 const PIECES: usize = 5;
-/// The largest sum of the magnitudes of weights: of four evenly spaced lines it is 1.25, of the four at an edge 1.63. Beyond
-/// it, lines are spaced so unevenly that a polynomial through them swings, and one of lower degree takes its place.
+/// The largest allowed sum of the weights' magnitudes. For four evenly spaced lines it is 1.25, at
+/// an edge 1.63. A larger sum means that the spacing is too uneven: a polynomial through the lines
+/// would oscillate, and one of lower degree replaces it.
 const LARGEST_SUM: f64 = 2.0;
-/// A cell this many times as wide as its lines scatter is cut into pieces.
+/// A cell is cut into pieces only if it is wider than this multiple of the scatter of its lines.
 const WIDER_THAN_SCATTER: f64 = 1e3;
 
 /// Weights of neighbouring lines.
@@ -247,12 +253,12 @@ pub(crate) struct NeighbouringLines {
     weights: [f64; LINES],
 }
 
-/// The weights of a grid's lines at any coordinate, linear between knots: between the lines themselves, or at points on a
-/// cubic between them.
+/// The weights of a grid's lines at any coordinate, linear between knots. Knots are the lines
+/// themselves, or also points of a cubic between them.
 #[derive(Debug, Clone)]
 pub(crate) struct AxisWeights {
     pub(crate) knots: Axis,
-    /// Between each knot and the next; one where there is one knot.
+    /// One piece between each knot and the next, or a single one if there is one knot.
     pieces: Vec<Piece>,
 }
 
@@ -264,7 +270,7 @@ struct Piece {
 }
 
 impl NeighbouringLines {
-    /// The lines with a weight, and their weights.
+    /// The lines with nonzero weight, and their weights.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (usize, f64)> + '_ {
         let lines = self.weights.iter().enumerate().filter(|(_, w)| **w != 0.0);
         lines.map(|(i, &weight)| (self.first + i, weight))
@@ -272,7 +278,7 @@ impl NeighbouringLines {
 }
 
 impl AxisWeights {
-    /// Linear from line to line.
+    /// Weights that are linear from line to line.
     pub(crate) fn linear(lines: &Axis) -> Self {
         let cells = lines.lines.len().saturating_sub(1).max(1);
         Self {
@@ -287,7 +293,8 @@ impl AxisWeights {
         }
     }
 
-    /// On the cubic through the two lines on either side, or the four at an edge.
+    /// Weights on the cubic through the two lines on either side, or through the four lines at an
+    /// edge.
     pub(crate) fn cubic(lines: &Axis) -> Self {
         let cells = lines.lines.len() - 1;
         if cells == 0 {
@@ -317,7 +324,7 @@ impl AxisWeights {
         Self { knots, pieces }
     }
 
-    /// The weights at a coordinate; beyond the lines those of the last piece, linearly continued.
+    /// The weights at a coordinate. Beyond the lines, the last piece continues linearly.
     pub(crate) fn at(&self, v: f64) -> NeighbouringLines {
         let (piece, t) = self.knots.locate(v);
         let Piece { first, low, high } = &self.pieces[piece];
@@ -332,10 +339,10 @@ fn unit(line: usize) -> [f64; LINES] {
     std::array::from_fn(|i| if i == line { 1.0 } else { 0.0 })
 }
 
-/// The ends of a cell's pieces but for the cell's own.
+/// The knots inside a cell, without the cell's own ends.
 fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
     let (a, b) = (lines.lines[cell], lines.lines[cell + 1]);
-    // A straight line passes through two lines alone.
+    // The polynomial through only two lines is straight, so it needs no pieces.
     if lines.lines.len() == 2 || b - a <= WIDER_THAN_SCATTER * lines.scatter {
         return Vec::new();
     }
@@ -343,12 +350,12 @@ fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
         .map(|i| a + (b - a) * (i as f64 / PIECES as f64))
         .collect();
     let ascending = |v: &[f64]| v[0] < v[1];
-    // Lines so close that there is nothing but rounding between them stay as they are.
+    // Cells so narrow that their knots differ only by rounding are not cut.
     let is_apart = a < points[0] && points.windows(2).all(ascending) && points[PIECES - 2] < b;
     if is_apart { points } else { Vec::new() }
 }
 
-/// Neighbouring lines with the polynomial through their values.
+/// Neighbouring lines and the polynomial through their values.
 #[derive(Debug, Clone, Copy)]
 struct Stencil {
     first: usize,
@@ -356,7 +363,8 @@ struct Stencil {
 }
 
 impl Stencil {
-    /// The highest degree up to 3 whose weights are well behaved at these points of a cell.
+    /// The stencil of the highest degree up to 3 whose weights stay small enough at these points of
+    /// a cell.
     fn around(lines: &[f64], cell: usize, points: &[f64]) -> Self {
         (3..=LINES.min(lines.len()))
             .rev()
@@ -385,7 +393,7 @@ impl Stencil {
         unit(line - self.first)
     }
 
-    /// Lagrange's polynomials.
+    /// The values of Lagrange's polynomials at a coordinate.
     fn weights(self, lines: &[f64], v: f64) -> [f64; LINES] {
         let own = &lines[self.first..self.first + self.count];
         std::array::from_fn(|i| {
@@ -491,7 +499,7 @@ mod tests {
             let error = value(&weights, &lines, knot, cubic) - cubic(knot);
             assert!(error.abs() < ROUNDING * 100.0, "{knot}: {error:e}");
         }
-        // Between knots, and beyond the last, straight on.
+        // Values between knots, and beyond the last one, lie on straight lines.
         for (a, b) in [(0, 1), (5, 6)] {
             let middle = value(&weights, &lines, f64::midpoint(knots[a], knots[b]), cubic);
             assert!((middle - f64::midpoint(cubic(knots[a]), cubic(knots[b]))).abs() < ROUNDING * 100.0);
@@ -516,7 +524,7 @@ mod tests {
                 weights: [0.5, 0.5, 0.0, 0.0]
             }
         );
-        // The narrow cells have nothing to fear of far lines.
+        // Distant lines do not affect the narrow cells.
         assert_eq!(weights.at(0.5).iter().count(), 4);
     }
 

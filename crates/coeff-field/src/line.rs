@@ -9,29 +9,30 @@ use crate::interpolation::{
     FieldWeights, OnRun, Visited, WeightList, admit, in_runs, pair, pixel_by_pixel, single,
 };
 
-/// Points count as collinear when none lies further off the line than this, relative to its length: triangles between
-/// them would be slivers whose orientation is rounding.
+/// Largest distance of collinear points from their line, relative to its length. Triangles between
+/// such points would be slivers whose orientation is only rounding.
 const OFF_LINE: f64 = 1e-9;
 
 /// One sample, two samples, or any number on one line.
 ///
-/// A position takes the value at its foot on the line, interpolated linearly between the two samples around it. Past the
-/// ends the value of the end sample applies (nearest), or the line of the last two samples (extend). One sample gives its
-/// value everywhere.
+/// A position has the value at its foot on the line, interpolated linearly between the two samples
+/// around the foot. Beyond the ends, the value is that of the end sample (nearest), or continues
+/// the line of the last two samples (extend). A single sample's value applies everywhere.
 #[derive(Debug)]
 pub(crate) struct LineWeights {
     points: Arc<Points>,
-    /// The coordinate that changes most along the line orders the samples without rounding.
+    /// The axis along which the line changes most. Its coordinate orders the samples without
+    /// rounding.
     axis: usize,
     /// Samples in that order.
     order: Vec<usize>,
-    /// Unit vector along the line; zero for one sample.
+    /// Unit vector along the line, or zero for one sample.
     direction: Point,
     outside: OutsidePolicy,
 }
 
 impl LineWeights {
-    /// The line through the points, if they have one.
+    /// Returns the line through the points if they are collinear.
     pub(crate) fn detect(points: &Points, outside: OutsidePolicy) -> Option<Self> {
         let p = &points.points;
         let range = |axis: usize| {
@@ -57,7 +58,7 @@ impl LineWeights {
             .windows(2)
             .map(|w| p[w[1]][axis] - p[w[0]][axis])
             .fold(f64::INFINITY, f64::min);
-        // Samples beside each other across the line need triangles after all.
+        // Samples next to each other across the line still need triangles.
         (off_line <= OFF_LINE * span_length && narrowest > 10.0 * off_line).then(|| Self {
             points: Arc::new(points.clone()),
             axis,
@@ -67,7 +68,7 @@ impl LineWeights {
         })
     }
 
-    /// The same line without one sample; none when that was the last.
+    /// Returns the line without one sample, or `None` if no sample is left.
     pub(crate) fn without(&self, sample: usize) -> Option<Self> {
         let order: Vec<usize> = self.order.iter().copied().filter(|&s| s != sample).collect();
         (!order.is_empty()).then(|| Self {
@@ -79,7 +80,7 @@ impl LineWeights {
         })
     }
 
-    /// Weights at `p` and whether the samples cover it.
+    /// Writes the weights at `p` and returns whether the samples cover it.
     pub(crate) fn weights(&self, p: Point, weights: &mut WeightList) -> bool {
         let at = |rank: usize| self.points.points[self.order[rank]];
         let last = self.order.len() - 1;
@@ -97,7 +98,8 @@ impl LineWeights {
         }
         let (off, foot) = self.foot(p);
         let (low, high) = (at(0)[self.axis], at(last)[self.axis]);
-        // `foot` is measured along the axis; at most sqrt(2) less than along the line.
+        // `foot` is measured along the axis, where distances are at most sqrt(2) shorter than along
+        // the line.
         let is_covered = off.abs() <= covered && low - covered <= foot && foot <= high + covered;
         let foot = if self.outside == OutsidePolicy::Extend {
             foot
@@ -115,21 +117,21 @@ impl LineWeights {
         is_covered
     }
 
-    /// How far `p` lies off the line, and the coordinate of its foot along the axis.
+    /// The signed distance of `p` from the line, and the coordinate of its foot along the axis.
     fn foot(&self, p: Point) -> (f64, f64) {
         let start = self.points.points[self.order[0]];
         let off = dot(sub(p, start), normal(self.direction));
         (off, along(p, -off, normal(self.direction))[self.axis])
     }
 
-    /// The rank of the second of the two samples around a foot, or of the two next to it.
+    /// The rank of the second of the two samples around a foot, or of the two nearest to it.
     fn link(&self, foot: f64) -> usize {
         self.order
             .partition_point(|&sample| self.points.points[sample][self.axis] <= foot)
             .clamp(1, self.order.len() - 1)
     }
 
-    /// The piece of the line, or the end of it, that holds the foot of `p`.
+    /// The piece or the end of the line that contains the foot of `p`.
     fn piece(&self, p: Point) -> Piece {
         let last = self.order.len() - 1;
         if last == 0 {
@@ -146,7 +148,8 @@ impl LineWeights {
         }
     }
 
-    /// The columns of a row that meet a sample, which takes its own value however far it lies off the line.
+    /// The columns of a row that meet a sample exactly. Such a column has the sample's value,
+    /// whatever its distance from the line.
     fn hits(&self, row: Row) -> Vec<usize> {
         let points = self.order.iter().map(|&sample| self.points.points[sample]);
         let in_row = points.filter(|p| p[1] == row.y());
@@ -156,7 +159,7 @@ impl LineWeights {
     }
 }
 
-/// Where weights are linear in the position.
+/// A part of the line with weights that are linear in the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Piece {
     /// Past the sample of this rank.
@@ -178,11 +181,12 @@ impl FieldWeights for LineWeights {
         admit(self.weights(query(position)?, weights), self.outside, position)
     }
 
-    /// A run for each link of the line that the row passes and for each end, and one pixel where it meets a sample.
+    /// Visits one run for each link of the line that the row passes and for each end, and a single
+    /// pixel where it meets a sample.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.outside == OutsidePolicy::Error {
-            // Covers the line alone.
+            // Only the line itself is covered.
             return pixel_by_pixel(self, row, visit);
         }
         let hits = self.hits(row);

@@ -165,7 +165,8 @@ impl InverseDistance {
     /// Weights `d^-power` with a radius set by the `neighbours`-th nearest sample.
     ///
     /// # Errors
-    /// [`CoeffFieldError::Parameter`] unless `power` is finite and above 0 and `neighbours` at least 1.
+    /// [`CoeffFieldError::Parameter`] unless `power` is finite and above 0 and `neighbours` is at
+    /// least 1.
     pub fn new(power: f64, neighbours: usize) -> Result<Self, CoeffFieldError> {
         if !(power.is_finite() && power > 0.0) {
             return Err(CoeffFieldError::Parameter {

@@ -1,4 +1,4 @@
-//! The Delaunay triangulation that spade makes of the samples.
+//! The Delaunay triangulation of the samples, made by spade.
 
 use std::collections::VecDeque;
 use std::num::NonZeroU32;
@@ -9,7 +9,7 @@ use spade::{DelaunayTriangulation, HasPosition, HintGenerator, Point2, Triangula
 use crate::geometry::{Point, Points, cross, dot, foot_on_segment, sub};
 use crate::interpolation::{WeightList, pair};
 
-/// A sample as a vertex of the triangulation, which keeps its own order.
+/// A sample as a vertex of the triangulation, which orders its vertices in its own way.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Node {
     point: Point2<f64>,
@@ -23,12 +23,13 @@ impl HasPosition for Node {
     }
 }
 
-/// What a triangle knows: the side of the hull (counted from 1) that it was peeled off, if it was.
+/// The data of a triangle: the side of the hull (counted from 1) that it was peeled off, if it was
+/// peeled.
 pub(crate) type Peeled = Option<NonZeroU32>;
 pub(crate) type Triangles = DelaunayTriangulation<Node, (), (), Peeled, GridHints>;
 
-/// The triangulation of points that do not lie on one line, and the index of each sample's vertex
-/// in it.
+/// Triangulates points that do not lie on one line. Returns the triangulation and the index of each
+/// sample's vertex in it.
 pub(crate) fn triangulate(points: &Points) -> (Triangles, Vec<u32>) {
     let nodes = points.points.iter().zip(0..).map(|(p, sample)| Node {
         point: Point2::new(p[0], p[1]),
@@ -43,7 +44,8 @@ pub(crate) fn triangulate(points: &Points) -> (Triangles, Vec<u32>) {
     (triangles, vertices)
 }
 
-/// A triangle whose height is below this part of its longest side is flat: its barycentric coordinates would be rounding.
+/// A triangle is flat if its height is below this fraction of its longest side. Its barycentric
+/// coordinates would be only rounding.
 const FLAT: f64 = 1e-10;
 
 pub(crate) fn sample_of(node: &Node) -> usize {
@@ -54,10 +56,11 @@ pub(crate) fn point_of(node: &Node) -> Point {
     [node.point.x, node.point.y]
 }
 
-/// Barycentric coordinates of `p`, which lies inside the triangle up to rounding, so that none is negative.
+/// Writes the barycentric coordinates of `p`, which lies inside the triangle within rounding. None
+/// is negative.
 ///
-/// Areas are taken relative to `p`: where two corners are close to it, their small difference is exact. In a flat triangle
-/// the weights follow the two shorter sides.
+/// Areas are computed relative to `p`. If two corners are close to it, their small difference is
+/// then exact. In a flat triangle the weights follow the two shorter sides.
 pub(crate) fn in_triangle(corners: [Point; 3], samples: [usize; 3], p: Point, weights: &mut WeightList) {
     let edge = |i: usize| sub(corners[(i + 1) % 3], corners[i]);
     let squares = [0, 1, 2].map(|i| dot(edge(i), edge(i)));
@@ -77,7 +80,8 @@ pub(crate) fn in_triangle(corners: [Point; 3], samples: [usize; 3], p: Point, we
     weights.extend(samples.into_iter().zip(area_shares(corners, p)));
 }
 
-/// The shares of the triangles that `p` makes with each side, by the corner opposite to it.
+/// The area fractions of the three triangles that `p` forms with the sides. Each belongs to the
+/// corner opposite its side.
 pub(crate) fn area_shares(corners: [Point; 3], p: Point) -> [f64; 3] {
     let from_p = corners.map(|corner| sub(corner, p));
     let areas = [0, 1, 2].map(|i| cross(from_p[(i + 1) % 3], from_p[(i + 2) % 3]).max(0.0));
@@ -87,14 +91,15 @@ pub(crate) fn area_shares(corners: [Point; 3], p: Point) -> [f64; 3] {
 
 /// A table of nearby vertices over a square grid of cells.
 ///
-/// The hint is a function of the position alone (spade's own generators remember the last lookup, so that a result
-/// could depend, in its last bit, on what was asked before), needs no lock between threads, and costs constant time.
+/// The hint depends only on the position. spade's own generators remember the last lookup, so the
+/// last bit of a result could depend on earlier queries. This table needs no lock between threads
+/// and takes constant time.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GridHints {
     origin: [f64; 2],
     per_pixel: [f64; 2],
     side: usize,
-    /// A vertex in or near each cell, row by row.
+    /// A vertex in or near each cell, ordered row by row.
     vertices: Vec<u32>,
 }
 
@@ -102,14 +107,14 @@ const EMPTY: u32 = u32::MAX;
 
 impl GridHints {
     fn cell(&self, position: Point2<f64>) -> usize {
-        // A float to integer cast saturates; NaN becomes 0.
+        // A float to integer cast saturates, and NaN becomes 0.
         let index = |v: f64, axis: usize| {
             (((v - self.origin[axis]) * self.per_pixel[axis]) as usize).min(self.side - 1)
         };
         index(position.y, 1) * self.side + index(position.x, 0)
     }
 
-    /// Gives each empty cell the vertex of a filled one nearby.
+    /// Copies into each empty cell the vertex of a filled cell nearby.
     fn fill(&mut self) {
         let mut queue: VecDeque<usize> = (0..self.vertices.len())
             .filter(|&cell| self.vertices[cell] != EMPTY)
@@ -180,19 +185,23 @@ impl HintGenerator<f64> for GridHints {
     }
 }
 
-/// The direct neighbours alone serve while the squares of their offsets spread at least this much across.
+/// The direct neighbours suffice if their offsets spread at least this much across their main
+/// direction (in squares, as a fraction of the spread along it).
 const SPREAD: f64 = 1e-2;
-/// Offsets that spread less than this across say nothing of the slope there, which counts as 0.
+/// Offsets that spread less than this fraction across do not determine the slope there, which
+/// counts as 0.
 const LINE: f64 = 1e-6;
 
-/// The gradient at a vertex as a linear form: its x and y parts weigh each sample by these numbers, which sum to 0.
+/// The gradient at a vertex as a linear form: weights of each sample for its x and y parts. Each
+/// part's weights sum to 0.
 pub(crate) type GradientStencil = Vec<(usize, Point)>;
 
-/// Least squares over the Delaunay neighbours: minimises `sum_j u_j [v_j - v_0 - g (x_j - x_0)]^2` with
-/// `u_j = 1 / (d_j^2 + m^2)`, `d_j` the distance of neighbour `j` and `m^2` the mean of the `d_j^2`; exact for linear values.
+/// The gradient at a vertex by least squares over its Delaunay neighbours. It minimises `sum_j u_j
+/// [v_j - v_0 - g (x_j - x_0)]^2` with `u_j = 1 / (d_j^2 + m^2)`. Here `d_j` is the distance of
+/// neighbour `j` and `m^2` the mean of the `d_j^2`. It is exact for linear values.
 ///
-/// The weights favour near neighbours, but not those in a tight cluster, whose differences would be noise. Neighbours of
-/// neighbours join in where the first ring nearly lies on a line.
+/// The weights favour near neighbours, but not within a tight cluster, where differences would be
+/// noise. If the neighbours nearly lie on a line, their own neighbours are added.
 pub(crate) fn gradient_stencil(triangles: &Triangles, vertex: FixedVertexHandle) -> GradientStencil {
     let centre = triangles.vertex(vertex);
     let origin = point_of(centre.data());
@@ -255,7 +264,8 @@ fn axes(offsets: &[Point]) -> Option<(Point, [f64; 2])> {
     let angle = 0.5 * m[1].atan2(half_difference);
     let (s, c) = angle.sin_cos();
     let large = centre + radius;
-    // The determinant keeps the small eigenvalue's digits, the difference centre - radius would not.
+    // The determinant keeps the small eigenvalue's digits. The difference centre - radius would
+    // lose them.
     let small = ((m[0] * m[2] - m[1] * m[1]) / large).max(0.0);
     (large > 0.0 && large.is_finite()).then_some(([c, s], [large, small]))
 }
