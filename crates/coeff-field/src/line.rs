@@ -162,7 +162,7 @@ impl LineWeights {
 /// A part of the line with weights that are linear in the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Piece {
-    /// Past the sample of this rank.
+    /// Beyond the sample of this rank.
     End(usize),
     /// Between the sample of this rank and the one before it, or beyond them.
     Link(usize),

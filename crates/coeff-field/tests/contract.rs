@@ -1,4 +1,4 @@
-//! What every interpolator promises, over all of them and samples of every awkward kind.
+//! Properties of every interpolator, for all of them and for difficult layouts of samples.
 
 mod common;
 
@@ -15,10 +15,10 @@ use rand::RngExt;
 const UNITY: f64 = 1e-12;
 /// Rounding of an interpolated value of order 1 in well shaped cells.
 const ROUNDING: f64 = 1e-11;
-/// Rounding of the slopes found from samples 1e-9 of the extent apart, or carried by coordinates of 1e7.
+/// Rounding of slopes from samples 1e-9 of the extent apart, or with coordinates of 1e7.
 const SLOPE: f64 = 1e-7;
-/// A jump that is left after bisection to 1e-12 of the extent: smooth values with slopes of order 1 change by far less,
-/// thin triangles steepen them.
+/// Largest jump after bisection to 1e-12 of the extent. Smooth values with slopes of order 1 change
+/// by far less. Thin triangles steepen them.
 const JUMP: f64 = 1e-6;
 
 #[test]
@@ -28,7 +28,7 @@ fn weights_are_finite_name_each_node_once_and_sum_to_one() {
         for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
             let weights_of = method.prepare(&checked, outside).unwrap();
             assert_eq!(weights_of.sample_count(), positions.len());
-            // What a caller left in the list must not matter.
+            // The previous content of the list must not matter.
             let mut weights: WeightList = vec![(usize::MAX, f64::NAN); 9];
             for p in probes(positions) {
                 weights_of.weights_into(p, &mut weights).unwrap();
@@ -84,7 +84,8 @@ fn samples_are_met_exactly() {
 #[test]
 fn slopes_are_reproduced_where_the_samples_surround_the_position() {
     each(|layout, name, positions, method| {
-        // A line has no slope across, and what is thinner than 0.001 counts as one outside.
+        // A line has no slope across, and outside the samples a strip thinner than 0.001 counts as
+        // a line.
         let thin = layout == "thin strip" || layout.ends_with("line");
         if !reproduces_slopes(name) || positions.len() < 3 || thin {
             return;
@@ -95,7 +96,7 @@ fn slopes_are_reproduced_where_the_samples_surround_the_position() {
             1.0 + 2.0 * x - 3.0 * y
         };
         let field = field(&samples_of(positions, 1, slope), method, OutsidePolicy::Extend);
-        // Extended, they are reproduced everywhere.
+        // Under the policy extend, slopes are reproduced everywhere.
         for p in probes(positions) {
             let error = (value(&field, p) - slope(p, 0)).abs();
             assert!(error < SLOPE, "{layout} {name} {p}: {error:e}");
@@ -120,10 +121,11 @@ fn values_lie_between_the_samples() {
         let (low, high) = noise
             .iter()
             .fold((1.0_f64, 0.0_f64), |(a, b), &v| (a.min(v), b.max(v)));
-        // In a dent of the hull, up to 0.001 of the spacing deep, the field is extrapolated that far.
+        // In a dent of the hull, up to 0.001 of the spacing deep, the field is extrapolated over
+        // that distance.
         let slack = match layout {
             "uneven grid" => 5e-3,
-            // Cubics overshoot: magnitudes of weights add up to 1.63 in each coordinate at most.
+            // Cubics overshoot: the magnitudes of weights sum to at most 1.63 in each coordinate.
             "grid" if matches!(name, "bicubic" | "auto") => 0.5 * (1.63 * 1.63 - 1.0) * (high - low),
             _ => ROUNDING,
         };
@@ -146,7 +148,7 @@ fn fields_are_continuous_across_cells_and_the_hull() {
         let extent = Extent::of(positions);
         for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
             if layout == "thin strip" && is_polynomial(name) && outside == OutsidePolicy::Extend {
-                // Grows by 1e10 beside a strip 1e-5 wide.
+                // The polynomial grows by 1e10 next to a strip 1e-5 wide.
                 continue;
             }
             let field = field(&samples_of(positions, 1, smooth(extent)), method, outside);
@@ -164,7 +166,7 @@ fn fields_are_continuous_across_cells_and_the_hull() {
     });
 }
 
-/// The change left over when the largest change along [0, 1] is bisected to 1e-12.
+/// The change that remains when the largest change along [0, 1] is bisected to 1e-12.
 fn largest_jump(f: impl Fn(f64) -> f64) -> f64 {
     const STEPS: usize = 60;
     let values: Vec<f64> = (0..=STEPS).map(|i| f(i as f64 / STEPS as f64)).collect();
@@ -198,7 +200,7 @@ fn a_region_holds_the_same_bits_as_its_points_for_any_range_and_thread() {
         let extent = Extent::of(positions);
         let samples = samples_of(positions, 5, smooth(extent));
         let field = field(&samples, method, OutsidePolicy::Extend);
-        // Over an edge of the samples, wider than what is gathered at once.
+        // A region across an edge of the samples, wider than the stretch that is gathered at once.
         let (x0, y0) = (extent.low.0 as i64 - 3, extent.low.1 as i64 - 2);
         let region = PixelRegion::new(x0, y0, FrameShape::new(71, 6).unwrap());
         let mut all = Array3::from_elem((5, 6, 71), f64::NAN);
@@ -222,7 +224,7 @@ fn a_region_holds_the_same_bits_as_its_points_for_any_range_and_thread() {
             for range in [0..1, 1..4, 4..5, 2..2] {
                 let (field, all) = (&field, &all);
                 scope.spawn(move || {
-                    // A smaller region into a part of a larger array.
+                    // Evaluates a smaller region into a part of a larger array.
                     let part = PixelRegion::new(x0 + 2, y0 + 1, FrameShape::new(40, 3).unwrap());
                     let mut values = Array3::from_elem((range.len(), 5, 50), f64::NAN);
                     field

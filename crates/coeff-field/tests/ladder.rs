@@ -1,4 +1,4 @@
-//! From theory: parabolas, symmetry, areas of Voronoi cells, even boundaries.
+//! Tests of theory: parabolas, symmetry, areas of Voronoi cells, even boundaries.
 
 mod common;
 
@@ -36,22 +36,23 @@ fn parabolas_stay_within_the_bounds_of_theory() {
     let positions = SamplePositions::new(common::grid(5, 5, 1.0, 0.0, 0.0), None).unwrap();
     for (name, method) in methods(&positions) {
         let (coarse, fine) = (error(method.as_ref(), 11), error(method.as_ref(), 21));
-        // (h^2 2 + h^2 2) / 8, or r^2 2 / 2 with r = h / sqrt 2 the circumradius: both are h^2 / 2.
+        // (h^2 2 + h^2 2) / 8, or r^2 2 / 2 with the circumradius r = h / sqrt 2. Both are h^2 / 2.
         let bound = |step: f64| 0.5 * step * step;
         match name {
             "bilinear" | "bicubic" | "auto" | "delaunay" | "natural-neighbour" => {
-                // Cubics are straight within fifths of cells.
+                // Cubics are linear within fifths of cells.
                 let is_cubic = matches!(name, "bicubic" | "auto");
                 let bound = |step: f64| bound(if is_cubic { step / 5.0 } else { step });
                 assert!(
                     coarse <= bound(10.0) + SUMS && fine <= bound(5.0) + SUMS,
                     "{name}: {coarse} {fine}"
                 );
-                // The bound is sharp: a method that is exact here would be no linear one.
+                // The bound is sharp: a method that is exact here would not be linear.
                 assert!(coarse > 0.5 * bound(10.0), "{name}: {coarse}");
             }
             "polynomial=2" => assert!(coarse < 1e-8, "{coarse}"),
-            // No more than the change over the reach of a weight: radius sqrt 2 d_(6), slope 283 at the far corner.
+            // The bound is the change over the reach of a weight: radius sqrt 2 d_(6), slope 283 at
+            // the far corner.
             "idw" | "idw=3.5" | "nearest" => {
                 assert!(
                     coarse < 283.0 * 20.0 && fine < 0.6 * coarse,
@@ -65,7 +66,7 @@ fn parabolas_stay_within_the_bounds_of_theory() {
 
 #[test]
 fn cubics_stay_within_the_bound_of_theory() {
-    // Second derivatives up to k^2, fourth ones up to k^4.
+    // Second derivatives up to k^2, fourth derivatives up to k^4.
     let wave = |k: f64| move |p: Position, _: usize| (k * p.x()).sin() + (k * p.y() + 0.4).cos();
     for k in [0.05, 0.1] {
         let step = 10.0;
@@ -75,7 +76,7 @@ fn cubics_stay_within_the_bound_of_theory() {
             &Bicubic,
             OutsidePolicy::Nearest,
         );
-        // Away from the edges, where polynomials lie to one side.
+        // Away from the edges, where the lines of a polynomial lie on one side.
         let inner = common::Extent {
             low: (step, step),
             high: (19.0 * step, 19.0 * step),
@@ -109,7 +110,7 @@ fn mirrored_samples_have_mirrored_weights() {
     }
 }
 
-/// A convex polygon cut down to the half plane of points nearer to `keep` than to `other`.
+/// Cuts a convex polygon to the half plane of points nearer to `keep` than to `other`.
 fn nearer(polygon: &[[f64; 2]], keep: Position, other: Position) -> Vec<[f64; 2]> {
     let m = keep.midpoint(other);
     let side =
@@ -140,7 +141,7 @@ fn area(polygon: &[[f64; 2]]) -> f64 {
 
 #[test]
 fn natural_neighbour_weights_are_shares_of_voronoi_cells() {
-    // The cells of positions this far inside end well before the box.
+    // The cells of positions this far inside end well before the frame.
     let frame = vec![
         [-900.0, -900.0],
         [1000.0, -900.0],
@@ -178,7 +179,7 @@ fn natural_neighbour_weights_are_shares_of_voronoi_cells() {
 
 #[test]
 fn delaunay_circles_are_empty() {
-    // Three weights name a triangle whose circumcircle holds no other sample.
+    // Three weights belong to a triangle whose circumcircle contains no other sample.
     let positions = scattered(80, 12, 0.0, 100.0);
     for p in (common::Extent {
         low: (20.0, 20.0),
@@ -206,7 +207,8 @@ fn delaunay_circles_are_empty() {
 
 #[test]
 fn the_edge_of_an_uneven_grid_follows_its_samples() {
-    // Rounding or a small unevenness of the outermost samples must not let distant ones decide at the edge.
+    // Rounding or a slight unevenness of the outermost samples must not give weight to distant
+    // samples at the edge.
     let curve = |p: Position, _: usize| (p.x() * p.x() + p.y() * p.y()) * 1e-2;
     for (angle, jitter) in [(0.0, 0.0), (0.4, 0.0), (0.0, 1e-9), (0.0, 0.004), (0.9, 0.002)] {
         let positions = common::grid(21, 21, 10.0, angle, jitter);
@@ -214,13 +216,14 @@ fn the_edge_of_an_uneven_grid_follows_its_samples() {
         for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {
             for outside in [OutsidePolicy::Nearest, OutsidePolicy::Extend] {
                 let field = field(&samples_of(&positions, 1, curve), method, outside);
-                // Along the first row, just outside, on it, and just inside.
+                // Along the first row: just outside, on it, and just inside.
                 for i in 0..400 {
                     let along = f64::from(i) * 0.5;
                     for off in [-0.01, -1e-9, 0.0, 1e-9, 0.001, 0.01] {
                         let p = at(along * c - off * s, along * s + off * c);
                         let error = (value(&field, p) - curve(p, 0)).abs();
-                        // Linear between neighbours 10 apart, second derivative 0.02: 0.25; a slope of 4 over 0.01.
+                        // 0.25 from linear interpolation between neighbours 10 apart with second
+                        // derivative 0.02, and a slope of 4 over 0.01.
                         assert!(error < 0.3, "{method:?} {outside} {angle} {jitter} {p}: {error}");
                     }
                 }
@@ -235,12 +238,13 @@ fn extended_fields_go_on_linearly() {
     let bend = |p: Position, _: usize| (p.x() * 0.03).sin() + (p.y() * 0.02).cos();
     for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {
         let field = field(&samples_of(&positions, 1, bend), method, OutsidePolicy::Extend);
-        // Straight out from the hull the foot stays where it is.
+        // For positions straight out from the hull, the foot stays the same.
         let f = |t: f64| value(&field, at(120.0 + t, 120.0 + t));
         let corner_fan = (f(10.0) - 2.0 * f(20.0) + f(30.0)).abs();
         assert!(corner_fan < 1e-9, "{corner_fan}");
     }
-    // Off a grid, the slope is about that of the samples: second derivatives of 1e-3 over 5 pixels.
+    // Outside a grid, the slope is about that of the samples: second derivatives of 1e-3 over 5
+    // pixels.
     let positions = common::grid(11, 11, 10.0, 0.0, 0.0);
     for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {
         let field = field(&samples_of(&positions, 1, bend), method, OutsidePolicy::Extend);

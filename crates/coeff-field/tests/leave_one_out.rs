@@ -1,4 +1,4 @@
-//! Leave-one-out: the shortcuts against rebuilding without each sample.
+//! Leave-one-out: the shortcuts agree with rebuilding without each sample.
 
 mod common;
 
@@ -11,7 +11,8 @@ use psf_types::{OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 
 /// Rounding of predictions of order 1.
 const ROUNDING: f64 = 1e-8;
-/// A strip 1e-5 wide makes a quadratic fit ill conditioned; samples 1e-9 apart cost the Voronoi areas as much.
+/// Tolerance for ill conditioned cases: a quadratic fit to a strip 1e-5 wide, or the Voronoi areas
+/// of samples 1e-9 apart.
 const ILL_CONDITIONED: f64 = 1e-5;
 
 /// A method without its shortcut.
@@ -53,7 +54,7 @@ fn assert_same(fast: &LeaveOneOut, slow: &LeaveOneOut, tolerance: f64, what: &st
 
 #[test]
 fn shortcuts_agree_with_rebuilding() {
-    // Layouts with many samples on one circle are left out: there the triangulation is a matter of choice.
+    // Layouts with many samples on one circle are omitted: their triangulation is ambiguous.
     let mut all: Vec<_> = layouts()
         .into_iter()
         .filter(|(layout, _)| !matches!(*layout, "grid" | "turned grid" | "l-shape" | "circle" | "fan"))
@@ -138,7 +139,7 @@ fn linear_values_are_predicted_exactly_and_one_outlier_is_found() {
 
 #[test]
 fn samples_that_cannot_be_missed_are_named() {
-    // As many samples as terms: each is needed.
+    // There are as many samples as terms, so each sample is needed.
     let positions = scattered(6, 43, 0.0, 10.0);
     let errors = leave_one_out(
         &bumps(&positions),
@@ -172,7 +173,8 @@ fn thousands_of_samples_take_no_rebuilding() {
         let errors = leave_one_out(&samples, method.as_ref(), OutsidePolicy::Extend).unwrap();
         assert!(errors.predicted().count() > 4950, "{name}");
     }
-    // Optimised, rebuilding 5000 triangulations would take about half a minute a method.
+    // Rebuilding 5000 triangulations would take about half a minute per method in an optimised
+    // build.
     let limit = if cfg!(debug_assertions) { 300 } else { 20 };
     assert!(start.elapsed().as_secs() < limit, "{:?}", start.elapsed());
 }

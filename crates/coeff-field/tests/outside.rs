@@ -1,4 +1,4 @@
-//! The outside policies, over every interpolator and samples of every awkward kind.
+//! The outside policies, for every interpolator and for difficult layouts of samples.
 
 mod common;
 
@@ -19,7 +19,8 @@ fn the_outside_is_refused_or_takes_the_value_at_the_edge() {
         let strict = field(&samples, method, OutsidePolicy::Error);
         let nearest = field(&samples, method, OutsidePolicy::Nearest);
         let size = extent.size();
-        // Beyond the lowest and the highest sample in x: outside for sure. The sample itself is inside, also when rounded.
+        // Positions beyond the lowest and the highest sample in x are certainly outside. The sample
+        // itself is inside, also after rounding.
         for (edge, sign) in [(extent.low.0, -1.0), (extent.high.0, 1.0)] {
             for &p in positions.iter().filter(|p| p.x() == edge) {
                 let mut v = [f64::NAN];
@@ -45,7 +46,7 @@ fn the_outside_is_refused_or_takes_the_value_at_the_edge() {
                 assert!(strict.evaluate_region_into(far, 0..1, region.view_mut()).is_err());
             }
         }
-        // Far away in every direction, where rounding is coarse.
+        // Far away in many directions, where rounding is coarse.
         for (dx, dy) in [(1.0, 0.0), (-1.0, 0.0), (0.3, 1.0), (-1.0, -1.0)] {
             for far in [1e3 * size, 1e12 * size, 1e49] {
                 let p = at(dx * far, dy * far);

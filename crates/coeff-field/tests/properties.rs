@@ -9,10 +9,12 @@ use psf_types::{OutsidePolicy, Position, SamplePositions};
 
 /// Rounding of a sum of weights, relative to their magnitudes.
 const UNITY: f64 = 1e-12;
-/// How far weights may leave [0, 1] in a dent of the hull: 0.001 of its width, up to 7 units, over neighbours 1 unit away.
+/// Largest excursion of weights from [0, 1] in a dent of the hull. A dent is at most 0.001 of its
+/// width deep. The width is up to 7 units, and neighbours are 1 unit away.
 const DENT: f64 = 0.05;
 
-/// Coordinates on a coarse lattice (ties, lines, circles), sometimes a hair off it, sometimes far away.
+/// Coordinates on a coarse lattice (ties, lines, circles), sometimes very close to it, sometimes
+/// far away.
 fn positions() -> impl Strategy<Value = Vec<Position>> {
     let hair = prop_oneof![
         3 => Just(0.0),
@@ -90,7 +92,7 @@ fn check(
                 weights
             );
             if outside != OutsidePolicy::Extend {
-                // Only a dent of the hull asks for a little less than nothing.
+                // Only a dent of the hull may have slightly negative weights.
                 prop_assert!(
                     weights.iter().all(|(_, w)| (-DENT..=1.0 + DENT).contains(w)),
                     "{} {} {}: {:?}",

@@ -1,4 +1,4 @@
-//! Runs of linear weights along rows, over every interpolator and samples of every awkward kind.
+//! Runs of linear weights along rows, for every interpolator and for difficult layouts of samples.
 
 mod common;
 
@@ -12,7 +12,8 @@ use common::{Extent, at, field, grid, layouts, methods, rng, samples_of, scatter
 use psf_types::{CoefficientField, FieldError, OutsidePolicy, Position, RowRun, SamplePositions};
 use rand::RngExt;
 
-/// Rounding of an expanded run, relative to the largest node value and the sum of the weights' magnitudes.
+/// Rounding of an expanded run, relative to the largest node value times the sum of the weights'
+/// magnitudes.
 const ROUNDING: f64 = 1e-11;
 
 const POLICIES: [OutsidePolicy; 3] = [
@@ -33,7 +34,7 @@ fn expand(run: RowRun<'_>) -> Vec<WeightList> {
         .collect()
 }
 
-/// Compares a row with its pixels; the number of runs.
+/// Compares a row with its pixels and returns the number of runs.
 fn check(field: &dyn CoefficientField, (x, y): (i64, i64), length: usize) -> Result<usize, String> {
     let nodes = field.node_values();
     let largest = nodes.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
@@ -64,7 +65,7 @@ fn check(field: &dyn CoefficientField, (x, y): (i64, i64), length: usize) -> Res
         for (k, value) in expected.iter().enumerate() {
             let got: f64 = weights.iter().map(|&(node, w)| w * nodes[[node, k]]).sum();
             let error = (got - value).abs() / (largest * magnitude);
-            // Also refuses NaN.
+            // The negated test also rejects NaN.
             if error.partial_cmp(&ROUNDING) != Some(std::cmp::Ordering::Less) {
                 return Err(format!("{position}: {got} in place of {value}, {error:e} off"));
             }
@@ -86,7 +87,7 @@ fn check(field: &dyn CoefficientField, (x, y): (i64, i64), length: usize) -> Res
     }
 }
 
-/// Up to `n` different pixels of a square.
+/// Up to `n` distinct pixels of a square.
 fn pixels(n: usize, side: f64) -> Vec<Position> {
     let mut all: Vec<Position> = Vec::new();
     for p in scattered(n, 31, -side / 3.0, side) {
@@ -103,7 +104,7 @@ fn more_layouts() -> Vec<(&'static str, Vec<Position>)> {
     let line =
         |x: fn(f64) -> f64, y: fn(f64) -> f64| (0..9).map(move |i| at(x(f64::from(i)), y(f64::from(i))));
     all.extend([
-        // Columns and rows are means of coordinates that scatter by more than rounding.
+        // Each column or row is a mean of coordinates that scatter by more than rounding.
         ("loose grid", grid(8, 7, 20.0, 0.0, 2e-8)),
         ("crowded", scattered(900, 8, -6.0, 12.0)),
         (
@@ -123,7 +124,7 @@ fn more_layouts() -> Vec<(&'static str, Vec<Position>)> {
             "loose row",
             line(|i| 6.0 * i, |i| 5.0 + 1e-8 * (i * 2.3).sin().abs().round()).collect(),
         ),
-        // Its samples take their own values a little off the line.
+        // Samples slightly off the line have their own values.
         (
             "loose slanted line",
             line(|i| 6.0 * i, |i| 4.0 * i + if i % 8.0 == 0.0 { 2e-8 } else { 0.0 }).collect(),
@@ -133,7 +134,7 @@ fn more_layouts() -> Vec<(&'static str, Vec<Position>)> {
             line(|i| 20.0 * i, |i| 5.0 + 1e-6 * ((7.0 * i) % 5.0 - 2.0)).collect(),
         ),
         ("hardly turned grid", grid(7, 6, 12.0, 1e-15, 0.0)),
-        // Covers a few pixels around.
+        // Covers a few pixels around itself.
         ("huge grid", grid(3, 3, 2e9, 0.0, 0.0)),
         ("one row of a grid", grid(5, 1, 11.0, 0.0, 0.0)),
         ("pixel", vec![at(12.0, -4.0)]),
@@ -150,7 +151,7 @@ fn more_layouts() -> Vec<(&'static str, Vec<Position>)> {
     all
 }
 
-/// Rows over the whole layout where that is small, and through and beside its samples.
+/// Rows over the whole layout if it is small, and rows through its samples and next to them.
 fn rows(positions: &[Position]) -> Vec<((i64, i64), usize)> {
     let extent = Extent::of(positions);
     let mut rows = Vec::new();
@@ -174,7 +175,7 @@ fn rows(positions: &[Position]) -> Vec<((i64, i64), usize)> {
         }
         rows.push(((x, y), 1));
     }
-    // Far away.
+    // Rows far away.
     rows.push(((x - 100_000, y), 400));
     rows.push(((x, y + 100_000), 400));
     rows.push(((x, y), 0));
@@ -215,7 +216,7 @@ fn runs_expand_to_the_coefficients_of_every_pixel_and_end_where_those_do() {
     });
 }
 
-/// Takes each row for one run.
+/// Wrongly takes each row for one run.
 #[derive(Debug)]
 struct Straight(Box<dyn FieldWeights>);
 
@@ -265,13 +266,13 @@ fn the_comparison_sees_runs_that_cross_an_edge_and_pixels_that_have_no_value() {
     let wrong = |outside| field(&samples, &StraightDelaunay, outside);
     assert!(check(&wrong(OutsidePolicy::Nearest), (1, 10), 17).is_err());
     assert!(check(&wrong(OutsidePolicy::Error), (1, 10), 25).is_err());
-    // In one triangle it is right.
+    // Within one triangle it is right.
     assert!(check(&wrong(OutsidePolicy::Nearest), (2, 10), 3).is_ok());
 }
 
 #[test]
 fn bilinear_has_a_run_for_each_cell_and_each_side() {
-    // Lines from 64 to 9024.
+    // The lines lie at 64 to 9024.
     let positions: Vec<Position> = grid(71, 71, 128.0, 0.0, 0.0)
         .iter()
         .map(|p| at(p.x() + 64.0, p.y() + 64.0))
@@ -291,7 +292,7 @@ fn bilinear_has_a_run_for_each_cell_and_each_side() {
         let field = field(&samples, &Bilinear, outside);
         assert_eq!(check(&field, (x, y), length), Ok(expected), "{outside} {y}");
     }
-    // Cubics are straight in fifths of cells.
+    // Cubics are linear within fifths of cells.
     for (outside, expected) in [(OutsidePolicy::Nearest, 352), (OutsidePolicy::Extend, 350)] {
         let field = field(&samples, &Bicubic, outside);
         assert_eq!(check(&field, (0, 100), 9216), Ok(expected), "{outside}");
@@ -348,7 +349,7 @@ fn what_is_constant_or_a_plane_is_one_run() {
             "{method:?} {outside}"
         );
     }
-    // Both at the sample and beside it.
+    // Rows at the sample and next to it.
     let samples = samples_of(&one, 1, |_, _| 2.0);
     let single = field(&samples, &Delaunay, OutsidePolicy::Nearest);
     assert!(check(&single, (-300, 4), 900).unwrap() <= 3);

@@ -16,7 +16,7 @@ pub(crate) fn rng(seed: u64) -> ChaCha8Rng {
     ChaCha8Rng::seed_from_u64(seed)
 }
 
-/// `n` positions in a square of this side, from this corner.
+/// `n` positions in a square with this side and lower left corner.
 pub(crate) fn scattered(n: usize, seed: u64, corner: f64, side: f64) -> Vec<Position> {
     let mut rng = rng(seed);
     (0..n)
@@ -29,7 +29,8 @@ pub(crate) fn scattered(n: usize, seed: u64, corner: f64, side: f64) -> Vec<Posi
         .collect()
 }
 
-/// A grid of `nx` by `ny`, spaced by `step`, turned by `angle`, each node moved by up to `jitter` in x and y.
+/// A grid of `nx` by `ny` with spacing `step`, rotated by `angle`. Each node is moved by up to
+/// `jitter` in x and y.
 pub(crate) fn grid(nx: usize, ny: usize, step: f64, angle: f64, jitter: f64) -> Vec<Position> {
     let mut rng = rng(7);
     let (s, c) = angle.sin_cos();
@@ -48,7 +49,7 @@ pub(crate) fn grid(nx: usize, ny: usize, step: f64, angle: f64, jitter: f64) -> 
         .collect()
 }
 
-/// Samples of every awkward kind.
+/// Layouts of samples that include every difficult case.
 pub(crate) fn layouts() -> Vec<(&'static str, Vec<Position>)> {
     let circle = (0..24)
         .map(|i| {
@@ -96,7 +97,7 @@ pub(crate) fn layouts() -> Vec<(&'static str, Vec<Position>)> {
     ]
 }
 
-/// The provided methods that take these samples.
+/// The provided methods that accept these samples.
 pub(crate) fn methods(positions: &SamplePositions) -> Vec<(&'static str, Box<dyn FieldInterpolation>)> {
     [
         "delaunay",
@@ -134,7 +135,7 @@ pub(crate) fn reproduces_slopes(name: &str) -> bool {
     )
 }
 
-/// The box of the samples.
+/// The bounding box of the samples.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Extent {
     pub(crate) low: (f64, f64),
@@ -151,7 +152,7 @@ impl Extent {
         }
     }
 
-    /// The larger side, at least a pixel.
+    /// The larger side, at least one pixel.
     pub(crate) fn size(self) -> f64 {
         (self.high.0 - self.low.0).max(self.high.1 - self.low.1).max(1.0)
     }
@@ -164,7 +165,7 @@ impl Extent {
         )
     }
 
-    /// Positions in the box widened by `margin` of its size.
+    /// Positions in the box, widened by `margin` of its size.
     pub(crate) fn probes(self, n: usize, seed: u64, margin: f64) -> Vec<Position> {
         let mut rng = rng(seed);
         let mut within = |low: f64, high: f64| {
@@ -177,7 +178,8 @@ impl Extent {
     }
 }
 
-/// Probes inside and outside: random ones, midpoints and thirds between samples (on edges), and hairs away from samples.
+/// Positions inside and outside: random ones, midpoints and thirds between samples (on edges), and
+/// ones very close to samples.
 pub(crate) fn probes(positions: &[Position]) -> Vec<Position> {
     let extent = Extent::of(positions);
     let mut probes = extent.probes(300, 11, 0.4);
