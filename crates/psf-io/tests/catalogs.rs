@@ -287,7 +287,7 @@ fn sky_coordinates_go_through_the_frames_world_coordinates() {
     assert!(matches!(
         read_positions_with(&path, &options),
         Err(IoError::Request { problem, .. })
-            if problem.starts_with("line 3 is a place on the sky that the projection")
+            if problem.starts_with("line 3 is a position on the sky outside the projection")
     ));
     let error = read("ra,dec,flux\n1,91,3\n", &options).unwrap_err();
     assert!(chain(&error).contains("declination"), "{error}");

@@ -1,4 +1,4 @@
-//! The meaning of a catalogue: its columns by role, and its options.
+//! The roles of the columns of a catalogue, and the options for reading it.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::error::IoError;
 use crate::fits::columns::missing_column;
 use crate::fits::hdu::HduChoice;
 
-/// The columns of a catalogue by what they mean: the default names, or others.
+/// The columns of a catalogue by role, with default or chosen names.
 ///
 /// | role | default column | meaning |
 /// |---|---|---|
@@ -19,14 +19,14 @@ use crate::fits::hdu::HduChoice;
 /// | `mag` | `mag` | magnitude instead of flux: `flux = 10^(-0.4 (mag - zero point))` |
 /// | `re` | `re` | galaxies: half-light radius along the major axis, in pixels |
 /// | `n` | `n` | galaxies: Sersic index, 0.3 to 8 |
-/// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 where there is no such column |
-/// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 where there is no such column |
+/// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
+/// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 without such a column |
 ///
-/// A role that is given a column uses that one; the others use the column of their own name where
-/// there is one. Positions in pixels go before those on the sky, flux before magnitude (unless a
-/// zero point is given, which fluxes have no use for: then the columns must be chosen). A catalogue
-/// has galaxies when it has the column of `re`, and then needs that of `n`. Upper and lower case
-/// are the same.
+/// A role may be given a column. Any other role uses the column of its own name, if it exists. If
+/// both are available, positions in pixels are used rather than those on the sky, and flux rather
+/// than magnitude. A zero point together with fluxes is an error, so with both columns and a zero
+/// point the role `mag` must be given its column. A catalogue with a column for `re` has galaxies
+/// and needs a column for `n`. Upper and lower case are equal.
 ///
 /// As text: `role=COLUMN`, separated by commas.
 ///
@@ -39,14 +39,14 @@ use crate::fits::hdu::HduChoice;
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CatalogColumns {
-    /// By role; `None` for the default.
+    /// The column given for each role, or `None` for the default.
     given: [Option<String>; ROLES.len()],
 }
 
-/// The roles by name, in the order of [`Role`].
+/// The names of the roles, in the order of [`Role`].
 const ROLES: [&str; 10] = ["x", "y", "ra", "dec", "flux", "mag", "re", "n", "q", "angle"];
 
-/// The meaning of a column.
+/// The role of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Role {
     X,
@@ -61,19 +61,19 @@ pub(crate) enum Role {
     Angle,
 }
 
-/// The columns that are read of a table, each with its role.
+/// The columns to read from a table, each with its role.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Picked {
     columns: Vec<(Role, String)>,
 }
 
 impl Picked {
-    /// The names of the columns, in the order in which they are read.
+    /// The names of the columns, in the order of reading.
     pub(crate) fn names(&self) -> Vec<&str> {
         self.columns.iter().map(|(_, name)| name.as_str()).collect()
     }
 
-    /// The place of the column of a role among the names.
+    /// The index of the column of a role among the names.
     pub(crate) fn place(&self, role: Role) -> Option<usize> {
         self.columns.iter().position(|(r, _)| *r == role)
     }
@@ -85,8 +85,8 @@ impl Picked {
 }
 
 impl CatalogColumns {
-    /// The columns of positions, [`Role::X`] and [`Role::Y`] or [`Role::Ra`] and [`Role::Dec`], in
-    /// a table with these columns.
+    /// The columns of positions in a table with these column names: [`Role::X`] and [`Role::Y`], or
+    /// [`Role::Ra`] and [`Role::Dec`].
     pub(crate) fn positions(&self, path: &Path, names: &[String]) -> Result<Picked, IoError> {
         let has = |role| self.is_in(names, role);
         let in_pixels = self.is_given(Role::X) || (has(Role::X) && has(Role::Y));
@@ -99,8 +99,8 @@ impl CatalogColumns {
         self.picked(path, names, &roles)
     }
 
-    /// The columns of sources in a table with these columns: the position, [`Role::Flux`] or
-    /// [`Role::Mag`], and those of galaxies.
+    /// The columns of sources in a table with these column names: the position, [`Role::Flux`] or
+    /// [`Role::Mag`], and the columns of galaxies.
     pub(crate) fn sources(&self, path: &Path, names: &[String]) -> Result<Picked, IoError> {
         let has = |role| self.is_in(names, role);
         let by_magnitude =
@@ -118,7 +118,7 @@ impl CatalogColumns {
         Ok(all)
     }
 
-    /// The columns of these roles, all of which must be there.
+    /// The columns of these roles. A missing one is an error.
     fn picked(&self, path: &Path, names: &[String], roles: &[Role]) -> Result<Picked, IoError> {
         let needed = |&role: &Role| {
             if self.is_in(names, role) {
@@ -131,14 +131,14 @@ impl CatalogColumns {
         Ok(Picked { columns })
     }
 
-    /// The column of a role.
+    /// The name of the column of a role.
     fn column(&self, role: Role) -> &str {
         self.given[role as usize]
             .as_deref()
             .unwrap_or(ROLES[role as usize])
     }
 
-    /// Whether the column of a role is among these.
+    /// Returns whether the column of a role is among these names.
     fn is_in(&self, names: &[String], role: Role) -> bool {
         names
             .iter()
@@ -149,19 +149,19 @@ impl CatalogColumns {
         self.given[role as usize].is_some()
     }
 
-    /// Why roles do not go together.
+    /// Describes roles that contradict each other, if any.
     fn conflict(&self) -> Option<&'static str> {
         let given = |role| self.is_given(role);
         if given(Role::X) != given(Role::Y) {
-            return Some("x and y together");
+            return Some("given for both x and y");
         }
         if given(Role::Ra) != given(Role::Dec) {
-            return Some("ra and dec together");
+            return Some("given for both ra and dec");
         }
         if given(Role::X) && given(Role::Ra) {
-            return Some("either x and y or ra and dec");
+            return Some("given either for x and y or for ra and dec");
         }
-        (given(Role::Flux) && given(Role::Mag)).then_some("either flux or mag")
+        (given(Role::Flux) && given(Role::Mag)).then_some("given either for flux or for mag")
     }
 }
 
@@ -179,9 +179,9 @@ impl std::str::FromStr for CatalogColumns {
             let place = ROLES
                 .iter()
                 .position(|name| name.eq_ignore_ascii_case(role))
-                .ok_or_else(|| refused("for the roles x, y, ra, dec, flux, mag, re, n, q and angle"))?;
+                .ok_or_else(|| refused("given for the roles x, y, ra, dec, flux, mag, re, n, q and angle"))?;
             if columns.given[place].replace(column.to_owned()).is_some() {
-                return Err(refused("one column for a role"));
+                return Err(refused("one column per role"));
             }
         }
         match columns.conflict() {
@@ -199,7 +199,7 @@ impl std::fmt::Display for CatalogColumns {
     }
 }
 
-/// How a catalogue is to be understood: its columns, the origin of its pixels, its magnitudes, its
+/// Options for reading a catalogue: its columns, the origin of its pixels, its zero point and its
 /// table.
 ///
 /// ```
@@ -223,26 +223,25 @@ pub struct CatalogOptions {
 }
 
 impl CatalogOptions {
-    /// The default columns, 0-based pixels, no zero point, no world coordinates, every row needed,
-    /// the only table that fits.
+    /// The default options: the default columns, 0-based pixels, no zero point, no world
+    /// coordinates, no invalid rows, and the only table with the needed columns.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With these columns.
+    /// Sets the columns.
     #[must_use]
     pub fn with_columns(self, columns: CatalogColumns) -> Self {
         Self { columns, ..self }
     }
 
-    /// With positions in pixels counted from 1, as SExtractor's and those of FITS are (`true`), or
-    /// from 0.
+    /// Sets whether pixels are counted from 1 (`true`), as in SExtractor and FITS, or from 0.
     #[must_use]
     pub fn with_one_based(self, one_based: bool) -> Self {
         Self { one_based, ..self }
     }
 
-    /// With the world coordinates of the frame, for catalogues of positions on the sky.
+    /// Sets the world coordinates of the frame, for catalogues of positions on the sky.
     #[must_use]
     pub fn with_sky(self, sky: SkyCoordinates) -> Self {
         Self {
@@ -251,14 +250,14 @@ impl CatalogOptions {
         }
     }
 
-    /// Whether rows that make no source (a position or flux that is missing or not finite, a galaxy
-    /// out of range) are left out and counted (`true`), or errors.
+    /// Sets whether invalid rows are skipped and counted (`true`) or are errors. A row is invalid
+    /// if its position or flux is missing or not finite, or if its galaxy is out of range.
     #[must_use]
     pub fn with_invalid_skipped(self, skip_invalid: bool) -> Self {
         Self { skip_invalid, ..self }
     }
 
-    /// With this table of a FITS file.
+    /// Chooses a table of a FITS file.
     #[must_use]
     pub fn with_table(self, table: HduChoice) -> Self {
         Self {
@@ -267,10 +266,10 @@ impl CatalogOptions {
         }
     }
 
-    /// With the magnitude of flux 1.
+    /// Sets the zero point, the magnitude of flux 1.
     ///
     /// # Errors
-    /// [`DataError::Setting`] when it is not finite.
+    /// [`DataError::Setting`] if it is not finite.
     pub fn with_zero_point(self, zero_point: f64) -> Result<Self, DataError> {
         if !zero_point.is_finite() {
             return Err(DataError::setting(

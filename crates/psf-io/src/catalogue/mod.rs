@@ -1,27 +1,27 @@
-//! Catalogues and lists of positions: tables in.
+//! Reads catalogues and lists of positions from tables.
 //!
 //! # Layout
 //!
-//! A text table or a binary table of a FITS file, told apart by content, not by name.
+//! A text table or a binary table of a FITS file. Its kind is found from its content, not its name.
 //!
 //! | column | meaning |
 //! |---|---|
-//! | `x`, `y` | position in pixels of the frame, 0-based, an integer is the centre of a pixel; sub-pixel, also outside the frame |
+//! | `x`, `y` | position in pixels of the frame, 0-based; a whole number is the centre of a pixel, fractions and positions outside the frame are allowed |
 //! | `flux` | total flux of the source (catalogues only) |
 //!
-//! Upper and lower case are the same, columns stand in any order, and further columns are ignored.
-//! Other names, 1-based pixels, magnitudes, sky coordinates and galaxies: [`read_catalog_with`] and
-//! [`CatalogColumns`].
+//! Upper and lower case are equal, columns may be in any order, and further columns are ignored.
+//! For other names, 1-based pixels, magnitudes, sky coordinates and galaxies see
+//! [`read_catalog_with`] and [`CatalogColumns`].
 //!
-//! * **Text**: fields separated by commas (values may be quoted), tabs or blanks. The first line
-//!   that does not start with `#` names the columns, or, when it is a row of numbers, the last
-//!   comment ahead of it; SExtractor's `ASCII_HEAD` is known too. Later lines with `#` and empty
-//!   lines are skipped.
-//! * **FITS**: the binary table that has the columns, each of one number (any integer or float
-//!   type) a row, such as `LDAC_OBJECTS` of a `FITS_LDAC` catalogue; where several have them, one
-//!   must be chosen.
+//! - **Text**: fields are separated by commas (values may be quoted), tabs or blanks. The names of
+//!   the columns are in the first line that does not start with `#`. If that line is a row of
+//!   numbers, the names are in the last comment before it. SExtractor's `ASCII_HEAD` is supported
+//!   too. Later lines with `#` and empty lines are skipped.
+//! - **FITS**: the binary table that has the columns, such as `LDAC_OBJECTS` of a `FITS_LDAC`
+//!   catalogue. Each column holds one number per row, of any integer or float type. If several
+//!   tables have the columns, one must be chosen.
 //!
-//! A catalogue from Python:
+//! A catalogue made in Python:
 //!
 //! ```python
 //! from astropy.table import Table
@@ -46,8 +46,8 @@ pub(crate) mod table_file;
 mod text_table;
 pub(crate) mod world_header;
 
-/// Reads a catalogue of point sources: the columns x, y and flux. Others are not looked at:
-/// [`read_catalog_with`] knows galaxies too.
+/// Reads a catalogue of point sources from the columns x, y and flux. Other columns are ignored.
+/// Use [`read_catalog_with`] to read galaxies too.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -59,8 +59,8 @@ pub(crate) mod world_header;
 /// ```
 ///
 /// # Errors
-/// [`IoError::MissingColumn`], [`IoError::Value`] with the row and column of what is not a finite
-/// number, and the errors of any FITS or CSV file.
+/// [`IoError::MissingColumn`], [`IoError::Value`] with the row and column of a value that is not a
+/// finite number, and the errors of any FITS or CSV file.
 pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError> {
     let path = path.as_ref();
     let [x, y, flux] = read_columns(path, ["x", "y", "flux"])?;
@@ -71,15 +71,15 @@ pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError>
         .collect()
 }
 
-/// Reads a list of positions: the columns x and y.
+/// Reads a list of positions from the columns x and y.
 ///
 /// # Errors
-/// As [`read_catalog`].
+/// The errors of [`read_catalog`].
 pub fn read_positions(path: impl AsRef<Path>) -> Result<Vec<Position>, IoError> {
     read_positions_with(path, &CatalogOptions::new())
 }
 
-/// Whether a file has a binary table with the columns x and y.
+/// Returns whether a file has a binary table with the columns x and y.
 pub(crate) fn has_points(structure: &FitsStructure) -> bool {
     let has = |table: Table| ["x", "y"].iter().all(|name| table.column(name).is_ok());
     structure.tables().any(|hdu| Table::new(hdu).is_ok_and(has))
@@ -105,29 +105,29 @@ impl Catalog {
         &self.galaxies
     }
 
-    /// Rows left out because they make no source; 0 unless
-    /// [`with_invalid_skipped`](CatalogOptions::with_invalid_skipped) allows it.
+    /// Number of rows skipped because they are not valid sources. It is 0 unless
+    /// [`with_invalid_skipped`](CatalogOptions::with_invalid_skipped) allows them.
     pub fn invalid_rows(&self) -> usize {
         self.invalid_rows
     }
 
-    /// Rows left out because the frame's projection does not show their place on the sky: they lie
-    /// far off the frame.
+    /// Number of rows skipped because their position on the sky is outside the projection of the
+    /// frame, and so far off the frame.
     pub fn rows_off_projection(&self) -> usize {
         self.rows_off_projection
     }
 
-    /// Stars and galaxies, without a copy.
+    /// Returns the stars and galaxies without a copy.
     pub fn into_parts(self) -> (Vec<PointSource>, Vec<SersicSource>) {
         (self.stars, self.galaxies)
     }
 }
 
-/// Reads a catalogue of stars and galaxies: see [`CatalogColumns`] for its columns and
-/// [this module](self) for the kinds of files.
+/// Reads a catalogue of stars and galaxies. See [`CatalogColumns`] for its columns and [this
+/// module](self) for the kinds of files.
 ///
-/// In a catalogue with galaxies a row is a star where `re` is 0, empty or NaN; a galaxy that lacks
-/// its `n` is an invalid row.
+/// In a catalogue with galaxies, a row with `re` 0, empty or NaN is a star. A galaxy without a
+/// value of `n` is an invalid row.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -142,12 +142,16 @@ impl Catalog {
 /// ```
 ///
 /// # Errors
-/// [`IoError::MissingColumn`]; [`IoError::Value`] with the row and column of a position or
-/// brightness that is missing or not finite; [`IoError::Source`] with the row of a galaxy that is
-/// out of range; [`IoError::Request`] for magnitudes without a zero point, a zero point without
-/// magnitudes, and sky coordinates counted from 1; [`IoError::NoWorldCoordinates`] for sky
-/// coordinates without [`with_sky`](CatalogOptions::with_sky); [`IoError::SeveralHdus`] when more
-/// than one table of a FITS file has the columns; and the errors of any FITS or text table.
+/// - [`IoError::MissingColumn`] for a required column that does not exist
+/// - [`IoError::Value`] with the row and column of a position or brightness that is missing or not
+///   finite
+/// - [`IoError::Source`] with the row of a galaxy whose parameters are out of range
+/// - [`IoError::Request`] for magnitudes without a zero point, a zero point without magnitudes, and
+///   sky coordinates counted from 1
+/// - [`IoError::NoWorldCoordinates`] for sky coordinates without
+///   [`with_sky`](CatalogOptions::with_sky)
+/// - [`IoError::SeveralHdus`] if several tables of a FITS file have the columns
+/// - the errors of any FITS or text table
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;
     let mut catalog = Catalog::default();
@@ -161,11 +165,11 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
     Ok(catalog)
 }
 
-/// Reads the positions of a catalogue, one for each row.
+/// Reads the positions of a catalogue, one per row.
 ///
 /// # Errors
-/// As [`read_catalog_with`]; no row may be invalid, whatever the options say, nor off the
-/// projection ([`IoError::Request`]).
+/// The errors of [`read_catalog_with`]. An invalid row is always an error, even if the options
+/// allow it. So is a position outside the projection ([`IoError::Request`]).
 pub fn read_positions_with(
     path: impl AsRef<Path>,
     options: &CatalogOptions,
@@ -174,7 +178,7 @@ pub fn read_positions_with(
     let position = |row| {
         rows.position(row)?.ok_or_else(|| {
             let problem = format!(
-                "{} is a place on the sky that the projection of the frame does not show: remove the row",
+                "{} is a position on the sky outside the projection of the frame: remove the row",
                 rows.numbers.place(row)
             );
             request(rows.path, problem)
@@ -192,8 +196,8 @@ struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the columns that `pick` takes of a table; `needed` says which these are, for the error
-    /// of a file without tables.
+    /// Reads the columns that `pick` chooses from a table. `needed` names them for the error of a
+    /// file without tables.
     fn read(
         path: &'a Path,
         options: &'a CatalogOptions,
@@ -213,7 +217,7 @@ impl<'a> Rows<'a> {
         })
     }
 
-    /// Adds the source of a row to the catalogue; off the projection it only counts.
+    /// Adds the source of a row to the catalogue. A source outside the projection is only counted.
     fn add_source(&self, row: usize, catalog: &mut Catalog) -> Result<(), IoError> {
         let position = self.position(row)?;
         let flux = match self.options.zero_point {
@@ -233,7 +237,7 @@ impl<'a> Rows<'a> {
         Ok(())
     }
 
-    /// `None` off the projection.
+    /// The position of a source, or `None` outside the projection.
     fn position(&self, row: usize) -> Result<Option<Position>, IoError> {
         let Some(sky) = self
             .options
@@ -254,7 +258,7 @@ impl<'a> Rows<'a> {
         Err(self.invalid(row, source))
     }
 
-    /// The profile of a galaxy; `None` for a star.
+    /// The profile of a galaxy, or `None` for a star.
     fn profile(&self, row: usize) -> Result<Option<SersicProfile>, IoError> {
         let value = |role| self.value(row, role);
         let (Some(re), Some(n)) = (value(Role::Re), value(Role::N)) else {
@@ -264,14 +268,14 @@ impl<'a> Rows<'a> {
             return Ok(None);
         }
         let q = value(Role::Q).unwrap_or(1.0);
-        // A circle needs no angle.
+        // A circle has no angle.
         let angle = value(Role::Angle).filter(|_| q != 1.0).unwrap_or(0.0);
         SersicProfile::new(re, n, q, angle)
             .map(Some)
             .map_err(|source| self.invalid(row, source))
     }
 
-    /// The value in the column of a role; none where there is no such column.
+    /// The value in the column of a role, or `None` without such a column.
     fn value(&self, row: usize, role: Role) -> Option<f64> {
         self.columns
             .place(role)
@@ -288,7 +292,7 @@ impl<'a> Rows<'a> {
             row: self.numbers.place(row),
             column: self.columns.name(role).cloned().unwrap_or_default(),
             got: if value.is_nan() {
-                "NaN or nothing".to_owned()
+                "missing or NaN".to_owned()
             } else {
                 value.to_string()
             },
@@ -304,7 +308,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Whether the options go with the columns.
+/// Checks that the options fit the columns.
 fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Result<(), IoError> {
     match (
         columns.name(Role::Flux),

@@ -1,4 +1,4 @@
-//! Positions on the sky to pixels of the frame.
+//! Converts positions on the sky to pixels of the frame.
 
 use std::sync::Arc;
 
@@ -12,21 +12,25 @@ use crate::catalogue::world_header::{
 use crate::fits::card::{Card, CardValue};
 use crate::fits::header_cards::HeaderCards;
 
-/// The longitude of the celestial pole in a zenithal projection whose header does not say.
+/// The longitude of the celestial pole in a zenithal projection, if the header does not state it.
 const USUAL_POLE_LONGITUDE: f64 = 180.0;
-/// From here on, in radians on the projection, squares are no numbers and mapproj's vectors no
-/// places.
+/// The largest coordinate on the projection, in radians. Beyond it squares overflow, and mapproj
+/// returns invalid vectors.
 const FARTHEST: f64 = 1e150;
 
-/// The world coordinates of a frame: positions on the sky to pixels and back.
+/// The world coordinates of a frame, which convert positions on the sky to pixels and back.
 ///
-/// The projections `TAN`, `SIN`, `ZEA`, `ARC` and `STG` with `CDi_j`, `PCi_j` and `CDELTi`, or
-/// `CDELTi` and `CROTA2` (Calabretta and Greisen 2002, A&A 395, 1077); distortions `SIP` (`A_p_q`
-/// and `B_p_q`, also where `CTYPEi` do not say `-SIP`, as astropy has it; the inverse is solved
-/// for, `AP_p_q` are not used) and `TPV` (also as `TAN` with `PVi_m`, as SCAMP writes it). Other
-/// distortions (`CPDISn`, `CQDISn`, `D2IMDISn`) and reference points moved by `PVi_m` are errors,
-/// never left out. Coordinates are in degrees, in the system of the header (`RADESYS`): none are
-/// converted.
+/// The projections `TAN`, `SIN`, `ZEA`, `ARC` and `STG` are supported, with `CDi_j`, with `PCi_j`
+/// and `CDELTi`, or with `CDELTi` and `CROTA2` (Calabretta and Greisen 2002, A&A 395, 1077).
+/// Supported distortions are:
+///
+/// - `SIP` (`A_p_q` and `B_p_q`), also if `CTYPEi` does not end in `-SIP`, as in astropy. The
+///   inverse is solved numerically, without `AP_p_q` and `BP_p_q`.
+/// - `TPV`, also written as `TAN` with `PVi_m`, as SCAMP does.
+///
+/// Other distortions (`CPDISn`, `CQDISn`, `D2IMDISn`) and reference points moved by `PVi_m` are
+/// errors and never ignored. Coordinates are in degrees, in the system of the header (`RADESYS`),
+/// and are not converted to another system.
 ///
 /// ```
 /// use psf_io::{Card, HeaderCards, SkyCoordinates};
@@ -46,25 +50,25 @@ const FARTHEST: f64 = 1e150;
 /// ```
 #[derive(Clone)]
 pub struct SkyCoordinates {
-    /// Around the vector (1, 0, 0), to radians.
+    /// Projects the sphere around the vector (1, 0, 0) to a plane in radians.
     projection: Arc<dyn Projection + Send + Sync>,
-    /// Turns the reference point to (1, 0, 0).
+    /// Rotates the reference point to (1, 0, 0).
     rotation: [[f64; 3]; 3],
-    /// For messages.
+    /// The name of the projection, for messages.
     name: String,
-    /// 0-based.
+    /// The reference pixel, 0-based.
     reference: [f64; 2],
-    /// Pixels to degrees of longitude and latitude on the projection: rows are these two.
+    /// Converts pixels to degrees on the projection. The rows are longitude and latitude.
     matrix: [[f64; 2]; 2],
     inverse: [[f64; 2]; 2],
     distortion: Distortion,
 }
 
 impl SkyCoordinates {
-    /// The world coordinates in a header.
+    /// Reads the world coordinates from a header.
     ///
     /// # Errors
-    /// [`WorldCoordinatesError`] with the keyword that is missing or not understood.
+    /// [`WorldCoordinatesError`] with the keyword that is missing or not supported.
     pub fn from_header(header: &HeaderCards) -> Result<Self, WorldCoordinatesError> {
         let header = World { header };
         let types = [header.text("CTYPE1")?, header.text("CTYPE2")?];
@@ -84,7 +88,7 @@ impl SkyCoordinates {
         if first != second {
             return Err(unsupported(
                 "CTYPE2",
-                "of the same projection as CTYPE1",
+                "a type of the same projection as CTYPE1",
                 &types[1],
             ));
         }
@@ -127,7 +131,7 @@ impl SkyCoordinates {
                     if let Some(slant) = header.number(&keyword)?.filter(|&slant| slant != 0.0) {
                         return Err(unsupported(
                             &keyword,
-                            "0 (no slant orthographic projection)",
+                            "0 (slant orthographic projections are not supported)",
                             &slant.to_string(),
                         ));
                     }
@@ -140,7 +144,7 @@ impl SkyCoordinates {
             _ => {
                 return Err(unsupported(
                     "CTYPE1",
-                    "of the projection TAN, TPV, SIN, ZEA, ARC or STG",
+                    "a type of the projection TAN, TPV, SIN, ZEA, ARC or STG",
                     &types[0],
                 ));
             }
@@ -156,8 +160,8 @@ impl SkyCoordinates {
         })
     }
 
-    /// The position in pixels (0-based) of a place on the sky in degrees; `None` where the
-    /// projection does not show it.
+    /// The pixel position (0-based) of a position on the sky in degrees, or `None` outside the
+    /// projection.
     pub fn pixel(&self, longitude_deg: f64, latitude_deg: f64) -> Option<Position> {
         if !longitude_deg.is_finite() || !(-90.0..=90.0).contains(&latitude_deg) {
             return None;
@@ -174,14 +178,14 @@ impl SkyCoordinates {
         Position::new(self.reference[0] + offset[0], self.reference[1] + offset[1]).ok()
     }
 
-    /// The place on the sky, longitude from 0 to 360 and latitude in degrees, of a position in
-    /// pixels; `None` off the sky.
+    /// The sky position of a pixel position: longitude from 0 to 360 and latitude, in degrees.
+    /// Returns `None` outside the sky.
     pub fn sky(&self, position: Position) -> Option<(f64, f64)> {
         let offset = [position.x() - self.reference[0], position.y() - self.reference[1]];
         let plane = product(&self.matrix, self.distortion.in_pixels(offset));
         let [x, y] = self.distortion.in_plane(plane);
         let [x, y] = [x.to_radians(), y.to_radians()];
-        // NaN too: a distortion may overflow.
+        // The test is false for NaN too, since a distortion may overflow.
         if !(x.abs() < FARTHEST && y.abs() < FARTHEST) {
             return None;
         }
@@ -218,7 +222,8 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Turns a place to (1, 0, 0), east to +y and north to +z, and then both about the first axis.
+/// Rotates a position on the sky to (1, 0, 0), east to +y and north to +z. Then rotates east and
+/// north by `turn_deg` about the first axis.
 fn rotation(longitude_deg: f64, latitude_deg: f64, turn_deg: f64) -> [[f64; 3]; 3] {
     let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
     let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();
@@ -232,7 +237,7 @@ fn rotation(longitude_deg: f64, latitude_deg: f64, turn_deg: f64) -> [[f64; 3]; 
     ]
 }
 
-/// The letters of the projection in `RA---TAN-SIP`.
+/// The projection code in a CTYPE such as `RA---TAN-SIP`.
 fn projection_of(ctype: &str) -> &str {
     ctype
         .get(5..)

@@ -1,4 +1,4 @@
-//! Tables of numbers in files of any kind: in, with the choice among several, and out as CSV.
+//! Reads tables of numbers from files of any kind, with a choice among several, and writes CSV.
 
 use std::path::Path;
 
@@ -11,7 +11,7 @@ use crate::fits::hdu::HduChoice;
 use crate::fits::structure::{EXTENSION_OPTION, FitsStructure, is_fits};
 use crate::output::write_atomically;
 
-/// A file that holds tables.
+/// A file of one or more tables.
 #[derive(Debug)]
 pub(crate) enum TableFile {
     Text(TextTable),
@@ -34,9 +34,8 @@ impl TableFile {
         })
     }
 
-    /// The table chosen, or else the only one whose column names a function takes, and what the
-    /// function makes of them. `needed` says what the function looks for, for the error of a file
-    /// without tables.
+    /// The chosen table, or else the only one whose column names `take` accepts, with the result of
+    /// `take`. `needed` names the columns for the error of a file without tables.
     pub(crate) fn pick<R>(
         &self,
         choice: Option<&HduChoice>,
@@ -52,8 +51,8 @@ impl TableFile {
             return Ok((take(&table.names())?, AnyTable::Fits(table)));
         }
         let mut taken = Vec::new();
-        // The refusal to report is that of the widest table: small ones beside it hold headers and
-        // the like.
+        // Reports the error of the widest table, because smaller tables next to it often hold only
+        // headers and similar data.
         let mut refused: Option<(usize, IoError)> = None;
         for hdu in structure.tables() {
             let table = Table::new(hdu)?;
@@ -71,7 +70,7 @@ impl TableFile {
         }
         if taken.len() > 1 {
             let hdus = taken.iter().map(|&(hdu, ..)| hdu);
-            return Err(structure.several("tables that fit", EXTENSION_OPTION, hdus));
+            return Err(structure.several("tables with the needed columns", EXTENSION_OPTION, hdus));
         }
         match (taken.pop(), refused) {
             (Some((_, result, table)), _) => Ok((result, AnyTable::Fits(table))),
@@ -82,7 +81,7 @@ impl TableFile {
 }
 
 impl AnyTable<'_> {
-    /// Reads columns by name, upper and lower case being the same.
+    /// Reads columns by name, in upper or lower case.
     pub(crate) fn read(&self, names: &[&str], gaps: Gaps) -> Result<NumberColumns, IoError> {
         match self {
             Self::Text(table) => table.read(names, gaps),
@@ -98,11 +97,11 @@ impl AnyTable<'_> {
     }
 }
 
-/// Reads columns of finite numbers, by name, from a text table or the binary table of a FITS file
-/// that has them all.
+/// Reads columns of finite numbers by name, from a text table or from the binary table of a FITS
+/// file that has all of them.
 ///
 /// # Errors
-/// As [`read_catalog`](crate::read_catalog).
+/// The errors of [`read_catalog`](crate::read_catalog).
 pub fn read_columns<const N: usize>(
     path: impl AsRef<Path>,
     names: [&str; N],
@@ -119,10 +118,10 @@ pub fn read_columns<const N: usize>(
     Ok(columns.try_into().expect("a column for each name"))
 }
 
-/// Writes rows as a CSV file with a line of column names; the file appears whole or not at all.
+/// Writes rows as a CSV file with a line of column names. The file appears complete or not at all.
 ///
-/// A row is a tuple, an array or a struct with one field a column; `None` is an empty field.
-/// Numbers are written with as many digits as bring back the same bits.
+/// A row is a tuple, an array or a struct with one field per column. `None` becomes an empty field.
+/// Numbers are written with as many digits as are needed to read the same bits back.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -134,7 +133,7 @@ pub fn read_columns<const N: usize>(
 /// ```
 ///
 /// # Errors
-/// [`IoError::Csv`] when a row does not have one field a column, [`IoError::Exists`] unless
+/// [`IoError::Csv`] if a row does not have one field per column, [`IoError::Exists`] unless
 /// `overwrite`, [`IoError::MissingDirectory`] or [`IoError::Write`].
 pub fn write_csv<R: Serialize>(
     path: impl AsRef<Path>,

@@ -1,4 +1,4 @@
-//! Columns of numbers from text tables.
+//! Reads columns of numbers from text tables.
 
 use std::path::{Path, PathBuf};
 
@@ -9,15 +9,15 @@ use crate::fits::columns::{Gaps, NumberColumns, find, shown};
 
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
-/// A text table in memory whose columns have names.
+/// A text table in memory with named columns.
 #[derive(Debug)]
 pub(crate) struct TextTable {
     path: PathBuf,
     text: Vec<u8>,
-    /// The names of the columns; empty for those without.
+    /// The names of the columns. A column without a name has an empty one.
     pub(crate) names: Vec<String>,
     separator: Separator,
-    /// The first byte of the rows, and the number of its line, from 1.
+    /// The position of the first byte of the rows. `first_line` is its line number, from 1.
     rows_from: usize,
     first_line: u64,
 }
@@ -25,12 +25,13 @@ pub(crate) struct TextTable {
 impl TextTable {
     /// Reads a file and finds its column names.
     ///
-    /// The names come from lines `# number NAME ...`, as SExtractor writes them, where the comments
-    /// are such lines; else from the first line that is no comment (`#`); or, when that line holds
-    /// nothing but numbers, from the last comment ahead of it if it has as many fields.
+    /// If the comments are lines `# number NAME ...`, as SExtractor writes them, they give the
+    /// names. Otherwise the first line that is not a comment (`#`) gives them. If that line holds
+    /// only numbers, the last comment before it gives them, provided that it has the same number of
+    /// fields.
     ///
-    /// Fields are separated by commas, tabs or blanks, whichever the first line that is no comment
-    /// has, in this order.
+    /// Fields are separated by commas, tabs or blanks: the first of these found in the first line
+    /// that is not a comment.
     pub(crate) fn open(path: &Path) -> Result<Self, IoError> {
         let mut text = std::fs::read(path).map_err(unreadable(path))?;
         if text.starts_with(BYTE_ORDER_MARK) {
@@ -72,7 +73,7 @@ impl TextTable {
         })
     }
 
-    /// Reads columns by name, upper and lower case being the same.
+    /// Reads columns by name, in upper or lower case.
     pub(crate) fn read(&self, names: &[&str], gaps: Gaps) -> Result<NumberColumns, IoError> {
         let places = names.iter().map(|name| find(&self.path, self.names.iter(), name));
         let places: Vec<usize> = places.collect::<Result<_, _>>()?;
@@ -97,8 +98,8 @@ impl TextTable {
         })
     }
 
-    /// Calls a function with the line of each row and its fields, of which there are as many as
-    /// names.
+    /// Calls a function with the line number and the fields of each row. A row with another number
+    /// of fields than the column names is an error.
     fn for_each_row(
         &self,
         mut function: impl FnMut(u64, &[&[u8]]) -> Result<(), IoError>,
@@ -111,7 +112,7 @@ impl TextTable {
             }
             let (expected, got) = (self.names.len(), fields.len());
             let problem = format!(
-                "{} has {got} fields, the column names say {expected}",
+                "{} has {got} fields, but there are {expected} column names",
                 Row::Line(line)
             );
             Err(content(&self.path, problem))
@@ -145,7 +146,7 @@ impl TextTable {
     }
 }
 
-/// The number in a field, if there is one that is allowed.
+/// The number in a field, or `None` if it is not a number or not allowed.
 fn number(field: &[u8], gaps: Gaps) -> Option<f64> {
     let number = match std::str::from_utf8(field) {
         Ok("") => Some(f64::NAN),
@@ -155,8 +156,8 @@ fn number(field: &[u8], gaps: Gaps) -> Option<f64> {
     number.filter(|number| gaps == Gaps::Kept || number.is_finite())
 }
 
-/// The line of a record: the parser's position is where it began to look for it, ahead of comments
-/// and empty lines.
+/// The line of a record. The parser's position is before any comments and empty lines that precede
+/// the record.
 fn line_of(text: &[u8], position: Option<&Position>) -> u64 {
     let (start, line) = position.map_or((0, 1), |position| (position.byte(), position.line()));
     let rest = usize::try_from(start)
@@ -170,20 +171,20 @@ fn line_of(text: &[u8], position: Option<&Position>) -> u64 {
     line + skipped as u64
 }
 
-/// The highest number of a column where no row tells how many there are.
+/// The highest column number allowed if there is no row to compare with.
 const MOST_WITHOUT_ROWS: usize = 10_000;
 
-/// The separator of the fields of a text table.
+/// The separator between the fields of a text table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Separator {
-    /// One of this character; quotes are known.
+    /// One such character. Fields may be quoted.
     Byte(u8),
-    /// Any number of blanks.
+    /// One or more blanks.
     Blanks,
 }
 
 impl Separator {
-    /// The fields of a line, trimmed.
+    /// Returns the trimmed fields of a line.
     fn fields(self, line: &[u8]) -> Vec<String> {
         let owned = |field: &[u8]| String::from_utf8_lossy(field).into_owned();
         match self {
@@ -205,14 +206,14 @@ impl Separator {
     }
 }
 
-/// The fields of a line.
+/// Returns the fields of a line that are separated by blanks.
 fn blank_separated(line: &[u8]) -> impl Iterator<Item = &[u8]> {
     line.split(u8::is_ascii_whitespace)
         .filter(|field| !field.is_empty())
 }
 
-/// The lines that are not empty: number from 1, first byte and the byte behind the last, line
-/// breaks left out.
+/// The lines that are not empty: number counted from 1, position of the first byte, and position
+/// after the last byte, without the line break.
 fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, usize)> {
     let mut start = 0;
     text.split(|&byte| byte == b'\n')
@@ -224,11 +225,12 @@ fn lines(text: &[u8]) -> impl Iterator<Item = (u64, usize, usize)> {
         })
 }
 
-/// The names in lines `# number NAME ...`, as many as the first row has fields; columns that no
-/// line names belong to a vector and have no name.
+/// The names in lines `# number NAME ...`, one for each field of the first row. A column that no
+/// line names belongs to a vector and has no name.
 ///
-/// Comments may begin with a number too: the numbers of columns start at 1 and rise up to the last
-/// comment, and the row has nothing but numbers, at least as many.
+/// Other comments may begin with a number too. So the column numbers must start at 1 and increase
+/// up to the last comment. The row must hold only numbers, and at least as many as the last column
+/// number.
 fn sextractor_names(comments: &[&[u8]], row: &[u8]) -> Option<Vec<String>> {
     let is_number = |field: &[u8]| std::str::from_utf8(field).is_ok_and(|text| text.parse::<f64>().is_ok());
     let fields: Vec<&[u8]> = blank_separated(row).collect();
@@ -244,7 +246,7 @@ fn sextractor_names(comments: &[&[u8]], row: &[u8]) -> Option<Vec<String>> {
     let columns: Vec<(usize, String)> = comments.iter().filter_map(of_column).collect();
     let rises = columns.windows(2).all(|pair| pair[0].0 < pair[1].0);
     let last = columns[columns.len() - 1].0;
-    // A catalogue may have no row.
+    // A catalogue may have no rows.
     let most = if row.is_empty() {
         MOST_WITHOUT_ROWS
     } else {
@@ -274,7 +276,7 @@ mod tests {
 
     fn assert_row_length(text: &str, line: u64, expected: usize, got: usize) {
         let error = read(text.as_bytes()).unwrap_err();
-        let problem = format!(": line {line} has {got} fields, the column names say {expected}");
+        let problem = format!(": line {line} has {got} fields, but there are {expected} column names");
         assert!(error.to_string().ends_with(&problem), "{text}: {error}");
     }
 
@@ -328,21 +330,21 @@ mod tests {
     fn names_stand_where_the_usual_programs_put_them() {
         let expected = vec![vec![1.0, 3.0], vec![2.0, 4.0]];
         for text in [
-            // A line of names, and blanks or tabs.
+            // A line of names, with blanks or tabs.
             "x  y\n1 2\n\n# comment\n  3\t4 \n",
             "name\tx\ty\nM 31\t1\t2\n\t3\t4\n",
             // numpy.savetxt, TOPCAT, astropy's commented_header
             "# made by hand\n# x,y\n1,2\n3,4\n",
             "# x y\r\n1 2\r\n3 4\r\n",
             "#x y\n1 2\n3 4\n",
-            // The last column of SExtractor's may be a vector.
+            // The last column of SExtractor may be a vector.
             "# 1 X\n# 2 Y\n# 3 FLUX_APER\n1 2 7 8 9\n3 4 7 8 9\n",
-            // Comments that begin with a number are none of it.
+            // Comments that begin with a number are not column names.
             "# 2916 stars of the field\nx,y\n1,2\n3,4\n",
             "# 1 star left out\n# x y\n1 2\n3 4\n",
             "# 1 star left out\nx y\n1 2\n3 4\n",
             "# 2 stars of the field\n# x y\n1 2\n3 4\n",
-            // SExtractor's ASCII_HEAD; columns 2 and 3 are one vector
+            // SExtractor's ASCII_HEAD. Columns 2 and 3 are one vector.
             "#   1 X          Object position along x      [pixel]\n#   2 FLUX_APER  Flux vector  [count]\n\
              #   4 Y          Object position along y  [pixel]\n    1.0  9 9  2.0\n    3.0  9 9   4.0\n",
         ] {

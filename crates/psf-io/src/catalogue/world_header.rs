@@ -1,46 +1,46 @@
-//! World coordinates in a header: their keywords, and the distortions that they describe, SIP in
-//! pixels and TPV on the projection.
+//! The keywords of world coordinates in a header, and the distortions: SIP in pixels and TPV on the
+//! projection.
 
 use thiserror::Error;
 
 use crate::fits::card::{Card, FromValue};
 use crate::fits::header_cards::HeaderCards;
 
-/// The highest order of SIP that is read; the convention allows 9.
+/// The highest supported order of SIP, which is the highest that the convention allows.
 const LARGEST_SIP_ORDER: usize = 9;
-/// Terms of TPV: orders 1 to 7, those of odd order with one in the radius.
+/// Number of terms of TPV: orders 1 to 7, where each odd order has a further term in the radius.
 const TPV_TERMS: usize = 40;
-/// The inverse is sought until a step is smaller than this fraction of the offset (plus one unit),
-/// or for so many steps.
+/// The search for an inverse ends when a step is smaller than this fraction of the offset (plus one
+/// unit), or after [`INVERSE_STEPS`].
 const INVERSE_ACCURACY: f64 = 1e-13;
 const INVERSE_STEPS: usize = 50;
-/// An inverse whose image is farther off than this fraction is none: the distortion folds the plane
-/// there.
+/// An inverse whose image deviates by more than this fraction is rejected: the distortion folds the
+/// plane there.
 const INVERSE_TOLERANCE: f64 = 1e-9;
 
-/// Why a header does not give world coordinates.
+/// The reason why a header does not give world coordinates.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum WorldCoordinatesError {
-    /// A keyword that must be there.
+    /// A required keyword is missing.
     #[error("the header has no keyword {keyword} ({expected})")]
     Missing {
         /// The keyword.
         keyword: String,
-        /// The value that it would hold.
+        /// The value that the keyword should hold.
         expected: &'static str,
     },
-    /// A keyword whose value is not understood.
+    /// The value of a keyword is not supported.
     #[error("the keyword {keyword} must be {expected}, got {got}")]
     Unsupported {
         /// The keyword.
         keyword: String,
-        /// The values that are understood.
+        /// The supported values.
         expected: &'static str,
-        /// Its value.
+        /// The value in the header.
         got: String,
     },
-    /// A matrix that maps the frame to a line.
+    /// The matrix maps the frame to a line.
     #[error("the matrix of CDi_j, or of PCi_j and CDELTi, has no inverse")]
     Singular,
 }
@@ -71,13 +71,13 @@ pub(crate) fn unsupported(keyword: &str, expected: &'static str, got: &str) -> W
     }
 }
 
-/// A header's keywords of world coordinates.
+/// The keywords of world coordinates in a header.
 pub(crate) struct World<'a> {
     pub(crate) header: &'a HeaderCards,
 }
 
 impl World<'_> {
-    /// A number, if the keyword is there.
+    /// The number of a keyword, if the keyword exists.
     pub(crate) fn number(&self, keyword: &str) -> Result<Option<f64>, WorldCoordinatesError> {
         let Some(card) = self.header.get(keyword) else {
             return Ok(None);
@@ -86,7 +86,7 @@ impl World<'_> {
         if let Some(number) = value.clone().and_then(f64::from_value) {
             return Ok(Some(number));
         }
-        let got = value.map_or_else(|| "nothing".to_owned(), |value| value.to_string());
+        let got = value.map_or_else(|| "no value".to_owned(), |value| value.to_string());
         Err(unsupported(keyword, "a number", &got))
     }
 
@@ -107,7 +107,7 @@ impl World<'_> {
             })
     }
 
-    /// Pixels to degrees: `CDi_j`, or `CDELTi` with `PCi_j` or `CROTA2`.
+    /// Reads the matrix from pixels to degrees: `CDi_j`, or `CDELTi` with `PCi_j` or `CROTA2`.
     pub(crate) fn matrix(&self) -> Result<[[f64; 2]; 2], WorldCoordinatesError> {
         let named = |stem: &str| -> Result<[[Option<f64>; 2]; 2], WorldCoordinatesError> {
             let of = |i, j| self.number(&format!("{stem}{i}_{j}"));
@@ -117,7 +117,7 @@ impl World<'_> {
         if cd.iter().flatten().any(Option::is_some) {
             return Ok(cd.map(|row| row.map(|value| value.unwrap_or(0.0))));
         }
-        let scale = "degrees per pixel; or CDi_j";
+        let scale = "degrees per pixel, or use CDi_j";
         let scales = [self.needed("CDELT1", scale)?, self.needed("CDELT2", scale)?];
         let pc = named("PC")?;
         if pc.iter().flatten().any(Option::is_some) {
@@ -132,20 +132,20 @@ impl World<'_> {
     }
 }
 
-/// The distortion on top of the projection.
+/// The distortion that is applied in addition to the projection.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Distortion {
     None,
-    /// Offsets in pixels `(u, v)` get `A(u, v)` and `B(u, v)` added: coefficient and powers (Shupe
-    /// et al. 2005).
+    /// Adds `A(u, v)` and `B(u, v)` to offsets `(u, v)` in pixels. Each term is a coefficient and
+    /// two powers (Shupe et al. 2005).
     Sip([Vec<(f64, i32, i32)>; 2]),
-    /// Coordinates on the projection in degrees become polynomials of themselves: `PV1_m` and
+    /// Replaces coordinates on the projection, in degrees, by polynomials of them: `PV1_m` and
     /// `PV2_m`.
     Tpv(Box<[[f64; TPV_TERMS]; 2]>),
 }
 
 impl Distortion {
-    /// `axes` are the numbers of the axes of longitude and latitude.
+    /// Reads the distortion. `axes` are the axis numbers of longitude and latitude.
     pub(crate) fn from_header(
         header: &HeaderCards,
         ctype: &str,
@@ -162,23 +162,23 @@ impl Distortion {
                 ctype,
             ));
         }
-        // Headers that went through several programs hold SIP and do not say so; astropy applies
-        // it, and so leaves terms of SCAMP out.
+        // Headers processed by several programs may hold SIP without saying so. astropy then
+        // applies SIP and ignores the terms of SCAMP, and so does this code.
         let order = ["A_ORDER", "B_ORDER"]
             .into_iter()
             .find(|keyword| header.get(keyword).is_some());
         if let Some(keyword) = order.filter(|_| is("TPV")) {
             return Err(unsupported(
                 keyword,
-                "absent: CTYPE1 says TPV",
+                "absent, because CTYPE1 says TPV",
                 "both distortions",
             ));
         }
         if suffix == "-SIP" || order.is_some() {
             return Ok(Self::Sip([sip(&world, "A")?, sip(&world, "B")?]));
         }
-        // SCAMP's headers say TAN; terms of latitude have no other meaning there, nor have those
-        // from 5 on of longitude.
+        // SCAMP's headers say TAN. With TAN, terms of the latitude have no other meaning, and
+        // neither have terms of the longitude from 5 on.
         let has = |axis: &str, from: usize| {
             (from..TPV_TERMS).any(|m| header.get(&format!("PV{axis}_{m}")).is_some())
         };
@@ -198,7 +198,7 @@ impl Distortion {
         Ok(Self::Tpv(terms))
     }
 
-    /// Distorts offsets in pixels.
+    /// Applies the distortion to offsets in pixels.
     pub(crate) fn in_pixels(&self, [u, v]: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Sip([a, b]) => {
@@ -214,7 +214,7 @@ impl Distortion {
         }
     }
 
-    /// Distorts coordinates on the projection.
+    /// Applies the distortion to coordinates on the projection.
     pub(crate) fn in_plane(&self, [x, y]: [f64; 2]) -> [f64; 2] {
         match self {
             Self::Tpv(terms) => [tpv(&terms[0], x, y), tpv(&terms[1], y, x)],
@@ -222,7 +222,7 @@ impl Distortion {
         }
     }
 
-    /// The offset in pixels that becomes this one.
+    /// The offset in pixels whose distorted value is `to`.
     pub(crate) fn undo_in_pixels(&self, to: [f64; 2]) -> Option<[f64; 2]> {
         match self {
             Self::Sip(_) => inverse(|from| self.in_pixels(from), to),
@@ -230,7 +230,7 @@ impl Distortion {
         }
     }
 
-    /// The coordinates on the projection that become these.
+    /// The coordinates on the projection whose distorted value is `to`.
     pub(crate) fn undo_in_plane(&self, to: [f64; 2]) -> Option<[f64; 2]> {
         match self {
             Self::Tpv(_) => inverse(|from| self.in_plane(from), to),
@@ -239,8 +239,8 @@ impl Distortion {
     }
 }
 
-/// Refuses distortions by tables of pixels (Calabretta et al. 2004), which an image's header alone
-/// does not hold.
+/// Returns an error for distortions by tables of pixels (Calabretta et al. 2004), since the tables
+/// are not part of the image's header.
 fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
     const STEMS: [&str; 4] = ["CPDIS", "CQDIS", "D2IMDIS", "D2IMARR"];
     let of_table = |card: &&Card| {
@@ -252,18 +252,18 @@ fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
         None => Ok(()),
         Some(card) => Err(unsupported(
             &card.keyword(),
-            "absent: distortions by tables are not read (give a header with SIP or TPV, or positions in pixels)",
+            "absent: distortions by tables are not supported (give a header with SIP or TPV, or positions in pixels)",
             &card.value().map_or_else(String::new, |value| value.to_string()),
         )),
     }
 }
 
-/// Refuses `PVi_0` to `PVi_4` of the longitude where they move the reference point or the pole
+/// Returns an error if `PVi_0` to `PVi_4` of the longitude move the reference point or the pole
 /// (Calabretta and Greisen 2002, section 2.5).
 fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoordinatesError> {
     let pole = world.number("LONPOLE")?;
-    // The reference point lies at the pole of a zenithal projection: at latitude 90, where that of
-    // the celestial pole does not count.
+    // The reference point of a zenithal projection is its pole, at latitude 90. There the latitude
+    // of the celestial pole has no effect.
     for (m, usual) in [(0, 0.0), (1, 0.0), (2, 90.0), (3, pole.unwrap_or(0.0))] {
         let keyword = format!("PV{axis}_{m}");
         if let Some(value) = world
@@ -272,7 +272,7 @@ fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoor
         {
             return Err(unsupported(
                 &keyword,
-                "0 or absent (a pole is read as LONPOLE)",
+                "0 or absent (the pole is read from LONPOLE)",
                 &value.to_string(),
             ));
         }
@@ -280,7 +280,7 @@ fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoor
     Ok(())
 }
 
-/// The terms `A_p_q` up to `A_ORDER`.
+/// Reads the terms `A_p_q` up to `A_ORDER`.
 fn sip(world: &World<'_>, name: &str) -> Result<Vec<(f64, i32, i32)>, WorldCoordinatesError> {
     let keyword = format!("{name}_ORDER");
     let order = world.needed(
@@ -307,7 +307,7 @@ fn sip(world: &World<'_>, name: &str) -> Result<Vec<(f64, i32, i32)>, WorldCoord
 }
 
 /// `PV_0 + PV_1 x + PV_2 y + PV_3 r + PV_4 x^2 + PV_5 xy + PV_6 y^2 + PV_7 x^3 ...`: orders up to
-/// 7, the odd ones with a power of r last.
+/// 7. The last term of each odd order is a power of r.
 fn tpv(terms: &[f64; TPV_TERMS], x: f64, y: f64) -> f64 {
     let r = x.hypot(y);
     let mut terms = terms.iter();
@@ -323,8 +323,8 @@ fn tpv(terms: &[f64; TPV_TERMS], x: f64, y: f64) -> f64 {
     sum
 }
 
-/// The point that a mapping near the identity takes to another: Newton's method with differences
-/// for derivatives.
+/// The point that a mapping close to the identity maps to `to`. It is found by Newton's method with
+/// finite differences as derivatives.
 fn inverse(mapping: impl Fn([f64; 2]) -> [f64; 2], to: [f64; 2]) -> Option<[f64; 2]> {
     let mut at = to;
     let size = 1e-6 + to[0].abs().max(to[1].abs());
@@ -337,7 +337,7 @@ fn inverse(mapping: impl Fn([f64; 2]) -> [f64; 2], to: [f64; 2]) -> Option<[f64;
         let error = error_at(at);
         let along_x = error_at([at[0] + step, at[1]]);
         let along_y = error_at([at[0], at[1] + step]);
-        // Of the mapping, so with the opposite sign of the error's.
+        // The slope of the mapping, so with the opposite sign of that of the error.
         let slope = |moved: [f64; 2], i: usize| (error[i] - moved[i]) / step;
         let matrix = [
             [slope(along_x, 0), slope(along_y, 0)],

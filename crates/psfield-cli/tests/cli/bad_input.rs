@@ -174,7 +174,7 @@ fn bad_tables() {
     let positions = "evaluate samples.fits --at bad.csv -o out.fits";
     for (content, needles) in [
         ("x,y,flux\n1,2,3\n4,here,6\n", ["line 3", "y", "\"here\""]),
-        ("x,y,flux\n1,2,3\n4,nan,6\n", ["line 3", "y", "NaN or nothing"]),
+        ("x,y,flux\n1,2,3\n4,nan,6\n", ["line 3", "y", "missing or NaN"]),
         ("x,y,flux\n1,2,3\n4,5\n", ["line 3", "2 fields", "3"]),
         ("a,y,flux\n1,2,3\n", ["column", "\"x\"", "\"a\""]),
     ] {
