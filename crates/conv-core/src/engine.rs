@@ -1,4 +1,4 @@
-//! Plans on a device.
+//! Execution of plans on a device.
 
 use std::ops::Range;
 
@@ -15,7 +15,7 @@ use crate::image_memory::{check_shape, with_rows_in_memory};
 use crate::plan::geometry::Direction;
 use crate::{ConvError, ConvReal, ConvolutionMethod, Plan, PlanOptions};
 
-/// What a plan is executed for.
+/// The operation that a plan is executed for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Operation {
     /// From light to its image.
@@ -24,13 +24,13 @@ pub enum Operation {
     Adjoint,
 }
 
-/// A plan on a device, ready to convolve any amount of light: the processor, on all threads of
-/// rayon's current pool, or a GPU.
+/// A plan on a device, ready to convolve any amount of light. The device is a GPU or the processor,
+/// with all threads of rayon's current pool.
 ///
-/// Executions change nothing in it, so that several may be under way at the same time. Tiles, modes
-/// and treatments are those of the plan on every device: a GPU's result differs by f32 rounding
-/// alone. Which modes a tile has never depends on the light; what does (skipping dark tiles,
-/// drawing single pixels) changes rounding alone.
+/// Executions change nothing in it, so several may run at the same time. Tiles, modes and
+/// treatments are those of the plan on every device: a GPU's result differs only by f32 rounding.
+/// The modes of a tile never depend on the light. The steps that do depend on it (skipping dark
+/// tiles, drawing single pixels) change only rounding.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -93,7 +93,7 @@ impl<T: ConvReal> Engine<T> {
     ///
     /// # Errors
     /// [`GpuError`] for plans in f64, and where the GPU's limits are too low for the plan. The plan
-    /// comes back, for another device.
+    /// is returned with the error, for use on another device.
     #[cfg(feature = "gpu")]
     #[allow(
         clippy::result_large_err,
@@ -118,32 +118,32 @@ impl<T: ConvReal> Engine<T> {
         &self.processor.plan
     }
 
-    /// The GPU, if it is on one.
+    /// The GPU, if the plan is on one.
     #[cfg(feature = "gpu")]
     pub fn gpu(&self) -> Option<&GpuDevice> {
         self.gpu.as_ref().map(|gpu| &gpu.device)
     }
 
-    /// How long the parts of the last execution on the GPU took.
+    /// The durations of the parts of the last execution on the GPU.
     #[cfg(feature = "gpu")]
     pub fn gpu_times(&self) -> Option<GpuTimes> {
         self.gpu.as_ref().and_then(GpuEngine::times)
     }
 
-    /// Sends pixels through the operator and adds the result to others, both `[y, x]`.
+    /// Applies the operator to pixels and adds the result to other pixels, both `[y, x]`.
     ///
     /// - [`Operation::Convolve`]: from light to an image. The image is that of the frame, or of the
     ///   plan's [region](Plan::region) of it.
-    /// - [`Operation::Adjoint`]: from an image to light. Each pixel of the light gets its share in
-    ///   the scalar product of its image with the given one: `<A f, g> = <f, A^T g>` for every light `f`.
+    /// - [`Operation::Adjoint`]: from an image to light, `<A f, g> = <f, A^T g>` for every light
+    ///   `f` and image `g`.
     ///
     /// The light is the plan's whole light, or its part that reaches the image
-    /// ([`Plan::light_region`]). Where the pixels of a row of the result are no neighbours in
-    /// memory, it is copied and back.
+    /// ([`Plan::light_region`]). If the pixels of a row of the result are not contiguous in memory,
+    /// the result is copied and written back.
     ///
     /// # Errors
-    /// [`ConvError`] for light or an image of another shape, and light where there is no PSF.
-    /// [`ConvError::Cancelled`]: the result is left half done.
+    /// [`ConvError`] for light or an image of another shape, and for light where there is no PSF.
+    /// After [`ConvError::Cancelled`] the result is incomplete.
     pub fn execute(
         &self,
         operation: Operation,
@@ -173,11 +173,11 @@ impl<T: ConvReal> Engine<T> {
         })
     }
 
-    /// Convolves light that comes and goes by bands of rows, so that neither it nor its image is
-    /// ever in memory as a whole. The bytes are those that [`execute`](Self::execute) adds to
-    /// zeros.
+    /// Convolves light that is read in bands of rows and writes its image in bands, so that neither
+    /// is ever in memory as a whole. The image is the same, bit by bit, as when
+    /// [`execute`](Self::execute) adds to zeros.
     ///
-    /// A plan of a region reads the rows that reach it and writes those of the region.
+    /// A plan of a region reads only the rows that reach the region, and writes the region's rows.
     ///
     /// # Errors
     /// The errors of the stream, and [`ConvError`] as for [`execute`](Self::execute).
@@ -191,7 +191,7 @@ impl<T: ConvReal> Engine<T> {
         progress.start(rows_of_blocks as u64);
         let shape = self.plan().region().shape();
         let mut counts = TileCounts::default();
-        // Rows of the image that are not finished yet, and the first of them.
+        // Rows of the image that are not finished yet. `written` is the index of the first.
         let mut pending = Array2::<T>::zeros((0, shape.nx()));
         let mut written = 0;
         for first in (0..rows_of_blocks).step_by(tiling.band()) {
@@ -208,7 +208,7 @@ impl<T: ConvReal> Engine<T> {
             let end = reached.end.max(written + pending.nrows()).max(next);
             let mut image = Array2::zeros((end - written, shape.nx()));
             image.slice_mut(s![..pending.nrows(), ..]).assign(&pending);
-            // Output-anchored blocks write to their own rows alone.
+            // Output-anchored blocks write only to their own rows.
             let into = if self.gathers() { reached } else { written..end };
             let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
             let (light, output) = ((light.view(), light_rows.start), (output, into.start));
@@ -224,8 +224,8 @@ impl<T: ConvReal> Engine<T> {
         Ok(counts)
     }
 
-    /// Sends light through some rows of blocks: `light` and `output` come with the first row that
-    /// they hold of their side. This is where devices part.
+    /// Applies the operator to some rows of blocks. `light` and `output` are given with the first
+    /// row of their side that they hold. Here the code of the devices separates.
     fn run(
         &self,
         rows: Range<usize>,
@@ -256,12 +256,13 @@ impl<T: ConvReal> Engine<T> {
         }
     }
 
-    /// Whether PSFs belong to pixels of the image.
+    /// Returns whether PSFs belong to pixels of the image.
     fn gathers(&self) -> bool {
         self.plan().direction(false) == Direction::Gather
     }
 
-    /// Rows of light that a band of blocks needs, counted from the first that reaches the region.
+    /// Rows of light that a band of blocks needs, counted from the first row that reaches the
+    /// region.
     fn light_rows(&self, band: Range<usize>) -> Range<usize> {
         self.rows_of(band, !self.gathers())
     }
@@ -271,7 +272,8 @@ impl<T: ConvReal> Engine<T> {
         self.rows_of(band, self.gathers())
     }
 
-    /// Rows of the side that blocks belong to, or those of the other side that they reach.
+    /// Rows of the side that the blocks belong to (`own`), or the rows of the other side that they
+    /// reach.
     fn rows_of(&self, band: Range<usize>, own: bool) -> Range<usize> {
         let (plan, last) = (self.plan(), band.end - 1);
         if own {
@@ -295,25 +297,25 @@ impl<T: ConvReal> Engine<T> {
     }
 }
 
-/// Where the rows of light come from and those of its image go to: for frames larger than memory.
+/// Source of the rows of light and target of the rows of its image, for frames larger than memory.
 pub trait RowStream<T> {
-    /// What can go wrong.
+    /// The error of reading or writing.
     type Error: From<ConvError>;
 
     /// Fills `light` with the given rows of the light, all its columns.
     ///
     /// # Errors
-    /// Those of the source.
+    /// Errors of the source.
     fn read(&mut self, rows: Range<usize>, light: ArrayViewMut2<'_, T>) -> Result<(), Self::Error>;
 
-    /// Takes the next rows of the image, in order from the first.
+    /// Writes the next rows of the image, in order from the first.
     ///
     /// # Errors
-    /// Those of the target.
+    /// Errors of the target.
     fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), Self::Error>;
 }
 
-/// The fast engine, planned anew for each light; keep an [`Engine`] for more.
+/// The fast engine with a new plan for each light. Keep an [`Engine`] to convolve more than one.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LowRank {
     options: PlanOptions,

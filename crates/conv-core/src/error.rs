@@ -1,4 +1,4 @@
-//! What can go wrong in a convolution.
+//! Errors of convolutions and of GPUs.
 
 use psf_types::{Cancelled, DataError, FieldError, FrameShape, PixelRegion};
 use thiserror::Error;
@@ -7,19 +7,19 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ConvError {
-    /// Stamps at another scale than the image's pixels.
+    /// The stamps have another scale than the image's pixels.
     #[error(
-        "the PSF stamps have {oversampling} pixels a frame pixel: an image can only be convolved with stamps at the frame's own \
-         scale; resample them first"
+        "the PSF stamps have {oversampling} pixels per frame pixel: an image can only be convolved with stamps at the frame's \
+         own scale. Resample them first"
     )]
     StampScale {
-        /// Stamp pixels a frame pixel.
+        /// Stamp pixels per frame pixel.
         oversampling: f64,
     },
-    /// Stamps whose centre lies between pixels.
+    /// The centre of the stamps lies between pixels.
     #[error(
-        "the PSF stamps are centred at index ({x}, {y}): an image can only be convolved with stamps centred on a pixel; \
-         resample them first"
+        "the PSF stamps are centred at index ({x}, {y}): an image can only be convolved with stamps centred on a pixel. \
+         Resample them first"
     )]
     StampCentre {
         /// Column index.
@@ -27,40 +27,40 @@ pub enum ConvError {
         /// Row index.
         y: f64,
     },
-    /// Stamps without the response of a pixel.
+    /// The stamps do not include the pixel response.
     #[error(
-        "the PSF stamps do not include the pixel response: a scene cannot be imaged with them as they are"
+        "the PSF stamps do not include the pixel response: a scene can only be convolved with stamps that do"
     )]
     PixelResponse,
-    /// A patch of no size.
+    /// The patch size is zero.
     #[error("the patch size must be at least 1 pixel")]
     PatchSize,
-    /// An image of another shape than the frame, or the region of it, that it stands for.
-    #[error("the image is {got} pixels: the frame, or the region of it that is made, is {expected}")]
+    /// The image has another shape than the frame, or than the region of the frame to be computed.
+    #[error("the image is {got} pixels: the frame, or the region of it to be computed, is {expected}")]
     FrameShape {
-        /// The frame, or the region.
+        /// The shape of the frame or of the region.
         expected: FrameShape,
-        /// The image.
+        /// The shape of the image.
         got: FrameShape,
     },
-    /// A frame that does not lie within its scene.
+    /// The frame does not lie within its scene.
     #[error(transparent)]
     Frame(DataError),
-    /// A tolerance that bounds nothing.
+    /// The tolerance is not a number of at least 0 and below 1.
     #[error("the tolerance is {got}: it must be a number of at least 0 and below 1")]
     Tolerance {
-        /// The tolerance asked for.
+        /// The tolerance given.
         got: f64,
     },
-    /// Light of another shape than the plan's scene.
-    #[error("the light is {got} pixels: the plan takes {expected}")]
+    /// The light has another shape than the plan's scene.
+    #[error("the light is {got} pixels: the plan accepts {expected}")]
     LightShape {
-        /// What the plan takes: the whole scene, or the part of it that reaches the frame.
+        /// The shapes that the plan accepts: the whole scene, or its part that reaches the frame.
         expected: String,
-        /// The light.
+        /// The shape of the light.
         got: FrameShape,
     },
-    /// A region that reaches beyond the frame.
+    /// The region reaches beyond the frame.
     #[error(
         "the region of {} pixels at ({}, {}) reaches beyond the frame of {frame} pixels",
         region.shape(),
@@ -73,23 +73,23 @@ pub enum ConvError {
         /// The frame.
         frame: FrameShape,
     },
-    /// Somebody wanted the work to stop ([`psf_types::Progress::cancelled`]).
+    /// The progress object cancelled the work ([`psf_types::Progress::cancelled`]).
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
-    /// A pixel off the frame.
+    /// The pixel lies outside the frame.
     #[error("pixel ({column}, {row}) lies outside the frame of {frame} pixels")]
     PixelOutsideFrame {
-        /// Column asked for.
+        /// Column given.
         column: usize,
-        /// Row asked for.
+        /// Row given.
         row: usize,
         /// The frame.
         frame: FrameShape,
     },
-    /// The PSF has no value somewhere.
+    /// The PSF has no value at a position where it is needed.
     #[error(transparent)]
     Field(#[from] FieldError),
-    /// The GPU that a plan runs on fails.
+    /// The GPU that executes the plan failed.
     #[cfg(feature = "gpu")]
     #[error(transparent)]
     Gpu(#[from] GpuError),
@@ -98,22 +98,23 @@ pub enum ConvError {
     Result(#[source] DataError),
 }
 
-/// Errors of GPUs. None of them comes with an image: what was not computed is not returned. (An image that light was to be added to holds some of it then.)
+/// Errors of GPUs. A call that returns one returns no image. If it was adding light to an image,
+/// the image may already hold part of that light.
 #[cfg(feature = "gpu")]
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
 pub enum GpuError {
-    /// There is no adapter.
+    /// No adapter was found.
     #[error(
-        "there is no GPU that Vulkan, Metal, DirectX 12 or OpenGL could drive here; is its driver installed?"
+        "there is no GPU that Vulkan, Metal, DirectX 12 or OpenGL can drive. Is its driver installed?"
     )]
     NoAdapter,
-    /// There is none of this name.
-    #[error("no GPU answers to {wanted:?}; there is {}", present.join(", "))]
+    /// No adapter has this name.
+    #[error("no GPU matches the name {wanted:?}. Available: {}", present.join(", "))]
     NoSuchAdapter {
         /// The name asked for.
         wanted: String,
-        /// The adapters that are there.
+        /// The adapters found.
         present: Vec<String>,
     },
     /// The adapter cannot be used.
@@ -121,57 +122,57 @@ pub enum GpuError {
     Unusable {
         /// The adapter.
         adapter: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// GPUs compute in f32 alone.
-    #[error("GPUs compute in f32, this plan is in {precision}")]
+    /// GPUs compute only in f32.
+    #[error("GPUs compute in f32, but this plan is in {precision}")]
     Precision {
         /// The plan's precision.
         precision: &'static str,
     },
     /// The plan's transforms are too large.
-    #[error("{adapter}: transforms of {size} values are too large for it, {most} is the most")]
+    #[error("{adapter}: transforms of {size} values are too large, its maximum is {most}")]
     TransformSize {
         /// The adapter.
         adapter: String,
-        /// The length asked for.
+        /// The length needed.
         size: usize,
-        /// The longest that it can do.
+        /// The longest length that the adapter supports.
         most: usize,
     },
-    /// A piece of work that cannot be made smaller does not fit.
-    #[error("{adapter}: {what} takes {needed} bytes at once, {limit} is the most that it can see")]
+    /// A piece of work that cannot be divided further does not fit.
+    #[error("{adapter}: {what} needs {needed} bytes at once, its limit is {limit}")]
     TooLarge {
         /// The adapter.
         adapter: String,
-        /// What does not fit.
+        /// The piece of work or buffer that does not fit.
         what: &'static str,
-        /// Bytes.
+        /// Bytes needed.
         needed: u64,
         /// The adapter's limit, in bytes.
         limit: u64,
     },
-    /// Its memory is full.
-    #[error("{adapter} is out of memory; a smaller memory limit may help, or what else uses the GPU")]
+    /// The memory of the adapter is full.
+    #[error("{adapter} is out of memory. Set a smaller memory limit, or stop other programs that use the GPU")]
     OutOfMemory {
         /// The adapter.
         adapter: String,
     },
-    /// It is gone: unplugged, reset by its driver, or taken by the system.
+    /// The adapter was unplugged, reset by its driver, or taken by the system.
     #[error("{adapter} was lost: {reason}")]
     Lost {
         /// The adapter.
         adapter: String,
-        /// What the driver says.
+        /// The driver's message.
         reason: String,
     },
-    /// Anything else: the driver refused something.
+    /// Any other refusal by the driver.
     #[error("{adapter}: {reason}")]
     Driver {
         /// The adapter.
         adapter: String,
-        /// What it says.
+        /// The driver's message.
         reason: String,
     },
 }

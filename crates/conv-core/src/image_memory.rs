@@ -1,4 +1,4 @@
-//! How the pixels of images lie in memory.
+//! The layout of images in memory.
 
 use ndarray::{Array2, ArrayViewMut2};
 use psf_types::FrameShape;
@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::{ConvError, ConvReal};
 
-/// Whether an image `[y, x]` has the shape asked for.
+/// Checks that an image `[y, x]` has the expected shape.
 pub(crate) fn check_shape(expected: FrameShape, (rows, columns): (usize, usize)) -> Result<(), ConvError> {
     if (rows, columns) == (expected.ny(), expected.nx()) {
         return Ok(());
@@ -15,8 +15,8 @@ pub(crate) fn check_shape(expected: FrameShape, (rows, columns): (usize, usize))
     Err(ConvError::FrameShape { expected, got })
 }
 
-/// Lends an image in which the pixels of a row are neighbours in memory: the image itself or, where they are not, a copy that is copied
-/// back unless there is an error.
+/// Calls `work` with an image whose rows are contiguous in memory: the image itself or, if its rows
+/// are not contiguous, a copy. The copy is written back unless there is an error.
 pub(crate) fn with_rows_in_memory<T: ConvReal, R>(
     mut image: ArrayViewMut2<'_, T>,
     work: impl FnOnce(ArrayViewMut2<'_, T>) -> Result<R, ConvError>,
@@ -30,14 +30,14 @@ pub(crate) fn with_rows_in_memory<T: ConvReal, R>(
     Ok(result)
 }
 
-/// Bytes of a page, or less.
+/// Bytes of a memory page. It may be smaller than the system's page, not larger.
 const PAGE: usize = 4096;
 
-/// An image of zeros whose every page has been written to, on many threads.
+/// Returns an image of zeros whose every page has been written to, on many threads.
 ///
-/// The system hands out pages when they are first used. A page that is first read, as additions do, is handed out twice: the
-/// common page of zeros, then one to write to, and every processor is interrupted to forget the first. For a large image
-/// that costs several times the convolution.
+/// The system allocates a page when it is first used. A page that is read first, as additions do,
+/// is allocated twice: as the common page of zeros, then as one to write to. Every processor is
+/// interrupted to forget the first. For a large image that costs several times the convolution.
 pub fn zeros<T: ConvReal>((rows, columns): (usize, usize)) -> Array2<T> {
     let mut image = Array2::zeros((rows, columns));
     let pixels: &mut [T] = image.as_slice_mut().expect("new arrays are row-major");

@@ -1,52 +1,55 @@
 //! Convolution of a scene with a PSF that varies over the field.
 //!
-//! A scene `f(x)` holds the flux that arrives at pixel `x`; the PSF at field position `x` is `h(u; x)`. There are two ways to
-//! apply it ([`psf_types::Anchor`]):
+//! A scene `f(x)` holds the flux that arrives at pixel `x`. The PSF at field position `x` is
+//! `h(u; x)`. There are two ways to apply it ([`psf_types::Anchor`]):
 //!
-//! * **source-anchored**, `F(y) = sum_x f(x) h(y - x; x)`: each source spreads with the PSF of its own position, as light
-//!   does;
-//! * **output-anchored**, `F(y) = sum_x f(x) h(y - x; y)`: each pixel gathers with the PSF of its own position, the form in
-//!   the paper of the method (Bai, Jia et al.).
+//! - **source-anchored**, `F(y) = sum_x f(x) h(y - x; x)`: each source spreads with the PSF of its
+//!   own position, as light does.
+//! - **output-anchored**, `F(y) = sum_x f(x) h(y - x; y)`: each pixel gathers with the PSF of its
+//!   own position. This is the form in the paper of the method (Bai, Jia et al.).
 //!
-//! | method | what it is | cost | error |
+//! | method | description | cost | error |
 //! |---|---|---|---|
-//! | [`Plan`], [`Engine`], [`LowRank`] | the fast engine: in each tile the few modes that its PSFs need | that of 2 to 6 ordinary FFT convolutions | at most the tolerance, for the PSF of every pixel |
-//! | [`Direct`] | the double sum, in f64 | each lit pixel times each stamp pixel times `K` | none but rounding; the reference |
+//! | [`Plan`], [`Engine`], [`LowRank`] | the fast engine: a few modes per tile | 2 to 6 ordinary FFT convolutions | at most the tolerance, for the PSF of every pixel |
+//! | [`Direct`] | the double sum, in f64 | each lit pixel times each stamp pixel times `K` | only rounding: the reference |
 //! | [`BasisConvolution`] | `K` whole-image FFT convolutions | `K` transforms of the image | rounding of the precision chosen |
-//! | [`PatchConvolution`] | one PSF a patch | one transform of each lit patch | the PSF jumps from patch to patch |
+//! | [`PatchConvolution`] | one PSF per patch | one transform of each lit patch | the PSF jumps from patch to patch |
 //!
 //! A [`Plan`] is data: tiles, the modes of each, their stamps and coefficients. An [`Engine`]
-//! executes it on the processor or on a GPU, any number of times. The others are
+//! executes it on the processor or on a GPU, any number of times. The other types in the table are
 //! [`ConvolutionMethod`]s, which take a [`psf_types::PsfModel`], light and a frame. The frame is
-//! the region of the light that the image shows; its first pixel is the origin of field positions.
-//! Outside the light's array there is none.
+//! the region of the light that the image shows. Its first pixel is the origin of field positions.
+//! Outside its array the light is zero.
 //!
-//! Point sources come on top of extended light. [`StarPainter`] and [`StarPlan`] draw them with the
-//! PSF of their own position, shifted to it by [`StampInterpolator`]: one by one from all
-//! components, or many at once within a tolerance.
+//! Point sources are added to the image of extended light. [`StarPainter`] and [`StarPlan`] draw
+//! each with the PSF of its own position, shifted to that position by [`StampInterpolator`]. The
+//! painter draws stars one by one from all components. The plan draws many at once within a
+//! tolerance.
 //!
 //! # Normalisation
-//! The image holds the light's flux times the flux of the PSFs, which the model decides
-//! ([`psf_types::Normalisation`]); nothing else is scaled. Extended light needs stamps at the
-//! frame's own scale, centred on a pixel ([`native_grid`], [`resample_samples`]); point sources
-//! take any stamps.
+//! The image holds the light's flux times the flux of the PSFs. The model decides the flux of the
+//! PSFs ([`psf_types::Normalisation`]), and nothing else is scaled. Extended light needs stamps at
+//! the frame's own scale, centred on a pixel ([`native_grid`], [`resample_samples`]). Point sources
+//! accept stamps of any scale and centre.
 //!
 //! # Stopping
-//! The progress object of a long call is polled every few milliseconds and may cancel it
-//! ([`psf_types::Progress::cancelled`]); the call then ends with [`ConvError::Cancelled`].
+//! The progress object of a long call is polled every few milliseconds and may cancel the call
+//! ([`psf_types::Progress::cancelled`]), which then returns [`ConvError::Cancelled`].
 //!
 //! # Threads
-//! Work is spread over rayon's current pool. Results are the same bytes on any number of threads.
+//! Work is spread over rayon's current pool. Results are the same, bit by bit, for any number of
+//! threads.
 //!
 //! # On a GPU
-//! With the feature `gpu` (off by default), `Engine::on_gpu` puts a plan on any GPU that Vulkan,
-//! Metal, DirectX 12 or OpenGL drives, in f32: see the module `gpu`. Without it nothing of that is
-//! compiled.
+//! With the feature `gpu` (off by default), `Engine::on_gpu` executes a plan in f32 on any GPU that
+//! Vulkan, Metal, DirectX 12 or OpenGL drives: see the module `gpu`. Without the feature, no GPU
+//! code is compiled.
 //!
 //! # Modules
-//! `plan` knows no device; `cpu` and `gpu` execute plans, and `engine` chooses between them;
-//! `stars` draws point sources with the modes of `plan`; `reference` holds the methods that others
-//! are compared with. `transform`, `simd`, `overlap`, `view` and the like lie below them all.
+//! `plan` knows no device. `cpu` and `gpu` execute plans, and `engine` chooses between them.
+//! `stars` draws point sources with the modes of `plan`. `reference` holds the methods that the
+//! others are compared with. All of them use `transform`, `simd`, `overlap`, `view` and other small
+//! modules.
 
 #![allow(
     clippy::inline_always,
@@ -69,7 +72,7 @@ mod transform;
 mod view;
 mod working_range;
 
-/// Pieces that the benchmarks time on their own: no part of this crate's interface.
+/// Parts that the benchmarks time separately. They do not belong to this crate's interface.
 #[doc(hidden)]
 pub mod internals {
     pub use crate::plan::coefficient_table::{CoefficientTable, FluxRole};

@@ -1,5 +1,5 @@
-//! Parts of images that overlap, or do not: added up the same way on any number of threads, and
-//! handed out to threads to write to.
+//! Parts of images that overlap, or do not. Adds them in an order that does not depend on the
+//! number of threads, and lends disjoint parts to threads for writing.
 
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
 use psf_types::Progress;
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::{ConvError, ConvReal};
 
-/// A rectangle of values to be added at a place that may reach beyond the output.
+/// A rectangle of values to be added at a position that may reach beyond the output.
 pub(crate) struct Piece<T> {
     pub(crate) first_column: i64,
     pub(crate) first_row: i64,
@@ -15,7 +15,7 @@ pub(crate) struct Piece<T> {
 }
 
 impl<T: ConvReal> Piece<T> {
-    /// Adds what lies on the output, whose first pixel is at `(first_column, first_row)`.
+    /// Adds the part that lies on the output, whose first pixel is at `(first_column, first_row)`.
     pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
         let (ny, nx) = output.dim();
         let (rows, columns) = self.values.dim();
@@ -32,18 +32,19 @@ impl<T: ConvReal> Piece<T> {
     }
 }
 
-/// Where `length` values that start at index `first` overlap an axis of `limit`: their own first index, the axis' first
-/// index, and how many.
+/// The overlap of `length` values that start at index `first` with an axis of length `limit`.
+/// Returns the first index among the values, the first index on the axis, and the number of values.
 pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize, usize, usize)> {
     let start = first.max(0);
     let end = first.saturating_add(length as i64).min(limit as i64);
     (start < end).then(|| ((start - first) as usize, start as usize, (end - start) as usize))
 }
 
-/// Pieces are made in parallel, this many at a time, so that only so many are in memory.
+/// The number of sets of pieces computed in parallel. It bounds how many are in memory.
 const AT_ONCE: usize = 16;
 
-/// Makes `count` sets of pieces in parallel and adds them to the output in order; each is a step.
+/// Computes `count` sets of pieces in parallel and adds them to the output in order. Each set is
+/// one step of the progress.
 pub(crate) fn add_in_order<T: ConvReal>(
     mut output: ArrayViewMut2<'_, T>,
     count: usize,
@@ -69,7 +70,7 @@ pub(crate) fn add_in_order<T: ConvReal>(
     Ok(())
 }
 
-/// The parts of a view between ascending `(start, end)` along an axis, which do not overlap.
+/// The disjoint parts of a view between ascending `(start, end)` along an axis.
 pub(crate) fn split<'a, T>(
     view: ArrayViewMut2<'a, T>,
     axis: usize,
@@ -88,7 +89,8 @@ pub(crate) fn split<'a, T>(
     parts
 }
 
-/// The smallest `n` such that no range overlaps the `n`-th after it: every `n`-th range may be written at once.
+/// The smallest `n` such that no range overlaps the `n`-th range after it. Every `n`-th range may
+/// then be written at the same time.
 pub(crate) fn colours(ranges: &[(usize, usize)]) -> usize {
     let clear = |n: usize| ranges.iter().zip(ranges.iter().skip(n)).all(|(a, b)| a.1 <= b.0);
     (1..ranges.len())

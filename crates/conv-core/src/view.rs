@@ -1,4 +1,4 @@
-//! Light seen through a frame, and how far stamps reach.
+//! Light seen through a frame, and the reach of stamps.
 
 use std::ops::Range;
 
@@ -7,8 +7,8 @@ use psf_types::{DataError, FrameShape, ImageView, PixelRegion, Real, StampGrid};
 
 use crate::ConvError;
 
-/// A stamp's extent around its central pixel: it reaches `left` columns to the left and `right` to the right, likewise
-/// `below` (smaller row index) and `above`.
+/// A stamp's extent around its central pixel: `left` columns to the left, `right` to the right,
+/// `below` rows at smaller row indices and `above` rows at larger ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Reach {
     pub(crate) left: usize,
@@ -18,7 +18,8 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    /// The reach of stamps that can convolve an image: at the frame's scale, centred on a pixel, pixel response included.
+    /// Returns the reach of stamps that can convolve an image: at the frame's scale, centred on a
+    /// pixel, with the pixel response included.
     pub(crate) fn of(grid: StampGrid) -> Result<Self, ConvError> {
         if grid.oversampling() != 1.0 {
             return Err(ConvError::StampScale {
@@ -41,7 +42,7 @@ impl Reach {
     }
 }
 
-/// Light of a shape seen through a frame, the part of it that a detector sees.
+/// Light of a given shape, and the frame: the part of it that a detector sees.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct View {
     pub(crate) shape: FrameShape,
@@ -63,7 +64,7 @@ impl View {
         }))
     }
 
-    /// All of the light in field positions: its first pixel is `(-x0, -y0)` of the frame.
+    /// All of the light in field positions. Its first pixel is at `(-x0, -y0)` of the frame.
     pub(crate) fn field_region(self) -> PixelRegion {
         PixelRegion::new(-self.frame.x0(), -self.frame.y0(), self.shape)
     }
@@ -73,8 +74,8 @@ impl View {
         (self.frame.x0() as usize, self.frame.y0() as usize)
     }
 
-    /// The columns and rows of the light that can reach a part of it, such as the frame: all but
-    /// what is farther from it than the stamps reach.
+    /// The columns and rows of the light that can reach a part of it, such as the frame. Light
+    /// farther from the part than the stamps reach is left out.
     pub(crate) fn reaching(self, part: PixelRegion, reach: Reach) -> [Range<usize>; 2] {
         // The source of an offset u in [-left, right] from pixel y lies at y - u.
         let range = |first: i64, length: usize, before: usize, after: usize, limit: usize| {
@@ -88,9 +89,9 @@ impl View {
         ]
     }
 
-    /// Light seen through a frame, cut to the frame and a margin of the reach of the grid's stamps,
-    /// and that reach: what lies beyond it falls on no pixel of the frame, so nobody asks for its
-    /// PSF.
+    /// Truncates light to the frame and a margin as wide as the stamps reach, and returns that
+    /// reach. Light beyond the margin falls on no pixel of the frame, so its PSF is never
+    /// evaluated.
     pub(crate) fn within_reach<'a, T: Real>(
         light: &'a ImageView<'_, T>,
         frame: PixelRegion,
@@ -107,7 +108,7 @@ impl View {
     }
 }
 
-/// A region in words.
+/// Describes a region in text.
 pub(crate) fn in_words(region: PixelRegion) -> String {
     format!("{} at ({}, {})", region.shape(), region.x0(), region.y0())
 }

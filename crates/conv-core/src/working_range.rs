@@ -1,25 +1,27 @@
-//! Light brought near 1 where a transform would leave the range of its precision.
+//! Scaling of light to values near 1 where a transform would leave the range of its precision.
 
 use ndarray::{Array2, ArrayView2, CowArray, Ix2};
 
 use crate::ConvReal;
 
-/// A power of two that brings light near 1, and the one that takes the result back. Multiplying by them is exact but for values so small
-/// that they do not count beside the largest, and for results beyond the range themselves.
+/// A power of two that scales light to values near 1, and its inverse for the result. Multiplying
+/// by them is exact, except for values too small to matter next to the largest, and for results
+/// that are themselves beyond the range.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Rescaling<T> {
     pub(crate) down: T,
     pub(crate) back: T,
 }
 
-/// The part of the exponents in which sums over a whole frame of light and products with kernels neither overflow nor lose bits that
-/// count: f32 holds 2^-126 to 2^128, so that this leaves 46 bits at each end.
+/// The range of exponents in which sums over a whole frame of light and products with kernels
+/// neither overflow nor lose bits that matter. f32 holds 2^-126 to 2^128, so this leaves 46 bits at
+/// each end.
 const EXPONENTS_OF_F32: i32 = 80;
-/// The same in f64, which holds 2^-1022 to 2^1024.
+/// The range of exponents for f64, which holds 2^-1022 to 2^1024.
 const EXPONENTS_OF_F64: i32 = 900;
 
 impl<T: ConvReal> Rescaling<T> {
-    /// Nothing where light of this largest absolute value is safe as it is, or dark.
+    /// Returns `None` if light with this largest absolute value needs no scaling, or is dark.
     pub(crate) fn for_largest(largest: f64) -> Option<Self> {
         let (safe, most) = if size_of::<T>() == size_of::<f32>() {
             (EXPONENTS_OF_F32, 126)
@@ -30,7 +32,7 @@ impl<T: ConvReal> Rescaling<T> {
         if largest == 0.0 || (1.0 / bound..=bound).contains(&largest) || !largest.is_finite() {
             return None;
         }
-        // Both powers are normal numbers, so that they are exact.
+        // Both powers are normal numbers, so they are exact.
         let exponent = (largest.log2().floor() as i32).clamp(-most, most);
         Some(Self {
             down: T::nearest(2_f64.powi(-exponent)),
@@ -38,7 +40,8 @@ impl<T: ConvReal> Rescaling<T> {
         })
     }
 
-    /// Light brought near 1, and the power that takes its image back; the light itself where it is safe.
+    /// Returns scaled light and the power that scales its image back, or the light itself where it
+    /// needs no scaling.
     pub(crate) fn of_pixels(light: ArrayView2<'_, T>) -> (CowArray<'_, T, Ix2>, Option<T>) {
         let largest = light.iter().fold(T::zero(), |m, v| m.max(v.abs()));
         match Self::for_largest(largest.as_f64()) {
@@ -48,7 +51,7 @@ impl<T: ConvReal> Rescaling<T> {
     }
 }
 
-/// Takes an image back where its scene was scaled.
+/// Scales an image back if its scene was scaled.
 pub(crate) fn take_back<T: ConvReal>(image: &mut Array2<T>, back: Option<T>) {
     if let Some(back) = back {
         image.mapv_inplace(|v| v * back);

@@ -1,4 +1,4 @@
-//! From the other side to the weighted one.
+//! Gathering: from the other side to the weighted side.
 
 use ndarray::{Array2, ArrayViewMut2, s};
 use rayon::prelude::*;
@@ -12,8 +12,8 @@ use crate::plan::geometry::Direction;
 use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
-/// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` where stamps
-/// are turned. Every block writes to its own pixels.
+/// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` if
+/// stamps are turned. Every block writes to its own pixels.
 pub(crate) struct Gather<'j, 'o, T: ConvReal> {
     pub(crate) pass: LightPass<'j, T>,
     pub(crate) output: ArrayViewMut2<'o, T>,
@@ -96,7 +96,7 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
                 };
                 match treatment.back {
                     None => gather(workspace, &mut output),
-                    // What is in the output already has its own light.
+                    // The values already in the output are not scaled.
                     Some(back) => {
                         let mut near_one = Array2::zeros(output.dim());
                         gather(workspace, &mut near_one.view_mut());

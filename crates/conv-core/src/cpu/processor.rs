@@ -1,4 +1,4 @@
-//! A plan on the processor, the light that goes through it, and what it has for a block.
+//! A plan on the processor, the light of one execution, and the kernels of a block.
 
 use std::cell::OnceCell;
 use std::ops::Range;
@@ -16,15 +16,16 @@ use crate::plan::geometry::TilePart;
 use crate::simd::Lanes;
 use crate::transform::TileTransform;
 
-/// A plan, and what threads of the processor execute it with. A plan on a GPU has one as well:
-/// there they look at the light.
+/// A plan and the data with which threads of the processor execute it. A plan on a GPU has one as
+/// well: there the threads inspect the light.
 #[derive(Debug)]
 pub(crate) struct Processor<T: ConvReal> {
     pub(crate) plan: Plan<T>,
     pub(crate) fft: TileTransform<T>,
     /// 0, 1, 2 ...
     pub(crate) ramp: Vec<T>,
-    /// Workspaces that threads take and give back, so that there are no more than threads.
+    /// Workspaces that threads take and give back, so that there are never more of them than
+    /// threads.
     workspaces: Mutex<Vec<Workspace<T>>>,
 }
 
@@ -53,19 +54,20 @@ impl<T: ConvReal> Processor<T> {
     }
 }
 
-/// The light of one side that goes through some rows of a plan's blocks, to rows of the other side from `first_output` on.
+/// One execution of some rows of a plan's blocks: the light of one side, and the rows of the other
+/// side from `first_output` on.
 #[derive(Clone)]
 pub(crate) struct LightPass<'a, T: ConvReal> {
     pub(crate) processor: &'a Processor<T>,
     /// Rows of blocks.
     pub(crate) rows: Range<usize>,
-    /// Whole rows of the side that the light comes from, and the first of them.
+    /// Whole rows of the side that the light comes from. `first_light` is the index of the first.
     pub(crate) light: ArrayView2<'a, T>,
     pub(crate) first_light: usize,
     pub(crate) first_output: usize,
-    /// Stamps are applied turned by 180 degrees.
+    /// True if stamps are turned by 180 degrees.
     pub(crate) flip: bool,
-    /// Whether tiles may be convolved by the direct sum: a GPU has nothing but transforms.
+    /// True if tiles may be convolved by the direct sum. A GPU uses only transforms.
     pub(crate) direct_sums: bool,
     pub(crate) progress: &'a dyn Progress,
 }
@@ -81,7 +83,7 @@ impl<'a, T: ConvReal> LightPass<'a, T> {
     }
 }
 
-/// Coefficients, stamps and spectra of a block, made when the first of them needs it.
+/// Coefficients, stamps and spectra of a block. They are computed when the first tile needs them.
 pub(crate) struct BlockKernels<'a, T: ConvReal> {
     plan: &'a Plan<T>,
     pub(crate) block: &'a Block<T>,
@@ -91,7 +93,7 @@ pub(crate) struct BlockKernels<'a, T: ConvReal> {
 }
 
 impl<'a, T: ConvReal> BlockKernels<'a, T> {
-    /// For the block at a column and a row.
+    /// The kernels of the block at a column and a row.
     pub(crate) fn new(plan: &'a Plan<T>, (column, row): (usize, usize)) -> Self {
         Self {
             plan,
@@ -113,14 +115,14 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
             .get_or_init(|| self.block.stamps_or_new(&self.plan.whole.space))
     }
 
-    /// What there is for a tile.
+    /// The block's data for a tile.
     pub(crate) fn local(&self, part: TilePart) -> LocalTile<'_, T> {
         let (table, stamps) = (self.table(), self.stamps());
         LocalTile { part, table, stamps }
     }
 
-    /// The error of the first pixel of a tile that has no PSF and needs one: `needed(column, row)` counts from the tile's first
-    /// pixel.
+    /// Returns an error for the first pixel of a tile that has no PSF and needs one.
+    /// `needed(column, row)` counts from the tile's first pixel.
     pub(crate) fn check(
         &self,
         part: TilePart,
@@ -135,7 +137,7 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
         })
     }
 
-    /// Sees to the kernels' spectra in the workspace.
+    /// Ensures that the kernels' spectra are in the workspace.
     pub(crate) fn transform<S: Lanes<T>>(
         &mut self,
         simd: S,

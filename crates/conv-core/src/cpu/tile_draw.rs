@@ -1,4 +1,4 @@
-//! Single pixels of a tile's light, stamp by stamp.
+//! Drawing of single pixels of a tile's light, stamp by stamp.
 
 use ndarray::ArrayViewMut2;
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
@@ -9,8 +9,8 @@ use crate::ConvReal;
 use crate::simd::Lanes;
 
 impl<T: ConvReal> TileEngine<'_, T> {
-    /// Draws single pixels of a tile's light: the stamp of each into `output`, in which the tile's first pixel spreads from
-    /// `corner` on.
+    /// Draws single pixels of a tile's light: adds the stamp of each to `output`. The stamp of the
+    /// tile's first pixel begins at `corner` of `output`.
     #[inline(always)]
     pub(crate) fn draw_scattered<S: Lanes<T>>(
         &self,
@@ -31,7 +31,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 local.table.weigh(kernel, row, column, &[value], self.ramp, one);
             }
         }
-        // Row by row of the stamps: one row of all of them stays in the first cache while every pixel takes its part of it.
+        // Row by row of the stamps: one row of all stamps stays in the first-level cache while
+        // every pixel uses it.
         for j in 0..sy {
             for (&(y, x, _), all) in pixels.iter().zip(coefficients.chunks_exact(kernels)) {
                 let (column, row) = (corner.0 + x as i64, corner.1 + (y + j) as i64);
@@ -59,7 +60,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// What single pixels of the light around a tile give to it.
+    /// Adds the contributions of single pixels of the light around a tile to the tile.
     #[inline(always)]
     pub(crate) fn draw_gathered<S: Lanes<T>>(
         &self,
@@ -73,7 +74,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (sx, sy) = self.geometry.stamp;
         let mut line = vec![T::zero(); sx];
         for &(y, x, value) in pixels {
-            // Pixel p of the tile takes stamp pixel (p + size - 1) - q from pixel q of the light around it.
+            // Pixel p of the tile takes stamp pixel (p + size - 1) - q from pixel q of the light
+            // around it.
             let (from, to) = ((x + 1).saturating_sub(sx), (x + 1).min(columns));
             if from >= to {
                 continue;
@@ -105,7 +107,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
     }
 }
 
-/// Adds `sum_k c_k values_k` to `target`, where `values_k` starts at `first` of the k-th `stride` values.
+/// Adds `sum_k c_k values_k` to `target`. `values_k` starts at `first` of the k-th `stride` values.
 #[inline(always)]
 fn add_combination<T: ConvReal, S: Lanes<T>>(
     simd: S,
@@ -117,7 +119,7 @@ fn add_combination<T: ConvReal, S: Lanes<T>>(
     let length = target.len();
     let vectors = length / S::LANES;
     let mut done = 0;
-    // Four sums stay in registers while all stamps pass.
+    // Four sums stay in registers while all stamps are read.
     while done + 4 <= vectors {
         let at = done * S::LANES;
         let sums: &mut [S::V] = cast_slice_mut(&mut target[at..at + 4 * S::LANES]);

@@ -1,4 +1,4 @@
-//! One tile at a time, by transforms or by the direct sum, and the memory for it.
+//! Convolution of one tile, by transforms or by the direct sum, and its working memory.
 
 use ndarray::{ArrayView2, ArrayViewMut2};
 
@@ -9,7 +9,7 @@ use crate::plan::geometry::{Geometry, TilePart};
 use crate::simd::{Aligned, Lanes};
 use crate::transform::{TileTransform, X_STEP};
 
-/// Planes and spectra of one transform size; what they hold between tiles is undefined.
+/// Planes and spectra of one transform size. Their content between tiles is undefined.
 #[derive(Debug)]
 pub(crate) struct Workspace<T> {
     /// The tile's light.
@@ -21,7 +21,7 @@ pub(crate) struct Workspace<T> {
     pub(crate) column: Aligned<T>,
     /// The spectra of a block's kernels, one after the other.
     pub(crate) kernels: Aligned<T>,
-    /// A row that has no place elsewhere.
+    /// Buffer for one row.
     pub(crate) row: Vec<T>,
 }
 
@@ -39,18 +39,18 @@ impl<T: ConvReal> Workspace<T> {
     }
 }
 
-/// The engine's constants for one call.
+/// The constants of one execution.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TileEngine<'a, T> {
     pub(crate) fft: &'a TileTransform<T>,
     pub(crate) geometry: Geometry,
-    /// Stamps are applied turned by 180 degrees.
+    /// True if stamps are turned by 180 degrees.
     pub(crate) flip: bool,
     /// 0, 1, 2 ...
     pub(crate) ramp: &'a [T],
 }
 
-/// A tile and what its block has for it.
+/// A tile and its block's coefficients and stamps.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct LocalTile<'a, T> {
     pub(crate) part: TilePart,
@@ -60,7 +60,8 @@ pub(crate) struct LocalTile<'a, T> {
 }
 
 impl<T: ConvReal> TileEngine<'_, T> {
-    /// Copies what lies within `source` of a rectangle whose first pixel is (`column`, `row`) of it, padded with zeros.
+    /// Copies a rectangle from `source`, with its first pixel at (`column`, `row`), and pads it
+    /// with zeros.
     #[inline(always)]
     pub(crate) fn load<S: Lanes<T>>(
         &self,
@@ -90,7 +91,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// Adds the first values of a plane to the part of `output` whose first pixel is (`column`, `row`) of it, as far as it reaches.
+    /// Adds the first values of a plane to `output`, with the first at (`column`, `row`). Values
+    /// beyond `output` are ignored.
     #[inline(always)]
     pub(crate) fn add<S: Lanes<T>>(
         &self,
@@ -120,7 +122,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// The spectra of stamps `[kernel, y, x]`.
+    /// Computes the spectra of stamps `[kernel, y, x]`.
     #[inline(always)]
     pub(crate) fn transform_kernels<S: Lanes<T>>(&self, simd: S, stamps: &[T], workspace: &mut Workspace<T>) {
         let (sx, sy) = self.geometry.stamp;
@@ -144,8 +146,9 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// The light of a tile (`workspace.light`) spread by the kernels whose spectra are in the workspace; the result is in
-    /// `workspace.weighted`, larger than the tile by the stamp less one pixel.
+    /// Spreads the light of a tile (`workspace.light`) by the kernels whose spectra are in the
+    /// workspace. The result is in `workspace.weighted`. It is larger than the tile by the stamp's
+    /// size less one pixel.
     #[inline(always)]
     pub(crate) fn scatter<S: Lanes<T>>(
         &self,
@@ -193,8 +196,9 @@ impl<T: ConvReal> TileEngine<'_, T> {
         );
     }
 
-    /// The light around a tile (`workspace.light`, larger than the tile by the stamp less one pixel) gathered by the kernels, added
-    /// to `output`, which has the tile's size.
+    /// Gathers the light around a tile by the kernels and adds it to `output`, which has the tile's
+    /// size. The light (`workspace.light`) is larger than the tile by the stamp's size less one
+    /// pixel.
     #[inline(always)]
     pub(crate) fn gather<S: Lanes<T>>(
         &self,
@@ -265,7 +269,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         stamp[j * sx + i]
     }
 
-    /// Like [`scatter`](Self::scatter) without transforms, from stamps.
+    /// Like [`scatter`](Self::scatter), but by the direct sum from stamps.
     #[inline(always)]
     pub(crate) fn scatter_directly<S: Lanes<T>>(
         &self,
@@ -306,7 +310,7 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// Like [`gather`](Self::gather) without transforms, from stamps.
+    /// Like [`gather`](Self::gather), but by the direct sum from stamps.
     #[inline(always)]
     pub(crate) fn gather_directly<S: Lanes<T>>(
         &self,

@@ -1,4 +1,4 @@
-//! The treatment of a tile: its light is looked at, and a way to convolve it is chosen.
+//! The treatment of a tile: inspects its light and chooses a method of convolution.
 
 use std::ops::AddAssign;
 
@@ -21,16 +21,18 @@ struct Light {
     total: f64,
 }
 
-/// By how much a pixel may outshine the mean of a tile: a transform spreads rounding noise of a pixel's light over all of it.
+/// The factor by which a pixel may exceed the mean of a tile: a transform spreads rounding noise of
+/// a pixel's light over the whole tile.
 fn brightest_allowed<T: ConvReal>() -> f64 {
-    // 256 in f32, 1e11 in f64: the noise stays below a few 1e-6 of the faint light in the one, 1e-5 in the other.
+    // 256 in f32, 1e11 in f64. The noise stays below a few 1e-6 of the faint light in f32, and
+    // below 1e-5 in f64.
     3e-5 / T::epsilon().as_f64()
 }
 
-/// Independent sums, so that they fill a vector.
+/// The number of independent sums, which fill a vector.
 const LANES: usize = 16;
 
-/// Looks at `rows` rows of `columns` pixels, `pitch` apart.
+/// Inspects `rows` rows of `columns` pixels with `pitch` values from row to row.
 #[inline(always)]
 fn look<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize)) -> Light {
     let mut lit = [0_u32; LANES];
@@ -59,12 +61,12 @@ fn look<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize))
 /// A pixel of a tile: row, column and light.
 pub(crate) type LitPixel<T> = (usize, usize, T);
 
-/// All lit pixels.
+/// Returns all lit pixels.
 fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, usize)) -> Vec<LitPixel<T>> {
     let mut pixels = Vec::new();
     for (row, values) in plane.chunks(pitch).take(rows).enumerate() {
         for (n, some) in values[..columns].chunks(LANES).enumerate() {
-            // Most are dark: one look at all of them is faster than one at each.
+            // Most are dark: one test of a group is faster than one test per pixel.
             if some.iter().fold(false, |lit, v| lit | !v.is_zero()) {
                 let lit = some.iter().enumerate().filter(|(_, v)| !v.is_zero());
                 pixels.extend(lit.map(|(i, &value)| (row, n * LANES + i, value)));
@@ -74,11 +76,11 @@ fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, u
     pixels
 }
 
-/// Takes the pixels out of a tile that would drown the rest of it in the noise of a transform, at most `most` of them, the
-/// brightest first.
+/// Removes the pixels from a tile that would drown the rest of it in the noise of a transform, at
+/// most `most` of them, the brightest first.
 ///
-/// What the noise is to be compared with is the mean over the whole tile without its `most` brightest pixels: a bright galaxy of a few
-/// hundred pixels must not raise the level that it is judged by.
+/// The noise is compared with the mean over the whole tile without its `most` brightest pixels. So
+/// a bright galaxy of a few hundred pixels does not raise the mean that it is compared with.
 fn take_bright<T: ConvReal>(
     plane: &mut [T],
     pitch: usize,
@@ -88,13 +90,13 @@ fn take_bright<T: ConvReal>(
 ) -> Vec<LitPixel<T>> {
     let pixels = (rows * columns) as f64;
     let contrast = brightest_allowed::<T>();
-    // Where no pixel stands out, as in most fully lit tiles, this is all there is to do.
+    // In most fully lit tiles no pixel stands out, and nothing else is to be done.
     if light.largest <= contrast * (light.total - most as f64 * light.largest) / pixels {
         return Vec::new();
     }
     let rest = match total_of_faint(plane, pitch, (rows, columns), most) {
         rest if rest > 0.0 => rest,
-        // There is nothing but those few pixels; among themselves they are compared with their mean.
+        // There are only those few pixels. They are compared with their own mean.
         _ => light.total,
     };
     let limit = contrast * rest / pixels;
@@ -109,7 +111,7 @@ fn take_bright<T: ConvReal>(
             }
         }
     }
-    // The brightest of them; a stable sort, so that equals keep their order.
+    // Keeps the brightest. The sort is stable, so that equals keep their order.
     taken.sort_by(|a, b| b.2.abs().as_f64().total_cmp(&a.2.abs().as_f64()));
     taken.truncate(most);
     for &(row, column, _) in &taken {
@@ -118,8 +120,8 @@ fn take_bright<T: ConvReal>(
     taken
 }
 
-/// The sum of the absolute values without the brightest, of which there are at most `most`; to the nearest factor of 2 in
-/// brightness.
+/// The sum of the absolute values without the brightest pixels, of which there are at most `most`.
+/// The limit between faint and bright is a power of 2.
 fn total_of_faint<T: ConvReal>(
     plane: &[T],
     pitch: usize,
@@ -144,26 +146,27 @@ fn total_of_faint<T: ConvReal>(
     faint.map(|(_, sum)| sum).sum()
 }
 
-/// How a tile is treated.
+/// The treatment of a tile.
 #[derive(Debug)]
 pub(crate) struct Treatment<T> {
-    /// Its light at once, directly or by transforms.
+    /// The method for the tile's light as a whole. `None` if only single pixels are drawn.
     pub(crate) method: Option<TileMethod>,
-    /// Pixels drawn stamp by stamp, which are not part of that light.
+    /// Pixels drawn stamp by stamp. They have been removed from the tile's light.
     pub(crate) drawn: Vec<LitPixel<T>>,
-    /// The power of two that takes what becomes of the whole back, where it was brought near 1.
+    /// The power of two that scales the result of `method` back, if the light was scaled to values
+    /// near 1.
     pub(crate) back: Option<T>,
 }
 
-/// How the light of a tile is convolved at once.
+/// The method of convolution for the light of a tile as a whole.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum TileMethod {
     Directly,
     ByTransforms,
 }
 
-/// Brings a tile's light near 1, in place, where transforms would carry it out of the working precision's range; returns the power of
-/// two that takes the result back.
+/// Scales a tile's light to values near 1, in place, where transforms would leave the range of the
+/// working precision. Returns the power of two that scales the result back.
 fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
     let scale = Rescaling::<T>::for_largest(light.largest)?;
     for value in plane {
@@ -174,9 +177,9 @@ fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
     Some(scale.back)
 }
 
-/// The method for the light in `workspace.light` at once, and the pixels that are drawn, which
-/// are taken out of it. The light has `size` columns and rows; drawing a pixel of it costs `draw`
-/// seconds.
+/// Returns the method for the light in `workspace.light` as a whole, and the pixels to be drawn,
+/// which it removes from that light. The light has `size` columns and rows. Drawing one pixel costs
+/// `draw` seconds.
 fn choose<T: ConvReal>(
     pass: &LightPass<'_, T>,
     light: Light,
@@ -207,8 +210,9 @@ fn choose<T: ConvReal>(
     (Some(TileMethod::ByTransforms), drawn)
 }
 
-/// Loads a tile's light, or that around it, into `workspace.light` and decides how it is treated; nothing where it is dark. Pixels that are
-/// drawn apart are no longer part of that light. A tile is also where work can be stopped.
+/// Loads the light of a tile, or the light around it, into `workspace.light` and chooses its
+/// treatment. Returns `None` if it is dark. Pixels that are drawn are removed from that light. The
+/// progress object is polled here, once per tile.
 pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
@@ -242,7 +246,7 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     let plane = workspace.light.get();
     kernels.check(tile.part, |column, row| match direction {
         Direction::Scatter => !plane[row * pitch + column].is_zero(),
-        // A pixel needs its PSF where any light reaches it.
+        // A pixel needs its PSF if any light reaches it.
         Direction::Gather => (row..row + engine.geometry.stamp.1).any(|row| {
             let under = &plane[row * pitch + column..][..engine.geometry.stamp.0];
             under.iter().any(|v| !v.is_zero())
@@ -256,7 +260,8 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     let back = rescale(&mut seen, workspace.light.get_mut());
     let (method, mut drawn) = choose(pass, seen, size, tile.part.size, (count, draw), workspace);
     if let Some(back) = back {
-        // Single pixels keep their own light: a stamp needs no sums that could leave the range.
+        // Single pixels keep their own scale: drawing a stamp has no sums that could leave the
+        // range.
         for (_, _, value) in &mut drawn {
             *value *= back;
         }
@@ -264,7 +269,7 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     Ok(Some(Treatment { method, drawn, back }))
 }
 
-/// How many tiles were treated in which way, and what it took.
+/// The number of tiles per treatment, and the work that they needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct TileCounts {
@@ -276,9 +281,10 @@ pub struct TileCounts {
     pub direct: usize,
     /// Tiles convolved by transforms.
     pub transformed: usize,
-    /// Pixels drawn stamp by stamp in all, those among them that would have drowned the rest of a tile in rounding noise.
+    /// All pixels drawn stamp by stamp, including pixels that would have drowned the rest of a tile
+    /// in rounding noise.
     pub drawn_pixels: usize,
-    /// Transforms of light times a mode.
+    /// Transforms of light multiplied by a mode's coefficient.
     pub modes: usize,
 }
 
@@ -308,14 +314,14 @@ impl TileCounts {
         }
     }
 
-    /// All tiles.
+    /// The number of all tiles.
     pub fn tiles(&self) -> usize {
         self.dark + self.drawn + self.direct + self.transformed
     }
 }
 
-/// Looks at the tiles of a block one by one; `convolve` does what there is to do with the light of
-/// each that has some, in `workspace.light`.
+/// Inspects the tiles of a block one by one and calls `convolve` for each lit tile, with its light
+/// in `workspace.light`.
 pub(crate) fn each_tile<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
@@ -370,7 +376,8 @@ mod tests {
         assert_eq!(taken, [(3, 4, 1e8), (5, 6, -1e5)]);
         let light = look(&plane, pitch, (rows, columns));
         assert_eq!((light.lit, light.largest, light.total), (598, 1.0, 598.0));
-        // A bright galaxy does not raise the level it is judged by; more of it than may be drawn stays where it is.
+        // A bright galaxy does not raise the mean that it is compared with. Pixels beyond the
+        // number that may be drawn stay in the tile.
         for row in 10..14 {
             plane[row * pitch + 2..row * pitch + 5].fill(1e7);
         }

@@ -1,4 +1,4 @@
-//! Cutting an axis into blocks and tiles.
+//! Division of an axis into blocks and tiles.
 
 use std::ops::Range;
 
@@ -7,7 +7,8 @@ use std::ops::Range;
 pub(crate) struct Stretch {
     /// First pixel and length of each tile, in order.
     pub(crate) tiles: Vec<(usize, usize)>,
-    /// Pixels between the beginning of what the local basis is for and the first tile: those that a plan of a region leaves out.
+    /// Pixels from the first pixel of the local basis to the first tile. A plan of a region omits
+    /// them.
     pub(crate) lead: usize,
 }
 
@@ -16,7 +17,8 @@ impl Stretch {
         Self { tiles, lead: 0 }
     }
 
-    /// What lies within a part of the axis, counted from the first pixel of that part; none where nothing does.
+    /// The part of the stretch within a part of the axis, counted from the first pixel of that
+    /// part. Returns `None` if they do not overlap.
     fn within(&self, part: &Range<usize>) -> Option<Self> {
         let inside = |&(start, length): &(usize, usize)| {
             let (from, to) = (start.max(part.start), (start + length).min(part.end));
@@ -30,7 +32,8 @@ impl Stretch {
         })
     }
 
-    /// First pixel, length and first pixel counted from the block's of each tile.
+    /// First pixel of each tile, its length, and its first pixel counted from the block's first
+    /// pixel.
     pub(crate) fn placed(&self) -> impl Iterator<Item = (usize, usize, usize)> {
         let tiles = self.tiles.iter();
         tiles.map(|&(start, length)| (start, length, start - self.start() + self.lead))
@@ -50,7 +53,8 @@ impl Stretch {
     }
 }
 
-/// Tiles of at most `tile` pixels and nearly equal length, `together` of them a stretch.
+/// Divides an axis into tiles of nearly equal length, at most `tile` pixels, with `together` tiles
+/// per stretch.
 pub(crate) fn even(length: usize, tile: usize, together: usize) -> Vec<Stretch> {
     let tiles = parts(0, length, tile);
     tiles
@@ -59,8 +63,9 @@ pub(crate) fn even(length: usize, tile: usize, together: usize) -> Vec<Stretch> 
         .collect()
 }
 
-/// Stretches between the given cuts, which are ascending pixels inside the axis; each in tiles of at most `tile` pixels, and
-/// each tile a stretch of its own where `split`.
+/// Divides an axis into stretches at the given cuts, which are ascending pixels inside the axis.
+/// Each stretch has tiles of at most `tile` pixels. With `split`, each tile is a stretch of its
+/// own.
 pub(crate) fn at_cuts(length: usize, cuts: &[usize], tile: usize, split: bool) -> Vec<Stretch> {
     let starts = std::iter::once(0).chain(cuts.iter().copied());
     let ends = cuts.iter().copied().chain([length]);
@@ -74,7 +79,8 @@ pub(crate) fn at_cuts(length: usize, cuts: &[usize], tile: usize, split: bool) -
     }
 }
 
-/// The stretches that have pixels in a part of the axis, cut to it and counted from its first pixel, and their numbers.
+/// The stretches with pixels in a part of the axis, and their indices. The stretches are truncated
+/// to the part and counted from its first pixel.
 pub(crate) fn within(stretches: &[Stretch], part: &Range<usize>) -> (Vec<Stretch>, Range<usize>) {
     let first = stretches.partition_point(|stretch| stretch.end() <= part.start);
     let cut: Vec<Stretch> = stretches[first..]
@@ -85,7 +91,7 @@ pub(crate) fn within(stretches: &[Stretch], part: &Range<usize>) -> (Vec<Stretch
     (cut, numbers)
 }
 
-/// The longest tile.
+/// The length of the longest tile.
 pub(crate) fn longest(stretches: &[Stretch]) -> usize {
     let tiles = stretches.iter().flat_map(|stretch| &stretch.tiles);
     tiles.map(|&(_, length)| length).max().unwrap_or(1)

@@ -10,21 +10,21 @@ use super::local_modes::{LocalModes, PsfSpace};
 use super::region_cells::RegionCells;
 use crate::ConvReal;
 
-/// The local basis of a block, and what a plan has room for.
+/// The local basis of a block, with coefficients and stamps if the plan has memory for them.
 #[derive(Debug)]
 pub(crate) struct Block<T> {
     region: PixelRegion,
     modes: LocalModes,
     role: FluxRole,
     flux: f64,
-    /// Kept where the plan has room; else each execution makes it anew.
+    /// Kept if the plan has memory for it. Otherwise each execution computes it.
     pub(crate) table: Option<Arc<CoefficientTable<T>>>,
     /// `[kernel, y, x]`.
     pub(crate) stamps: Option<Arc<Vec<T>>>,
 }
 
 impl<T: ConvReal> Block<T> {
-    /// The block, with its coefficients if they are to be kept.
+    /// Computes the block, with its coefficients if `keep_table`.
     pub(crate) fn new(
         model: &PsfModel,
         space: &PsfSpace,
@@ -46,7 +46,7 @@ impl<T: ConvReal> Block<T> {
         }
     }
 
-    /// Modes, and the reference where there is one.
+    /// The number of modes, plus 1 if there is a reference.
     pub(crate) fn kernel_count(&self) -> usize {
         self.modes.rank() + usize::from(self.modes.reference().is_some())
     }
@@ -59,7 +59,7 @@ impl<T: ConvReal> Block<T> {
         self.stamps.as_ref().map_or(0, |stamps| size_of_val(&stamps[..]))
     }
 
-    /// The coefficients, kept or made anew.
+    /// The coefficients, stored or computed now.
     pub(crate) fn table_or_new(&self, model: &PsfModel) -> Arc<CoefficientTable<T>> {
         self.table.clone().unwrap_or_else(|| {
             let cells = RegionCells::new(model.field(), self.region);
@@ -67,7 +67,7 @@ impl<T: ConvReal> Block<T> {
         })
     }
 
-    /// The kernels' stamps, kept or made anew.
+    /// The kernels' stamps, stored or computed now.
     pub(crate) fn stamps_or_new(&self, space: &PsfSpace) -> Arc<Vec<T>> {
         self.stamps.clone().unwrap_or_else(|| {
             let made = stamps_of(space.stamps.view(), &[self]).pop();
@@ -88,7 +88,7 @@ impl<T: ConvReal> Block<T> {
     }
 }
 
-/// The stamps of some blocks, by one product of matrices.
+/// Computes the stamps of several blocks by one matrix product.
 pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Block<T>]) -> Vec<Vec<T>> {
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
     let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();

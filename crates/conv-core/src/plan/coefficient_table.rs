@@ -6,18 +6,18 @@ use super::local_modes::LocalModes;
 use super::region_cells::{Band, CORNERS, Cell, RegionCells};
 use crate::ConvReal;
 
-/// What a PSF's flux does to the light.
+/// The role of a PSF's flux in the convolution.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FluxRole {
-    /// It is the same everywhere, and part of the reference.
+    /// The flux is the same everywhere and is included in the reference.
     Constant,
-    /// The reference is multiplied by it.
+    /// The reference is multiplied by the flux.
     Weight,
-    /// PSFs are scaled to unit flux: the reference is taken as it is, the modes are divided by it.
+    /// PSFs are scaled to unit flux: the modes are divided by the flux, the reference is not.
     Divisor,
     /// There is no reference.
     NoReference {
-        /// Whether the modes are divided by the flux.
+        /// True if the modes are divided by the flux.
         scaled: bool,
     },
 }
@@ -27,7 +27,7 @@ pub enum FluxRole {
 pub struct CoefficientTable<T> {
     pub(crate) region: PixelRegion,
     pub(crate) role: FluxRole,
-    /// The flux first, unless it is constant, then the modes.
+    /// The number of functions: the flux first, unless it is constant, then the modes.
     pub(crate) functions: usize,
     pub(crate) values: Values<T>,
     /// `(row, column)` of the pixels without a PSF.
@@ -36,22 +36,22 @@ pub struct CoefficientTable<T> {
 
 #[derive(Debug)]
 pub(crate) enum Values<T> {
-    /// Runs along which every function is linear: `(start, slope)` by run and function.
+    /// Runs along which every function is linear: `(start, slope)` per run and function.
     Linear {
         row_starts: Vec<u32>,
-        /// First column and length.
+        /// First column and length of each run.
         runs: Vec<(u32, u32)>,
         ramps: Vec<[T; 2]>,
     },
-    /// By function and pixel.
+    /// Values per function and pixel.
     Dense(Vec<T>),
 }
 
-/// Fluxes that differ by less than this part are the same.
+/// Fluxes are equal if they differ by less than this fraction.
 const SAME_FLUX: f64 = 4e-16;
 
 impl FluxRole {
-    /// The role in a region, and the flux where it is constant.
+    /// Returns the role in a region, and the flux if it is constant.
     pub fn of(model: &PsfModel, modes: &LocalModes, cells: &RegionCells) -> (Self, f64) {
         let scaled = model.needs_flux_scaling();
         if modes.reference().is_none() {
@@ -70,7 +70,7 @@ impl FluxRole {
         match range {
             None => (Self::Constant, 1.0),
             Some((low, high)) if high - low <= SAME_FLUX * high.abs().max(low.abs()) => (Self::Constant, low),
-            // Unit fluxes up to the rounding of their sums.
+            // Fluxes are 1 up to the rounding of their sums.
             Some((low, high)) if (low - 1.0).abs() <= 1e-12 && (high - 1.0).abs() <= 1e-12 => {
                 (Self::Constant, 1.0)
             }
@@ -82,7 +82,7 @@ impl FluxRole {
         !matches!(self, Self::Constant | Self::NoReference { scaled: false })
     }
 
-    /// The function by which a kernel's light is multiplied, if it is.
+    /// The index of the function that a kernel's light is multiplied by, if any.
     pub(crate) fn function_of(self, kernel: usize) -> Option<usize> {
         match self {
             Self::Constant => kernel.checked_sub(1),
@@ -98,7 +98,7 @@ impl FluxRole {
 }
 
 impl<T: ConvReal> CoefficientTable<T> {
-    /// The coefficients of modes over a region, of which `cells` are the cells.
+    /// Tabulates the coefficients of modes over a region. `cells` are the cells of that region.
     pub fn new(region: PixelRegion, role: FluxRole, modes: &LocalModes, cells: &RegionCells) -> Self {
         let skip = usize::from(!role.has_flux_function());
         let functions = 1 + modes.rank() - skip;
@@ -143,7 +143,7 @@ impl<T: ConvReal> CoefficientTable<T> {
         }
     }
 
-    /// The number of kernels: the modes, and the reference where there is one.
+    /// The number of kernels: the modes, plus 1 if there is a reference.
     pub fn kernel_count(&self) -> usize {
         match self.role {
             FluxRole::Constant => self.functions + 1,
@@ -152,7 +152,7 @@ impl<T: ConvReal> CoefficientTable<T> {
         }
     }
 
-    /// Bytes of memory.
+    /// Memory used, in bytes.
     pub(crate) fn bytes(&self) -> usize {
         let values = match &self.values {
             Values::Linear {
@@ -165,7 +165,8 @@ impl<T: ConvReal> CoefficientTable<T> {
         values + size_of_val(&self.undefined[..])
     }
 
-    /// The error of the first pixel that is lit though there is no PSF; `lit(row, column)` counts from the region's first pixel.
+    /// Returns an error for the first lit pixel without a PSF. `lit(row, column)` counts from the
+    /// region's first pixel.
     pub(crate) fn check(
         &self,
         model: &PsfModel,
@@ -178,15 +179,15 @@ impl<T: ConvReal> CoefficientTable<T> {
                 model.scaled_coefficients_into(position, &mut coefficients)?;
                 return Err(FieldError::External {
                     position,
-                    source: "the field's weights are not finite, or do not cover the row".into(),
+                    source: "the field's weights are not finite or do not cover the row".into(),
                 });
             }
         }
         Ok(())
     }
 
-    /// Multiplies pixels of a row by the coefficient of a kernel: `row` and the first column count from the region's first pixel,
-    /// `ramp` holds 0, 1, 2 ... .
+    /// Multiplies pixels of a row by the coefficient of a kernel. `row` and the first column count
+    /// from the region's first pixel. `ramp` holds 0, 1, 2 ... .
     #[inline(always)]
     pub fn weigh(
         &self,
@@ -249,7 +250,7 @@ impl<T: ConvReal> CoefficientTable<T> {
         }
     }
 
-    /// Calls `work` with the pieces of a function along part of a row; columns count from `first`.
+    /// Calls `work` with the pieces of a function along part of a row. Columns count from `first`.
     #[inline(always)]
     fn apply(
         &self,
@@ -300,15 +301,16 @@ enum Piece<'a, T> {
 struct Builder<'a> {
     modes: &'a LocalModes,
     ends: [Vec<f64>; 2],
-    /// Leading values that are no function.
+    /// The number of leading values that are not functions.
     skip: usize,
     divides: bool,
     undefined: Vec<(u32, u32)>,
 }
 
 impl Builder<'_> {
-    /// Visits the cells row by row: row, first column, length, the functions' values there and their slopes. It is visited pixel by
-    /// pixel where its flux is not positive somewhere.
+    /// Visits the cells row by row, with row, first column, length, the functions' values at the
+    /// first column and their slopes. A cell whose flux is not positive everywhere is visited pixel
+    /// by pixel.
     fn each_piece(
         &mut self,
         cells: &RegionCells,
@@ -325,7 +327,8 @@ impl Builder<'_> {
                 for (cell, corners) in cells.cells_of(band).iter().zip(values) {
                     if cells.corners(cell).is_none() {
                         self.undefined(row, cell.column, cell.length);
-                        // What is never lit may be multiplied by anything but 1 / 0.
+                        // These pixels must stay dark, so any finite factor will do: a divisor of 1
+                        // avoids 1 / 0.
                         self.ends[0].fill(0.0);
                         self.ends[0][0] = 1.0;
                         visit(row, cell.column, cell.length, &self.ends[0][self.skip..], &|_| {
@@ -348,7 +351,7 @@ impl Builder<'_> {
         }
     }
 
-    /// The functions at the corners of a band's cells, `[cell, corner, function]`.
+    /// Computes the functions at the corners of a band's cells, `[cell, corner, function]`.
     fn corner_values(&self, cells: &RegionCells, band: &Band, values: &mut Vec<f64>) {
         let functions = 1 + self.modes.rank();
         let of_band = cells.cells_of(band);
@@ -358,7 +361,7 @@ impl Builder<'_> {
             let Some(corners) = cells.corners(cell) else {
                 continue;
             };
-            // Of a single row, only the first is looked at.
+            // In a band of one row, only the corners of the first row are used.
             let rows = if band.rows.len() == 1 { 2 } else { CORNERS };
             for (corner, values) in corners[..rows].iter().zip(values.chunks_exact_mut(functions)) {
                 self.modes.values_into(corner, values);
@@ -366,7 +369,7 @@ impl Builder<'_> {
         }
     }
 
-    /// Visits a cell's part of a row, whose values at its ends are known.
+    /// Visits a cell's part of a row. The values at its ends are in `ends`.
     fn piece(
         &mut self,
         row: usize,

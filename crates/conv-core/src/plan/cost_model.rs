@@ -1,35 +1,37 @@
-//! What the engine's steps cost.
+//! The cost of the engine's steps.
 
 use crate::ConvReal;
 use crate::transform::{X_STEP, Y_STEP};
 
-/// Predicted seconds of one thread, from constants that are compiled in: measured on one core of an AVX-512 machine in f32
-/// (`cargo bench -p conv-core`), so that plans are the same everywhere. Only ratios matter for choices.
+/// Predicted seconds of one thread, from constants in the source code, so that plans are the same
+/// on every machine. They were measured in f32 on one core of an AVX-512 machine
+/// (`cargo bench -p conv-core`). Only ratios matter for choices.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CostModel {
-    /// f64 moves twice the bytes through half the lanes.
+    /// Factor for f64, which moves twice the bytes through half the lanes.
     width: f64,
 }
 
-/// Seconds a value and a doubling of the transform's size, while a plane and its spectra stay in the L2 cache.
+/// Seconds per value and per doubling of the transform's size, while a plane and its spectra stay
+/// in the L2 cache.
 const TRANSFORM: f64 = 17e-12;
-/// The same where they do not.
+/// Seconds for larger planes, which do not stay in the L2 cache.
 const TRANSFORM_LARGE: f64 = 21e-12;
 const TRANSFORM_HUGE: f64 = 24e-12;
-/// A complex multiply-add, a value of the plane.
+/// A complex multiply-add, per value of the plane.
 const MULTIPLY: f64 = 0.09e-9;
-/// Weighing a pixel's light by one mode.
+/// Multiplication of a pixel's light by the coefficient of one mode.
 const WEIGH: f64 = 0.10e-9;
-/// Looking at a pixel's light, and adding a pixel to the image.
+/// Reading a pixel's light, and adding a pixel to the image.
 const LOOK: f64 = 0.15e-9;
 const ADD: f64 = 0.20e-9;
-/// Drawing a stamp: a stamp's pixel and mode, and adding it to the image.
+/// Drawing a stamp and adding it to the image, per stamp pixel and mode.
 const DRAW: f64 = 0.05e-9;
-/// How much slower that is where coefficients change from pixel to pixel.
+/// Factor for drawing where coefficients change from pixel to pixel.
 const DRAW_GATHERED: f64 = 6.0;
-/// Making a stamp: a stamp's pixel and a stamp of the model.
+/// Computing a stamp, per stamp pixel and stamp of the model.
 const MAKE_STAMP: f64 = 0.1e-9;
-/// A product and a sum of the direct convolution.
+/// One product and sum of the direct convolution.
 const DIRECT: f64 = 0.012e-9;
 
 impl CostModel {
@@ -39,7 +41,7 @@ impl CostModel {
         }
     }
 
-    /// One transform of `nx x ny` values, forward or back.
+    /// One forward or inverse transform of `nx x ny` values.
     pub(crate) fn transform(self, (nx, ny): (usize, usize)) -> f64 {
         let values = (nx * ny) as f64;
         let unit = match nx * ny {
@@ -50,12 +52,12 @@ impl CostModel {
         self.width * unit * values * values.log2()
     }
 
-    /// The transform of a stamp: the empty columns are skipped.
+    /// The transform of a stamp. Empty columns are skipped.
     pub(crate) fn kernel(self, size: (usize, usize), stamp: (usize, usize)) -> f64 {
         self.transform(size) * (0.42 + 0.5 * stamp.0 as f64 / size.0 as f64)
     }
 
-    /// Making one local stamp from those of the model.
+    /// Computing one local stamp from the stamps of the model.
     pub(crate) fn make_stamp(stamp: (usize, usize), stamps: usize) -> f64 {
         MAKE_STAMP * (stamp.0 * stamp.1 * stamps) as f64
     }
@@ -68,7 +70,7 @@ impl CostModel {
         self.width * MULTIPLY * (nx * ny) as f64
     }
 
-    /// A tile of `(nx, ny)` pixels by transforms of `size`, with its local kernels at hand.
+    /// A tile of `(nx, ny)` pixels by transforms of `size`, with local kernels already computed.
     pub(crate) fn tile(self, tile: (usize, usize), size: (usize, usize), kernels: f64) -> f64 {
         let pixels = (tile.0 * tile.1) as f64;
         let plane = (size.0 * size.1) as f64;
@@ -83,12 +85,12 @@ impl CostModel {
         self.width * DRAW * (stamp.0 * stamp.1) as f64 * (kernels as f64 + 1.5)
     }
 
-    /// Drawing one lit pixel where every pixel that it reaches has coefficients of its own.
+    /// Drawing one lit pixel where every pixel that it reaches has its own coefficients.
     pub(crate) fn draw_gathered(self, stamp: (usize, usize), kernels: usize) -> f64 {
         DRAW_GATHERED * self.draw(stamp, kernels)
     }
 
-    /// Convolving a tile without transforms.
+    /// Convolving a tile by the direct sum.
     pub(crate) fn direct(self, tile: (usize, usize), stamp: (usize, usize), kernels: usize) -> f64 {
         let out = ((tile.0 + stamp.0 - 1) * (tile.1 + stamp.1 - 1)) as f64;
         self.width
@@ -97,12 +99,12 @@ impl CostModel {
     }
 }
 
-/// The sizes of transforms along an axis: `at_least` or a little more.
+/// Returns the sizes of the transforms along both axes: `at_least` or a little more.
 pub(crate) fn transform_size(at_least: (usize, usize)) -> (usize, usize) {
     (fast(at_least.0, X_STEP), fast(at_least.1, Y_STEP))
 }
 
-/// Sizes worth trying, ascending: products of 2, 3 and 5 that suit both axes.
+/// Candidate sizes, ascending: products of 2, 3 and 5 that suit both axes.
 pub(crate) fn sizes() -> impl Iterator<Item = usize> {
     (1..=512).map(|i| i * Y_STEP).filter(|&n| is_fast(n))
 }
@@ -115,7 +117,7 @@ fn fast(at_least: usize, step: usize) -> usize {
     n
 }
 
-/// At most two factors of 3 or 5: each costs more than a factor of 2.
+/// Allows at most two factors of 3 or 5, because each costs more than a factor of 2.
 fn is_fast(n: usize) -> bool {
     let mut odd = n >> n.trailing_zeros();
     let mut factors = 0;

@@ -1,4 +1,4 @@
-//! Where the light is and where it goes.
+//! Positions of the light and of its image.
 
 use std::ops::Range;
 
@@ -6,10 +6,10 @@ use psf_types::{Anchor, PixelRegion};
 
 use crate::view::Reach;
 
-/// Which way light goes through the operator.
+/// The direction in which light passes through the operator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Direction {
-    /// From the side that PSFs belong to: a tile's own light spreads.
+    /// From the side that PSFs belong to: the tile's own light spreads.
     Scatter,
     /// To that side: the light around a tile is gathered.
     Gather,
@@ -18,7 +18,7 @@ pub(crate) enum Direction {
 /// A tile within its block.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct TilePart {
-    /// First column and row, counted from the block's.
+    /// First column and row, counted from the block's first pixel.
     pub(crate) corner: (usize, usize),
     /// Columns and rows.
     pub(crate) size: (usize, usize),
@@ -29,24 +29,26 @@ pub(crate) struct TilePart {
 pub(crate) struct PlacedTile {
     /// Its first pixel on the weighted side.
     pub(crate) first: (usize, usize),
-    /// Its place in its block, and its size.
+    /// Its position in its block, and its size.
     pub(crate) part: TilePart,
 }
 
-/// The two sides of the operator, in field positions. PSFs belong to pixels of the `weighted` side: the light
-/// (source-anchored) or the frame (output-anchored).
+/// The two sides of the operator, in field positions. PSFs belong to pixels of the `weighted` side:
+/// the light (source-anchored) or the frame (output-anchored).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Geometry {
     pub(crate) weighted: PixelRegion,
     pub(crate) other: PixelRegion,
-    /// How far a pixel of the weighted side reaches to smaller columns and rows of the other side.
+    /// The number of columns and rows that a pixel of the weighted side reaches towards smaller
+    /// indices of the other side.
     pub(crate) before: (usize, usize),
     /// Columns and rows of the stamps.
     pub(crate) stamp: (usize, usize),
 }
 
 impl Geometry {
-    /// `light` is the part of the scene that reaches `region`, a part of the frame or all of it.
+    /// `light` is the part of the scene that reaches `region`. `region` is the frame or a part of
+    /// it.
     pub(crate) fn new(light: PixelRegion, region: PixelRegion, reach: Reach, anchor: Anchor) -> Self {
         let stamp = (reach.left + reach.right + 1, reach.below + reach.above + 1);
         match anchor {
@@ -65,8 +67,8 @@ impl Geometry {
         }
     }
 
-    /// The pixel of the other side from which on pixel (`column`, `row`) of the weighted side reaches, both counted from
-    /// their region's first pixels.
+    /// The first pixel of the other side that pixel (`column`, `row`) of the weighted side reaches.
+    /// Both count from the first pixels of their regions.
     pub(crate) fn reach_from(&self, column: usize, row: usize) -> (i64, i64) {
         (
             column as i64 + self.weighted.x0() - self.other.x0() - self.before.0 as i64,
@@ -74,7 +76,7 @@ impl Geometry {
         )
     }
 
-    /// The columns (axis 0) or rows (axis 1) of the other side that some of the weighted side
+    /// The columns (axis 0) or rows (axis 1) of the other side that `pixels` of the weighted side
     /// reach.
     pub(crate) fn reached(&self, axis: usize, pixels: Range<usize>) -> Range<usize> {
         let reach = self.reach_from(pixels.start, pixels.start);
@@ -87,12 +89,12 @@ impl Geometry {
         clamp(from)..clamp(from + (pixels.len() + stamp - 1) as i64)
     }
 
-    /// Columns and rows of a tile with what its stamps reach around it.
+    /// Columns and rows of a tile plus the margin that its stamps reach.
     pub(crate) fn around(&self, (columns, rows): (usize, usize)) -> (usize, usize) {
         (columns + self.stamp.0 - 1, rows + self.stamp.1 - 1)
     }
 
-    /// Columns and rows of the light that a tile of some size takes.
+    /// Columns and rows of the light needed for a tile of the given size.
     #[cfg(feature = "gpu")]
     pub(crate) fn light_size(&self, direction: Direction, tile: (usize, usize)) -> (usize, usize) {
         match direction {
@@ -101,7 +103,7 @@ impl Geometry {
         }
     }
 
-    /// Values of a stamp.
+    /// The number of values in a stamp.
     #[cfg(feature = "gpu")]
     pub(crate) fn stamp_values(&self) -> usize {
         self.stamp.0 * self.stamp.1

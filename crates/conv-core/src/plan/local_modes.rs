@@ -1,4 +1,4 @@
-//! The few PSFs from which all PSFs of a region are made.
+//! The few local PSFs whose combinations are all PSFs of a region.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
@@ -6,10 +6,11 @@ use psf_types::PsfModel;
 
 use super::region_cells::{CORNERS, RegionCells};
 
-/// Coordinates in which the norm of a vector is the L2 norm of the PSF it stands for.
+/// Coordinates in which the norm of a vector is the L2 norm of its PSF.
 ///
-/// The components of a basis are orthonormal already; the mean stamp gets a direction of its own, for what the components do
-/// not hold of it. A PSF of the model is `mean + sum_n w_n node_n`, with the weights of the coefficient field.
+/// The components of a basis are already orthonormal. The mean stamp gets a direction of its own
+/// for the part that the components do not span. A PSF of the model is `mean + sum_n w_n node_n`,
+/// with the weights of the coefficient field.
 #[derive(Debug)]
 pub struct PsfSpace {
     /// Orthonormal stamps, `[direction, stamp pixel]`.
@@ -21,7 +22,8 @@ pub struct PsfSpace {
     pub(crate) fluxes: Array1<f64>,
 }
 
-/// What the components miss of the mean counts as nothing when its norm is below this part of the mean's.
+/// The part of the mean outside the components' span is ignored if its norm is below this fraction
+/// of the mean's norm.
 const IN_SPAN: f64 = 1e-14;
 
 impl PsfSpace {
@@ -36,7 +38,8 @@ impl PsfSpace {
         let components = flat.slice(s![first.., ..]);
         let rank = components.nrows();
         let values = model.field().node_values();
-        // The mean's part along the components, and the rest. Twice is enough (Kahan; Parlett 1980, section 6-9).
+        // The mean's part along the components, and the rest. Two passes are enough (Kahan, in
+        // Parlett 1980, section 6-9).
         let mut along = Array1::zeros(rank);
         let mut rest: Array1<f64> = if first == 1 {
             flat.row(0).to_owned()
@@ -84,42 +87,47 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
     v.dot(&v).sqrt()
 }
 
-/// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with modes that hold no flux, so that the flux is kept
-/// however few of them there are.
+/// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
+/// truncation keeps the flux.
 ///
-/// The modes are orthonormal and in the order of their weight, but that one which carries all flux comes first where there is no
-/// reference. How many are kept: the fewest that leave every PSF of the
-/// region within the tolerance, relative to its own norm. In a cell PSFs are bilinear, so it is enough to look at its
-/// corners: along any row or column of it the norm of the residual is convex, and a PSF's norm is at least its projection on the
-/// region's mean, which is linear there.
+/// The modes are orthonormal and ordered by weight. If there is no reference, the one mode that
+/// carries all flux comes first. The fewest modes are kept that leave every PSF of the region
+/// within the tolerance, relative to its own norm. PSFs are bilinear in a cell, so testing its
+/// corners is enough: along any row or column of the cell the norm of the residual is convex. A
+/// PSF's norm is at least its projection on the region's mean, which is linear there.
 #[derive(Debug)]
 pub struct LocalModes {
-    /// The PSF of unit flux, `[direction]`; none where the region's PSFs hold no flux to speak of.
+    /// The PSF of unit flux, `[direction]`. `None` if the region's PSFs hold too little flux.
     reference: Option<Array1<f64>>,
     /// `[mode, direction]`.
     pub(crate) modes: Array2<f64>,
-    /// Flux and coefficients that do not come from any node.
+    /// The part of flux and coefficients that does not depend on the nodes.
     offset: Array1<f64>,
     /// Flux and coefficients of the region's nodes, `[node, 1 + mode]`.
     node_values: Array2<f64>,
 }
 
-/// Bands of a region whose PSFs choose the directions of the modes. All bands decide how many are kept.
+/// The number of bands of a region whose PSFs determine the directions of the modes. All bands
+/// determine how many modes are kept.
 const SUPPORT_BANDS: usize = 5;
-/// Cells of each of those bands.
+/// The number of cells used from each of those bands.
 const SUPPORT_CELLS: usize = 16;
-/// The region's mean is a reference for the flux where it holds at least this part of the flux that a vector of its norm can hold.
+/// The region's mean is the reference if it holds at least this fraction of the largest flux that a
+/// vector of its norm can hold.
 const FLUX_TO_SPEAK_OF: f64 = 1e-3;
-/// What nodes without flux hold along the direction of flux, relative to their norms, is rounding up to this.
+/// After removal of the flux, what nodes hold along the flux direction is rounding up to this,
+/// relative to their norms.
 const NO_FLUX: f64 = 1e-12;
-/// Directions in which no node reaches farther than this, relative to the nodes' norms, are rounding.
+/// Directions in which no node reaches farther than this, relative to the nodes' norms, are
+/// rounding.
 const ROUNDING: f64 = 2e-16;
 
-/// What is left of a node is rounding where less than this part of it is orthogonal to the directions found before.
+/// The remainder of a node is rounding if less than this fraction of it is orthogonal to the
+/// earlier directions.
 const MOSTLY_NEW: f64 = 0.5;
 
 impl LocalModes {
-    /// The modes of a region, for a tolerance that is not below the rounding of double precision.
+    /// Computes the modes of a region. The tolerance must not be below the rounding of f64.
     pub fn new(space: &PsfSpace, cells: &RegionCells, tolerance: f64) -> Self {
         let mut nodes = Array2::zeros((cells.nodes.len(), space.mean.len()));
         for (mut row, &node) in nodes.outer_iter_mut().zip(&cells.nodes) {
@@ -132,7 +140,7 @@ impl LocalModes {
         }
         let support = Support::of(cells);
         let centre = support.mean_weights(nodes.nrows()).dot(&nodes) + &offset;
-        // beta(x) = <h(x), centre> / |centre|, linear and not above |h(x)|.
+        // beta(x) = <h(x), centre> / |centre| is linear and at most |h(x)|.
         let along = &centre / norm(centre.view()).max(f64::MIN_POSITIVE);
         let (beta, beta_offset) = (nodes.dot(&along), offset.dot(&along));
         let fluxes = nodes.dot(&space.fluxes);
@@ -151,7 +159,7 @@ impl LocalModes {
             }
             offset.scaled_add(-flux_offset, reference);
         }
-        // Now nodes and offset are what the modes must make.
+        // The modes must represent the remaining nodes and offset.
         let span = span(nodes.view(), offset.view(), ROUNDING * scale);
         let (nodes, offset) = (nodes.dot(&span.t()), span.dot(&offset));
         let covariance = support.covariance(nodes.view(), offset.view());
@@ -161,7 +169,7 @@ impl LocalModes {
         };
         let (rotation, forced) = match flux_axis(&span, space.fluxes.view()) {
             None => (principal_axes(&covariance), 0),
-            // Without a reference, this one mode carries all flux and must not be lost.
+            // Without a reference, this one mode carries all flux and must be kept.
             Some(axis) if reference.is_none() => {
                 let rest = beside(&axis);
                 let axis = axis.insert_axis(Axis(1));
@@ -170,7 +178,8 @@ impl LocalModes {
                     1,
                 )
             }
-            // With one, nothing lies along it, and no mode may.
+            // With a reference, no node has a part along the flux direction, and no mode may have
+            // one.
             Some(axis) => {
                 let along = nodes
                     .dot(&axis)
@@ -202,7 +211,7 @@ impl LocalModes {
         }
     }
 
-    /// The number of modes, the reference not counted.
+    /// The number of modes, without the reference.
     pub(crate) fn rank(&self) -> usize {
         self.modes.nrows()
     }
@@ -211,7 +220,7 @@ impl LocalModes {
         self.reference.as_ref().map(|r| r.view())
     }
 
-    /// The flux and the coefficients at one corner of a cell.
+    /// Computes the flux and the coefficients at one corner of a cell.
     pub(crate) fn values_into(&self, end: &[(usize, f64)], values: &mut [f64]) {
         values.copy_from_slice(self.offset.as_slice().expect("contiguous"));
         for &(node, weight) in end {
@@ -222,7 +231,7 @@ impl LocalModes {
     }
 }
 
-/// The weights of nodes at corners of cells, spread over a region.
+/// The node weights at corners of cells, spread over a region.
 struct Support<'a>(Vec<&'a [(usize, f64)]>);
 
 impl<'a> Support<'a> {
@@ -232,7 +241,7 @@ impl<'a> Support<'a> {
         let mut ends = Vec::new();
         for i in 0..count {
             let band = &bands[i * (bands.len() - 1) / (count - 1).max(1)];
-            // The corners of a single row are there twice.
+            // In a band of one row, the last two corners repeat the first two.
             let corners = if band.rows.len() == 1 {
                 CORNERS / 2
             } else {
@@ -245,7 +254,7 @@ impl<'a> Support<'a> {
             ends.extend(chosen.flat_map(|of_cell| of_cell.into_iter().take(corners)));
         }
         if ends.is_empty() {
-            // A region with values in few places.
+            // The field has values only in few places of the region.
             ends.extend(cells.all_corners().next().into_iter().flatten());
         }
         Self(ends)
@@ -276,7 +285,8 @@ impl<'a> Support<'a> {
     }
 }
 
-/// Orthonormal rows that span the rows of `nodes` and `offset` down to norms of `least`.
+/// Returns orthonormal rows that span the rows of `nodes` and `offset`, except for remainders with
+/// norms below `least`.
 fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> Array2<f64> {
     let dimension = nodes.ncols();
     if nodes.nrows() >= dimension {
@@ -295,7 +305,7 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
         }
         let mut direction = &rest.row(row) / largest;
         rest.row_mut(row).fill(0.0);
-        // What rounding left of the earlier directions.
+        // Removes the rounding errors along earlier directions.
         for earlier in &basis {
             let p = earlier.dot(&direction);
             direction.scaled_add(-p, earlier);
@@ -318,14 +328,15 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
     rows
 }
 
-/// The direction of flux within a span, if it has any.
+/// The direction of flux within a span, if the span has any flux.
 fn flux_axis(span: &Array2<f64>, fluxes: ArrayView1<'_, f64>) -> Option<Array1<f64>> {
     let axis = span.dot(&fluxes);
     let length = norm(axis.view());
     (length > NO_FLUX * norm(fluxes)).then(|| axis / length)
 }
 
-/// Orthonormal columns orthogonal to a unit vector: all but the first of the reflection that takes it to the first axis.
+/// Returns orthonormal columns orthogonal to a unit vector: all columns but the first of the
+/// reflection that maps it to the first axis.
 fn complement(axis: &Array1<f64>) -> Array2<f64> {
     let n = axis.len();
     let mut normal = axis.clone();
@@ -336,10 +347,10 @@ fn complement(axis: &Array1<f64>) -> Array2<f64> {
     })
 }
 
-/// The eigenvectors of a covariance as columns, the largest eigenvalue first.
+/// Returns the eigenvectors of a covariance as columns, the largest eigenvalue first.
 fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     let n = covariance.nrows();
-    // Beyond the range of numbers there are no axes to be found; then any will do, as all are kept.
+    // If the covariance overflows, there are no axes. Any axes will do then, as all are kept.
     if n == 0 || covariance.iter().any(|v| !v.is_finite()) {
         return Array2::eye(n);
     }
@@ -349,7 +360,7 @@ fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     Array2::from_shape_fn((n, n), |(i, j)| eigen.eigenvectors[(i, order[j])])
 }
 
-/// The smallest number of leading coordinates that leaves every PSF within its limit.
+/// Returns the smallest number of leading coordinates that leaves every PSF within its limit.
 fn needed(
     cells: &RegionCells,
     nodes: ArrayView2<'_, f64>,
@@ -370,10 +381,10 @@ fn needed(
         let least = least.powi(2);
         for (i, corner) in corners.iter().enumerate() {
             if corners[..i].iter().any(|before| std::ptr::eq(*before, *corner)) {
-                // Of a single row, or a single pixel of each.
+                // These corners repeat others in a band of one row or a cell of one column.
                 continue;
             }
-            // Only coordinates beyond those needed already can raise the number.
+            // Only coordinates beyond `needed` can raise the number.
             value[needed..].copy_from_slice(&offset[needed..]);
             for &(node, weight) in *corner {
                 let node = &nodes[node * n + needed..(node + 1) * n];

@@ -1,9 +1,10 @@
-//! Plans: everything about a convolution that does not depend on the light, nor on the device that
+//! Plans: everything about a convolution that depends neither on the light nor on the device that
 //! executes it.
 //!
-//! A plan cuts the side to which PSFs belong into blocks ([`tiling`]), finds for each the few modes that make every PSF in it
-//! within the tolerance ([`local_modes`], from the weights of the field's nodes along rows, [`region_cells`]), and keeps stamps and
-//! coefficients ([`coefficient_table`]).
+//! A plan divides the side to which PSFs belong into blocks ([`tiling`]). For each block it finds
+//! the few modes that represent every PSF within the tolerance ([`local_modes`]), from the weights
+//! of the field's nodes along rows ([`region_cells`]). It keeps stamps and coefficients
+//! ([`coefficient_table`]).
 
 pub(crate) mod axis_cuts;
 pub(crate) mod block;
@@ -35,19 +36,20 @@ use crate::image_memory::zeros;
 use crate::view::{View, in_words};
 use crate::{ConvError, ConvReal};
 
-/// Blocks that are planned at once.
+/// The number of blocks planned in parallel.
 const BLOCKS_AT_ONCE: usize = 64;
-/// Blocks whose stamps are made by one product of matrices.
+/// The number of blocks whose stamps are computed by one matrix product.
 const BLOCKS_A_PRODUCT: usize = 32;
 
-/// The convolution of light of one shape with one model, planned: tiles, the modes of each, their
+/// A planned convolution of light of one shape with one model: tiles, the modes of each tile, their
 /// stamps and coefficients.
 ///
-/// A plan is data; an [`Engine`](crate::Engine) executes it, any number of times. It is a linear
-/// operator: which modes a tile has depends on the model and the tolerance, never on the light.
+/// A plan is data. An [`Engine`](crate::Engine) executes it, any number of times. It is a linear
+/// operator: the modes of a tile depend on the model and the tolerance, never on the light.
 ///
-/// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with the fewest modes that keep every one of them
-/// within the tolerance; the modes hold no flux, so that flux is kept at any tolerance.
+/// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with the fewest modes
+/// that represent each PSF within the tolerance. The modes hold no flux, so the flux is exact at
+/// any tolerance.
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(crate) model: PsfModel,
@@ -58,18 +60,19 @@ pub struct Plan<T: ConvReal> {
     pub(crate) cost: CostModel,
     /// Row by row.
     pub(crate) blocks: Vec<Block<T>>,
-    /// The part of the frame that it makes, in pixels of the frame.
+    /// The part of the frame that the plan computes, in pixels of the frame.
     region: PixelRegion,
     /// Columns and rows of the scene that reach the region.
     pub(crate) light: [Range<usize>; 2],
 }
 
 impl<T: ConvReal> Plan<T> {
-    /// A plan for light of a shape seen through a frame, a region of it.
+    /// Plans the convolution of light of a given shape. `frame` is the region of the light that the
+    /// image shows.
     ///
     /// # Errors
-    /// [`ConvError`] when the model's stamps do not suit an image, or the frame reaches beyond the
-    /// light. A PSF that has no value somewhere is an error of the execution, if there is light.
+    /// [`ConvError`] if the model's stamps do not suit an image, or the frame reaches beyond the
+    /// light. A missing PSF is an error of the execution, and only where there is light.
     pub fn new(
         model: &PsfModel,
         shape: FrameShape,
@@ -79,15 +82,17 @@ impl<T: ConvReal> Plan<T> {
         Self::for_region(model, shape, frame, frame.shape().region(), options, &NoProgress)
     }
 
-    /// A plan for a region of the frame, in pixels of the frame, so that a frame can be made in pieces, on many machines: with the tiles and the
-    /// modes of the whole frame, of which it holds what reaches the region. Pieces put together are the image that the whole plan makes but for
-    /// rounding, at any tolerance: their edges leave no trace.
+    /// Plans a region of the frame, in pixels of the frame, so that many machines can share a
+    /// frame. The plan uses the tiles and modes of the whole frame, and keeps those that reach the
+    /// region. The pieces put together equal the image of the whole plan up to rounding, at any
+    /// tolerance: their edges leave no trace.
     ///
-    /// Executions take the whole light or only that of [`light_region`](Self::light_region), and
-    /// give images of the region. `progress` is polled and may cancel the planning; it is not told
-    /// how far that has come.
+    /// Executions accept the whole light or only that of [`light_region`](Self::light_region), and
+    /// return images of the region. `progress` is polled and may cancel the planning. It receives
+    /// no steps.
     ///
-    /// The tiles are chosen anew, as for the whole frame; [`for_other_region`](Self::for_other_region) does without.
+    /// This function chooses the tiles again, as for the whole frame.
+    /// [`for_other_region`](Self::for_other_region) reuses them.
     ///
     /// ```
     /// use std::sync::Arc;
@@ -131,7 +136,8 @@ impl<T: ConvReal> Plan<T> {
     /// ```
     ///
     /// # Errors
-    /// As [`Self::new`]; [`ConvError::RegionOutsideFrame`]; [`ConvError::Cancelled`].
+    /// [`ConvError`] as for [`Self::new`], [`ConvError::RegionOutsideFrame`] or
+    /// [`ConvError::Cancelled`].
     pub fn for_region(
         model: &PsfModel,
         shape: FrameShape,
@@ -145,8 +151,8 @@ impl<T: ConvReal> Plan<T> {
         Self::of_whole(model, Arc::new(whole), region, options, progress)
     }
 
-    /// A plan for another region of the same frame, or for all of it, with the tiles that were chosen for this one: much sooner made than one
-    /// that has to choose.
+    /// Plans another region of the same frame, or all of it, with the tiles chosen for this plan.
+    /// This is much faster than choosing tiles again.
     ///
     /// # Errors
     /// [`ConvError::RegionOutsideFrame`] or [`ConvError::Cancelled`].
@@ -179,8 +185,8 @@ impl<T: ConvReal> Plan<T> {
         Ok(plan)
     }
 
-    /// Makes the blocks at some columns and rows of the whole frame's, row by row, with
-    /// coefficients as far as the memory reaches; returns the memory that is left.
+    /// Plans the blocks at some columns and rows of the whole frame's blocks, row by row. Keeps
+    /// their coefficients as long as memory is left, and returns the memory that remains.
     fn add_blocks(
         &mut self,
         [columns, rows]: &[Range<usize>; 2],
@@ -191,7 +197,7 @@ impl<T: ConvReal> Plan<T> {
         let count = across * rows.len();
         let mut left = self.options.memory_bytes();
         let mut full = false;
-        // A few at a time, so that tables for which there is no room do not pile up.
+        // A few blocks at a time, so that only few tables that cannot be kept are in memory.
         for first in (0..count).step_by(BLOCKS_AT_ONCE) {
             let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
                 .into_par_iter()
@@ -216,7 +222,7 @@ impl<T: ConvReal> Plan<T> {
         Ok(left)
     }
 
-    /// Makes the stamps for which there is room.
+    /// Computes the stamps for which there is memory.
     fn keep_stamps(&mut self, mut left: usize) {
         let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
         let mut room = 0;
@@ -243,12 +249,12 @@ impl<T: ConvReal> Plan<T> {
         &self.model
     }
 
-    /// The options that it was made with.
+    /// The options of the plan.
     pub fn options(&self) -> PlanOptions {
         self.options
     }
 
-    /// The shape of the light that it is for.
+    /// The shape of the light.
     pub fn scene_shape(&self) -> FrameShape {
         self.whole.view.shape
     }
@@ -258,7 +264,8 @@ impl<T: ConvReal> Plan<T> {
         self.whole.view.frame
     }
 
-    /// The part of the frame that this plan makes, in pixels of the frame: all of it unless it was made [for a region](Self::for_region).
+    /// The part of the frame that this plan computes, in pixels of the frame. It is the whole frame
+    /// unless the plan was made [for a region](Self::for_region).
     pub fn region(&self) -> PixelRegion {
         self.region
     }
@@ -271,15 +278,15 @@ impl<T: ConvReal> Plan<T> {
         PixelRegion::new(columns.start as i64, rows.start as i64, shape)
     }
 
-    /// An image of the frame, or of the plan's region of it, `[y, x]` of zeros, for an engine to
-    /// [add to](crate::Engine::execute). That takes less time than adding to a large array of
-    /// zeros made otherwise: the pages of its memory have been written to.
+    /// An image `[y, x]` of zeros with the shape of the frame, or of the plan's region of it, for
+    /// [`Engine::execute`](crate::Engine::execute). It is faster to add to it than to another large
+    /// array of zeros, because its memory pages have already been written to.
     pub fn zeros(&self) -> Array2<T> {
         zeros((self.region.shape().ny(), self.region.shape().nx()))
     }
 
-    /// Columns and rows that reach the region, of light with the shape of the whole or of the part
-    /// that reaches it.
+    /// The columns and rows that reach the region, for light with the shape of the whole light or
+    /// of the part that reaches it.
     pub(crate) fn light_part(&self, got: FrameShape) -> Result<[Range<usize>; 2], ConvError> {
         let (part, whole) = (self.light_region(), self.scene_shape());
         if got == part.shape() {
@@ -293,7 +300,7 @@ impl<T: ConvReal> Plan<T> {
         }
     }
 
-    /// Which way light goes, or comes back where `transposed`.
+    /// The direction of the light, reversed if `transposed`.
     pub(crate) fn direction(&self, transposed: bool) -> Direction {
         match (self.options.anchor(), transposed) {
             (Anchor::Output, false) | (Anchor::Source, true) => Direction::Gather,
@@ -301,7 +308,7 @@ impl<T: ConvReal> Plan<T> {
         }
     }
 
-    /// Predicted seconds for a fully lit tile, and whether without transforms.
+    /// Predicted seconds for a fully lit tile, and whether it is convolved without transforms.
     pub(crate) fn whole_tile(&self, tile: (usize, usize), kernels: usize) -> (f64, bool) {
         let transforms = self.cost.tile(tile, self.tiling.size, kernels as f64);
         let direct = self.cost.direct(tile, self.geometry.stamp, kernels);
@@ -324,7 +331,7 @@ impl<T: ConvReal> Plan<T> {
         reached.map(|r| (r.start, r.end)).collect()
     }
 
-    /// The plan in figures.
+    /// Summarises the plan in numbers.
     pub fn summary(&self) -> PlanSummary {
         let most = self.blocks.iter().map(Block::kernel_count).max().unwrap_or(0);
         let mut blocks_by_modes = vec![0; most + 1];

@@ -1,17 +1,17 @@
-//! What a plan is asked for.
+//! Options of a plan.
 
 use psf_types::Anchor;
 
 use crate::{ConvError, ConvReal};
 
-/// How tiles may be treated.
+/// The allowed methods for tiles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Paths {
-    /// Whatever is cheapest: transforms, the direct sum, single stamps, nothing.
+    /// The cheapest of: transforms, the direct sum, single stamps, or skipping a dark tile.
     #[default]
     Cheapest,
-    /// Transforms alone, wherever there is light.
+    /// Only transforms, wherever there is light.
     Transforms,
 }
 
@@ -34,14 +34,14 @@ pub struct PlanOptions {
 }
 
 impl PlanOptions {
-    /// What a plan keeps at most, unless told otherwise: 256 MiB.
+    /// The default limit of the memory that a plan keeps: 256 MiB.
     pub const DEFAULT_MEMORY_BYTES: usize = 256 << 20;
-    /// The tolerance unless told otherwise.
+    /// The default tolerance.
     pub const DEFAULT_TOLERANCE: f64 = 1e-4;
 
-    /// Options for a tolerance: the largest relative L2 error of the PSF that any single pixel sees,
-    /// `|h_engine(.; x) - h(.; x)| <= tolerance |h(.; x)|`. At 0 every mode is kept that a tile has, up to rounding. The
-    /// rounding of the working precision comes on top.
+    /// Options for a tolerance: the largest relative L2 error of the PSF of any single pixel,
+    /// `|h_engine(.; x) - h(.; x)| <= tolerance |h(.; x)|`. At 0 a tile keeps every mode above
+    /// rounding. The rounding of the working precision is added to the error.
     ///
     /// # Errors
     /// [`ConvError::Tolerance`] unless it is a number of at least 0 and below 1.
@@ -56,22 +56,23 @@ impl PlanOptions {
         }
     }
 
-    /// The same with another anchoring.
+    /// Sets the anchoring.
     #[must_use]
     pub fn with_anchor(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
     }
 
-    /// The same with other paths.
+    /// Sets the paths.
     #[must_use]
     pub fn with_paths(self, paths: Paths) -> Self {
         Self { paths, ..self }
     }
 
-    /// The same with another limit to the coefficients and stamps that the plan keeps. What does not fit is made anew by each
-    /// execution, which takes time. Tiles are chosen with that in mind, so that another limit may give other tiles: the
-    /// result differs by rounding and within the tolerance. The model, the modes (a few kB a block) and what threads work in (a few MB
-    /// each; a spectrum for each mode of a tile) come on top.
+    /// Limits the coefficients and stamps that the plan keeps. Each execution computes again those
+    /// that do not fit, which takes time. The choice of tiles takes that into account, so another
+    /// limit may give other tiles: the result then differs within the tolerance. The limit excludes
+    /// the model, the modes (a few kB per block) and the working memory of threads (a few MB each,
+    /// with a spectrum for each mode of a tile).
     #[must_use]
     pub fn with_memory(self, bytes: usize) -> Self {
         Self {
@@ -85,10 +86,11 @@ impl PlanOptions {
         self.tolerance
     }
 
-    /// The tolerance of plans in a working precision: errors of the PSF below it are rounding, and
-    /// no mode is kept for them.
+    /// The tolerance of plans in a working precision. PSF errors below it are rounding, and no mode
+    /// is kept for them.
     pub(crate) fn tolerance_in<T: ConvReal>(&self) -> f64 {
-        // A sixteenth of the precision in f32; in f64 the coordinates themselves are no better than a few times theirs.
+        // A sixteenth of the precision in f32. In f64 the coordinates themselves are only accurate
+        // to a few times the precision.
         self.tolerance.max((T::epsilon().as_f64() / 16.0).max(1e-15))
     }
 
@@ -102,7 +104,7 @@ impl PlanOptions {
         self.paths
     }
 
-    /// Bytes that the plan keeps at most.
+    /// The largest number of bytes that the plan keeps.
     pub fn memory_bytes(&self) -> usize {
         self.memory_bytes
     }

@@ -4,7 +4,8 @@ use std::ops::Range;
 
 use psf_types::{CoefficientField, PixelRegion};
 
-/// Rectangles of pixels in which the nodes' weights are bilinear: bands of rows, each cut into stretches of columns.
+/// Rectangles of pixels in which the nodes' weights are bilinear: bands of rows, each divided into
+/// stretches of columns.
 #[derive(Debug, Default)]
 pub struct RegionCells {
     pub(crate) bands: Vec<Band>,
@@ -15,10 +16,10 @@ pub struct RegionCells {
     weights: Vec<(usize, f64)>,
 }
 
-/// Neighbouring rows of a region that are cut at the same columns.
+/// Neighbouring rows of a region that are divided at the same columns.
 #[derive(Debug, Clone)]
 pub(crate) struct Band {
-    /// Counted from the region's first.
+    /// Counted from the region's first row.
     pub(crate) rows: Range<usize>,
     cells: Range<usize>,
 }
@@ -26,20 +27,21 @@ pub(crate) struct Band {
 /// Neighbouring pixels of a band's rows.
 #[derive(Debug, Clone)]
 pub(crate) struct Cell {
-    /// First column, counted from the region's.
+    /// First column, counted from the region's first column.
     pub(crate) column: usize,
     pub(crate) length: usize,
-    /// The weights at the first and the last pixel of the first row, then of the last; none where the field has no value.
+    /// The weights at the first and the last pixel of the first row, then of the last row. `None`
+    /// where the field has no value.
     corners: Option<[Range<usize>; CORNERS]>,
 }
 
-/// The weights of a cell's corners: first and last pixel of its first row, then of its last.
+/// The weights at a cell's corners: first and last pixel of its first row, then of its last row.
 pub(crate) type Corners<'a> = [&'a [(usize, f64)]; CORNERS];
 
-/// Corners of a cell.
+/// The number of corners of a cell.
 pub(crate) const CORNERS: usize = 4;
 
-/// A stretch of one row, as the field has it.
+/// A stretch of one row, as the field returns it.
 struct Run {
     column: usize,
     length: usize,
@@ -47,7 +49,7 @@ struct Run {
 }
 
 impl RegionCells {
-    /// The cells of a field in a region, every row looked at.
+    /// The cells of a field in a region, from all its rows.
     pub fn new(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let ny = region.shape().ny();
         let mut starts = vec![0];
@@ -57,7 +59,7 @@ impl RegionCells {
                 rows.filter(|&row| row > 0.0 && row < ny as f64)
                     .map(|row| row as usize),
             );
-            // Whatever order a field gives them in.
+            // A field may return its lines in any order.
             starts.sort_unstable();
             starts.dedup();
         } else {
@@ -72,7 +74,8 @@ impl RegionCells {
         all
     }
 
-    /// A few rows of a region, the first and the last among them, as if they were all.
+    /// The cells of a few rows of a region, with the first and the last row, treated as all its
+    /// rows.
     pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let ny = region.shape().ny();
         let count = SAMPLED_ROWS.min(ny);
@@ -85,7 +88,8 @@ impl RegionCells {
         all
     }
 
-    /// Rows between neighbouring lines of the field: its first and its last, if they are cut alike, or else row by row.
+    /// Adds the rows between neighbouring lines of the field. The first and the last row are enough
+    /// if they are divided at the same columns. Otherwise rows are added one by one.
     fn add_band(&mut self, field: &dyn CoefficientField, region: PixelRegion, rows: Range<usize>) {
         let nx = region.shape().nx();
         let runs_of =
@@ -128,13 +132,13 @@ impl RegionCells {
         });
     }
 
-    /// The runs of a row, whose weights are stored.
+    /// Returns the runs of a row and stores their weights.
     fn runs(&mut self, field: &dyn CoefficientField, (x, y): (i64, i64), length: usize) -> Vec<Run> {
         let mut runs = Vec::new();
         let mut column = 0;
         while column < length {
             let outcome = field.weights_along_row((x + column as i64, y), length - column, &mut |run| {
-                // Whatever a field says, a row is covered once.
+                // Runs may overrun the row. It must be covered only once.
                 let pixels = run.length.min(length - column);
                 let finite = |end: &[(usize, f64)]| end.iter().all(|(_, w)| w.is_finite());
                 let ends = if finite(run.first) && finite(run.last) && pixels == run.length {
@@ -158,7 +162,7 @@ impl RegionCells {
                 column += pixels;
             });
             if outcome.is_err() || column < length {
-                // Nobody may ever ask for this pixel; if it holds light, that is the time to complain.
+                // A pixel without light needs no PSF. A lit one causes an error in the execution.
                 runs.push(Run {
                     column,
                     length: 1,
@@ -188,7 +192,8 @@ impl RegionCells {
             if nodes.len() > room {
                 nodes.sort_unstable();
                 nodes.dedup();
-                // As many again before the next time: there are regions with tens of thousands of nodes.
+                // Doubles the room before the next sort: some regions have tens of thousands of
+                // nodes.
                 room = ROOM_FOR_NODES.max(2 * nodes.len());
             }
         }
@@ -204,7 +209,8 @@ impl RegionCells {
         &self.cells[band.cells.clone()]
     }
 
-    /// The weights of [`nodes`](Self::nodes) at the corners of a cell, where the field has values.
+    /// The weights of [`nodes`](Self::nodes) at the corners of a cell. `None` where the field has
+    /// no value.
     pub(crate) fn corners(&self, cell: &Cell) -> Option<Corners<'_>> {
         let corners = cell.corners.as_ref()?;
         Some(corners.each_ref().map(|range| &self.weights[range.clone()]))
@@ -215,7 +221,8 @@ impl RegionCells {
         self.cells.iter().filter_map(|cell| self.corners(cell))
     }
 
-    /// Whether rows are cut into next to nothing but single pixels, so that a region takes much memory.
+    /// Returns whether rows are divided into runs of only a few pixels, so that a region takes much
+    /// memory.
     pub(crate) fn are_short(&self) -> bool {
         let (mut runs, mut pixels) = (0, 0);
         for band in &self.bands {
@@ -226,7 +233,7 @@ impl RegionCells {
         runs * SHORT_RUN > pixels
     }
 
-    /// Whether the weights of every corner add up to 1.
+    /// Returns whether the weights at every corner sum to 1.
     pub(crate) fn is_partition_of_unity(&self) -> bool {
         let sums_to_one = |corners: Corners<'_>| {
             corners
@@ -237,13 +244,13 @@ impl RegionCells {
     }
 }
 
-/// Nodes are listed with repetitions up to this number; it bounds the memory, not the nodes.
+/// The list of nodes may hold repetitions up to this length. It limits the memory, not the nodes.
 const ROOM_FOR_NODES: usize = 1 << 12;
-/// Rows that stand for a region.
+/// The number of rows that represent a region.
 const SAMPLED_ROWS: usize = 5;
 /// Runs shorter than this on average are not worth their bookkeeping.
 const SHORT_RUN: usize = 4;
-/// Weights of an interpolator add up to 1 up to this.
+/// The largest rounding error of a sum of weights.
 const ROUNDING_OF_WEIGHTS: f64 = 1e-12;
 
 #[cfg(test)]
@@ -253,7 +260,7 @@ mod tests {
 
     const SIDE: usize = 120;
 
-    /// Each pixel its own node and its right neighbour's, the last pixel first.
+    /// Each pixel has its own node and its right neighbour's, the last pixel first.
     #[derive(Debug)]
     struct NodesOfPixels;
 

@@ -1,25 +1,26 @@
-//! A plan in figures.
+//! A plan in numbers.
 
 use psf_types::{Anchor, FrameShape, PixelRegion};
 
 use super::options::Paths;
 use crate::view::in_words;
 
-/// What a [`Plan`](crate::Plan) decided. Prints as a few lines of text.
+/// The decisions of a [`Plan`](crate::Plan). Prints as a few lines of text.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PlanSummary {
     /// The frame.
     pub frame: FrameShape,
-    /// The part of the frame that the plan makes, in pixels of the frame. Tiles and blocks are those that reach it.
+    /// The part of the frame that the plan computes, in pixels of the frame. Only tiles and blocks
+    /// that reach it are counted.
     pub region: PixelRegion,
     /// `f32` or `f64`.
     pub precision: &'static str,
-    /// The tolerance asked for.
+    /// The tolerance.
     pub tolerance: f64,
     /// The anchoring.
     pub anchor: Anchor,
-    /// The paths that tiles may take.
+    /// The allowed methods for tiles.
     pub paths: Paths,
     /// Columns and rows of the largest tile.
     pub tile: (usize, usize),
@@ -27,24 +28,25 @@ pub struct PlanSummary {
     pub transform: (usize, usize),
     /// The number of tiles.
     pub tiles: usize,
-    /// The number of local bases; tiles of a block share one.
+    /// The number of local bases. Tiles of a block share one.
     pub blocks: usize,
-    /// Blocks by the number of their modes, the reference among them.
+    /// The number of blocks per number of modes, the reference included.
     pub blocks_by_modes: Vec<usize>,
-    /// Tiles with at most this many lit pixels are drawn stamp by stamp, where the modes are the mean number.
+    /// Tiles with at most this many lit pixels are drawn stamp by stamp, for the mean number of
+    /// modes.
     pub drawn_up_to: usize,
-    /// Whether fully lit tiles are convolved without transforms.
+    /// True if fully lit tiles are convolved by the direct sum, without transforms.
     pub direct: bool,
-    /// Predicted seconds of an execution on one thread where every pixel is lit.
+    /// Predicted seconds of one execution on one thread if every pixel is lit.
     pub predicted_seconds: f64,
-    /// Bytes kept: coefficients, and stamps.
+    /// Bytes kept for coefficients and for stamps.
     pub kept_bytes: (usize, usize),
-    /// Blocks whose coefficients, and whose stamps, are made anew by each execution.
+    /// The number of blocks whose coefficients, and whose stamps, each execution computes again.
     pub made_anew: (usize, usize),
 }
 
 impl PlanSummary {
-    /// Modes a block in the mean, the reference among them.
+    /// The mean number of modes per block, the reference included.
     pub fn mean_modes(&self) -> f64 {
         let modes: usize = self
             .blocks_by_modes
@@ -55,7 +57,7 @@ impl PlanSummary {
         modes as f64 / self.blocks.max(1) as f64
     }
 
-    /// The most modes of a block.
+    /// The largest number of modes in a block, the reference included.
     pub fn most_modes(&self) -> usize {
         self.blocks_by_modes.len().saturating_sub(1)
     }
@@ -79,21 +81,21 @@ impl std::fmt::Display for PlanSummary {
         )?;
         writeln!(
             f,
-            "modes a block: {:.2} in the mean, {} at most",
+            "modes per block: mean {:.2}, maximum {}",
             self.mean_modes(),
             self.most_modes()
         )?;
         match (self.paths, self.direct) {
-            (Paths::Transforms, _) => writeln!(f, "lit tiles by transforms")?,
+            (Paths::Transforms, _) => writeln!(f, "lit tiles: transforms")?,
             (_, direct) => {
-                let way = if direct { "the direct sum" } else { "transforms" };
+                let method = if direct { "direct sum" } else { "transforms" };
                 let most = self.drawn_up_to;
-                writeln!(f, "lit tiles by {way}, up to {most} pixels stamp by stamp")?;
+                writeln!(f, "lit tiles: {method}; at most {most} lit pixels: stamp by stamp")?;
             }
         }
         write!(
             f,
-            "kept: coefficients {:.1} MiB, stamps {:.1} MiB; made anew by each execution: coefficients of {} blocks, stamps of {}",
+            "kept: coefficients {:.1} MiB, stamps {:.1} MiB; computed by each execution: coefficients of {} blocks, stamps of {}",
             mebibytes(self.kept_bytes.0),
             mebibytes(self.kept_bytes.1),
             self.made_anew.0,

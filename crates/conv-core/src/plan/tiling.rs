@@ -1,5 +1,5 @@
-//! The choice of tiles: sizes, and whether they follow the cells of the field. All regions of a
-//! frame share it.
+//! The choice of tiles: their sizes, and whether they follow the cells of the field. All regions of
+//! a frame share it.
 
 use std::ops::Range;
 
@@ -24,25 +24,28 @@ pub(crate) struct Tiling {
     pub(crate) size: (usize, usize),
 }
 
-/// Blocks whose rank is looked at to judge a tiling.
+/// The number of blocks whose rank is computed to predict the cost of a tiling.
 const SAMPLES: usize = 5;
 /// Transforms larger than this many stamps gain nothing: padding is small already, and ranks grow.
 const LARGEST_IN_STAMPS: usize = 10;
 const LARGEST_AT_LEAST: usize = 640;
-/// Transforms beyond this are for stamps that leave no choice: they outgrow the caches, and the memory that a GPU's threads share.
+/// Only very large stamps use transforms above this size. Such transforms exceed the caches, and
+/// the memory that a GPU's threads share.
 const LARGEST_BY_CHOICE: usize = 2048;
-/// A tile has at least this part of the stamp's size.
+/// The smallest tile, as a fraction of the stamp's size.
 const SMALLEST_IN_STAMPS: f64 = 0.4;
-/// The number of threads that blocks must suffice for. A constant: plans do not depend on the machine.
+/// The number of threads that the blocks must keep busy. It is a constant, so plans do not depend
+/// on the machine.
 const THREADS: usize = 4;
-/// Rows of pixels in work at once: few enough for the outer caches, enough to keep threads busy.
+/// The number of pixel rows processed together: few enough for the outer caches, enough to keep
+/// threads busy.
 const BAND_ROWS: usize = 1024;
-/// The part of the memory that coefficients leave to stamps.
+/// The part of the memory for stamps. The rest is for coefficients.
 const TABLES: f64 = 0.85;
-/// Tiles of a block in each direction, where blocks do not follow cells.
+/// The number of tiles of a block in each direction, if blocks do not follow cells.
 const TOGETHER: [usize; 3] = [1, 2, 4];
 
-/// The cheapest tiling that the cost model finds.
+/// Returns the tiling with the lowest predicted cost.
 fn best_tiling<T: ConvReal>(
     model: &PsfModel,
     space: &PsfSpace,
@@ -96,7 +99,8 @@ fn best_tiling<T: ConvReal>(
     Ok(best.expect("at least one size is tried").1)
 }
 
-/// The first pixels, counted from the weighted side's, of the field's cells, if it has any.
+/// The first pixels of the field's cells, counted from the weighted side's first pixel. `None` if
+/// the field has no cells.
 fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
     let [xs, ys] = model.field().grid_lines()?;
     let cuts = |lines: &[f64], first: i64, length: usize| {
@@ -114,8 +118,8 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
 }
 
 impl Tiling {
-    /// What lies within some columns and rows, cut to them and counted from the first of them, and the columns and rows of blocks that it is
-    /// of. Transforms keep their size.
+    /// The tiling truncated to some columns and rows and counted from the first of them, and the
+    /// columns and rows of the blocks that it includes. Transforms keep their size.
     pub(crate) fn within(&self, columns: &Range<usize>, rows: &Range<usize>) -> (Self, [Range<usize>; 2]) {
         let (columns, across) = within(&self.columns, columns);
         let (rows, up) = within(&self.rows, rows);
@@ -133,7 +137,7 @@ impl Tiling {
         )
     }
 
-    /// Predicted seconds where every pixel is lit, from the ranks of a few blocks.
+    /// Predicted seconds if every pixel is lit, from the ranks of a few blocks.
     fn seconds<T: ConvReal>(
         &self,
         model: &PsfModel,
@@ -150,7 +154,7 @@ impl Tiling {
         let mut short_runs = false;
         let kernels: usize = (0..samples)
             .map(|i| {
-                // Spread over rows and columns.
+                // Samples are spread over rows and columns.
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
@@ -160,14 +164,15 @@ impl Tiling {
             })
             .sum();
         if short_runs && count > blocks {
-            // Coefficients pixel by pixel: blocks of several tiles would take too much memory.
+            // Coefficients are stored pixel by pixel: blocks of several tiles would take too much
+            // memory.
             return f64::INFINITY;
         }
         let kernels = kernels as f64 / samples as f64;
         let (nx, ny) = geometry.weighted_size();
         let tile = (nx.div_ceil(tiles(&self.columns)), ny.div_ceil(tiles(&self.rows)));
         let tiles_a_block = count as f64 / blocks as f64;
-        // Stamps that do not fit into the memory are made anew by each execution.
+        // Each execution computes again the stamps that do not fit into the memory.
         let stamps = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
         let made_anew = (1.0 - TABLES * options.memory_bytes() as f64 / stamps).clamp(0.0, 1.0);
         let block = kernels * cost.kernel(self.size, geometry.stamp)
@@ -176,8 +181,8 @@ impl Tiling {
         self.rounds() as f64 * block
     }
 
-    /// Rows of blocks that are in work at once: about [`BAND_ROWS`] rows of pixels. The order of additions follows from it, so it must
-    /// not depend on the machine.
+    /// The number of rows of blocks processed together: about [`BAND_ROWS`] rows of pixels. It
+    /// determines the order of additions, so it must not depend on the machine.
     pub(crate) fn band(&self) -> usize {
         let pixels: usize = self.rows.iter().map(Stretch::length).sum();
         (BAND_ROWS * self.rows.len())
@@ -185,7 +190,8 @@ impl Tiling {
             .clamp(1, self.rows.len())
     }
 
-    /// How often [`THREADS`] threads take a block each, given that neighbours must wait for each other.
+    /// The number of rounds in which [`THREADS`] threads take one block each. Neighbours must wait
+    /// for each other.
     fn rounds(&self) -> usize {
         let halves = |n: usize| [n.div_ceil(2), n / 2];
         let band = self.band();
@@ -197,8 +203,8 @@ impl Tiling {
     }
 }
 
-/// The vectors of a model's PSFs, and the tiles of the whole frame: they are the same for each of its regions, so that all regions have the
-/// same modes.
+/// The vectors of a model's PSFs, and the tiles of the whole frame. All regions of a frame share
+/// them, so that they have the same modes.
 #[derive(Debug)]
 pub(crate) struct WholeFrame {
     pub(crate) view: View,
@@ -209,19 +215,19 @@ pub(crate) struct WholeFrame {
     anchor: Anchor,
 }
 
-/// What a plan takes of the whole.
+/// The part of a whole frame's data that a plan of a region uses.
 pub(crate) struct Part {
     /// Columns and rows of the scene that reach the region.
     pub(crate) light: [Range<usize>; 2],
     pub(crate) geometry: Geometry,
-    /// Cut to the weighted side of that geometry.
+    /// Truncated to the weighted side of `geometry`.
     pub(crate) tiling: Tiling,
-    /// The columns and rows of the whole's blocks that it has tiles of.
+    /// The columns and rows of the whole frame's blocks that the plan has tiles of.
     pub(crate) blocks: [Range<usize>; 2],
 }
 
 impl WholeFrame {
-    /// The choice of tiles.
+    /// Chooses the tiles.
     pub(crate) fn new<T: ConvReal>(
         model: &PsfModel,
         view: View,
@@ -242,7 +248,7 @@ impl WholeFrame {
         })
     }
 
-    /// What there is of a region of the frame.
+    /// Returns the part for a region of the frame.
     pub(crate) fn part(&self, region: PixelRegion) -> Result<Part, ConvError> {
         let frame = self.view.frame.shape();
         if !frame.region().contains(region) {
@@ -278,7 +284,7 @@ impl WholeFrame {
     }
 }
 
-/// Columns and rows of the light that reach a region of the frame, and the two sides of the
+/// The columns and rows of the light that reach a region of the frame, and the two sides of the
 /// operator between them.
 fn sides(
     view: View,

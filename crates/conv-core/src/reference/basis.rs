@@ -1,4 +1,4 @@
-//! The method's own form: one whole-image convolution a basis stamp.
+//! The method in its original form: one whole-image convolution per basis stamp.
 
 use std::ops::Range;
 
@@ -17,13 +17,15 @@ use crate::{ConvError, ConvReal};
 
 /// `K` whole-image convolutions by FFT, exact up to rounding, and their exact adjoint.
 ///
-/// * [`Anchor::Source`]: `F = sum_k (a_k f) * B_k`. The products are added up as spectra, so there is one inverse transform.
-/// * [`Anchor::Output`]: `F = sum_k a_k (f * B_k)`. The spectrum of the scene is computed once.
+/// - [`Anchor::Source`]: `F = sum_k (a_k f) * B_k`. The products are summed as spectra, so there is
+///   only one inverse transform.
+/// - [`Anchor::Output`]: `F = sum_k a_k (f * B_k)`. The spectrum of the scene is computed once.
 ///
-/// The method of Bai, Jia et al. ("An Ultra-Fast Image Simulation Technique with Spatially Variable PSFs"), in either
-/// anchoring and without their coefficient cube: fields are evaluated tile by tile, a few stamps at a time. Planes are
-/// padded by the stamp's reach, so nothing wraps around. In memory at once: the scene, two or three spectra and a group of
-/// coefficient planes (at least 4, at most 16, about 512 MiB).
+/// The method of Bai, Jia et al. ("An Ultra-Fast Image Simulation Technique with Spatially Variable
+/// PSFs"), in either anchoring and without their coefficient cube: fields are evaluated tile by
+/// tile, a few stamps at a time. Planes are padded by the stamp's reach, so nothing wraps around.
+/// Memory holds the scene, two or three spectra and a group of coefficient planes (at least 4, at
+/// most 16, about 512 MiB).
 ///
 /// ```
 /// use std::sync::Arc;
@@ -55,7 +57,7 @@ pub struct BasisConvolution {
     anchor: Anchor,
 }
 
-/// Coefficient planes in memory at once take about this much, within the bounds below.
+/// Coefficient planes in memory at the same time take about this much, within the bounds below.
 const PLANE_BYTES: usize = 512 << 20;
 const FEWEST_PLANES: usize = 4;
 const MOST_PLANES: usize = 16;
@@ -70,8 +72,8 @@ impl BasisConvolution {
     /// that `<A f, g> = <f, A^T g>` for every light `f`.
     ///
     /// # Errors
-    /// [`ConvError`] as for [`ConvolutionMethod::convolve`]; [`ConvError::FrameShape`] when `image` does not have the
-    /// frame's shape.
+    /// [`ConvError`] as for [`ConvolutionMethod::convolve`], and [`ConvError::FrameShape`] if
+    /// `image` does not have the frame's shape.
     pub fn adjoint<T: ConvReal>(
         &self,
         model: &PsfModel,
@@ -121,16 +123,17 @@ impl<T: ConvReal> ConvolutionMethod<T> for BasisConvolution {
     }
 }
 
-/// The padded plane of the light, on which everything happens. Regions are in pixels of the light.
+/// The padded plane of the light, in which all steps take place. Regions are in pixels of the
+/// light.
 struct Plane<'a, T: ConvReal> {
     model: &'a PsfModel,
     reach: Reach,
     fft: RealFft2<T>,
-    /// From pixels of the light to field positions.
+    /// Offset from pixels of the light to field positions.
     to_field: (i64, i64),
-    /// Correlate instead of convolve.
+    /// True for correlation instead of convolution.
     correlate: bool,
-    /// One step a stamp.
+    /// Counts one step per stamp.
     progress: &'a dyn Progress,
 }
 
@@ -144,7 +147,8 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         progress.start(model.stamp_count() as u64);
         let reach = Reach::of(model.grid())?;
         let shape = view.shape;
-        // The difference of two positions in the scene never meets a wrapped stamp value.
+        // The plane is large enough that differences of two positions in the scene never reach a
+        // wrapped value of the stamp.
         let fft = RealFft2::at_least(
             shape.ny() + reach.below.max(reach.above),
             shape.nx() + reach.left.max(reach.right),
@@ -284,8 +288,8 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         if self.correlate { value.conj() } else { value }
     }
 
-    /// Calls `work` with each stamp's coefficients over a region of the field and its kernel; each
-    /// is a step. After a cancellation nothing that `work` left is looked at.
+    /// Calls `work` with each stamp's coefficients over a region of the field and its kernel. Each
+    /// stamp is a step. After a cancellation the results of `work` are not used.
     fn each_stamp(
         &self,
         field: PixelRegion,
@@ -321,14 +325,16 @@ fn lit_rows<T: ConvReal>(light: ArrayView2<'_, T>) -> Vec<bool> {
         .collect()
 }
 
-/// Tiles of this many rows and columns are evaluated at once: a few stamps' coefficients of one fit in the L2 cache.
+/// Tiles of this many rows and columns are evaluated together: the coefficients of a few stamps in
+/// one tile fit in the L2 cache.
 const TILE_ROWS: usize = 16;
 const TILE_COLUMNS: usize = 256;
 
-/// Writes the coefficients of a range of stamps over a region, `[stamp, y, x]`, before the division by the flux.
+/// Writes the coefficients of a range of stamps over a region, `[stamp, y, x]`, before the division
+/// by the flux.
 ///
-/// Where `light` is given, tiles without any light are left as they are, and where the field has no value only lit
-/// pixels need one.
+/// If `light` is given, dark tiles are left unchanged. Then a missing PSF is an error only at lit
+/// pixels.
 pub(crate) fn coefficient_planes<T: ConvReal>(
     model: &PsfModel,
     region: PixelRegion,
@@ -342,9 +348,9 @@ pub(crate) fn coefficient_planes<T: ConvReal>(
     })
 }
 
-/// The flux of the unscaled PSF over a region, or nothing where it is 1 everywhere.
+/// The flux of the unscaled PSF over a region, or `None` if it is 1 everywhere.
 ///
-/// Where `light` is given, tiles without any light are left at 1, and only lit pixels need a flux.
+/// If `light` is given, dark tiles are left at 1, and only lit pixels need a flux.
 pub(crate) fn flux_plane<T: ConvReal>(
     model: &PsfModel,
     region: PixelRegion,
@@ -367,7 +373,7 @@ fn region_of(whole: PixelRegion, x: usize, y: usize, nx: usize, ny: usize) -> Pi
     PixelRegion::new(whole.x0() + x as i64, whole.y0() + y as i64, shape)
 }
 
-/// Evaluates tiles in parallel in double precision and stores them in `planes` `[plane, y, x]`.
+/// Evaluates tiles in parallel in f64 and stores them in `planes` `[plane, y, x]`.
 fn for_tiles<T: ConvReal>(
     region: PixelRegion,
     light: Option<ArrayView2<'_, T>>,
@@ -391,7 +397,7 @@ fn for_tiles<T: ConvReal>(
             let tile = region_of(region, x, y, columns, rows);
             let mut values = Array3::zeros((count, rows, columns));
             if let Err(error) = evaluate(tile, &mut values) {
-                // Perhaps only where it is dark: then nobody needs what cannot be evaluated.
+                // The field may lack values only where it is dark, which is no error.
                 let Some(light) = light else {
                     return Err(error.into());
                 };
@@ -415,6 +421,6 @@ fn for_tiles<T: ConvReal>(
         .enumerate()
         .map(|(strip, planes)| strip_work(strip, planes))
         .collect();
-    // The first error in reading order, whichever thread met one first.
+    // The first error in reading order, whichever thread found one first.
     strips.into_iter().collect()
 }

@@ -9,19 +9,19 @@ use crate::overlap::{Piece, add_in_order, overlap};
 use crate::view::{Reach, View};
 use crate::{ConvError, ConvReal};
 
-/// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in double precision pixel by pixel: the reference
-/// that every other method is measured against.
+/// `F(y) = sum_x f(x) h(y - x; x)` or `sum_x f(x) h(y - x; y)`, summed in f64 pixel by pixel: the
+/// reference that every other method is compared with.
 ///
-/// A whole image costs `K` multiplications for each lit pixel and each pixel of a stamp; [`Direct::at_pixels`] gives single
-/// pixels of a large image.
+/// A whole image costs `K` multiplications for each lit pixel and each pixel of a stamp.
+/// [`Direct::at_pixels`] computes single pixels of a large image.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Direct {
     anchor: Anchor,
 }
 
-/// PSFs are made by a matrix product, this many at a time.
+/// The number of PSFs computed by one matrix product.
 const PSFS_AT_ONCE: usize = 256;
-/// Rows of sources that one task spreads.
+/// The number of rows of sources per task.
 const BAND: usize = 16;
 
 impl Direct {
@@ -30,13 +30,14 @@ impl Direct {
         Self { anchor }
     }
 
-    /// The values of single pixels `(column, row)` of the image, in double precision whatever the
-    /// light's, where the light has a shape and is seen through a frame. Only a part of the light
-    /// need be at hand: its pixels, and the column and row that it begins at. It must hold all
-    /// light that reaches the pixels. One step a pixel.
+    /// The values of single pixels `(column, row)` of the image, in f64 for light of any precision.
+    ///
+    /// `shape` is the shape of the light, seen through a frame. `light` may be only a part of it,
+    /// given as its pixels and its first column and row. The part must hold all light that reaches
+    /// the pixels. Each pixel is one step of the progress.
     ///
     /// # Errors
-    /// [`ConvError`] as for [`ConvolutionMethod::convolve`]; [`ConvError::PixelOutsideFrame`].
+    /// [`ConvError`] as for [`ConvolutionMethod::convolve`], and [`ConvError::PixelOutsideFrame`].
     pub fn at_pixels<T: ConvReal>(
         &self,
         model: &PsfModel,

@@ -1,9 +1,11 @@
-//! Real two-dimensional transforms with the spectrum left transposed.
+//! Real two-dimensional transforms. Their spectra stay transposed.
 //!
-//! A plane of `rows x columns` real values has the half spectrum `[columns / 2 + 1, rows]`: the transform along the columns
-//! of the plane runs over contiguous memory, and no plane is ever transposed as a whole (DESIGN: transposing back costs 10
-//! to 40 %). Rows go in and come out in blocks of [`BLOCK`], so that the transposed side is touched in whole cache lines.
-//! Rows that hold no light are never transformed. Nothing is normalised: forward and inverse multiply by `rows * columns`.
+//! A plane of `rows x columns` real values has the half spectrum `[columns / 2 + 1, rows]`. So the
+//! transforms along the plane's columns run over contiguous memory, and no plane is ever transposed
+//! as a whole (DESIGN: transposing back costs 10 to 40 %). Rows are read and written in blocks of
+//! [`BLOCK`], so that the transposed side is accessed in whole cache lines. Rows without light are
+//! never transformed. Nothing is normalised: a forward and an inverse transform multiply by
+//! `rows * columns`.
 
 use std::sync::Arc;
 
@@ -17,9 +19,10 @@ use rustfft::{Fft, FftPlanner};
 use crate::ConvReal;
 use crate::view::Reach;
 
-/// Rows treated together: 16 complex values are two to four cache lines.
+/// The number of rows processed together: 16 complex values are two to four cache lines.
 const BLOCK: usize = 16;
-/// Planes smaller than this are transformed on one thread: the caller runs many of them at once.
+/// Planes with fewer values are transformed on one thread: the caller processes many of them in
+/// parallel.
 const PARALLEL_FROM: usize = 1 << 18;
 
 pub(crate) struct RealFft2<T: ConvReal> {
@@ -31,7 +34,7 @@ pub(crate) struct RealFft2<T: ConvReal> {
     column_inverse: Arc<dyn Fft<T>>,
 }
 
-/// A block of rows on its way in or out, and what the transforms of one row at a time need.
+/// A block of rows being read or written, and the buffers for transforms of single rows.
 struct Block<T> {
     real: Vec<T>,
     /// The half spectra of [`BLOCK`] rows, one after the other.
@@ -39,18 +42,18 @@ struct Block<T> {
     scratch: Vec<Complex<T>>,
 }
 
-/// One column of the spectrum and what its transforms need.
+/// One column of the spectrum and the buffers that its transforms need.
 pub(crate) struct Column<'a, T> {
     pub(crate) index: usize,
     pub(crate) values: &'a mut [Complex<T>],
-    /// As long as `values`; content undefined.
+    /// Has the length of `values`. The content is undefined.
     pub(crate) spare: [&'a mut [Complex<T>]; 2],
-    /// For the transforms; content undefined.
+    /// Buffer for the transforms. The content is undefined.
     pub(crate) scratch: &'a mut [Complex<T>],
 }
 
 impl<T: ConvReal> RealFft2<T> {
-    /// Transforms of planes of at least `rows x columns`, enlarged to sizes whose transforms are fast.
+    /// Transforms of planes of at least `rows x columns`, enlarged to sizes with fast transforms.
     pub(crate) fn at_least(rows: usize, columns: usize) -> Self {
         let (rows, columns) = (fast_size(rows), fast_size(columns));
         let mut real = RealFftPlanner::new();
@@ -65,7 +68,7 @@ impl<T: ConvReal> RealFft2<T> {
         }
     }
 
-    /// What a forward and an inverse transform multiply by.
+    /// The factor by which a forward and an inverse transform multiply a plane.
     pub(crate) fn gain(&self) -> f64 {
         self.rows as f64 * self.columns as f64
     }
@@ -89,8 +92,9 @@ impl<T: ConvReal> RealFft2<T> {
         );
     }
 
-    /// Transforms rows into the spectrum. `fill(row, values)` writes a row of zeros' non-zero part and returns whether there
-    /// is any. The columns' transforms remain to be done.
+    /// Transforms rows into the spectrum. `fill(row, values)` gets zeros, writes the light of the
+    /// row into them and returns whether there is any. The transforms of the columns are not done
+    /// here.
     pub(crate) fn rows_forward(
         &self,
         spectrum: &mut Array2<Complex<T>>,
@@ -127,7 +131,8 @@ impl<T: ConvReal> RealFft2<T> {
         self.for_blocks(spectrum.view_mut(), Axis(1), buffers, work);
     }
 
-    /// Calls `work` with each block of [`BLOCK`] lanes along an axis, on many threads where the plane is large.
+    /// Calls `work` with each block of [`BLOCK`] lanes along an axis, on many threads if the plane
+    /// is large.
     fn for_blocks<E: Send + Sync>(
         &self,
         mut array: ArrayViewMut2<'_, E>,
@@ -191,8 +196,8 @@ impl<T: ConvReal> RealFft2<T> {
         }
     }
 
-    /// Transforms rows `first_row ..` back from a spectrum whose columns are done already. `store(output_row, values)` takes
-    /// each full row of the plane into the row of `output` that belongs to it.
+    /// Transforms rows `first_row ..` back from a spectrum whose columns are already transformed.
+    /// `store(output_row, values)` writes each full row of the plane into its row of `output`.
     pub(crate) fn rows_inverse(
         &self,
         spectrum: &Array2<Complex<T>>,
@@ -213,7 +218,8 @@ impl<T: ConvReal> RealFft2<T> {
                 }
                 for (row, mut out) in target.outer_iter_mut().enumerate() {
                     let transformed = &mut rows[row * half..(row + 1) * half];
-                    // The transform of a real plane is real here; rounding must not tell the planner otherwise.
+                    // The transform of a real plane is real here. Removes rounding, which the
+                    // planner would reject.
                     transformed[0].im = T::zero();
                     if self.columns.is_multiple_of(2) {
                         transformed[half - 1].im = T::zero();
@@ -249,8 +255,9 @@ fn fast_size(n: usize) -> usize {
     size
 }
 
-/// The row transforms of a stamp laid out for circular convolution: its central pixel at index (0, 0), what lies left and
-/// below wrapped around. The columns' transforms are done where they are needed: only the stamp's own rows hold anything.
+/// The row transforms of a stamp laid out for circular convolution: its central pixel is at index
+/// (0, 0), and pixels to the left or below are wrapped around. The columns are transformed when
+/// they are needed, because only the stamp's own rows are not zero.
 pub(crate) struct KernelRows<T> {
     /// `[spectral column, stamp row]`.
     transformed: Array2<Complex<T>>,
@@ -258,13 +265,15 @@ pub(crate) struct KernelRows<T> {
 }
 
 impl<T: ConvReal> KernelRows<T> {
-    /// The transforms of `stamp / fft.gain()`, so that a convolution needs no further normalisation.
+    /// The transforms of `stamp / fft.gain()`, so that a convolution needs no further
+    /// normalisation.
     pub(crate) fn new(fft: &RealFft2<T>, stamp: ArrayView2<'_, f64>, reach: Reach) -> Self {
         let columns = fft.columns;
         let mut transformed = Array2::zeros((columns / 2 + 1, stamp.nrows()));
         fft.rows_forward(&mut transformed, |row, values| {
             for (i, &value) in stamp.row(row).iter().enumerate() {
-                // A stamp wider than the plane overlaps itself; the plane's size keeps the overlap off the result.
+                // A stamp wider than the plane overlaps itself. The plane is large enough to keep
+                // the overlap off the result.
                 values[(i + columns - reach.left) % columns] += T::nearest(value / fft.gain());
             }
             true
@@ -311,7 +320,7 @@ mod tests {
         }
     }
 
-    /// Both below and above the size from which threads are used, and with dirty buffers.
+    /// Sizes below and above the limit for threads, with dirty buffers.
     #[test]
     fn a_plane_comes_back_times_the_gain() {
         for (rows, columns) in [(6, 10), (35, 18), (600, 500)] {

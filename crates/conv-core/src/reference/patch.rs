@@ -10,10 +10,11 @@ use crate::view::{Reach, View};
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
 
-/// The frame is cut into square patches, and each is convolved with the PSF of its own centre, padded and overlap-added
-/// ([`Anchor::Source`]) or overlap-saved ([`Anchor::Output`]).
+/// Divides the frame into square patches and convolves each with the PSF of its centre. Patches are
+/// padded and overlap-added ([`Anchor::Source`]) or overlap-saved ([`Anchor::Output`]).
 ///
-/// Not exact: the PSF jumps at every patch border. It is here to be compared with. Patches without light cost nothing.
+/// The method is not exact: the PSF jumps at every patch border. It is here for comparison. Patches
+/// without light cost nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PatchConvolution {
     size: usize,
@@ -21,11 +22,11 @@ pub struct PatchConvolution {
 }
 
 impl PatchConvolution {
-    /// Patches of `size x size` pixels, counted from the frame's first pixel; light around the frame lies in patches that
-    /// continue outwards.
+    /// Patches of `size x size` pixels, counted from the frame's first pixel. The patches continue
+    /// into the light around the frame.
     ///
     /// # Errors
-    /// [`ConvError::PatchSize`] when the size is 0.
+    /// [`ConvError::PatchSize`] if the size is 0.
     pub fn new(size: usize, anchor: Anchor) -> Result<Self, ConvError> {
         if size == 0 {
             Err(ConvError::PatchSize)
@@ -34,8 +35,8 @@ impl PatchConvolution {
         }
     }
 
-    /// Cuts `length` pixels of an axis at the frame's first pixel, `origin`, and every `size` from it both ways:
-    /// `(first, pixels)` of each piece.
+    /// Divides `length` pixels of an axis at the frame's first pixel, `origin`, and at every
+    /// multiple of `size` from it, both ways. Returns `(first, pixels)` of each piece.
     fn cut(self, origin: usize, length: usize) -> Vec<(usize, usize)> {
         let first_cut = origin % self.size;
         let cuts = (first_cut..length).step_by(self.size);
@@ -110,7 +111,7 @@ struct Work<'a, T: ConvReal> {
 }
 
 impl<T: ConvReal> Work<'_, T> {
-    /// The light of a patch, spread: the patch and a margin of the stamp's reach.
+    /// Spreads the light of a patch over the patch and a margin of the stamp's reach.
     fn scatter(
         &self,
         (x, y): (usize, usize),
@@ -122,7 +123,7 @@ impl<T: ConvReal> Work<'_, T> {
         Ok(whole.map(|whole| Piece {
             first_column: x as i64 - self.reach.left as i64 - self.frame.x0(),
             first_row: y as i64 - self.reach.below as i64 - self.frame.y0(),
-            // Circular rows: what lies below the first row of the patch is wrapped to the end.
+            // Rows are circular: those below the first row of the patch are wrapped to the end.
             values: Array2::from_shape_fn((ny + height - 1, nx + width - 1), |(j, i)| {
                 let row = (j + self.fft.rows - self.reach.below) % self.fft.rows;
                 let column = (i + self.fft.columns - self.reach.left) % self.fft.columns;
@@ -131,7 +132,8 @@ impl<T: ConvReal> Work<'_, T> {
         }))
     }
 
-    /// The image of a patch, from the light of the patch and a margin of the mirrored stamp's reach.
+    /// The image of a patch, from the light of the patch and a margin of the mirrored stamp's
+    /// reach.
     fn gather(
         &self,
         (x, y): (usize, usize),
@@ -153,7 +155,8 @@ impl<T: ConvReal> Work<'_, T> {
         }))
     }
 
-    /// The circular convolution of a window of the light with the PSF at the centre of a patch; nothing if it is dark.
+    /// The circular convolution of a window of the light with the PSF at the centre of a patch.
+    /// Returns `None` if the window is dark.
     fn convolve(
         &self,
         (x, y, nx, ny): (i64, i64, usize, usize),
@@ -198,7 +201,7 @@ impl<T: ConvReal> Work<'_, T> {
         Ok(Some(whole))
     }
 
-    /// The field position of the middle of a patch.
+    /// The field position of the centre of a patch.
     fn centre(&self, (x, y): (usize, usize), (nx, ny): (usize, usize)) -> Position {
         self.field
             .position(x, y)

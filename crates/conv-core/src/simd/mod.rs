@@ -1,8 +1,9 @@
 //! Vectors of the widest instruction set that the machine has, chosen at run time.
 //!
-//! [`Isa`] is an instruction set, [`Lanes<T>`] its vectors of `T`. Code that is generic over both is compiled once for each
-//! instruction set; [`dispatch`] picks one. Hot loops run inside [`Isa::vectorized`], which is where the compiler may use the
-//! wide instructions: everything called there must be inlined.
+//! [`Isa`] is an instruction set, [`Lanes<T>`] its vectors of `T`. Code that is generic over both
+//! is compiled once for each instruction set. [`dispatch`] chooses one at run time. Hot loops run
+//! inside [`Isa::vectorized`], where the compiler may use the wide instructions. All functions
+//! called there must be inlined.
 
 mod transpose;
 
@@ -15,18 +16,18 @@ use rustfft::FftNum;
 pub trait ConvReal: Real + FftNum + SimdReal {}
 impl<T: Real + FftNum + SimdReal> ConvReal for T {}
 
-/// Real and imaginary parts of as many complex numbers as a vector has lanes.
+/// Real and imaginary parts of complex numbers, as many as a vector has lanes.
 pub(crate) type Pair<V> = [V; 2];
 
 /// An instruction set.
 pub trait Isa: Simd {
-    /// Transposes a square of as many complex vectors as each has lanes.
+    /// Transposes a square of complex vectors, as many as each has lanes.
     #[inline(always)]
     fn transpose_f32(self, from: &[Pair<Self::f32s>], into: &mut [Pair<Self::f32s>]) {
         transpose::through_memory::<f32, _>(from, into, Self::F32_LANES);
     }
 
-    /// Transposes a square of as many complex vectors as each has lanes.
+    /// Transposes a square of complex vectors, as many as each has lanes.
     #[inline(always)]
     fn transpose_f64(self, from: &[Pair<Self::f64s>], into: &mut [Pair<Self::f64s>]) {
         transpose::through_memory::<f64, _>(from, into, Self::F64_LANES);
@@ -55,9 +56,9 @@ impl Isa for pulp::aarch64::Neon {}
 pub trait Lanes<T>: Isa {
     /// A vector.
     type V: Copy + Pod + Send + Sync;
-    /// Values a vector.
+    /// The number of values in a vector.
     const LANES: usize;
-    /// `value` in every lane.
+    /// A vector with `value` in every lane.
     fn splat(self, value: T) -> Self::V;
     /// `a + b`.
     fn add(self, a: Self::V, b: Self::V) -> Self::V;
@@ -69,11 +70,11 @@ pub trait Lanes<T>: Isa {
     fn mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     /// `c - a b`.
     fn neg_mul_add(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
-    /// The first values of a vector: at most as many as it has lanes, and zeros.
+    /// Loads at most as many values as a vector has lanes, and sets the other lanes to zero.
     fn partial_load(self, from: &[T]) -> Self::V;
-    /// Stores a vector's first values: at most as many as it has lanes.
+    /// Stores the first values of a vector, at most as many as it has lanes.
     fn partial_store(self, into: &mut [T], values: Self::V);
-    /// Transposes a square of as many complex vectors as each has lanes.
+    /// Transposes a square of complex vectors, as many as each has lanes.
     fn transpose(self, from: &[Pair<Self::V>], into: &mut [Pair<Self::V>]);
 }
 
@@ -130,7 +131,7 @@ lanes!(
 
 /// Work that is generic over the instruction set.
 pub trait WithIsa<T> {
-    /// What it gives.
+    /// The result of the work.
     type Output;
     /// Does the work with the vectors of an instruction set.
     fn run<S: Lanes<T>>(self, simd: S) -> Self::Output;
@@ -195,7 +196,7 @@ where
     work.run(pulp::Scalar);
     T::dispatch(work);
 }
-/// Values that start at a cache line.
+/// Values whose first is aligned to a cache line.
 #[derive(Debug)]
 pub struct Aligned<T> {
     values: Vec<T>,
@@ -206,10 +207,10 @@ pub struct Aligned<T> {
 const CACHE_LINE: usize = 64;
 
 impl<T: ConvReal> Aligned<T> {
-    /// So many zeros.
+    /// Returns `length` zeros.
     pub fn zeros(length: usize) -> Self {
         let values = vec![T::zero(); length + CACHE_LINE / size_of::<T>()];
-        // A vector is aligned to its values at least.
+        // A vector is aligned at least to the size of its values.
         let past = values.as_ptr() as usize % CACHE_LINE;
         Self {
             start: (CACHE_LINE - past) % CACHE_LINE / size_of::<T>(),
@@ -223,12 +224,12 @@ impl<T: ConvReal> Aligned<T> {
         &self.values[self.start..self.start + self.length]
     }
 
-    /// The values, to be changed.
+    /// The values, writable.
     pub fn get_mut(&mut self) -> &mut [T] {
         &mut self.values[self.start..self.start + self.length]
     }
 
-    /// At least so many values; what they hold is undefined.
+    /// Grows to at least `length` values, whose content is then undefined.
     pub(crate) fn at_least(&mut self, length: usize) {
         if self.length < length {
             *self = Self::zeros(length);

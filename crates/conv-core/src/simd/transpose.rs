@@ -1,10 +1,10 @@
-//! Transposing squares of vectors.
+//! Transposition of squares of vectors.
 
 use pulp::bytemuck::{Pod, cast_slice, cast_slice_mut};
 
 use super::Pair;
 
-/// Any square, value by value.
+/// Transposes any square, value by value.
 #[inline(always)]
 pub(super) fn through_memory<T: Pod, V: Pod>(from: &[Pair<V>], into: &mut [Pair<V>], side: usize) {
     let (from, into) = (cast_slice::<_, T>(from), cast_slice_mut::<_, T>(into));
@@ -37,8 +37,8 @@ mod x86 {
                 for i in 1..16 {
                     r[i] = cast!(from[i][part]);
                 }
-                // In each quarter of 128 bits, squares of 4 x 4 are transposed: `t[4 g + c]` holds column `4 q + c` of rows 4 g ... in
-                // its quarter q.
+                // In each quarter of 128 bits, squares of 4 x 4 are transposed: `t[4 g + c]` holds
+                // column `4 q + c` of rows 4 g ... in its quarter q.
                 let mut t = r;
                 for g in 0..4 {
                     let (a, b, c, d) = (r[4 * g], r[4 * g + 1], r[4 * g + 2], r[4 * g + 3]);

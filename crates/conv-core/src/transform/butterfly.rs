@@ -1,4 +1,4 @@
-//! Discrete Fourier transforms of a few values, in every lane of a vector alike.
+//! Discrete Fourier transforms of a few values, computed in every lane of a vector.
 
 use crate::ConvReal;
 use crate::simd::{Lanes, Pair};

@@ -1,4 +1,4 @@
-//! Transforms of tiles: many one-dimensional transforms side by side in the lanes of vectors.
+//! Transforms of tiles. Each lane of a vector computes its own one-dimensional transform.
 
 mod butterfly;
 mod stages;

@@ -1,13 +1,14 @@
 //! One-dimensional transforms, one in every lane, in place and in scrambled order.
 //!
-//! Forward transforms decimate in frequency: natural order in, scrambled out. Inverse ones decimate in time: scrambled in,
-//! natural out. A product of spectra does not care about the order, so nothing is ever sorted.
+//! Forward transforms decimate in frequency: their input is in natural order, their output
+//! scrambled. Inverse transforms decimate in time: their input is scrambled, their output in
+//! natural order. A product of spectra does not depend on the order, so nothing is ever sorted.
 
 use super::butterfly::{butterfly, times};
 use crate::ConvReal;
 use crate::simd::{Lanes, Pair};
 
-/// Transforms of one length.
+/// The stages of transforms of one length.
 #[derive(Debug)]
 pub(crate) struct Stages<T> {
     len: usize,
@@ -17,14 +18,15 @@ pub(crate) struct Stages<T> {
 #[derive(Debug)]
 struct Stage<T> {
     radix: usize,
-    /// Values that a transform of this stage takes, `radix` times those of the next.
+    /// The number of values that a transform of this stage takes: `radix` times that of the next
+    /// stage.
     block: usize,
     /// `exp(-2 pi i j s / block)` for `j < block / radix`, `0 < s < radix`.
     twiddles: Vec<Pair<T>>,
 }
 
 impl<T: ConvReal> Stages<T> {
-    /// Transforms of `len` values, a product of 2, 3 and 5.
+    /// Transforms of `len` values, a product of powers of 2, 3 and 5.
     pub(crate) fn new(len: usize) -> Self {
         let mut block = len;
         let stages = radices(len)
@@ -47,7 +49,8 @@ impl<T: ConvReal> Stages<T> {
         Self { len, stages }
     }
 
-    /// `sum_n x_n exp(-2 pi i n k / len)`, scrambled. Values from `filled` on are zero.
+    /// `sum_n x_n exp(-2 pi i n k / len)`, in scrambled order. Values from index `filled` on must
+    /// be zero.
     #[inline(always)]
     pub(crate) fn forward<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>], filled: usize) {
         let values = &mut values[..self.len];
@@ -63,8 +66,9 @@ impl<T: ConvReal> Stages<T> {
         }
     }
 
-    /// The inverse times `len`, of values whose real and imaginary parts are swapped, which are swapped in the result too:
-    /// the inverse transform of swapped values is the swapped forward transform.
+    /// The inverse transform times `len`, for values whose real and imaginary parts are swapped.
+    /// They are swapped in the result too. The inverse transform of swapped values is the swapped
+    /// forward transform.
     #[inline(always)]
     pub(crate) fn inverse_of_swapped<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>]) {
         let values = &mut values[..self.len];
@@ -80,7 +84,7 @@ impl<T: ConvReal> Stages<T> {
     }
 }
 
-/// Cuts `$block` into legs of `$step` values, one for each name.
+/// Divides `$block` into legs of `$step` values, one for each name.
 macro_rules! cut {
     ($block:ident, $step:ident, $($leg:ident),+) => {
         let rest = $block;
@@ -89,8 +93,8 @@ macro_rules! cut {
     };
 }
 
-/// The two directions of a stage of one radix. Closures are not inlined for certain, and what is not inlined here is slow: hence
-/// loops over legs with names.
+/// The two directions of a stage of one radix. The loops name each leg, because closures may not be
+/// inlined, and calls would be slow here.
 macro_rules! radix {
     ($forward:ident, $inverse:ident, $radix:literal, $first:ident, $($leg:ident = $s:literal),+) => {
         #[inline(always)]
@@ -103,7 +107,7 @@ macro_rules! radix {
                     $first[0] = y[0];
                     $($leg[0] = y[$s];)+
                 } else if filled <= step {
-                    // Only the first leg holds anything.
+                    // Only the first leg is not zero.
                     for (j, w) in self.twiddles.chunks_exact($radix - 1).enumerate().take(step) {
                         let x = $first[j];
                         $($leg[j] = times(simd, x, splat(simd, w[$s - 1]));)+
@@ -182,7 +186,8 @@ fn radices(len: usize) -> Vec<usize> {
         }
     }
     assert!(rest.is_power_of_two(), "lengths are products of 2, 3 and 5");
-    // Few stages: each goes through all values once. The remainder of the eights comes first, where zeros can be skipped.
+    // Few stages, because each passes over all values. The stage for the rest (2 or 4) comes before
+    // the stages of 8, where zeros can be skipped.
     match rest.trailing_zeros() % 3 {
         1 if rest > 8 => radices.extend([4, 4]),
         1 => radices.push(2),
@@ -210,7 +215,7 @@ mod tests {
         }
     }
 
-    /// With its rounding.
+    /// A transform and its inverse, with the largest rounding error allowed.
     #[derive(Clone, Copy)]
     struct RoundTrip(f64);
     impl<T: ConvReal> WithIsa<T> for RoundTrip {
@@ -233,7 +238,8 @@ mod tests {
                         #[inline(always)]
                         || stages.forward(simd, &mut buffer, filled),
                     );
-                    // Scrambled, but the same set: each frequency is found once.
+                    // The order is scrambled, but the set of values is the same: each frequency is
+                    // found once.
                     let spectrum: Vec<T> = bytemuck::cast_slice(&buffer).to_vec();
                     let lane = lanes - 1;
                     for k in 0..len {

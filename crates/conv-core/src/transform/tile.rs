@@ -8,13 +8,15 @@ use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
 /// Transforms of planes of `nx x ny` real values: cyclic in x, negacyclic in y.
 ///
-/// The upper half of the rows is the imaginary part of the lower: real polynomials modulo `z^ny + 1` are complex ones modulo
-/// `z^(ny/2) - i`, so a real transform is a complex one of half the rows with neither a separation of spectra nor a row of its
-/// own for the highest frequency. A convolution whose result fits into the plane never wraps, so the sign of what
-/// wraps does not matter.
+/// The upper half of the rows becomes the imaginary part of the lower half: real polynomials modulo
+/// `z^ny + 1` are complex ones modulo `z^(ny/2) - i`. So a real transform is a complex one of half
+/// the rows, without a separation of spectra and without an extra row for the highest frequency. A
+/// convolution whose result fits into the plane never wraps, so the sign of wrapped values does not
+/// matter.
 ///
-/// A spectrum has an order of its own: groups of as many scrambled y frequencies as a vector has lanes, in
-/// each the x frequencies, scrambled; real and imaginary parts vector by vector.
+/// A spectrum has a special order. It consists of groups of scrambled y frequencies, as many per
+/// group as a vector has lanes. Each group holds the scrambled x frequencies. Vectors of real parts
+/// alternate with vectors of imaginary parts.
 #[derive(Debug)]
 pub struct TileTransform<T> {
     pub(crate) nx: usize,
@@ -27,12 +29,13 @@ pub struct TileTransform<T> {
     untwist: Vec<Pair<T>>,
 }
 
-/// Sizes are multiples of these, so that every instruction set finds whole vectors.
+/// Sizes are multiples of these numbers, so that they hold whole vectors in every instruction set.
 pub(crate) const X_STEP: usize = 16;
 pub(crate) const Y_STEP: usize = 32;
 
 impl<T: ConvReal> TileTransform<T> {
-    /// Transforms of `nx` columns, a multiple of [`X_STEP`], and `ny` rows, a multiple of [`Y_STEP`], without prime factors above 5.
+    /// Transforms of `nx` columns, a multiple of [`X_STEP`], and `ny` rows, a multiple of
+    /// [`Y_STEP`]. Neither may have prime factors above 5.
     pub fn new(nx: usize, ny: usize) -> Self {
         assert!(
             nx.is_multiple_of(X_STEP) && ny.is_multiple_of(Y_STEP),
@@ -51,33 +54,37 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// Values from one row of a plane to the next. Not a power of two: such steps fall into few sets of a cache.
+    /// The number of values from one row of a plane to the next. It is not a power of two, because
+    /// such steps map to few sets of a cache.
     pub(crate) fn pitch(&self) -> usize {
         self.nx + X_STEP
     }
 
-    /// Values of a plane.
+    /// The number of values in a plane.
     pub fn plane_len(&self) -> usize {
         self.pitch() * self.ny
     }
 
-    /// Values of a spectrum.
+    /// The number of values in a spectrum.
     pub fn spectrum_len(&self) -> usize {
         self.group() * self.ny
     }
 
-    /// Complex vectors from one group of a spectrum to the next, padded like the rows of a plane.
+    /// The number of complex vectors from one group of a spectrum to the next, padded like the rows
+    /// of a plane.
     fn group(&self) -> usize {
         self.nx + 1
     }
 
-    /// Values of the working memory that transforms need: a column of vectors, whatever the instruction set.
+    /// The number of values of working memory for a transform: one column of vectors, large enough
+    /// for any instruction set.
     pub fn column_len(&self) -> usize {
         self.ny * X_STEP
     }
 
-    /// The spectrum of a plane `[y, x]`, [`pitch`](Self::pitch) values a row, of which `rows x columns` hold something; what lies in the rows beyond
-    /// `columns` up to the next multiple of [`X_STEP`] must be zero, the rest is not read.
+    /// The spectrum of a plane `[y, x]` with [`pitch`](Self::pitch) values per row, of which the
+    /// first `rows x columns` are used. The values of these rows from `columns` up to the next
+    /// multiple of [`X_STEP`] must be zero. The rest is not read.
     #[inline(always)]
     pub fn forward<S: Lanes<T>>(
         &self,
@@ -94,8 +101,10 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The spectrum of a plane as by [`forward`](Self::forward), times another, real and imaginary parts swapped; added to `sum` or put in
-    /// its place. Group by group, so that each stays in the first cache from its transform to the sum; `spectrum` is overwritten.
+    /// Multiplies the spectrum of a plane, as from [`forward`](Self::forward), by another spectrum
+    /// and swaps real and imaginary parts. The product is added to `sum`, or replaces it. Each
+    /// group stays in the first-level cache from its transform to the sum. `spectrum` is
+    /// overwritten.
     #[inline(always)]
     #[allow(clippy::too_many_arguments, reason = "three planes of input, two of output")]
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
@@ -124,7 +133,7 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The transforms along y of a plane's columns, as groups of a spectrum.
+    /// The transforms along y of a plane's columns, stored as groups of a spectrum.
     #[inline(always)]
     fn down<S: Lanes<T>>(
         &self,
@@ -166,7 +175,7 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The transforms along x of a group, of which only the first `columns` values are there.
+    /// The transforms along x of a group, of which only the first `columns` values are set.
     #[inline(always)]
     fn across<S: Lanes<T>>(&self, simd: S, group: &mut [Pair<S::V>], columns: usize) {
         let filled = columns.next_multiple_of(S::LANES);
@@ -174,7 +183,8 @@ impl<T: ConvReal> TileTransform<T> {
         self.across.forward(simd, &mut group[..self.nx], filled);
     }
 
-    /// The plane of a spectrum whose real and imaginary parts are swapped, which is overwritten: its first `rows x columns` values.
+    /// Computes the first `rows x columns` values of the plane of a spectrum whose real and
+    /// imaginary parts are swapped. The spectrum is overwritten.
     #[inline(always)]
     pub fn inverse_of_swapped<S: Lanes<T>>(
         &self,
@@ -210,7 +220,8 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The product of two spectra with its real and imaginary parts swapped, added to `sum` or put in its place.
+    /// The product of two spectra, with real and imaginary parts swapped. It is added to `sum`, or
+    /// replaces it.
     #[inline(always)]
     pub fn multiply_swapped<S: Lanes<T>>(&self, simd: S, a: &[T], b: &[T], sum: &mut [T], add: bool) {
         let a: &[Pair<S::V>] = cast_slice(&a[..self.spectrum_len()]);
@@ -245,7 +256,7 @@ fn multiply_swapped<T: ConvReal, S: Lanes<T>>(
     }
 }
 
-/// A block of a row.
+/// Loads one vector of a row.
 #[inline(always)]
 fn load<T: ConvReal, S: Lanes<T>>(_: S, plane: &[T], pitch: usize, row: usize, block: usize) -> S::V {
     let first = row * pitch + block * S::LANES;
@@ -264,14 +275,14 @@ mod tests {
         fn run<S: Lanes<T>>(self, simd: S) {
             for (nx, ny) in [(16, 32), (48, 32), (80, 96), (64, 128)] {
                 let fft = TileTransform::<T>::new(nx, ny);
-                // Several sizes of what is filled: the result just fits.
+                // Several filled sizes, for which the result just fits.
                 for (rows, columns) in [(1, 1), (ny / 4, 7), (ny / 2 + 3, nx / 2 + 1)] {
                     let (height, width) = (ny + 1 - rows, nx + 1 - columns);
                     let (height, width) = (height.min(9), width.min(6));
                     let light = |y: usize, x: usize| ((y * 7 + x * 5) % 11) as f64 - 4.0;
                     let stamp = |y: usize, x: usize| ((y * 3 + x * 13) % 7) as f64 - 2.0;
                     let plane = |rows: usize, columns: usize, value: &dyn Fn(usize, usize) -> f64| {
-                        // Dirty where nothing may be read.
+                        // NaN wherever the transform must not read.
                         let clean = columns.next_multiple_of(X_STEP);
                         let mut plane = vec![T::nan(); fft.plane_len()];
                         for y in 0..rows {
