@@ -1,5 +1,5 @@
-//! The background of a frame and its noise, and the two tools that it shares: the median and the
-//! spline.
+//! The background of a frame and its noise, and two tools that other modules use too: the median
+//! and the spline.
 
 use ndarray::{Array2, ArrayView2, s};
 use psf_types::maths::{mirrored_index, spline_coefficients, spline_weights};
@@ -10,10 +10,12 @@ use crate::error::check;
 
 /// Estimates the background on a mesh, as SExtractor does (Bertin and Arnouts 1996, section 7.1).
 ///
-/// In each cell of the mesh, values are clipped at 3 sigma about their median until nothing changes. The background is the mode,
-/// `2.5 median - 1.5 mean`, or the median where the two differ by more than 0.3 sigma (crowded cells); its noise is the standard
-/// deviation of what is left. Both maps pass a median filter over the mesh, against cells that a bright object fills, and go over
-/// to pixels by bicubic spline between the centres of the cells, constant beyond the outermost ones.
+/// In each cell of the mesh, values are clipped at 3 sigma about their median until nothing
+/// changes. The background is the mode, `2.5 median - 1.5 mean`. In crowded cells, where mean and
+/// median differ by more than 0.3 sigma, it is the median. Its noise is the standard deviation of
+/// the remaining values. A median filter over the mesh then removes cells that a bright object
+/// fills. Bicubic splines interpolate both maps between the centres of the cells, and beyond the
+/// outermost centres they are constant.
 ///
 /// ```
 /// use ndarray::Array2;
@@ -30,12 +32,13 @@ pub struct BackgroundMesh {
 }
 
 impl BackgroundMesh {
-    /// Pixels along each side of a cell unless told otherwise.
+    /// Default number of pixels along each side of a cell.
     pub const DEFAULT_CELL: usize = 64;
     const SMALLEST_CELL: usize = 8;
 
-    /// Cells of `cell` x `cell` pixels (the last of a row or column may be larger), and a median filter over 3 x 3 cells. Cells
-    /// should be several times wider than the stars, and narrower than the changes of the sky.
+    /// A mesh of `cell` x `cell` pixels per cell with a median filter over 3 x 3 cells. The last
+    /// cell of a row or column may be larger. Cells should be several times wider than the stars,
+    /// and narrower than the changes of the sky.
     ///
     /// # Errors
     /// [`StarError::Setting`] for cells below 8 pixels.
@@ -49,7 +52,7 @@ impl BackgroundMesh {
         Ok(Self { cell, filter: 3 })
     }
 
-    /// The median filter over `filter` x `filter` cells; 1 for none.
+    /// Sets the median filter to `filter` x `filter` cells. With 1 there is no filter.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is odd.
@@ -63,7 +66,7 @@ impl BackgroundMesh {
         Ok(Self { filter, ..self })
     }
 
-    /// The background of `pixels` `[y, x]`.
+    /// Estimates the background of `pixels` `[y, x]`.
     ///
     /// # Errors
     /// [`StarError::NoNoise`] when more than half of the cells have no noise.
@@ -80,7 +83,7 @@ impl BackgroundMesh {
             .collect();
         let map = |of: fn(&(f64, f64)) -> f64| {
             let values = cells.iter().map(of).collect();
-            let map = Array2::from_shape_vec((rows, columns), values).expect("one value a cell");
+            let map = Array2::from_shape_vec((rows, columns), values).expect("one value per cell");
             median_filtered(&map, self.filter)
         };
         let (level, rms) = (map(|c| c.0), map(|c| c.1));
@@ -88,7 +91,7 @@ impl BackgroundMesh {
         if typical_rms <= 0.0 {
             return Err(StarError::NoNoise);
         }
-        // A spline may swing below what it passes through; noise may not.
+        // A spline may undershoot the values that it interpolates, but noise must stay above 0.
         let least = rms
             .iter()
             .copied()
@@ -131,7 +134,7 @@ impl Background {
         self.level.view()
     }
 
-    /// The standard deviation of its noise `[y, x]`, above 0.
+    /// The standard deviation of its noise at every pixel `[y, x]`, above 0.
     pub fn rms(&self) -> ArrayView2<'_, f64> {
         self.rms.view()
     }
@@ -147,7 +150,7 @@ impl Background {
     }
 }
 
-/// The median, for which the values are sorted; NaN for none.
+/// Sorts the values and returns their median, or NaN if there are none.
 pub(crate) fn median(values: &mut [f64]) -> f64 {
     values.sort_unstable_by(f64::total_cmp);
     match values.len() {
@@ -157,10 +160,11 @@ pub(crate) fn median(values: &mut [f64]) -> f64 {
     }
 }
 
-/// Values farther from the median than so many standard deviations are no background.
+/// Values farther from the median than this number of standard deviations are clipped.
 const CLIP: f64 = 3.0;
 const MOST_CLIPS: usize = 50;
-/// Mean and median that differ by more standard deviations than this tell of a crowded cell (SExtractor's value).
+/// A cell is crowded if its mean and median differ by more than this number of standard deviations
+/// (SExtractor's value).
 const CROWDED: f64 = 0.3;
 
 /// Mode and standard deviation of clipped values.
@@ -191,7 +195,7 @@ fn clipped(mut values: Vec<f64>) -> (f64, f64) {
 fn moments(sorted: &[f64]) -> (f64, f64, f64) {
     let n = sorted.len();
     let median = f64::midpoint(sorted[(n - 1) / 2], sorted[n / 2]);
-    // About the median, so that nothing cancels on a high background.
+    // The sums are taken about the median, so that a high background causes no cancellation.
     let (mut first, mut second) = (0.0, 0.0);
     for v in sorted {
         first += v - median;
@@ -217,7 +221,7 @@ fn median_filtered(map: &Array2<f64>, size: usize) -> Array2<f64> {
     })
 }
 
-/// From the centres of cells to pixels.
+/// Interpolates from the centres of cells to pixels.
 fn interpolated(map: &Array2<f64>, (ny, nx): (usize, usize)) -> Array2<f64> {
     let (rows, columns) = map.dim();
     let spline = Spline::through(map.view());
@@ -237,8 +241,8 @@ fn interpolated(map: &Array2<f64>, (ny, nx): (usize, usize)) -> Array2<f64> {
     pixels
 }
 
-/// The interpolating cubic spline of an array `[y, x]`, continued by mirroring about its outermost
-/// values.
+/// The interpolating cubic spline of an array `[y, x]`, continued beyond its ends by mirroring
+/// about the outermost values.
 #[derive(Debug, Clone)]
 pub(crate) struct Spline {
     coefficients: Array2<f64>,
@@ -288,7 +292,8 @@ mod tests {
         })
     }
 
-    /// The mode of a cell of 4096 values is known to 2.5 sigma / 64 at worst, and a 3-sigma clip takes 1.4 % off sigma.
+    /// The mode of a cell of 4096 values has an error of at most 2.5 sigma / 64, and a 3-sigma clip
+    /// reduces sigma by 1.4 %.
     const LEVEL: f64 = 0.1;
     const RMS: f64 = 0.03;
 

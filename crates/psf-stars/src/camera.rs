@@ -1,4 +1,4 @@
-//! What is known of the camera.
+//! The known properties of the camera.
 
 use ndarray::ArrayView2;
 use serde::Serialize;
@@ -6,13 +6,14 @@ use serde::Serialize;
 use crate::StarError;
 use crate::error::{at_least, checked_setters};
 
-/// What is known of the camera: gain, read noise, saturation. All may be unknown.
+/// The known properties of the camera: gain, read noise, saturation. Each may be unknown.
 ///
-/// With a gain `g` (electrons per unit of the frame) the signal-to-noise ratio of a star is that of the CCD equation (Howell 1989,
-/// PASP 101, 616), `SNR = N / sqrt(N + n_pix (N_sky + N_dark + N_read^2))`, `N = g F` with `F` the flux over the background in an aperture
-/// of `n_pix` pixels. The bracket is the noise of the background as measured in the frame, `(g sigma)^2`, which holds sky, dark
-/// current and read noise; a read noise that is given is its lower limit. Without a gain the photons of the star itself cannot
-/// be counted: `SNR = F / (sigma sqrt(n_pix))`.
+/// With a gain `g` (electrons per unit of the frame) the signal-to-noise ratio of a star follows
+/// the CCD equation (Howell 1989, PASP 101, 616): `SNR = N / sqrt(N + n_pix (N_sky + N_dark +
+/// N_read^2))`. Here `N = g F`, where `F` is the flux over the background in an aperture of `n_pix`
+/// pixels. The bracket is the noise of the background as measured in the frame, `(g sigma)^2`,
+/// which contains sky, dark current and read noise. A given read noise is its lower limit. Without
+/// a gain the photon noise of the star itself is not known, and `SNR = F / (sigma sqrt(n_pix))`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Camera {
     gain: Option<f64>,
@@ -22,32 +23,33 @@ pub struct Camera {
 }
 
 impl Camera {
-    /// Nothing known.
+    /// A camera of which nothing is known.
     pub fn new() -> Self {
         Self::default()
     }
 
     checked_setters! {
-        /// Electrons per unit of the frame.
+        /// Sets the gain in electrons per unit of the frame.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is above 0.
         with_gain(gain) => gain: Some, if gain.is_finite() && gain > 0.0,
             else "the gain", "a number of electrons per unit, above 0";
-        /// Read noise in electrons. It counts only beside a gain.
+        /// Sets the read noise in electrons. It is used only together with a gain.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
         with_read_noise(read_noise) => read_noise, if at_least(0.0, read_noise),
             else "the read noise", "a number of electrons, 0 or above";
-        /// The value at and above which pixels are saturated, background included.
+        /// Sets the value, background included, at and above which pixels are saturated.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is finite.
         with_saturation(level) => saturation: Some, if level.is_finite(),
             else "the saturation level", "a finite number";
-        /// The level that the frame's header states (`SATURATE`); it counts where no other is given. At or below the background it cannot
-        /// be true, and is ignored ([`Saturation::ignored`]).
+        /// Sets the saturation level of the frame's header (`SATURATE`), which is used if no other
+        /// level is given. A level at or below the background cannot be true and is ignored
+        /// ([`Saturation::ignored`]).
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is finite.
@@ -60,7 +62,8 @@ impl Camera {
         self.gain
     }
 
-    /// The signal-to-noise ratio of `flux` above the background in `pixels` pixels of background noise `rms`.
+    /// The signal-to-noise ratio of `flux` above the background in an aperture of `pixels` pixels
+    /// with background noise `rms` each.
     pub fn snr(&self, flux: f64, pixels: f64, rms: f64) -> f64 {
         match self.gain {
             Some(gain) => {
@@ -72,7 +75,8 @@ impl Camera {
         }
     }
 
-    /// The variance of a pixel with `signal` above a background of noise `rms`, in units of the frame.
+    /// The variance of a pixel with `signal` above a background of noise `rms`, in units of the
+    /// frame.
     pub(crate) fn variance(&self, signal: f64, rms: f64) -> f64 {
         match self.gain {
             Some(gain) => rms.powi(2).max((self.read_noise / gain).powi(2)) + signal.max(0.0) / gain,
@@ -80,7 +84,8 @@ impl Camera {
         }
     }
 
-    /// The saturation level given, or the header's, or the frame's largest value where several pixels pile up at it.
+    /// Returns the given saturation level, else the header's, else the frame's largest value if
+    /// several pixels have it.
     pub(crate) fn saturation_of(&self, frame: ArrayView2<'_, f64>, background: f64) -> Saturation {
         let found = |level, origin, ignored| Saturation {
             level,
@@ -104,22 +109,22 @@ impl Camera {
     }
 }
 
-/// So many pixels at one largest value are no chance: they are saturated.
+/// If at least this number of pixels share the largest value, they are saturated.
 const PILE: usize = 2;
 
 /// The level at and above which pixels count as saturated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Saturation {
-    /// The level, none where nothing tells of saturation.
+    /// The level. `None` if there is no sign of saturation.
     pub level: Option<f64>,
-    /// Where it comes from.
+    /// The origin of the level.
     pub origin: SaturationOrigin,
-    /// A level of the header at or below the background, which was not believed.
+    /// The level of the header, if it was ignored because it is at or below the background.
     pub ignored: Option<f64>,
 }
 
-/// Where a saturation level comes from.
+/// The origin of a saturation level.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
@@ -135,7 +140,7 @@ pub enum SaturationOrigin {
 }
 
 impl std::fmt::Display for Saturation {
-    /// The level and where it comes from.
+    /// Writes the level and its origin.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Some(level) = self.level else {
             return f.write_str("not known");

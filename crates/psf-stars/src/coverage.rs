@@ -1,13 +1,15 @@
-//! Where the field is covered by samples.
+//! The coverage of the field by samples.
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::maths::ConvexHull;
 use psf_types::{FrameShape, Position};
 use serde::Serialize;
 
-/// How samples cover the field: their number and the distance to the nearest of them, cell by cell, and their convex hull.
+/// The coverage of the field by samples: their number and the distance to the nearest sample, for
+/// each cell, and their convex hull.
 ///
-/// Cells are as square as the frame allows, 16 along its longer side. Outside the hull a PSF model extrapolates.
+/// Cells are as square as the frame allows, with 16 along its longer side. Outside the hull a PSF
+/// model extrapolates.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CoverageMap {
     counts: Array2<f64>,
@@ -17,35 +19,38 @@ pub struct CoverageMap {
     report: CoverageReport,
 }
 
-/// The figures of a [`CoverageMap`].
+/// The statistics of a [`CoverageMap`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct CoverageReport {
     /// Number of samples.
     pub samples: usize,
-    /// The mean distance that as many evenly spread samples would have, `sqrt(area / samples)`, pixels.
+    /// The mean distance of evenly spread samples of the same number, `sqrt(area / samples)`, in
+    /// pixels.
     pub mean_spacing_px: f64,
-    /// Part of the frame's area outside the convex hull of the samples.
+    /// The fraction of the frame's area outside the convex hull of the samples.
     pub outside_hull: f64,
-    /// Part of the frame's area (by centres of cells) farther than twice the mean spacing from any sample.
+    /// The fraction of the frame's area (by centres of cells) farther than twice the mean spacing
+    /// from any sample.
     pub empty: f64,
-    /// The largest distance from the centre of a cell to the nearest sample, pixels.
+    /// The largest distance from the centre of a cell to the nearest sample, in pixels.
     pub largest_gap_px: f64,
-    /// The centre of that cell, (x, y).
+    /// The centre of the cell with the largest gap, (x, y).
     pub largest_gap_at: (f64, f64),
-    /// Distance from each corner to the nearest sample, pixels: (0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1).
+    /// Distance from each corner to the nearest sample, in pixels: (0, 0), (nx - 1, 0), (0, ny -
+    /// 1), (nx - 1, ny - 1).
     pub corner_distances_px: [f64; 4],
 }
 
 /// Cells along the frame's longer side.
 const ACROSS: usize = 16;
-/// Farther than so many mean spacings from any sample the field counts as empty.
+/// The field counts as empty farther than this number of mean spacings from any sample.
 const EMPTY: f64 = 2.0;
-/// More area than this outside the hull, or empty, is worth a warning.
+/// If a larger fraction of the area is outside the hull or empty, there is a warning.
 const WARNED_AREA: f64 = 0.1;
 
 impl CoverageMap {
-    /// The coverage of a frame by samples at `positions`.
+    /// Computes the coverage of a frame by samples at `positions`.
     pub fn new(positions: &[Position], frame: FrameShape) -> Self {
         let (nx, ny) = (frame.nx() as f64, frame.ny() as f64);
         let side = (nx.max(ny) / ACROSS as f64).max(1.0);
@@ -115,17 +120,18 @@ impl CoverageMap {
         self.counts.view()
     }
 
-    /// Distance from the centre of each cell to the nearest sample `[y, x]`, pixels of the frame.
+    /// Distance from the centre of each cell to the nearest sample `[y, x]`, in pixels of the
+    /// frame.
     pub fn distances_px(&self) -> ArrayView2<'_, f64> {
         self.distances_px.view()
     }
 
-    /// The figures.
+    /// The statistics of the coverage.
     pub fn report(&self) -> &CoverageReport {
         &self.report
     }
 
-    /// 1 where the centre of a cell lies inside the convex hull of the samples, else 0 `[y, x]`.
+    /// For each cell `[y, x]`, 1 if its centre lies inside the convex hull of the samples, else 0.
     pub fn inside_hull(&self) -> ArrayView2<'_, f64> {
         self.inside.view()
     }
@@ -139,19 +145,20 @@ impl CoverageMap {
         )
     }
 
-    /// What a user must know before relying on the samples everywhere, in plain words; nothing where they cover the field well.
+    /// Warnings about parts of the field that the samples do not cover well. Empty if they cover
+    /// the field well.
     pub fn warnings(&self) -> Vec<String> {
         let report = &self.report;
         let mut said = Vec::new();
         if report.outside_hull > WARNED_AREA {
             said.push(format!(
-                "{:.0} % of the field lies outside the outermost samples: there the PSF is extrapolated",
+                "{:.0} % of the field lies outside the outermost samples, where the PSF is extrapolated",
                 100.0 * report.outside_hull
             ));
         }
         if report.empty > WARNED_AREA {
             said.push(format!(
-                "{:.0} % of the field is farther than {:.0} pixels from any sample; the largest gap, {:.0} pixels, is at ({:.0}, {:.0})",
+                "{:.0} % of the field is farther than {:.0} pixels from any sample. The largest gap, {:.0} pixels, is at ({:.0}, {:.0})",
                 100.0 * report.empty,
                 EMPTY * report.mean_spacing_px,
                 report.largest_gap_px,
@@ -164,7 +171,7 @@ impl CoverageMap {
             .iter()
             .zip(report.corner_distances_px)
             .filter(|(_, d)| *d > EMPTY * report.mean_spacing_px)
-            .map(|(name, d)| format!("{name} ({d:.0} pixels to the nearest)"))
+            .map(|(name, d)| format!("{name} ({d:.0} pixels to the nearest sample)"))
             .collect();
         if !bare.is_empty() {
             said.push(format!("corners without samples: {}", bare.join(", ")));

@@ -1,4 +1,4 @@
-//! Where there are sources.
+//! Detection of sources.
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::maths::FWHM_PER_SIGMA;
@@ -9,12 +9,16 @@ use crate::{Background, StarError};
 
 /// Finds sources as separate peaks of the matched-filtered significance.
 ///
-/// The significance of a point source at a pixel is `S = sum k d / (sigma sqrt(sum k^2))`, with `d` the frame above its background
-/// of noise `sigma` and `k` a Gaussian: the likelihood ratio test for a source of that shape (Stetson 1987, PASP 99, 191, without
-/// the subtraction of a local mean, which the background mesh has done). Pixels with `S >= threshold` are joined to their eight
-/// neighbours from the brightest down. Where two peaks meet at a saddle, the lower one is a source of its own if it rises above
-/// the saddle by [`with_prominence`](Self::with_prominence) and by a part of the higher peak; otherwise it belongs to the higher
-/// one. So crowded stars are separated, and noise on the flanks of a bright object is not taken for stars.
+/// The significance of a point source at a pixel is `S = sum k d / (sigma sqrt(sum k^2))`. Here `d`
+/// is the frame above its background of noise `sigma`, and `k` a Gaussian. This is the likelihood
+/// ratio test for a source of that shape (Stetson 1987, PASP 99, 191), without the subtraction of a
+/// local mean, because the background mesh is already subtracted.
+///
+/// Pixels with `S >= threshold` are joined to their eight neighbours from the brightest down. Where
+/// two peaks meet at a saddle, the lower one is a separate source if it rises above the saddle by
+/// [`with_prominence`](Self::with_prominence) and by a fraction of the higher peak. Otherwise it
+/// belongs to the higher one. Crowded stars are thus separated, and noise on the flanks of a bright
+/// object is not detected as stars.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Detection {
     threshold: f64,
@@ -23,13 +27,13 @@ pub struct Detection {
 }
 
 impl Detection {
-    /// The threshold in sigma unless told otherwise.
+    /// Default threshold in sigma.
     pub const DEFAULT_THRESHOLD: f64 = 5.0;
-    /// The kernel's width in pixels unless told otherwise.
+    /// Default width of the kernel in pixels.
     pub const DEFAULT_KERNEL_FWHM_PX: f64 = 2.0;
     const DEFAULT_PROMINENCE: f64 = 3.0;
 
-    /// Sources above `threshold` sigma.
+    /// Detection of sources above `threshold` sigma.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is at least 1.
@@ -47,13 +51,13 @@ impl Detection {
     }
 
     checked_setters! {
-        /// The kernel for stars of this width.
+        /// Sets the kernel to the given FWHM of stars.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is between 0.5 and 50 pixels.
         with_kernel_fwhm_px(kernel_fwhm_px) => kernel_fwhm_px, if (0.5..=50.0).contains(&kernel_fwhm_px),
             else "the FWHM of the detection kernel", "between 0.5 and 50 pixels";
-        /// How many sigma a peak must rise above the saddle to a higher one.
+        /// Sets the number of sigma by which a peak must rise above the saddle to a higher peak.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
@@ -71,10 +75,10 @@ impl Detection {
         self.kernel_fwhm_px
     }
 
-    /// The peaks in a frame `[y, x]`, the most significant first.
+    /// Finds the peaks in a frame `[y, x]`, the most significant first.
     ///
     /// # Panics
-    /// When the background is not that of the frame.
+    /// When the background does not belong to the frame.
     pub fn find(&self, frame: ArrayView2<'_, f64>, background: &Background) -> Vec<Peak> {
         let significance = self.significance(frame, background);
         separate_peaks(&significance, self.threshold, self.prominence)
@@ -84,7 +88,7 @@ impl Detection {
         assert_eq!(
             frame.dim(),
             background.level().dim(),
-            "the background of this frame"
+            "the background belongs to this frame"
         );
         let sigma = self.kernel_fwhm_px / FWHM_PER_SIGMA;
         let reach = (REACH * sigma).ceil() as usize;
@@ -98,7 +102,7 @@ impl Detection {
             &along_x.reversed_axes().as_standard_layout().into_owned(),
             &kernel,
         );
-        // Near the edges only a part of the kernel sees the frame.
+        // Near the edges only a part of the kernel overlaps the frame.
         let power = |n: usize| -> Vec<f64> {
             (0..n)
                 .map(|i| {
@@ -140,12 +144,13 @@ pub struct Peak {
     pub pixel_count: usize,
 }
 
-/// The kernel ends at so many sigma.
+/// The kernel is cut off at this number of sigma.
 const REACH: f64 = 3.0;
-/// A peak must also rise above its saddle by this part of the higher peak (SExtractor's DEBLEND_MINCONT has the same role).
+/// A peak must also rise above its saddle by this fraction of the higher peak (like SExtractor's
+/// DEBLEND_MINCONT).
 const CONTRAST: f64 = 0.005;
 
-/// Each row convolved with a symmetric kernel, dark beyond the ends.
+/// Convolves each row with a symmetric kernel. Values beyond the ends are 0.
 fn filtered_rows(values: &Array2<f64>, kernel: &[f64]) -> Array2<f64> {
     let (rows, columns) = values.dim();
     let reach = kernel.len() / 2;
@@ -168,11 +173,11 @@ fn filtered_rows(values: &Array2<f64>, kernel: &[f64]) -> Array2<f64> {
 
 const NONE: u32 = u32::MAX;
 
-/// A hill of pixels joined so far.
+/// A hill: the pixels joined to one peak so far.
 struct Hill {
     peak: usize,
     pixels: usize,
-    /// The hill that swallowed it.
+    /// The hill that it was merged into.
     parent: usize,
 }
 
@@ -189,7 +194,7 @@ fn separate_peaks(map: &Array2<f64>, threshold: f64, prominence: f64) -> Vec<Pea
     let (ny, nx) = map.dim();
     let values = map.as_slice().expect("row-major");
     let mut order: Vec<usize> = (0..values.len()).filter(|&p| values[p] >= threshold).collect();
-    // Equal values in the order of pixels: the result is always the same.
+    // Equal values are ordered by pixel, so that the result is reproducible.
     order.sort_by(|&a, &b| values[b].total_cmp(&values[a]).then(a.cmp(&b)));
     let mut hill_of = vec![NONE; values.len()];
     let mut hills: Vec<Hill> = Vec::new();
@@ -273,10 +278,10 @@ mod tests {
         let found = separate_peaks(&map, 5.0, 3.0);
         let at: Vec<_> = found.iter().map(|p| (p.column, p.row)).collect();
         assert_eq!(at, [(10, 10), (18, 10), (33, 5)]);
-        // A ripple on the flank is none.
+        // A ripple on the flank is not a peak of its own.
         let rippled = hills(&[(10.0, 10.0, 50.0)]) + 1.5 * hills(&[(14.0, 10.0, 1.0)]).mapv(f64::round);
         assert_eq!(separate_peaks(&rippled, 5.0, 3.0).len(), 1);
-        // Nor is anything below the threshold.
+        // A maximum below the threshold is not a peak either.
         assert_eq!(separate_peaks(&map, 25.0, 3.0).len(), 2);
     }
 

@@ -1,4 +1,4 @@
-//! One oversampled PSF over the field, from the pixels of all stars together.
+//! One oversampled PSF over the field, fitted to the pixels of all stars together.
 
 use nalgebra::{Matrix4, Vector4};
 use ndarray::Array2;
@@ -12,18 +12,18 @@ use crate::frame::Star;
 use crate::registration::FineGrid;
 use crate::selection::FieldTerms;
 
-/// An oversampled PSF, `E(u; x) = sum_j P_j(x) E_j(u)`, and the stars that it was fitted to.
+/// An oversampled PSF, `E(u; x) = sum_j P_j(x) E_j(u)`, and the stars to which it was fitted.
 #[derive(Debug)]
 pub(crate) struct Epsf {
-    /// Of the stars that agree with it.
+    /// The stars that agree with the PSF.
     pub(crate) stars: Vec<Star>,
-    /// Of the stars that do not: indices of their sources.
+    /// Indices of the sources whose stars do not agree with the PSF.
     pub(crate) mismatched: Vec<usize>,
     pub(crate) median_chi: f64,
     psf: FieldPsf,
 }
 
-/// The planes `E_j` of an oversampled PSF, and the terms `P_j` that they go with.
+/// The planes `E_j` of an oversampled PSF, and the terms `P_j` that multiply them.
 #[derive(Debug)]
 struct FieldPsf {
     terms: FieldTerms,
@@ -34,21 +34,22 @@ struct FieldPsf {
 
 /// Rounds of fitting the PSF and then the stars.
 const ROUNDS: usize = 6;
-/// After so many rounds the degree is chosen, and mismatched stars are left out from then on.
+/// After this number of rounds the degree is chosen. From then on mismatched stars are excluded.
 const SETTLING: usize = 2;
 const HIGHEST_DEGREE: usize = 4;
 /// Stars that each term of the polynomial needs.
 const STARS_PER_TERM: usize = 5;
-/// Each star is predicted once from the others, this part of the stars at a time.
+/// Each star is predicted once from the others, in this number of groups.
 const FOLDS: usize = 5;
-/// A higher degree must predict better by this part.
+/// A higher degree must reduce the prediction error by this fraction.
 const GAIN: f64 = 0.002;
-/// Residuals beyond so many sigma count less (Huber 1964).
+/// Residuals beyond this number of sigma get a lower weight (Huber 1964).
 const HUBER: f64 = 3.0;
-/// Stars whose chi exceeds the median by so many sigma of the scatter, and three times, do not belong.
+/// A star is mismatched if its chi exceeds the median by this number of sigma of the scatter, and
+/// exceeds three times the median.
 const MISMATCH_SIGMA: f64 = 5.0;
 const MISMATCH_RATIO: f64 = 3.0;
-/// Farthest that a star may move from where its Gaussian put it, pixels.
+/// A star may move from the position of its Gaussian fit by at most this distance, in pixels.
 const FARTHEST: f64 = 0.5;
 
 impl Epsf {
@@ -69,7 +70,7 @@ impl Epsf {
         };
         let mut mismatched = Vec::new();
         for round in 0..ROUNDS {
-            // Positions first: the first PSF is the Gaussian itself.
+            // The positions come first, because the first PSF is the Gaussian.
             let chi = psf.refine(&mut stars);
             if round >= SETTLING {
                 let limit = mismatch_limit(&chi);
@@ -82,7 +83,7 @@ impl Epsf {
                         .map(|(s, _)| s.source),
                 );
                 let mut fit = fits.iter();
-                stars.retain(|_| *fit.next().expect("one a star"));
+                stars.retain(|_| *fit.next().expect("one entry per star"));
             }
             let terms = if round == SETTLING {
                 psf.choose_degree(&stars, &prior)
@@ -100,8 +101,8 @@ impl Epsf {
         }
     }
 
-    /// The PSF at a star, of unit flux, and the star's flux; nothing where there is no light. With `own_shape` the star's own pixels bend
-    /// the PSF of the field.
+    /// Returns the PSF at a star, of unit flux, and the star's flux, or `None` if there is no
+    /// light. With `own_shape` the PSF of the field is adapted to the star's own pixels.
     pub(crate) fn sample(&self, star: &Star, own_shape: bool) -> Option<(Array2<f64>, f64)> {
         let (psf, surface) = (&self.psf, self.psf.surface);
         let mut coefficients = psf.at(star);
@@ -114,7 +115,7 @@ impl Epsf {
         (flux > 0.0 && star.flux > 0.0).then(|| (surface.at_nodes(&coefficients) / flux, star.flux * flux))
     }
 
-    /// Degree of the polynomial over the field.
+    /// The degree of the polynomial over the field.
     pub(crate) fn field_degree(&self) -> usize {
         self.psf.terms.degree
     }
@@ -131,12 +132,12 @@ const STEPS: usize = 8;
 const LONGEST: f64 = 0.2;
 
 impl FieldPsf {
-    /// The coefficients at a star.
+    /// The spline coefficients at a star.
     fn at(&self, star: &Star) -> Vec<f64> {
         combined(&self.planes, &self.terms.at(star.x, star.y))
     }
 
-    /// Another PSF of these terms, fitted to stars.
+    /// Fits a PSF with the given terms to stars.
     fn fitted(&self, stars: &[Star], prior: &Prior, terms: FieldTerms) -> Self {
         Self {
             terms,
@@ -145,9 +146,11 @@ impl FieldPsf {
         }
     }
 
-    /// Flux, position and background of every star under the PSF as it is; the root of each star's reduced chi squared.
+    /// Fits flux, position and background of every star under the current PSF. Returns the root of
+    /// each star's reduced chi squared.
     ///
-    /// A PSF that is off centre and stars that are off by the same amount look alike: the mean shift is taken back.
+    /// A shift of the PSF and an opposite shift of all stars are equivalent, so the mean shift is
+    /// removed.
     fn refine(&self, stars: &mut [Star]) -> Vec<f64> {
         let chi = stars.par_iter_mut().map(|star| self.refine_one(star)).collect();
         let count = stars.len() as f64;
@@ -214,7 +217,7 @@ impl FieldPsf {
         chi
     }
 
-    /// The degree whose PSF predicts stars best that did not take part.
+    /// Chooses the degree whose PSF best predicts stars that were not part of its fit.
     fn choose_degree(&self, stars: &[Star], prior: &Prior) -> FieldTerms {
         let frame = self.terms.frame();
         let mut best = FieldTerms::new(0, frame);
@@ -257,7 +260,7 @@ impl FieldPsf {
         used.filter_map(|pixel| {
             let place = surface.place(pixel.x - star.x, pixel.y - star.y)?;
             let psf = surface.value(&coefficients, &place);
-            // Weights that do not depend on the PSF that is judged.
+            // The weights do not depend on the PSF that is evaluated.
             let w = weight(star, surface.value(&prior.mean, &place), pixel.rms, &self.camera);
             let off = (pixel.value - star.offset) / star.flux - psf;
             Some(pixel.trust * w * off * off)

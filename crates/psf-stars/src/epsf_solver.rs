@@ -10,11 +10,12 @@ use crate::frame::Star;
 use crate::registration::FineGrid;
 use crate::selection::FieldTerms;
 
-/// Rows and columns of B-spline coefficients beyond the grid: one before, two after (the second with weight 0).
+/// Rows and columns of B-spline coefficients beyond the grid: one before, two after. The second one
+/// has weight 0.
 const BEFORE: usize = 1;
 const AFTER: usize = 2;
 
-/// A cubic B-spline at a node, from the coefficients before, at and after it.
+/// Weights of the coefficients before, at and after a node for the value of a cubic B-spline there.
 const NODE: [f64; 3] = [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0];
 
 /// The B-spline coefficients of a PSF on a grid, row by row, with a border.
@@ -23,8 +24,8 @@ pub(crate) struct SurfaceGrid {
     pub(crate) grid: FineGrid,
 }
 
-/// The coefficients that a place needs: the first of 4 x 4, and along x and y their weights and those of
-/// the derivative.
+/// The coefficients needed at a place: the first of 4 x 4 coefficients, their weights along x and
+/// y, and the weights of the derivative.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
     first: usize,
@@ -45,13 +46,14 @@ impl SurfaceGrid {
         self.side() * self.side()
     }
 
-    /// The place at the offset `(dx, dy)` from the star in pixels of the frame, if it is on the grid.
+    /// The place at the offset `(dx, dy)` from the star in pixels of the frame, if it is on the
+    /// grid.
     pub(crate) fn place(self, dx: f64, dy: f64) -> Option<Place> {
         let (scale, middle) = (self.grid.scale as f64, self.grid.middle() as f64);
         let (tx, ty) = (middle + scale * dx, middle + scale * dy);
         let last = 2.0 * middle;
         ((0.0..=last).contains(&tx) && (0.0..=last).contains(&ty)).then(|| {
-            // The node before the one at or below.
+            // The node before the one at or below `t`.
             let first = |t: f64| t.floor() as usize + BEFORE - 1;
             let within = [tx - tx.floor(), ty - ty.floor()];
             Place {
@@ -62,7 +64,7 @@ impl SurfaceGrid {
         })
     }
 
-    /// The offsets in pixels of the frame of every coefficient, in their order.
+    /// The offset of every coefficient from the star in pixels of the frame, in their order.
     pub(crate) fn offsets(self) -> impl Iterator<Item = (f64, f64)> {
         let (side, middle, scale) = (self.side(), self.grid.middle() as f64, self.grid.scale as f64);
         let offset = move |k: usize| (k as f64 - BEFORE as f64 - middle) / scale;
@@ -73,7 +75,7 @@ impl SurfaceGrid {
         self.weighted(coefficients, place.first, place.weights)
     }
 
-    /// The derivatives by the offset, in values per pixel of the frame.
+    /// The derivatives with respect to the offset, in values per pixel of the frame.
     pub(crate) fn slopes(self, coefficients: &[f64], place: &Place) -> (f64, f64) {
         let scale = self.grid.scale as f64;
         (
@@ -91,7 +93,8 @@ impl SurfaceGrid {
         wy.iter().enumerate().map(|(j, w)| w * line(j)).sum()
     }
 
-    /// The transpose of [`value`](Self::value): adds `amount` to the coefficients that a place sees, by their weights.
+    /// The transpose of [`value`](Self::value): adds `amount` to the coefficients of a place,
+    /// multiplied by their weights.
     pub(crate) fn spread(self, coefficients: &mut [f64], place: &Place, amount: f64) {
         let side = self.side();
         for (j, wy) in place.weights[1].iter().enumerate() {
@@ -116,23 +119,24 @@ impl SurfaceGrid {
         })
     }
 
-    /// The flux of a PSF: the sum over its nodes, over the nodes of a pixel.
+    /// The flux of a PSF: the sum over its nodes divided by the number of nodes per pixel.
     pub(crate) fn flux(self, coefficients: &[f64]) -> f64 {
         self.at_nodes(coefficients).sum() / (self.grid.scale * self.grid.scale) as f64
     }
 }
 
-/// The PSF is known to this part of a pixel's light at best: bright stars do not count for more (PSFEx's PSF_ACCURACY).
+/// The accuracy of the PSF model as a fraction of a pixel's light. It limits the weight of bright
+/// stars (PSFEx's PSF_ACCURACY).
 pub(crate) const ACCURACY: f64 = 0.02;
 
-/// The weight of a pixel in units of flux fractions: `F^2 / variance`.
+/// The weight of a pixel for values relative to the star's flux: `F^2 / variance`.
 pub(crate) fn weight(star: &Star, model: f64, rms: f64, camera: &Camera) -> f64 {
     let signal = star.flux * model.max(0.0);
     let variance = camera.variance(signal, rms) + (ACCURACY * signal).powi(2);
     star.flux * star.flux / variance
 }
 
-/// `sum_j P_j E_j`.
+/// Returns `sum_j P_j E_j`.
 pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
     let mut sum = vec![0.0; planes[0].len()];
     for (plane, term) in planes.iter().zip(terms) {
@@ -143,10 +147,11 @@ pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
     sum
 }
 
-/// What is known of the PSF before: a round Gaussian of the stars' FWHM, and how far its coefficients may be from the truth.
+/// The prior of the PSF: a round Gaussian of the stars' FWHM, and the expected errors of its
+/// coefficients.
 ///
-/// The fit is the most probable PSF under Gaussian noise and independent Gaussian errors of these sizes, so that coefficients which no
-/// pixel of any star determines stay where they are.
+/// The fit is the most probable PSF under Gaussian noise and independent Gaussian errors of these
+/// sizes, so coefficients that no pixel of any star determines keep their prior values.
 #[derive(Debug)]
 pub(crate) struct Prior {
     pub(crate) mean: Vec<f64>,
@@ -154,20 +159,22 @@ pub(crate) struct Prior {
     spread: Vec<f64>,
 }
 
-/// A coefficient may differ from the Gaussian by this part of itself ...
+/// A coefficient may differ from the Gaussian by this fraction of itself ...
 const OWN_PART: f64 = 0.5;
-/// ... and this part of the peak, as wings do.
+/// ... plus this fraction of the peak, which allows for wings.
 const PEAK_PART: f64 = 0.004;
-/// How much less the PSF varies over the field than it differs from a Gaussian.
+/// The variation of the PSF over the field relative to its difference from a Gaussian.
 const FIELD_PART: f64 = 0.5;
 
-/// A star's own PSF may differ from that of the field by this part (colour, local distortion).
+/// A star's own PSF may differ from the PSF of the field by this fraction (colour, local
+/// distortion).
 const LOCAL_PART: f64 = 0.25;
 
 impl Prior {
     pub(crate) fn gaussian(surface: SurfaceGrid, fwhm_px: f64) -> Self {
         let sigma2 = (fwhm_px / FWHM_PER_SIGMA).powi(2);
-        // B-splines widen what their coefficients say by a third of a node's width squared.
+        // A B-spline is wider than its coefficients by a variance of a third of a squared node
+        // distance.
         let scale = surface.grid.scale as f64;
         let narrowed = (sigma2 - 1.0 / (3.0 * scale * scale)).max(0.3 * sigma2);
         let mut mean: Vec<f64> = surface
@@ -183,7 +190,8 @@ impl Prior {
         Self { mean, spread }
     }
 
-    /// The PSF of the field at a star, from which the star's own may differ a little.
+    /// The prior for a star's own PSF: the PSF of the field at the star, from which it may differ a
+    /// little.
     pub(crate) fn local(mean: Vec<f64>) -> Self {
         let peak = mean.iter().copied().fold(0.0, f64::max);
         let spread = mean
@@ -194,13 +202,14 @@ impl Prior {
     }
 }
 
-/// Ends the iteration at this part of the first residual.
+/// The iteration ends when the residual falls to this fraction of the first one.
 const CONVERGED: f64 = 1e-6;
 const MOST_ITERATIONS: usize = 300;
-/// Stars worked on as one piece: sums are taken in the order of pieces, whatever the threads.
+/// Stars processed as one piece. Sums are taken in the order of pieces, independent of the threads.
 const PIECE: usize = 32;
 
-/// The planes `E_j` from the stars as they are: minimises `sum w (d / F - E)^2 + |(E - prior) / spread|^2` by conjugate gradients.
+/// Fits the planes `E_j` to the stars' current parameters. Minimises `sum w (d / F - E)^2 + |(E -
+/// prior) / spread|^2` by conjugate gradients.
 pub(crate) fn solve(
     stars: &[Star],
     prior: &Prior,
@@ -216,7 +225,7 @@ pub(crate) fn solve(
         .collect();
     let spread = |j: usize, k: usize| prior.spread[k] * if j == 0 { 1.0 } else { FIELD_PART };
 
-    // In units of the spreads the prior is the unit matrix.
+    // In units of the spreads, the prior is the unit matrix.
     let transposed = |of: &(dyn Fn(&StarRows) -> Vec<f64> + Sync)| -> Vec<Vec<f64>> {
         let pieces: Vec<Vec<Vec<f64>>> = rows
             .par_chunks(PIECE)
@@ -299,10 +308,10 @@ fn add(to: &mut [Vec<f64>], factor: f64, what: &[Vec<f64>]) {
     }
 }
 
-/// The equations of one star: its pixels that count, less the prior.
+/// The equations of one star: its usable pixels, minus the prior.
 struct StarRows {
     terms: Vec<f64>,
-    /// Place, weight and what is left of the prior.
+    /// Place, weight and the residual from the prior.
     pixels: Vec<(Place, f64, f64)>,
 }
 
@@ -325,7 +334,7 @@ impl StarRows {
         }
     }
 
-    /// `A^T W A` applied to coefficients.
+    /// Returns `A^T W A` applied to coefficients.
     fn normal(&self, coefficients: &[f64], surface: SurfaceGrid) -> Vec<f64> {
         let mut back = vec![0.0; coefficients.len()];
         for (place, w, _) in &self.pixels {
@@ -334,7 +343,7 @@ impl StarRows {
         back
     }
 
-    /// `A^T W d`.
+    /// Returns `A^T W d`.
     fn back(&self, surface: SurfaceGrid) -> Vec<f64> {
         let mut back = vec![0.0; surface.len()];
         for (place, w, left) in &self.pixels {

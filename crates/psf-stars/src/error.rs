@@ -1,9 +1,9 @@
-//! Why a frame gave no samples.
+//! Errors of making samples from a frame.
 
 use psf_types::DataError;
 use thiserror::Error;
 
-/// What went wrong while stars were turned into PSF samples.
+/// An error of making PSF samples from stars.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum StarError {
@@ -12,19 +12,20 @@ pub enum StarError {
     Setting {
         /// Name of the setting.
         name: &'static str,
-        /// What is allowed, in words.
+        /// The values that are allowed.
         allowed: &'static str,
-        /// What was given.
+        /// The value that was given.
         got: f64,
     },
-    /// A background without noise, so that a threshold in sigma means nothing.
+    /// The background has no noise, so that a threshold in sigma has no meaning.
     #[error(
-        "the background has no noise (r.m.s. 0): sources are found by their excess over the noise, so add some to a noise-free image"
+        "the background has no noise (r.m.s. 0): sources are found by their excess over the noise, so add noise to a noise-free image"
     )]
     NoNoise,
-    /// A frame that gives no samples with these settings: it is too small, nothing in it is bright
-    /// enough, no source is fit to be a sample, the stars are too few for an oversampled PSF that
-    /// was asked for by name, or stamps have no room at the distance from the edge asked for.
+    /// A frame that gives no samples with these settings. Either it is too small, no source is
+    /// bright enough, no source is suitable as a sample, or the stars are too few for an
+    /// oversampled PSF that was requested explicitly. Or a stamp does not fit at the requested
+    /// distance from the edge.
     #[error("{0}")]
     NoSamples(String),
     /// Data that break an invariant.
@@ -32,7 +33,7 @@ pub enum StarError {
     Data(#[from] DataError),
 }
 
-/// Refuses a setting unless `holds`.
+/// Returns [`StarError::Setting`] unless `holds`.
 pub(crate) fn check(
     holds: bool,
     name: &'static str,
@@ -46,14 +47,14 @@ pub(crate) fn check(
     }
 }
 
-/// Whether a value is a number, `least` or above.
+/// Returns whether a value is finite and at least `least`.
 pub(crate) fn at_least(least: f64, value: f64) -> bool {
     value.is_finite() && value >= least
 }
 
-/// Methods that change one setting, inside an `impl`: a table of method, number given and field
-/// (`: Some` where the field is an option), the condition that the number must meet, its name, and
-/// what is allowed, in words.
+/// Defines methods that change one setting, inside an `impl`. The table lists the method, its
+/// argument and the field (`: Some` if the field is an option), the condition on the argument, the
+/// name of the setting, and the allowed values.
 macro_rules! checked_setters {
     ($(
         $(#[$doc:meta])*

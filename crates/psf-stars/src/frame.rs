@@ -1,4 +1,4 @@
-//! A frame, what is measured of single sources in it, and which pixels belong to which of them.
+//! A frame, the measurement of single sources in it, and the assignment of pixels to sources.
 
 use ndarray::Array2;
 use psf_types::FrameShape;
@@ -8,15 +8,15 @@ use crate::registration::FineGrid;
 use crate::source::Gaussian;
 use crate::{Background, Camera, Detection, Peak, Rejection, Rejections, Saturation, Source, StarError};
 
-/// The aperture's radius: in FWHM, and at least so many pixels.
+/// The radius of the aperture in FWHM, and its minimum in pixels.
 const APERTURE_FWHM: f64 = 1.25;
 const APERTURE_PX: f64 = 2.0;
-/// Gaussian fits look this far, in FWHM.
+/// The radius of the pixels used by a Gaussian fit, in FWHM.
 const FIT_FWHM: f64 = 1.5;
-/// Two fits closer than this are of one source, pixels.
+/// Two fits closer than this distance in pixels are fits of one source.
 const SAME_PX: f64 = 1.0;
 
-/// The radius of the aperture for stars of this width.
+/// The radius of the aperture for stars of the given FWHM.
 pub(crate) fn aperture_px(fwhm_px: f64) -> f64 {
     (APERTURE_FWHM * fwhm_px).max(APERTURE_PX)
 }
@@ -36,7 +36,7 @@ impl FrameView {
         FrameShape::new(nx, ny).expect("the shape of an image")
     }
 
-    /// Pixels `(column, row)` whose centres lie within `radius`.
+    /// The pixels `(column, row)` whose centres lie within `radius` of (`x`, `y`).
     pub(crate) fn disc(&self, x: f64, y: f64, radius: f64) -> impl Iterator<Item = (usize, usize)> + use<> {
         let (ny, nx) = self.pixels.dim();
         let range = |v: f64, n: usize| {
@@ -53,7 +53,7 @@ impl FrameView {
         })
     }
 
-    /// The sources, the most significant first.
+    /// Finds the peaks of the sources, the most significant first.
     pub(crate) fn peaks(&self, detection: &Detection) -> Result<Vec<Peak>, StarError> {
         let peaks = detection.find(self.pixels.view(), &self.background);
         if peaks.is_empty() {
@@ -65,15 +65,15 @@ impl FrameView {
         Ok(peaks)
     }
 
-    /// The sources of peaks, without their backgrounds and neighbours.
+    /// Measures the sources of the peaks. Their background and neighbours are not filled in yet.
     pub(crate) fn measured(&self, peaks: &[Peak], fwhm_px: f64) -> Vec<Source> {
         let mut sources: Vec<Source> = peaks.par_iter().map(|p| self.measure(p, fwhm_px)).collect();
-        // A fit that slid to a brighter neighbour is not the peak's own.
+        // A fit that moved to a brighter neighbour does not measure the peak's own source.
         let neighbours = Neighbours::of(&sources);
         let slid: Vec<usize> = (0..sources.len())
             .filter(|&k| {
                 let s = &sources[k];
-                // The more significant ones come first.
+                // More significant sources come first.
                 s.fwhm_px.is_some() && neighbours.within(s.x, s.y, SAME_PX).any(|(j, _)| j < k)
             })
             .collect();
@@ -123,7 +123,8 @@ impl FrameView {
         }
     }
 
-    /// Fills in what is left: each source's background and its distance to the nearest other one.
+    /// Fills in the missing values: each source's background and its distance to the nearest other
+    /// source.
     pub(crate) fn complete(&self, sources: &mut [Source]) {
         let neighbours = Neighbours::of(sources);
         let (ny, nx) = self.pixels.dim();
@@ -137,7 +138,7 @@ impl FrameView {
         }
     }
 
-    /// The centre of the light in 3 x 3 pixels.
+    /// The centre of the light in the 3 x 3 pixels around a peak.
     fn light_centre(&self, peak: &Peak) -> (f64, f64) {
         let (mut sum, mut x, mut y) = (0.0, 0.0, 0.0);
         for (column, row) in self.disc(peak.column as f64, peak.row as f64, 1.5) {
@@ -188,40 +189,41 @@ impl FrameView {
     }
 }
 
-/// A pixel about a star.
+/// A pixel near a star.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StarPixel {
     pub(crate) x: f64,
     pub(crate) y: f64,
-    /// Above the background.
+    /// The value above the background.
     pub(crate) value: f64,
-    /// Noise of the background.
+    /// The noise of the background.
     pub(crate) rms: f64,
-    /// Part of its weight that it keeps: 0 where it is saturated or belongs to a neighbour, less than 1 for outliers.
+    /// The factor on its weight: 0 if it is saturated or belongs to a neighbour, below 1 for
+    /// outliers.
     pub(crate) trust: f64,
 }
 
-/// A star that is to become a sample.
+/// A star that becomes a sample unless it is rejected later.
 #[derive(Debug, Clone)]
 pub(crate) struct Star {
     /// Index of its source.
     pub(crate) source: usize,
-    /// Where its Gaussian put it.
+    /// The position of its Gaussian fit.
     pub(crate) start: (f64, f64),
     pub(crate) x: f64,
     pub(crate) y: f64,
     pub(crate) flux: f64,
-    /// What the background map is off by about it.
+    /// The error of the background map near it.
     pub(crate) offset: f64,
     pub(crate) pixels: Vec<StarPixel>,
 }
 
-/// A source's pixels, as far as neighbours are concerned, in FWHM from its centre.
+/// Pixels within this distance from a source, in FWHM, belong to it and not to its neighbours.
 const OWN_FWHM: f64 = 1.5;
-/// Neighbours with less than this part of a star's flux do not mask its pixels.
+/// Neighbours with less than this fraction of a star's flux do not mask its pixels.
 const HARMLESS: f64 = 0.01;
 
-/// Which pixels belong to which source.
+/// The assignment of pixels to sources.
 #[derive(Debug)]
 pub(crate) struct Ownership {
     neighbours: Neighbours,
@@ -238,7 +240,8 @@ impl Ownership {
         }
     }
 
-    /// Whether a pixel is free of the light of sources other than `source`, which has this flux.
+    /// Returns whether a pixel is free of the light of sources other than `source`, which has the
+    /// given flux.
     pub(crate) fn allows(&self, source: usize, flux: f64, x: f64, y: f64) -> bool {
         !self
             .neighbours
@@ -265,7 +268,8 @@ impl Neighbours {
         Self::new(sources.iter().map(|s| (s.x, s.y)))
     }
 
-    /// Indices and distances of the points within `radius`, in no particular but always the same order.
+    /// Indices and distances of the points within `radius`. The order is arbitrary but
+    /// reproducible.
     pub(crate) fn within(&self, x: f64, y: f64, radius: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
         let first = self.sorted.partition_point(|p| p.0 < y - radius);
         self.sorted[first..]
@@ -282,7 +286,7 @@ impl Neighbours {
         let look = |p: &(f64, f64, usize), best: &mut Option<(usize, f64)>| {
             let closer = best.is_none_or(|(_, d)| (p.0 - y).abs() <= d);
             let distance = (p.1 - x).hypot(p.0 - y);
-            // The lower index where two are equally far.
+            // If two points are equally far, the one with the lower index is chosen.
             if closer && counts(p.2) && best.is_none_or(|(k, d)| distance < d || (distance == d && p.2 < k)) {
                 *best = Some((p.2, distance));
             }

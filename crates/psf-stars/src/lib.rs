@@ -1,20 +1,21 @@
 //! PSF samples from the stars of a real frame.
 //!
-//! [`StarSampling`] takes an image and gives [`StarSamples`]: PSF stamps of unit flux at the positions of stars
-//! ([`psf_types::PsfSamples`]), a table of all [`Source`]s with the reasons for which others were rejected, and a [`CoverageMap`] of the
-//! field. Its steps and their settings:
+//! [`StarSampling`] takes an image and returns [`StarSamples`]. They contain PSF stamps of unit
+//! flux at the positions of stars ([`psf_types::PsfSamples`]), a table of all [`Source`]s with the
+//! reasons why some were rejected, and a [`CoverageMap`] of the field. The steps and their
+//! settings:
 //!
-//! | step | settings | what it does |
+//! | step | settings | purpose |
 //! |---|---|---|
-//! | background | [`BackgroundMesh`] | mode and noise of clipped cells, as SExtractor |
+//! | background | [`BackgroundMesh`] | mode and noise of clipped cells, as in SExtractor |
 //! | detection | [`Detection`] | separate peaks of the matched-filtered significance |
 //! | measurement | [`Camera`] | centre and shape by Gaussian fit, signal-to-noise ratio, saturation |
-//! | selection | [`Selection`] | cuts; shapes against the *local* PSF |
+//! | selection | [`Selection`] | cuts. Shapes are compared with the *local* PSF |
 //! | registration | [`Registration`] | an oversampled PSF over the field for undersampled stars, else the stars' own pixels |
-//! | coverage | [`CoverageMap`] | samples by cells, gaps, corners, convex hull |
+//! | coverage | [`CoverageMap`] | samples per cell, gaps, corners, convex hull |
 //!
-//! Arrays are `[y, x]`, positions 0-based pixels of the frame, an integer being the centre of a pixel. The pixel response is in
-//! the samples.
+//! Arrays are `[y, x]`. Positions are 0-based pixels of the frame, and an integer is the centre of
+//! a pixel. The samples include the pixel response.
 
 mod background;
 mod camera;

@@ -1,4 +1,4 @@
-//! How stars become stamps on one grid.
+//! Registration: from stars to stamps on one grid.
 
 use ndarray::{Array2, ArrayView2, s};
 use psf_types::named;
@@ -8,32 +8,39 @@ use crate::StarError;
 use crate::background::{Spline, median};
 use crate::error::check;
 
-/// How stars become stamps that share a centre and a grid.
+/// The method that makes stamps with a common centre and grid from stars.
 ///
-/// Where stars are well sampled, a star's own pixels say what its PSF is between them. Where they are not (FWHM below 2 pixels), a single
-/// star does not hold that information: interpolating it smears it. Many stars at different pixel phases do.
+/// If stars are well sampled, a star's own pixels determine its PSF between them. If they are not
+/// (FWHM below 2 pixels), a single star does not hold that information, and interpolation blurs it.
+/// Many stars at different pixel phases together do hold it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
 pub enum RegistrationMethod {
-    /// [`Epsf`](Self::Epsf) for FWHM below 2 pixels and enough stars, else [`Stamps`](Self::Stamps).
+    /// [`Epsf`](Self::Epsf) if the FWHM is below 2 pixels and there are enough stars, else
+    /// [`Stamps`](Self::Stamps).
     #[default]
     Auto,
-    /// One oversampled PSF that varies over the field as a polynomial, fitted to the pixels of all stars together; a sample is its value
-    /// at a star. The approach of the effective PSF (Anderson and King 2000, PASP 112, 1360) with the polynomial variation and the
-    /// regularised pixel basis of PSFEx (Bertin 2011, ASPC 442, 435). Samples are nearly free of noise, and there are no more different
-    /// shapes among them than the polynomial has terms; with [`Registration::with_own_shapes`] each star's pixels, and their noise, bend it.
+    /// One oversampled PSF that varies over the field as a polynomial, fitted to the pixels of all
+    /// stars together. A sample is its value at a star. The approach is that of the effective PSF
+    /// (Anderson and King 2000, PASP 112, 1360), with the polynomial variation and the regularised
+    /// pixel basis of PSFEx (Bertin 2011, ASPC 442, 435).
+    ///
+    /// Samples are nearly free of noise. They have at most as many independent shapes as the
+    /// polynomial has terms. With [`Registration::with_own_shapes`] each sample is adapted to its
+    /// star's own pixels and their noise.
     Epsf,
-    /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the star's noise. At one stamp pixel a
-    /// pixel of the frame it stays nearly white, so that a fit can tell it from the PSF; on a finer grid neighbouring values share the noise of
-    /// few pixels, a fit finds no white noise, and keeps it all.
+    /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the
+    /// star's noise. With one stamp pixel per pixel of the frame the noise stays nearly white, so
+    /// that a fit can separate it from the PSF. On a finer grid neighbouring values share the noise
+    /// of few pixels. A fit then cannot recognise the noise and keeps all of it.
     Stamps,
 }
 
 named!(
     RegistrationMethod,
     String,
-    |text| format!("auto, epsf or stamps is needed, got {text}"),
+    |text| format!("the registration method must be auto, epsf or stamps, got {text}"),
     "auto" => Auto,
     "epsf" => Epsf,
     "stamps" => Stamps
@@ -49,27 +56,30 @@ pub struct Registration {
 }
 
 impl Registration {
-    /// The smallest number of stars for an oversampled PSF, at any oversampling.
+    /// The smallest number of stars for an oversampled PSF, for any oversampling.
     pub const LEAST_FOR_EPSF: usize = 12;
     const LARGEST_STAMP: usize = 512;
     const LARGEST_OVERSAMPLING: usize = 8;
     /// Below this FWHM in pixels, stars are undersampled.
     const UNDERSAMPLED_PX: f64 = 2.0;
-    /// Stamp pixels that a FWHM should have, so that a cubic spline represents it to some 1e-3 of the peak.
+    /// Stamp pixels per FWHM with which the error of a cubic spline is some 1e-3 of the peak.
     const PIXELS_PER_FWHM: f64 = 3.0;
-    /// By default a stamp reaches so many FWHM from the centre.
+    /// The default distance from a stamp's centre to its edge, in FWHM.
     const REACH_FWHM: f64 = 3.0;
     const LEAST_REACH: usize = 5;
-    /// With fewer stars their noise and their own shapes cannot be told apart, and a finer grid loses less of either.
+    /// With fewer stars, their noise cannot be separated from their own shapes. A finer grid then
+    /// loses less of either.
     const ENOUGH_FOR_FRAME_PIXELS: usize = 64;
 
-    /// By this method.
+    /// Sets the method.
     #[must_use]
     pub fn with_method(self, method: RegistrationMethod) -> Self {
         Self { method, ..self }
     }
 
-    /// Stamps of about this many pixels of the frame along each side (the next odd number); by default 3 FWHM each way, at least 11.
+    /// Sets the stamp size to about this many pixels of the frame along each side (the next odd
+    /// number). The default is 3 FWHM in each direction from the centre, at least 11 pixels in
+    /// total.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is from 5 to 512.
@@ -86,8 +96,9 @@ impl Registration {
         })
     }
 
-    /// Stamp pixels for each pixel of the frame; by default one for [`Stamps`](RegistrationMethod::Stamps) of 64 stars or more with a FWHM of 2
-    /// pixels or more, else as many as give a FWHM three of them.
+    /// Sets the number of stamp pixels per pixel of the frame. The default is 1 for
+    /// [`Stamps`](RegistrationMethod::Stamps) of at least 64 stars with a FWHM of at least 2
+    /// pixels. Otherwise it is the number that gives 3 stamp pixels per FWHM.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is from 1 to 8.
@@ -104,13 +115,14 @@ impl Registration {
         })
     }
 
-    /// Whether each star's own pixels bend the oversampled PSF (colour, local distortion); by default not, as they bring their noise.
+    /// Sets whether the oversampled PSF is adapted to each star's own pixels (colour, local
+    /// distortion). The default is `false`, because the pixels also bring their noise.
     #[must_use]
     pub fn with_own_shapes(self, own_shapes: bool) -> Self {
         Self { own_shapes, ..self }
     }
 
-    /// Pixels of the frame from a stamp's centre to its edge, for stars of this FWHM.
+    /// Pixels of the frame from a stamp's centre to its edge, for stars of the given FWHM.
     pub(crate) fn reach(&self, fwhm_px: f64) -> usize {
         self.stamp_size.map_or_else(
             || {
@@ -121,7 +133,7 @@ impl Registration {
         )
     }
 
-    /// The grid, for so many stars of this FWHM.
+    /// The grid for a number of stars of the given FWHM.
     pub(crate) fn grid(&self, fwhm_px: f64, stars: usize) -> FineGrid {
         let frame_pixels = self.method != RegistrationMethod::Epsf
             && !Self::is_undersampled(fwhm_px)
@@ -139,12 +151,12 @@ impl Registration {
         }
     }
 
-    /// Stars needed for an oversampled PSF: several for each phase of the fine grid.
+    /// The number of stars needed for an oversampled PSF: several for each phase of the fine grid.
     pub(crate) fn needed_for_epsf(scale: usize) -> usize {
         Self::LEAST_FOR_EPSF.max(3 * scale * scale)
     }
 
-    /// The method in force.
+    /// Resolves [`Auto`](RegistrationMethod::Auto) to the method that is used.
     pub(crate) fn resolve(
         &self,
         fwhm_px: f64,
@@ -154,7 +166,7 @@ impl Registration {
         let need = Self::needed_for_epsf(scale);
         match self.method {
             RegistrationMethod::Epsf if stars < need => Err(StarError::NoSamples(format!(
-                "an oversampled PSF (epsf) at {scale} x needs at least {need} stars, {stars} were accepted: use the stars' own stamps, or loosen the cuts"
+                "an oversampled PSF (epsf) at {scale} x needs at least {need} stars, but only {stars} were accepted: use the stars' own stamps, or relax the cuts"
             ))),
             RegistrationMethod::Auto if fwhm_px < Self::UNDERSAMPLED_PX && stars >= need => {
                 Ok(RegistrationMethod::Epsf)
@@ -164,18 +176,18 @@ impl Registration {
         }
     }
 
-    /// Whether stars of this FWHM are undersampled.
+    /// Returns whether stars of the given FWHM are undersampled.
     pub(crate) fn is_undersampled(fwhm_px: f64) -> bool {
         fwhm_px < Self::UNDERSAMPLED_PX
     }
 }
 
-/// The nodes of a stamp: `2 reach scale + 1` each way, the middle one at the star.
+/// The nodes of a stamp: `2 reach scale + 1` along each side, with the middle one at the star.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct FineGrid {
     /// Pixels of the frame from the centre to the edge.
     pub(crate) reach: usize,
-    /// Nodes for each pixel of the frame.
+    /// Nodes per pixel of the frame.
     pub(crate) scale: usize,
 }
 
@@ -189,31 +201,34 @@ impl FineGrid {
     }
 }
 
-/// How the samples were made.
+/// The registration that was used.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RegistrationReport {
-    /// The method in force.
+    /// The method that was used.
     pub method: RegistrationMethod,
-    /// Stamp pixels for each pixel of the frame.
+    /// Stamp pixels per pixel of the frame.
     pub oversampling: usize,
     /// Stamp pixels along each side.
     pub stamp_pixels: usize,
-    /// Whether the stars are undersampled (FWHM below 2 pixels).
+    /// True if the stars are undersampled (FWHM below 2 pixels).
     pub undersampled: bool,
     /// Degree of the polynomial over the field, for an oversampled PSF.
     pub field_degree: Option<usize>,
-    /// Median over the stars of the root of the reduced chi squared, for an oversampled PSF; 1 where the noise explains all that is left.
+    /// Median over the stars of the root of the reduced chi squared, for an oversampled PSF. It is
+    /// 1 if noise explains all residuals.
     pub median_chi: Option<f64>,
 }
 
-/// Pixels beyond the stamp that the spline sees, so that its end does not matter.
+/// Pixels beyond the stamp that enter the spline, so that its boundary has no effect on the stamp.
 const MARGIN: usize = 3;
 
-/// The star's pixels at the nodes of the grid, of unit flux, and its flux; nothing for a star without light.
+/// Returns the star's pixels at the nodes of the grid, with unit flux, and its flux. Returns `None`
+/// for a star without light.
 ///
-/// Pixels that belong to a neighbour are replaced by those opposite the star. What the background map is off by is the median
-/// along the stamp's edge. The spline passes through the pixels, so at the star's own place an oversampled stamp gives them back.
+/// Pixels that belong to a neighbour are replaced by those opposite the star. The error of the
+/// background map is estimated as the median along the stamp's edge. The spline interpolates the
+/// pixels exactly, so an oversampled stamp contains them unchanged.
 pub(crate) fn own_stamp(
     excess: ArrayView2<'_, f64>,
     (star_x, star_y): (f64, f64),
@@ -283,7 +298,7 @@ mod tests {
         let (stamp, flux) = own_stamp(frame(x, y, sigma).view(), (x, y), |_, _| true, grid).unwrap();
         assert!((stamp.sum() / 4.0 - 1.0).abs() < 1e-12);
         let truth = std::f64::consts::TAU * sigma * sigma * 500.0;
-        // The pedestal of 3 is the level of the edge.
+        // The pedestal of 3 is the level of the edge and is removed.
         assert!((flux / truth - 1.0).abs() < 1e-4, "{flux} against {truth}");
         let middle = grid.middle();
         let (mut mx, mut my) = (0.0, 0.0);
@@ -291,7 +306,7 @@ mod tests {
             mx += v / 4.0 * (i as f64 - middle as f64) / 2.0;
             my += v / 4.0 * (j as f64 - middle as f64) / 2.0;
         }
-        // The spline's own error on a FWHM of 2.8 pixels.
+        // The error of the spline at a FWHM of 2.8 pixels.
         assert!(mx.abs() < 2e-3 && my.abs() < 2e-3, "{mx}, {my}");
     }
 

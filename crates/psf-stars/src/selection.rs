@@ -1,5 +1,5 @@
-//! Which sources can serve as PSF samples, and the trends over the field against which their shapes
-//! are judged.
+//! Selection of the sources that can serve as PSF samples, and the trends over the field with which
+//! their shapes are compared.
 
 use nalgebra::{DMatrix, DVector};
 use psf_types::FrameShape;
@@ -10,14 +10,18 @@ use crate::error::{at_least, checked_setters};
 use crate::frame::Neighbours;
 use crate::{Rejection, Source, StarError};
 
-/// Which sources serve as PSF samples: cuts, each with its reason ([`Rejection`]).
+/// Selects the sources that serve as PSF samples by cuts. Each cut has its reason ([`Rejection`]).
 ///
-/// * Signal-to-noise above a limit, 10 as in the method's paper (its eq. 6).
-/// * Room for the stamp: the centre at least [`with_edge_px`](Self::with_edge_px) from the frame's edge.
-/// * Isolation: no other source within a radius that has more than a part of its flux.
-/// * Shape: FWHM and distortion agree with those of the stars about it. What is normal is a polynomial over the field (of degree
-///   0 to 2, as the number of stars allows) fitted to those sources that lie near the most frequent FWHM of bright sources, clipped in units of the
-///   scatter and of each source's own error until nothing changes; the PSF may vary, a single star may not differ.
+/// * Signal-to-noise ratio above a limit, by default 10 as in the paper of the method (its eq. 6).
+/// * Room for the stamp: the centre is at least [`with_edge_px`](Self::with_edge_px) from the
+///   frame's edge.
+/// * Isolation: no other source within a radius has more than a fraction of its flux.
+/// * Shape: FWHM and distortion agree with those of the neighbouring stars.
+///
+/// The reference for shapes is a polynomial over the field, of degree 0 to 2 depending on the
+/// number of stars. It is fitted to the sources near the most frequent FWHM of bright sources. They
+/// are clipped in units of the scatter and of each source's own error until nothing changes. The
+/// PSF may vary over the field, but a single star may not deviate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Selection {
     snr: f64,
@@ -28,39 +32,41 @@ pub struct Selection {
 }
 
 impl Selection {
-    /// The signal-to-noise ratio that a star must exceed unless told otherwise.
+    /// Default signal-to-noise ratio that a star must exceed.
     pub const DEFAULT_SNR: f64 = 10.0;
-    /// The part of a star's flux that a neighbour may have.
+    /// Default fraction of a star's flux that a neighbour may have.
     pub const DEFAULT_NEIGHBOUR_FLUX: f64 = 0.2;
-    /// Sigma at which shapes are clipped.
+    /// Default number of sigma at which shapes are clipped.
     pub const DEFAULT_SHAPE_SIGMA: f64 = 3.0;
 
     checked_setters! {
-        /// Stars above this signal-to-noise ratio.
+        /// Sets the signal-to-noise ratio that a star must exceed.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
         with_snr(snr) => snr, if at_least(0.0, snr),
             else "the signal-to-noise limit", "a number, 0 or above";
-        /// The smallest distance of a star from the frame's edge in pixels; by default half a stamp, and not below it: a stamp has to fit.
+        /// Sets the smallest distance of a star from the frame's edge in pixels. The default is
+        /// half a stamp. It may not be smaller, because a stamp must fit.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
         with_edge_px(edge_px) => edge_px: Some, if at_least(0.0, edge_px),
             else "the distance from the edge", "a number of pixels, 0 or above";
-        /// The radius in pixels in which no bright neighbour may be; by default 2.5 FWHM.
+        /// Sets the radius in pixels in which there may be no bright neighbour. The default is 2.5
+        /// FWHM.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
         with_isolation_px(isolation_px) => isolation_px: Some, if at_least(0.0, isolation_px),
             else "the isolation radius", "a number of pixels, 0 or above";
-        /// The part of a star's own flux that a neighbour may have.
+        /// Sets the fraction of a star's own flux that a neighbour may have.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is 0 or above.
         with_neighbour_flux(neighbour_flux) => neighbour_flux, if at_least(0.0, neighbour_flux),
-            else "the flux of a neighbour", "a part of the star's flux, 0 or above";
-        /// Sigma at which shapes are clipped.
+            else "the flux of a neighbour", "a fraction of the star's flux, 0 or above";
+        /// Sets the number of sigma at which shapes are clipped.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is at least 1.
@@ -73,17 +79,17 @@ impl Selection {
         self.snr
     }
 
-    /// Refuses a distance from the edge at which no stamp has room.
+    /// Returns an error if stamps do not fit at the distance from the edge.
     pub(crate) fn check_edge(&self, half_stamp: usize) -> Result<(), StarError> {
         match self.edge_px {
             Some(edge_px) if edge_px < half_stamp as f64 => Err(StarError::NoSamples(format!(
-                "{edge_px} pixels from the frame's edge are less than half a stamp, {half_stamp} pixels: ask for at least as many, or for smaller stamps"
+                "a distance of {edge_px} pixels from the frame's edge is less than half a stamp, {half_stamp} pixels: increase the distance or choose smaller stamps"
             ))),
             _ => Ok(()),
         }
     }
 
-    /// Flags what can be told of each source and its neighbours, then the shapes that do not belong.
+    /// Flags sources by their own values and their neighbours, and then those whose shapes deviate.
     pub(crate) fn apply(&self, sources: &mut [Source], frame: FrameShape, half_stamp: usize, fwhm_px: f64) {
         let reach = half_stamp as f64;
         let edge = self.edge_px.unwrap_or(reach);
@@ -103,7 +109,7 @@ impl Selection {
             };
             flag(!(inside(x, frame.nx()) && inside(y, frame.ny())), Rejection::Edge);
             flag(crowded, Rejection::Neighbour);
-            // A ratio that is not a number is too low as well.
+            // NaN also counts as too low.
             flag(snr.is_nan() || snr <= self.snr, Rejection::LowSnr);
             flag(!fitted, Rejection::NoFit);
         }
@@ -149,7 +155,8 @@ impl Selection {
         }
     }
 
-    /// How far one quantity of every source lies from the trend of the kept ones, in units of what is allowed.
+    /// The distance of one quantity of every source from the trend of the kept ones, in units of
+    /// the allowed distance.
     fn judge(&self, shapes: &[Shape], kept: &[bool], quantity: usize, frame: FrameShape) -> Vec<f64> {
         let good = || shapes.iter().zip(kept).filter(|(_, k)| **k).map(|(s, _)| s);
         let count = good().count();
@@ -192,7 +199,7 @@ impl Default for Selection {
     }
 }
 
-/// ln FWHM and the distortion, with the variances that noise gives them.
+/// ln FWHM and the distortion, with their variances caused by noise.
 struct Shape {
     index: usize,
     x: f64,
@@ -203,7 +210,8 @@ struct Shape {
 
 impl Shape {
     fn of(index: usize, source: &Source) -> Option<Self> {
-        // A width is known to 1 / SNR of the fit, an axis difference to sqrt(2) of that.
+        // The relative error of a width is 1 / SNR of the fit, that of an axis difference sqrt(2)
+        // times as much.
         let width = source.significance.powi(-2);
         Some(Self {
             index,
@@ -215,20 +223,22 @@ impl Shape {
     }
 }
 
-/// Sources within this of the most frequent ln FWHM start the clipping: a field-dependent PSF stays, galaxies do not.
+/// The clipping starts with sources within this distance of the most frequent ln FWHM. This keeps
+/// stars of a PSF that varies over the field, and excludes galaxies.
 const FIRST_GUESS: f64 = 0.25;
-/// Stars differ by at least this beyond noise (pixel phase, colour), in ln FWHM and in distortion.
+/// The smallest scatter of stars in ln FWHM and in distortion beyond noise (pixel phase, colour).
 const SCATTER: f64 = 0.05;
-/// Where they seem to differ by more, galaxies are among them.
+/// The largest scatter of stars. A larger one means that galaxies are among them.
 const MOST_SCATTER: f64 = 0.08;
-/// Neighbours count within so many FWHM unless told otherwise; what lies beyond is masked in the stamp.
+/// Default isolation radius in FWHM. Neighbours farther away are masked in the stamp.
 const ISOLATION_FWHM: f64 = 2.5;
 const MOST_ROUNDS: usize = 20;
 
-/// The most frequent width among sources ordered from the brightest down, if there is any.
+/// Returns the most frequent width among sources ordered from the brightest down, if there is any.
 ///
-/// The one that has most others within 10 %, among the brighter quarter: bright stars share one width, where galaxies and noisy
-/// fits have any. The narrower of two that have equally many.
+/// This is the width that has most others within 10 %, among the brighter quarter: bright stars
+/// share one width, whereas galaxies and noisy fits have any width. Of two widths with equal counts
+/// the narrower is chosen.
 pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     widths.truncate((widths.len() / 4).max(BRIGHT));
     let company = |width: f64| widths.iter().filter(|w| (*w / width).ln().abs() <= ALIKE).count();
@@ -244,9 +254,9 @@ pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     Some(median(&mut alike))
 }
 
-/// The most frequent width comes from at least so many sources, if there are as many.
+/// The most frequent width is taken from at least this number of sources, if there are as many.
 const BRIGHT: usize = 10;
-/// Widths are alike within this, in ln FWHM.
+/// Widths count as equal within this distance in ln FWHM.
 const ALIKE: f64 = 0.1;
 
 /// The terms of a polynomial over the field, in coordinates that run from -1 to 1 over the frame.
@@ -273,7 +283,8 @@ impl FieldTerms {
         (degree + 1) * (degree + 2) / 2
     }
 
-    /// Products of Legendre polynomials, `P_i(x) P_j(y)` with `i + j <= degree`: of one size over the field.
+    /// Products of Legendre polynomials, `P_i(x) P_j(y)` with `i + j <= degree`. They have a
+    /// similar size over the whole field.
     pub(crate) fn at(self, x: f64, y: f64) -> Vec<f64> {
         let scaled = |v: f64, n: usize| (2.0 * v - (n - 1) as f64) / n as f64;
         let (px, py) = (
@@ -287,7 +298,7 @@ impl FieldTerms {
     }
 }
 
-/// Points `(x, y, value, weight)`; the weighted least-squares polynomial through them, if there are any.
+/// Fits a polynomial to points `(x, y, value, weight)` by weighted least squares, if there are any.
 fn trend(points: &[(f64, f64, f64, f64)], terms: FieldTerms) -> Option<Trend> {
     if points.is_empty() {
         return None;
@@ -303,7 +314,8 @@ fn trend(points: &[(f64, f64, f64, f64)], terms: FieldTerms) -> Option<Trend> {
         }
         right[k] = root * value;
     }
-    // Least squares by SVD: clustered points leave terms undetermined, which get the smallest values that do.
+    // Least squares by SVD. If clustered points leave terms undetermined, the solution with the
+    // smallest norm is chosen.
     let found = rows.svd(true, true).solve(&right, 1e-9).ok()?;
     Some(Trend {
         terms,
@@ -351,7 +363,7 @@ mod tests {
     }
 
     fn field() -> Vec<Source> {
-        // The FWHM grows by 40 % over the field: more than any outlier here.
+        // The FWHM grows by 40 % over the field, which is more than any outlier deviates here.
         (0..100)
             .map(|k| (20.0 + 20.0 * f64::from(k % 10), 20.0 + 20.0 * f64::from(k / 10)))
             .map(|(x, y)| candidate(x, y, 1.5 + 0.003 * x))
@@ -362,7 +374,7 @@ mod tests {
     fn shapes_are_judged_against_the_local_psf() {
         let frame = FrameShape::new(220, 220).unwrap();
         let mut sources = field();
-        // Normal on the right-hand side of the field, not on the left.
+        // This FWHM is normal on the right-hand side of the field, but not on the left.
         for (k, fwhm) in [(40, 2.1), (49, 1.55)] {
             sources[k].fwhm_px = Some(fwhm);
         }
@@ -397,7 +409,7 @@ mod tests {
         assert_eq!(reasons(22), "no-fit");
         assert_eq!(reasons(100), "edge");
         assert_eq!(reasons(101), "neighbour");
-        // (100, 100) has a neighbour of 21 % of its flux.
+        // (100, 100) has a neighbour with 21 % of its flux.
         assert_eq!(reasons(44), "neighbour");
     }
 
@@ -411,7 +423,7 @@ mod tests {
 
     #[test]
     fn the_most_frequent_width_is_that_of_bright_stars() {
-        // Stars of 2.25 pixels among galaxies, which are the more frequent ones.
+        // Stars of 2.25 pixels among galaxies, which are more numerous.
         let widths = vec![
             3.28, 2.14, 2.28, 2.25, 5.8, 2.13, 4.76, 2.82, 3.66, 2.95, 3.0, 3.1, 3.05,
         ];

@@ -1,4 +1,4 @@
-//! Sources of a frame: the Gaussian fitted to each, and the reasons for which some do not serve as
+//! Sources of a frame: the Gaussian fitted to each, and the reasons why some are rejected as
 //! samples.
 
 use nalgebra::{SMatrix, SVector};
@@ -6,32 +6,32 @@ use ndarray::ArrayView2;
 use psf_types::maths::FWHM_PER_SIGMA;
 use serde::{Serialize, Serializer};
 
-/// Why a source does not serve as a PSF sample.
+/// A reason why a source does not serve as a PSF sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Rejection {
     /// A pixel of its core is at the saturation level.
     Saturated,
-    /// Its stamp would reach beyond the frame.
+    /// Its stamp would extend beyond the frame.
     Edge,
     /// Its signal-to-noise ratio is below the limit.
     LowSnr,
-    /// Another source lies too close for its brightness.
+    /// Another source is too close and too bright.
     Neighbour,
     /// No Gaussian fits it.
     NoFit,
-    /// Narrower than the stars about it: a hot pixel or a cosmic ray.
+    /// It is narrower than the stars near it: a hot pixel or a cosmic ray.
     TooSharp,
-    /// Broader than the stars about it: a galaxy or a blend.
+    /// It is broader than the stars near it: a galaxy or a blend.
     TooBroad,
-    /// Elongated otherwise than the stars about it: a blend, a trail or a galaxy.
+    /// Its elongation differs from the stars near it: a blend, a trail or a galaxy.
     Elongated,
-    /// The oversampled PSF made of the other stars does not fit it.
+    /// It does not agree with the oversampled PSF made from the other stars.
     PsfMismatch,
 }
 
 impl Rejection {
-    /// All of them, in the order in which they are looked for.
+    /// All reasons, in the order in which they are checked.
     pub const ALL: [Self; 9] = [
         Self::Saturated,
         Self::Edge,
@@ -44,7 +44,7 @@ impl Rejection {
         Self::PsfMismatch,
     ];
 
-    /// A short name, as it stands in tables.
+    /// The short name used in tables.
     pub fn name(self) -> &'static str {
         match self {
             Self::Saturated => "saturated",
@@ -60,22 +60,23 @@ impl Rejection {
     }
 }
 
-/// A set of reasons; empty for a source that serves as a sample. Written as names joined by `+`.
+/// A set of reasons. It is empty for a source that serves as a sample. It is written as names
+/// joined by `+`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Rejections(u16);
 
 impl Rejections {
-    /// Whether there is none.
+    /// Returns whether the set is empty.
     pub fn is_empty(self) -> bool {
         self.0 == 0
     }
 
-    /// Whether this is one of them.
+    /// Returns whether the set contains `reason`.
     pub fn contains(self, reason: Rejection) -> bool {
         self.0 & (1 << reason as u16) != 0
     }
 
-    /// The reasons.
+    /// The reasons in the set.
     pub fn iter(self) -> impl Iterator<Item = Rejection> {
         Rejection::ALL
             .into_iter()
@@ -124,16 +125,17 @@ pub const SOURCE_COLUMNS: [&str; 15] = [
     "rejected",
 ];
 
-/// A source of a frame, whether or not it became a PSF sample.
+/// A source of a frame, either a PSF sample or rejected.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Source {
-    /// Column coordinate of the centre, 0-based pixels of the frame: of the PSF fitted to it, else of a Gaussian.
+    /// Column coordinate of the centre, 0-based pixels of the frame. It comes from the fit of the
+    /// PSF if there is one, else from the Gaussian fit.
     pub x: f64,
     /// Row coordinate of the centre.
     pub y: f64,
-    /// Flux in units of the frame: the PSF of the nearest sample, in unit flux over its stamp, fitted to the source. Saturated pixels
-    /// do not count.
+    /// Flux in units of the frame, from a fit of the nearest sample's PSF, which has unit flux over
+    /// its stamp. Saturated pixels are ignored.
     pub flux: f64,
     /// Signal-to-noise ratio in an aperture of radius 1.25 FWHM ([`Camera`](crate::Camera)).
     pub snr: f64,
@@ -145,26 +147,26 @@ pub struct Source {
     pub background: f64,
     /// The noise of the background at its centre.
     pub background_rms: f64,
-    /// FWHM of the Gaussian fit in pixels (geometric mean of the axes), none where there is no fit.
+    /// FWHM of the Gaussian fit in pixels (geometric mean of the axes). `None` if there is no fit.
     pub fwhm_px: Option<f64>,
     /// Distortion of the Gaussian fit along the axes of the grid.
     pub e1: Option<f64>,
     /// Distortion along the diagonals.
     pub e2: Option<f64>,
-    /// Pixels above the threshold that belong to it.
+    /// Number of pixels above the threshold that belong to it.
     pub pixel_count: usize,
-    /// Distance to the nearest other source in pixels, none for a lonely one.
+    /// Distance to the nearest other source in pixels. `None` if there is no other source.
     pub nearest_px: Option<f64>,
-    /// Index of its PSF sample, none where it was rejected.
+    /// Index of its PSF sample. `None` if it was rejected.
     pub sample: Option<usize>,
-    /// Why it was rejected.
+    /// The reasons why it was rejected.
     pub rejected: Rejections,
 }
 
 type Parameters = SVector<f64, 6>;
 type Normal = SMatrix<f64, 6, 6>;
 
-/// A source as a Gaussian, in pixels of the frame.
+/// The Gaussian fitted to a source, in pixels of the frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Gaussian {
     pub(crate) amplitude: f64,
@@ -178,20 +180,21 @@ pub(crate) struct Gaussian {
 }
 
 const MOST_ITERATIONS: usize = 60;
-/// Steps that move nothing by more than this part of a pixel (or of a width) end the fit.
+/// The fit ends when a step changes nothing by more than this fraction of a pixel or of a width.
 const SETTLED: f64 = 1e-6;
-/// A centre that leaves the peak by more than this is that of something else.
+/// If the centre moves farther from the peak than this, in pixels, the fit has found another
+/// source.
 const FARTHEST: f64 = 2.0;
-/// Widths in pixels beyond which a fit is no measurement.
+/// A fit with a smaller FWHM in pixels is not a valid measurement.
 const SMALLEST_FWHM: f64 = 0.3;
 
 impl Gaussian {
-    /// The least-squares fit `A exp(-|L^T r|^2 / 2)`, `L = [[exp a, 0], [b, exp c]]`, by Levenberg and
-    /// Marquardt, to the frame without its background within `reach` pixels of a peak; nothing where it
-    /// does not settle near the peak.
+    /// Fits `A exp(-|L^T r|^2 / 2)`, `L = [[exp a, 0], [b, exp c]]`, by least squares
+    /// (Levenberg-Marquardt). The data are the frame without its background within `reach` pixels
+    /// of a peak. Returns `None` if the fit does not converge near the peak.
     ///
-    /// A fit that an image's thousands of peaks can afford: it starts from the stars' width and ends at
-    /// 1e-6 pixels, where that of `psf-metrics` searches for its start and goes on to rounding.
+    /// The fit is fast enough for thousands of peaks: it starts from the stars' width and stops at
+    /// 1e-6 pixels. The fit of `psf-metrics` searches for its start and iterates to rounding.
     pub(crate) fn fit(
         excess: ArrayView2<'_, f64>,
         (column, row): (usize, usize),
@@ -243,7 +246,7 @@ impl Gaussian {
     }
 }
 
-/// Half the sum of squared residuals, its gradient and the normal matrix.
+/// Returns half the sum of squared residuals, its gradient and the normal matrix.
 fn linearised(pixels: &[(f64, f64, f64)], p: &Parameters) -> (f64, Parameters, Normal) {
     let (l, m, n) = (p[3].exp(), p[4], p[5].exp());
     let (mut cost, mut gradient, mut normal) = (0.0, Parameters::zeros(), Normal::zeros());
@@ -320,7 +323,8 @@ mod tests {
         assert!(reasons.to_string().starts_with("saturated+edge+low-snr"));
     }
 
-    /// The pixel-integrated Gaussian is not a Gaussian: what that costs in position on a FWHM of 1.5 pixels.
+    /// A pixel-integrated Gaussian is not a Gaussian. This is the resulting error in position for a
+    /// FWHM of 1.5 pixels.
     const CENTRE_PX: f64 = 0.01;
 
     #[test]
@@ -342,7 +346,7 @@ mod tests {
                 (fit.x - x).abs() < CENTRE_PX && (fit.y - y).abs() < CENTRE_PX,
                 "{fit:?}"
             );
-            // The pixel widens it: sigma^2 + 1/12.
+            // Pixel integration widens it: sigma^2 + 1/12.
             let wide = FWHM_PER_SIGMA * (sigma * sigma + 1.0 / 12.0).sqrt();
             assert!((fit.fwhm_px / wide - 1.0).abs() < 0.03, "{fit:?} against {wide}");
         }

@@ -1,4 +1,4 @@
-//! From a frame to PSF samples.
+//! The complete way from a frame to PSF samples.
 
 use ndarray::{Array2, Array3, Axis};
 use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid};
@@ -16,10 +16,16 @@ use crate::{
 
 /// Makes PSF samples from the stars of a frame.
 ///
-/// The steps, each with its own settings: background and its noise ([`BackgroundMesh`]); sources
-/// ([`Detection`], a second time with a wider kernel where the stars turn out wide); centre and
-/// shape of each by a Gaussian fit; signal-to-noise and saturation ([`Camera`]); cuts
-/// ([`Selection`]); registration on a common grid ([`Registration`]); coverage ([`CoverageMap`]).
+/// The steps, each with its own settings:
+///
+/// 1. background and its noise ([`BackgroundMesh`]),
+/// 2. sources ([`Detection`]), repeated with a wider kernel if the stars are wide,
+/// 3. centre and shape of each source by a Gaussian fit,
+/// 4. signal-to-noise ratio and saturation ([`Camera`]),
+/// 5. cuts ([`Selection`]),
+/// 6. registration on a common grid ([`Registration`]),
+/// 7. coverage ([`CoverageMap`]).
+///
 /// The result does not depend on the number of threads.
 ///
 /// ```
@@ -47,55 +53,57 @@ pub struct StarSampling {
     registration: Registration,
 }
 
-/// A stamp of unit flux and the star's flux.
+/// A stamp of unit flux, and the star's flux.
 type StampAndFlux = (Array2<f64>, f64);
 
-/// The smallest frame along each axis.
+/// The smallest size of a frame along each axis.
 const LEAST_PIXELS: usize = 24;
-/// Stars this much wider than the kernel are looked for again with a wider one.
+/// If stars are wider than the kernel by this factor, the detection is repeated with a wider
+/// kernel.
 const WIDER: f64 = 1.5;
 
 impl StarSampling {
-    /// With other settings of the background.
+    /// Sets the estimation of the background.
     #[must_use]
     pub fn with_background(self, background: BackgroundMesh) -> Self {
         Self { background, ..self }
     }
 
-    /// With other settings of the detection.
+    /// Sets the detection.
     #[must_use]
     pub fn with_detection(self, detection: Detection) -> Self {
         Self { detection, ..self }
     }
 
-    /// With what is known of the camera.
+    /// Sets the known properties of the camera.
     #[must_use]
     pub fn with_camera(self, camera: Camera) -> Self {
         Self { camera, ..self }
     }
 
-    /// With other cuts.
+    /// Sets the cuts.
     #[must_use]
     pub fn with_selection(self, selection: Selection) -> Self {
         Self { selection, ..self }
     }
 
-    /// With another registration.
+    /// Sets the registration.
     #[must_use]
     pub fn with_registration(self, registration: Registration) -> Self {
         Self { registration, ..self }
     }
 
-    /// Samples of the PSF from the stars of `frame`.
+    /// Makes PSF samples from the stars of `frame`.
     ///
     /// # Errors
-    /// [`StarError`] when the frame is too small or without noise, no source is found, none can serve, or too few for an oversampled
-    /// PSF that was asked for by name.
+    /// [`StarError`] when the frame is too small or without noise, when no source is found or
+    /// suitable, or when there are too few stars for an oversampled PSF that was requested
+    /// explicitly.
     pub fn run<T: Real>(&self, frame: &Image<T>) -> Result<StarSamples, StarError> {
         let shape = frame.shape();
         if shape.nx().min(shape.ny()) < LEAST_PIXELS {
             return Err(StarError::NoSamples(format!(
-                "a frame of {shape} pixels is too small: at least {LEAST_PIXELS} pixels each way are needed"
+                "a frame of {shape} pixels is too small: at least {LEAST_PIXELS} pixels along each axis are needed"
             )));
         }
         let pixels = frame.pixels().mapv(T::as_f64);
@@ -131,10 +139,10 @@ impl StarSampling {
         view.collected(sources, registered, fwhm_px)
     }
 
-    /// The most frequent FWHM of bright sources.
+    /// The most frequent FWHM of bright sources, or `otherwise` if there is none.
     fn typical_fwhm(&self, sources: &[Source], otherwise: f64) -> f64 {
         let good = |s: &&Source| s.rejected.is_empty() && s.snr > self.selection.snr();
-        // The most significant ones come first.
+        // The most significant sources come first.
         let widths = sources.iter().filter(good).filter_map(|s| s.fwhm_px);
         most_frequent_width(widths.collect()).unwrap_or(otherwise)
     }
@@ -214,7 +222,7 @@ struct Registered {
 }
 
 impl FrameView {
-    /// Samples and sources in their final form.
+    /// Collects samples and sources in their final form.
     fn collected(
         self,
         mut sources: Vec<Source>,
@@ -233,7 +241,7 @@ impl FrameView {
                 })
                 .collect();
             return Err(StarError::NoSamples(format!(
-                "none of the {} sources can serve as a PSF sample: {}. Loosen the cut that rejects most of them",
+                "none of the {} sources can serve as a PSF sample: {}. Relax the cut that rejects most of them",
                 sources.len(),
                 reasons.join(", ")
             )));
@@ -262,7 +270,7 @@ impl FrameView {
         })
     }
 
-    /// Fluxes of the sources that are no samples: the nearest sample's PSF fitted to them.
+    /// Measures the fluxes of sources that are not samples, by a fit of the nearest sample's PSF.
     fn measure_psf_fluxes(&self, sources: &mut [Source], registered: &Registered, fwhm_px: f64) {
         let splines: Vec<Spline> = registered
             .samples
@@ -280,7 +288,7 @@ impl FrameView {
                 let Some((k, _)) = nearest.nearest(source.x, source.y, |_| true) else {
                     return;
                 };
-                // What is left of a saturated star are its wings.
+                // A saturated star has only its wings left.
                 let radius = if source.rejected.contains(Rejection::Saturated) {
                     grid.reach as f64
                 } else {
@@ -303,28 +311,29 @@ impl FrameView {
     }
 }
 
-/// PSF samples from the stars of a frame, and all that is known of how they came about.
+/// PSF samples from the stars of a frame, with all information about the way they were made.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct StarSamples {
     /// The samples, of unit flux, in the order of their sources.
     pub samples: PsfSamples,
-    /// Every source found, the most significant first; none is left out, each rejected one carries its reasons.
+    /// Every source found, the most significant first. Rejected sources are included with their
+    /// reasons.
     pub sources: Vec<Source>,
-    /// Where the samples cover the field.
+    /// The coverage of the field by the samples.
     pub coverage: CoverageMap,
     /// The frame's background.
     pub background: Background,
     /// The most frequent FWHM of the stars in pixels.
     pub fwhm_px: f64,
-    /// The saturation level in force.
+    /// The saturation level that was used.
     pub saturation: Saturation,
-    /// How the stars were registered.
+    /// The registration that was used.
     pub registration: RegistrationReport,
 }
 
 impl StarSamples {
-    /// How many sources were rejected for each reason; a source may have several.
+    /// The number of sources rejected for each reason. A source may have several reasons.
     pub fn rejection_counts(&self) -> Vec<(Rejection, usize)> {
         rejection_counts(&self.sources)
     }

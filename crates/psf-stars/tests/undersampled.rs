@@ -1,4 +1,5 @@
-//! Undersampled stars whose PSF varies: the oversampled PSF finds what single stars do not hold.
+//! Undersampled stars with a varying PSF: the oversampled PSF recovers information that single
+//! stars do not contain.
 
 use ndarray::Array2;
 use psf_stars::{Registration, RegistrationMethod, StarSamples, StarSampling};
@@ -10,13 +11,14 @@ use rand_distr::{Distribution, StandardNormal};
 const SIDE: usize = 400;
 const NOISE: f64 = 3.0;
 
-/// Sigma along x and y in pixels, before the pixel widens it: a FWHM of 1.2 to 1.7 pixels over the field.
+/// Sigma along x and y in pixels, without the pixel response: a FWHM of 1.2 to 1.7 pixels over the
+/// field.
 fn sigmas(at: Position) -> (f64, f64) {
     let (u, v) = (at.x() / SIDE as f64, at.y() / SIDE as f64);
     (0.5 + 0.15 * u, 0.5 + 0.1 * v + 0.1 * u * v)
 }
 
-/// The part of a Gaussian's light in the pixel at `offset`.
+/// The fraction of a Gaussian's light in the pixel at `offset`.
 fn in_pixel(offset: f64, sigma: f64) -> f64 {
     const STEPS: usize = 16;
     let sum: f64 = (0..STEPS)
@@ -90,9 +92,10 @@ fn median_error(found: &StarSamples) -> f64 {
     errors[errors.len() / 2]
 }
 
-/// Noise of some 140 stars of signal-to-noise 100 and more, and cubic splines on two nodes a pixel.
+/// Noise of about 140 stars with a signal-to-noise ratio of at least 100, and cubic splines on two
+/// nodes per pixel.
 const EPSF_ERROR: f64 = 0.05;
-/// Positions, noise included.
+/// The error of positions, including noise.
 const PLACE_PX: f64 = 0.03;
 
 #[test]
