@@ -1,4 +1,4 @@
-//! The singular value decomposition that fits and noise estimates use, bases of any stamps, and the
+//! The singular value decomposition for fits and noise estimates, bases of any stamps, and the
 //! crate's errors.
 
 use faer::diag::Diag;
@@ -19,13 +19,13 @@ pub enum BasisError {
     NoConvergence {
         /// Number of training stamps.
         samples: usize,
-        /// Pixels a stamp.
+        /// Pixels per stamp.
         pixels: usize,
     },
-    /// More components were asked for than there are.
+    /// The requested rank exceeds the number of components.
     #[error("rank {asked} was asked for, but these samples span only {available} components")]
     RankTooHigh {
-        /// The rank asked for.
+        /// The requested rank.
         asked: usize,
         /// The number of components with non-zero singular values.
         available: usize,
@@ -36,48 +36,52 @@ pub enum BasisError {
     /// A noise level that is not a finite number of at least 0.
     #[error("the pixel noise must be finite and at least 0, got {got}")]
     BadNoise {
-        /// What was given.
+        /// The given value.
         got: f64,
     },
-    /// Training stamps of another shape than the samples.
-    #[error("training stamps are {got:?} [y, x], the samples are {expected:?}")]
+    /// Training stamps whose shape differs from that of the samples.
+    #[error("training stamps have the shape {got:?} [y, x], but the samples have {expected:?}")]
     TrainingShape {
         /// Shape of the samples' stamps.
         expected: (usize, usize),
         /// Shape of the training stamps.
         got: (usize, usize),
     },
-    /// Given stamps that are zero or not orthogonal, or parts that do not fit each other.
+    /// Given stamps that are not orthogonal, or parts that do not match each other.
     #[error(transparent)]
     Data(#[from] DataError),
-    /// A given stamp without any light.
+    /// A given stamp that is zero everywhere.
     #[error("the given basis stamp {index} (0-based) is zero everywhere")]
     ZeroStamp {
         /// Its index.
         index: usize,
     },
-    /// An error of a basis method implemented elsewhere.
+    /// An error of a basis method in another crate.
     #[error("the basis method failed")]
     External(#[source] Box<dyn std::error::Error + Send + Sync>),
 }
 
-/// faer splits its work by this number and not by the threads at hand: the result is the same on any number of threads.
+/// faer splits its work by this number, not by the number of threads. So the result does not depend
+/// on the number of threads.
 const SPLIT: usize = 8;
 
-/// Work (the product of both dimensions and the smaller one) below which splitting it costs more than it gains, many times so where the
-/// threads are wanted elsewhere.
+/// Work (the product of both dimensions and the smaller one) below which splitting costs more than
+/// it saves. If other work occupies the threads, it costs many times more.
 const WORTH_SPLITTING: usize = 1 << 22;
 
-/// Singular values below this many units of rounding of the samples' Frobenius norm are zero to rounding.
+/// Singular values below this many units of rounding of the samples' Frobenius norm count as zero.
 pub(crate) const ROUNDING_UNITS: f64 = 16.0;
 
-/// The squares of the singular values add up to those of the samples, but for rounding.
+/// Tolerance, by rounding, of the sum of the squared singular values from that of the samples'
+/// squares.
 const SQUARES_AGREE: f64 = 1e-10;
 
-/// Singular values in descending order, and vectors `[pixel, k]` on the pixels' side, of samples `[sample, pixel]`.
+/// Returns the singular values in descending order, and the vectors `[pixel, k]` on the pixels'
+/// side, of samples `[sample, pixel]`.
 ///
-/// faer loses singular values of some matrices whose rows repeat, without a word. Then the same is tried with a QR decomposition
-/// first, and then without divide and conquer.
+/// For some matrices with repeated rows, faer loses singular values without an error. The sum of
+/// squares shows it. Then the decomposition is repeated with a QR decomposition first, and then
+/// also without divide and conquer.
 pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), BasisError> {
     let usual: SvdParams = *Spec::<SvdParams, f64>::default();
     let qr_first = SvdParams {
@@ -106,7 +110,7 @@ pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>
 fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64>, Mat<f64>)> {
     let (samples, pixels) = rows.dim();
     let size = samples.min(pixels);
-    // Rows of samples are columns of the pixels x samples matrix in faer's column-major order.
+    // Each row (sample) is a column of the pixels x samples matrix in faer's column-major order.
     let matrix = MatRef::from_column_major_slice(rows.as_slice().expect("row-major"), pixels, samples);
     let work = samples.saturating_mul(pixels).saturating_mul(size);
     let par = if work < WORTH_SPLITTING {
@@ -138,8 +142,8 @@ fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64
     Some((values.column_vector().iter().copied().collect(), vectors))
 }
 
-/// faer promises descending order, but does not keep it where samples repeat: there, the second singular value may stand behind
-/// hundreds of zeros.
+/// Sorts the values in descending order. faer promises that order but breaks it if samples repeat:
+/// the second singular value may follow hundreds of zeros.
 fn descending(values: Vec<f64>, vectors: Mat<f64>) -> (Vec<f64>, Mat<f64>) {
     if values.is_sorted_by(|a, b| a >= b) {
         return (values, vectors);
@@ -150,7 +154,7 @@ fn descending(values: Vec<f64>, vectors: Mat<f64>) -> (Vec<f64>, Mat<f64>) {
     (order.iter().map(|&k| values[k]).collect(), sorted)
 }
 
-/// Coefficients `[sample, k]` of the first `count` components.
+/// The coefficients `[sample, k]` of the first `count` components.
 pub(crate) fn project(rows: ArrayView2<'_, f64>, vectors: &Mat<f64>, count: usize) -> Array2<f64> {
     let (samples, pixels) = rows.dim();
     let mut coefficients = Array2::zeros((samples, count));
@@ -176,7 +180,7 @@ pub(crate) fn count_above(values: &[f64], level: f64) -> usize {
     values.iter().take_while(|&&s| s > level).count()
 }
 
-/// The value of largest magnitude in each component becomes positive.
+/// Makes the value of largest magnitude in each component positive.
 pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<f64>) {
     for (mut component, mut column) in components
         .outer_iter_mut()
@@ -193,11 +197,14 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
     }
 }
 
-/// The PSFs `mean + sum_k a_jk C_k` of any stamps `C` `[stamp, y, x]`, with coefficients `a` `[node, stamp]`, on an orthonormal basis: the
-/// basis and the coefficients `[node, component]` in it.
+/// Converts the PSFs `mean + sum_k a_jk C_k` of any stamps `C` `[stamp, y, x]`, with coefficients
+/// `a` `[node, stamp]`, to an orthonormal basis. Returns the basis and the coefficients `[node,
+/// component]` in it.
 ///
-/// The components are the singular vectors of the sums at the nodes, in the order of their share in them, found without making the
-/// sums; those that are rounding of the whole are left out. For stamps that were a basis until something linear was done to them.
+/// The components are the singular vectors of the sums at the nodes, in descending order of their
+/// singular values. They are found without forming the sums. Components at the rounding level of
+/// the total are omitted. Use it after a linear operation on the stamps of a basis, such as
+/// resampling.
 ///
 /// ```
 /// use ndarray::{Array3, array};
@@ -211,8 +218,8 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
 /// ```
 ///
 /// # Errors
-/// [`BasisError::Data`] when the parts do not fit each other, are not finite or nothing is left of them;
-/// [`BasisError::NoConvergence`].
+/// [`BasisError::Data`] when the parts do not match each other, are not finite or leave no stamps.
+/// [`BasisError::NoConvergence`] when the decomposition fails.
 pub fn orthonormal(
     mean: Option<Array2<f64>>,
     stamps: Array3<f64>,
@@ -255,7 +262,7 @@ pub fn orthonormal(
 mod tests {
     use super::*;
 
-    /// Sums of a few values of order 1.
+    /// Rounding of sums of a few values of order 1.
     const ROUNDING: f64 = 1e-13;
 
     #[test]
@@ -263,7 +270,7 @@ mod tests {
         let grid = StampGrid::new(6, 5).unwrap();
         let value = |a: usize, b: usize| ((a * 31 + b * 17) as f64 * 0.7).sin();
         let mut stamps = Array3::from_shape_fn((4, 5, 6), |(k, y, x)| value(k + 1, 6 * y + x));
-        // One without light, and one that is the sum of two others.
+        // One stamp without light, and one that is the sum of two others.
         stamps.index_axis_mut(ndarray::Axis(0), 1).fill(0.0);
         let sum = &stamps.index_axis(ndarray::Axis(0), 0) + &stamps.index_axis(ndarray::Axis(0), 2);
         stamps.index_axis_mut(ndarray::Axis(0), 3).assign(&sum);
@@ -304,7 +311,8 @@ mod tests {
         ));
     }
 
-    /// Every way to decompose is right where its squares add up: its vectors are orthonormal and go with its values.
+    /// Each variant of the decomposition is correct if its squares add up: its vectors are
+    /// orthonormal and match its values.
     #[test]
     fn repeated_rows_have_few_singular_values() {
         for (rows, columns) in [

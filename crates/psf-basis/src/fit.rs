@@ -1,5 +1,5 @@
-//! Fits of a basis to samples, and the methods that make them: singular vectors of the samples, and
-//! stamps from elsewhere.
+//! Fits of a basis to samples, and the two methods: singular vectors of the samples, and stamps
+//! from elsewhere.
 
 use ndarray::{Array2, Array3, ArrayView1, ArrayView2, ArrayView3, Axis, concatenate};
 use psf_types::{DataError, PsfBasis, PsfSamples, SampleCoefficients, named};
@@ -8,19 +8,19 @@ use crate::decomposition::{BasisError, ROUNDING_UNITS, decompose, fix_signs, pro
 use crate::noise::{PixelNoise, by_sample, noise_floor, uneven_floor};
 use crate::rank::{RankSelection, Spectrum};
 
-/// Something that turns PSF samples into a basis and the samples' coefficients.
+/// A method that makes a basis and the samples' coefficients from PSF samples.
 ///
-/// Object-safe, so that methods can be swapped at run time. An implementation usually ends with [`BasisFit::new`], which
-/// measures the truncation errors itself.
+/// Object-safe, so that methods can be swapped at run time. Implementations usually return
+/// [`BasisFit::new`], which measures the truncation errors.
 pub trait BasisMethod: std::fmt::Debug {
     /// Fits a basis to the samples.
     ///
     /// # Errors
-    /// [`BasisError`]; methods implemented elsewhere use [`BasisError::External`].
+    /// [`BasisError`]. Methods in other crates use [`BasisError::External`].
     fn fit(&self, samples: &PsfSamples) -> Result<BasisFit, BasisError>;
 }
 
-/// A basis, the samples' coefficients in it, and how well it represents them.
+/// A basis, the samples' coefficients in it, and the error of each sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BasisFit {
     basis: PsfBasis,
@@ -30,18 +30,18 @@ pub struct BasisFit {
 }
 
 impl BasisFit {
-    /// Puts a fit together and measures the truncation error of every sample,
-    /// `||h_j - B_0 - sum_k a_jk B_k||_2 / ||h_j||_2`.
+    /// Combines the parts of a fit and measures the truncation error of every sample, `||h_j - B_0
+    /// - sum_k a_jk B_k||_2 / ||h_j||_2`.
     ///
     /// # Errors
-    /// [`BasisError::Data`] when the parts do not fit each other or the samples.
+    /// [`BasisError::Data`] when the parts do not match each other or the samples.
     pub fn new(
         samples: &PsfSamples,
         basis: PsfBasis,
         coefficients: Array2<f64>,
         spectrum: Option<Spectrum>,
     ) -> Result<Self, BasisError> {
-        // The record checks that there is one coefficient a component.
+        // The record checks that there is one coefficient per component.
         let coefficients = SampleCoefficients::new(coefficients, samples.positions().clone())?;
         let what = "coefficients, one for each component of the basis";
         DataError::check_count(what, basis.rank(), coefficients.component_count())?;
@@ -68,22 +68,22 @@ impl BasisFit {
         &self.coefficients
     }
 
-    /// The truncation error of every sample: relative L2, in sample order.
+    /// The truncation error of every sample: relative L2 norm, in sample order.
     pub fn errors(&self) -> &[f64] {
         &self.errors
     }
 
-    /// Basis and coefficients, without a copy.
+    /// Returns the basis and the coefficients without copying them.
     pub fn into_parts(self) -> (PsfBasis, SampleCoefficients) {
         (self.basis, self.coefficients)
     }
 
-    /// The singular values and what was read from them, where the method has any.
+    /// The spectrum of singular values, or `None` if the method has none.
     pub fn spectrum(&self) -> Option<&Spectrum> {
         self.spectrum.as_ref()
     }
 
-    /// The number of components, the mean not counted.
+    /// The number of components, without the mean.
     pub fn rank(&self) -> usize {
         self.basis.rank()
     }
@@ -99,10 +99,11 @@ impl BasisFit {
     }
 }
 
-/// Samples are treated in blocks of this many, so that the residuals of thousands of samples need little memory.
+/// Samples are processed in blocks of this size, so that the residuals of thousands of samples need
+/// little memory.
 const BLOCK: usize = 64;
 
-/// Stamps `[stamp, y, x]` of a checked type as `[stamp, pixel]`.
+/// Converts checked stamps `[stamp, y, x]` to `[stamp, pixel]`.
 fn rows_of(stamps: ArrayView3<'_, f64>) -> ArrayView2<'_, f64> {
     let (count, ny, nx) = stamps.dim();
     stamps.into_shape_with_order((count, ny * nx)).expect("row-major")
@@ -135,11 +136,11 @@ fn truncation_errors(samples: &PsfSamples, basis: &PsfBasis, coefficients: Array
     errors
 }
 
-/// A basis of given, mutually orthogonal stamps, with an optional mean stamp: for bases that come from elsewhere, such as
-/// analytic modes or the principal components of another instrument.
+/// A basis of given, mutually orthogonal stamps, with an optional mean stamp. It is for bases from
+/// elsewhere, such as analytic modes or the principal components of another instrument.
 ///
-/// The stamps are scaled to unit norm; the coefficients are inner products, `a_jk = <h_j - B_0, B_k>`, the least-squares
-/// solution for an orthonormal basis.
+/// The stamps are scaled to unit norm. The coefficients are inner products, `a_jk = <h_j - B_0,
+/// B_k>`, which is the least-squares solution for an orthonormal basis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GivenStamps {
     mean: Option<Array2<f64>>,
@@ -147,10 +148,10 @@ pub struct GivenStamps {
 }
 
 impl GivenStamps {
-    /// Stamps `[component, y, x]`, mutually orthogonal, of any norm but 0.
+    /// Stamps `[component, y, x]`, mutually orthogonal, of any norm except 0.
     ///
     /// # Errors
-    /// [`BasisError::ZeroStamp`]. Orthogonality is checked when the basis is made.
+    /// [`BasisError::ZeroStamp`]. [`fit`](BasisMethod::fit) checks that the stamps are orthogonal.
     pub fn new(mut stamps: Array3<f64>, mean: Option<Array2<f64>>) -> Result<Self, BasisError> {
         for (index, mut stamp) in stamps.axis_iter_mut(Axis(0)).enumerate() {
             let norm = stamp.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -175,25 +176,26 @@ impl BasisMethod for GivenStamps {
     }
 }
 
-/// Whether the mean stamp is taken out before the decomposition.
+/// The choice whether to subtract the mean stamp before the decomposition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Centring {
-    /// The mean of the samples is a stamp of its own. Samples of unit flux then have components of zero flux, so that
-    /// every truncation keeps the flux.
+    /// The mean of the samples is a separate stamp. Samples of unit flux then have components of
+    /// zero flux, so that every truncation preserves the flux.
     #[default]
     Mean,
-    /// No mean stamp, as in the method's paper.
+    /// No mean stamp, as in the paper of the method.
     None,
 }
 
 named!(Centring, "centring", "mean or none", "mean" => Mean, "none" => None);
 
-/// The leading left singular vectors of the matrix whose columns are the samples, `X - mean = U S V^T`, `B_k = U_k`: of
-/// all bases of `K` components the one with the smallest total squared truncation error (Eckart and Young 1936).
+/// The leading left singular vectors of the matrix whose columns are the samples, `X - mean = U S
+/// V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest total squared
+/// truncation error (Eckart and Young 1936).
 ///
-/// A thin SVD in f64. The signs are fixed (the value of largest magnitude in each component is positive), and the result
-/// does not depend on the number of threads.
+/// A thin SVD in f64. The value of largest magnitude in each component is positive, which fixes the
+/// signs. The result does not depend on the number of threads.
 ///
 /// ```
 /// use ndarray::Array3;
@@ -215,31 +217,32 @@ pub struct Svd {
 }
 
 impl Svd {
-    /// Mean-centred, rank `auto`, noise estimated.
+    /// Mean-centred, with rank `auto` and estimated noise.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// With or without a mean stamp.
+    /// Sets whether there is a mean stamp.
     #[must_use]
     pub fn with_centring(self, centring: Centring) -> Self {
         Self { centring, ..self }
     }
 
-    /// How many components are kept.
+    /// Sets the selection of the number of components.
     #[must_use]
     pub fn with_rank(self, rank: RankSelection) -> Self {
         Self { rank, ..self }
     }
 
-    /// What is known of the noise in the samples' pixels.
+    /// Sets the noise in the samples' pixels: given or estimated.
     #[must_use]
     pub fn with_noise(self, noise: PixelNoise) -> Self {
         Self { noise, ..self }
     }
 
-    /// Like [`BasisMethod::fit`], with more training stamps `[stamp, y, x]` beside the samples, such as the samples' PSFs
-    /// at sub-pixel shifts. The mean and the components come from all of them, coefficients and errors from the samples.
+    /// Fits a basis to the samples and to more training stamps `[stamp, y, x]`, such as the
+    /// samples' PSFs at sub-pixel shifts. The mean and the components are from all stamps, the
+    /// coefficients and errors from the samples only.
     ///
     /// # Errors
     /// [`BasisError`] when shapes differ, the rank is not available or the decomposition fails.
@@ -322,12 +325,12 @@ impl BasisMethod for Svd {
     }
 }
 
-/// Rounding of the difference of two sums of squares that are equal, relative to either.
+/// Rounding of the difference of two equal sums of squares, relative to either.
 const PYTHAGORAS_ROUNDING: f64 = 1e-12;
 
 /// The largest relative truncation error over the samples with 0, 1, ... components.
 ///
-/// The squares of the coefficients left out are added up from the smallest, so nothing cancels.
+/// The squares of the omitted coefficients are added from the smallest on, so nothing cancels.
 fn max_errors_by_rank(
     samples: &PsfSamples,
     centred: ArrayView2<'_, f64>,
@@ -338,8 +341,8 @@ fn max_errors_by_rank(
     for (j, (row, a)) in centred.outer_iter().zip(coefficients.outer_iter()).enumerate() {
         let stamp = samples.stamp(j);
         let norm2: f64 = stamp.iter().map(|v| v * v).sum();
-        // What no component spans, by Pythagoras; the difference is good to rounding of the whole, and samples that took
-        // part in the decomposition have nothing outside.
+        // The part outside all components, by Pythagoras. The difference is accurate only to
+        // rounding of the whole. Samples in the decomposition have nothing outside.
         let whole = row.dot(&row);
         let outside = whole - a.dot(&a);
         let mut rest = if outside > PYTHAGORAS_ROUNDING * whole {

@@ -1,23 +1,29 @@
 //! PSF bases: from samples of a PSF to a few orthonormal stamps and the samples' coefficients.
 //!
-//! A sample `h_j` (a stamp) becomes `h_j(u) = B_0(u) + sum_k a_jk B_k(u)`, with a mean stamp `B_0` (absent when the basis is
-//! not centred) and orthonormal stamps `B_k`. A [`BasisMethod`] finds them: [`Svd`] by the singular value decomposition,
-//! [`GivenStamps`] takes stamps from elsewhere; implement the trait for another.
+//! A sample `h_j` (a stamp) becomes `h_j(u) = B_0(u) + sum_k a_jk B_k(u)`, with a mean stamp `B_0`
+//! (absent if the basis is not centred) and orthonormal stamps `B_k`. A [`BasisMethod`] finds them.
+//! [`Svd`] uses the singular value decomposition, and [`GivenStamps`] uses stamps from elsewhere.
+//! Implement the trait for other methods.
 //!
 //! # Choosing the rank
-//! [`RankSelection`] says how many components are kept. Every fit by [`Svd`] reports its [`Spectrum`]:
+//! [`RankSelection`] selects the number of components. Every fit by [`Svd`] reports its
+//! [`Spectrum`]:
 //!
-//! * **Elbow** of the cumulative-weight curve `c_k = sum_{i<=k} s_i / sum_i s_i`: the point furthest above the chord from
-//!   `(0, 0)` to `(m, 1)` ("Kneedle", Satopaa et al. 2011), or the foot of a cliff where the singular values fall by more
-//!   than a factor 1000 from one to the next within the first half of the curve.
-//! * **Noise**: `L x P` samples (pixels by samples) with white pixel noise sigma have noise modes with singular values up
-//!   to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated ([`PixelNoise`]); neither the elbow nor
-//!   `auto` keeps modes that noise alone would reach in 99 % of cases. Where the level differs from sample to sample, as between bright and
-//!   faint stars, the edge is that of the uneven noise.
+//! * **Elbow** of the cumulative-weight curve `c_k = sum_{i<=k} s_i / sum_i s_i`: the point
+//!   furthest above the chord from `(0, 0)` to `(m, 1)` ("Kneedle", Satopaa et al. 2011). If the
+//!   singular values fall by more than a factor of 1000 from one to the next within the first half
+//!   of the curve, the elbow is at that cliff.
+//! * **Noise**: `L x P` samples (pixels by samples) with white pixel noise sigma have noise modes
+//!   with singular values up to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or
+//!   estimated ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of
+//!   cases. Neither the elbow nor `auto` keeps modes below the threshold. If the noise level
+//!   differs from sample to sample, as between bright and faint stars, the edge is that of the
+//!   uneven noise.
 //!
 //! # Normalisation
-//! Stamps are taken as they are. Of samples of unit flux, mean-centred, every component has zero flux, so that any
-//! truncation keeps the flux: scale samples first ([`psf_types::PsfSamples::into_unit_flux`]).
+//! Stamps are used as they are. If the samples have unit flux and are mean-centred, every component
+//! has zero flux, so that any truncation preserves the flux. So scale samples first
+//! ([`psf_types::PsfSamples::into_unit_flux`]).
 
 mod decomposition;
 mod fit;

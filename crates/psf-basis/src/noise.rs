@@ -1,30 +1,32 @@
-//! White noise in samples, read from their singular values.
+//! White noise in samples, estimated from their singular values.
 
 use faer::Mat;
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis};
 
 use crate::decomposition::{BasisError, count_above, decompose, project};
 
-/// What is known of the noise in the samples' pixels.
+/// The noise in the samples' pixels.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub enum PixelNoise {
-    /// Look for white noise, of one level or of a level of each sample's own (bright and faint stars); there may be none.
+    /// Estimate white noise, with one level for all samples or one per sample (bright and faint
+    /// stars). There may be none.
     #[default]
     Estimate,
-    /// White noise of this standard deviation, in the units of the stamps. 0 for none.
+    /// White noise of this standard deviation, in the units of the stamps. 0 means no noise.
     Known(f64),
 }
 
-/// The floor that white noise of standard deviation `sigma` makes in the singular values of an `L x P` matrix.
+/// The floor that white noise of standard deviation `sigma` causes in the singular values of an `L
+/// x P` matrix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct NoiseFloor {
     pub(crate) sigma: f64,
-    /// `sigma (sqrt L + sqrt P)`: the largest singular value of the noise alone, in the limit of large matrices
-    /// (Marchenko and Pastur 1967).
+    /// `sigma (sqrt L + sqrt P)`: the largest singular value of only noise, in the limit of large
+    /// matrices (Marchenko and Pastur 1967).
     pub(crate) edge: f64,
-    /// The largest singular value of the noise alone stays below this in 99 % of cases (Johnstone 2001, theorem 1.1,
-    /// with the 0.99 quantile of the Tracy-Widom law of order 1).
+    /// In 99 % of cases the largest singular value of only noise is below this (Johnstone 2001,
+    /// theorem 1.1, with the 0.99 quantile of the Tracy-Widom law of order 1).
     pub(crate) threshold: f64,
 }
 
@@ -43,18 +45,20 @@ impl NoiseFloor {
     }
 }
 
-/// Where in the tail of the spectrum the noise is read, as fractions of the tail from its top.
+/// Points at which the tail of the spectrum is read, as fractions of the tail from its top.
 const READ_AT: [f64; 5] = [0.5, 0.6, 0.7, 0.8, 0.9];
-/// The readings of white noise agree within this ratio; those of a spectrum that decays for any other reason do not.
+/// Largest ratio of the noise levels read at these points. In spectra that decay for another reason
+/// the levels differ more.
 const AGREEMENT: f64 = 1.25;
-/// A shorter tail cannot tell noise from decay.
+/// Shortest tail in which noise can be told from decay.
 const SHORTEST_TAIL: usize = 12;
 
-/// The noise floor of a matrix of `rows x columns` (columns: degrees of freedom left) with these singular values.
+/// The noise floor of a matrix of `rows x columns` with these singular values, where `columns` is
+/// the number of remaining degrees of freedom.
 ///
-/// With [`PixelNoise::Estimate`] the lower half of the singular values is compared with the quantiles of the
-/// Marchenko-Pastur law (the approach of Gavish and Donoho 2014, at several quantiles in place of the median alone). Each
-/// quantile gives a sigma; only where all agree is it taken for noise.
+/// [`PixelNoise::Estimate`] compares the lower half of the singular values with the quantiles of
+/// the Marchenko-Pastur law. This is the approach of Gavish and Donoho 2014, at several quantiles
+/// instead of only the median. Each quantile gives a sigma. They count as noise only if all agree.
 pub(crate) fn noise_floor(
     noise: PixelNoise,
     singular_values: &[f64],
@@ -74,7 +78,8 @@ pub(crate) fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> 
     let count = rows.min(columns).min(singular_values.len());
     let (small, large) = (rows.min(columns), rows.max(columns));
     let law = MarchenkoPastur::new(small as f64 / large as f64);
-    // The number of signal modes and the noise level depend on each other; a few rounds settle them.
+    // The number of signal modes and the noise level depend on each other. A few iterations
+    // suffice.
     let mut signal = 0;
     let mut floor = None;
     for _ in 0..4 {
@@ -103,7 +108,8 @@ pub(crate) fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> 
     floor
 }
 
-/// The law of the eigenvalues of white noise, `s^2 / (n sigma^2)`, with `beta` = smaller over larger dimension.
+/// The distribution of the eigenvalues of white noise, `s^2 / (n sigma^2)`, with `beta` = smaller
+/// dimension / larger dimension.
 struct MarchenkoPastur {
     /// Eigenvalues at the midpoints of the integration steps, and the probability below each.
     table: Vec<(f64, f64)>,
@@ -115,7 +121,8 @@ impl MarchenkoPastur {
     fn new(beta: f64) -> Self {
         let middle = 1.0 + beta;
         let half = 2.0 * beta.sqrt();
-        // x = middle - half cos(theta) takes the square roots at both ends out of the density.
+        // Substituting x = middle - half cos(theta) removes the square roots at both ends of the
+        // density.
         let step = std::f64::consts::PI / Self::STEPS as f64;
         let mut below = 0.0;
         let table: Vec<(f64, f64)> = (0..Self::STEPS)
@@ -145,28 +152,30 @@ impl MarchenkoPastur {
 
 /// Numbers of leading components that are tried as the signal.
 const SIGNALS: [usize; 6] = [1, 2, 4, 8, 16, 32];
-/// Rounds of scaling the samples to equal noise and decomposing them anew, for each of these.
+/// Iterations, for each number, of scaling the samples to equal noise and decomposing them again.
 const ROUNDS: usize = 4;
-/// Samples scaled by their own noise have white noise of this level, within a quarter.
+/// Allowed noise level of samples scaled by their own noise. It should be 1.
 const SCALED: std::ops::Range<f64> = 0.75..1.33;
-/// Noise of samples that differ by more than the fluxes of stars do is none.
+/// Largest ratio of noise levels among samples. It exceeds the ratio of stellar fluxes.
 const MOST_UNEVEN: f64 = 1e3;
-/// Variances that scatter by so many times what even noise makes them scatter are uneven.
+/// Variances are uneven if they scatter by more than this multiple of the scatter from even noise.
 const EVEN: f64 = 3.0;
-/// Work beyond this (the product of both dimensions and the smaller one) is not spent on looking for noise.
+/// Largest work (the product of both dimensions and the smaller one) spent on the search for noise.
 const MOST_WORK: f64 = 1e9;
-/// The largest singular value of finite matrices scatters about the limit by this part.
+/// Relative scatter of the largest singular value of finite matrices about its limit.
 const FINITE: f64 = 0.02;
 
-/// The floor of samples `[sample, pixel]` (centred, with these singular vectors and values) whose pixels have white noise of a level of
-/// each sample's own; nothing where there is no such noise.
+/// The noise floor of samples whose pixels have white noise of a different level in each sample, or
+/// `None` if there is no such noise. `rows` are the centred samples `[sample, pixel]`, with these
+/// singular vectors and values.
 ///
-/// Samples divided by their noise have even noise, which the Marchenko-Pastur law then shows or denies. The levels come from what a few
-/// leading components of the divided samples leave over, again and again until they agree; the smallest number of components
-/// for which that works is taken.
+/// Samples divided by their noise have even noise, which is then tested by the Marchenko-Pastur
+/// law. The levels are estimated from the residuals of the divided samples after a few leading
+/// components. This is repeated until the levels agree. The smallest sufficient number of
+/// components is used.
 ///
-/// Divided samples lie in the space of the samples, so that all this is done with coordinates in it, of which there are no more than
-/// samples, in place of pixels.
+/// Divided samples lie in the space spanned by the samples. All computations use coordinates in
+/// that space, at most as many as there are samples, instead of pixels.
 pub(crate) fn uneven_floor(
     rows: ArrayView2<'_, f64>,
     vectors: &Mat<f64>,
@@ -186,10 +195,11 @@ pub(crate) fn uneven_floor(
         .map(|variances| floor_of(&variances, pixels))
 }
 
-/// The floor once more where noise was taken to be even: the same if it is, else that of the samples' own levels.
+/// Refines a floor that assumed even noise. Returns `even` if the samples' noise is indeed even,
+/// otherwise the floor of the samples' own levels.
 ///
-/// Levels come from what the components above the floor leave over, and the floor from the levels, until the number of components
-/// above it stays.
+/// Levels follow from the residuals of the components above the floor, and the floor from the
+/// levels. This is repeated until the number of components above the floor is stable.
 pub(crate) fn by_sample(
     rows: ArrayView2<'_, f64>,
     vectors: &Mat<f64>,
@@ -211,7 +221,7 @@ pub(crate) fn by_sample(
             .collect();
         let mean = variances.iter().sum::<f64>() / count as f64;
         let scatter = variances.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / count as f64;
-        // The variance of a variance of so many values.
+        // The last factor is the relative scatter of a variance of this many values.
         if scatter.sqrt() <= EVEN * mean * (2.0 / left).sqrt() {
             return even;
         }
@@ -223,7 +233,7 @@ pub(crate) fn by_sample(
     floor
 }
 
-/// What `signal` components leave of the square of a row.
+/// The squared norm of the residual of a row after `signal` components.
 fn unexplained(row: ArrayView1<'_, f64>, vectors: &Mat<f64>, signal: usize) -> f64 {
     let explained: f64 = (0..signal)
         .map(|k| {
@@ -234,18 +244,19 @@ fn unexplained(row: ArrayView1<'_, f64>, vectors: &Mat<f64>, signal: usize) -> f
     (row.dot(&row) - explained).max(0.0)
 }
 
-/// Values of a row's noise that are left when `signal` components have taken their part.
+/// The degrees of freedom of a row's noise after `signal` components are removed.
 fn degrees_of_freedom(count: usize, pixels: usize, signal: usize) -> f64 {
     (pixels - signal) as f64 * (1.0 - signal as f64 / count as f64)
 }
 
-/// A cheap look first: the tail of noise-free samples falls by many decades.
+/// A cheap test: the tail of noise-free samples falls by many decades.
 fn may_be_noise(singular_values: &[f64]) -> bool {
     let at = |part: f64| singular_values[(part * singular_values.len() as f64) as usize];
     at(0.5) > 0.0 && at(0.9) * MOST_UNEVEN > at(0.5)
 }
 
-/// The noise variance of every sample of so many pixels, if `signal` components leave noise alone. Samples come as `[sample, coordinate]`.
+/// The noise variance of every sample of `pixels` pixels, or `None` if `signal` components leave
+/// more than noise. Samples are rows `[sample, coordinate]`.
 fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usize) -> Option<Vec<f64>> {
     let count = rows.nrows();
     let left = degrees_of_freedom(count, pixels, signal);
@@ -255,7 +266,7 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
         .collect();
     let mut values = Vec::new();
     for _ in 0..ROUNDS {
-        // A sample without any noise would outweigh all others.
+        // A lower limit, because a sample without noise would outweigh all others.
         let least = variances.iter().copied().fold(0.0, f64::max) / (MOST_UNEVEN * MOST_UNEVEN);
         if least <= 0.0 {
             return None;
@@ -273,17 +284,18 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
     (SCALED.contains(&floor.sigma) && above <= signal).then_some(variances)
 }
 
-/// The floor that noise of these variances, one a row of `pixels` values, makes.
+/// The noise floor for noise of these variances, one for each row of `pixels` values.
 ///
-/// The largest singular value is `sqrt(P min z)`, `z(u) = 1/u + (1/P) sum_j v_j / (1 - v_j u)` over `0 < u < 1 / max v`, in the limit of
-/// large matrices (Silverstein and Choi 1995, J. Multivariate Anal. 54, 295); for equal variances `sigma (sqrt L + sqrt P)`.
+/// In the limit of large matrices the largest singular value is `sqrt(P min z)`, `z(u) = 1/u +
+/// (1/P) sum_j v_j / (1 - v_j u)` over `0 < u < 1 / max v` (Silverstein and Choi 1995, J.
+/// Multivariate Anal. 54, 295). For equal variances it is `sigma (sqrt L + sqrt P)`.
 fn floor_of(variances: &[f64], pixels: usize) -> NoiseFloor {
     let largest = variances.iter().copied().fold(0.0, f64::max);
     let z = |u: f64| {
         let sum: f64 = variances.iter().map(|v| v / (1.0 - v * u)).sum();
         1.0 / u + sum / pixels as f64
     };
-    // z is convex there: thirds of the interval close in on its minimum.
+    // z is convex there, so a ternary search finds its minimum.
     let (mut low, mut high) = (0.0, 1.0 / largest);
     for _ in 0..200 {
         let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);
@@ -314,7 +326,8 @@ mod tests {
                 / 1000.0;
             assert!((mean - 1.0).abs() < 1e-2, "{beta}: {mean}");
         }
-        // Known value: the median of the law at beta = 1 is 0.6528 (Gavish and Donoho 2014, table IV: 2.858 = 4/sqrt(3)/sqrt(mu)).
+        // Known value: the median of the law at beta = 1 is 0.6528 (Gavish and Donoho 2014, table
+        // IV: 2.858 = 4/sqrt(3)/sqrt(mu)).
         let median = MarchenkoPastur::new(1.0).quantile(0.5);
         assert!(
             (4.0 / 3f64.sqrt() / median.sqrt() - 2.858).abs() < 2e-3,
@@ -363,7 +376,8 @@ mod tests {
 
     #[test]
     fn one_noisy_sample_stands_out_alone() {
-        // A single row of much larger variance: its own norm, sigma sqrt(P), widened a little by the others.
+        // A single row of much larger variance. Its own norm is sigma sqrt(P), and the others widen
+        // it a little.
         let mut variances = vec![1.0; 100];
         variances[7] = 1e4;
         let floor = floor_of(&variances, 400);

@@ -1,5 +1,4 @@
-//! How many components are kept: the spectrum of singular values, its elbow, and the choice of a
-//! rank.
+//! The number of components: the spectrum of singular values, its elbow, and the choice of a rank.
 
 use std::str::FromStr;
 
@@ -9,34 +8,35 @@ use serde::{Deserialize, Serialize};
 use crate::decomposition::{BasisError, count_above};
 use crate::noise::NoiseFloor;
 
-/// How many components are kept.
+/// The number of components to keep.
 ///
-/// Written as `auto`, `elbow`, `full`, a whole number, `energy=0.999` or `error=1e-3`.
+/// Text forms: `auto`, `elbow`, `full`, a whole number, `energy=0.999` or `error=1e-3`.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum RankSelection {
-    /// At least the elbow, and as many more as a largest truncation error of [`RankSelection::AUTO_ERROR`] over the
-    /// samples asks, but never a component below the noise.
+    /// At least the elbow. More components are kept until the largest truncation error over the
+    /// samples is at most [`RankSelection::AUTO_ERROR`]. Components below the noise are never kept.
     #[default]
     Auto,
     /// The elbow of the cumulative weights.
     Elbow,
     /// Every component above rounding.
     Full,
-    /// This many.
+    /// This number.
     Fixed(usize),
-    /// As many as hold this fraction of the sum of the squared singular values.
+    /// The smallest number that contains this fraction of the sum of the squared singular values.
     Energy(f64),
-    /// As many as bring the relative L2 truncation error of every sample to this or below.
+    /// The smallest number for which every sample's relative L2 truncation error is at most this.
     Error(f64),
 }
 
 impl RankSelection {
-    /// The largest truncation error over the samples that `auto` asks for.
+    /// The largest truncation error over the samples that `auto` accepts.
     pub const AUTO_ERROR: f64 = 1e-4;
 
-    /// The rank for a spectrum. `max_errors[k]` is the largest truncation error over the samples with `k` components.
+    /// Returns the rank for a spectrum. `max_errors[k]` is the largest truncation error over the
+    /// samples with `k` components.
     pub(crate) fn select(self, spectrum: &Spectrum, max_errors: &[f64]) -> Result<usize, BasisError> {
         let available = spectrum.numerical_rank;
         let for_error = |limit: f64| {
@@ -101,7 +101,8 @@ impl FromStr for RankSelection {
 
 through_text!(RankSelection);
 
-/// The singular values of the training matrix, in descending order, and what was read from them.
+/// The singular values of the training matrix, in descending order, and the ranks and noise derived
+/// from them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Spectrum {
@@ -109,21 +110,23 @@ pub struct Spectrum {
     pub singular_values: Vec<f64>,
     /// `c_k = sum_{i<=k} s_i / sum_i s_i` for k = 1 ... (all 1 when every singular value is 0).
     pub cumulative_weights: Vec<f64>,
-    /// The number of components at the elbow of the cumulative weights, noise modes not counted; see the crate's page
-    /// for the definition.
+    /// The number of components at the elbow of the cumulative weights, without noise modes. The
+    /// crate's page defines the elbow.
     pub elbow: usize,
-    /// The number of components above rounding, and above the noise where there is any.
+    /// The number of components above rounding, and above the noise if there is any.
     pub significant: usize,
-    /// The number of components above rounding: the rank of `full`.
+    /// The number of components above rounding, which is the rank of `full`.
     pub numerical_rank: usize,
-    /// The standard deviation of the white noise in the pixels, where any was found or given.
+    /// The standard deviation of the white noise in the pixels, if it was found or given.
     pub noise_sigma: Option<f64>,
-    /// The largest singular value of that noise, `sigma (sqrt L + sqrt P)`.
+    /// The largest singular value of that noise, `sigma (sqrt L + sqrt P)`, or that of noise which
+    /// differs from sample to sample.
     pub noise_edge: Option<f64>,
 }
 
 impl Spectrum {
-    /// `rounding` is the level below which singular values are rounding errors of the decomposition.
+    /// Derives the spectrum. Singular values below `rounding` are rounding errors of the
+    /// decomposition.
     pub(crate) fn new(singular_values: Vec<f64>, rounding: f64, noise: Option<NoiseFloor>) -> Self {
         let total: f64 = singular_values.iter().sum();
         let mut sum = 0.0;
@@ -149,7 +152,7 @@ impl Spectrum {
         }
     }
 
-    /// The smallest number of components that holds the fraction `energy` of `sum s_i^2`.
+    /// The smallest number of components that contains the fraction `energy` of `sum s_i^2`.
     pub(crate) fn rank_for_energy(&self, energy: f64) -> usize {
         let total: f64 = self.singular_values.iter().map(|s| s * s).sum();
         let mut sum = 0.0;
@@ -166,23 +169,27 @@ impl Spectrum {
     }
 }
 
-/// A drop from one singular value to the next by this factor is a cliff: what follows weighs nothing beside it.
+/// A drop from one singular value to the next by this factor is a cliff. The values after it are
+/// negligible.
 const CLIFF: f64 = 1e-3;
-/// Parts of the largest singular value below which a cliff is but the end of a decay, where rounding begins (of samples in single
-/// precision, 6e-8 each).
+/// Fraction of the largest singular value below which a cliff is only the end of a decay, where
+/// rounding begins. (Values in single precision have rounding of 6e-8 each.)
 const FLOOR: f64 = 1e-8;
 
-/// The number of components at the elbow of the curve of cumulative weights `c_k = sum_{i<=k} s_i / sum_i s_i`.
+/// The number of components at the elbow of the curve of cumulative weights `c_k = sum_{i<=k} s_i /
+/// sum_i s_i`.
 ///
-/// * Where the singular values fall off a cliff (by more than a factor of 1000 from one to the next, in the first half
-///   of the curve), the curve has a corner in the strict sense and the elbow is there: samples that span exactly six
-///   modes have their elbow at six, however unequal the six are. Of several cliffs the deepest counts. One that begins below
-///   1e-8 of the largest value is none: there a smooth decay ends in rounding.
-/// * Otherwise the elbow is the point of the curve furthest above its chord from (0, 0) to (m, 1): "Kneedle", Satopaa,
-///   Albrecht, Irwin and Raghavan 2011 (ICDCS workshops, section II), without smoothing. Since the curve is concave this
-///   is the number of singular values above their mean.
+/// * A cliff is a fall by more than a factor of 1000 from one singular value to the next, in the
+///   first half of the curve. There the curve has a sharp corner, which is the elbow. For example,
+///   samples that span exactly six modes have their elbow at six, however unequal the six are. Of
+///   several cliffs the deepest counts. A cliff that begins below 1e-8 of the largest value does
+///   not count, because a smooth decay ends in rounding there.
+/// * Without a cliff, the elbow is the point of the curve furthest above its chord from (0, 0) to
+///   (m, 1): "Kneedle", Satopaa, Albrecht, Irwin and Raghavan 2011 (ICDCS workshops, section II),
+///   without smoothing. The curve is concave, so this is the number of singular values above their
+///   mean.
 ///
-/// `singular_values` are in descending order; 0 when all are 0 or there are none.
+/// `singular_values` are in descending order. The result is 0 if all are 0 or there are none.
 pub(crate) fn elbow(singular_values: &[f64]) -> usize {
     let total: f64 = singular_values.iter().sum();
     if total <= 0.0 {
@@ -236,9 +243,9 @@ mod tests {
     #[test]
     fn a_smooth_decay_bends_where_the_values_fall_below_their_mean() {
         let values: Vec<f64> = (0..50).map(|k| 0.8f64.powi(k)).collect();
-        // mean 0.1, and 0.8^10 = 0.107, 0.8^11 = 0.086
+        // The mean is 0.1, and 0.8^10 = 0.107, 0.8^11 = 0.086.
         assert_eq!(elbow(&values), 11);
-        // The definition itself: the furthest point above the chord.
+        // The definition: the furthest point above the chord.
         let total: f64 = values.iter().sum();
         let above = |k: usize| values[..k].iter().sum::<f64>() / total - k as f64 / 50.0;
         let furthest = (0..=50).max_by(|&a, &b| above(a).total_cmp(&above(b))).unwrap();
@@ -249,9 +256,9 @@ mod tests {
     fn the_fall_from_a_decay_to_rounding_is_no_cliff() {
         let decay = |k: i32| if k < 20 { 0.25f64.powi(k) } else { 0.0 };
         let values: Vec<f64> = (0..60).map(decay).collect();
-        // 0.25^19 = 4e-12; the mean is 4 / 3 / 60 = 0.022.
+        // 0.25^19 = 4e-12. The mean is 4 / 3 / 60 = 0.022.
         assert_eq!(elbow(&values), 3);
-        // Not so far down it is one.
+        // A fall from a higher value is a cliff.
         let cut: Vec<f64> = (0..60).map(|k| if k < 12 { decay(k) } else { 0.0 }).collect();
         assert_eq!(elbow(&cut), 12);
     }

@@ -1,4 +1,4 @@
-//! Rank selection of noisy samples: modes are kept, noise is not.
+//! Rank selection with noisy samples: modes are kept, noise is not.
 
 mod common;
 
@@ -12,7 +12,7 @@ const SIDE: usize = 15;
 const MODES: usize = 6;
 /// Singular values of the six modes, relative to the sixth.
 const STRENGTHS: [f64; MODES] = [60.0, 25.0, 10.0, 4.0, 2.0, 1.0];
-/// The sixth singular value over the largest one of the noise alone.
+/// The sixth singular value divided by the largest one of only noise.
 const LEVELS: [f64; 6] = [2.0, 3.0, 10.0, 100.0, 1e3, 1e4];
 
 /// A round PSF of unit flux and FWHM 2.4 pixels.
@@ -25,7 +25,8 @@ fn mean_stamp() -> Array1<f64> {
     (psf / flux).into_flat()
 }
 
-/// The samples without noise `[sample, pixel]`, of unit flux: the PSF and six modes of no flux, the sixth of strength `sixth`.
+/// The samples without noise `[sample, pixel]`, of unit flux. They consist of the PSF and six modes
+/// of zero flux, the sixth of strength `sixth`.
 fn clean(sixth: f64) -> Array2<f64> {
     let pixels = SIDE * SIDE;
     let modes = orthonormal_rows(MODES, pixels, 1);
@@ -52,9 +53,10 @@ fn norm(rows: &Array2<f64>) -> f64 {
     matrix.singular_values().max()
 }
 
-/// Noise levels of the samples: a factor of `spread` between the brightest star and the faintest, evenly in the logarithm.
+/// Noise levels of the samples: a factor of `spread` between the brightest and the faintest star,
+/// evenly spaced in the logarithm.
 fn unevenness(spread: f64) -> Vec<f64> {
-    // In an order that has nothing to do with the fields of the modes.
+    // In an order unrelated to the fields of the modes.
     (0..COUNT)
         .map(|j| spread.powf(((j * 149) % COUNT) as f64 / COUNT as f64))
         .collect()
@@ -69,7 +71,7 @@ fn check(rows: &Array2<f64>, what: &str) {
     let stack = rows.clone().into_shape_with_order((COUNT, SIDE, SIDE)).unwrap();
     let samples = samples(stack);
     for centring in [Centring::Mean, Centring::None] {
-        // Without a mean of its own the mean stamp is one more component.
+        // Without centring, the mean stamp is one more component.
         let expected = MODES + usize::from(centring == Centring::None);
         let fit = Svd::new().with_centring(centring).fit(&samples).unwrap();
         let spectrum = fit.spectrum().unwrap();
@@ -126,7 +128,7 @@ fn auto_finds_the_rank_of_stars_scaled_to_unit_flux() {
     for spread in [1.0, 10.0, 30.0] {
         let noise = noise(spread, 5);
         for level in LEVELS {
-            // The noise of a flux scales its whole stamp: that, too, is noise of the samples.
+            // An error of the flux scales the whole stamp, so it is noise of the samples too.
             let scaled = |scale: f64| {
                 let noisy = clean(sixth) + &noise * scale;
                 let fluxes = noisy.sum_axis(Axis(1));

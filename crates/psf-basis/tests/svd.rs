@@ -1,4 +1,4 @@
-//! The SVD basis against theory, against nalgebra and against itself.
+//! Tests of the SVD basis against theory, nalgebra and itself.
 
 mod common;
 
@@ -7,14 +7,15 @@ use ndarray::{Array3, Axis};
 use psf_basis::{BasisError, BasisMethod, Centring, GivenStamps, PixelNoise, RankSelection, Svd};
 use psf_types::PsfSamples;
 
-/// A backward stable SVD is off by a few units of rounding times the largest singular value.
+/// The error of a backward stable SVD is a few units of rounding times the largest singular value.
 const SINGULAR_VALUE_TOLERANCE: f64 = 1e-10;
-/// Householder transformations lose a few units of rounding only.
+/// Householder transformations lose only a few units of rounding.
 const ORTHONORMALITY: f64 = 1e-12;
 
 const SIX: [f64; 6] = [5.0, 3.0, 2.0, 1.0, 0.5, 0.02];
 
-/// A matrix of `count` samples with exactly these singular values once the mean is taken out, on a bright mean stamp.
+/// A matrix of `count` samples on a bright mean stamp, with exactly these singular values once the
+/// mean is subtracted.
 fn with_singular_values(values: &[f64], count: usize, side: usize, noise: f64) -> PsfSamples {
     let pixels = side * side;
     let stamps = orthonormal_rows(values.len(), pixels, 1);
@@ -68,7 +69,8 @@ fn singular_values_agree_with_nalgebra_also_where_they_are_small() {
     }
 }
 
-/// The decomposition of more samples than pixels that are nearly square used to come out of order.
+/// faer's decomposition of more samples than pixels, in nearly square matrices, could return
+/// unordered values.
 #[test]
 fn repeated_samples_lose_no_component() {
     let side = 17;
@@ -162,7 +164,7 @@ fn a_noise_free_rank_six_field_has_its_elbow_and_auto_at_six() {
 
 #[test]
 fn noise_modes_are_not_kept() {
-    // The sixth singular value at twice the noise edge.
+    // The sixth singular value is twice the noise edge.
     let (count, side) = (150, 24);
     let edge = SIX[5] / 2.0;
     let sigma = edge / ((side as f64) + (count as f64 - 1.0).sqrt());
@@ -180,7 +182,7 @@ fn noise_modes_are_not_kept() {
         );
         assert!((spectrum.noise_edge.unwrap() / edge - 1.0).abs() < 0.02);
     }
-    // The edge is what stops it: told that there is no noise, `auto` keeps noise modes.
+    // The noise edge is the reason: if the noise is given as 0, `auto` keeps noise modes.
     let fit = Svd::new()
         .with_noise(PixelNoise::Known(0.0))
         .fit(&samples)
@@ -190,7 +192,7 @@ fn noise_modes_are_not_kept() {
 
 #[test]
 fn each_selection_does_what_it_says() {
-    // Without an end: a smooth decay down to rounding.
+    // A spectrum without a cliff: a smooth decay down to rounding.
     let values: Vec<f64> = (0..119).map(|k| 0.7f64.powi(k)).collect();
     let samples = with_singular_values(&values, 120, 16, 0.0);
     let full = Svd::new().with_rank(RankSelection::Full).fit(&samples).unwrap();
