@@ -30,22 +30,23 @@ macro_rules! object {
 }
 pub(crate) use object;
 
-/// An error with its causes, in one line.
+/// The message of an error with its causes, in one line.
 pub(crate) fn told(error: &anyhow::Error) -> String {
     psfield::error_text(error.as_ref())
 }
 
-/// How a command speaks.
+/// The output settings of a command.
 #[derive(Debug)]
 pub(crate) struct Context {
     pub(crate) json: bool,
     pub(crate) quiet: bool,
-    /// Which part of the work speaks; empty for the whole.
+    /// The part of the work that messages refer to. Empty for the whole command.
     pub(crate) part: String,
 }
 
 impl Context {
-    /// For one of several pieces of work: it says which it is, and leaves the bars to the whole.
+    /// The context of one of several pieces of work. Messages name the piece, and it shows no
+    /// progress bars.
     pub(crate) fn for_part(&self, name: &str) -> Self {
         Self {
             part: format!("{name}: "),
@@ -72,26 +73,26 @@ impl Context {
             .context("cannot write to standard output")
     }
 
-    /// A line on standard error that a user must see, unless `--quiet`.
+    /// Prints a warning on standard error, unless `--quiet`.
     pub(crate) fn warn(&self, text: &str) {
         if !self.quiet {
             eprintln!("psfield: warning: {}{text}", self.part);
         }
     }
 
-    /// A line on standard error about what was done, unless `--quiet`.
+    /// Prints a note on standard error about what was done, unless `--quiet`.
     pub(crate) fn note(&self, text: &str) {
         if !self.quiet {
             eprintln!("psfield: note: {}{text}", self.part);
         }
     }
 
-    /// A progress bar; drawn on a terminal only.
+    /// Returns a progress bar. It is drawn only on a terminal.
     pub(crate) fn bar(&self, what: &'static str) -> Bar {
         self.bar_of("{msg} {wide_bar} {pos}/{len} {eta}", what)
     }
 
-    /// A spinner for work without steps; drawn on a terminal only.
+    /// Returns a spinner for work without steps. It is drawn only on a terminal.
     pub(crate) fn spinner(&self, what: &'static str) -> Bar {
         let bar = self.bar_of("{spinner} {msg} {elapsed}", what);
         if !bar.0.is_hidden() {
@@ -101,7 +102,7 @@ impl Context {
     }
 
     fn bar_of(&self, template: &str, what: &'static str) -> Bar {
-        // The target hides itself where standard error is no terminal.
+        // The target hides itself when standard error is not a terminal.
         let target = if self.quiet || !self.part.is_empty() {
             ProgressDrawTarget::hidden()
         } else {
@@ -113,8 +114,8 @@ impl Context {
     }
 }
 
-/// The program's version and the command line as it was given, for headers. Options that change no result stay out
-/// ([`matters`]): the same input, options and seed give the same bytes.
+/// Header cards with the program's version and the command line. Options that do not change the
+/// result are left out ([`matters`]), so that the same input, options and seed give the same bytes.
 pub(crate) fn signature() -> Vec<Card> {
     signature_of(&given_arguments())
 }
@@ -124,7 +125,7 @@ pub(crate) fn write_samples(path: &Path, samples: &PsfSamples, overwrite: bool) 
     psf_io::write_samples(path, samples, &signature(), Precision::Single, overwrite)
 }
 
-/// The command line as one would type it again, with all its options.
+/// The command line as it was given, quoted for a shell.
 pub(crate) fn command_text() -> String {
     let arguments: Vec<String> = given_arguments().iter().map(quoted).collect();
     format!("psfield {}", arguments.join(" "))
@@ -138,7 +139,7 @@ fn given_arguments() -> Vec<String> {
         .collect()
 }
 
-/// The same for any command line.
+/// Header cards like those of [`signature`], for any command line.
 pub(crate) fn signature_of(arguments: &[String]) -> Vec<Card> {
     let command: Vec<String> = matters(arguments).map(quoted).collect();
     psfield::provenance_cards(&format!("psfield {}", command.join(" ")))
@@ -157,7 +158,7 @@ fn matters(arguments: &[String]) -> impl Iterator<Item = &String> {
     })
 }
 
-/// An argument as one would type it.
+/// An argument, quoted for a shell where needed.
 fn quoted(arg: impl AsRef<str>) -> String {
     let arg = arg.as_ref();
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_=./,:+@%".contains(c);
@@ -168,12 +169,12 @@ fn quoted(arg: impl AsRef<str>) -> String {
     }
 }
 
-/// A bar or spinner on standard error, if that is a terminal; gone when dropped.
+/// A bar or spinner on standard error, if that is a terminal. Dropping it removes it.
 #[derive(Debug)]
 pub(crate) struct Bar(ProgressBar);
 
 impl Bar {
-    /// Does something that prints, with the bar out of the way.
+    /// Hides the bar while `print` runs.
     pub(crate) fn aside<R>(&self, print: impl FnOnce() -> R) -> R {
         self.0.suspend(print)
     }

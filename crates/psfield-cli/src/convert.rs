@@ -14,43 +14,49 @@ use super::context::{Context, object, signature};
 use super::values::{Pair, Precision};
 use crate::psf_args::PsfArgs;
 
-/// Turn a PSF file of any kind into another
+/// Convert a PSF file to another format
 ///
-/// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim's field-varying PSFs and plain stamps.
+/// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim field-varying PSFs and plain stamps.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ConvertArgs {
-    /// The PSF to read
+    /// PSF to read
     #[arg(value_name = "PSF")]
     input: PathBuf,
-    /// The file to write
+    /// File to write
     #[arg(short, long, value_name = "OUTPUT")]
     output: PathBuf,
-    /// psf-samples, psf-model, psfex=DEGREE (a polynomial in x and y; psfex alone keeps the degree of a source that is one) or
-    /// gridded (a library that photutils reads) [default: psfex for an OUTPUT.psf]
+    /// Format: psf-samples, psf-model, psfex=DEGREE or gridded [default: psfex for OUTPUT.psf]
+    ///
+    /// psfex=DEGREE is a polynomial in x and y. psfex without DEGREE keeps the degree of a
+    /// polynomial source. gridded is a library of PSFs that photutils reads.
     #[arg(long, value_name = "FORMAT")]
     to: Option<Target>,
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
-    /// psf-samples, gridded: evaluate on a regular grid of NX x NY positions over the field [default: the PSF's own positions]
+    /// psf-samples, gridded: evaluate on a regular grid [default: the PSF's own positions]
+    ///
+    /// The grid has NX x NY positions over the field.
     #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
     grid: Option<Pair>,
-    /// psf-samples, gridded: evaluate at these positions, CSV or FITS table with columns x, y (0-based pixels)
+    /// psf-samples, gridded: evaluate at the positions of this table
+    ///
+    /// CSV or FITS table with columns x, y (0-based pixels).
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
-    /// psf-samples: write f32 or f64 [default: f32]
+    /// psf-samples: precision of the stamps [default: f32]
     #[arg(long, value_enum)]
     precision: Option<Precision>,
     #[command(flatten)]
     fit: PsfArgs,
 }
 
-/// What to write.
+/// The format to write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Target {
     PsfSamples,
     PsfModel,
-    /// With the total degree.
+    /// A polynomial of this total degree.
     Psfex(Option<usize>),
     Gridded,
 }
@@ -83,8 +89,8 @@ impl Target {
     }
 }
 
-/// How many planes are written; whether they are stamps, components (the mean not counted) or
-/// polynomial terms; their grid; their largest relative L2 error, where it is measured; notes.
+/// The number of planes, their name (stamps, components without the mean, polynomial terms), their
+/// grid, their largest relative L2 error if measured, and notes.
 type Written = (usize, &'static str, StampGrid, Option<f64>, Vec<String>);
 
 impl ConvertArgs {
@@ -135,7 +141,7 @@ impl ConvertArgs {
                 None => String::new(),
             };
             format!(
-                "{}: {}, {planes} {what} of {nx} x {ny} pixels, {:.6} pixels a frame pixel{error}",
+                "{}: {}, {planes} {what} of {nx} x {ny} pixels, {:.6} pixels per frame pixel{error}",
                 report.output.display(),
                 report.format,
                 report.oversampling,
@@ -151,42 +157,43 @@ impl ConvertArgs {
                 .then_some(Target::Psfex(None))
         };
         self.to.or_else(says_psfex).ok_or_else(|| {
-            let what = "what to write? give --to psf-samples, psf-model, psfex=DEGREE or gridded";
+            let what =
+                "the output format is missing: give --to psf-samples, psf-model, psfex=DEGREE or gridded";
             UsageError(what.to_owned()).into()
         })
     }
 
-    /// Options that the target has no use for.
+    /// Refuses options that the target format does not use.
     fn check_usage(&self, target: Target) -> Result<(), UsageError> {
         let takes_positions = matches!(target, Target::PsfSamples | Target::Gridded);
         let what = if !takes_positions && (self.grid.is_some() || self.at.is_some()) {
-            "--grid and --at are for psf-samples and gridded: models hold no PSFs at positions"
+            "--grid and --at apply only to psf-samples and gridded: models hold no PSFs at positions"
         } else if target != Target::PsfSamples && self.precision.is_some() {
-            "--precision is for psf-samples: models and libraries are written in f64, PSFEx models in f32"
+            "--precision applies only to psf-samples: models and libraries are written in f64, PSFEx models in f32"
         } else {
             return Ok(());
         };
         Err(UsageError(what.to_owned()))
     }
 
-    /// Fit options where nothing is fitted.
+    /// Refuses fit options if nothing is fitted.
     fn check_fit_options(&self, target: Target, at: &SamplesAt, psf: &Psf) -> Result<(), UsageError> {
         let choices = self.fit.fit.choices();
         let given = choices.needs_fit() || choices.outside.is_some();
         let is_model = psf.samples().is_none();
         let what = match target {
             Target::Gridded if given && *at == SamplesAt::Own && !is_model && is_on_grid(psf) => {
-                "samples on a grid at their own positions are not fitted: of the fit options only --normalise applies (and all of them \
-                 with --grid or --at)"
+                "samples on a grid at their own positions are not fitted: of the fit options only --normalise applies (with --grid or \
+                 --at all of them apply)"
             }
             Target::PsfSamples if given && *at == SamplesAt::Own && !is_model => {
                 "samples at their own positions are not fitted: of the fit options only --normalise applies"
             }
             Target::Psfex(_) if is_model && (given || choices.normalisation.is_some()) => {
-                "a PSFEx file holds neither --normalise nor --outside: its polynomial goes on, and its readers scale to unit flux"
+                "a PSFEx file cannot store --normalise or --outside: its polynomial extends outside the samples, and its readers scale to unit flux"
             }
             Target::Psfex(_) if given => {
-                "the samples are fitted by the polynomial itself: of the fit options only --normalise applies"
+                "the polynomial is fitted to the samples directly: of the fit options only --normalise applies"
             }
             _ => return Ok(()),
         };
@@ -219,7 +226,7 @@ impl ConvertArgs {
     }
 
     fn write_psfex(&self, psf: &Psf, degree: Option<usize>) -> anyhow::Result<Written> {
-        let (model, max_error, notes) = if let Some(model) = self.planes_as_they_are(psf, degree)? {
+        let (model, max_error, notes) = if let Some(model) = self.unchanged_psfex(psf, degree)? {
             (model, 0.0, Vec::new())
         } else {
             let converted = to_psfex(psf, degree)?;
@@ -230,8 +237,8 @@ impl ConvertArgs {
         Ok((terms, "polynomial terms", model.grid(), Some(max_error), notes))
     }
 
-    /// The planes of a PSFEx file whose degree is the one that is wanted.
-    fn planes_as_they_are(
+    /// Returns the model of a PSFEx file that already has the requested degree.
+    fn unchanged_psfex(
         &self,
         psf: &Psf,
         degree: Option<usize>,

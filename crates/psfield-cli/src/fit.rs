@@ -7,16 +7,19 @@ use psf_io::FileKind;
 use psfield::{FitReport, check_outputs};
 
 use super::context::{Context, signature};
-use crate::psf_args::PsfArgs;
+use crate::psf_args::{FIT_HEADING, PsfArgs};
 
 /// Fit a PSF model (basis and coefficient fields) to samples
 #[derive(Debug, clap::Args)]
+#[command(mut_args(in_short_help))]
 pub(crate) struct FitCommandArgs {
-    /// PSF samples (FITS: a cube and a table POSITIONS), or another PSF file that holds stamps at positions (STPSF, STDPSF,
-    /// a plain cube)
+    /// PSF samples, or another PSF file with stamps at positions
+    ///
+    /// PSF samples are a FITS file with a cube and a table POSITIONS. STPSF, STDPSF and plain cubes
+    /// also hold stamps at positions.
     #[arg(value_name = "SAMPLES.fits")]
     samples: PathBuf,
-    /// The model to write
+    /// Model to write
     #[arg(short, long, value_name = "MODEL.fits")]
     output: PathBuf,
     /// Replace the output if it exists
@@ -24,6 +27,12 @@ pub(crate) struct FitCommandArgs {
     overwrite: bool,
     #[command(flatten)]
     fit: PsfArgs,
+}
+
+/// Shows the fit options in the short help too: here they are what the command is about.
+fn in_short_help(arg: clap::Arg) -> clap::Arg {
+    let shown = arg.get_help_heading() == Some(FIT_HEADING);
+    if shown { arg.hide_short_help(false) } else { arg }
 }
 
 impl FitCommandArgs {
@@ -35,12 +44,12 @@ impl FitCommandArgs {
         let fitted = match (psf.fit().with_context(in_file)?, psf.kind()) {
             (Some(fitted), _) => fitted,
             (None, Some(kind)) if kind != FileKind::PsfModel => anyhow::bail!(
-                "{} holds {kind}, which needs no fit: give it to simulate or evaluate as it is, or make a model file of it with \
-                 psfield convert --to psf-model",
+                "{} holds {kind}, which needs no fit: give it directly to simulate or evaluate, or convert it to a model file \
+                 (psfield convert --to psf-model)",
                 self.samples.display()
             ),
             (None, _) => anyhow::bail!(
-                "{} is a fitted model already: give it to simulate or evaluate, or fit its samples anew",
+                "{} is a fitted model already: give it to simulate or evaluate, or fit its samples again",
                 self.samples.display()
             ),
         };
@@ -61,7 +70,7 @@ impl FitCommandArgs {
 fn text(report: &FitReport, output: &str) -> String {
     let left_out = &report.leave_one_out;
     let noise = match report.noise_sigma {
-        Some(sigma) => format!("sigma {sigma:.3e} a pixel"),
+        Some(sigma) => format!("sigma {sigma:.3e} per pixel"),
         None => "none found".to_owned(),
     };
     let interpolation_error = match (left_out.median, left_out.max) {
@@ -69,7 +78,7 @@ fn text(report: &FitReport, output: &str) -> String {
             "median {median:.2e}, largest {max:.2e}, of {} samples",
             left_out.predicted
         ),
-        _ => "no sample lies between others".to_owned(),
+        _ => "not measured, no sample lies between others".to_owned(),
     };
     format!(
         "{output}: {} samples, {} components (elbow at {}), {} interpolation\n\

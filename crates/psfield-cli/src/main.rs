@@ -1,4 +1,4 @@
-//! The command line `psfield`: arguments in, files and reports out. All that computes is in the
+//! The command line `psfield`: reads arguments, writes files and reports. All computation is in the
 //! libraries `psfield` and `psfield_lab`.
 
 mod batch;
@@ -11,6 +11,7 @@ mod devices;
 mod evaluate;
 mod expose;
 mod fit;
+mod help;
 #[cfg(unix)]
 mod interrupts;
 mod measure;
@@ -28,14 +29,16 @@ mod values;
 use std::process::ExitCode;
 
 use anyhow::Context as _;
-use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use clap::{FromArgMatches, Parser, Subcommand};
 use context::{Context, UsageError, told};
 
-/// Astronomical images with a point spread function that varies over the field.
+/// Astronomical images with a point spread function that varies over the field
 ///
-/// Positions are 0-based pixels, an integer is the centre of a pixel. Existing files are kept unless --overwrite is given.
-/// Exit status: 0 done, 1 failed, 2 bad usage, 128 and the number of a signal that stopped it (130 after Ctrl-C); outputs are then as they
-/// were before.
+/// Positions are 0-based pixels: an integer is the centre of a pixel. Existing files are kept
+/// unless --overwrite is given.
+///
+/// Exit status: 0 done, 1 failed, 2 bad usage, 128 + N stopped by signal N (130 after Ctrl-C). A run
+/// that is stopped leaves its outputs as they were before.
 #[derive(Debug, Parser)]
 #[command(name = "psfield", version, max_term_width = 110)]
 struct Cli {
@@ -48,36 +51,37 @@ struct Cli {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Common options")]
 struct GlobalArgs {
-    /// Print one JSON object on standard output in place of text
+    /// Print one JSON object on standard output instead of text
     #[arg(long, global = true, action = clap::ArgAction::SetTrue, value_parser = bench::JsonTo::of_flag)]
     json: bench::JsonTo,
-    /// Print nothing but errors (and --json, if asked for)
+    /// Print only errors (and the output of --json)
     #[arg(short, long, global = true)]
     quiet: bool,
-    /// Threads to use; the result does not depend on it [default: one a core]
+    /// Number of threads, without effect on the result [default: one per core]
     #[arg(long, global = true, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     threads: Option<u16>,
 }
 
+/// The commands, in the order of the help (`help::GROUPS`).
 #[derive(Debug, Subcommand)]
 enum Command {
-    Demo(demo::DemoArgs),
     Sample(Box<sample::SampleArgs>),
     Fit(fit::FitCommandArgs),
-    Simulate(Box<simulate::SimulateArgs>),
-    Batch(batch::BatchArgs),
-    Evaluate(evaluate::EvaluateArgs),
-    Expose(Box<expose::ExposeArgs>),
     Convert(convert::ConvertArgs),
+    Simulate(Box<simulate::SimulateArgs>),
+    Expose(Box<expose::ExposeArgs>),
+    Batch(batch::BatchArgs),
+    Demo(demo::DemoArgs),
+    Preview(preview::PreviewArgs),
+    Evaluate(evaluate::EvaluateArgs),
     Measure(measure::MeasureArgs),
     Compare(compare::CompareArgs),
-    Preview(preview::PreviewArgs),
-    Bench(bench::BenchArgs),
-    Devices(devices::DevicesArgs),
+    Validate(Box<validate::ValidateArgs>),
     #[command(name = "roundtrip")]
     RoundTrip(Box<round_trip::RoundTripArgs>),
-    Validate(Box<validate::ValidateArgs>),
     Reproduce(reproduce::ReproduceArgs),
+    Bench(bench::BenchArgs),
+    Devices(devices::DevicesArgs),
 }
 
 impl Cli {
@@ -117,13 +121,14 @@ impl Cli {
 }
 
 fn main() -> ExitCode {
-    let given = Cli::command().get_matches();
-    let cli = Cli::from_arg_matches(&given).unwrap_or_else(|error| error.format(&mut Cli::command()).exit());
+    let given = help::command::<Cli>().get_matches();
+    let cli = Cli::from_arg_matches(&given)
+        .unwrap_or_else(|error| error.format(&mut help::command::<Cli>()).exit());
     let Err(error) = cli.run() else {
         return ExitCode::SUCCESS;
     };
     if let Some(usage) = error.downcast_ref::<UsageError>() {
-        let mut command = Cli::command();
+        let mut command = help::command::<Cli>();
         command.build();
         given
             .subcommand_name()
@@ -132,7 +137,7 @@ fn main() -> ExitCode {
             .error(clap::error::ErrorKind::ArgumentConflict, usage)
             .exit();
     }
-    // Who reads a part of the output and leaves (`| head`) has what was asked for.
+    // A reader that closes the output early (`| head`) has all that it wants.
     if error
         .downcast_ref::<std::io::Error>()
         .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)

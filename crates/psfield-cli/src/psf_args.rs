@@ -1,4 +1,4 @@
-//! The options of PSF files: how they are read, and how samples become a model.
+//! Options of PSF files: reading them, and fitting a model to samples.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -12,33 +12,51 @@ use crate::UsageError;
 use crate::context::Context;
 use crate::values::{above_zero, at_least_zero, number, numbers};
 
-/// How samples become a model.
+/// The heading of the fit options in helps.
+pub(crate) const FIT_HEADING: &str = "Fit options (for models only --outside and --normalise)";
+
+/// The settings of a fit. The short help hides them, except in `psfield fit`.
 #[derive(Debug, Clone, clap::Args)]
-#[command(next_help_heading = "Fit options (models take --outside and --normalise alone)")]
+#[command(next_help_heading = FIT_HEADING)]
 pub(crate) struct FitArgs {
-    /// Components to keep: auto, elbow, full, a number, energy=0.999 or error=1e-3. auto: at least the elbow, and as many
-    /// more as a fit error of 1e-4 asks, but none below the noise [default: auto; STPSF and STDPSF: full]
-    #[arg(long, value_name = "RANK")]
+    /// Components to keep: auto, elbow, full, a number, energy=F or error=E [default: auto]
+    ///
+    /// auto: at least up to the elbow of the singular values, and more until the fit error is 1e-4,
+    /// but no components below the noise.
+    /// energy=F: enough for the fraction F of the sum of squared singular values, as in energy=0.999.
+    /// error=E: enough for the relative L2 fit error E, as in error=1e-3.
+    /// Default for STPSF and STDPSF: full.
+    #[arg(long, value_name = "RANK", hide_short_help = true, verbatim_doc_comment)]
     rank: Option<RankSelection>,
-    /// Take out the mean stamp (mean) or not (none) [default: mean]
-    #[arg(long, value_name = "mean|none")]
+    /// Subtract the mean stamp before the decomposition (mean) or not (none) [default: mean]
+    #[arg(long, value_name = "mean|none", hide_short_help = true)]
     centring: Option<Centring>,
-    /// Standard deviation of the noise in the samples' pixels, after normalisation; 0 for none [default: estimated]
-    #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, allow_negative_numbers = true)]
+    /// Noise per pixel of the samples (standard deviation) [default: estimated]
+    ///
+    /// It refers to the samples after normalisation. 0: no noise.
+    #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     noise: Option<f64>,
-    /// auto, delaunay, natural-neighbour, idw, idw=POWER, bilinear, bicubic, polynomial=D or nearest. auto: bicubic on a regular
-    /// grid, else natural neighbour [default: auto; STPSF and STDPSF: bilinear]
-    #[arg(long, value_name = "METHOD")]
+    /// Interpolation of the coefficients over the field [default: auto]
+    ///
+    /// auto, delaunay, natural-neighbour, idw, idw=POWER (inverse distance weighting), bilinear,
+    /// bicubic, polynomial=D or nearest.
+    /// auto: bicubic on a regular grid, else natural-neighbour.
+    /// Default for STPSF and STDPSF: bilinear.
+    #[arg(long, value_name = "METHOD", hide_short_help = true, verbatim_doc_comment)]
     interpolation: Option<Interpolation>,
-    /// Outside the samples: nearest, extend or error [default: nearest; models as they say, PSFEx: extend]
-    #[arg(long, value_name = "POLICY")]
+    /// PSF outside the samples: nearest, extend or error [default: nearest]
+    ///
+    /// Default for models: as stored in the file. Default for PSFEx: extend.
+    #[arg(long, value_name = "POLICY", hide_short_help = true)]
     outside: Option<OutsidePolicy>,
-    /// Scale every PSF to unit flux, or keep the values as they are [default: unit; models as they say, STPSF and STDPSF: keep]
-    #[arg(long, value_name = "unit|keep")]
+    /// Scale every PSF to unit flux (unit), or keep the values (keep) [default: unit]
+    ///
+    /// Default for models: as stored in the file. Default for STPSF and STDPSF: keep.
+    #[arg(long, value_name = "unit|keep", hide_short_help = true)]
     normalise: Option<Normalisation>,
 }
 
-/// A PSF file: how it is read, and how it becomes a model where it holds samples.
+/// A PSF file: settings for reading it, and for fitting a model if it holds samples.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct PsfArgs {
     #[command(flatten)]
@@ -48,7 +66,7 @@ pub(crate) struct PsfArgs {
 }
 
 impl FitArgs {
-    /// What is chosen; the rest takes the default of the file's format.
+    /// The options that were given. The others take the default of the file's format.
     pub(crate) fn choices(&self) -> FitChoices {
         FitChoices {
             rank: self.rank,
@@ -60,7 +78,7 @@ impl FitArgs {
         }
     }
 
-    /// The same with the defaults of samples for the rest.
+    /// The options that were given, completed by the defaults for samples.
     pub(crate) fn options(&self) -> FitOptions {
         self.choices().or(FitOptions::default())
     }
@@ -74,7 +92,7 @@ impl PsfArgs {
             .collect()
     }
 
-    /// Opens any PSF file and tells how it was read.
+    /// Opens any PSF file and prints notes on how it was read.
     pub(crate) fn open(&self, path: &Path, context: &Context) -> anyhow::Result<Psf> {
         let psf = Psf::open_with(path, &self.file.options()?, &self.fit.choices()).map_err(as_usage)?;
         for note in psf.notes() {
@@ -84,7 +102,7 @@ impl PsfArgs {
     }
 }
 
-/// Options that do not suit the file are bad usage.
+/// Turns errors about options that do not suit the file into usage errors.
 fn as_usage(error: PsfieldError) -> anyhow::Error {
     match error {
         PsfieldError::ForeignOption { .. } | PsfieldError::FitOfModel { .. } => {
@@ -94,42 +112,54 @@ fn as_usage(error: PsfieldError) -> anyhow::Error {
     }
 }
 
-/// What a PSF file does not say of itself, or leaves to be chosen.
+/// Facts that a PSF file does not state, and choices that it leaves open.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "PSF file options")]
 pub(crate) struct PsfFileArgs {
-    /// PSFEx: which of several models; STPSF, STDPSF and plain stamps: which of several images; by the number of the HDU (0 for the
-    /// primary, 1 for the first extension) or its EXTNAME
-    #[arg(long, value_name = "N|NAME")]
+    /// HDU of the PSF: its number (0: primary, 1: first extension) or EXTNAME
+    ///
+    /// PSFEx: one of several models. STPSF, STDPSF and plain stamps: one of several images.
+    #[arg(long, value_name = "N|NAME", hide_short_help = true)]
     pub(crate) psf_extension: Option<HduChoice>,
-    /// STDPSF: which of several detectors
-    #[arg(long, value_name = "N", value_parser = detector)]
+    /// STDPSF: number of the detector, if the file has several
+    #[arg(long, value_name = "N", value_parser = detector, hide_short_help = true)]
     psf_detector: Option<usize>,
-    /// STPSF: planes lie where their cards say (cards), or are sorted by y, then x, as since 2023-12-11 (sorted); auto: by the
-    /// file's version or date [default: auto]
-    #[arg(long, value_name = "auto|cards|sorted")]
+    /// STPSF: order of the planes [default: auto]
+    ///
+    /// cards: planes lie where their header cards say.
+    /// sorted: planes are sorted by y, then x, as written since 2023-12-11.
+    /// auto: by the version or the date of the file.
+    #[arg(
+        long,
+        value_name = "auto|cards|sorted",
+        hide_short_help = true,
+        verbatim_doc_comment
+    )]
     psf_order: Option<PlaneOrder>,
-    /// ScopeSim: the PSFs for the wavelength nearest to this one, in micrometres
-    #[arg(long, value_name = "UM", value_parser = above_zero, allow_negative_numbers = true)]
+    /// ScopeSim: use the PSFs nearest to this wavelength (micrometres)
+    #[arg(long, value_name = "UM", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     psf_wavelength: Option<f64>,
-    /// ScopeSim: the size of a frame pixel
-    #[arg(long, value_name = "ARCSEC", value_parser = above_zero, allow_negative_numbers = true)]
+    /// ScopeSim: size of a frame pixel (arcsec)
+    #[arg(long, value_name = "ARCSEC", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     pixel_scale: Option<f64>,
-    /// ScopeSim: where the centre of the PSF's field lies on the frame, 0-based
-    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    /// ScopeSim: position on the frame of the centre of the PSF's field (0-based pixels)
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
     field_centre: Option<Point>,
-    /// Cube without positions: where its planes belong, CSV or FITS table with columns x, y (0-based pixels), one row a plane
-    #[arg(long, value_name = "POSITIONS.csv")]
+    /// Cube without positions: table of the positions of its planes
+    ///
+    /// CSV or FITS table with columns x, y (0-based pixels), one row per plane.
+    #[arg(long, value_name = "POSITIONS.csv", hide_short_help = true)]
     psf_positions: Option<PathBuf>,
     /// Cube or single stamp without positions: stamp pixels per frame pixel
-    #[arg(long, value_name = "S", value_parser = above_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     psf_oversampling: Option<f64>,
-    /// Cube or single stamp without positions: the pixel of a stamp where the PSF's centre lies, 0-based [default: as the file says
-    /// (CENX, CENY), or NX / 2, NY / 2 rounded down]
-    #[arg(long, value_name = "X,Y", allow_hyphen_values = true)]
+    /// Cube or single stamp without positions: centre of the PSF in a stamp (0-based stamp pixels)
+    ///
+    /// Default: CENX, CENY of the header, else NX / 2, NY / 2 rounded down.
+    #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
     psf_centre: Option<Point>,
-    /// Whether the response of a frame pixel is in the stamps [default: as the file says, or its format]
-    #[arg(long, value_name = "included|missing", value_enum)]
+    /// Response of a frame pixel: included in the stamps or missing [default: by header or format]
+    #[arg(long, value_name = "included|missing", value_enum, hide_short_help = true)]
     pixel_response: Option<PixelResponse>,
 }
 
@@ -158,7 +188,7 @@ fn detector(text: &str) -> Result<usize, String> {
 }
 
 impl PsfFileArgs {
-    /// Reads the positions where there are any.
+    /// Builds the options, and reads the table of positions if one is given.
     fn options(&self) -> anyhow::Result<PsfFileOptions> {
         Ok(PsfFileOptions {
             extension: self.psf_extension.clone(),

@@ -20,23 +20,25 @@ use crate::context::{Context, object, signature, write_samples};
 use crate::star_args::StarArgs;
 use crate::values::{Pair, above_zero};
 
-/// Sample a PSF: of a telescope over its field, or of the stars of a real frame
+/// Sample the PSF of a telescope over its field, or of the stars in a real frame
 ///
-/// A telescope (TOML) is sampled non-uniformly by default: refined where the PSF varies, until the criterion holds everywhere; corners and
-/// edges are always covered. A frame (FITS) gives samples at its own stars: background, detection, cuts, registration to sub-pixel
-/// precision. What the file is, its content tells.
+/// A telescope file (TOML) is sampled non-uniformly by default: the grid is refined where the PSF
+/// varies, until the criterion holds everywhere. Corners and edges are always covered.
+///
+/// A frame (FITS) is sampled at its own stars: background, detection, selection, and registration
+/// to sub-pixel precision. The content of the file decides which of the two it is.
 #[derive(Debug, clap::Args)]
 pub(crate) struct SampleArgs {
-    /// The telescope (aperture, wavefront over the field, seeing, detector), or an image with stars
+    /// Telescope file (aperture, wavefront over the field, seeing, detector), or image with stars
     #[arg(value_name = "TELESCOPE.toml|FRAME.fits", required_unless_present = "preset")]
     input: Option<PathBuf>,
-    /// The samples to write
+    /// Samples to write
     #[arg(short, long, value_name = "SAMPLES.fits")]
     output: PathBuf,
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
-    /// Telescopes: the criterion's threshold, relative [default: 0.01]. Frames: the detection threshold in sigma [default: 5]
+    /// Threshold of --criterion (relative) [default: 0.01], for frames of detection (sigma) [default: 5]
     #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true)]
     threshold: Option<f64>,
     #[command(flatten)]
@@ -63,11 +65,12 @@ impl SampleArgs {
     }
 }
 
-/// Whether a file holds an image rather than text. Where an HDU was `chosen`, the others do not matter.
+/// Returns whether a file holds an image rather than text. If an HDU was `chosen`, the other HDUs
+/// are ignored.
 fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     match psf_io::detect(path) {
         Ok(FileKind::Image) => Ok(true),
-        // What cannot be read the reader of telescopes tells of, as it does of any text file.
+        // The reader of telescope files reports files that cannot be read.
         Ok(FileKind::NotFits) | Err(psf_io::IoError::Read { .. }) => Ok(false),
         Ok(_) if chosen => Ok(true),
         Ok(kind) => anyhow::bail!(
@@ -78,12 +81,12 @@ fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     }
 }
 
-/// Options of the other kind of input are bad usage.
+/// Refuses an option of the other kind of input.
 fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError> {
     match given {
         None => Ok(()),
         Some(option) => Err(UsageError(format!(
-            "{option} is for {kind}, but the input is {input}: leave it out"
+            "{option} applies only to {kind}, but the input is {input}: leave it out"
         ))),
     }
 }
@@ -92,26 +95,30 @@ fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Telescopes")]
 struct TelescopeArgs {
-    /// A telescope that comes with the program
+    /// Use a built-in telescope instead of a file
     #[arg(long, value_enum, conflicts_with = "input")]
     preset: Option<Preset>,
-    /// What must stay below the threshold: the difference of neighbouring samples, or the error of interpolating between them
-    /// [default: neighbours]
+    /// Quantity that must stay below the threshold [default: neighbours]
     #[arg(long, value_enum)]
     criterion: Option<Criterion>,
-    /// The norm in which PSFs are compared [default: l2]
-    #[arg(long, value_enum)]
+    /// Norm in which PSFs are compared [default: l2]
+    #[arg(long, value_enum, hide_short_help = true)]
     measure: Option<Measure>,
-    /// Samples along each axis of the coarse grid that refinement starts from [default: 5,5]
-    #[arg(long, value_name = "NX,NY", allow_hyphen_values = true)]
+    /// Coarse grid from which refinement starts [default: 5,5]
+    #[arg(
+        long,
+        value_name = "NX,NY",
+        allow_hyphen_values = true,
+        hide_short_help = true
+    )]
     start: Option<Pair>,
-    /// Stop with an error when the criterion needs more samples [default: 20000]
+    /// Stop with an error if more samples are needed [default: 20000]
     #[arg(long, value_name = "N")]
     max_samples: Option<usize>,
-    /// Write the samples drawn so far when that happens, with a warning
-    #[arg(long)]
+    /// If --max-samples is reached, write the samples drawn so far, with a warning
+    #[arg(long, hide_short_help = true)]
     accept_cap: bool,
-    /// A uniform grid of NX by NY samples instead
+    /// Sample a uniform grid of NX x NY positions instead
     #[arg(long, value_name = "NX,NY", conflicts_with_all = ["criterion", "threshold", "start", "max_samples", "accept_cap"])]
     uniform: Option<Pair>,
 }
@@ -137,7 +144,9 @@ impl Preset {
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Criterion {
+    /// Difference of neighbouring samples
     Neighbours,
+    /// Error of interpolating between samples
     Interpolation,
 }
 
@@ -148,7 +157,7 @@ enum Measure {
 }
 
 impl TelescopeArgs {
-    /// The first option given that only telescopes have.
+    /// Returns the first given option that applies only to telescopes.
     fn given(&self) -> Option<&'static str> {
         [
             ("--preset", self.preset.is_some()),
@@ -175,7 +184,7 @@ impl TelescopeArgs {
         let report = object! {
             output: &asked.output,
             samples: sampling.samples.len(),
-            // PSFs drawn: samples, and points at which only the criterion looked.
+            // PSFs drawn: the samples, and the points used only by the criterion.
             draws: found.draws,
             cells: found.cells,
             unmet_cells: found.unmet_cells,
@@ -190,7 +199,10 @@ impl TelescopeArgs {
         };
         if report.unmet_cells > 0 {
             let why = match report.outcome {
-                "cap-reached" => format!(": {} samples were drawn, the most allowed", report.samples),
+                "cap-reached" => format!(
+                    ": the limit of {} samples was reached (--max-samples)",
+                    report.samples
+                ),
                 _ => String::new(),
             };
             context.warn(&format!(
@@ -245,7 +257,7 @@ impl TelescopeArgs {
         match sampling.sample(telescope, &bar) {
             Err(SampleError::CapReached(cap)) if self.accept_cap => Ok(cap.into_sampling()),
             Err(SampleError::CapReached(cap)) => Err(anyhow::anyhow!(
-                "{cap} (--max-samples, --threshold, --accept-cap)"
+                "{cap} (options --max-samples, --threshold and --accept-cap)"
             )),
             other => Ok(other?),
         }
@@ -256,16 +268,19 @@ impl TelescopeArgs {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Frames")]
 struct FrameArgs {
-    /// A table of all sources found, with the reasons for which any was rejected
+    /// Also write a table of all sources found, with the reasons for rejecting them
     #[arg(long, value_name = "SOURCES.csv")]
     sources: Option<PathBuf>,
-    /// A map of the field by cells: number of samples, distance to the nearest in pixels, whether inside their convex hull
-    #[arg(long, value_name = "COVERAGE.fits")]
+    /// Also write a coverage map of the field
+    ///
+    /// Three planes over the cells of the map: number of samples, distance to the nearest sample
+    /// (pixels), and 1 inside the convex hull of the samples.
+    #[arg(long, value_name = "COVERAGE.fits", hide_short_help = true)]
     coverage: Option<PathBuf>,
 }
 
 impl FrameArgs {
-    /// The first option given that only frames have.
+    /// Returns the first given option that applies only to frames.
     fn given(&self) -> Option<&'static str> {
         let sources = self.sources.is_some().then_some("--sources");
         sources.or(self.coverage.is_some().then_some("--coverage"))
@@ -289,7 +304,7 @@ impl FrameArgs {
         }
         drop(spinner);
         warn_of(&found, context);
-        // Sources rejected for each reason; one may have several.
+        // Rejected sources by reason. A source may have several reasons.
         let counts = found.rejection_counts().into_iter();
         let rejected: BTreeMap<&str, usize> = counts.map(|(reason, count)| (reason.name(), count)).collect();
         let report = object! {
@@ -311,7 +326,7 @@ impl FrameArgs {
                 .collect();
             let saturation = match found.saturation.level {
                 Some(_) => found.saturation.to_string(),
-                None => "not known (--saturation)".to_owned(),
+                None => "unknown (give --saturation)".to_owned(),
             };
             let registration = &found.registration;
             let degree = registration.field_degree.map_or_else(String::new, |degree| {
@@ -324,7 +339,7 @@ impl FrameArgs {
                  background:   {:.2}, r.m.s. {:.2}\n\
                  saturation:   {saturation}\n\
                  registration: {}, {} x {} stamps at {} x{degree}\n\
-                 coverage:     {:.0} % of the field outside the outermost samples, largest gap {:.0} pixels",
+                 coverage:     {:.0} % of the field outside the samples' convex hull, largest gap {:.0} pixels",
                 report.output.display(),
                 report.samples,
                 report.sources,
@@ -343,28 +358,29 @@ impl FrameArgs {
     }
 }
 
-/// What a user must know of the samples of a frame.
+/// Prints the warnings about the samples of a frame.
 pub(crate) fn warn_of(found: &StarSamples, context: &Context) {
     for warning in found.coverage.warnings() {
         context.warn(&warning);
     }
     if let Some(level) = found.saturation.ignored {
         context.warn(&format!(
-            "SATURATE of the header, {level}, is not above the background ({:.2}): it is ignored; give the true level (--saturation)",
+            "SATURATE = {level} in the header is not above the background ({:.2}) and is ignored: give the true level (--saturation)",
             found.background.typical_level()
         ));
     }
     let registration = &found.registration;
     if registration.undersampled && registration.field_degree.is_none() {
         context.warn(&format!(
-            "the stars are undersampled (FWHM {:.2} pixels), and their own pixels are interpolated: the PSF between pixels is smeared. More \
-             stars (--snr, --threshold) allow an oversampled PSF (--registration epsf)",
+            "the stars are undersampled (FWHM {:.2} pixels) and their pixels are interpolated, which smears the PSF: more stars \
+             (lower --snr or --threshold) allow an oversampled PSF (--registration epsf)",
             found.fwhm_px
         ));
     }
 }
 
-/// Writes a coverage map: planes of samples in each cell, distance to the nearest sample, inside the hull (1) or not (0).
+/// Writes a coverage map with three planes: samples per cell, distance to the nearest sample, and 1
+/// inside the convex hull or 0 outside.
 pub(crate) fn write_coverage(path: &Path, map: &CoverageMap, overwrite: bool) -> anyhow::Result<()> {
     let cube = stack(Axis(0), &[map.counts(), map.distances_px(), map.inside_hull()])?;
     let (width, height) = map.cell_px();

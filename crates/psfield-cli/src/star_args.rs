@@ -1,4 +1,4 @@
-//! The options that turn the stars of a frame into samples.
+//! Options for turning the stars of a frame into samples.
 
 use std::path::Path;
 
@@ -11,49 +11,62 @@ use psf_types::Image;
 use super::UsageError;
 use super::values::{above_zero, at_least_zero};
 
-/// How stars are found and chosen.
+/// Settings for finding and selecting stars.
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Stars of a frame")]
 pub(crate) struct StarArgs {
-    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
-    #[arg(long, value_name = "N|NAME")]
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME", hide_short_help = true)]
     pub(crate) extension: Option<HduChoice>,
-    /// Stars must exceed this signal-to-noise ratio [default: 10]
+    /// Smallest signal-to-noise ratio of a star [default: 10]
     #[arg(long, value_name = "X", value_parser = at_least_zero, allow_negative_numbers = true)]
     snr: Option<f64>,
-    /// Pixels at and above this value are saturated [default: the SATURATE card, else the largest value if two pixels have it]
+    /// Value at and above which pixels are saturated [default: the SATURATE card]
+    ///
+    /// Without the card: the largest value, if two pixels have it.
     #[arg(long, value_name = "LEVEL", allow_negative_numbers = true)]
     saturation: Option<f64>,
-    /// Electrons per unit of the frame; the star's own photons then count in the signal-to-noise ratio
+    /// Gain (electrons per unit of the frame)
+    ///
+    /// With it, the photon noise of the star counts in the signal-to-noise ratio.
     #[arg(long, value_name = "E/ADU", value_parser = above_zero, allow_negative_numbers = true)]
     pub(crate) gain: Option<f64>,
-    /// Read noise in electrons, the least noise of a pixel
-    #[arg(long, value_name = "E", requires = "gain", value_parser = at_least_zero, allow_negative_numbers = true)]
+    /// Read noise (electrons), the lower limit of the noise per pixel
+    #[arg(long, value_name = "E", requires = "gain", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     read_noise: Option<f64>,
-    /// No source with more than a fifth of a star's flux may be within so many pixels [default: 2.5 FWHM]
-    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true)]
+    /// Smallest distance to other sources (pixels) [default: 2.5 FWHM]
+    ///
+    /// Only sources with more than a fifth of the star's flux count.
+    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     isolation: Option<f64>,
-    /// The least distance from the frame's edge in pixels [default, and at least: half a stamp]
-    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true)]
+    /// Smallest distance from the frame's edge (pixels) [default: half a stamp]
+    ///
+    /// A smaller value than the default has no effect.
+    #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     edge: Option<f64>,
-    /// Pixels of the frame along each side of a sample's stamp [default: 3 FWHM each way, at least 11]
+    /// Side of the stamp of a sample (frame pixels) [default: 3 FWHM each way, at least 11]
     #[arg(long, value_name = "N")]
     stamp_size: Option<usize>,
-    /// Stamp pixels for each pixel of the frame [default: 1 for the own pixels of 64 stars or more with a FWHM of 2 pixels or
-    /// more, else as many as give a FWHM three]
-    #[arg(long, value_name = "N")]
+    /// Stamp pixels per frame pixel
+    ///
+    /// Default: 1 if the stars' own pixels are used and there are at least 64 stars with a FWHM of
+    /// at least 2 pixels. Otherwise enough for three stamp pixels per FWHM.
+    #[arg(long, value_name = "N", hide_short_help = true)]
     oversampling: Option<usize>,
-    /// epsf: one oversampled PSF over the field, from all stars; stamps: each star's own pixels; auto: epsf for a FWHM below 2
-    /// pixels and enough stars [default: auto]
-    #[arg(long, value_name = "METHOD")]
+    /// Method that makes stamps from stars: epsf, stamps or auto [default: auto]
+    ///
+    /// epsf: one oversampled PSF over the field, from all stars.
+    /// stamps: the own pixels of each star.
+    /// auto: epsf if the FWHM is below 2 pixels and there are enough stars, else stamps.
+    #[arg(long, value_name = "METHOD", verbatim_doc_comment)]
     registration: Option<RegistrationMethod>,
-    /// Pixels along each side of a cell of the background mesh [default: 64]
-    #[arg(long, value_name = "N")]
+    /// Side of a cell of the background mesh (pixels) [default: 64]
+    #[arg(long, value_name = "N", hide_short_help = true)]
     background_mesh: Option<usize>,
 }
 
 impl StarArgs {
-    /// The first option given.
+    /// Returns the first option given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         [
             ("--extension", self.extension.is_some()),
@@ -72,7 +85,8 @@ impl StarArgs {
         .find_map(|(name, given)| given.then_some(name))
     }
 
-    /// Reads a frame with its own header and puts the settings together; the header may hold the saturation level.
+    /// Reads a frame with its header and builds the settings. The header may hold the saturation
+    /// level.
     pub(crate) fn open(
         &self,
         path: &Path,
@@ -82,7 +96,7 @@ impl StarArgs {
         let (frame, header) = read
             .map_err(|error| match error {
                 IoError::NonFinitePixels { .. } => anyhow::Error::new(error).context(
-                    "bad pixels need a number: with one at or above the saturation level (SATURATE, --saturation) stars that have any are left out",
+                    "give bad pixels a value at or above the saturation level (SATURATE, --saturation): stars that contain one are then left out",
                 ),
                 other => other.into(),
             })?
@@ -124,7 +138,7 @@ impl StarArgs {
     }
 }
 
-/// A setting, where its option was given.
+/// Applies a setting if its option was given.
 fn apply<S, V>(
     settings: S,
     value: Option<V>,

@@ -1,13 +1,14 @@
-//! Values of options that need more than a number.
+//! Parsers of option values that are more than a number.
 
 use std::str::FromStr;
 
 use psf_types::{FrameShape, PixelRegion};
 
-/// The widest stamps that can be asked for; a larger number is a slip, and would ask for more memory than there is.
+/// The largest accepted side of a stamp. A larger number is a typing error, and would need more
+/// memory than there is.
 const MAX_STAMP: usize = 8192;
 
-/// The precision of what is written, and of the work where that has one.
+/// The precision of written values, and of the computation where that has a choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Precision {
     F32,
@@ -59,7 +60,7 @@ pub(crate) fn numbers<T: FromStr>(text: &str) -> Option<Vec<T>> {
     text.split(',').map(|n| n.trim().parse().ok()).collect()
 }
 
-/// A number that is `good`, or what is `needed`.
+/// Parses a number that satisfies `good`. The error says what is `needed`.
 pub(crate) fn number<T: FromStr>(
     text: &str,
     good: impl FnOnce(&T) -> bool,
@@ -69,13 +70,13 @@ pub(crate) fn number<T: FromStr>(
     number.ok_or_else(|| format!("{needed} is needed"))
 }
 
-/// Pixels of a stamp along each axis.
+/// Parses the number of stamp pixels along each axis.
 pub(crate) fn stamp_size(text: &str) -> Result<usize, String> {
     let needed = format!("a whole number from 1 to {MAX_STAMP}");
     number(text, |size| (1..=MAX_STAMP).contains(size), &needed)
 }
 
-/// A finite number above 0.
+/// Parses a finite number above 0.
 pub(crate) fn above_zero(text: &str) -> Result<f64, String> {
     number(
         text,
@@ -84,7 +85,7 @@ pub(crate) fn above_zero(text: &str) -> Result<f64, String> {
     )
 }
 
-/// A finite number, 0 or above.
+/// Parses a finite number, 0 or above.
 pub(crate) fn at_least_zero(text: &str) -> Result<f64, String> {
     number(
         text,
@@ -93,7 +94,7 @@ pub(crate) fn at_least_zero(text: &str) -> Result<f64, String> {
     )
 }
 
-/// A number from 0 to below 1.
+/// Parses a number from 0 to below 1.
 pub(crate) fn tolerance(text: &str) -> Result<f64, String> {
     number(
         text,
@@ -102,7 +103,7 @@ pub(crate) fn tolerance(text: &str) -> Result<f64, String> {
     )
 }
 
-/// Bytes: a whole number, perhaps followed by K, M or G (powers of 1024).
+/// Parses a number of bytes: a whole number, optionally followed by K, M or G (powers of 1024).
 pub(crate) fn bytes(text: &str) -> Result<usize, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let shift = match text[digits.len()..].to_ascii_uppercase().as_str() {
@@ -119,7 +120,7 @@ pub(crate) fn bytes(text: &str) -> Result<usize, String> {
         .ok_or_else(|| "a whole number of bytes is needed, perhaps with K, M or G, as in 256M".to_owned())
 }
 
-/// Bytes as [`bytes`] reads them, in the largest unit of which they are a whole number.
+/// Formats bytes for [`bytes`], in the largest unit that gives a whole number.
 pub(crate) fn text_of_bytes(bytes: usize) -> String {
     let units = [("G", 30), ("M", 20), ("K", 10)];
     let whole = units
