@@ -12,8 +12,8 @@ use crate::geometry::{Hull, Point, Points, Row};
 
 /// An interpolation method with its parameters. It prepares weights for a set of sample positions.
 ///
-/// Implement it and [`FieldWeights`] to add your own method. Everything in this crate accepts `&dyn
-/// FieldInterpolation`.
+/// Implement it and [`FieldWeights`] to add your own method. Everything in this crate accepts
+/// `&dyn FieldInterpolation`.
 ///
 /// ```
 /// use coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, InterpolatedField, WeightList};
@@ -107,8 +107,8 @@ pub trait FieldWeights: Debug + Send + Sync {
         self.sample_count()
     }
 
-    /// Returns the values at the nodes `[node, component]` for values at the samples `[sample,
-    /// component]`. The provided method returns the sample values.
+    /// Returns the values at the nodes `[node, component]` for values at the samples
+    /// `[sample, component]`. The provided method returns the sample values.
     ///
     /// # Errors
     /// [`CoeffFieldError::CountMismatch`] when there is not one row per sample.

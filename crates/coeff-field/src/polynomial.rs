@@ -22,8 +22,8 @@ const SELF_DETERMINED: f64 = 1e-10;
 /// A polynomial of a total degree in x and y, fitted to all samples by least squares, as in PSFEx
 /// (E. Bertin 2011, ADASS XX, 435).
 ///
-/// `a_k(x, y) = sum_{i + j <= d} c_ijk L_i(x') L_j(y')` with normalised Legendre polynomials `L_n =
-/// sqrt(2n + 1) P_n`. The coordinates `x'` and `y'` are scaled to [-1, 1] over the samples'
+/// `a_k(x, y) = sum_{i + j <= d} c_ijk L_i(x') L_j(y')` with normalised Legendre polynomials
+/// `L_n = sqrt(2n + 1) P_n`. The coordinates `x'` and `y'` are scaled to [-1, 1] over the samples'
 /// bounding box. On an even sampling the terms are nearly orthogonal, so the fit is well
 /// conditioned. Householder QR solves it. The nodes are the `(d+1)(d+2)/2` terms.
 /// [`FieldWeights::node_values`] computes the fit, and a position needs one weight per term.
@@ -78,8 +78,8 @@ impl FieldInterpolation for Polynomial {
         }))
     }
 
-    /// All predictions come from one fit. Without sample `i` the residual there is `r_i / (1 -
-    /// h_ii)`, with `h = Q Q^T` (D. M. Allen 1974, Technometrics 16, 125).
+    /// All predictions come from one fit. Without sample `i` the residual there is
+    /// `r_i / (1 - h_ii)`, with `h = Q Q^T` (D. M. Allen 1974, Technometrics 16, 125).
     fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
         let points = Points::new(samples.positions())?;
         let fit = Fit::new(*self, &points)?;

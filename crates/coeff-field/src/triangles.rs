@@ -196,9 +196,9 @@ const LINE: f64 = 1e-6;
 /// part's weights sum to 0.
 pub(crate) type GradientStencil = Vec<(usize, Point)>;
 
-/// The gradient at a vertex by least squares over its Delaunay neighbours. It minimises `sum_j u_j
-/// [v_j - v_0 - g (x_j - x_0)]^2` with `u_j = 1 / (d_j^2 + m^2)`. Here `d_j` is the distance of
-/// neighbour `j` and `m^2` the mean of the `d_j^2`. It is exact for linear values.
+/// The gradient at a vertex by least squares over its Delaunay neighbours. It minimises
+/// `sum_j u_j [v_j - v_0 - g (x_j - x_0)]^2` with `u_j = 1 / (d_j^2 + m^2)`. Here `d_j` is the
+/// distance of neighbour `j` and `m^2` the mean of the `d_j^2`. It is exact for linear values.
 ///
 /// The weights favour near neighbours, but not within a tight cluster, where differences would be
 /// noise. If the neighbours nearly lie on a line, their own neighbours are added.

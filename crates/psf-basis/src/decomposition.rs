@@ -198,8 +198,8 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
 }
 
 /// Converts the PSFs `mean + sum_k a_jk C_k` of any stamps `C` `[stamp, y, x]`, with coefficients
-/// `a` `[node, stamp]`, to an orthonormal basis. Returns the basis and the coefficients `[node,
-/// component]` in it.
+/// `a` `[node, stamp]`, to an orthonormal basis. Returns the basis and the coefficients
+/// `[node, component]` in it.
 ///
 /// The components are the singular vectors of the sums at the nodes, in descending order of their
 /// singular values. They are found without forming the sums. Components at the rounding level of

@@ -30,8 +30,8 @@ pub struct BasisFit {
 }
 
 impl BasisFit {
-    /// Combines the parts of a fit and measures the truncation error of every sample, `||h_j - B_0
-    /// - sum_k a_jk B_k||_2 / ||h_j||_2`.
+    /// Combines the parts of a fit and measures the truncation error of every sample,
+    /// `||h_j - B_0 - sum_k a_jk B_k||_2 / ||h_j||_2`.
     ///
     /// # Errors
     /// [`BasisError::Data`] when the parts do not match each other or the samples.
@@ -139,8 +139,8 @@ fn truncation_errors(samples: &PsfSamples, basis: &PsfBasis, coefficients: Array
 /// A basis of given, mutually orthogonal stamps, with an optional mean stamp. It is for bases from
 /// elsewhere, such as analytic modes or the principal components of another instrument.
 ///
-/// The stamps are scaled to unit norm. The coefficients are inner products, `a_jk = <h_j - B_0,
-/// B_k>`, which is the least-squares solution for an orthonormal basis.
+/// The stamps are scaled to unit norm. The coefficients are inner products,
+/// `a_jk = <h_j - B_0, B_k>`, which is the least-squares solution for an orthonormal basis.
 #[derive(Debug, Clone, PartialEq)]
 pub struct GivenStamps {
     mean: Option<Array2<f64>>,
@@ -190,9 +190,9 @@ pub enum Centring {
 
 named!(Centring, "centring", "mean or none", "mean" => Mean, "none" => None);
 
-/// The leading left singular vectors of the matrix whose columns are the samples, `X - mean = U S
-/// V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest total squared
-/// truncation error (Eckart and Young 1936).
+/// The leading left singular vectors of the matrix whose columns are the samples,
+/// `X - mean = U S V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest
+/// total squared truncation error (Eckart and Young 1936).
 ///
 /// A thin SVD in f64. The value of largest magnitude in each component is positive, which fixes the
 /// signs. The result does not depend on the number of threads.

@@ -17,8 +17,8 @@ pub enum PixelNoise {
     Known(f64),
 }
 
-/// The floor that white noise of standard deviation `sigma` causes in the singular values of an `L
-/// x P` matrix.
+/// The floor that white noise of standard deviation `sigma` causes in the singular values of an
+/// `L x P` matrix.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct NoiseFloor {
     pub(crate) sigma: f64,
@@ -286,9 +286,9 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
 
 /// The noise floor for noise of these variances, one for each row of `pixels` values.
 ///
-/// In the limit of large matrices the largest singular value is `sqrt(P min z)`, `z(u) = 1/u +
-/// (1/P) sum_j v_j / (1 - v_j u)` over `0 < u < 1 / max v` (Silverstein and Choi 1995, J.
-/// Multivariate Anal. 54, 295). For equal variances it is `sigma (sqrt L + sqrt P)`.
+/// In the limit of large matrices the largest singular value is `sqrt(P min z)`,
+/// `z(u) = 1/u + (1/P) sum_j v_j / (1 - v_j u)` over `0 < u < 1 / max v` (Silverstein and Choi
+/// 1995, J. Multivariate Anal. 54, 295). For equal variances it is `sigma (sqrt L + sqrt P)`.
 fn floor_of(variances: &[f64], pixels: usize) -> NoiseFloor {
     let largest = variances.iter().copied().fold(0.0, f64::max);
     let z = |u: f64| {

@@ -176,8 +176,8 @@ const CLIFF: f64 = 1e-3;
 /// rounding begins. (Values in single precision have rounding of 6e-8 each.)
 const FLOOR: f64 = 1e-8;
 
-/// The number of components at the elbow of the curve of cumulative weights `c_k = sum_{i<=k} s_i /
-/// sum_i s_i`.
+/// The number of components at the elbow of the curve of cumulative weights
+/// `c_k = sum_{i<=k} s_i / sum_i s_i`.
 ///
 /// * A cliff is a fall by more than a factor of 1000 from one singular value to the next, in the
 ///   first half of the curve. There the curve has a sharp corner, which is the elbow. For example,

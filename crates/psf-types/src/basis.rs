@@ -29,8 +29,8 @@ impl PsfBasis {
     /// psfield's own bases are orthonormal to 1e-12.
     pub const ORTHONORMALITY_TOLERANCE: f64 = 1e-5;
 
-    /// A basis from its mean stamp (if mean-centred) and orthonormal components `[component, y,
-    /// x]`.
+    /// A basis from its mean stamp (if mean-centred) and orthonormal components
+    /// `[component, y, x]`.
     ///
     /// # Errors
     /// [`DataError::EmptyBasis`], [`DataError::StampShape`], [`DataError::NonFinite`] or

@@ -31,8 +31,8 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// May panic when `coefficients.len() != self.component_count()`.
     fn evaluate_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError>;
 
-    /// Writes the coefficients of a range of components at every pixel of a region, `[component, y,
-    /// x]`.
+    /// Writes the coefficients of a range of components at every pixel of a region,
+    /// `[component, y, x]`.
     ///
     /// The provided method evaluates pixel by pixel.
     ///

@@ -10,8 +10,9 @@ use crate::image::{finite2, row_major};
 /// The pixel grid of a stamp: its shape, its centre, its oversampling, whether its values include
 /// the pixel response, and the interpolation between its pixels.
 ///
-/// * A stamp value at index `(row, column)` belongs to the offset `((column - centre_x) /
-///   oversampling, (row - centre_y) / oversampling)` in frame pixels from the source.
+/// * A stamp value at index `(row, column)` belongs to the offset
+///   `((column - centre_x) / oversampling, (row - centre_y) / oversampling)` in frame pixels from
+///   the source.
 /// * A value is the fraction of the source's flux that falls in a *frame* pixel centred there. So a
 ///   stamp oversampled `s` times holds unit flux when its values sum to `s^2`.
 ///
@@ -185,8 +186,8 @@ impl StampGrid {
             .then_some((self.centre_x as usize, self.centre_y as usize))
     }
 
-    /// The flux (fraction of the source's light) of a stamp whose values sum to `sum`: `sum /
-    /// oversampling^2`.
+    /// The flux (fraction of the source's light) of a stamp whose values sum to `sum`:
+    /// `sum / oversampling^2`.
     pub fn flux_of_sum(self, sum: f64) -> f64 {
         sum / (self.oversampling * self.oversampling)
     }
