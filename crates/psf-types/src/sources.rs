@@ -55,9 +55,9 @@ const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 /// I(r) = I_e exp(-b [(r / re)^(1/n) - 1]),    P(2n, b) = 1/2
 /// ```
 ///
-/// (Sersic 1968, in the form of Graham and Driver 2005, PASA 22, 118). `P` is the regularised lower incomplete
-/// gamma function, so half of the light lies within the ellipse of semi-major axis `re`. `n = 0.5`
-/// is a Gaussian, 1 an exponential disc, 4 a de Vaucouleurs profile.
+/// (Sersic 1968, in the form of Graham and Driver 2005, PASA 22, 118). `P` is the regularised lower
+/// incomplete gamma function, so half of the light lies within the ellipse of semi-major axis `re`.
+/// `n = 0.5` is a Gaussian, 1 an exponential disc, 4 a de Vaucouleurs profile.
 ///
 /// ```
 /// use psf_types::SersicProfile;

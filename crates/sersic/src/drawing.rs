@@ -1,5 +1,5 @@
-//! Galaxies onto an image, tile by tile of the scene: pixels by rules of integration, far blocks by
-//! polynomials.
+//! Draws galaxies on an image, tile by tile of the scene: pixels by integration rules, far blocks
+//! by polynomials.
 
 use ndarray::{ArrayView2, ArrayViewMut2, s};
 use psf_types::{Cancelled, NoProgress, Progress, Real, SersicSource};
@@ -7,31 +7,36 @@ use rayon::prelude::*;
 
 use crate::profile::{Nearness, Profile};
 
-/// Tiles are made in parallel, this many at a time, so that only so many are in memory.
+/// Number of tiles that are drawn in parallel at a time. It limits the memory.
 const AT_ONCE: usize = 64;
 
-/// Adds galaxies to an image `[y, x]` whose first pixel is the pixel `(x0, y0) = first_pixel` of the scene in which the galaxies'
-/// positions count (0-based, an integer is the centre of a pixel).
+/// Adds galaxies to an image `[y, x]`. Its first pixel is the pixel `(x0, y0) = first_pixel` of the
+/// scene. The galaxies' positions are in pixels of the scene (0-based, an integer is the centre of
+/// a pixel).
 ///
-/// Each pixel gets the flux that falls on its area. Galaxies may lie partly or wholly off the image. A galaxy's flux is that to infinite
-/// radius: what lies off the image is not made up for. Accuracy: see the [crate's page](crate).
+/// Each pixel receives the flux that falls on its area. Galaxies may lie partly or wholly outside
+/// the image. A galaxy's flux is the total to infinite radius, and light outside the image is lost.
+/// For the accuracy, see the [crate's page](crate).
 ///
-/// An image drawn in parts, each with its own first pixel, is the image drawn at once; the number of threads changes nothing. Memory:
-/// some tiles of 128 x 128 pixels. Time grows with the number of galaxies times the number of tiles that their light reaches;
-/// galaxies of `re` 3 pixels take about 1 ms each on one core, most of it for the pixels within some 50 pixels of the centre.
+/// An image drawn in parts, each with its own first pixel, equals the image drawn at once. The
+/// number of threads does not change the result. The memory needed is that of at most 64 tiles of
+/// 128 x 128 pixels at a time. The time grows with the number of galaxies times the number of tiles
+/// that their light reaches. A galaxy with `re` of 3 pixels takes about 1 ms on one core, most of
+/// it for the pixels within about 50 pixels of its centre.
 pub fn add_galaxies<T: Real>(
     image: ArrayViewMut2<'_, T>,
     first_pixel: (i64, i64),
     galaxies: &[SersicSource],
 ) {
     add_galaxies_with_progress(image, first_pixel, galaxies, &NoProgress)
-        .expect("whoever is told nothing stops nothing");
+        .expect("NoProgress never cancels");
 }
 
-/// [`add_galaxies`], which tells how far it has come, in tiles, and asks whether it is still wanted, every few milliseconds.
+/// Works like [`add_galaxies`], reports progress in tiles, and checks for cancellation every few
+/// milliseconds.
 ///
 /// # Errors
-/// [`Cancelled`]: some of the light may have been added.
+/// [`Cancelled`] if `progress` cancels. Some of the light may have been added by then.
 pub fn add_galaxies_with_progress<T: Real>(
     mut image: ArrayViewMut2<'_, T>,
     first_pixel: (i64, i64),
@@ -51,7 +56,7 @@ pub fn add_galaxies_with_progress<T: Real>(
         return Ok(());
     }
     let rules = Rules::new();
-    // Tiles lie the same in the scene wherever the image begins.
+    // The grid of tiles is fixed in the scene, wherever the image begins.
     let tiles_along = |first: i64, length: usize| {
         let tile = TILE as i64;
         let start = first.div_euclid(tile) * tile;
@@ -99,20 +104,21 @@ fn add_tile<T: Real>(image: &mut ArrayViewMut2<'_, T>, column: i64, row: i64, pi
     });
 }
 
-/// Pixels along a tile.
+/// Pixels along each side of a tile.
 const TILE: usize = 128;
-/// Blocks of a tile are divided in halves this many times: 128 to 8 pixels.
+/// Number of block sizes in a tile: 128, 64, 32, 16 and 8 pixels.
 const LEVELS: usize = 5;
 
-/// Relative error at which a rule is good enough.
+/// Relative error that a rule may have.
 const RELATIVE_ERROR: f64 = 5e-5;
-/// Error, as a fraction of the flux, at which a rule is good enough for one pixel or a part of it, however faint.
+/// Error that a rule may have for one pixel or a part of it, however faint, as a fraction of the
+/// flux.
 const ABSOLUTE_ERROR: f64 = 1e-10;
-/// Beyond this relative size the estimates below do not hold.
+/// Largest relative size for which the estimates below hold.
 const LARGEST_SIZE: f64 = 3.5;
 
 /// Estimates of the rules' relative errors on a square of relative size `t` (see [`Nearness`]), for
-/// both axes: `t^m` stands for the m-th derivative.
+/// both axes. `t^m` represents the m-th derivative.
 fn error_of_polynomial(t: f64) -> f64 {
     4.0 * (0.25 * t).powi(6) / 720.0
 }
@@ -129,10 +135,10 @@ fn error_of_gauss_4(t: f64) -> f64 {
     2.0 * t.powi(8) / 1.778e9
 }
 
-/// What the tiles of an image share.
+/// Data that the tiles of an image share.
 struct Rules {
     nodes: [f64; NODES],
-    /// By level.
+    /// One list for each level.
     weights: Vec<Vec<[f64; NODES]>>,
 }
 
@@ -150,14 +156,14 @@ impl Rules {
 /// The values at the nodes of a block, rows first.
 type Block = [[f64; NODES]; NODES];
 
-/// The light on a square of [`TILE`] pixels, as single pixels and as polynomials on blocks.
+/// The light on a square of [`TILE`] pixels: single pixels, and polynomials on blocks.
 struct Tile<'a> {
     rules: &'a Rules,
     /// First column and row in pixels of the scene.
     x0: f64,
     y0: f64,
     pixels: Vec<f64>,
-    /// By level, rows first; empty where no galaxy has needed them.
+    /// Blocks by level, rows first. A level is empty until a galaxy needs it.
     blocks: [Vec<Block>; LEVELS],
 }
 
@@ -191,7 +197,7 @@ impl<'a> Tile<'a> {
         let dx = centre(self.x0, column) - galaxy.x;
         let dy = centre(self.y0, row) - galaxy.y;
         let nearness = galaxy.nearness(dx, dy, size as f64);
-        // Also false for positions so far off that the distance is not finite.
+        // The test is also false for positions so far away that the distance is not finite.
         let in_reach = nearness.radius < galaxy.last_radius.min(f64::MAX);
         if !in_reach {
             return Ok(());
@@ -212,7 +218,8 @@ impl<'a> Tile<'a> {
                 self.add_block(galaxy, level + 1, (2 * row + j, 2 * column + i), progress)?;
             }
         } else {
-            // Where one rule does for every pixel of the block, it need not be looked for pixel by pixel.
+            // If one rule suffices for every pixel of the block, it need not be chosen pixel by
+            // pixel.
             let of_pixels = Nearness {
                 relative_size: nearness.relative_size / size as f64,
                 ..nearness
@@ -232,7 +239,7 @@ impl<'a> Tile<'a> {
         Ok(())
     }
 
-    /// The flux in every pixel, rows first.
+    /// Returns the flux in every pixel, rows first.
     fn into_pixels(mut self) -> Vec<f64> {
         for (level, blocks) in self.blocks.iter().enumerate() {
             let (size, weights) = (TILE >> level, &self.rules.weights[level]);
@@ -255,7 +262,7 @@ impl<'a> Tile<'a> {
     }
 }
 
-/// The relative error allowed where no more than this fraction of the flux is at stake.
+/// The allowed relative error of a light of at most this fraction of the flux.
 fn allowed_error(at_most: f64) -> f64 {
     RELATIVE_ERROR.max(ABSOLUTE_ERROR / at_most)
 }
@@ -273,7 +280,8 @@ fn light_on_square(galaxy: &Profile, dx: f64, dy: f64, size: f64) -> f64 {
         .sum()
 }
 
-/// The rule that is good enough for a square of at most one pixel; `None` when it must be divided.
+/// The rule for a square of at most one pixel, or `None` if no rule is accurate enough and the
+/// square must be divided.
 fn rule_for(galaxy: &Profile, nearness: &Nearness, size: f64) -> Option<&'static [(f64, f64)]> {
     let at_most = galaxy.brightness_at(nearness.radius) * size * size;
     let (t, allowed) = (nearness.relative_size, allowed_error(at_most));
@@ -302,18 +310,18 @@ fn product(rule: &[(f64, f64)], galaxy: &Profile, dx: f64, dy: f64, size: f64) -
     sum * size * size
 }
 
-/// Values along an axis that fix the polynomial of a block.
+/// Number of values along an axis that determine the polynomial of a block.
 const NODES: usize = 6;
 
-/// Nodes and weights of Gauss and Legendre for an interval of length 1 around 0.
+/// Two Gauss-Legendre nodes with weights for an interval of length 1 around 0.
 const GAUSS_2: [(f64, f64); 2] = [(-0.288_675_134_594_812_9, 0.5), (0.288_675_134_594_812_9, 0.5)];
-/// The same of three nodes.
+/// Three Gauss-Legendre nodes with weights for that interval.
 const GAUSS_3: [(f64, f64); 3] = [
     (-0.387_298_334_620_741_7, 5.0 / 18.0),
     (0.0, 8.0 / 18.0),
     (0.387_298_334_620_741_7, 5.0 / 18.0),
 ];
-/// The same of four nodes.
+/// Four Gauss-Legendre nodes with weights for that interval.
 const GAUSS_4: [(f64, f64); 4] = [
     (-0.430_568_155_797_026_3, 0.173_927_422_568_726_9),
     (-0.169_990_521_792_428_1, 0.326_072_577_431_273_1),
@@ -329,7 +337,8 @@ fn chebyshev_nodes() -> [f64; NODES] {
     })
 }
 
-/// For each pixel along a block of `size` pixels, the weights of the values at the nodes (Lagrange's polynomials).
+/// For each pixel along a block of `size` pixels, the weights of the values at the nodes, by
+/// Lagrange's polynomials.
 fn interpolation_weights(size: usize) -> Vec<[f64; NODES]> {
     let nodes = chebyshev_nodes();
     let weights_at = |at: f64| {

@@ -1,7 +1,8 @@
 //! Galaxies with Sersic profiles, drawn as the flux that falls in each pixel.
 //!
-//! [`add_galaxies`] adds [`SersicSource`](psf_types::SersicSource)s to an image, before any PSF: the profile is integrated over the
-//! area of every pixel, from the cusp of `n = 8` to the faintest wings.
+//! [`add_galaxies`] adds [`SersicSource`](psf_types::SersicSource)s to an image, before convolution
+//! with the PSF. The profile is integrated over the area of every pixel, from the cusp of `n = 8`
+//! to the faintest wings.
 //!
 //! ```
 //! use ndarray::Array2;
@@ -15,15 +16,16 @@
 //! ```
 //!
 //! # Accuracy
-//! Every pixel is within `1e-6` of the galaxy's total flux, and within `1e-5` of its own value plus `1e-10` of the flux; the light
-//! of an image is within `1e-5` (`tests/accuracy.rs`). Light is not cut off at any radius but the one that has [`FLUX_LEFT_OUT`] of
-//! the total flux outside it.
+//! Every pixel is within `1e-6` of the galaxy's total flux, and within `1e-5` of its own value plus
+//! `1e-10` of the flux. The total light of an image is within `1e-5` (`tests/accuracy.rs`). Drawing
+//! stops only at the radius outside which the fraction [`FLUX_LEFT_OUT`] of the total flux lies.
 //!
 //! # Method
-//! A square is integrated by one rule when it is small against its distance from the galaxy's centre, measured in units in which
-//! the profile is smooth: Gauss-Legendre products within a pixel, and for blocks of pixels far out a polynomial through 6 x 6 of their
-//! values. Otherwise it is divided in four. Polynomials of all galaxies are added up before they are evaluated, so that far wings cost
-//! next to nothing.
+//! A square is integrated by one rule if it is small compared with its distance from the galaxy's
+//! centre, measured in units in which the profile is smooth. Within a pixel the rule is a
+//! Gauss-Legendre product. For blocks of pixels far out it is a polynomial through 6 x 6 of their
+//! values. All other squares are divided into four. The polynomials of all galaxies are added
+//! before they are evaluated, so that far wings cost very little.
 
 mod drawing;
 mod profile;

@@ -1,4 +1,4 @@
-//! The surface brightness of one galaxy, and how fast it changes.
+//! The surface brightness of one galaxy, and its rate of change.
 
 use std::sync::OnceLock;
 
@@ -8,23 +8,26 @@ use statrs::function::gamma::{gamma_ur, ln_gamma};
 /// Fraction of a galaxy's flux that lies outside the radius at which drawing stops.
 pub const FLUX_LEFT_OUT: f64 = 1e-9;
 
-/// A galaxy smaller than this is drawn at this size: even for `n = 8` next to nothing of the light then leaves its pixel.
+/// A galaxy smaller than this is drawn at this size. Even for `n = 8` almost no light then leaves
+/// its pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
-/// The m-th derivative along a line is at most about `I ((k + this) / r)^m` for the orders used here (up to 8), where
-/// `k = -d ln I / d ln r`: derivatives of a power `r^-k` have the factors `k, k + 1 ... k + 7`.
+/// The m-th derivative along a line is at most about `I ((k + this) / r)^m` for the orders used
+/// here (up to 8), with `k = -d ln I / d ln r`. The derivatives of a power `r^-k` have the factors
+/// `k, k + 1 ... k + 7`.
 const DERIVATIVE_OFFSET: f64 = 3.0;
 
-/// Radii of the table of brightness, in steps of a pixel; nearer and farther ones are computed.
+/// Smallest and largest radius in the table of brightness, in units of the longest pixel step. At
+/// other radii the brightness is computed.
 const TABLE_RADII: [f64; 2] = [0.1, 2000.0];
 
-/// `I(r) = central * exp(-b (r / re)^(1/n))`, where `r = |(u, v)|` and (u, v) are the pixel offsets turned to the major axis, those
-/// across it divided by the axis ratio.
+/// `I(r) = central * exp(-b (r / re)^(1/n))` with `r = |(u, v)|`. Here (u, v) are pixel offsets
+/// rotated to the major axis. Those across the axis are divided by the axis ratio.
 #[derive(Debug)]
 pub(crate) struct Profile {
     /// The galaxy's centre, in pixels of the scene.
     pub(crate) x: f64,
     pub(crate) y: f64,
-    /// Brightness at the centre, per pixel, of the profile of flux 1.
+    /// Central brightness, per pixel, of the profile with flux 1.
     central: f64,
     pub(crate) flux: f64,
     b: f64,
@@ -33,24 +36,25 @@ pub(crate) struct Profile {
     inverse_index: f64,
     inverse_radius_squared: f64,
     inverse_axis_ratio_squared: f64,
-    /// (u, v) of a step of one pixel in x, and in y.
+    /// (u, v) of a step of one pixel in x. `step_y` is the same in y.
     step_x: [f64; 2],
     step_y: [f64; 2],
-    /// The longest step that a step of one pixel along an axis makes in (u, v).
+    /// The longest length in (u, v) of a step of one pixel along an axis.
     longest_step: f64,
     /// Radius of the circle in (u, v) around a pixel.
     pixel_reach: f64,
-    /// Radius in (u, v) beyond which [`FLUX_LEFT_OUT`] of the light lies.
+    /// Radius in (u, v) outside which the fraction [`FLUX_LEFT_OUT`] of the light lies.
     pub(crate) last_radius: f64,
-    /// Made when first needed: far galaxies do without.
+    /// Made when first needed. Galaxies that do not reach the image never need it.
     table: OnceLock<RadialTable>,
 }
 
-/// How a square lies to the profile.
+/// The size of a square compared with the profile around it.
 pub(crate) struct Nearness {
-    /// The square's size over the length on which the profile changes at its nearest point.
+    /// The square's size divided by the length over which the profile changes at the square's
+    /// nearest point.
     pub(crate) relative_size: f64,
-    /// Radius of its nearest point.
+    /// Radius of the square's nearest point to the centre.
     pub(crate) radius: f64,
 }
 
@@ -86,7 +90,7 @@ impl Profile {
         }
     }
 
-    /// (u, v) of an offset from the centre in pixels.
+    /// Returns (u, v) of an offset from the centre in pixels.
     fn turned(&self, dx: f64, dy: f64) -> (f64, f64) {
         (
             dx * self.step_x[0] + dy * self.step_y[0],
@@ -94,7 +98,7 @@ impl Profile {
         )
     }
 
-    /// `b (r / re)^(1/n)`.
+    /// Returns `b (r / re)^(1/n)`.
     fn exponent(&self, r_squared: f64) -> f64 {
         self.b * ((r_squared * self.inverse_radius_squared).ln() * self.half_exponent).exp()
     }
@@ -109,7 +113,7 @@ impl Profile {
         }
     }
 
-    /// The same at a radius in (u, v).
+    /// Brightness per pixel at a radius in (u, v), for a flux of 1.
     pub(crate) fn brightness_at(&self, radius: f64) -> f64 {
         self.computed(radius * radius)
     }
@@ -128,7 +132,8 @@ impl Profile {
         })
     }
 
-    /// Flux in a pixel far from the centre, to second order: `I + (I_xx + I_yy) / 24`, for a flux of 1.
+    /// Flux in a pixel far from the centre, to second order: `I + (I_xx + I_yy) / 24`, for a flux
+    /// of 1.
     pub(crate) fn pixel_flux(&self, dx: f64, dy: f64) -> f64 {
         let (u, v) = self.turned(dx, dy);
         let (u2, v2) = (u * u, v * v);
@@ -137,12 +142,12 @@ impl Profile {
             Some(derivatives) => derivatives,
             None => self.derivatives(r_squared),
         };
-        // By the squared radius w: I_uu = 2 I_w + 4 u^2 I_ww, and I_vv likewise.
+        // With derivatives by the squared radius w: I_uu = 2 I_w + 4 u^2 I_ww, and I_vv likewise.
         let across = self.inverse_axis_ratio_squared;
         brightness + (2.0 * (1.0 + across) * first + 4.0 * (u2 + across * v2) * second) / 24.0
     }
 
-    /// The brightness and its first two derivatives by the squared radius.
+    /// The brightness and its first two derivatives with respect to the squared radius.
     fn derivatives(&self, r_squared: f64) -> [f64; 3] {
         let exponent = self.exponent(r_squared);
         let brightness = self.central * (-exponent).exp();
@@ -154,7 +159,7 @@ impl Profile {
         ]
     }
 
-    /// How a square of `size` pixels around an offset from the centre lies to the profile.
+    /// Compares a square of `size` pixels around an offset from the centre with the profile.
     pub(crate) fn nearness(&self, dx: f64, dy: f64, size: f64) -> Nearness {
         let (u, v) = self.turned(dx, dy);
         let (middle, reach) = (u.hypot(v), self.pixel_reach * size);
@@ -167,17 +172,18 @@ impl Profile {
     }
 }
 
-/// `b` with `P(2n, b) = 1/2`.
+/// Returns `b` with `P(2n, b) = 1/2`.
 fn half_light_constant(n: f64) -> f64 {
     solve_decreasing(|b| gamma_ur(2.0 * n, b) - 0.5, 40.0)
 }
 
-/// `x` with `Q(2n, x) = outside`: the exponent at the radius that has this fraction of the light outside.
+/// Returns `x` with `Q(2n, x) = outside`: the exponent at the radius outside which this fraction of
+/// the light lies.
 fn argument_with_outside(n: f64, outside: f64) -> f64 {
     solve_decreasing(|x| gamma_ur(2.0 * n, x).ln() - outside.ln(), 200.0)
 }
 
-/// The zero of a decreasing function between 0 and a limit, by bisection down to the last bit.
+/// The zero of a decreasing function between 0 and `limit`, by bisection down to the last bit.
 fn solve_decreasing(function: impl Fn(f64) -> f64, limit: f64) -> f64 {
     let (mut low, mut high) = (0.0, limit);
     loop {
@@ -193,22 +199,24 @@ fn solve_decreasing(function: impl Fn(f64) -> f64, limit: f64) -> f64 {
     }
 }
 
-/// Pieces in a factor of two of the squared radius, as a power of two. A piece's error relative to the brightness is about
-/// `(k / 2 / 32)^4 / 384`, `k = -d ln I / d ln r`: 6e-7 at `k = 8`.
+/// Number of pieces, as a power of two, over a factor of two in the squared radius. The error of a
+/// piece relative to the brightness is about `(k / 2 / 32)^4 / 384` with `k = -d ln I / d ln r`:
+/// 6e-7 at `k = 8`.
 const PIECES_LOG2: u32 = 5;
 /// Bits of a double's mantissa within a piece.
 const BITS_WITHIN: u32 = 52 - PIECES_LOG2;
 
-/// Cubic pieces over the squared radius; the bits of a double name its piece.
+/// Cubic pieces over the squared radius. The leading bits of a double give the index of its piece.
 #[derive(Debug)]
 pub(crate) struct RadialTable {
     first: u64,
-    /// Coefficients of the powers 0 to 3 of the place within the piece, from 0 to 1.
+    /// Coefficients of the powers 0 to 3 of the position within the piece, from 0 to 1.
     pieces: Vec<[f64; 4]>,
 }
 
 impl RadialTable {
-    /// `function` gives the value and the derivative by the squared radius. Both ends are positive and finite.
+    /// Makes a table between two positive, finite ends. `function` returns the value and its
+    /// derivative with respect to the squared radius.
     pub(crate) fn new(
         lowest_squared: f64,
         highest_squared: f64,
@@ -238,18 +246,19 @@ impl RadialTable {
         }
     }
 
-    /// The value at a squared radius; `None` outside the table.
+    /// Returns the value at a squared radius, or `None` outside the table.
     #[inline]
     pub(crate) fn value(&self, squared: f64) -> Option<f64> {
         let (_, [c0, c1, c2, c3], place) = self.piece(squared)?;
         Some(c0 + place * (c1 + place * (c2 + place * c3)))
     }
 
-    /// The value and its first two derivatives by the squared radius; the second is good to `(k / 2 / 32)^2 / 12`, about 1e-3.
+    /// Returns the value and its first two derivatives with respect to the squared radius. The
+    /// second derivative has a relative error of `(k / 2 / 32)^2 / 12`, about 1e-3.
     #[inline]
     pub(crate) fn derivatives(&self, squared: f64) -> Option<[f64; 3]> {
         let (piece, [c0, c1, c2, c3], place) = self.piece(squared)?;
-        // The width of a piece is a power of two: its inverse is exact.
+        // The width of a piece is a power of two, so its inverse is exact.
         let per_width =
             (f64::from_bits((piece + 1) << BITS_WITHIN) - f64::from_bits(piece << BITS_WITHIN)).recip();
         Some([
@@ -259,7 +268,7 @@ impl RadialTable {
         ])
     }
 
-    /// The number of the piece, its coefficients, and the place in it.
+    /// Returns the number of the piece, its coefficients, and the position within it.
     #[inline]
     fn piece(&self, squared: f64) -> Option<(u64, [f64; 4], f64)> {
         const WITHIN: u64 = (1 << BITS_WITHIN) - 1;
@@ -280,7 +289,8 @@ mod tests {
 
     #[test]
     fn half_of_the_light_lies_within_the_half_light_radius() {
-        // Known values: n = 0.5 is a Gaussian, b = ln 2; n = 1 and 4 from Graham and Driver (2005).
+        // Known values: n = 0.5 is a Gaussian with b = ln 2. Values for n = 1 and 4 are from Graham
+        // and Driver (2005).
         for (n, b, within) in [
             (0.5, std::f64::consts::LN_2, 1e-14),
             (1.0, 1.678_346_990_016_66, 1e-13),

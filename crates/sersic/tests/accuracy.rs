@@ -1,4 +1,4 @@
-//! Pixels and totals against another way of integration.
+//! Pixels and totals compared with an independent method of integration.
 
 mod common;
 
@@ -7,12 +7,12 @@ use ndarray::Array2;
 use psf_types::{SersicProfile, SersicSource};
 use sersic::add_galaxies;
 
-/// What the crate promises for a pixel, as a fraction of the galaxy's flux.
+/// The crate's documented error of a pixel, as a fraction of the galaxy's flux.
 const PIXEL_ERROR: f64 = 1e-6;
-/// What it promises for a pixel and for the total, as a fraction of itself.
+/// The crate's documented error of a pixel and of the total, relative to its own value.
 const RELATIVE_ERROR: f64 = 1e-5;
-/// Errors below this fraction of the flux are not compared with a pixel's own value: the rules allow them, and the other way
-/// subtracts.
+/// Errors below this fraction of the flux are not compared with a pixel's own value. The rules
+/// allow them, and the independent method loses digits by subtraction.
 const FAINT: f64 = 1e-10;
 
 fn drawn(galaxy: &SersicSource, size: usize, first: (i64, i64)) -> Array2<f64> {
@@ -21,7 +21,8 @@ fn drawn(galaxy: &SersicSource, size: usize, first: (i64, i64)) -> Array2<f64> {
     image
 }
 
-/// Errors over pixels near the centre and some elsewhere: the largest in units of the flux, and of the pixel itself.
+/// Largest errors over pixels near the centre and some elsewhere: in units of the flux, and of the
+/// pixel itself.
 fn worst(image: &Array2<f64>, first: (i64, i64), truth: &SersicSource) -> (f64, f64) {
     let (mut by_flux, mut by_value) = (0.0_f64, 0.0_f64);
     for ((j, i), &value) in image.indexed_iter() {
@@ -40,7 +41,8 @@ fn worst(image: &Array2<f64>, first: (i64, i64), truth: &SersicSource) -> (f64, 
 
 #[test]
 fn the_other_way_knows_the_gaussian() {
-    // n = 0.5 is a Gaussian of sigma = re / sqrt(2 ln 2): products of error functions.
+    // n = 0.5 is a Gaussian of sigma = re / sqrt(2 ln 2), whose pixels are products of error
+    // functions.
     let re = 2.0;
     let sigma = re / (2.0 * std::f64::consts::LN_2).sqrt();
     let round = galaxy((0.3, -0.2), 1.0, SersicProfile::new(re, 0.5, 1.0, 0.0).unwrap());
@@ -114,7 +116,7 @@ fn the_light_of_an_image_is_that_of_its_area() {
                 let total = drawn(&truth, 600, first).sum();
                 let low = (first.0 as f64 - 0.5, first.1 as f64 - 0.5);
                 let expected = flux_within(&truth, low, (low.0 + 600.0, low.1 + 600.0));
-                // Off the galaxy hardly anything is left to compare.
+                // Away from the galaxy there is hardly any light to compare.
                 let allowed = RELATIVE_ERROR * expected + 2.0 * sersic::FLUX_LEFT_OUT;
                 assert!(
                     (total - expected).abs() <= allowed,

@@ -1,4 +1,4 @@
-//! What holds for whole images.
+//! Properties of whole images.
 
 mod common;
 
@@ -55,7 +55,7 @@ fn the_number_of_threads_changes_nothing() {
     assert_eq!(with(1), with(7));
 }
 
-/// Wants no more than some tiles.
+/// Cancels after some tiles.
 #[derive(Default)]
 struct Enough {
     tiles: u64,
@@ -99,7 +99,7 @@ fn work_that_is_no_longer_wanted_stops() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(2).build().unwrap();
     let (ended, total, done, _) = pool.install(|| draw(3));
     assert_eq!((ended, total), (Err(Cancelled), 25));
-    // The other thread may have had a tile under way with nothing left to ask about.
+    // The other thread may have been at a tile with no check for cancellation left.
     assert!((3..=4).contains(&done), "{done}");
 }
 

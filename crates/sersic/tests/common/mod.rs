@@ -1,8 +1,9 @@
-//! The flux of a Sersic profile in a rectangle, by another way than the crate's.
+//! The flux of a Sersic profile in a rectangle, by a method that differs from the crate's.
 //!
-//! For a profile of flux 1 with circular isophotes, `integral over A = 1 / (2 pi) * line integral around A of G(r) dtheta`, `G`
-//! the flux within a radius, `P(2n, b (r / re)^(1/n))` (Green's theorem). An elliptical profile is a circular one seen in coordinates in which
-//! the rectangle is a parallelogram.
+//! Consider a profile of flux 1 with circular isophotes. By Green's theorem, `integral over A = 1 /
+//! (2 pi) * line integral around A of G(r) dtheta`. Here `G` is the flux within a radius, `P(2n, b
+//! (r / re)^(1/n))`. An elliptical profile is circular in coordinates in which the rectangle is a
+//! parallelogram.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use psf_types::{Position, SersicProfile, SersicSource};
@@ -15,7 +16,7 @@ pub(crate) fn galaxy(at: (f64, f64), flux: f64, profile: SersicProfile) -> Sersi
     SersicSource::new(Position::new(at.0, at.1).unwrap(), flux, profile).unwrap()
 }
 
-/// The flux within a rectangle, corners in pixels of the scene.
+/// The flux within a rectangle, with corners in pixels of the scene.
 pub(crate) fn flux_within(galaxy: &SersicSource, low: (f64, f64), high: (f64, f64)) -> f64 {
     let shape = galaxy.profile();
     let n = shape.index();
@@ -42,7 +43,7 @@ pub(crate) fn pixel(galaxy: &SersicSource, x: i64, y: i64) -> f64 {
 fn edge(from: (f64, f64), to: (f64, f64), within: &dyn Fn(f64) -> f64) -> f64 {
     let along = (to.0 - from.0, to.1 - from.1);
     let length = along.0.hypot(along.1);
-    // Signed distance of the line from the origin; positive when the origin lies to its left.
+    // Signed distance of the line from the origin. It is positive when the origin lies to its left.
     let distance = (from.0 * along.1 - from.1 * along.0) / length;
     if distance == 0.0 {
         return 0.0;
@@ -54,7 +55,7 @@ fn edge(from: (f64, f64), to: (f64, f64), within: &dyn Fn(f64) -> f64) -> f64 {
 }
 
 fn gauss_5(f: &dyn Fn(f64) -> f64, a: f64, b: f64) -> f64 {
-    // Gauss-Legendre of five nodes.
+    // Gauss-Legendre nodes and weights.
     const NODES: [(f64, f64); 5] = [
         (0.0, 0.568_888_888_888_888_9),
         (0.538_469_310_105_683_1, 0.478_628_670_499_366_5),
@@ -75,7 +76,7 @@ fn adaptive(f: &dyn Fn(f64) -> f64, a: f64, b: f64, whole: f64, depth: u32) -> f
     adaptive(f, a, middle, left, depth - 1) + adaptive(f, middle, b, right, depth - 1)
 }
 
-/// `b` with `P(2n, b) = 1/2`.
+/// Returns `b` with `P(2n, b) = 1/2`.
 fn half_light_constant(n: f64) -> f64 {
     let (mut low, mut high) = (0.0, 40.0);
     for _ in 0..200 {
