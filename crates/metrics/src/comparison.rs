@@ -1,4 +1,4 @@
-//! How far an image is from its reference, and what many numbers say together.
+//! Comparison of an image with its reference, and statistics of many numbers.
 
 use ndarray::{ArrayView, ArrayView3, Axis, Dimension};
 use psf_types::Real;
@@ -6,7 +6,8 @@ use serde::Serialize;
 
 use crate::MetricsError;
 
-/// The difference of a result `F` from its reference `T`, arrays of equal shape and any number of dimensions.
+/// The difference of a result `F` from its reference `T`, where both are arrays of equal shape with
+/// any number of dimensions.
 ///
 /// | measure | formula |
 /// |---|---|
@@ -18,10 +19,12 @@ use crate::MetricsError;
 /// | [`mae_over_mean`](Self::mae_over_mean) | `mean abs(F - T) / mean T` |
 /// | [`snr_db`](Self::snr_db) | `10 log10(P_signal / P_noise)`, `P_signal = mean T^2`, `P_noise = mean (F - T)^2` |
 ///
-/// Sums are taken in f64 with compensation, in row-major order, so they do not depend on the memory layout. Either array
-/// may be `f32` or `f64`. Measures that exist for every pair are plain numbers, the others say why they do not exist.
+/// Sums are taken in f64 with compensation, in row-major order, so they do not depend on the memory
+/// layout. Either array may be `f32` or `f64`. Measures that are defined for every pair are plain
+/// numbers. The others return an error with the reason if they are not defined.
 ///
-/// Serialised, a comparison is a record of these measures, with `null` for those that do not exist.
+/// A serialised comparison is a record of these measures, with `null` for those that are not
+/// defined.
 ///
 /// ```
 /// use psf_metrics::Comparison;
@@ -61,8 +64,9 @@ impl Comparison {
     /// Compares `result` with `reference`.
     ///
     /// # Errors
-    /// [`MetricsError::ShapeMismatch`], [`MetricsError::Empty`], [`MetricsError::NonFinite`] for NaN or infinity in either
-    /// array, [`MetricsError::Overflow`] when the squares exceed double precision.
+    /// [`MetricsError::ShapeMismatch`], [`MetricsError::Empty`], [`MetricsError::NonFinite`] for
+    /// NaN or infinity in either array, [`MetricsError::Overflow`] when the squares exceed double
+    /// precision.
     pub fn of<F: Real, T: Real, D: Dimension>(
         result: ArrayView<'_, F, D>,
         reference: ArrayView<'_, T, D>,
@@ -78,7 +82,8 @@ impl Comparison {
             return Err(MetricsError::Empty);
         }
         let largest = largest_magnitude(&result)?.max(largest_magnitude(&reference)?);
-        // A power of two costs no digits, and keeps squares of very small and very large values in range.
+        // Scaling by a power of two loses no digits, and keeps squares of very small and very large
+        // values in range.
         let scale = if largest >= f64::MIN_POSITIVE {
             largest.log2().floor().exp2()
         } else {
@@ -123,10 +128,12 @@ impl Comparison {
         }
     }
 
-    /// Compares two cubes plane by plane along their first axis; [`Summary`] condenses the outcome.
+    /// Compares two cubes plane by plane along their first axis. [`Summary`] gives statistics of
+    /// the result.
     ///
     /// # Errors
-    /// As [`of`](Self::of), and what is wrong in a single plane comes as [`MetricsError::Plane`].
+    /// The errors of [`of`](Self::of). An error in a single plane is returned as
+    /// [`MetricsError::Plane`].
     pub fn by_plane<F: Real, T: Real>(
         result: ArrayView3<'_, F>,
         reference: ArrayView3<'_, T>,
@@ -167,7 +174,8 @@ impl Comparison {
         self.max_abs
     }
 
-    /// Index of the largest error, in the arrays' order of axes; the first of several, all zeros when there is no error.
+    /// Index of the largest error, in the arrays' order of axes. If several are equal, it is the
+    /// first one, and if there is no error, all zeros.
     pub fn max_abs_index(&self) -> &[usize] {
         &self.max_abs_index
     }
@@ -184,10 +192,11 @@ impl Comparison {
         }
     }
 
-    /// Largest error over the reference's peak, `max abs(F - T) / max T`.
+    /// Largest error relative to the reference's peak, `max abs(F - T) / max T`.
     ///
     /// # Errors
-    /// [`MetricsError::ZeroReference`]; [`MetricsError::NonPositivePeak`] when no reference value is positive.
+    /// [`MetricsError::ZeroReference`]. [`MetricsError::NonPositivePeak`] when no reference value
+    /// is positive.
     pub fn max_over_peak(&self) -> Result<f64, MetricsError> {
         if self.reference_is_zero {
             Err(MetricsError::ZeroReference)
@@ -200,10 +209,11 @@ impl Comparison {
         }
     }
 
-    /// Mean absolute error over the reference's mean, `mean abs(F - T) / mean T`.
+    /// Mean absolute error relative to the reference's mean, `mean abs(F - T) / mean T`.
     ///
     /// # Errors
-    /// [`MetricsError::ZeroReference`]; [`MetricsError::NonPositiveMean`] when the reference's mean is not positive.
+    /// [`MetricsError::ZeroReference`]. [`MetricsError::NonPositiveMean`] when the reference's mean
+    /// is not positive.
     pub fn mae_over_mean(&self) -> Result<f64, MetricsError> {
         if self.reference_is_zero {
             Err(MetricsError::ZeroReference)
@@ -216,11 +226,11 @@ impl Comparison {
         }
     }
 
-    /// Signal-to-noise ratio in decibels, `10 log10(P_signal / P_noise)`, where the signal is the reference and the noise
-    /// is the error.
+    /// Signal-to-noise ratio in decibels, `10 log10(P_signal / P_noise)`, where the signal is the
+    /// reference and the noise is the error.
     ///
     /// # Errors
-    /// [`MetricsError::ZeroReference`]; [`MetricsError::Identical`] when there is no error at all.
+    /// [`MetricsError::ZeroReference`]. [`MetricsError::Identical`] when there is no difference.
     pub fn snr_db(&self) -> Result<f64, MetricsError> {
         match self.relative_l2()? {
             0.0 => Err(MetricsError::Identical),
@@ -255,7 +265,7 @@ impl From<Comparison> for ComparisonRecord {
     }
 }
 
-/// The largest absolute value, or where the array is not finite.
+/// Returns the largest absolute value, or an error with the index of a value that is not finite.
 fn largest_magnitude<T: Real, D: Dimension>(array: &ArrayView<'_, T, D>) -> Result<f64, MetricsError> {
     let mut largest = 0.0_f64;
     for (i, v) in array.iter().enumerate() {
@@ -313,11 +323,11 @@ struct SummaryRecord {
 }
 
 impl Summary {
-    /// Summarises `values`, in any order.
+    /// Summarises `values`. Their order does not matter.
     ///
     /// # Errors
-    /// [`MetricsError::Empty`]; [`MetricsError::NonFinite`]; [`MetricsError::Overflow`] when the squares exceed double
-    /// precision.
+    /// [`MetricsError::Empty`] or [`MetricsError::NonFinite`]. [`MetricsError::Overflow`] when the
+    /// squares exceed double precision.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Result<Self, MetricsError> {
         let mut sorted: Vec<f64> = values.into_iter().collect();
         if sorted.is_empty() {
@@ -375,11 +385,12 @@ impl Summary {
         self.rms
     }
 
-    /// The value below which the fraction `q` of the values lies: linear between the sorted values, the first at `q = 0`
-    /// and the last at `q = 1` (definition 7 of Hyndman & Fan 1996).
+    /// The value below which the fraction `q` of the values lies. It is linear between the sorted
+    /// values, with the first at `q = 0` and the last at `q = 1` (definition 7 of Hyndman & Fan
+    /// 1996).
     ///
     /// # Errors
-    /// [`MetricsError::Quantile`] when `q` is not in 0 to 1.
+    /// [`MetricsError::Quantile`] when `q` is not between 0 and 1.
     pub fn quantile(&self, q: f64) -> Result<f64, MetricsError> {
         if (0.0..=1.0).contains(&q) {
             Ok(self.at(q))
@@ -412,8 +423,9 @@ impl From<Summary> for SummaryRecord {
 
 /// A running sum whose rounding error does not grow with the number of terms.
 ///
-/// Neumaier's (1974) compensated summation with Knuth's branch-free two-sum: the relative error of the result is about
-/// one rounding, plus the square of the machine precision times the condition of the sum.
+/// Neumaier's (1974) compensated summation with Knuth's branch-free two-sum: the relative error of
+/// the result is about that of one rounding, plus the square of the machine precision times the
+/// condition number of the sum.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct CompensatedSum {
     sum: f64,

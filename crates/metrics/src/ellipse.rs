@@ -7,10 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use crate::MetricsError;
 
-/// Flatter ellipses are taken for lines: rounding decides what their minor axis is.
+/// Ellipses with a smaller axis ratio are treated as lines, because rounding would determine their
+/// minor axis.
 const SMALLEST_AXIS_RATIO: f64 = 1e-7;
 
-/// A positive definite matrix of second moments in square pixels, and the ellipse that it describes.
+/// A positive definite matrix of second moments in square pixels, and the ellipse that it
+/// describes.
 ///
 /// ```text
 /// | xx  xy |       eigenvalues sigma_major^2 >= sigma_minor^2
@@ -39,12 +41,12 @@ impl Covariance {
     /// A covariance from its elements in square pixels.
     ///
     /// # Errors
-    /// [`MetricsError::DegenerateCovariance`] when the matrix is not finite and positive definite with an axis ratio above
-    /// 1e-7.
+    /// [`MetricsError::DegenerateCovariance`] when the matrix is not finite and positive definite
+    /// with an axis ratio above 1e-7.
     pub fn new(xx: f64, xy: f64, yy: f64) -> Result<Self, MetricsError> {
         let c = Self { xx, xy, yy };
         let (det, largest) = (c.determinant(), c.largest_eigenvalue());
-        // NaN fails every comparison; the accessors divide by these and take their roots.
+        // NaN fails every comparison. The accessors divide by these values and take their roots.
         if xx > 0.0
             && yy > 0.0
             && det > SMALLEST_AXIS_RATIO * SMALLEST_AXIS_RATIO * largest * largest
@@ -93,15 +95,16 @@ impl Covariance {
         (self.determinant() / self.largest_eigenvalue()).sqrt()
     }
 
-    /// Direction of the major axis, from +x towards +y, in (-pi/2, pi/2]; 0 for a circle.
+    /// Direction of the major axis, from +x towards +y, in (-pi/2, pi/2]. It is 0 for a circle.
     pub fn angle_rad(self) -> f64 {
         let angle = 0.5 * (2.0 * self.xy).atan2(self.xx - self.yy);
         if angle <= -FRAC_PI_2 { FRAC_PI_2 } else { angle }
     }
 
-    /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`: 0 for a circle, towards 1 for a line.
+    /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`: 0 for a circle, close to 1
+    /// for a line.
     pub fn ellipticity(self) -> f64 {
-        // 1 - b^2/a^2 = (a^2 - b^2) / a^2 without the cancellation near round.
+        // 1 - b^2/a^2 = (a^2 - b^2) / a^2 without cancellation for a nearly round ellipse.
         (self.eigenvalue_difference() / self.largest_eigenvalue()).sqrt()
     }
 
@@ -112,7 +115,7 @@ impl Covariance {
             .expect("the constructor checked that the length is below 1")
     }
 
-    /// The same ellipse as reduced shear.
+    /// Converts the ellipse to reduced shear.
     pub fn reduced_shear(self) -> ReducedShear {
         self.distortion().to_reduced_shear()
     }
@@ -126,8 +129,8 @@ impl Covariance {
     }
 }
 
-/// What both kinds of ellipticity have: the checked constructor, the components, and the record
-/// that they are read from.
+/// The common code of both kinds of ellipticity: the checked constructor, the components, and the
+/// record for deserialisation.
 macro_rules! ellipticity {
     ($kind:ident, $record:ident, $first:ident, $second:ident, $what:literal, $length:literal) => {
         read_through_new!($record => $kind, MetricsError { $first: f64, $second: f64 });
@@ -148,8 +151,8 @@ macro_rules! ellipticity {
                 }
             }
 
-            /// Components that another form of the ellipse has; rounding may have put them on the
-            /// unit circle, and they are pulled back inside it.
+            /// Makes an ellipticity from components computed from another form of the ellipse. If
+            /// rounding put them on the unit circle or beyond, they are pulled back inside it.
             fn rounded(mut $first: f64, mut $second: f64) -> Self {
                 while $first.hypot($second) >= 1.0 {
                     $first *= 1.0 - f64::EPSILON;
@@ -182,8 +185,8 @@ macro_rules! ellipticity {
 /// |e| = (a^2 - b^2) / (a^2 + b^2)      e1 = |e| cos 2 phi      e2 = |e| sin 2 phi
 /// ```
 ///
-/// In second moments `e1 = (Mxx - Myy) / (Mxx + Myy)` and `e2 = 2 Mxy / (Mxx + Myy)` (Bernstein & Jarvis 2002, AJ 123,
-/// 583). Its length is below 1. `phi` runs from +x towards +y.
+/// In second moments `e1 = (Mxx - Myy) / (Mxx + Myy)` and `e2 = 2 Mxy / (Mxx + Myy)` (Bernstein &
+/// Jarvis 2002, AJ 123, 583). Its length is below 1. `phi` runs from +x towards +y.
 ///
 /// ```
 /// use psf_metrics::Distortion;
@@ -208,10 +211,10 @@ ellipticity!(
 );
 
 impl Distortion {
-    /// The same ellipse as reduced shear: `g = e / (1 + sqrt(1 - |e|^2))`.
+    /// Converts the ellipse to reduced shear: `g = e / (1 + sqrt(1 - |e|^2))`.
     pub fn to_reduced_shear(self) -> ReducedShear {
         let length = self.length();
-        // (1 - e)(1 + e) keeps its digits near 1, where 1 - e^2 would lose them.
+        // (1 - e)(1 + e) keeps its digits near e = 1, where 1 - e^2 would lose them.
         let scale = 1.0 / (1.0 + ((1.0 - length) * (1.0 + length)).sqrt());
         ReducedShear::rounded(self.e1 * scale, self.e2 * scale)
     }
@@ -248,7 +251,7 @@ ellipticity!(
 );
 
 impl ReducedShear {
-    /// The same ellipse as distortion: `e = 2 g / (1 + |g|^2)`.
+    /// Converts the ellipse to distortion: `e = 2 g / (1 + |g|^2)`.
     pub fn to_distortion(self) -> Distortion {
         let length = self.length();
         let scale = 2.0 / (1.0 + length * length);

@@ -1,21 +1,21 @@
-//! Why a measurement has no result.
+//! Errors of measurements.
 
 use thiserror::Error;
 
-/// Why a measurement has no result. Indices and pixel coordinates are 0-based.
+/// The reason why a measurement has no result. Indices and pixel coordinates are 0-based.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum MetricsError {
-    /// A window that does not lie wholly on the stamp.
+    /// A window that does not lie entirely on the stamp.
     #[error(
         "a window of {size} x {size} pixels about column {column}, row {row} does not fit on a stamp of {nx} x {ny} pixels"
     )]
     WindowOutsideStamp {
         /// Side of the window in pixels.
         size: usize,
-        /// Column about which the window was asked for.
+        /// Column of the window's centre.
         column: usize,
-        /// Row about which the window was asked for.
+        /// Row of the window's centre.
         row: usize,
         /// Columns of the stamp.
         nx: usize,
@@ -29,18 +29,18 @@ pub enum MetricsError {
         nx: usize,
         /// Rows in the window.
         ny: usize,
-        /// Smallest side.
+        /// Smallest number of pixels along an axis.
         need: usize,
     },
     /// NaN or infinity among the values.
     #[error("the value at index {index:?} is {value}, not a finite number")]
     NonFinite {
-        /// Index in the array given, in the array's own order of axes.
+        /// Index in the given array, in its own order of axes.
         index: Vec<usize>,
         /// The value there.
         value: f64,
     },
-    /// Nothing rises above the background.
+    /// No value rises above the background.
     #[error("no peak: the largest value is {largest}, the best amplitude of a Gaussian is {amplitude}")]
     NoPeak {
         /// Largest value in the window.
@@ -48,25 +48,25 @@ pub enum MetricsError {
         /// Amplitude of the best Gaussian, 0 or negative.
         amplitude: f64,
     },
-    /// The total or the weighted flux is not positive, so that moments do not exist.
-    #[error("the flux is {flux}: moments need a positive one")]
+    /// The total or the weighted flux is not positive, so that the moments are not defined.
+    #[error("the flux is {flux}: moments need a positive flux")]
     NonPositiveFlux {
         /// The flux found.
         flux: f64,
     },
-    /// The iteration did not settle.
+    /// The iteration did not converge.
     #[error(
-        "no convergence after {iterations} iterations: the last one still changed the model by {change:.1e} of itself"
+        "no convergence after {iterations} iterations: the last one still changed the model by a fraction of {change:.1e}"
     )]
     NotConverged {
-        /// Iterations made.
+        /// Number of iterations.
         iterations: usize,
-        /// Relative change left.
+        /// Relative change of the last iteration.
         change: f64,
     },
-    /// The centre moved off the pixels that are measured.
+    /// The centre moved out of the measured pixels.
     #[error(
-        "the centre went to ({x}, {y}), off the window of columns {column_first} to {column_last} and rows {row_first} to {row_last}"
+        "the centre moved to ({x}, {y}), outside the window of columns {column_first} to {column_last} and rows {row_first} to {row_last}"
     )]
     CentreLeftWindow {
         /// Column coordinate of the centre.
@@ -83,7 +83,7 @@ pub enum MetricsError {
         row_last: usize,
     },
     /// A second-moment matrix that is not positive definite.
-    #[error("the second moments xx = {xx}, xy = {xy}, yy = {yy} are not those of an ellipse")]
+    #[error("the second moments xx = {xx}, xy = {xy}, yy = {yy} do not describe an ellipse")]
     DegenerateCovariance {
         /// Second moment along x.
         xx: f64,
@@ -92,9 +92,9 @@ pub enum MetricsError {
         /// Second moment along y.
         yy: f64,
     },
-    /// A width that these pixels cannot tell.
+    /// A width that these pixels cannot determine.
     #[error(
-        "the widths (sigma {major_px} x {minor_px} pixels) lie outside the {smallest_px} to {largest_px} pixels that this window can tell"
+        "the widths (sigma {major_px} x {minor_px} pixels) are outside the range of {smallest_px} to {largest_px} pixels that this window can measure"
     )]
     WidthOutOfRange {
         /// Sigma along the major axis.
@@ -106,13 +106,14 @@ pub enum MetricsError {
         /// Largest sigma accepted.
         largest_px: f64,
     },
-    /// The weight of adaptive moments shrank to single pixels: the light is undersampled on this grid.
+    /// The weight of adaptive moments shrank to a single pixel: the light is undersampled on this
+    /// grid.
     #[error(
-        "the adaptive weight shrank to sigma {sigma_px:.3} pixels, onto single pixels: the light is undersampled on this grid, \
+        "the adaptive weight shrank to a single pixel (sigma {sigma_px:.3} pixels): the light is undersampled on this grid, \
          measure an oversampled stamp"
     )]
     WeightCollapsed {
-        /// Sigma of the weight along its minor axis when the iteration gave up.
+        /// Sigma of the weight along its minor axis when the iteration stopped.
         sigma_px: f64,
     },
     /// The pixels do not determine all parameters of the fit.
@@ -122,7 +123,7 @@ pub enum MetricsError {
         parameters: usize,
     },
     /// A shear or distortion whose length is not below 1.
-    #[error("({first}, {second}) is no ellipticity: its length must be below 1")]
+    #[error("({first}, {second}) is not a valid ellipticity: its length must be below 1")]
     Ellipticity {
         /// First component.
         first: f64,
@@ -130,46 +131,46 @@ pub enum MetricsError {
         second: f64,
     },
     /// Two arrays of unequal shape.
-    #[error("the result's shape {result:?} is not the reference's {reference:?}")]
+    #[error("the shape of the result, {result:?}, differs from the shape of the reference, {reference:?}")]
     ShapeMismatch {
         /// Shape of the result.
         result: Vec<usize>,
         /// Shape of the reference.
         reference: Vec<usize>,
     },
-    /// No values at all.
+    /// There are no values.
     #[error("there are no values to measure")]
     Empty,
     /// A reference that is zero everywhere.
-    #[error("the reference is zero everywhere: a relative error does not exist")]
+    #[error("the reference is zero everywhere: a relative error is not defined")]
     ZeroReference,
     /// A reference whose largest value is not positive.
     #[error(
-        "the largest value of the reference is {peak}: an error relative to the peak needs a positive one"
+        "the largest value of the reference is {peak}: an error relative to the peak needs a positive peak"
     )]
     NonPositivePeak {
         /// Largest value of the reference.
         peak: f64,
     },
     /// A reference whose mean is not positive.
-    #[error("the mean of the reference is {mean}: an error relative to the mean needs a positive one")]
+    #[error("the mean of the reference is {mean}: an error relative to the mean needs a positive mean")]
     NonPositiveMean {
         /// Mean of the reference.
         mean: f64,
     },
     /// Result and reference are equal, so that the signal-to-noise ratio has no bound.
-    #[error("result and reference are identical: the signal-to-noise ratio is unbounded")]
+    #[error("result and reference are identical: the signal-to-noise ratio is infinite")]
     Identical,
-    /// Values so large that a sum of their squares exceeds double precision.
+    /// Values so large that the sum of their squares exceeds double precision.
     #[error("the values reach {largest}: their squares exceed double precision")]
     Overflow {
         /// Largest absolute value.
         largest: f64,
     },
     /// A quantile that is not between 0 and 1.
-    #[error("a quantile lies between 0 and 1, got {got}")]
+    #[error("a quantile must be between 0 and 1, got {got}")]
     Quantile {
-        /// The value given.
+        /// The value that was given.
         got: f64,
     },
     /// An error in one plane of a cube.
@@ -177,7 +178,7 @@ pub enum MetricsError {
     Plane {
         /// Index of the plane.
         plane: usize,
-        /// What happened there.
+        /// The error in that plane.
         source: Box<MetricsError>,
     },
 }

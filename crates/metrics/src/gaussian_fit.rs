@@ -11,7 +11,7 @@ use crate::levenberg_marquardt::minimise;
 use crate::window::Cutout;
 use crate::{Covariance, FWHM_PER_SIGMA, MetricsError, Window};
 
-/// What a [`GaussianFitter`] found. Lengths are in pixels of the stamp, every number is finite.
+/// The result of a [`GaussianFitter`]. Lengths are in pixels of the stamp. Every number is finite.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct GaussianFit {
     flux: f64,
@@ -30,13 +30,13 @@ pub struct GaussianFit {
 }
 
 impl GaussianFit {
-    /// The integral of the Gaussian, `2 pi A sigma_major sigma_minor`, in units of the stamp; without the background, with
-    /// what lies beyond the window.
+    /// The integral of the Gaussian, `2 pi A sigma_major sigma_minor`, in units of the stamp. It
+    /// excludes the background and includes the light beyond the window.
     pub fn flux(&self) -> f64 {
         self.flux
     }
 
-    /// The Gaussian's value at its centre above the background.
+    /// The height of the Gaussian's peak above the background.
     pub fn amplitude(&self) -> f64 {
         self.amplitude
     }
@@ -66,18 +66,18 @@ impl GaussianFit {
         self.fwhm_minor_px
     }
 
-    /// Direction of the major axis from +x towards +y, in (-pi/2, pi/2]; 0 for a round fit.
+    /// Direction of the major axis from +x towards +y, in (-pi/2, pi/2]. It is 0 for a round fit.
     pub fn angle_rad(&self) -> f64 {
         self.angle_rad
     }
 
-    /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`; not a distortion, which
-    /// [`covariance`](Self::covariance) gives.
+    /// The eccentricity `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`. It is not a distortion: see
+    /// [`covariance`](Self::covariance) for that.
     pub fn ellipticity(&self) -> f64 {
         self.ellipticity
     }
 
-    /// The constant background, where it was fitted.
+    /// The constant background, if it was fitted.
     pub fn background(&self) -> Option<f64> {
         self.background
     }
@@ -87,7 +87,7 @@ impl GaussianFit {
         self.residual_rms
     }
 
-    /// Iterations that the fit took.
+    /// The number of iterations of the fit.
     pub fn iterations(&self) -> usize {
         self.iterations
     }
@@ -104,11 +104,12 @@ impl GaussianFit {
 /// minimise  sum over pixels [A exp(-(r - r0)^T C^-1 (r - r0) / 2) + B - stamp]^2
 /// ```
 ///
-/// over the amplitude `A`, the centre `r0`, the covariance `C` (round or elliptical) and, if asked for, the constant
-/// background `B`. The model is the Gaussian *at pixel centres*, not its integral over the pixel: the FWHM is that of the
-/// stamp as it stands, pixel response included where the stamp has it. The minimum is found by Levenberg-Marquardt
-/// (Marquardt 1963) with an analytic Jacobian, in parameters (logarithmic Cholesky factor of `C^-1`) that have no bounds and
-/// no singularity at a round PSF; it starts at the best of a coarse grid of round Gaussians.
+/// over the amplitude `A`, the centre `r0`, the covariance `C` (round or elliptical) and, if
+/// requested, the constant background `B`. The model is the Gaussian *at pixel centres*, not its
+/// integral over the pixel. The FWHM is that of the given stamp, and contains the pixel response if
+/// the stamp does. The minimum is found by Levenberg-Marquardt (Marquardt 1963) with an analytic
+/// Jacobian, in parameters (logarithmic Cholesky factor of `C^-1`) that have no bounds and no
+/// singularity at a round PSF. The fit starts at the best of a coarse grid of round Gaussians.
 ///
 /// The stamp is `[y, x]`, `f32` or `f64`, in any units.
 ///
@@ -132,11 +133,11 @@ pub struct GaussianFitter {
     window: Window,
 }
 
-/// Fewest pixels along an axis: three tell a centre and a width apart.
+/// Fewest pixels along an axis: three are needed to separate a centre from a width.
 const SMALLEST_SIDE: usize = 3;
-/// Narrower Gaussians touch one pixel only: at sigma 0.2 the neighbours hold 4e-6 of the peak.
+/// Narrower Gaussians cover only one pixel: at sigma 0.2 the neighbours have 4e-6 of the peak.
 const SMALLEST_SIGMA_PX: f64 = 0.2;
-/// Wider Gaussians than this many sides of the window are flat on it.
+/// Gaussians wider than this number of sides of the window are flat on it.
 const LARGEST_SIGMA_SIDES: f64 = 2.0;
 
 impl GaussianFitter {
@@ -157,31 +158,34 @@ impl GaussianFitter {
         }
     }
 
-    /// The same fit, with or without a constant background as a further parameter.
+    /// Sets whether a constant background is fitted as a further parameter.
     #[must_use]
     pub fn with_background(self, background: bool) -> Self {
         Self { background, ..self }
     }
 
-    /// The same fit on the pixels of a window alone.
+    /// Restricts the fit to the pixels of a window.
     #[must_use]
     pub fn with_window(self, window: Window) -> Self {
         Self { window, ..self }
     }
 
-    /// Fits `stamp`, `[y, x]`. Centroids come back as 0-based indices of the whole stamp, whatever the window.
+    /// Fits `stamp`, `[y, x]`. Centroids are 0-based indices of the whole stamp, also with a
+    /// window.
     ///
     /// # Errors
     /// * [`MetricsError::WindowOutsideStamp`]: the window does not fit on the stamp.
     /// * [`MetricsError::TooFewPixels`]: fewer than 3 pixels along an axis.
     /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
     /// * [`MetricsError::NoPeak`]: no Gaussian with a positive amplitude fits.
-    /// * [`MetricsError::NotConverged`]: the iteration did not settle. So it is where there is no best width: noise on an
-    ///   undersampled star between pixels can favour ever narrower and higher Gaussians. A round fit has less freedom.
-    /// * [`MetricsError::CentreLeftWindow`]: the best centre lies off the window.
-    /// * [`MetricsError::WidthOutOfRange`]: a sigma below 0.2 pixels or above twice the window's longer side, where the
-    ///   stamp is one bright pixel or flat.
-    /// * [`MetricsError::DegenerateCovariance`], [`MetricsError::Undetermined`]: the pixels do not fix the ellipse.
+    /// * [`MetricsError::NotConverged`]: the iteration did not converge. This happens if there is
+    ///   no best width: noise on an undersampled star between pixels can favour ever narrower and
+    ///   higher Gaussians. A round fit has less freedom.
+    /// * [`MetricsError::CentreLeftWindow`]: the best centre lies outside the window.
+    /// * [`MetricsError::WidthOutOfRange`]: a sigma below 0.2 pixels or above twice the window's
+    ///   longer side. The stamp then is a single bright pixel, or flat.
+    /// * [`MetricsError::DegenerateCovariance`], [`MetricsError::Undetermined`]: the pixels do not
+    ///   determine the ellipse.
     /// * [`MetricsError::Overflow`]: values near the end of double precision.
     pub fn fit<T: Real>(&self, stamp: ArrayView2<'_, T>) -> Result<GaussianFit, MetricsError> {
         let mut cutout = self.window.cut(stamp, SMALLEST_SIDE)?;
@@ -210,7 +214,8 @@ impl GaussianFitter {
         }) {
             Ok(minimum) => minimum,
             Err(unsettled) => {
-                // A width that grows for ever is what happened, whenever the iteration was cut off.
+                // If the width grows without limit, report that, independent of the iteration at
+                // which it was stopped.
                 check_width(model.covariance(&unsettled.parameters)?, cutout)?;
                 return Err(MetricsError::NotConverged {
                     iterations: unsettled.iterations,
@@ -245,7 +250,7 @@ impl GaussianFitter {
             iterations: minimum.iterations,
             covariance,
         };
-        // The flux is the largest of its numbers, a background beside it is about that of the values.
+        // The flux is the largest number of the fit. A background is of the order of the values.
         if fit.flux.is_finite() && fit.amplitude.is_finite() && fit.background.is_none_or(f64::is_finite) {
             Ok(fit)
         } else {
@@ -268,7 +273,8 @@ fn check_width(covariance: Covariance, cutout: &Cutout) -> Result<(), MetricsErr
     })
 }
 
-/// What was taken off the values so that they are of order 1 about 0: `value = scaled * scale + offset`.
+/// The offset and scale by which the values were normalised to order 1 about 0: `value = scaled *
+/// scale + offset`.
 #[derive(Debug, Clone, Copy)]
 struct Units {
     offset: f64,
@@ -276,7 +282,8 @@ struct Units {
 }
 
 impl Units {
-    /// Scales the cutout's values in place. A fit with background loses its median first, so that a high sky costs no digits.
+    /// Scales the cutout's values in place. If a background is fitted, the median is subtracted
+    /// first, so that a high sky does not cost digits.
     fn take_off(cutout: &mut Cutout, background: bool) -> Result<Self, MetricsError> {
         let largest = cutout.largest();
         let offset = if background {

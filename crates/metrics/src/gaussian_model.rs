@@ -1,4 +1,4 @@
-//! The Gaussian that is fitted, its derivatives, and where the fit starts.
+//! The Gaussian that is fitted, its derivatives, and the start of the fit.
 
 use nalgebra::{SMatrix, SVector};
 use ndarray::{Array2, s};
@@ -7,22 +7,23 @@ use crate::levenberg_marquardt::Linearised;
 use crate::window::Cutout;
 use crate::{Covariance, MetricsError};
 
-/// Which ellipses a fit may use.
+/// The kind of ellipse that a fit uses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Profile {
     Round,
     Elliptical,
 }
 
-/// A Gaussian at pixel centres, in parameters that are free of bounds:
+/// A Gaussian at pixel centres, in parameters without bounds:
 ///
 /// ```text
-/// m(x, y) = A exp(-(u^2 + v^2) / 2) + B      (u, v) = L^T (x - x0, y - y0)      L L^T = inverse covariance
+/// m(x, y) = A exp(-(u^2 + v^2) / 2) + B
+/// (u, v) = L^T (x - x0, y - y0)            L L^T = inverse covariance
 /// ```
 ///
-/// Round: `A, x0, y0, s` with `u = e^s dx`, `v = e^s dy`. Elliptical: `A, x0, y0, a, b, c` with `u = e^a dx + b dy`,
-/// `v = e^c dy`. The background `B`, if fitted, comes last. Any values make a positive definite covariance, and nothing
-/// special happens where the ellipse is round.
+/// Round: `A, x0, y0, s` with `u = e^s dx`, `v = e^s dy`. Elliptical: `A, x0, y0, a, b, c` with `u
+/// = e^a dx + b dy`, `v = e^c dy`. The background `B`, if fitted, comes last. Any values give a
+/// positive definite covariance, and a round ellipse is not a special case.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GaussianModel {
     profile: Profile,
@@ -115,7 +116,8 @@ impl GaussianModel {
         }
     }
 
-    /// The sum of squares over the pixels about parameters.
+    /// The sum of squares over the pixels, with its gradient and normal matrix at the parameters
+    /// `p`.
     pub(crate) fn linearise<const N: usize>(self, p: &SVector<f64, N>, cutout: &Cutout) -> Linearised<N> {
         let mut cost = 0.0;
         let mut gradient = [0.0; N];
@@ -140,11 +142,13 @@ impl GaussianModel {
 const FIRST_SIGMA_PX: f64 = 0.4;
 const SIGMA_RATIO: f64 = 1.5;
 
-/// The best round Gaussian of a coarse search, `None` where none has a positive amplitude.
+/// Returns the best round Gaussian of a coarse search, or `None` if none has a positive amplitude.
 ///
-/// Centres: the brightest pixel, and the brightest box mean for boxes of 3 pixels and of a quarter of the window (these
-/// see wide PSFs under noise). Sigmas: a geometric series from 0.4 pixels to the window. For each pair the amplitude and
-/// the background follow from linear least squares; the pair that leaves the smallest sum of squares wins.
+/// The centres are the brightest pixel, and the brightest box mean for boxes of 3 pixels and of a
+/// quarter of the window. The boxes find wide PSFs under noise. The sigmas are a geometric series
+/// from 0.4 pixels to the window. For each pair of centre and sigma the amplitude and the
+/// background follow from linear least squares. The pair with the smallest sum of squares is
+/// returned.
 pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> {
     let (rows, columns) = cutout.values.dim();
     let mut centres = Vec::new();
@@ -169,7 +173,8 @@ pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> 
     best.map(|(_, start)| start)
 }
 
-/// Amplitude (and background) of a given round Gaussian, with the sum of squares that it explains; `None` unless positive.
+/// Fits amplitude and background of a given round Gaussian. Returns them with the sum of squares
+/// that it explains, or `None` if the amplitude is not positive.
 fn linear_fit(cutout: &Cutout, x: f64, y: f64, sigma: f64, background: bool) -> Option<(f64, Start)> {
     let (rows, columns) = cutout.values.dim();
     let profile = |n: usize, centre: f64| -> Vec<f64> {
@@ -207,7 +212,8 @@ fn linear_fit(cutout: &Cutout, x: f64, y: f64, sigma: f64, background: bool) -> 
     })
 }
 
-/// Row and column of the largest mean over the boxes of `2 half + 1` pixels that lie on the array.
+/// Row and column of the largest mean over the boxes of `2 half + 1` pixels that lie entirely on
+/// the array.
 fn brightest_box(values: &Array2<f64>, half: usize) -> (usize, usize) {
     let side = 2 * half + 1;
     let along_x = running_sums(values, side);
@@ -234,7 +240,7 @@ mod tests {
     use super::*;
     use crate::Window;
 
-    /// Central differences with step h err by h^2, relative to values of order 1.
+    /// The error of central differences with step h is of order h^2, relative to values of order 1.
     const DIFFERENCE_TOLERANCE: f64 = 1e-8;
 
     fn check<const N: usize>(model: GaussianModel, p: SVector<f64, N>) {

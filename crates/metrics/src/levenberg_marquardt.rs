@@ -2,7 +2,7 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// The sum of squares about a point: `|r|^2 / 2`, its gradient `J^T r` and the normal matrix `J^T J`.
+/// The sum of squares at a point: `|r|^2 / 2`, its gradient `J^T r` and the normal matrix `J^T J`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Linearised<const N: usize> {
     pub(crate) cost: f64,
@@ -10,7 +10,7 @@ pub(crate) struct Linearised<const N: usize> {
     pub(crate) normal: SMatrix<f64, N, N>,
 }
 
-/// Where the iteration settled.
+/// The point at which the iteration converged.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Minimum<const N: usize> {
     pub(crate) parameters: SVector<f64, N>,
@@ -18,7 +18,8 @@ pub(crate) struct Minimum<const N: usize> {
     pub(crate) iterations: usize,
 }
 
-/// The iteration did not settle: where it was, and the relative change of the model that a full step would still make.
+/// The iteration did not converge. Holds its last point and the relative change of the model that a
+/// full step would still make.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Unsettled<const N: usize> {
     pub(crate) parameters: SVector<f64, N>,
@@ -27,15 +28,17 @@ pub(crate) struct Unsettled<const N: usize> {
 }
 
 const MAX_ITERATIONS: usize = 300;
-/// A full Gauss-Newton step that changes the model by less than this part of the data's norm ends the iteration.
+/// A full Gauss-Newton step that changes the model by less than this fraction of the data's norm
+/// ends the iteration.
 const CONVERGED: f64 = 1e-11;
-/// The same where rounding of the cost forbids further descent.
+/// The corresponding limit if rounding of the cost prevents further descent.
 const STALLED: f64 = 1e-7;
 const FIRST_DAMPING: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e14;
-/// Predicted descents below this part of the cost drown in its rounding.
+/// Predicted descents below this fraction of the cost are smaller than its rounding error.
 const COST_ROUNDING: f64 = 1e-12;
-/// Smallest pivot of the scaled normal matrix; below it a direction of the parameters is not determined.
+/// Smallest pivot of the scaled normal matrix. Below it, a direction of the parameters is not
+/// determined.
 const SMALLEST_PIVOT: f64 = 1e-12;
 
 impl<const N: usize> Linearised<N> {
@@ -46,8 +49,9 @@ impl<const N: usize> Linearised<N> {
             .map(|v| if v > 0.0 { v.sqrt() } else { 1.0 })
     }
 
-    /// The step of `(S + damping I) y = -D^-1 J^T r`, `S = D^-1 J^T J D^-1`, as (step in the parameters, norm of the change
-    /// that it makes to the linearised model, descent of the cost that it predicts).
+    /// Solves for the step of `(S + damping I) y = -D^-1 J^T r`, `S = D^-1 J^T J D^-1`. Returns the
+    /// step in the parameters, the norm of the change of the linearised model, and the predicted
+    /// descent of the cost.
     fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64, f64)> {
         let scales = self.scales();
         let matrix = self.scaled_normal() + SMatrix::identity() * damping;
@@ -67,7 +71,7 @@ impl<const N: usize> Linearised<N> {
         SMatrix::from_fn(|i, j| self.normal[(i, j)] / (scales[i] * scales[j]))
     }
 
-    /// Whether the data determine every parameter here.
+    /// Returns whether the data determine every parameter at this point.
     pub(crate) fn is_determined(&self) -> bool {
         self.scaled_normal().cholesky().is_some_and(|c| {
             c.l()
@@ -78,10 +82,11 @@ impl<const N: usize> Linearised<N> {
     }
 }
 
-/// Levenberg-Marquardt with the damping rule of Nielsen (1999, report IMM-REP-1999-05) and Marquardt's scaling.
+/// Levenberg-Marquardt with the damping rule of Nielsen (1999, report IMM-REP-1999-05) and
+/// Marquardt's scaling.
 ///
-/// It has converged when the residuals are orthogonal to the tangent space of the model: the change that an undamped step
-/// would still make, `|P_J r|`, is below 1e-11 of `data_norm`.
+/// It has converged when the residuals are orthogonal to the tangent space of the model: the change
+/// that an undamped step would still make, `|P_J r|`, is below 1e-11 of `data_norm`.
 pub(crate) fn minimise<const N: usize>(
     start: SVector<f64, N>,
     data_norm: f64,
@@ -118,7 +123,7 @@ pub(crate) fn minimise<const N: usize>(
             }
         });
         match trial {
-            // `gain` is NaN where the trial's cost is not a number: not accepted.
+            // If the cost of the trial is NaN, `gain` is NaN and the trial is rejected.
             Some((q, there, _)) if gain > 0.0 => {
                 (p, at) = (q, there);
                 damping *= (1.0 - (2.0 * gain.min(1.0) - 1.0).powi(3)).max(1.0 / 3.0);
@@ -191,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_sum_of_squares_without_a_minimum_does_not_settle() {
-        // r = 1 + exp(-p0) decreases for ever.
+        // r = 1 + exp(-p0) decreases without limit.
         let unsettled = minimise(SVector::from([0.0, 0.0]), 1.0, |p| {
             linearise([(1.0 + (-p[0]).exp(), [-(-p[0]).exp(), 0.0]), (p[1], [0.0, 1.0])])
         })

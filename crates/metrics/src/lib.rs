@@ -1,21 +1,22 @@
-//! Measurements of PSFs and images: Gaussian fits, adaptive moments, quadrupole moments, error norms.
+//! Measurements of PSFs and images: Gaussian fits, adaptive moments, quadrupole moments, error
+//! norms.
 //!
-//! | question | type |
+//! | measurement | type |
 //! |---|---|
-//! | How wide and how elongated is this PSF? | [`GaussianFitter`]: least squares; FWHM, axes, angle, background |
-//! | What are its size and shear, as weak-lensing codes measure them? | [`AdaptiveMomentFinder`]: HSM's adaptive moments |
-//! | What are its plain second moments? | [`QuadrupoleMoments`] |
-//! | How far is this image from that one? | [`Comparison`]: MAE, MSE, relative L2, largest error, SNR |
-//! | What do many measurements say together? | [`Summary`]: median, quantiles, maximum, mean, rms |
+//! | width and elongation of a PSF | [`GaussianFitter`]: least squares, with FWHM, axes, angle, background |
+//! | size and shear as weak-lensing codes measure them | [`AdaptiveMomentFinder`]: HSM's adaptive moments |
+//! | plain second moments | [`QuadrupoleMoments`] |
+//! | difference between two images | [`Comparison`]: MAE, MSE, relative L2, largest error, SNR |
+//! | statistics of many measurements | [`Summary`]: median, quantiles, maximum, mean, rms |
 //!
-//! No measurement is a sentinel: what could not be measured is a [`MetricsError`] that says why, and no result is NaN or
-//! infinite.
+//! No result is NaN, infinite or a sentinel value. A measurement that fails returns a
+//! [`MetricsError`] with the reason.
 //!
 //! # Conventions
-//! * Stamps are `[y, x]`, `f32` or `f64`; all arithmetic is f64.
-//! * Centroids are 0-based stamp indices `(x, y)`, an integer is the centre of a pixel. They refer to the array given, also
-//!   when a [`Window`] restricts the measurement to a part of it.
-//! * Lengths are in pixels of the stamp: divide by the oversampling for frame pixels.
+//! * Stamps are `[y, x]`, `f32` or `f64`. All arithmetic is f64.
+//! * Centroids are 0-based stamp indices `(x, y)`, and an integer is the centre of a pixel. They
+//!   refer to the given array, also when a [`Window`] restricts the measurement to a part of it.
+//! * Lengths are in pixels of the stamp. Divide them by the oversampling to get frame pixels.
 //! * `FWHM = 2 sqrt(2 ln 2) sigma` ([`FWHM_PER_SIGMA`]).
 //! * Angles run from +x towards +y.
 //!
@@ -23,10 +24,10 @@
 //! For an ellipse with axes `a >= b` and position angle `phi`:
 //!
 //! ```text
-//! eccentricity   e   = sqrt(1 - b^2 / a^2)              Covariance::ellipticity, GaussianFit::ellipticity
-//! distortion     |e| = (a^2 - b^2) / (a^2 + b^2)        Distortion (e1, e2) = |e| (cos 2 phi, sin 2 phi)
-//! reduced shear  |g| = (a - b) / (a + b)                ReducedShear (g1, g2) = |g| (cos 2 phi, sin 2 phi)
-//! axis ratio     q   = b / a                            from the two widths
+//! eccentricity   e   = sqrt(1 - b^2 / a^2)          Covariance::ellipticity, GaussianFit::ellipticity
+//! distortion     |e| = (a^2 - b^2) / (a^2 + b^2)    Distortion (e1, e2) = |e| (cos 2 phi, sin 2 phi)
+//! reduced shear  |g| = (a - b) / (a + b)            ReducedShear (g1, g2) = |g| (cos 2 phi, sin 2 phi)
+//! axis ratio     q   = b / a                        from the two widths
 //! ```
 //!
 //! ```text
@@ -34,8 +35,9 @@
 //! ```
 //!
 //! # Gaussian fit or adaptive moments?
-//! Both describe a PSF by one ellipse, and agree for a Gaussian. For a real PSF with wings they differ: the fit matches the
-//! core, where the squared light is; the moments match second moments under a weight of the PSF's own size.
+//! Both describe a PSF by one ellipse, and agree for a Gaussian. For a real PSF with wings they
+//! differ. The fit matches the core, where most of the squared light is. The moments match second
+//! moments under a weight of the PSF's own size.
 
 mod comparison;
 mod ellipse;

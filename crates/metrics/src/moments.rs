@@ -1,4 +1,4 @@
-//! Second moments: adaptive (under a Gaussian weight that matches them) and unweighted.
+//! Second moments: adaptive (with a matching Gaussian weight) and unweighted.
 
 use ndarray::ArrayView2;
 use psf_types::Real;
@@ -8,7 +8,7 @@ use crate::comparison::CompensatedSum;
 use crate::window::Cutout;
 use crate::{Covariance, MetricsError, Window};
 
-/// Where the light is and the ellipse of its second moments, as both kinds of moments give them.
+/// The centroid and the ellipse of second moments, common to both kinds of moments.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 struct Shape {
     x_centroid: f64,
@@ -35,8 +35,8 @@ impl Shape {
     }
 }
 
-/// The accessors of a [`Shape`] and its second moments, called by the letter that the type's
-/// equations give them.
+/// The accessors of a [`Shape`] and its second moments, named by the letter in the equations of the
+/// type.
 macro_rules! shape_accessors {
     ($moments:ident, $letter:literal, $kind:literal) => {
         impl $moments {
@@ -85,8 +85,8 @@ macro_rules! shape_accessors {
     };
 }
 
-/// Adaptive moments, as [`AdaptiveMomentFinder`] measures them. Lengths are in pixels of the stamp,
-/// every number is finite.
+/// Adaptive moments, as [`AdaptiveMomentFinder`] measures them. Lengths are in pixels of the stamp.
+/// Every number is finite.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AdaptiveMoments {
     amplitude: f64,
@@ -99,25 +99,28 @@ pub struct AdaptiveMoments {
 shape_accessors!(AdaptiveMoments, "M", "adaptive second moments");
 
 impl AdaptiveMoments {
-    /// Flux of the best-fit elliptical Gaussian, `2 sum w I`, in units of the stamp (HSM's amplitude).
+    /// Flux of the best-fit elliptical Gaussian, `2 sum w I`, in units of the stamp (HSM's
+    /// amplitude).
     pub fn amplitude(&self) -> f64 {
         self.amplitude
     }
 
-    /// Iterations that the measurement took.
+    /// The number of iterations of the measurement.
     pub fn iterations(&self) -> usize {
         self.iterations
     }
 }
 
-/// Unweighted moments of the light in a window. Lengths are in pixels of the stamp, every number is finite.
+/// Unweighted moments of the light in a window. Lengths are in pixels of the stamp. Every number is
+/// finite.
 ///
 /// ```text
 /// flux = sum I      x0 = sum I x / flux      Q = sum I (x - x0)(x - x0)^T / flux
 /// ```
 ///
-/// They take the light as it is: a background, noise and diffraction wings far out count with the square of their
-/// distance, so the window matters. [`AdaptiveMomentFinder`] is the robust measure.
+/// They use the light unchanged. A background, noise and distant diffraction wings contribute with
+/// the square of their distance, so the result depends on the window. [`AdaptiveMomentFinder`] is
+/// the robust measure.
 ///
 /// ```
 /// use psf_metrics::{QuadrupoleMoments, Window};
@@ -139,15 +142,17 @@ pub struct QuadrupoleMoments {
 shape_accessors!(QuadrupoleMoments, "Q", "second moments");
 
 impl QuadrupoleMoments {
-    /// Measures `stamp`, `[y, x]`, inside `window`. Centroids are 0-based indices of the whole stamp.
+    /// Measures `stamp`, `[y, x]`, inside `window`. Centroids are 0-based indices of the whole
+    /// stamp.
     ///
     /// # Errors
     /// * [`MetricsError::WindowOutsideStamp`]: the window does not fit on the stamp.
     /// * [`MetricsError::TooFewPixels`]: fewer than 2 pixels along an axis.
     /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
     /// * [`MetricsError::NonPositiveFlux`]: the window's sum is not positive.
-    /// * [`MetricsError::CentreLeftWindow`]: negative pixels put the centroid off the window.
-    /// * [`MetricsError::DegenerateCovariance`]: all light in one pixel or on one line, or negative pixels far out.
+    /// * [`MetricsError::CentreLeftWindow`]: negative pixels move the centroid out of the window.
+    /// * [`MetricsError::DegenerateCovariance`]: all light is in one pixel or on one line, or there
+    ///   are negative pixels far from the centre.
     /// * [`MetricsError::Overflow`]: values near the end of double precision.
     pub fn measure<T: Real>(stamp: ArrayView2<'_, T>, window: Window) -> Result<Self, MetricsError> {
         let cutout = window.cut(stamp, 2)?;
@@ -194,7 +199,8 @@ impl QuadrupoleMoments {
     }
 }
 
-/// Measures adaptive moments: second moments under the elliptical Gaussian weight that matches them.
+/// Measures adaptive moments: second moments under the elliptical Gaussian weight that matches
+/// them.
 ///
 /// The centroid `x0` and the matrix `M` solve
 ///
@@ -204,18 +210,21 @@ impl QuadrupoleMoments {
 /// M / 2 = sum w(x) I(x) (x - x0)(x - x0)^T / sum w(x) I(x)
 /// ```
 ///
-/// (Bernstein & Jarvis 2002, AJ 123, 583; Hirata & Seljak 2003, MNRAS 343, 459; the step limits of the iteration follow
-/// Mandelbaum et al. 2005, MNRAS 361, 1287, whose code became GalSim's HSM module). For a Gaussian, `M` is its covariance.
-/// The weight is sampled at pixel centres and `M` holds the pixel response that the stamp holds. Sampling sets a limit: for a
-/// Gaussian of sigma 1 pixel the size is right within 0.2 %, at 0.85 within 3 %, and below about 0.75 (FWHM 1.8) the
-/// equations have no solution at some sub-pixel positions, so that the weight shrinks to one pixel. Measure such a PSF on
-/// an oversampled stamp.
+/// The definition follows Bernstein & Jarvis 2002, AJ 123, 583, and Hirata & Seljak 2003, MNRAS
+/// 343, 459. The step limits of the iteration follow Mandelbaum et al. 2005, MNRAS 361, 1287, whose
+/// code became GalSim's HSM module. For a Gaussian, `M` is its covariance.
 ///
-/// The iteration starts at the window's centre pixel (index `n / 2`) with a round weight of sigma 5 pixels, or of a sixth
-/// of the window where that is less, unless [`with_start`](Self::with_start) says otherwise. It ends when a step changes
-/// `M` by less than 1e-11 of its smaller eigenvalue and the centroid by less than 1e-11 sigma.
+/// The weight is sampled at pixel centres, and `M` contains the pixel response if the stamp does.
+/// Sampling sets a limit. For a Gaussian of sigma 1 pixel the error of the size is below 0.2 %, at
+/// 0.85 below 3 %. Below about 0.75 (FWHM 1.8) the equations have no solution at some sub-pixel
+/// positions, and the weight shrinks to one pixel. Measure such a PSF on an oversampled stamp.
 ///
-/// The stamp is `[y, x]`, `f32` or `f64`, in any units, without background.
+/// The iteration starts at the window's centre pixel (index `n / 2`) with a round weight of sigma 5
+/// pixels, or of a sixth of the window if that is less. [`with_start`](Self::with_start) sets
+/// another start. It ends when a step changes `M` by less than 1e-11 of its smaller eigenvalue and
+/// the centroid by less than 1e-11 sigma.
+///
+/// The stamp is `[y, x]`, `f32` or `f64`, in any units. It must not contain a background.
 ///
 /// ```
 /// use psf_metrics::AdaptiveMomentFinder;
@@ -245,17 +254,19 @@ struct Start {
 /// Fewest pixels along an axis.
 const SMALLEST_SIDE: usize = 5;
 const MAX_ITERATIONS: usize = 1000;
-/// Relative change of a step that ends the iteration; rounding stays a thousand times below.
+/// Relative change of a step that ends the iteration. Rounding is a thousand times smaller.
 const CONVERGED: f64 = 1e-11;
-/// No step changes `M` by more than this part of its smaller eigenvalue, nor the centroid by more of sigma.
+/// Largest change of `M` in one step relative to its smaller eigenvalue, and of the centroid
+/// relative to sigma.
 const LARGEST_STEP: f64 = 0.25;
 const START_SIGMA_PX: f64 = 5.0;
 const START_SIDES: f64 = 1.0 / 6.0;
-/// A narrower weight sees one pixel only.
+/// A narrower weight covers only one pixel.
 const SMALLEST_SIGMA_PX: f64 = 0.2;
-/// A flat stamp is matched by a sigma of 0.357 of its side: what comes near it measures the window, not the light.
+/// A flat stamp gives a sigma of 0.357 of its side. Values near it measure the window, not the
+/// light.
 const LARGEST_SIDES: f64 = 1.0 / 3.0;
-/// A weight this many times wider than both the start and the limit runs away.
+/// If the weight is wider than both the start and the limit by this factor, it grows without limit.
 const WIDEST_ON_THE_WAY: f64 = 4.0;
 
 impl Default for AdaptiveMomentFinder {
@@ -265,7 +276,7 @@ impl Default for AdaptiveMomentFinder {
 }
 
 impl AdaptiveMomentFinder {
-    /// Measures on all pixels, from the default start.
+    /// Measures all pixels, from the default start.
     pub fn new() -> Self {
         Self {
             window: Window::whole(),
@@ -273,13 +284,14 @@ impl AdaptiveMomentFinder {
         }
     }
 
-    /// The same measurement on the pixels of a window alone.
+    /// Restricts the measurement to the pixels of a window.
     #[must_use]
     pub fn with_window(self, window: Window) -> Self {
         Self { window, ..self }
     }
 
-    /// The same measurement, started at the 0-based stamp index (`x`, `y`) with a round weight of `sigma_px`.
+    /// Starts the iteration at the 0-based stamp index (`x`, `y`) with a round weight of
+    /// `sigma_px`.
     #[must_use]
     pub fn with_start(self, x: f64, y: f64, sigma_px: f64) -> Self {
         Self {
@@ -288,7 +300,8 @@ impl AdaptiveMomentFinder {
         }
     }
 
-    /// Measures `stamp`, `[y, x]`. Centroids come back as 0-based indices of the whole stamp, whatever the window.
+    /// Measures `stamp`, `[y, x]`. Centroids are 0-based indices of the whole stamp, also with a
+    /// window.
     ///
     /// # Errors
     /// * [`MetricsError::WindowOutsideStamp`]: the window does not fit on the stamp.
@@ -296,12 +309,12 @@ impl AdaptiveMomentFinder {
     /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
     /// * [`MetricsError::DegenerateCovariance`]: a start whose sigma is not finite and positive.
     /// * [`MetricsError::NonPositiveFlux`]: the light under the weight is not positive.
-    /// * [`MetricsError::CentreLeftWindow`]: the centroid, or the start, lies off the window.
-    /// * [`MetricsError::WeightCollapsed`]: the light, or the start, is too narrow for the grid (see the type's
-    ///   documentation).
-    /// * [`MetricsError::WidthOutOfRange`]: a sigma above a third of the window's shorter side, where the window and not the
-    ///   light decides the size.
-    /// * [`MetricsError::NotConverged`]: the iteration did not settle.
+    /// * [`MetricsError::CentreLeftWindow`]: the centroid or the start lies outside the window.
+    /// * [`MetricsError::WeightCollapsed`]: the light, or the start, is too narrow for the grid
+    ///   (see the type's documentation).
+    /// * [`MetricsError::WidthOutOfRange`]: a sigma above a third of the window's shorter side,
+    ///   where the window instead of the light determines the size.
+    /// * [`MetricsError::NotConverged`]: the iteration did not converge.
     /// * [`MetricsError::Overflow`]: values near the end of double precision.
     pub fn measure<T: Real>(&self, stamp: ArrayView2<'_, T>) -> Result<AdaptiveMoments, MetricsError> {
         let cutout = self.window.cut(stamp, SMALLEST_SIDE)?;
@@ -322,7 +335,7 @@ impl AdaptiveMomentFinder {
         let mut change = f64::INFINITY;
         for iteration in 0..MAX_ITERATIONS {
             cutout.check_centre(x, y)?;
-            // A weight may be too wide on its way, not at its end.
+            // During the iteration the weight may be too wide, but not at its end.
             Self::check_width(m, largest_px.max(sigma) * WIDEST_ON_THE_WAY)?;
             let [flux, wx, wy, wxx, wxy, wyy] = weighted_moments(&cutout, x, y, m);
             // The amplitude is twice the flux.
@@ -343,8 +356,8 @@ impl AdaptiveMomentFinder {
                     covariance: m,
                 });
             }
-            // Under a weight of its own shape a Gaussian shows half its offset and half its covariance; the factors 2 and 4
-            // make the step exact to first order for it.
+            // With a weight of its own shape, a Gaussian shows half its offset and half its
+            // covariance. The factors 2 and 4 make the step for a Gaussian exact to first order.
             let sigma = m.sigma_minor_px();
             let variance = sigma * sigma;
             let limited = |step: f64| step.clamp(-LARGEST_STEP, LARGEST_STEP);
@@ -358,7 +371,7 @@ impl AdaptiveMomentFinder {
                 .fold(0.0, |most, step| most.max(step.abs()));
             x += dx * sigma;
             y += dy * sigma;
-            // The limits keep the smaller eigenvalue above half of what it was.
+            // The limits keep the smaller eigenvalue above half of its old value.
             m = Covariance::new(
                 m.xx() + dxx * variance,
                 m.xy() + dxy * variance,

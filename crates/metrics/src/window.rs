@@ -1,4 +1,4 @@
-//! Which pixels of a stamp are measured.
+//! The pixels of a stamp that are measured.
 
 use ndarray::{Array2, ArrayView2, s};
 use psf_types::Real;
@@ -6,10 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use crate::MetricsError;
 
-/// Which pixels of a stamp a measurement uses: all of them, or a square about a pixel.
+/// The pixels of a stamp that a measurement uses: all of them, or a square about a pixel.
 ///
-/// A window of `size` pixels about index `c` runs from `c - size / 2` over `size` pixels (integer division), the same
-/// rule that centres a stamp. It must lie wholly on the stamp; pixels outside it are not looked at.
+/// A window of `size` pixels about index `c` runs from `c - size / 2` over `size` pixels (integer
+/// division), as for the centre of a stamp. It must lie entirely on the stamp. Pixels outside the
+/// window are ignored.
 ///
 /// ```
 /// use psf_metrics::Window;
@@ -20,19 +21,19 @@ use crate::MetricsError;
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct Window {
-    /// None for every pixel.
+    /// `None` for all pixels.
     size: Option<usize>,
-    /// Column and row, none for the middle of the stamp.
+    /// Column and row. `None` for the middle of the stamp.
     about: Option<(usize, usize)>,
 }
 
 impl Window {
-    /// Every pixel.
+    /// A window of all pixels of a stamp.
     pub fn whole() -> Self {
         Self::default()
     }
 
-    /// `size` x `size` pixels about index `n / 2` of each axis.
+    /// A window of `size` x `size` pixels about index `n / 2` of each axis.
     pub fn central(size: usize) -> Self {
         Self {
             size: Some(size),
@@ -40,7 +41,7 @@ impl Window {
         }
     }
 
-    /// `size` x `size` pixels about the pixel in column `column` and row `row`.
+    /// A window of `size` x `size` pixels about the pixel in column `column` and row `row`.
     pub fn about(size: usize, column: usize, row: usize) -> Self {
         Self {
             size: Some(size),
@@ -51,7 +52,7 @@ impl Window {
     /// The columns and the rows of the window on a stamp of `nx` columns and `ny` rows.
     ///
     /// # Errors
-    /// [`MetricsError::WindowOutsideStamp`] when the window does not lie wholly on the stamp.
+    /// [`MetricsError::WindowOutsideStamp`] when the window does not lie entirely on the stamp.
     pub fn ranges(
         self,
         nx: usize,
@@ -78,7 +79,8 @@ impl Window {
         }
     }
 
-    /// The pixels of the window in double precision, all finite, at least `need` along each axis.
+    /// The pixels of the window in double precision. All must be finite, with at least `need`
+    /// pixels along each axis.
     pub(crate) fn cut<T: Real>(self, stamp: ArrayView2<'_, T>, need: usize) -> Result<Cutout, MetricsError> {
         let (ny, nx) = stamp.dim();
         let (columns, rows) = self.ranges(nx, ny)?;
@@ -105,7 +107,7 @@ impl Window {
     }
 }
 
-/// Pixels `[y, x]` cut from a stamp, row-major and finite, and where they came from.
+/// Pixels `[y, x]` cut from a stamp, row-major and finite, with their position on the stamp.
 #[derive(Debug)]
 pub(crate) struct Cutout {
     pub(crate) values: Array2<f64>,
@@ -114,12 +116,12 @@ pub(crate) struct Cutout {
 }
 
 impl Cutout {
-    /// A point of the cutout in indices of the stamp.
+    /// Converts a point of the cutout to indices of the stamp.
     pub(crate) fn on_stamp(&self, x: f64, y: f64) -> (f64, f64) {
         (x + self.column_first as f64, y + self.row_first as f64)
     }
 
-    /// The same point, if it lies on a pixel of the cutout.
+    /// Returns an error unless a point of the cutout lies on one of its pixels.
     pub(crate) fn check_centre(&self, x: f64, y: f64) -> Result<(), MetricsError> {
         let (rows, columns) = self.values.dim();
         let on = |v: f64, n: usize| (-0.5..=n as f64 - 0.5).contains(&v);

@@ -1,15 +1,16 @@
-//! Error norms against values worked out by hand.
+//! Error norms compared with values computed by hand.
 
 use ndarray::{Array2, Array3, ShapeBuilder, array};
 use proptest::prelude::*;
 use psf_metrics::{Comparison, MetricsError, Summary};
 
-/// A few roundings.
+/// The error of a few roundings.
 const ROUNDING: f64 = 1e-14;
 
 #[test]
 fn hand_computed() {
-    // F - T = [1, -2, 0, 3]: sum of sizes 6, of squares 14; T: sum 10, squares 1 + 4 + 9 + 16 = 30, peak 4.
+    // F - T = [1, -2, 0, 3]: the absolute values sum to 6, the squares to 14. T: sum 10, squares 1
+    // + 4 + 9 + 16 = 30, peak 4.
     let t = array![[1.0, 2.0], [3.0, 4.0]];
     let f = array![[2.0, 0.0], [3.0, 7.0]];
     let c = Comparison::of(f.view(), t.view()).unwrap();
@@ -145,7 +146,8 @@ fn the_memory_layout_does_not_matter() {
 
 #[test]
 fn many_small_errors_are_added_exactly() {
-    // A plain f32 sum of these, and a plain f64 one to 1e-12, would lose digits; one value carries nearly all the sum.
+    // A plain f32 sum would lose digits, as would a plain f64 sum to 1e-12. One value is nearly the
+    // whole sum.
     let n = 1_000_000;
     let mut t = Array2::<f32>::from_elem((1000, 1000), 0.1);
     t[[0, 0]] = 1e12;
@@ -177,7 +179,8 @@ fn serialised_as_a_record() {
 }
 
 proptest! {
-    /// Relative measures do not depend on the unit; powers of two change no digit, however small or large.
+    /// Relative measures do not depend on the unit. Powers of two, however small or large, change
+    /// no digit.
     #[test]
     fn relative_measures_have_no_unit(
         values in proptest::collection::vec((0.1..1.0f64, -0.1..0.1f64), 1..40), exponent in -900..500i32,
@@ -193,7 +196,7 @@ proptest! {
         prop_assert_eq!(plain.snr_db(), scaled.snr_db());
     }
 
-    /// `mae <= rmse <= max`, and equality for a constant difference.
+    /// `mae <= rmse <= max`, with equality for a constant difference.
     #[test]
     fn the_norms_are_ordered(values in proptest::collection::vec(-1.0..1.0f64, 1..40), shift in 0.1..2.0f64) {
         let t = Array2::from_shape_vec((1, values.len()), values).unwrap();

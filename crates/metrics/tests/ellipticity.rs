@@ -5,10 +5,11 @@ use std::f64::consts::PI;
 use proptest::prelude::*;
 use psf_metrics::{Covariance, Distortion, MetricsError, ReducedShear};
 
-/// A few roundings of values of order 1.
+/// The error of a few roundings of values of order 1.
 const ROUNDING: f64 = 1e-14;
 
-/// Going through the other measure loses digits as the ellipse becomes a line: `1 - |e|` is 5e-5 at `|g|` = 0.99.
+/// A conversion to the other measure and back loses digits as the ellipse approaches a line: `1 -
+/// |e|` is 5e-5 at `|g|` = 0.99.
 const INVERSION: f64 = 1e-11;
 
 #[test]
@@ -19,7 +20,7 @@ fn known_values() {
     assert!((c.reduced_shear().g1() - 1.0 / 3.0).abs() < ROUNDING);
     assert!((c.ellipticity() - 0.75f64.sqrt()).abs() < ROUNDING);
     assert!((c.sigma_px() - 2f64.sqrt()).abs() < ROUNDING);
-    // The same ellipse on the diagonal.
+    // An equal ellipse along the diagonal.
     let c = Covariance::new(2.5, 1.5, 2.5).unwrap();
     assert!((c.distortion().e2() - 0.6).abs() < ROUNDING);
     assert!((c.angle_rad() - PI / 4.0).abs() < ROUNDING);
@@ -76,7 +77,8 @@ proptest! {
             (a * a - b * b) * sin * cos,
             a * a * sin * sin + b * b * cos * cos,
         ).unwrap();
-        // The minor axis comes from a determinant that cancels by the axis ratio squared.
+        // The minor axis follows from a determinant with a cancellation of the order of the squared
+        // axis ratio.
         let tolerance = 100.0 * ROUNDING;
         prop_assert!((c.sigma_major_px() / a - 1.0).abs() < tolerance);
         prop_assert!((c.sigma_minor_px() / b - 1.0).abs() < tolerance);

@@ -1,4 +1,4 @@
-//! What cannot be measured is an error that says why.
+//! A failed measurement returns an error with the reason.
 
 mod common;
 
@@ -27,7 +27,7 @@ fn every_fitter() -> [GaussianFitter; 4] {
         .expect("two times two")
 }
 
-/// What all measurements say of one stamp and window.
+/// Returns the errors of all measurements of one stamp and window.
 fn every_error(stamp: &Array2<f64>, window: Window) -> Vec<MetricsError> {
     let mut errors: Vec<MetricsError> = every_fitter()
         .iter()
@@ -185,7 +185,7 @@ fn centres_off_the_window() {
             panic!("{error}");
         };
         assert_eq!((column_first, column_last), (19, 25));
-        // The Gaussian's centre is found from its wing all the same.
+        // The fit nevertheless finds the Gaussian's centre from its wing.
         assert!((x - 16.0).abs() < 1e-6 && (y - 16.0).abs() < 1e-6);
     }
     let finder = AdaptiveMomentFinder::new().with_window(window);
@@ -194,7 +194,7 @@ fn centres_off_the_window() {
         .measure(stamp.view())
         .unwrap_err();
     assert!(matches!(error, MetricsError::CentreLeftWindow { .. }), "{error}");
-    // Light at the edge beside negative light pulls the weight over the edge.
+    // Light at the edge next to negative light pulls the weight over the edge.
     let edge = Array2::from_shape_fn((32, 32), |(y, x)| {
         let along = (-0.125 * (y as f64 - 16.0).powi(2)).exp();
         match x {

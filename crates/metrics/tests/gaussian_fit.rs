@@ -1,4 +1,4 @@
-//! Gaussian fits give back the Gaussians that were drawn.
+//! Gaussian fits recover the Gaussians that were drawn.
 
 mod common;
 
@@ -9,10 +9,11 @@ use ndarray::{Array2, s};
 use proptest::prelude::*;
 use psf_metrics::{FWHM_PER_SIGMA, GaussianFit, GaussianFitter, Window};
 
-/// The iteration ends when the model changes by 1e-11; a wide ellipse with background turns that into this.
+/// The iteration ends when the model changes by 1e-11. For a wide ellipse with background this
+/// gives the error below.
 const EXACT: f64 = 1e-8;
 
-/// The largest deviation of a fit from the Gaussian that was drawn, each quantity in its own scale.
+/// The largest deviation of a fit from the Gaussian that was drawn, each quantity on its own scale.
 fn deviation(fit: &GaussianFit, truth: &Gaussian) -> f64 {
     let angle = fit.angle_rad() - truth.angle;
     let axis_ratio = truth.sigma_minor / truth.sigma_major;
@@ -23,7 +24,7 @@ fn deviation(fit: &GaussianFit, truth: &Gaussian) -> f64 {
         fit.fwhm_major_px() / (FWHM_PER_SIGMA * truth.sigma_major) - 1.0,
         fit.fwhm_minor_px() / (FWHM_PER_SIGMA * truth.sigma_minor) - 1.0,
         fit.fwhm_px() / (FWHM_PER_SIGMA * (truth.sigma_major * truth.sigma_minor).sqrt()) - 1.0,
-        // Half a turn is the same ellipse, and a circle has no angle.
+        // After half a turn the ellipse is the same, and a circle has no angle.
         (angle - PI * (angle / PI).round()) * (1.0 - axis_ratio),
         fit.ellipticity().powi(2) - (1.0 - axis_ratio * axis_ratio),
         fit.flux() / (2.0 * PI * truth.amplitude * truth.sigma_major * truth.sigma_minor) - 1.0,
@@ -95,7 +96,7 @@ fn units_and_a_high_sky_do_not_matter() {
             .unwrap();
         assert!(deviation(&fit, &truth) < tolerance, "{fit:?}");
     }
-    // The values keep 16 digits of a sky 1e6 times the peak: ten are left for the star.
+    // The values have 16 digits of a sky of 1e6 times the peak, so ten are left for the star.
     let truth = Gaussian {
         background: 3e6,
         ..Gaussian::ellipse(2.0, 0.7, 0.3)
@@ -119,7 +120,7 @@ fn a_window_keeps_stamp_coordinates_and_other_stars_out() {
     let fit = fitter.fit(image.view()).unwrap();
     assert!(deviation(&fit, &truth) < EXACT, "{fit:?}");
     let fit = fitter.fit(image.mapv(|v| v as f32).view()).unwrap();
-    // f32 values hold 6e-8 of each.
+    // f32 values have a relative rounding error of 6e-8.
     assert!(deviation(&fit, &truth) < 1e-6, "{fit:?}");
 }
 
@@ -147,7 +148,7 @@ proptest! {
             sigma_major: sigma / f64::sqrt(axis_ratio), sigma_minor: sigma * f64::sqrt(axis_ratio),
             background: background.unwrap_or(0.0),
         };
-        // A minor axis below the sampling limit is fitted, but not to this precision.
+        // A minor axis below the sampling limit can be fitted, but not to this precision.
         prop_assume!(truth.sigma_minor > 0.4);
         let fitter = GaussianFitter::elliptical().with_background(background.is_some());
         let fit = fitter.fit(truth.stamp(60, 64).view()).unwrap();
@@ -159,7 +160,7 @@ proptest! {
     fn symmetries_of_the_grid(
         x in 14.0..17.0f64, y in 14.0..17.0f64, sigma in 1.0..2.5f64, axis_ratio in 0.4..0.9f64, angle in -1.5..1.5f64,
     ) {
-        // Not a Gaussian: the symmetry must hold for any light.
+        // The profile is not a Gaussian, because the symmetry must hold for any light.
         let moffat = common::Moffat { x, y, major: 2.0 * sigma, minor: 2.0 * sigma * axis_ratio, angle, beta: 2.5 };
         let stamp = moffat.stamp(31, 31);
         let fit = |stamp: &Array2<f64>, window| GaussianFitter::elliptical().with_window(window).fit(stamp.view()).unwrap();

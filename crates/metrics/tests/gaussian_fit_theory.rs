@@ -1,4 +1,4 @@
-//! Gaussian fits against theory, noise and other software.
+//! Gaussian fits compared with theory, under noise and with other software.
 
 mod common;
 
@@ -9,13 +9,14 @@ use psf_metrics::{FWHM_PER_SIGMA, GaussianFitter, Window};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A normal deviate (Box & Muller).
+/// Draws a normal deviate (Box & Muller).
 fn normal(rng: &mut ChaCha8Rng) -> f64 {
     let (u, w): (f64, f64) = (rng.random(), rng.random());
     (-2.0 * (1.0 - u).ln()).sqrt() * (2.0 * PI * w).cos()
 }
 
-/// A fit of what is no Gaussian: the sum of squares is that of the model, and no neighbour's is smaller.
+/// A fit to a profile that is not a Gaussian: the sum of squares is that of the model, and no
+/// neighbouring point has a smaller one.
 #[test]
 fn the_result_is_a_minimum() {
     for moffat in MOFFATS {
@@ -73,11 +74,12 @@ fn the_result_is_a_minimum() {
     }
 }
 
-/// scipy 1.17.1 `least_squares` (xtol = ftol = gtol = 1e-15) on the central 21 x 21 pixels of the same profiles: amplitude, x,
-/// y, sigma along two axes, angle of the first, background if fitted, rms.
+/// scipy 1.17.1 `least_squares` (xtol = ftol = gtol = 1e-15) on the central 21 x 21 pixels of the
+/// same profiles: amplitude, x, y, sigma along two axes, angle of the first axis, background if
+/// fitted, rms.
 #[test]
 fn scipy_agrees() {
-    /// Where scipy's own termination leaves its parameters.
+    /// The error that scipy's own termination leaves in its parameters.
     const SCIPY: f64 = 1e-7;
     let without = [
         [
@@ -165,12 +167,14 @@ fn scipy_agrees() {
     }
 }
 
-/// White noise of a twentieth of the peak: unbiased, and as precise as the Cramer-Rao bound
-/// of a round fit with free amplitude, `sd(x) = sqrt(2 / pi) noise / amplitude`, `sd(sigma) = sd(x) / sqrt(2)`.
+/// White noise of a twentieth of the peak: the fit is unbiased, and as precise as the Cramer-Rao
+/// bound of a round fit with free amplitude, `sd(x) = sqrt(2 / pi) noise / amplitude`, `sd(sigma) =
+/// sd(x) / sqrt(2)`.
 #[test]
 fn noise_is_propagated_as_theory_says() {
     const TRIALS: usize = 400;
-    /// The relative error of a standard deviation from 400 trials is 3.5 %; four of those.
+    /// The relative error of a standard deviation from 400 trials is 3.5 %. The limit is four times
+    /// as much.
     const SPREAD: f64 = 0.14;
     let truth = Gaussian::ellipse(2.5, 1.0, 0.0);
     let noise = truth.amplitude / 20.0;
@@ -196,7 +200,8 @@ fn noise_is_propagated_as_theory_says() {
     }
 }
 
-/// Faint, wide, off-centre, elongated, undersampled: each within five standard deviations of the bound.
+/// Faint, wide, off-centre, elongated and undersampled stamps: each result is within five standard
+/// deviations of the bound.
 #[test]
 fn noisy_stamps_converge() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);

@@ -1,4 +1,4 @@
-//! Adaptive and quadrupole moments: known shears, their definition, other software, symmetries.
+//! Adaptive and quadrupole moments: known shears, the definition, other software, symmetries.
 
 mod common;
 
@@ -35,7 +35,8 @@ fn a_known_shear_comes_back() {
         for (g1, g2) in [(0.0, 0.0), (0.1, 0.0), (0.0, -0.2), (-0.15, 0.1)] {
             let truth = sheared(42.3, 45.6, sigma, g1, g2);
             let m = adaptive(&truth.stamp(90, 84));
-            // The product of weight and light is sampled at sigma / sqrt 2: 1.8 pixels and g = 0.2 alias by some 1e-9.
+            // The product of weight and light is sampled at sigma / sqrt 2: aliasing at 1.8 pixels
+            // and g = 0.2 is about 1e-9.
             let tolerance = if sigma < 2.0 { 1e-6 } else { EXACT };
             assert!((m.sigma_px() / sigma - 1.0).abs() < tolerance, "{truth:?}\n{m:?}");
             assert!(
@@ -59,8 +60,9 @@ fn a_wrong_shear_is_told_apart() {
     assert!((adaptive(&perturbed).g1() - adaptive(&stamp).g1()).abs() > 10.0 * EXACT);
 }
 
-/// Integrated over pixels, a Gaussian gains the pixel's second moment, 1/12 square pixel along each axis; what is left is
-/// the box's fourth moment, of order 1/120 over the covariance.
+/// Integrated over pixels, a Gaussian gains the pixel's second moment, 1/12 square pixel along each
+/// axis. The remaining difference is the fourth moment of the box, of order 1/120 relative to the
+/// covariance.
 #[test]
 fn the_pixel_widens_the_moments() {
     const FOURTH_MOMENT: f64 = 1e-3;
@@ -88,7 +90,7 @@ fn the_pixel_widens_the_moments() {
     assert!((pixel.xy() - point.xy()).abs() < FOURTH_MOMENT);
 }
 
-/// The defining equations, summed naively, hold for light that is no Gaussian.
+/// The defining equations, evaluated by a plain sum, hold for light that is not a Gaussian.
 #[test]
 fn the_weight_matches_the_light() {
     for moffat in MOFFATS {
@@ -119,7 +121,8 @@ fn the_weight_matches_the_light() {
     }
 }
 
-/// GalSim 2.8.5 `hsm.FindAdaptiveMom` (convergence threshold 1e-9) on the same arrays: sigma, g1, g2, x, y, amplitude.
+/// GalSim 2.8.5 `hsm.FindAdaptiveMom` (convergence threshold 1e-9) on the same arrays: sigma, g1,
+/// g2, x, y, amplitude.
 #[test]
 fn galsim_agrees() {
     /// GalSim returns sigma and the amplitude in single precision.
@@ -192,7 +195,7 @@ fn windows_keep_stamp_coordinates() {
         .unwrap();
     assert!((m.x_centroid() - 50.3).abs() < EXACT && (m.y_centroid() - 20.6).abs() < EXACT);
     let q = QuadrupoleMoments::measure(image.view(), window).unwrap();
-    // The window cuts the light at 7 sigma.
+    // The window cuts off the light at 7 sigma.
     assert!(
         (q.x_centroid() - 50.3).abs() < EXACT && (q.y_centroid() - 20.6).abs() < EXACT,
         "{q:?}"
@@ -202,7 +205,7 @@ fn windows_keep_stamp_coordinates() {
         .with_window(window)
         .measure(single.view())
         .unwrap();
-    // Values keep 6e-8.
+    // f32 values have a relative rounding error of 6e-8.
     assert!((m.g1() - 0.1).abs() < 1e-6);
 }
 
@@ -212,7 +215,8 @@ fn quadrupoles_of_a_gaussian_and_of_three_pixels() {
     let q = QuadrupoleMoments::measure(truth.stamp(80, 80).view(), Window::whole()).unwrap();
     assert!((q.sigma_px() / 3.0 - 1.0).abs() < EXACT, "{q:?}");
     assert!((q.g1() - 0.1).abs() < EXACT && (q.g2() + 0.05).abs() < EXACT);
-    // Light 1, 2, 1 at (0, 0), (1, 0), (1, 2): centroid (3/4, 1/2), Qxx = 3/16, Qxy = 1/8, Qyy = 3/4.
+    // Light 1, 2, 1 at (0, 0), (1, 0), (1, 2): centroid (3/4, 1/2), Qxx = 3/16, Qxy = 1/8, Qyy =
+    // 3/4.
     let mut stamp = Array2::<f32>::zeros((3, 2));
     stamp[[0, 0]] = 1.0;
     stamp[[0, 1]] = 2.0;
@@ -237,7 +241,8 @@ fn serialised_with_named_units() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]
 
-    /// A mirror turns g2 round, a transposition g1, a shift nothing, a unit nothing but the amplitude.
+    /// A mirror changes the sign of g2, a transposition that of g1. A shift changes nothing, and a
+    /// unit changes only the amplitude.
     #[test]
     fn symmetries_of_the_grid(
         x in 22.0..26.0f64, y in 22.0..26.0f64, minor in 2.5..6.0f64, ratio in 1.0..1.6f64, angle in -1.5..1.5f64,

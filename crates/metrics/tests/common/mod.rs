@@ -66,7 +66,7 @@ impl Moffat {
     }
 }
 
-/// Moffat profiles on 48 x 48 pixels for which other software was asked too.
+/// Moffat profiles on 48 x 48 pixels that other software has also measured.
 pub(crate) const MOFFATS: [Moffat; 3] = [
     Moffat {
         x: 24.3,
