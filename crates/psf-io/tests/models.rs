@@ -129,7 +129,7 @@ fn what_is_wrong_with_a_model_is_said() {
     let version = edited("PSFMODEL=                    1", "PSFMODEL=                    2");
     assert!(
         matches!(&version, IoError::Content { problem, .. }
-            if problem == "this is a psf-model file of version 2; versions 1 to 1 can be read: update psfield"),
+            if problem == "this is a psf-model file of version 2, but only versions 1 to 1 can be read: update psfield"),
         "{version}"
     );
     assert!(version.to_string().contains("update psfield"));

@@ -86,7 +86,7 @@ fn the_writer_or_the_caller_decides_the_order_of_the_planes() {
     let (found, note) = order(&marked, PlaneOrder::Auto);
     assert!(found == SORTED && note.contains("PLANEORD"), "{note}");
     let (found, note) = order(&new, PlaneOrder::Cards);
-    assert!(found == AS_CARDS && note.contains("as told"), "{note}");
+    assert!(found == AS_CARDS && note.contains("as requested"), "{note}");
     assert_eq!(order(&old, PlaneOrder::Sorted).0, SORTED);
 
     let dated = |date: &str| {

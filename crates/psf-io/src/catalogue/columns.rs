@@ -26,9 +26,9 @@ use crate::fits::hdu::HduChoice;
 /// both are available, positions in pixels are used rather than those on the sky, and flux rather
 /// than magnitude. A zero point together with fluxes is an error, so with both columns and a zero
 /// point the role `mag` must be given its column. A catalogue with a column for `re` has galaxies
-/// and needs a column for `n`. Upper and lower case are equal.
+/// and needs a column for `n`. Case is ignored in names.
 ///
-/// As text: `role=COLUMN`, separated by commas.
+/// Text form: `role=COLUMN`, separated by commas.
 ///
 /// ```
 /// use psf_io::CatalogColumns;

@@ -9,7 +9,7 @@
 //! | `x`, `y` | position in pixels of the frame, 0-based; a whole number is the centre of a pixel, fractions and positions outside the frame are allowed |
 //! | `flux` | total flux of the source (catalogues only) |
 //!
-//! Upper and lower case are equal, columns may be in any order, and further columns are ignored.
+//! Case is ignored in names, columns may be in any order, and further columns are ignored.
 //! For other names, 1-based pixels, magnitudes, sky coordinates and galaxies see
 //! [`read_catalog_with`] and [`CatalogColumns`].
 //!

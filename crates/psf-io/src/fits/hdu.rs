@@ -327,7 +327,7 @@ impl Hdu {
 
 /// Chooses one HDU by number, or by name and optional version.
 ///
-/// A whole number as text counts HDUs from 0 (the primary), as in astropy. Any other text is an
+/// Text form: a whole number counts HDUs from 0 (the primary), as in astropy. Any other text is an
 /// `EXTNAME`, in upper or lower case. A comma and an `EXTVER` may follow it.
 ///
 /// ```

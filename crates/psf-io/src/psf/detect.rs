@@ -1,4 +1,4 @@
-//! What a file holds.
+//! Finds the kind of a file.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use crate::fits::image::squeezed;
 use crate::fits::structure::{FitsStructure, is_fits};
 use crate::psf::{model, psfex, samples, scopesim, stdpsf, stpsf};
 
-/// The kind of a file, told from its content, never from its name.
+/// The kind of a file, found from its content and never from its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum FileKind {
@@ -34,7 +34,7 @@ pub enum FileKind {
     PointTable,
     /// A FITS file of another kind.
     OtherFits,
-    /// No FITS file: perhaps a text table.
+    /// Not a FITS file. It may be a text table.
     NotFits,
 }
 
@@ -56,10 +56,10 @@ impl std::fmt::Display for FileKind {
     }
 }
 
-/// A kind and what tells it.
+/// A kind and the test for it.
 type Test = (FileKind, fn(&FitsStructure) -> bool);
 
-/// The most specific first. A new format adds its file and a line here.
+/// The most specific tests are first. A new format adds its file and a line here.
 const TESTS: &[Test] = &[
     (FileKind::PsfModel, model::is_model),
     (FileKind::PsfSamples, samples::is_samples),
@@ -72,7 +72,8 @@ const TESTS: &[Test] = &[
     (FileKind::PointTable, catalogue::has_points),
 ];
 
-/// Tells what a file holds. A file that is cut short or compressed is an error, not a kind.
+/// Finds the kind of a file. A file that is cut short or compressed in an unsupported way is an
+/// error.
 ///
 /// # Errors
 /// [`IoError::Read`], [`IoError::NotAFile`], [`IoError::Truncated`], [`IoError::Content`] or
@@ -81,11 +82,12 @@ pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
     detect_hdu(path, None)
 }
 
-/// Tells the kind of a file where an image is chosen: whether that one is an image or a cube.
+/// Finds the kind of a file with a chosen image. In a file of images it is the kind of that image,
+/// an image or a cube.
 ///
 /// # Errors
-/// As [`detect`]; [`IoError::NoSuchHdu`] where images are all there is, and the choice is none of
-/// them.
+/// The errors of [`detect`], and [`IoError::NoSuchHdu`] if the file only holds images and the
+/// choice is none of them.
 pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<FileKind, IoError> {
     let path = path.as_ref();
     if !is_fits(path)? {
@@ -104,7 +106,7 @@ pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<
     })
 }
 
-/// Axes of the first image, those of length 1 beyond two left out.
+/// Number of axes of the first image, without axes of length 1 beyond two.
 fn image_axes(structure: &FitsStructure) -> Option<usize> {
     structure.first_image().ok().map(|hdu| squeezed(hdu).len())
 }

@@ -1,4 +1,4 @@
-//! PSF libraries: one in memory, and the cards of their headers.
+//! A PSF library in memory, and access to the cards of its header.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -11,15 +11,15 @@ use crate::fits::card::{Card, FromValue};
 use crate::fits::hdu::Hdu;
 use crate::fits::image::stack_shape;
 
-/// PSFs at positions of one detector, as a library of [STPSF](crate::stpsf) or
-/// [STDPSF](crate::stdpsf) has them.
+/// PSFs at positions on one detector, read from a library of [STPSF](crate::stpsf) or
+/// [STDPSF](crate::stdpsf).
 ///
-/// * [`samples`](Self::samples): positions are 0-based pixels of the detector. The stamps'
-///   reference point is the middle, index `(n - 1) / 2`; the pixel response is in them; between
-///   their pixels they continue by the interpolating cubic spline; the values are those of the
-///   file, not scaled to unit flux.
-/// * The makers' own tools (photutils' `GriddedPSFModel`) interpolate bilinearly between the
-///   positions and take the nearest point of the grid outside:
+/// - [`samples`](Self::samples): positions are 0-based pixels of the detector. The reference point
+///   of the stamps is their middle, index `(n - 1) / 2`. The stamps include the pixel response.
+///   Between their pixels the interpolating cubic spline applies. The values are those of the file,
+///   not scaled to unit flux.
+/// - The makers' own tools (photutils' `GriddedPSFModel`) interpolate bilinearly between the
+///   positions and use the nearest point of the grid outside:
 ///   [`Interpolation::Bilinear`](psf_types::Interpolation::Bilinear) with
 ///   [`OutsidePolicy::Nearest`](psf_types::OutsidePolicy::Nearest).
 #[derive(Debug, Clone, PartialEq)]
@@ -29,11 +29,11 @@ pub struct GriddedPsf {
     notes: Vec<String>,
 }
 
-/// The findings of a reader.
+/// The content of a library as a reader found it.
 pub(crate) struct Planes {
     /// `[sample, y, x]`.
     pub(crate) stamps: Array3<f64>,
-    /// The plane of the file that each sample comes from.
+    /// The plane of the file from which each sample comes.
     pub(crate) numbers: Vec<usize>,
     pub(crate) positions: Vec<Position>,
     pub(crate) oversampling: f64,
@@ -59,41 +59,41 @@ impl GriddedPsf {
         &self.samples
     }
 
-    /// Notes for the user on how the file was read, in plain sentences: which order of planes
-    /// or which detector was taken, which border rows are bad.
+    /// Notes for the user on how the file was read, in plain sentences: the order of the planes,
+    /// the chosen detector, bad border rows.
     pub fn notes(&self) -> &[String] {
         &self.notes
     }
 
-    /// The PSFs with their positions, without a copy.
+    /// Returns the PSFs with their positions without a copy.
     pub fn into_samples(self) -> PsfSamples {
         self.samples
     }
 
-    /// The name of the detector, where the file tells it.
+    /// The name of the detector, if the file states it.
     pub fn detector(&self) -> Option<&str> {
         self.detector.as_deref()
     }
 }
 
-/// The middle of `n` pixels, as an index.
+/// The index of the middle of `n` pixels.
 pub(crate) fn middle(n: usize) -> f64 {
     (n as f64 - 1.0) / 2.0
 }
 
-/// The grid of stamps whose reference point is their middle.
+/// The grid of stamps whose reference point is in the middle.
 pub(crate) fn centred_grid(nx: usize, ny: usize, oversampling: f64) -> Result<StampGrid, DataError> {
     StampGrid::new(nx, ny)?
         .with_centre(middle(nx), middle(ny))?
         .with_oversampling(oversampling)
 }
 
-/// A cube's shape `(planes, ny, nx)`; an image is a cube of one plane.
+/// The shape `(planes, ny, nx)` of a cube. An image is a cube of one plane.
 pub(crate) fn cube_shape(hdu: &Hdu) -> Result<(usize, usize, usize), IoError> {
     stack_shape(hdu, "a cube of PSFs [plane, y, x]")
 }
 
-/// Refuses stamps without light, by the number of their plane in the file.
+/// Returns an error for a stamp without flux, with the number of its plane in the file.
 pub(crate) fn check_flux(
     path: &Path,
     stamps: &Array3<f64>,
@@ -111,14 +111,14 @@ pub(crate) fn check_flux(
     Ok(())
 }
 
-/// The header of an HDU, read by keywords that are made at run time.
+/// The header of an HDU, for keywords that are made at run time.
 ///
-/// Upper and lower case are the same: real STDPSF files have `NXPSFs`.
+/// Case is ignored, because real STDPSF files have `NXPSFs`.
 #[derive(Debug)]
 pub(crate) struct LibraryCards<'a> {
     pub(crate) hdu: &'a Hdu,
-    /// The first card of each keyword. A table, since headers may be long and the keywords asked
-    /// for many.
+    /// The first card of each keyword, in a hash table because long headers are searched for many
+    /// keywords.
     cards: HashMap<String, &'a Card>,
 }
 
@@ -131,7 +131,8 @@ impl<'a> LibraryCards<'a> {
         Self { hdu, cards }
     }
 
-    /// The value, turned by `convert` into what is expected.
+    /// The value of a keyword after `convert`, if the keyword exists. A value that `convert`
+    /// rejects is an error.
     fn optional<V: FromValue, T>(
         &self,
         keyword: &str,
@@ -147,18 +148,19 @@ impl<'a> LibraryCards<'a> {
         }
     }
 
-    /// A finite number.
+    /// A finite number, if the keyword exists.
     pub(crate) fn number(&self, keyword: &str, expected: &str) -> Result<Option<f64>, IoError> {
         self.optional(keyword, expected, Some::<f64>)
     }
 
-    /// A finite number that must be there.
+    /// A finite number, which must exist.
     pub(crate) fn required_number(&self, keyword: &str, expected: &str) -> Result<f64, IoError> {
         self.number(keyword, expected)?
             .ok_or_else(|| self.missing(keyword, expected))
     }
 
-    /// A whole number of at least `least`, also one written with a point.
+    /// A whole number of at least `least`, if the keyword exists. It may be written with a decimal
+    /// point.
     pub(crate) fn count(
         &self,
         keyword: &str,
@@ -166,13 +168,13 @@ impl<'a> LibraryCards<'a> {
         expected: &str,
     ) -> Result<Option<usize>, IoError> {
         self.optional(keyword, expected, |number: f64| {
-            // Above 2^53 floats no longer count; no file has as many of anything.
+            // Above 2^53 not every whole number is a float. No file holds that many of anything.
             let counts = number.fract() == 0.0 && (least as f64..=2_f64.powi(53)).contains(&number);
             counts.then_some(number as usize)
         })
     }
 
-    /// Such a number that must be there.
+    /// Works like [`count`](Self::count), but a missing keyword is an error.
     pub(crate) fn required_count(
         &self,
         keyword: &str,
@@ -183,12 +185,12 @@ impl<'a> LibraryCards<'a> {
             .ok_or_else(|| self.missing(keyword, expected))
     }
 
-    /// A text.
+    /// A text, if the keyword exists.
     pub(crate) fn text(&self, keyword: &str, expected: &str) -> Result<Option<String>, IoError> {
         self.optional(keyword, expected, |text: String| Some(text.trim().to_owned()))
     }
 
-    /// Whether there is a card of this keyword.
+    /// Returns whether a card with this keyword exists.
     pub(crate) fn has(&self, keyword: &str) -> bool {
         self.cards.contains_key(keyword)
     }
@@ -198,7 +200,7 @@ impl<'a> LibraryCards<'a> {
         unsuitable(self.hdu.path(), problem)
     }
 
-    /// The error for a card whose value is not what it must be.
+    /// The error for a card with a wrong value.
     pub(crate) fn bad(&self, keyword: &str, expected: &str, card: &Card) -> IoError {
         let got = match card.value() {
             Some(value) => value.to_string(),
@@ -216,10 +218,10 @@ impl<'a> LibraryCards<'a> {
         unsuitable(self.hdu.path(), format!("HDU {}: {problem}", self.hdu.index))
     }
 
-    /// The error for a number of planes that is not the one that cards say.
+    /// The error for a number of planes that differs from the number in the cards.
     pub(crate) fn plane_count(&self, planes: usize, cards: &str, stated: &str) -> IoError {
         let problem = format!(
-            "HDU {} holds {planes} planes, {cards} says {stated}: the file is damaged or of another format",
+            "HDU {} holds {planes} planes, but {cards} says {stated}: the file is damaged or of another format",
             self.hdu.index
         );
         unsuitable(self.hdu.path(), problem)

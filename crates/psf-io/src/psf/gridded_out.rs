@@ -1,4 +1,4 @@
-//! Gridded PSF libraries out.
+//! Writes gridded PSF libraries.
 
 use std::path::Path;
 
@@ -12,26 +12,25 @@ use crate::fits::image_out::{cards, write_fits, write_image_header};
 use crate::psf::gridded::middle;
 use crate::psf::stpsf::{PLANE_ORDER, POSITION};
 
-/// The narrowest stamp that a cubic spline goes through.
+/// The smallest side of a stamp through which a cubic spline can be fitted.
 const MIN_SIZE: usize = 4;
 
 /// Writes samples on a grid as a gridded PSF library in the [layout of STPSF](crate::stpsf), for
-/// photutils (`GriddedPSFModel.read(name, format="webbpsf")`) and this project; returns the number
-/// of planes written.
+/// photutils (`GriddedPSFModel.read(name, format="webbpsf")`) and psfield. Returns the number of
+/// planes written.
 ///
-/// Values are written as they are, in double precision. `cards` are added to the header, ahead of
-/// the layout's own.
+/// Values are written unchanged, in double precision. `cards` are added to the header, before the
+/// cards of the layout.
 ///
 /// # Planes
-/// Releases of photutils disagree on how positions belong to planes. Up to 3.0 the `i`-th card in
-/// the header belongs to plane `i`, and its two numbers are taken as (x, y); in later ones
-/// `DET_YXi` belongs to it, and they are taken as (y, x), as written. Both read a library alike
-/// when x and y of its grid have the same values and the cards stand in a certain order, so it is
-/// written like that.
+/// Releases of photutils disagree on which card holds the position of plane `i`. Up to 3.0 it is
+/// the `i`-th card in the header, and its two numbers are read as (x, y). In later releases it is
+/// `DET_YXi`, and the numbers are read as (y, x), as written. Both agree if x and y of the grid
+/// have the same values and the cards have a certain order, so the library is written in this way.
 ///
 /// A grid with other values in x than in y gets more planes: one at every crossing of all these
-/// values, bilinear between the samples and constant outside them. Readers interpolate the same
-/// way, so that the PSF stays the same everywhere.
+/// values, bilinear between the samples and constant outside them. Readers interpolate in the same
+/// way, so the PSF is unchanged everywhere.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -50,11 +49,11 @@ const MIN_SIZE: usize = 4;
 /// ```
 ///
 /// # Errors
-/// [`IoError::Library`] for what the layout or its readers cannot hold: samples that are not on a
-/// grid, an oversampling that is not a whole number, stamps that are not centred in their middle,
-/// without pixel response, with another rule than the cubic spline between their pixels, or smaller
-/// than 4 x 4; [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or what the
-/// file system and CFITSIO report.
+/// [`IoError::Library`] for samples that the layout or its readers cannot hold: they are not on a
+/// grid, or the oversampling is not a whole number. It is also returned for stamps that are not
+/// centred in their middle, lack the pixel response, are not interpolated by the cubic spline, or
+/// are smaller than 4 x 4. Other errors are [`IoError::Exists`] unless `overwrite`,
+/// [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
 pub fn write_gridded(
     path: impl AsRef<Path>,
     samples: &PsfSamples,
@@ -80,7 +79,7 @@ pub fn write_gridded(
     let (ny, nx) = samples.grid().dim();
     write_fits(path, overwrite, |fits| {
         write_image_header(fits, &[planes, ny, nx], -64, &header)?;
-        // Plane by plane: there may be many more than samples.
+        // The planes are written one by one, because there may be many more of them than samples.
         (0..planes).try_for_each(|plane| {
             let stamp = square.stamp(samples, plane);
             let values = stamp.as_slice().expect("a new array is row-major");
@@ -90,14 +89,14 @@ pub fn write_gridded(
     Ok(planes)
 }
 
-/// The oversampling as a whole number, where the layout can hold stamps of this grid.
+/// Checks that the layout can hold stamps of this grid. Returns the oversampling as a whole number.
 fn check(grid: StampGrid) -> Result<usize, String> {
     let (oversampling, nx, ny) = (grid.oversampling(), grid.nx(), grid.ny());
     let (centre, middle) = ((grid.centre_x(), grid.centre_y()), (middle(nx), middle(ny)));
-    // Beyond 2^31 readers would not take it for a whole number either.
+    // Readers would not accept a number beyond 2^31 as a whole number.
     if oversampling.fract() != 0.0 || oversampling > f64::from(i32::MAX) {
         return Err(format!(
-            "the stamps are {oversampling} x oversampled: a gridded library needs a whole number; resample the PSF first"
+            "the stamps are oversampled {oversampling} times, but a gridded library needs a whole number: resample the PSF first"
         ));
     }
     if nx < MIN_SIZE || ny < MIN_SIZE {
@@ -119,7 +118,7 @@ fn check(grid: StampGrid) -> Result<usize, String> {
     }
     if grid.interpolation() != StampInterpolation::CubicSpline {
         return Err(format!(
-            "the stamps continue by {} between their pixels, readers of gridded libraries use a cubic spline: resample the PSF first",
+            "the stamps are interpolated by {}, but readers of gridded libraries use a cubic spline: resample the PSF first",
             grid.interpolation()
         ));
     }
@@ -148,7 +147,7 @@ fn own_cards(
     }
     if square.is_refined() {
         own.push(Card::comment(&format!(
-            "The samples lay on a grid of {} x {} with other values in x than in y. The planes are theirs, and bilinear between them, \
+            "The samples were on a grid of {} x {} with other values in x than in y. The planes are interpolated bilinearly from them \
              at every crossing of all these values.",
             square.xs.len(),
             square.ys.len()
@@ -157,11 +156,11 @@ fn own_cards(
     Ok(own)
 }
 
-/// `DET_YXn = '(y, x)'`; numbers of three digits are too long for a plain keyword and become one of
-/// ESO's HIERARCH cards, as astropy writes them.
+/// Makes `DET_YXn = '(y, x)'`. A number of three digits is too long for a plain keyword, so it
+/// becomes one of ESO's HIERARCH cards, as in astropy.
 fn position_card(plane: usize, x: f64, y: f64) -> Card {
     let keyword = format!("{POSITION}{plane}");
-    // Debug gives numbers a point, as Python does.
+    // The format `:?` writes a decimal point in every number, as Python does.
     let text = format!("({y:?}, {x:?})");
     if keyword.len() <= 8 {
         let record = text_records(&keyword, &text, "(y, x) of this plane in detector pixels");
@@ -170,20 +169,21 @@ fn position_card(plane: usize, x: f64, y: f64) -> Card {
     Card::from_record(padded(format!("HIERARCH {keyword} = '{text}'").as_bytes()))
 }
 
-/// The most planes that are written: readers look at a card for each.
+/// The largest number of planes that is written. Readers process a card for each plane.
 const MAX_PLANES: usize = 10_000;
 
-/// The crossings of lines with the same values in x and in y, and what each of them is made of.
+/// The crossings of lines with the same values in x and y, and the samples from which each crossing
+/// is interpolated.
 #[derive(Debug)]
 struct SquareGrid {
-    /// x and y of the samples, ascending.
+    /// The x and y values of the samples, ascending.
     xs: Vec<f64>,
     ys: Vec<f64>,
-    /// The sample at each crossing of `ys` and `xs`, x fastest.
+    /// The sample at each crossing of `ys` and `xs`, with x fastest.
     sample_at: Vec<usize>,
-    /// The values of both, ascending.
+    /// The values of x and y together, ascending.
     lines: Vec<f64>,
-    /// A single sample stays one, wherever it lies.
+    /// The position of a single sample. It stays a single plane at any position.
     single: Option<Position>,
 }
 
@@ -194,14 +194,14 @@ impl SquareGrid {
         let ys = ascending(positions.iter().map(|p| p.y()));
         if xs.len().checked_mul(ys.len()) != Some(positions.len()) {
             return Err(format!(
-                "the {} samples lie on {} x {} grid lines and do not fill them: a gridded library needs a stamp at every crossing; \
+                "the {} samples do not fill a grid of {} x {} lines, but a gridded library needs a stamp at every crossing: \
                  evaluate the PSF on a regular grid first",
                 positions.len(),
                 xs.len(),
                 ys.len()
             ));
         }
-        // Positions are distinct: as many as there are crossings fill them all.
+        // Positions are distinct, so as many positions as crossings fill all crossings.
         let mut sample_at = vec![0; positions.len()];
         let index = |lines: &[f64], v: f64| lines.partition_point(|&line| line < v);
         for (sample, position) in positions.iter().enumerate() {
@@ -217,14 +217,14 @@ impl SquareGrid {
         };
         match grid.planes() {
             planes if planes > MAX_PLANES && grid.is_refined() => Err(format!(
-                "x and y of the samples differ, so that the library needs {planes} planes, more than {MAX_PLANES}: evaluate the PSF on \
+                "x and y of the samples have different values, so the library would need {planes} planes (at most {MAX_PLANES} are possible): evaluate the PSF on \
                  a grid with the same lines in x and y"
             )),
             _ => Ok(grid),
         }
     }
 
-    /// Number of planes: one for each crossing.
+    /// Number of planes, one per crossing.
     fn planes(&self) -> usize {
         match self.single {
             Some(_) => 1,
@@ -232,12 +232,12 @@ impl SquareGrid {
         }
     }
 
-    /// Whether there are crossings without a sample.
+    /// Returns whether some crossings have no sample.
     fn is_refined(&self) -> bool {
         self.planes() != self.sample_at.len()
     }
 
-    /// (x, y) of a plane; x is fastest.
+    /// The position (x, y) of a plane. x is fastest.
     fn position(&self, plane: usize) -> (f64, f64) {
         match self.single {
             Some(position) => (position.x(), position.y()),
@@ -248,8 +248,8 @@ impl SquareGrid {
         }
     }
 
-    /// The planes in the order in which their cards stand in the header: in the place of plane (x,
-    /// y) the card of plane (y, x).
+    /// The planes in the order of their cards in the header: the card of plane (y, x) is in the
+    /// place of plane (x, y).
     fn card_order(&self) -> impl Iterator<Item = usize> {
         let side = match self.single {
             Some(_) => 1,
@@ -270,7 +270,7 @@ impl SquareGrid {
             (right, high, u * v),
         ];
         for (i, j, weight) in corners {
-            // A sample itself stays as it is, bit by bit.
+            // A stamp at a sample stays equal to the sample, bit by bit.
             if weight != 0.0 {
                 let sample = self.sample_at[j * self.xs.len() + i];
                 stamp.scaled_add(weight, &samples.stamp(sample));
@@ -280,7 +280,7 @@ impl SquareGrid {
     }
 }
 
-/// The different values, ascending.
+/// The distinct values in ascending order.
 fn ascending(values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
@@ -288,7 +288,8 @@ fn ascending(values: impl Iterator<Item = f64>) -> Vec<f64> {
     values
 }
 
-/// The lines below and above a value, and the weight of the second; outside, of the nearest line.
+/// The lines below and above a value, and the weight of the second. Outside, the nearest line has
+/// all the weight.
 fn between(lines: &[f64], value: f64) -> (usize, usize, f64) {
     let above = lines.partition_point(|&line| line < value).min(lines.len() - 1);
     let below = above.saturating_sub(1);

@@ -1,4 +1,4 @@
-//! PSFs in files: one file for each format.
+//! PSFs in files, with one module for each format.
 
 pub(crate) mod detect;
 pub(crate) mod gridded;

@@ -2,26 +2,26 @@
 //!
 //! # Layout
 //!
-//! | HDU | what |
+//! | HDU | content |
 //! |---|---|
-//! | 0, primary | double cube `[plane, y, x]`: the mean stamp if `CENTRED` is `T`, then the `NCOMP` orthonormal stamps of the basis |
+//! | 0, primary | double cube `[plane, y, x]`: the mean stamp if `CENTRED` is `T`, then the `NCOMP` orthonormal basis stamps |
 //! | `COEFFS`, binary table | columns `X`, `Y` (doubles, 0-based pixels of the frame) and `A` (`NCOMP` doubles; absent for `NCOMP = 0`): one row per sample |
-//! | `SINGULAR`, binary table | optional: column `S`, the singular values (doubles), as many as the fit had |
+//! | `SINGULAR`, binary table | optional: column `S`, the singular values of the fit (doubles) |
 //!
 //! | keyword of HDU 0 | meaning |
 //! |---|---|
 //! | `PSFMODEL` | version of the layout, 1 |
 //! | `NCOMP` | number of components `K` |
-//! | `CENTRED` | `T` when plane 0 is the mean stamp |
+//! | `CENTRED` | `T` if plane 0 is the mean stamp |
 //! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
-//! | `OUTSIDE` | outside the samples: `nearest`, `extend` or `error` |
+//! | `OUTSIDE` | policy outside the samples: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
 //!
-//! The PSF at a sample is `mean + sum_k A[k] * plane[k]`. Everything comes back bit by bit: doubles
-//! in the header are written with as many digits as that takes.
+//! The PSF at a sample is `mean + sum_k A[k] * plane[k]`. Every number is read back bit by bit:
+//! doubles in the header are written with as many digits as needed.
 //!
-//! A model from Python:
+//! A model made in Python:
 //!
 //! ```python
 //! from astropy.io import fits
@@ -47,9 +47,9 @@ use crate::fits::image_out::{cards, write_fits, write_image_hdu};
 use crate::fits::structure::FitsStructure;
 use crate::psf::samples::{field, grid_cards, read_positions_of, stamp_grid, write_positions_of};
 
-/// The keyword that makes a file a PSF model.
+/// The keyword that identifies a PSF model.
 const VERSION_KEYWORD: &str = "PSFMODEL";
-/// The newest version of the layout that this crate reads, and the one it writes.
+/// The newest version of the layout that this crate can read. It also writes this version.
 pub const MODEL_VERSION: i64 = 1;
 const COEFFICIENTS: &str = "COEFFS";
 const SINGULAR_VALUES: &str = "SINGULAR";
@@ -68,7 +68,7 @@ impl ModelFile {
         &self.record
     }
 
-    /// The singular values of the fit; empty when the file has none.
+    /// The singular values of the fit. Empty if the file has none.
     pub fn singular_values(&self) -> &[f64] {
         &self.singular_values
     }
@@ -78,13 +78,13 @@ impl ModelFile {
         &self.header
     }
 
-    /// The model, without a copy.
+    /// Returns the model without a copy.
     pub fn into_record(self) -> PsfModelRecord {
         self.record
     }
 }
 
-/// Whether a file says that it is a PSF model, of whatever version.
+/// Returns whether a file is marked as a PSF model of any version.
 pub(crate) fn is_model(structure: &FitsStructure) -> bool {
     structure.hdus[0].header.get(VERSION_KEYWORD).is_some()
 }
@@ -92,7 +92,7 @@ pub(crate) fn is_model(structure: &FitsStructure) -> bool {
 /// Reads a PSF model in the [`psf-model` layout](self).
 ///
 /// # Errors
-/// As [`read_model_file`].
+/// The errors of [`read_model_file`].
 pub fn read_model(path: impl AsRef<Path>) -> Result<PsfModelRecord, IoError> {
     read_model_file(path).map(ModelFile::into_record)
 }
@@ -100,20 +100,20 @@ pub fn read_model(path: impl AsRef<Path>) -> Result<PsfModelRecord, IoError> {
 /// Reads a PSF model with its singular values and header.
 ///
 /// # Errors
-/// [`IoError::Content`] for a later version of the layout, [`IoError::MissingKeyword`],
-/// [`IoError::MissingHdu`], [`IoError::Data`] for a basis that is not orthonormal or counts that do
-/// not agree, and the errors of any FITS file.
+/// [`IoError::Content`] for a newer version of the layout, [`IoError::MissingKeyword`],
+/// [`IoError::MissingHdu`], [`IoError::Data`] for a basis that is not orthonormal or for counts
+/// that disagree, and the errors of any FITS file.
 pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
     let hdu = &structure.hdus[0];
     let version = hdu.required::<i64>(
         VERSION_KEYWORD,
-        "the version of a PSF model: a whole number from 1 on",
+        "the version of a PSF model: a whole number above 0",
     )?;
     if !(1..=MODEL_VERSION).contains(&version) {
         let problem = format!(
-            "this is a psf-model file of version {version}; versions 1 to {MODEL_VERSION} can be read: update psfield"
+            "this is a psf-model file of version {version}, but only versions 1 to {MODEL_VERSION} can be read: update psfield"
         );
         return Err(content(path, problem));
     }
@@ -122,7 +122,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let rank = usize::try_from(hdu.required::<i64>("NCOMP", "the number of components")?)
         .ok()
         .filter(|&rank| rank.checked_add(usize::from(centred)) == Some(shape.0))
-        .ok_or_else(|| hdu.axes_error("a cube of NCOMP planes, and one more when CENTRED is T"))?;
+        .ok_or_else(|| hdu.axes_error("a cube of NCOMP planes, plus one if CENTRED is T"))?;
     let interpolation = hdu.required_choice("INTERPOL", "the interpolation, such as natural-neighbour")?;
     let outside = hdu.required_choice("OUTSIDE", "nearest, extend or error")?;
     let normalisation = hdu.required_choice("NORMALIS", "unit or keep")?;
@@ -142,7 +142,8 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 
     let planes = read_stack(hdu, shape)?;
     let mean = centred.then(|| planes.index_axis(Axis(0), 0).to_owned());
-    // Not a copy of a part: ndarray's debug assertions refuse to copy a part without planes.
+    // Moves the array instead of copying a part: ndarray's debug assertions fail for a copy of a
+    // part without planes.
     let components = planes.slice_move(s![usize::from(centred).., .., ..]);
     let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
     let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
@@ -160,12 +161,12 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 
 /// Writes a PSF model in the [`psf-model` layout](self).
 ///
-/// `singular_values` may be empty; `added` cards go to the primary header, ahead of the layout's
-/// own.
+/// `singular_values` may be empty. `added` cards are written to the primary header, before the
+/// cards of the layout.
 ///
 /// # Errors
 /// [`IoError::Value`] for a singular value that is not finite, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
 pub fn write_model(
     path: impl AsRef<Path>,
     record: &PsfModelRecord,

@@ -2,25 +2,25 @@
 //!
 //! # Layout
 //!
-//! | HDU | what |
+//! | HDU | content |
 //! |---|---|
 //! | 0, primary | float cube `[sample, y, x]` (`NAXIS1` = x, `NAXIS3` = samples), any `BITPIX`; an image `[y, x]` is one sample |
-//! | `POSITIONS`, binary table | columns `X`, `Y`: one row per sample, doubles; 0-based pixels of the frame, an integer is the centre of a pixel |
+//! | `POSITIONS`, binary table | columns `X`, `Y`: one row per sample, doubles; 0-based pixels of the frame, where a whole number is the centre of a pixel |
 //!
 //! | keyword of HDU 0 | meaning | default |
 //! |---|---|---|
 //! | `OVERSAMP` | stamp pixels per frame pixel, a number above 0 | 1 |
-//! | `CENX`, `CENY` | stamp index of the PSF's reference point, 0-based, may be fractional | `n / 2`, integer division: 32 of 64 |
-//! | `PIXCONV` | `T` when the response of a frame pixel is in the stamps | `T` |
-//! | `STAMPINT` | how values continue between the stamps' pixels: `cubic-spline` or `lanczos3` | `cubic-spline` |
-//! | `FIELDNX`, `FIELDNY` | the frame's size in pixels; both or none | not known |
+//! | `CENX`, `CENY` | stamp index of the PSF's reference point, 0-based, may be fractional | `n / 2`, integer division: 32 for 64 pixels |
+//! | `PIXCONV` | `T` if the stamps include the response of a frame pixel | `T` |
+//! | `STAMPINT` | interpolation between the pixels of a stamp: `cubic-spline` or `lanczos3` | `cubic-spline` |
+//! | `FIELDNX`, `FIELDNY` | size of the frame in pixels; both or none | unknown |
 //!
 //! A value is the fraction of a source's flux in a *frame* pixel centred there: a stamp with
-//! `OVERSAMP = s` holds unit flux when its sum is `s^2`. Every value is finite, every stamp has
-//! positive flux, no two positions are equal, and all lie on the frame where its size is given.
-//! Single-precision and integer columns are read too; other columns, HDUs and keywords are ignored.
+//! `OVERSAMP = s` holds unit flux if its sum is `s^2`. Every value is finite, every stamp has
+//! positive flux, no two positions are equal, and all are on the frame if its size is given.
+//! Single-precision and integer columns are read too. Other columns, HDUs and keywords are ignored.
 //!
-//! Six lines of astropy write it:
+//! Such a file is written by six lines of astropy:
 //!
 //! ```python
 //! from astropy.io import fits
@@ -45,7 +45,7 @@ use crate::fits::image::{read_stack, squeezed, stack_shape};
 use crate::fits::image_out::{in_single_precision, write_fits, write_image_hdu};
 use crate::fits::structure::FitsStructure;
 
-/// The table that makes a cube PSF samples.
+/// The table that turns a cube into PSF samples.
 const POSITIONS: &str = "POSITIONS";
 
 /// The precision of floats in a file.
@@ -58,7 +58,7 @@ pub enum Precision {
     Double,
 }
 
-/// Whether a file has the layout: a cube, or a single stamp, and a table of positions.
+/// Returns whether a file has this layout: a cube or a single stamp, and a table of positions.
 pub(crate) fn is_samples(structure: &FitsStructure) -> bool {
     let (Ok(image), Some(table)) = (structure.first_image(), structure.table(POSITIONS)) else {
         return false;
@@ -82,7 +82,7 @@ pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
     let needed = "binary table POSITIONS with the columns X and Y of the samples";
     let table = Table::new(structure.needed_table(POSITIONS, needed)?)?;
     let shape = stack_shape(hdu, "a cube of stamps [sample, y, x]")?;
-    let what = "stamps in the cube, one for each row of the table POSITIONS";
+    let what = "stamps in the cube, one per row of the table POSITIONS";
     DataError::check_count(what, table.rows, shape.0).map_err(invalid(path))?;
     let grid = stamp_grid(hdu, shape.2, shape.1)?;
     let positions =
@@ -92,8 +92,8 @@ pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
 
 /// Writes PSF samples in the [`psf-samples` layout](self).
 ///
-/// Positions are doubles and come back exactly, as do the stamps under [`Precision::Double`].
-/// `cards` are added to the primary header, ahead of the layout's own.
+/// Positions are doubles and are read back exactly, as are the stamps with [`Precision::Double`].
+/// `cards` are added to the primary header, before the cards of the layout.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -111,7 +111,7 @@ pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
 ///
 /// # Errors
 /// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
 pub fn write_samples(
     path: impl AsRef<Path>,
     samples: &PsfSamples,
@@ -139,12 +139,12 @@ pub fn write_samples(
     })
 }
 
-/// The columns X and Y.
+/// Reads positions from the columns X and Y.
 pub(crate) fn read_positions_of(table: &Table<'_>, path: &Path) -> Result<Vec<Position>, IoError> {
     positions(path, table.read("X", 1)?, table.read("Y", 1)?)
 }
 
-/// X and Y as the first two columns of the table just created.
+/// Writes X and Y as the first two columns of the table just created.
 pub(crate) fn write_positions_of(fits: &mut Fits, positions: &SamplePositions) -> Result<(), IoError> {
     let coordinate =
         |of: fn(Position) -> f64| positions.as_slice().iter().map(|&p| of(p)).collect::<Vec<_>>();
@@ -152,7 +152,7 @@ pub(crate) fn write_positions_of(fits: &mut Fits, positions: &SamplePositions) -
     fits.write_column(2, &coordinate(Position::y))
 }
 
-/// The grid of `nx` by `ny` stamps: `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and `STAMPINT`.
+/// The grid of `nx` by `ny` stamps from `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and `STAMPINT`.
 pub(crate) fn stamp_grid(hdu: &Hdu, nx: usize, ny: usize) -> Result<StampGrid, IoError> {
     let data = |result: Result<StampGrid, _>| result.map_err(invalid(hdu.path()));
     let grid = data(StampGrid::new(nx, ny))?;
@@ -166,9 +166,9 @@ pub(crate) fn stamp_grid(hdu: &Hdu, nx: usize, ny: usize) -> Result<StampGrid, I
         .with_interpolation(interpolation.unwrap_or_default()))
 }
 
-/// The field: `FIELDNX` and `FIELDNY`, both or none.
+/// The field from `FIELDNX` and `FIELDNY`, which need both or none.
 pub(crate) fn field(hdu: &Hdu) -> Result<Option<FrameShape>, IoError> {
-    const EXPECTED: &str = "the frame's size in pixels, a whole number above 0";
+    const EXPECTED: &str = "the size of the frame in pixels, a whole number above 0";
     if ["FIELDNX", "FIELDNY"]
         .iter()
         .all(|keyword| hdu.header.get(keyword).is_none())
@@ -181,7 +181,7 @@ pub(crate) fn field(hdu: &Hdu) -> Result<Option<FrameShape>, IoError> {
         .map_err(invalid(hdu.path()))
 }
 
-/// The cards of a grid and a field, as [`stamp_grid`] and [`field`] read them.
+/// The cards of a grid and a field, which [`stamp_grid`] and [`field`] can read.
 pub(crate) fn grid_cards(grid: StampGrid, field: Option<FrameShape>) -> Vec<Card> {
     const CENTRE: &str = "stamp index of the PSF reference point, 0-based";
     let card = |keyword, value: CardValue, comment| {

@@ -2,28 +2,28 @@
 //!
 //! # Layout
 //!
-//! | HDU | what |
+//! | HDU | content |
 //! |---|---|
 //! | 0, primary | `ETYPE` = `FVPSF`, `ECAT` = number of the map's HDU, `EDATA` = number of the first HDU with PSFs (both counted from 0, the primary) |
-//! | the map, an image | `[y, x]`: the number of the layer that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn` in `CUNITn` (degrees unless said) from the centre of the field |
+//! | the map, an image | `[y, x]`: the number of the layer that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn` from the centre of the field, in `CUNITn` (degrees by default) |
 //! | the map, a binary table | columns `x`, `y` (arcseconds from the centre of the field) and `layer` |
-//! | PSFs, one HDU a wavelength | cube `[layer, y, x]`; `WAVE0` = wavelength in micrometres, `CDELT1` = size of a PSF pixel in `CUNIT1` (degrees unless said) |
+//! | PSFs, one HDU per wavelength | cube `[layer, y, x]`; `WAVE0` = wavelength in micrometres, `CDELT1` = size of a PSF pixel in `CUNIT1` (degrees by default) |
 //!
-//! # How it is read
+//! # Interpretation
 //!
-//! * **The field** is piecewise constant: at each position the layer of the nearest pixel (or row)
-//!   of the map applies. Such a node of the map lies at `field_centre + offset / pixel_scale` in
-//!   pixels of the frame; x and y of the frame grow with those of the map, which must not be
-//!   rotated. Celestial projections are taken as linear, as ScopeSim does.
-//! * **Stamps** have `pixel_scale / CDELT1` pixels per frame pixel, a whole number where that is
-//!   one but for the header's digits. Their values are those of the file times the square of that,
-//!   so that a kernel of unit sum holds unit flux. ScopeSim itself scales every kernel to unit sum
-//!   (after it has set negative values to zero, which is not done here): scale to unit flux for the
-//!   same.
-//! * **The centre** is the middle of the stamp, `(n - 1) / 2`, as ScopeSim has it where it rescales
-//!   kernels; it does not look at `CRPIX1` of the PSFs, and neither is that done here.
-//! * **The pixel response** is taken as included: the file does not say, and ScopeSim convolves
-//!   with its kernels as they are.
+//! - **The field** is piecewise constant: at each position the layer of the nearest pixel (or row)
+//!   of the map applies. Such a node of the map is at `field_centre + offset / pixel_scale` in
+//!   pixels of the frame. x and y of the frame increase with those of the map, which must not be
+//!   rotated. Celestial projections are treated as linear, as in ScopeSim.
+//! - **Stamps** have `s = pixel_scale / CDELT1` pixels per frame pixel. `s` is rounded to a whole
+//!   number if it differs from one only by the digits of the header. The values of the stamps are
+//!   those of the file times `s^2`, so that a kernel of unit sum holds unit flux. ScopeSim itself
+//!   scales every kernel to unit sum, after it has set negative values to zero. This reader keeps
+//!   negative values. Scale the PSF to unit flux for a comparable result.
+//! - **The centre** is the middle of the stamp, `(n - 1) / 2`, as in ScopeSim where it rescales
+//!   kernels. Neither ScopeSim nor this reader uses `CRPIX1` of the PSFs.
+//! - **The pixel response** is assumed to be included. The file does not say, and ScopeSim
+//!   convolves with its kernels unchanged.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -38,11 +38,11 @@ use crate::fits::image::{read_stack, squeezed};
 use crate::fits::structure::FitsStructure;
 use crate::psf::gridded::{LibraryCards, centred_grid, check_flux, cube_shape};
 
-/// A field-varying PSF of ScopeSim: a few layers, and the nodes of a map that say where each of
-/// them applies.
+/// A field-varying PSF of ScopeSim: a few layers, and the nodes of a map that states where each
+/// layer applies.
 ///
 /// At a position the layer of the nearest node applies
-/// ([`Interpolation::Nearest`](psf_types::Interpolation::Nearest)). For a model, fit a basis to
+/// ([`Interpolation::Nearest`](psf_types::Interpolation::Nearest)). To make a model, fit a basis to
 /// [`layers`](Self::layers) and give each node the coefficients of its layer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ScopesimPsf {
@@ -54,7 +54,7 @@ pub struct ScopesimPsf {
 }
 
 impl ScopesimPsf {
-    /// The layers that the map uses, each at the position of the first node that shows it.
+    /// The layers used by the map, each at the position of its first node.
     pub fn layers(&self) -> &PsfSamples {
         &self.layers
     }
@@ -64,12 +64,12 @@ impl ScopesimPsf {
         &self.nodes
     }
 
-    /// For each node the index of its layer in [`layers`](Self::layers).
+    /// The index in [`layers`](Self::layers) of the layer of each node.
     pub fn layer_of_node(&self) -> &[usize] {
         &self.layer_of_node
     }
 
-    /// The wavelength of the PSFs that were taken, in micrometres.
+    /// The wavelength of the PSFs that were read, in micrometres.
     pub fn wavelength_um(&self) -> f64 {
         self.wavelength_um
     }
@@ -80,14 +80,14 @@ impl ScopesimPsf {
     }
 }
 
-/// Whether a file says that it is one.
+/// Returns whether a file is marked as a field-varying PSF of ScopeSim.
 pub(crate) fn is_scopesim(structure: &FitsStructure) -> bool {
     let kind = structure.hdus.first().and_then(|hdu| hdu.text("ETYPE"));
     kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("FVPSF"))
 }
 
-/// A ratio this near a whole number is meant to be one: headers hold arcseconds in degrees, with as
-/// many digits as their writers chose. (ScopeSim itself rounds to five decimals.)
+/// A ratio this close to a whole number is rounded to it, because headers hold arcseconds in
+/// degrees with a limited number of digits. (ScopeSim itself rounds to five decimals.)
 const NEAR_WHOLE: f64 = 1e-6;
 
 fn near_whole(ratio: f64) -> f64 {
@@ -99,7 +99,7 @@ fn near_whole(ratio: f64) -> f64 {
     }
 }
 
-/// Reads a field-varying PSF of ScopeSim; see the [layout](self).
+/// Reads a field-varying PSF of ScopeSim. See the [layout](self).
 ///
 /// ```no_run
 /// use psf_io::{ScopesimOptions, read_scopesim};
@@ -111,10 +111,12 @@ fn near_whole(ratio: f64) -> f64 {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Library`] with the card in question where one is missing or malformed, where there
-/// are several wavelengths and none is chosen, where the map names a layer that is not there, or
-/// where a layer has no flux; [`IoError::MissingHdu`] and [`IoError::Axes`] where map or PSFs are
-/// not; [`IoError::NonFinitePixels`]; and the errors of any FITS file.
+/// - [`IoError::Library`] with the card that is missing or malformed
+/// - [`IoError::Library`] for several wavelengths without a choice, a layer number in the map that
+///   does not exist, or a layer without flux
+/// - [`IoError::MissingHdu`] or [`IoError::Axes`] if the map or the PSFs are missing or have the
+///   wrong axes
+/// - [`IoError::NonFinitePixels`], and the errors of any FITS file
 pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Result<ScopesimPsf, IoError> {
     const MAP: &str = "the number of the HDU with the map of layers, counted from 0";
     const DATA: &str = "the number of the first HDU with PSFs, counted from 0";
@@ -131,7 +133,7 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
         primary.bad_value(
             "ECAT",
             MAP,
-            format!("{map_index}, there are {} HDUs", structure.hdus.len()),
+            format!("{map_index}, but there are {} HDUs", structure.hdus.len()),
         )
     })?;
     let kernels = Kernels::choose(&structure, first, map_index, options)?;
@@ -143,7 +145,7 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
         .iter()
         .map(|&(x, y)| options.position(x, y).map_err(invalid(path)))
         .collect::<Result<Vec<Position>, _>>()?;
-    // Layer of the file to the first node that shows it.
+    // For each layer of the file, its first node.
     let mut used = BTreeMap::new();
     for (node, &layer) in map.layers.iter().enumerate() {
         used.entry(layer).or_insert(node);
@@ -169,10 +171,10 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
         wavelength_um: kernels.wavelength_um,
         notes: vec![
             format!(
-                "wavelength: the PSFs for {} micrometres were taken",
+                "wavelength: the PSFs for {} micrometres were read",
                 kernels.wavelength_um
             ),
-            "pixel response: taken as included, since ScopeSim convolves with its kernels as they are"
+            "pixel response: assumed to be included, since ScopeSim convolves with its kernels unchanged"
                 .to_owned(),
         ],
     })
@@ -187,8 +189,8 @@ pub struct ScopesimOptions {
 }
 
 impl ScopesimOptions {
-    /// Frame pixels of `pixel_scale_arcsec` arcseconds, the centre of the field at `field_centre`
-    /// (0-based).
+    /// Sets frame pixels of `pixel_scale_arcsec` arcseconds and the centre of the field at
+    /// `field_centre` (0-based).
     ///
     /// # Errors
     /// [`DataError::Setting`] unless the scale is a finite number above 0.
@@ -200,7 +202,7 @@ impl ScopesimOptions {
         })
     }
 
-    /// The PSFs of the nearest wavelength, in micrometres; needed where there are several.
+    /// Chooses the PSFs of the nearest wavelength, in micrometres. Needed if there are several.
     ///
     /// # Errors
     /// [`DataError::Setting`] unless it is a finite number above 0.
@@ -211,22 +213,22 @@ impl ScopesimOptions {
         })
     }
 
-    /// Size of a frame pixel.
+    /// Size of a frame pixel in arcseconds.
     pub fn pixel_scale_arcsec(&self) -> f64 {
         self.pixel_scale_arcsec
     }
 
-    /// Where the centre of the field lies on the frame.
+    /// The position of the centre of the field on the frame.
     pub fn field_centre(&self) -> Position {
         self.field_centre
     }
 
-    /// The wavelength asked for.
+    /// The requested wavelength, in micrometres.
     pub fn wavelength_um(&self) -> Option<f64> {
         self.wavelength_um
     }
 
-    /// The position of a point at an offset from the centre of the field.
+    /// The position at an offset from the centre of the field.
     fn position(&self, x_arcsec: f64, y_arcsec: f64) -> Result<Position, DataError> {
         Position::new(
             self.field_centre.x() + x_arcsec / self.pixel_scale_arcsec,
@@ -242,11 +244,11 @@ fn positive(name: &'static str, value: f64) -> Result<f64, DataError> {
     Err(DataError::setting(name, "a finite number above 0", value))
 }
 
-/// How far the two sides of a PSF pixel may differ, relatively: the rounding of single precision
-/// and no more.
+/// The largest relative difference between the two sides of a PSF pixel, enough for rounding in
+/// single precision.
 const SQUARE: f64 = 1e-6;
 
-/// A cube whose header has been read and whose pixels have not.
+/// A cube of which only the header has been read.
 #[derive(Debug)]
 struct Kernels<'a> {
     hdu: &'a Hdu,
@@ -256,7 +258,7 @@ struct Kernels<'a> {
 }
 
 impl<'a> Kernels<'a> {
-    /// The cube of the wavelength asked for, among the images from HDU `first` on.
+    /// Chooses the cube of the requested wavelength among the images from HDU `first` on.
     fn choose(
         structure: &'a FitsStructure,
         first: usize,
@@ -279,7 +281,7 @@ impl<'a> Kernels<'a> {
             (None, several) => {
                 let wavelengths_um: Vec<f64> = several.iter().map(|(wavelength, _)| *wavelength).collect();
                 let problem = format!(
-                    "there are PSFs for the wavelengths {wavelengths_um:?} micrometres: choose the nearest to yours with --psf-wavelength"
+                    "there are PSFs for the wavelengths {wavelengths_um:?} micrometres: choose one with --psf-wavelength"
                 );
                 return Err(unsuitable(&structure.path, problem));
             }
@@ -309,7 +311,7 @@ fn wavelength(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     Err(cards.bad_value("WAVE0", EXPECTED, wavelength.to_string()))
 }
 
-/// Size of a PSF pixel, which must be square.
+/// Size of a PSF pixel in arcseconds. The pixel must be square.
 fn pixel_arcsec(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     const EXPECTED: &str = "the size of a PSF pixel, a number other than 0";
     let size = cards.required_number("CDELT1", EXPECTED)?.abs() * arcsec_in_unit(cards, "CUNIT1")?;
@@ -322,7 +324,7 @@ fn pixel_arcsec(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
         if (other_size - size).abs() > SQUARE * size {
             return Err(cards.bad_value(
                 "CDELT2",
-                "as large as CDELT1: pixels of PSFs are square",
+                "as large as CDELT1, because PSF pixels must be square",
                 other.to_string(),
             ));
         }
@@ -330,20 +332,20 @@ fn pixel_arcsec(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     Ok(size)
 }
 
-/// Half a turn in arcseconds: coordinates beyond it are negative ones.
+/// Half a turn in arcseconds. Larger coordinates stand for negative ones.
 const HALF_TURN_ARCSEC: f64 = 180.0 * 3600.0;
 
-/// Where which layer applies.
+/// The layer that applies at each node.
 #[derive(Debug)]
 struct LayerMap {
     /// Offsets of the nodes from the centre of the field.
     offsets_arcsec: Vec<(f64, f64)>,
-    /// The layer at each.
+    /// The layer at each node.
     layers: Vec<usize>,
 }
 
 impl LayerMap {
-    /// Reads the map, an image or a table, of a PSF with so many layers.
+    /// Reads the map, an image or a table, of a PSF with `layer_count` layers.
     fn read(structure: &FitsStructure, hdu: &Hdu, layer_count: usize) -> Result<Self, IoError> {
         match hdu.kind {
             HduKind::BinaryTable => {
@@ -373,8 +375,8 @@ impl LayerMap {
         }
     }
 
-    /// A map of the layers that `values` name; `place` is the row or the pixel of a value in the
-    /// file.
+    /// Makes a map of the layers numbered by `values`. `place` returns the row or the pixel of a
+    /// value in the file.
     fn new(
         hdu: &Hdu,
         offsets_arcsec: Vec<(f64, f64)>,
@@ -387,7 +389,7 @@ impl LayerMap {
                 return Ok(value as usize);
             }
             let problem = format!(
-                "HDU {}: the map says layer {value} at {:?} (0-based, x last), there are the layers 0 to {}",
+                "HDU {}: the map has layer {value} at {:?} (0-based, x last), but only the layers 0 to {} exist",
                 hdu.index,
                 place(i),
                 layer_count.saturating_sub(1)
@@ -411,7 +413,7 @@ struct MapAxis {
 
 impl MapAxis {
     fn new(cards: &LibraryCards<'_>, axis: usize) -> Result<Self, IoError> {
-        const ROTATED: &str = "0: a rotated map is not understood";
+        const ROTATED: &str = "0: rotated maps are not supported";
         const PIXEL: &str = "the reference pixel of the map, a number";
         const STEP: &str = "the size of a pixel of the map, a number other than 0";
         const VALUE: &str = "the coordinate of the reference pixel, a number";
@@ -458,7 +460,7 @@ impl MapAxis {
     }
 }
 
-/// Arcseconds in the unit that a card names; without the card, in a degree.
+/// Arcseconds per unit named by a card. Without the card the unit is a degree.
 fn arcsec_in_unit(cards: &LibraryCards<'_>, keyword: &str) -> Result<f64, IoError> {
     const EXPECTED: &str = "an angular unit: deg, arcmin, arcsec, mas or rad";
     let Some(text) = cards.text(keyword, EXPECTED)? else {

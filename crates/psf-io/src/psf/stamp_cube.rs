@@ -1,4 +1,4 @@
-//! Plain stamps: a cube, or a single image, without the table that makes it PSF samples.
+//! Plain stamps: a cube or a single image, without the table of positions of PSF samples.
 
 use std::path::Path;
 
@@ -12,8 +12,8 @@ use crate::fits::structure::FitsStructure;
 use crate::psf::gridded::cube_shape;
 use crate::psf::samples::{field, stamp_grid};
 
-/// Settings that the file of a [plain cube of stamps](read_stamp_cube) lacks or has wrong. They go
-/// before its header.
+/// Settings for a [plain cube of stamps](read_stamp_cube) whose file lacks them or states them
+/// wrongly. They override the header.
 ///
 /// ```
 /// use psf_io::StampCubeOptions;
@@ -30,7 +30,7 @@ pub struct StampCubeOptions {
 }
 
 impl StampCubeOptions {
-    /// One position for each plane, in their order.
+    /// Sets the positions, one per plane in the order of the planes.
     #[must_use]
     pub fn with_positions(self, positions: Vec<Position>) -> Self {
         Self {
@@ -39,7 +39,7 @@ impl StampCubeOptions {
         }
     }
 
-    /// Stamp pixels per frame pixel.
+    /// Sets the oversampling in stamp pixels per frame pixel.
     #[must_use]
     pub fn with_oversampling(self, oversampling: f64) -> Self {
         Self {
@@ -48,7 +48,7 @@ impl StampCubeOptions {
         }
     }
 
-    /// The image to read, of several.
+    /// Chooses the image to read.
     #[must_use]
     pub fn with_extension(self, extension: HduChoice) -> Self {
         Self {
@@ -57,7 +57,7 @@ impl StampCubeOptions {
         }
     }
 
-    /// Whether the response of a frame pixel is in the stamps.
+    /// Sets whether the stamps include the response of a frame pixel.
     #[must_use]
     pub fn with_pixel_response_included(self, pixel_response_included: bool) -> Self {
         Self {
@@ -66,7 +66,7 @@ impl StampCubeOptions {
         }
     }
 
-    /// The stamps' reference point, a 0-based index that may be fractional.
+    /// Sets the reference point of the stamps, a 0-based index that may be fractional.
     #[must_use]
     pub fn with_centre(self, x: f64, y: f64) -> Self {
         let centre = Some((x, y));
@@ -74,12 +74,12 @@ impl StampCubeOptions {
     }
 }
 
-/// Reads plain stamps as PSF samples: the image chosen, or the only one with pixels, a cube
-/// `[plane, y, x]` or an image `[y, x]`.
+/// Reads plain stamps as PSF samples: a cube `[plane, y, x]` or an image `[y, x]`. It is the chosen
+/// image, or the only one with pixels.
 ///
-/// Keywords of the [`psf-samples` layout](crate::samples) are understood where they are there, and
-/// have the same defaults; `options` go before them. A single stamp needs no position: as the only
-/// sample it holds everywhere, and lies at (0, 0).
+/// Keywords of the [`psf-samples` layout](crate::samples) are used if present, with the same
+/// defaults. `options` override them. A single stamp needs no position: it is the PSF everywhere,
+/// and its sample gets the position (0, 0).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -94,10 +94,11 @@ impl StampCubeOptions {
 /// ```
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] when more than one image has pixels and none is chosen;
-/// [`IoError::Library`] for several planes without positions; [`IoError::Data`] where there is not
-/// one position a plane, two are equal, a stamp has no flux, or oversampling or centre are out of
-/// range; [`IoError::Axes`], [`IoError::NonFinitePixels`]; and the errors of any FITS file.
+/// - [`IoError::SeveralHdus`] if several images have pixels and none is chosen
+/// - [`IoError::Library`] for several planes without positions
+/// - [`IoError::Data`] if there is not one position per plane, two positions are equal, a stamp has
+///   no flux, or oversampling or centre are out of range
+/// - [`IoError::Axes`], [`IoError::NonFinitePixels`], and the errors of any FITS file
 pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Result<PsfSamples, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -105,7 +106,7 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
     let shape = cube_shape(hdu)?;
     let positions = match &options.positions {
         Some(positions) => {
-            let what = "positions, one for each plane of the cube";
+            let what = "positions, one per plane of the cube";
             DataError::check_count(what, shape.0, positions.len()).map_err(invalid(path))?;
             positions.clone()
         }
@@ -132,10 +133,10 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
     PsfSamples::new(read_stack(hdu, shape)?, positions, grid).map_err(invalid(path))
 }
 
-/// Reads the header cards of the image that [`read_stamp_cube`] takes.
+/// Reads the header cards of the image that [`read_stamp_cube`] reads.
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`], [`IoError::NoSuchHdu`], and the errors of any FITS file; the pixels
+/// [`IoError::SeveralHdus`], [`IoError::NoSuchHdu`], and the errors of any FITS file. The pixels
 /// are not read.
 pub fn read_stamp_header(
     path: impl AsRef<Path>,

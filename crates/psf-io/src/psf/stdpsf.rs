@@ -2,35 +2,34 @@
 //!
 //! # Layout
 //!
-//! The first image with pixels is a cube `[plane, y, x]` of `NXPSFS` times `NYPSFS` planes, x
-//! fastest, 4 x oversampled (no keyword says so).
+//! The first image with pixels is a cube `[plane, y, x]` of `NXPSFS` times `NYPSFS` planes, with x
+//! fastest. The stamps are oversampled 4 times, which no keyword states.
 //!
 //! | keyword | meaning |
 //! |---|---|
 //! | `NXPSFS`, `NYPSFS` | columns and rows of the grid of PSFs |
 //! | `IPSFX01`, `IPSFX02` ... | x of each column in detector pixels, counted from 1 |
-//! | `JPSFY01`, `JPSFY02` ... | y of each row |
-//! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the same as texts of several numbers (WFPC2, all of NIRCam's short-wave detectors) |
+//! | `JPSFY01`, `JPSFY02` ... | y of each row in detector pixels, counted from 1 |
+//! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the positions as texts of several numbers (WFPC2, all of NIRCam's short-wave detectors) |
 //!
-//! Keywords may be in lower case, as those of real files are in part. Only the first `NXPSFS` and
-//! `NYPSFS` positions are read: further ones are filled up with 9999, which is an error among the
-//! first. Stamps are centred at index `(n - 1) / 2` and hold the response of a pixel. They are
-//! normalised to 1 within a radius that a comment names, so that they do not sum to 16, and are
-//! taken as they are.
+//! Keywords may be in lower case, as some are in real files. Only the first `NXPSFS` and `NYPSFS`
+//! positions are read. Unused positions hold 9999, which is an error among the first ones. Stamps
+//! are centred at index `(n - 1) / 2` and include the response of a pixel. They are normalised to 1
+//! within a radius that a comment states, so they do not sum to 16. They are not rescaled.
 //!
 //! # Detectors
 //!
-//! Some files hold several detectors side by side, told by the shape of the grid. Positions become
-//! those of the one detector:
+//! Some files hold several detectors side by side, which the reader recognises by the shape of the
+//! grid. Positions are converted to pixels of the chosen detector:
 //!
 //! | PSFs | instrument | detectors | offset |
 //! |---|---|---|---|
-//! | 9 x 10 | ACS/WFC | 1: WFC2 (SCI,1), 2: WFC1 (SCI,2) | 2048 in y on the second |
-//! | 7 x 8 | WFC3/UVIS | 1: UVIS2 (SCI,1), 2: UVIS1 (SCI,2) | 2048 in y on the second |
-//! | 6 x 6 | WFPC2 | 1: PC, 2: WF2, 3: WF3, 4: WF4, laid out `2 1` over `3 4` | 800 |
-//! | 20 x 10 | NIRCam short-wave | 1 to 4: A1 to A4, 5 to 8: B1 to B4, laid out `2 4 7 5` over `1 3 8 6` | 2048 |
+//! | 9 x 10 | ACS/WFC | 1: WFC2 (SCI,1), 2: WFC1 (SCI,2) | 2048 in y for the second |
+//! | 7 x 8 | WFC3/UVIS | 1: UVIS2 (SCI,1), 2: UVIS1 (SCI,2) | 2048 in y for the second |
+//! | 6 x 6 | WFPC2 | 1: PC, 2: WF2, 3: WF3, 4: WF4, arranged as `2 1` above `3 4` | 800 |
+//! | 20 x 10 | NIRCam short-wave | 1 to 4: A1 to A4, 5 to 8: B1 to B4, arranged as `2 4 7 5` above `1 3 8 6` | 2048 |
 //!
-//! The numbers are those of photutils' `detector_id`. Any other grid is of one detector.
+//! The numbers are those of photutils' `detector_id`. Any other grid belongs to a single detector.
 
 use std::ops::Range;
 use std::path::Path;
@@ -48,17 +47,17 @@ use crate::psf::gridded::{GriddedPsf, LibraryCards, Planes, cube_shape};
 const OVERSAMPLING: f64 = 4.0;
 const COUNT_EXPECTED: &str = "the number of PSFs along an axis of the grid, a whole number above 0";
 
-/// Whether a file is such a library: its cube says how many PSFs lie along an axis. (That both are
-/// needed, the reader says best.)
+/// Returns whether a file is an STDPSF library, that is, whether its cube states the number of PSFs
+/// along an axis. Both axes are needed, which the reader checks.
 pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
     let cards = structure.first_image().map(LibraryCards::new);
     cards.is_ok_and(|cards| cards.has("NXPSFS") || cards.has("NYPSFS"))
 }
 
-/// Reads an STDPSF library; see the [layout](self). `detector` chooses among several.
+/// Reads an STDPSF library. See the [layout](self). `detector` chooses one of several detectors.
 ///
-/// [`GriddedPsf::notes`] names the detector taken and border rows of stamps whose values cannot be
-/// those of a PSF; the values stay as they are.
+/// [`GriddedPsf::notes`] names the chosen detector, and lists border rows of stamps whose values
+/// cannot belong to a PSF. These values are kept.
 ///
 /// ```no_run
 /// use psf_io::read_stdpsf;
@@ -69,19 +68,19 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] when more than one image has pixels; [`IoError::Library`] with the card
-/// in question where one is missing or malformed, where the number of planes is not that of the
-/// grid, where two lines of the grid are equal, where a plane has no flux, or where there are
-/// several detectors and none of them is chosen; [`IoError::NonFinitePixels`]; and the errors of
-/// any FITS file.
+/// - [`IoError::SeveralHdus`] if several images have pixels
+/// - [`IoError::Library`] with the card that is missing or malformed
+/// - [`IoError::Library`] if the number of planes differs from that of the grid, two lines of the
+///   grid are equal, a plane has no flux, or one of several detectors must be chosen
+/// - [`IoError::NonFinitePixels`], and the errors of any FITS file
 pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<GriddedPsf, IoError> {
     read_stdpsf_hdu(path, None, detector)
 }
 
-/// Reads the library in the HDU chosen.
+/// Reads the library in the chosen HDU.
 ///
 /// # Errors
-/// As [`read_stdpsf`]; [`IoError::NoSuchHdu`].
+/// The errors of [`read_stdpsf`] and [`IoError::NoSuchHdu`].
 pub fn read_stdpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -94,7 +93,7 @@ pub fn read_stdpsf_hdu(
     let (planes, ny, nx) = cube_shape(hdu)?;
     let columns = cards.required_count("NXPSFS", 1, COUNT_EXPECTED)?;
     let rows = cards.required_count("NYPSFS", 1, COUNT_EXPECTED)?;
-    // Also bounds what is read of the header below.
+    // This check also limits how much of the header is read below.
     if columns.checked_mul(rows) != Some(planes) {
         let stated = format!("{columns} times {rows}");
         return Err(cards.plane_count(planes, "NXPSFS times NYPSFS", &stated));
@@ -126,7 +125,7 @@ pub fn read_stdpsf_hdu(
     let mut notes = Vec::new();
     if let Some(name) = &name {
         notes.push(format!(
-            "detector: {} ({name}) of {} was taken",
+            "detector: {} ({name}) of {} was read",
             chosen + 1,
             layout.len()
         ));
@@ -143,12 +142,12 @@ pub fn read_stdpsf_hdu(
     GriddedPsf::new(path, planes)
 }
 
-/// The detectors of a file.
+/// The arrangement of the detectors in a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Layout {
-    /// Detectors along x and y.
+    /// Number of detectors along x and y.
     across: (usize, usize),
-    /// Pixels along a side of a detector.
+    /// Side of a detector in pixels.
     size: usize,
     /// The names of the detectors.
     names: &'static [&'static str],
@@ -161,14 +160,14 @@ struct Layout {
 struct Block {
     columns: Range<usize>,
     rows: Range<usize>,
-    /// Where the detector begins in the positions of the file.
+    /// The start of the detector in the positions of the file.
     x0: f64,
     y0: f64,
 }
 
 const SINGLE: Layout = Layout::new((1, 1), 0, &[], &[]);
 
-/// The grids (columns, rows) that hold several detectors.
+/// The grids (columns, rows) of files with several detectors.
 const SEVERAL: &[((usize, usize), Layout)] = &[
     ((9, 10), Layout::new((1, 2), 2048, &["WFC2", "WFC1"], &[0, 1])),
     ((7, 8), Layout::new((1, 2), 2048, &["UVIS2", "UVIS1"], &[0, 1])),
@@ -198,7 +197,7 @@ impl Layout {
         }
     }
 
-    /// The layout of a grid of so many columns and rows.
+    /// The arrangement for a grid of this size.
     fn of_grid(columns: usize, rows: usize) -> Self {
         SEVERAL
             .iter()
@@ -211,7 +210,7 @@ impl Layout {
         self.across.0 * self.across.1
     }
 
-    /// The index of the detector that is chosen by its number, counted from 1.
+    /// The index of the detector with this number, counted from 1.
     fn choose(self, detector: Option<usize>) -> Result<usize, String> {
         let number = match detector {
             None if self == SINGLE => 1,
@@ -230,12 +229,12 @@ impl Layout {
         ))
     }
 
-    /// The name of a detector; none where there is only one, which the file does not name.
+    /// The name of a detector, or `None` for a single detector, which the file does not name.
     fn name(self, index: usize) -> Option<&'static str> {
         self.names.get(index).copied()
     }
 
-    /// The part of a grid of so many columns and rows that belongs to a detector.
+    /// The part of a grid of this size that belongs to a detector.
     fn block(self, index: usize, columns: usize, rows: usize) -> Block {
         let place = self.places.get(index).copied().unwrap_or(0);
         let (i, j) = (place % self.across.0, place / self.across.0);
@@ -249,13 +248,13 @@ impl Layout {
     }
 }
 
-/// The filler where there is no position.
+/// The value of an unused position.
 const FILLER: f64 = 9999.0;
-const NUMBER_EXPECTED: &str = "a position of the grid in pixels (9999 stands for none)";
-const LIST_EXPECTED: &str = "a text of positions of the grid in pixels (9999 stands for none)";
+const NUMBER_EXPECTED: &str = "a position of the grid in pixels (9999 marks unused ones)";
+const LIST_EXPECTED: &str = "a text of positions of the grid in pixels (9999 marks unused ones)";
 
-/// The positions of the lines `wanted` among the first `count`, as the file has them. `stem` is
-/// `IPSFX` or `JPSFY`.
+/// Reads the first `count` positions along an axis, as in the file, and returns the range `wanted`
+/// of them. `stem` is `IPSFX` or `JPSFY`.
 fn read_lines(
     cards: &LibraryCards<'_>,
     stem: &str,
@@ -270,7 +269,7 @@ fn read_lines(
     if let Some((_, keyword)) = lines.iter().find(|(value, _)| *value == FILLER) {
         return Err(cards.bad_value(
             keyword,
-            "a position, since the grid has a line there",
+            "a position, since the grid has as many lines",
             FILLER.to_string(),
         ));
     }
@@ -284,7 +283,7 @@ fn read_lines(
     Ok(lines.into_iter().map(|(value, _)| value).collect())
 }
 
-/// One card a line.
+/// Reads positions from one card per line.
 fn single(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64, String)>, IoError> {
     (1..=count)
         .map(|line| {
@@ -294,7 +293,7 @@ fn single(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64
         .collect()
 }
 
-/// Texts of several lines each.
+/// Reads positions from texts with several numbers each.
 fn listed(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64, String)>, IoError> {
     let mut lines = Vec::new();
     let mut list = 0;
@@ -314,28 +313,28 @@ fn listed(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64
     Ok(lines)
 }
 
-/// The keyword of a list: `IPSFXA5`, `IPSFXB5` ...; beyond Z there is none.
+/// The keyword of a list: `IPSFXA5`, `IPSFXB5` and so on. Beyond Z it is not valid.
 fn list_keyword(stem: &str, list: u8) -> String {
     format!("{stem}{}5", char::from(b'A'.saturating_add(list)))
 }
 
-/// A value this far below zero, relative to the peak, is no wing of a PSF: real libraries stay a
-/// thousand times closer.
+/// A value this far below zero, relative to the peak, is not the wing of a PSF. The negative values
+/// of real libraries are a thousand times smaller.
 const NEGATIVE: f64 = 0.01;
-/// A border pixel this many times brighter than the next one inwards is not the wing of a PSF,
-/// which falls outwards ...
+/// A border pixel this many times brighter than its inner neighbour is not the wing of a PSF, which
+/// becomes fainter outwards.
 const JUMP: f64 = 10.0;
-/// ... where it matters at all, relative to the peak.
+/// A border pixel fainter than this, relative to the peak, is not tested for a jump.
 const FAINT: f64 = 0.01;
-/// A row is bad when more than this part of its pixels are, which bad rows on the adjacent sides do
-/// not reach.
+/// A row is bad if more than this fraction of its pixels are bad. Bad rows on the adjacent sides do
+/// not reach this fraction.
 const PART: f64 = 0.25;
-/// Rows from the border that are looked at: one in so many of the stamp's.
+/// One out of this many rows of the stamp is tested, starting at the border.
 const DEPTH: usize = 10;
 
-/// A sentence for each side of the stamps with bad rows. `numbers` are the planes of the file.
+/// Returns a note for each side of the stamps with bad rows. `numbers` are the planes of the file.
 fn defects(stamps: &Array3<f64>, numbers: &[usize]) -> Vec<String> {
-    // Name, axis of the stamps along which one goes inwards, and whether from its end.
+    // Name of the side, axis that leads inwards, and whether the side is at the end of this axis.
     [
         ("bottom", 1, false),
         ("top", 1, true),
@@ -354,7 +353,7 @@ fn defects(stamps: &Array3<f64>, numbers: &[usize]) -> Vec<String> {
     .collect()
 }
 
-/// A sentence for one side of stamps `[stamp, row inwards, place along the side]`.
+/// Returns a note for one side of stamps `[stamp, row inwards, place along the side]`.
 fn side_defect(stamps: ArrayView3<'_, f64>, numbers: &[usize], name: &str) -> Option<String> {
     let (mut depth, mut worst) = (0, 0.0_f64);
     let mut planes = Vec::new();
@@ -369,15 +368,15 @@ fn side_defect(stamps: ArrayView3<'_, f64>, numbers: &[usize], name: &str) -> Op
     }
     (!planes.is_empty()).then(|| {
         format!(
-            "border: the {depth} outermost row(s) on the {name} side of {} plane(s) (first: {}) hold values that are no PSF's, such as \
-             {worst}; they are used as they are",
+            "border: the {depth} outermost row(s) on the {name} side of {} plane(s) (first: {}) hold values that cannot belong to a PSF, such as \
+             {worst} (they are used unchanged)",
             planes.len(),
             planes[0]
         )
     })
 }
 
-/// The number of bad rows from the first inwards.
+/// The number of bad rows, counted from the border to the innermost bad row.
 fn bad_rows(stamp: ArrayView2<'_, f64>) -> usize {
     let peak = stamp.iter().copied().fold(0.0, f64::max);
     let is_bad = |&row: &usize| {
@@ -415,10 +414,10 @@ mod tests {
         let block = |columns, rows, detector: usize| {
             Layout::of_grid(columns, rows).block(detector - 1, columns, rows)
         };
-        // The planetary camera is the upper right of WFPC2.
+        // The planetary camera is at the upper right of WFPC2.
         let pc = block(6, 6, 1);
         assert_eq!((pc.columns, pc.rows, pc.x0, pc.y0), (3..6, 3..6, 800.0, 800.0));
-        // NIRCam B4 is the third of the lower four.
+        // NIRCam B4 is the third of the four lower detectors.
         let b4 = block(20, 10, 8);
         assert_eq!((b4.columns, b4.rows, b4.x0, b4.y0), (10..15, 0..5, 4096.0, 0.0));
         let wfc1 = block(9, 10, 2);

@@ -2,37 +2,37 @@
 //!
 //! # Layout
 //!
-//! The first image with pixels is a float cube `[plane, y, x]`, one PSF a plane; an image `[y, x]`
-//! is one PSF.
+//! The first image with pixels is a float cube `[plane, y, x]` with one PSF per plane. An image
+//! `[y, x]` is one PSF.
 //!
 //! | keyword | meaning |
 //! |---|---|
-//! | `DET_YX0`, `DET_YX1` ... | a text `(y, x)` for each plane: the position in detector pixels, 0-based |
+//! | `DET_YX0`, `DET_YX1` ... | for each plane a text `(y, x)`: the position in detector pixels, 0-based |
 //! | `OVERSAMP` | stamp pixels per detector pixel, a whole number |
-//! | `DET_SAMP` | the same; where the two differ, `FOVPIXEL` decides (see below) |
+//! | `DET_SAMP` | stamp pixels per detector pixel; if it differs from `OVERSAMP`, `FOVPIXEL` decides (see below) |
 //! | `NUM_PSFS` | number of planes, not required |
 //! | `FOVPIXEL` | detector pixels across a stamp, not required |
 //! | `DETECTOR` | name of the detector, not required |
-//! | `VERSION`, `DATE` | version of the software and date of the calculation: they tell the order of the planes |
-//! | `PLANEORD` | `cards` or `sorted`, this project's own: the order, said plainly |
+//! | `VERSION`, `DATE` | version of the software and date of the calculation, from which the order of the planes is found |
+//! | `PLANEORD` | `cards` or `sorted`: the order of the planes, written by psfield |
 //!
-//! Stamps are centred at index `(n - 1) / 2`, hold the response of a pixel and sum to about
-//! `OVERSAMP^2`. Positions need not form a grid. Where a PSF was made for an even number of
-//! detector pixels, its centre lies on a pixel's corner, and the writer has added the half pixel to
-//! the position already.
+//! Stamps are centred at index `(n - 1) / 2`, include the response of a pixel and sum to about
+//! `OVERSAMP^2`. Positions need not form a grid. If a PSF was made for an even number of detector
+//! pixels, its centre is on the corner of a pixel. The writer has already added the half pixel to
+//! its position.
 //!
-//! A writer that was told two samplings, one for its transforms and one for the stamps, writes both
-//! (`OVERSAMP`, `DET_SAMP`): the one with `FOVPIXEL` times itself pixels across the stamp is taken,
-//! and if there is none, the file is refused.
+//! A writer may use one sampling for its transforms and another for the stamps, and writes both
+//! (`OVERSAMP`, `DET_SAMP`). The reader uses the one that gives the width of the stamps when
+//! multiplied by `FOVPIXEL`. If there is none, the file is refused.
 //!
 //! # The order of the planes
 //!
-//! WebbPSF up to 1.2.1 stores the planes as its cards say, x being the slower coordinate. Since
-//! 2023-12-11 (WebbPSF 1.3, STPSF) the planes are stored sorted by y, then x, while the cards have
-//! stayed as they were; a reader that goes by the cards exchanges x and y of the field. photutils
-//! up to 3.0 exchanges the coordinates of the cards, which is right for the later files on square
-//! grids and wrong for the earlier ones; later photutils goes by the cards, which is right for the
-//! earlier files alone. [`PlaneOrder`] decides here.
+//! Up to WebbPSF 1.2.1 the planes are in the order of the cards, with x as the slower coordinate.
+//! Since 2023-12-11 (WebbPSF 1.3, STPSF) the planes are sorted by y, then x, but the order of the
+//! cards is unchanged. A reader that uses the order of the cards then exchanges x and y of the
+//! field. photutils up to 3.0 exchanges the coordinates of the cards, which is right for new files
+//! on square grids and wrong for old files. Later photutils uses the cards as they are, which is
+//! right only for old files. Here [`PlaneOrder`] chooses the order.
 
 use std::path::Path;
 
@@ -45,24 +45,24 @@ use crate::fits::image::read_stack;
 use crate::fits::structure::FitsStructure;
 use crate::psf::gridded::{GriddedPsf, LibraryCards, Planes, cube_shape};
 
-/// The stem of the keywords with positions.
+/// The stem of the keywords that hold positions.
 pub(crate) const POSITION: &str = "DET_YX";
 const POSITION_EXPECTED: &str =
     "a text \"(y, x)\" with the detector position of a plane in pixels, such as '(0.0, 682.0)'";
 const OVERSAMPLING_EXPECTED: &str = "stamp pixels per detector pixel, a whole number above 0";
 
-/// Whether a file is such a library: its cube has positions. (The reader has the errors for all
-/// else that must be there.)
+/// Returns whether a file is an STPSF library, that is, whether its cube has positions. The reader
+/// checks everything else.
 pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
     structure
         .first_image()
         .is_ok_and(|hdu| hdu.header.iter().any(|card| position_number(card).is_some()))
 }
 
-/// Reads a gridded PSF library of STPSF or WebbPSF; see the [layout](self).
+/// Reads a gridded PSF library of STPSF or WebbPSF. See the [layout](self).
 ///
-/// The samples are in the order of the planes. [`GriddedPsf::notes`] says which order of planes was
-/// taken and why.
+/// The samples are in the order of the planes. [`GriddedPsf::notes`] states which order was used
+/// and why.
 ///
 /// ```no_run
 /// use psf_io::{PlaneOrder, read_stpsf};
@@ -73,19 +73,20 @@ pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] when more than one image has pixels; [`IoError::Library`] with the card
-/// in question where one is missing, malformed or there twice, where the number of planes is not
-/// that of the cards, where a plane has no flux, or where [`PlaneOrder::Auto`] cannot tell the
-/// order; [`IoError::Data`] for two planes at one position; [`IoError::NonFinitePixels`]; and the
-/// errors of any FITS file.
+/// - [`IoError::SeveralHdus`] if several images have pixels
+/// - [`IoError::Library`] with the card that is missing, malformed or repeated
+/// - [`IoError::Library`] if the number of planes differs from that in the cards, a plane has no
+///   flux, or [`PlaneOrder::Auto`] cannot find the order
+/// - [`IoError::Data`] for two planes at one position
+/// - [`IoError::NonFinitePixels`], and the errors of any FITS file
 pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPsf, IoError> {
     read_stpsf_hdu(path, None, order)
 }
 
-/// Reads the library in the HDU chosen.
+/// Reads the library in the chosen HDU.
 ///
 /// # Errors
-/// As [`read_stpsf`]; [`IoError::NoSuchHdu`].
+/// The errors of [`read_stpsf`] and [`IoError::NoSuchHdu`].
 pub fn read_stpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -111,7 +112,7 @@ pub fn read_stpsf_hdu(
     GriddedPsf::new(path, planes)
 }
 
-/// The number of a card with a position.
+/// The plane number in the keyword of a position card.
 fn position_number(card: &Card) -> Option<usize> {
     let keyword = card.keyword();
     let digits = keyword.strip_prefix(POSITION)?;
@@ -119,7 +120,7 @@ fn position_number(card: &Card) -> Option<usize> {
     plain.then(|| digits.parse().ok()).flatten()
 }
 
-/// The positions that the cards name, in the order of their numbers: one for each plane.
+/// The positions in the cards, ordered by plane number: one per plane.
 fn positions(cards: &LibraryCards<'_>, planes: usize) -> Result<Vec<Position>, IoError> {
     if let Some(stated) = cards.count("NUM_PSFS", 1, "the number of PSFs, a whole number above 0")?
         && stated != planes
@@ -151,7 +152,7 @@ fn positions(cards: &LibraryCards<'_>, planes: usize) -> Result<Vec<Position>, I
     found.into_iter().enumerate().map(position).collect()
 }
 
-/// Two finite numbers in parentheses.
+/// Parses two finite numbers in parentheses.
 fn pair(text: &str) -> Option<(f64, f64)> {
     let (first, second) = text
         .trim()
@@ -162,7 +163,7 @@ fn pair(text: &str) -> Option<(f64, f64)> {
     Some((number(first)?, number(second)?))
 }
 
-/// Stamp pixels per detector pixel of stamps that are `nx` pixels wide.
+/// Stamp pixels per detector pixel for stamps that are `nx` pixels wide.
 fn oversampling(cards: &LibraryCards<'_>, nx: usize) -> Result<usize, IoError> {
     let transforms = cards.required_count("OVERSAMP", 1, OVERSAMPLING_EXPECTED)?;
     let stamps = cards
@@ -182,39 +183,39 @@ fn oversampling(cards: &LibraryCards<'_>, nx: usize) -> Result<usize, IoError> {
         .ok_or_else(|| {
             cards.bad_value(
                 "DET_SAMP",
-                "equal to OVERSAMP, or one of both times FOVPIXEL the width of the stamps",
+                "equal to OVERSAMP (if they differ, one of them times FOVPIXEL must be the width of the stamps)",
                 stamps.to_string(),
             )
         })
 }
 
-/// The keyword of this project's own files that names the order.
+/// The keyword in psfield's own files that states the order.
 pub(crate) const PLANE_ORDER: &str = "PLANEORD";
-/// The day on which the writer began to sort the planes.
+/// The date since which the writer has sorted the planes.
 const SORTED_SINCE: &str = "2023-12-11";
-/// The first version (major, minor) that does.
+/// The first version (major, minor) that sorts the planes.
 const SORTED_FROM: (u32, u32) = (1, 3);
 
-/// Which position belongs to which plane of an [STPSF library](crate::stpsf).
+/// The order in which the positions of an [STPSF library](crate::stpsf) belong to its planes.
 ///
-/// Written as `auto`, `cards` or `sorted`.
+/// Text form: `auto`, `cards` or `sorted`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum PlaneOrder {
-    /// By `PLANEORD` where it is there, else by the writer: by `VERSION`, from 1.3 on sorted,
-    /// before as the cards say; for development versions before 1.3 and where there is no version
-    /// by `DATE`, from 2023-12-11 on sorted.
+    /// Uses `PLANEORD` if present, else `VERSION`: sorted from 1.3 on, and in the order of the
+    /// cards before. Without a version, or for development versions before 1.3, it uses `DATE`:
+    /// sorted from 2023-12-11 on.
     #[default]
     Auto,
-    /// Plane `i` lies where `DET_YXi` says.
+    /// Plane `i` is at the position in `DET_YXi`.
     Cards,
-    /// The planes are sorted by y, then x; the cards only list the positions.
+    /// The planes are sorted by y, then x. The cards only list the positions.
     Sorted,
 }
 
 named!(PlaneOrder, "plane order", "auto, cards or sorted", "auto" => Auto, "cards" => Cards, "sorted" => Sorted);
 
-/// The positions of the planes from those of the cards, and a sentence that says how.
+/// The positions of the planes, and a note that states the order used.
 fn assign(
     cards: &LibraryCards<'_>,
     order: PlaneOrder,
@@ -223,31 +224,31 @@ fn assign(
     let mut sorted = positions.clone();
     sorted.sort_by(|a, b| a.y().total_cmp(&b.y()).then(a.x().total_cmp(&b.x())));
     if sorted == positions {
-        let note = "planes: the cards DET_YXn are sorted by y, then x, so that there is one order only";
+        let note = "planes: the cards DET_YXn are sorted by y, then x, so only one order is possible";
         return Ok((positions, note.to_owned()));
     }
     let (order, reason) = match order {
         PlaneOrder::Auto => by_writer(cards)?.ok_or_else(|| {
             cards.refused(
-                "the order of the planes cannot be told, since neither VERSION nor DATE says which writer made the file: choose with \
+                "the order of the planes is unknown, since neither VERSION nor DATE shows which writer made the file: choose with \
                  --psf-order cards or --psf-order sorted",
             )
         })?,
-        chosen => (chosen, "as told".to_owned()),
+        chosen => (chosen, "as requested".to_owned()),
     };
     Ok(match order {
         PlaneOrder::Sorted => (
             sorted,
-            format!("planes: taken as sorted by y, then x, not in the order of the cards DET_YXn ({reason})"),
+            format!("planes: sorted by y, then x, not in the order of the cards DET_YXn ({reason})"),
         ),
         _ => (
             positions,
-            format!("planes: taken in the order of the cards DET_YXn ({reason})"),
+            format!("planes: in the order of the cards DET_YXn ({reason})"),
         ),
     })
 }
 
-/// The order that the header tells, and from what.
+/// The order according to the header, and the reason.
 fn by_writer(cards: &LibraryCards<'_>) -> Result<Option<(PlaneOrder, String)>, IoError> {
     const ORDER: &str = "cards or sorted";
     if let Some(text) = cards.text(PLANE_ORDER, ORDER)? {
@@ -281,7 +282,7 @@ fn of_writer(version: Option<&str>, date: Option<&str>) -> Option<(PlaneOrder, S
     Some((order, format!("calculated on {day}")))
 }
 
-/// Major and minor number of a version, and whether it is one of development.
+/// The major and minor number of a version, and whether it is a development version.
 fn release(version: &str) -> Option<((u32, u32), bool)> {
     let text = version.trim().trim_start_matches('v');
     let mut parts = text.split(['.', '+', '-']);
@@ -291,7 +292,7 @@ fn release(version: &str) -> Option<((u32, u32), bool)> {
     Some(((major, minor), !parts.all(plain)))
 }
 
-/// Whether a text looks like 2023-12-11.
+/// Returns whether a text looks like 2023-12-11.
 fn is_day(text: &str) -> bool {
     text.bytes().enumerate().all(|(i, b)| match i {
         4 | 7 => b == b'-',

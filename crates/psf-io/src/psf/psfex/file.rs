@@ -1,4 +1,4 @@
-//! PSFEx models in and out.
+//! Reads and writes PSFEx models.
 
 use std::path::Path;
 
@@ -13,18 +13,18 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{cards, in_single_precision, write_cards, write_fits};
 use crate::fits::structure::FitsStructure;
 
-/// The option of the command line that chooses an extension, for errors.
+/// The option of the command line that chooses an extension, for error messages.
 const OPTION: &str = "--psf-extension N|NAME";
-/// The text between the letter of a coordinate and `_IMAGE`: SExtractor's ways of measuring a
-/// position.
+/// The text between the letter of a coordinate and `_IMAGE`: the methods by which SExtractor
+/// measures a position.
 const POSITION_KINDS: [&str; 5] = ["", "WIN", "PSF", "PEAK", "MODEL"];
 
-/// Whether a file holds PSFEx models.
+/// Returns whether a file holds PSFEx models.
 pub(crate) fn is_psfex(structure: &FitsStructure) -> bool {
     structure.hdus.iter().any(holds_psf)
 }
 
-/// Whether a table is a PSFEx model, by its name or its column.
+/// Returns whether a table is a PSFEx model, judged by its name or its column.
 fn holds_psf(hdu: &Hdu) -> bool {
     let is = |keyword: &str, text: &str| {
         hdu.text(keyword)
@@ -36,13 +36,13 @@ fn holds_psf(hdu: &Hdu) -> bool {
 
 /// Reads a PSFEx model in the [layout of PSFEx](super).
 ///
-/// `extension` chooses where the file holds several models, one an image extension.
+/// `extension` chooses one of several models in the file, which holds one per image extension.
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] when there are several models and no choice, [`IoError::NoSuchHdu`] for
-/// a choice that is none of them, [`IoError::Keyword`] and [`IoError::MissingKeyword`] for what
-/// PSFEx's polynomials may not be (see the [layout](super)), [`IoError::Content`] for a column of
-/// another format, [`IoError::Value`] for NaN, and the errors of any FITS file.
+/// [`IoError::SeveralHdus`] for several models without a choice, [`IoError::NoSuchHdu`] for a
+/// choice that is none of them, [`IoError::Keyword`] and [`IoError::MissingKeyword`] for an
+/// unsupported polynomial (see the [layout](super)), [`IoError::Content`] for a column of another
+/// format, [`IoError::Value`] for NaN, and the errors of any FITS file.
 pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Result<PsfexModel, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -77,7 +77,7 @@ const COUNT: &str = "a whole number";
 const LENGTH: &str = "the length of an axis of PSF_MASK, a whole number above 0";
 const TERMS: &str = "the number of terms of the polynomial, (d+1)(d+2)/2 for POLDEG1 = d";
 
-/// The table meant.
+/// The chosen table.
 fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Result<&'a Hdu, IoError> {
     const WHAT: &str = "PSFEx models";
     if !is_psfex(structure) {
@@ -92,9 +92,9 @@ fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Re
     }
 }
 
-/// The polynomial; none where the PSF is the same everywhere.
+/// The polynomial, or `None` for a constant PSF.
 fn polynomial(path: &Path, hdu: &Hdu) -> Result<Option<PsfexPolynomial>, IoError> {
-    const AXES: &str = "0 (a PSF that is the same everywhere) or 2 (one that depends on x and y)";
+    const AXES: &str = "0 (a constant PSF) or 2 (a PSF that depends on x and y)";
     const GROUPS: &str = "1: polynomials of several groups of coordinates are not supported";
     const GROUP: &str = "1, the only group of coordinates";
     const DEGREE: &str = "the degree of the polynomial, 0 to 10";
@@ -125,8 +125,8 @@ fn polynomial(path: &Path, hdu: &Hdu) -> Result<Option<PsfexPolynomial>, IoError
         .map_err(invalid(path))
 }
 
-/// The cards of a coordinate: keywords of name, offset and scale, the name's first letter, and the
-/// text for another name.
+/// The cards of a coordinate: the keywords of name, offset and scale, the first letter of the name,
+/// and the text for an unsupported name.
 type AxisKeywords = ([&'static str; 3], char, &'static str);
 
 const X_KEYWORDS: AxisKeywords = (
@@ -140,7 +140,7 @@ const Y_KEYWORDS: AxisKeywords = (
     "the row coordinate in pixels, Y_IMAGE, YWIN_IMAGE or the like: PSFs that depend on anything else are not supported",
 );
 
-/// A coordinate; 1-based in the file.
+/// Reads a coordinate, which is 1-based in the file.
 fn axis(path: &Path, hdu: &Hdu, keywords: &AxisKeywords) -> Result<PsfexAxis, IoError> {
     const OFFSET: &str = "the offset of a coordinate in pixels";
     const SCALE: &str = "the scale of a coordinate in pixels, a number other than 0";
@@ -161,9 +161,9 @@ fn axis(path: &Path, hdu: &Hdu, keywords: &AxisKeywords) -> Result<PsfexAxis, Io
     PsfexAxis::new(&name, zero - 1.0, scale).map_err(invalid(path))
 }
 
-/// `[term, y, x]` by the header, and the number of values in all.
+/// The shape `[term, y, x]` from the header, and the total number of values.
 fn plane_shape(hdu: &Hdu, terms: usize) -> Result<((usize, usize, usize), usize), IoError> {
-    const AXES: &str = "3 (columns, rows, terms), or 2 where the polynomial has one term";
+    const AXES: &str = "3 (columns, rows, terms), or 2 if the polynomial has one term";
     let axes = hdu.required::<i64>("PSFNAXIS", AXES)?;
     let (nx, ny) = (
         hdu.required_length("PSFAXIS1", LENGTH)?,
@@ -180,11 +180,11 @@ fn plane_shape(hdu: &Hdu, terms: usize) -> Result<((usize, usize, usize), usize)
     let count = nx
         .checked_mul(ny)
         .and_then(|pixels| pixels.checked_mul(terms))
-        .ok_or_else(|| hdu.keyword_error("PSFAXIS1", "small enough for the planes to be counted"))?;
+        .ok_or_else(|| hdu.keyword_error("PSFAXIS1", "smaller: the planes would be larger than any file"))?;
     Ok(((terms, ny, nx), count))
 }
 
-/// Where the column says how its values are to be folded, it must say what the header says.
+/// Checks that the dimensions of the column, if it states them, agree with the header.
 fn check_dimensions(
     hdu: &Hdu,
     table: &Table<'_>,
@@ -199,7 +199,7 @@ fn check_dimensions(
     hdu.ensure(agrees || !told, &keyword, "must be (PSFAXIS1,PSFAXIS2,PSFAXIS3)")
 }
 
-/// Whether `(a,b,...)` names these lengths, those of 1 at the end left out or not.
+/// Returns whether `(a,b,...)` lists these lengths. Lengths of 1 at the end may be left out.
 fn folds_to(text: &str, expected: &[usize]) -> bool {
     let lengths: Option<Vec<usize>> = text
         .trim()
@@ -216,9 +216,10 @@ fn folds_to(text: &str, expected: &[usize]) -> bool {
 /// Writes a PSFEx model in the [layout of PSFEx](super), which SExtractor and GalSim
 /// (`galsim.des.DES_PSFEx`) read.
 ///
-/// Planes are stored in single precision, as PSFEx does; planes that were read from such a file
-/// come back bit by bit. `added` cards go to the header of the table, ahead of the layout's own.
-/// GalSim reads no model without a polynomial (`POLNAXIS = 0`); SExtractor does.
+/// Planes are stored in single precision, as in PSFEx. Planes that were read from such a file are
+/// written back bit by bit. `added` cards are written to the header of the table, before the cards
+/// of the layout. SExtractor reads a model without a polynomial (`POLNAXIS = 0`), but GalSim does
+/// not.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -236,7 +237,7 @@ fn folds_to(text: &str, expected: &[usize]) -> bool {
 ///
 /// # Errors
 /// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or what the file system and CFITSIO report.
+/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
 pub fn write_psfex(
     path: impl AsRef<Path>,
     model: &PsfexModel,
@@ -259,7 +260,7 @@ pub fn write_psfex(
     })
 }
 
-/// Keyword, value and comment of the layout's own cards.
+/// Keyword, value and comment of each card of the layout.
 fn own_cards(model: &PsfexModel) -> Vec<(&'static str, CardValue, &'static str)> {
     let mut list = Vec::new();
     let mut add = |keyword, value: Option<CardValue>, comment| {

@@ -3,36 +3,36 @@
 //!
 //! # Layout
 //!
-//! An empty primary HDU, then a binary table of one row for each image extension that PSFEx has
-//! modelled, usually named `PSF_DATA`:
+//! The primary HDU is empty. A binary table follows, usually named `PSF_DATA`. It has one row for
+//! each image extension that PSFEx has modelled:
 //!
 //! | in the table | meaning |
 //! |---|---|
 //! | column `PSF_MASK` | single-precision planes `[term, y, x]`, `TDIMn = (nx, ny, terms)` |
-//! | `POLNAXIS` | 2, or 0 for a PSF that is the same everywhere |
+//! | `POLNAXIS` | 2, or 0 for a constant PSF |
 //! | `POLNAME1`, `POLNAME2` | the coordinates: `X_IMAGE` and `Y_IMAGE`, or windowed ones (`XWIN_IMAGE` ...): 1-based pixels of the frame |
 //! | `POLZEROi`, `POLSCALi` | their offset and scale |
 //! | `POLNGRP`, `POLGRPi`, `POLDEG1` | one group of both coordinates, of total degree `POLDEG1` |
-//! | `PSF_SAMP` | frame pixels a plane pixel: the stamps are `1 / PSF_SAMP` times oversampled |
-//! | `PSFNAXIS`, `PSFAXIS1`, `PSFAXIS2`, `PSFAXIS3` | 3 axes: columns, rows, terms; 2 are enough where there is one term |
-//! | `PSF_FWHM`, `LOADED`, `ACCEPTED`, `CHI2` | figures of PSFEx's own; optional |
+//! | `PSF_SAMP` | frame pixels per plane pixel: the stamps are oversampled `1 / PSF_SAMP` times |
+//! | `PSFNAXIS`, `PSFAXIS1`, `PSFAXIS2`, `PSFAXIS3` | 3 axes: columns, rows, terms; for one term 2 axes are enough |
+//! | `PSF_FWHM`, `LOADED`, `ACCEPTED`, `CHI2` | statistics of PSFEx, optional |
 //!
-//! `h(u; x, y) = sum_t t(x, y) plane_t(u)` with `t = X^i Y^j`, `X = (x - POLZERO1) / POLSCAL1`,
-//! likewise `Y`, in the order `for j in 0..=d, for i in 0..=d - j`: 1, X, X^2, Y, XY, Y^2 for
-//! degree 2.
+//! `h(u; x, y) = sum_t t(x, y) plane_t(u)` with `t = X^i Y^j`, `X = (x - POLZERO1) / POLSCAL1` and
+//! `Y` likewise. The order of the terms is `for j in 0..=d, for i in 0..=d - j`, so 1, X, X^2, Y,
+//! XY, Y^2 for degree 2.
 //!
 //! # Conventions
-//! The PSF's reference point is the plane pixel `n / 2` (integer division), as in PSFEx. (GalSim
-//! takes the middle of the plane, half a plane pixel away where `n` is even;
-//! [`write_psfex`](crate::write_psfex) leaves planes as they are.) The response of a frame pixel is
-//! in the values, which need not have unit flux. Between the pixels PSFEx's own tools use a Lanczos
-//! kernel, so the grid says
+//! The reference point of the PSF is the plane pixel `n / 2` (integer division), as in PSFEx.
+//! (GalSim uses the middle of the plane, which differs by half a plane pixel for even `n`.
+//! [`write_psfex`](crate::write_psfex) writes planes unchanged.) The values include the response of
+//! a frame pixel and need not have unit flux. PSFEx's own tools interpolate between the pixels by a
+//! Lanczos kernel, so the grid has
 //! [`StampInterpolation::Lanczos3`](psf_types::StampInterpolation::Lanczos3). Positions are 1-based
 //! in the file and 0-based in [`PsfexModel`].
 //!
-//! # What is refused
-//! Polynomials in anything but the position (a magnitude, a colour, a header keyword), in one
-//! coordinate alone, or of several groups: the error names the keyword.
+//! # Unsupported files
+//! A polynomial in anything but the position (a magnitude, a colour, a header keyword), in only one
+//! coordinate, or of several groups is an error, which names the keyword.
 
 pub(crate) mod file;
 
@@ -46,7 +46,7 @@ const EXTENSION: &str = "PSF_DATA";
 /// The column that holds the planes.
 const COLUMN: &str = "PSF_MASK";
 
-/// One coordinate of a PSFEx polynomial: `t = (v - zero) / scale`, `v` in 0-based pixels of the
+/// One coordinate of a PSFEx polynomial: `t = (v - zero) / scale` with `v` in 0-based pixels of the
 /// frame.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PsfexAxis {
@@ -56,8 +56,8 @@ pub struct PsfexAxis {
 }
 
 impl PsfexAxis {
-    /// A coordinate of this name (`X_IMAGE`), offset (0-based pixels; `POLZERO` less 1) and scale
-    /// (pixels).
+    /// Makes a coordinate from its name (such as `X_IMAGE`), offset (0-based pixels: `POLZERO`
+    /// minus 1) and scale (pixels).
     ///
     /// # Errors
     /// [`DataError::Setting`] for an offset that is not finite, or a scale that is not finite or 0.
@@ -77,7 +77,7 @@ impl PsfexAxis {
         Ok(Self { name, zero, scale })
     }
 
-    /// The coordinate's name, `X_IMAGE` or the like.
+    /// The name of the coordinate, such as `X_IMAGE`.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -92,8 +92,8 @@ impl PsfexAxis {
         self.scale
     }
 
-    /// The extrema of Chebyshev's polynomial of this degree, the ends included, over
-    /// `zero +- scale / 2`: nodes that determine any polynomial of the degree. For degree 0 it is
+    /// The extrema of the Chebyshev polynomial of this degree over `zero +- scale / 2`, including
+    /// the ends. These nodes determine any polynomial of the degree. For degree 0 the only node is
     /// `zero`.
     pub fn extrema(&self, degree: usize) -> Vec<f64> {
         if degree == 0 {
@@ -104,7 +104,7 @@ impl PsfexAxis {
             .collect()
     }
 
-    /// Powers 0 to `degree` of the scaled coordinate.
+    /// The powers 0 to `degree` of the scaled coordinate.
     fn powers(&self, v: f64, degree: usize) -> Vec<f64> {
         let t = (v - self.zero) / self.scale;
         std::iter::successors(Some(1.0), |power| Some(power * t))
@@ -122,10 +122,10 @@ pub struct PsfexPolynomial {
 }
 
 impl PsfexPolynomial {
-    /// The highest degree that PSFEx and SExtractor know.
+    /// The highest degree that PSFEx and SExtractor support.
     pub const MAX_DEGREE: usize = 10;
 
-    /// A polynomial of total degree `degree` in x and y.
+    /// Makes a polynomial of total degree `degree` in x and y.
     ///
     /// # Errors
     /// [`DataError::Setting`] above [`Self::MAX_DEGREE`].
@@ -155,12 +155,12 @@ impl PsfexPolynomial {
         self.degree
     }
 
-    /// Number of terms of a total degree: `(d+1)(d+2)/2`.
+    /// Number of terms for a total degree: `(d+1)(d+2)/2`.
     pub fn term_count(degree: usize) -> usize {
         (degree + 1) * (degree + 2) / 2
     }
 
-    /// The terms at a position, in the order of the planes: for each power of y all of x.
+    /// The terms at a position in the order of the planes, with the power of x fastest.
     ///
     /// ```
     /// use psf_io::{PsfexAxis, PsfexPolynomial};
@@ -183,25 +183,24 @@ impl PsfexPolynomial {
     }
 }
 
-/// PSFEx's figures on its own work: for the record, nothing depends on them.
+/// PSFEx's statistics of its fit. They are informative only.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct PsfexFigures {
     /// The full width at half maximum in frame pixels (`PSF_FWHM`).
     pub fwhm_px: Option<f64>,
-    /// Stars that were tried (`LOADED`).
+    /// Number of stars that were tried (`LOADED`).
     pub loaded: Option<i64>,
-    /// Stars that were used (`ACCEPTED`).
+    /// Number of stars that were used (`ACCEPTED`).
     pub accepted: Option<i64>,
     /// Reduced chi square of the fit (`CHI2`).
     pub chi2: Option<f64>,
 }
 
-/// A PSFEx model: planes whose sum, weighted by the terms of a polynomial in the position, is the
-/// PSF.
+/// A PSFEx model. The PSF is the sum of planes, weighted by the terms of a polynomial in the
+/// position.
 ///
-/// There are as many planes as terms, one where the PSF is the same everywhere; every value is
-/// finite.
+/// There are as many planes as terms, or one plane for a constant PSF. Every value is finite.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PsfexModel {
     planes: Array3<f64>,
@@ -212,12 +211,12 @@ pub struct PsfexModel {
 }
 
 impl PsfexModel {
-    /// A model from planes `[term, y, x]`, their sampling (`PSF_SAMP`: frame pixels a plane pixel)
-    /// and the polynomial; without one, the PSF is the same everywhere.
+    /// Makes a model from planes `[term, y, x]`, their sampling (`PSF_SAMP`: frame pixels per plane
+    /// pixel) and the polynomial. Without a polynomial the PSF is constant.
     ///
     /// # Errors
-    /// [`DataError::EmptyStamp`], [`DataError::CountMismatch`] when the planes are not as many as
-    /// the terms, [`DataError::NonFinite`] and [`DataError::Oversampling`].
+    /// [`DataError::EmptyStamp`], [`DataError::CountMismatch`] if the number of planes is not the
+    /// number of terms, [`DataError::NonFinite`] and [`DataError::Oversampling`].
     pub fn new(
         planes: Array3<f64>,
         sampling: f64,
@@ -247,7 +246,7 @@ impl PsfexModel {
         })
     }
 
-    /// Adds PSFEx's own figures.
+    /// Adds PSFEx's statistics.
     #[must_use]
     pub fn with_figures(self, figures: PsfexFigures) -> Self {
         Self { figures, ..self }
@@ -258,7 +257,7 @@ impl PsfexModel {
         self.planes.view()
     }
 
-    /// Frame pixels a plane pixel.
+    /// Frame pixels per plane pixel.
     pub fn sampling(&self) -> f64 {
         self.sampling
     }
@@ -269,27 +268,27 @@ impl PsfexModel {
         self.grid
     }
 
-    /// PSFEx's own figures.
+    /// PSFEx's statistics.
     pub fn figures(&self) -> PsfexFigures {
         self.figures
     }
 
-    /// The polynomial; none where the PSF is the same everywhere.
+    /// The polynomial, or `None` for a constant PSF.
     pub fn polynomial(&self) -> Option<&PsfexPolynomial> {
         self.polynomial.as_ref()
     }
 
-    /// The total degree; 0 where the PSF is the same everywhere.
+    /// The total degree, or 0 for a constant PSF.
     pub fn degree(&self) -> usize {
         self.polynomial.as_ref().map_or(0, PsfexPolynomial::degree)
     }
 
     /// Positions at which the PSF determines the polynomial, x fastest: the
-    /// [`extrema`](PsfexAxis::extrema) of both coordinates, `(d+1)^2` for degree d. One, anywhere,
-    /// where the PSF is the same everywhere.
+    /// [`extrema`](PsfexAxis::extrema) of both coordinates, `(d+1)^2` for degree d. For a constant
+    /// PSF one arbitrary position.
     ///
     /// # Errors
-    /// [`DataError::NonFinitePosition`] where offset and scale are too large for a position.
+    /// [`DataError::NonFinitePosition`] if offset and scale are too large for a position.
     pub fn nodes(&self) -> Result<Vec<Position>, DataError> {
         let Some(polynomial) = &self.polynomial else {
             return Ok(vec![Position::of_pixel(0, 0)]);
@@ -300,10 +299,10 @@ impl PsfexModel {
             .collect()
     }
 
-    /// The PSF at a position, as PSFEx has it: not scaled to unit flux.
+    /// The PSF at a position, as in PSFEx: not scaled to unit flux.
     ///
     /// # Errors
-    /// [`DataError::NonFinite`] so far away that the polynomial overflows.
+    /// [`DataError::NonFinite`] at a position so far away that the polynomial overflows.
     pub fn psf_at(&self, position: Position) -> Result<Stamp, DataError> {
         let terms = match &self.polynomial {
             Some(polynomial) => polynomial.terms(position),
