@@ -303,7 +303,11 @@ impl PsfModel {
     /// # Panics
     /// When `coefficients.len() != self.stamp_count()`.
     pub fn coefficients_into(&self, position: Position, coefficients: &mut [f64]) -> Result<(), FieldError> {
-        assert_eq!(coefficients.len(), self.stamp_count(), "one coefficient per stamp");
+        assert_eq!(
+            coefficients.len(),
+            self.stamp_count(),
+            "one coefficient per stamp"
+        );
         let first = usize::from(self.mean_centred);
         coefficients[..first].fill(1.0);
         self.field.evaluate_into(position, &mut coefficients[first..])

@@ -28,8 +28,7 @@ pub fn add_galaxies<T: Real>(
     first_pixel: (i64, i64),
     galaxies: &[SersicSource],
 ) {
-    add_galaxies_with_progress(image, first_pixel, galaxies, &NoProgress)
-        .expect("NoProgress never cancels");
+    add_galaxies_with_progress(image, first_pixel, galaxies, &NoProgress).expect("NoProgress never cancels");
 }
 
 /// Works like [`add_galaxies`], reports progress in tiles, and checks for cancellation every few

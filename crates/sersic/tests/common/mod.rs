@@ -1,9 +1,9 @@
 //! The flux of a Sersic profile in a rectangle, by a method that differs from the crate's.
 //!
-//! Consider a profile of flux 1 with circular isophotes. By Green's theorem, `integral over A = 1 /
-//! (2 pi) * line integral around A of G(r) dtheta`. Here `G` is the flux within a radius, `P(2n, b
-//! (r / re)^(1/n))`. An elliptical profile is circular in coordinates in which the rectangle is a
-//! parallelogram.
+//! Consider a profile of flux 1 with circular isophotes. By Green's theorem,
+//! `integral over A = 1 / (2 pi) * line integral around A of G(r) dtheta`. Here `G` is the flux
+//! within a radius, `P(2n, b (r / re)^(1/n))`. An elliptical profile is circular in coordinates in
+//! which the rectangle is a parallelogram.
 #![allow(dead_code, reason = "each test file uses a part")]
 
 use psf_types::{Position, SersicProfile, SersicSource};
