@@ -38,7 +38,8 @@ pub enum Operation {
 /// use conv_core::{ConvolutionMethod, Direct, Engine, Operation, Plan, PlanOptions};
 /// use ndarray::{Array2, Array3};
 /// use psf_types::{
-///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position, PsfBasis, PsfModel, StampGrid,
+///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position,
+///     PsfBasis, PsfModel, StampGrid,
 /// };
 ///
 /// /// One component, whose share grows from left to right.
@@ -54,8 +55,12 @@ pub enum Operation {
 ///     }
 /// }
 ///
-/// let component = Array3::from_shape_fn((1, 3, 3), |(_, y, x)| if y == 1 { [-0.5, 0.0, 0.5][x] } else { 0.0 }) * 2f64.sqrt();
-/// let basis = PsfBasis::new(Some(Array2::from_elem((3, 3), 1.0 / 9.0)), component, StampGrid::new(3, 3)?)?;
+/// let half = 0.5_f64.sqrt();
+/// let row = [-half, 0.0, half];
+/// let component =
+///     Array3::from_shape_fn((1, 3, 3), |(_, y, x)| if y == 1 { row[x] } else { 0.0 });
+/// let mean = Array2::from_elem((3, 3), 1.0 / 9.0);
+/// let basis = PsfBasis::new(Some(mean), component, StampGrid::new(3, 3)?)?;
 /// let model = PsfModel::new(&basis, Arc::new(Ramp), Normalisation::Unit, None)?;
 ///
 /// let shape = FrameShape::new(70, 60)?;

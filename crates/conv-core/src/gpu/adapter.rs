@@ -1,49 +1,50 @@
-//! GPUs that are there.
+//! Detection and choice of GPUs.
 
 use super::fft_source::FftSource;
 use crate::error::GpuError;
 
-/// A GPU (or a driver that runs shaders on the processor) and what it can do.
+/// A GPU (or a driver that runs shaders on the processor) and its capabilities.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Adapter {
-    /// As its driver calls it.
+    /// The name that its driver reports.
     pub name: String,
-    /// What kind of hardware it is.
+    /// The kind of hardware.
     pub kind: AdapterKind,
-    /// The interface that it is driven through: `vulkan`, `metal`, `dx12` or `gl`.
+    /// The interface through which it is driven: `vulkan`, `metal`, `dx12` or `gl`.
     pub backend: String,
-    /// The driver and its version, as far as it tells.
+    /// The driver and its version, if it reports them.
     pub driver: String,
     /// Bytes of the largest buffer.
     pub largest_buffer: u64,
-    /// Bytes of a buffer that a shader can see at once. Work is cut into pieces of at most this size.
+    /// The most bytes of a buffer that a shader can access at once. Work is divided into pieces of
+    /// at most this size.
     pub largest_binding: u64,
-    /// Bytes that the threads of a workgroup share; limits the size of transforms.
+    /// Bytes that the threads of a workgroup share. They limit the size of transforms.
     pub workgroup_memory: u32,
-    /// Threads of a workgroup at most.
+    /// The most threads of a workgroup.
     pub workgroup_threads: u32,
-    /// Whether it can tell how long its shaders took.
+    /// True if it can measure how long its shaders took.
     pub timestamps: bool,
 }
 
-/// Features with which a GPU can tell how long its work took.
+/// Features that a GPU needs to measure how long its work took.
 pub(super) const TIMESTAMPS: wgpu::Features =
     wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS);
 
-/// Kinds of adapters, the one to be preferred first.
+/// Kinds of adapters, the preferred kind first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum AdapterKind {
-    /// A card with memory of its own.
+    /// A card with its own memory.
     Discrete,
     /// A GPU that shares the processor's memory.
     Integrated,
     /// A GPU lent to a virtual machine.
     Virtual,
-    /// Hardware that does not say what it is.
+    /// Hardware of unknown kind.
     Other,
-    /// No GPU: shaders run on the processor.
+    /// Not a GPU: shaders run on the processor.
     Software,
 }
 
@@ -66,7 +67,7 @@ impl std::fmt::Display for AdapterKind {
             Self::Integrated => "integrated GPU",
             Self::Virtual => "virtual GPU",
             Self::Other => "other hardware",
-            Self::Software => "software, no GPU",
+            Self::Software => "software, not a GPU",
         })
     }
 }
@@ -97,12 +98,12 @@ impl Adapter {
         }
     }
 
-    /// Bytes of the largest buffer that a shader can see.
+    /// Bytes of the largest buffer that a shader can access.
     pub(super) fn most_at_once(&self) -> u64 {
         self.largest_binding.min(self.largest_buffer)
     }
 
-    /// The error where something takes more than that.
+    /// Returns an error if `what` needs more bytes than a shader can access at once.
     pub(super) fn fits(&self, what: &'static str, needed: u64) -> Result<(), GpuError> {
         let limit = self.most_at_once();
         if needed <= limit {
@@ -116,12 +117,13 @@ impl Adapter {
         })
     }
 
-    /// Whether it has room for transforms of planes of some columns and rows.
+    /// Returns whether it has room for transforms of planes of `nx` columns and `ny` rows.
     pub(crate) fn can_transform(&self, nx: usize, ny: usize) -> bool {
         nx.max(ny / 2) <= FftSource::longest(self.workgroup_memory as usize)
     }
 
-    /// Whether a name, in any case, is part of this adapter's name or is its backend.
+    /// Returns whether a name is part of this adapter's name or is its backend. Upper and lower
+    /// case are equal.
     fn answers_to(&self, name: &str) -> bool {
         self.name.to_lowercase().contains(&name.to_lowercase()) || self.backend.eq_ignore_ascii_case(name)
     }
@@ -141,16 +143,17 @@ pub fn adapters() -> Vec<Adapter> {
 /// Adapters with their handles, the preferred one first.
 fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
     let mut adapters = adapters_of(wgpu::Backends::PRIMARY);
-    // GL drives what the others drive as well, with lower limits, and its libraries complain where there is no screen.
+    // GL drives the GPUs that the others drive as well, but with lower limits, and its libraries
+    // print complaints where there is no screen.
     if adapters.is_empty() {
         adapters = adapters_of(wgpu::Backends::GL);
     }
-    // Stable: else in the order in which the system lists them.
+    // The sort is stable, so adapters of one kind keep the order of the system's list.
     adapters.sort_by_key(|(_, adapter)| adapter.kind);
     adapters
 }
 
-/// Buffers that a shader sees at most.
+/// The most buffers that a shader uses.
 const BUFFERS: u32 = 6;
 
 fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
@@ -171,7 +174,8 @@ fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {
     .collect()
 }
 
-/// The preferred adapter, or the first that answers to a name; without one, the names of those that are there.
+/// Returns the preferred adapter, or the first that matches a name. If there is none, returns the
+/// names of all adapters as the error.
 pub(super) fn choose(name: Option<&str>) -> Result<(wgpu::Adapter, Adapter), Vec<String>> {
     let mut adapters = open_adapters();
     let wanted = adapters

@@ -1,4 +1,4 @@
-//! The shaders of a batch, in order.
+//! The calls of shaders for a batch, in order.
 
 use std::ops::Range;
 
@@ -14,12 +14,12 @@ use super::shader::{Draw, Params, STRIP, Shader, Tile};
 use crate::error::GpuError;
 use crate::plan::geometry::Direction;
 
-/// What the shaders of a batch share.
+/// The data that the shaders of a batch share.
 pub(super) struct BatchCalls<'a> {
     pub(super) device: &'a GpuDevice,
     pub(super) pipelines: &'a Pipelines,
     pub(super) direction: Direction,
-    /// What holds for all calls.
+    /// The parameters common to all calls.
     pub(super) params: Params,
     pub(super) data: &'a BatchData,
     pub(super) batch: &'a Batch,
@@ -29,7 +29,7 @@ pub(super) struct BatchCalls<'a> {
 }
 
 impl<'a> BatchCalls<'a> {
-    /// The calls for the tiles of a batch that have light.
+    /// The calls for the lit tiles of a batch.
     pub(super) fn calls(&self, working: &mut WorkBuffers) -> Result<Calls<'a>, GpuError> {
         let lit = self.lit;
         let tiles = colours(&lit.tiles);
@@ -147,7 +147,8 @@ impl<'a> BatchCalls<'a> {
     }
 }
 
-/// Tile and kernel of each plane that is loaded: one for each kernel where light is weighed first, else one a tile.
+/// The tile and the kernel of each plane to be loaded. There is one plane per kernel if light is
+/// multiplied by coefficients first, otherwise one per tile.
 fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Vec<u32> {
     tiles
         .enumerate()
@@ -158,14 +159,14 @@ fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Ve
         .collect()
 }
 
-/// Words in a buffer, there before whatever is submitted next.
+/// Writes words to a buffer before the next submission.
 fn handed_over(device: &GpuDevice, buffer: &mut Growing, words: &[u32]) -> wgpu::Buffer {
     let buffer = buffer.with_room(device, 4 * words.len() as u64);
     device.queue().write_buffer(&buffer, 0, cast_slice(words));
     buffer
 }
 
-/// Where runs of equal colours lie.
+/// The ranges of equal colours.
 fn colours<V>(of_all: &[(usize, V)]) -> Vec<Range<usize>> {
     let mut end = 0;
     let runs = of_all.chunk_by(|a, b| a.0 == b.0).map(|run| {

@@ -1,5 +1,5 @@
-//! A batch's data on the GPU that do not depend on the light, and the memory that executions work
-//! in.
+//! Data of a batch on the GPU that do not depend on the light, and the working memory of
+//! executions.
 
 use std::ops::Range;
 
@@ -18,7 +18,7 @@ use crate::error::GpuError;
 use crate::plan::Plan;
 use crate::plan::coefficient_table::{CoefficientTable, Values};
 
-/// Buffers that executions share, one after the other.
+/// Buffers that executions use, one execution after the other.
 #[derive(Debug)]
 pub(super) struct WorkBuffers {
     pub(super) staging: Staging,
@@ -59,15 +59,15 @@ impl WorkBuffers {
 #[derive(Debug)]
 pub(super) struct BatchData {
     pub(super) tables: wgpu::Buffer,
-    /// Where each part's table begins.
+    /// The first word of each part's table.
     pub(super) table_starts: Vec<u32>,
     pub(super) stamps: wgpu::Buffer,
     pub(super) spectra: wgpu::Buffer,
 }
 
 impl BatchData {
-    /// Makes it; where that is part of an execution, with `marks` about the work on it. Stamps are
-    /// turned by 180 degrees where `flip`.
+    /// Computes the data. With `marks`, measures the work as a part of an execution. With `flip`,
+    /// stamps are turned by 180 degrees.
     pub(super) fn new<T: ConvReal>(
         device: &Attempt,
         pipelines: &Pipelines,
@@ -124,12 +124,12 @@ impl BatchData {
         self.tables.size() + self.stamps.size() + self.spectra.size()
     }
 
-    /// Bytes that came from the host.
+    /// Bytes that were copied from the host.
     pub(super) fn host_bytes(&self) -> u64 {
         self.tables.size() + self.stamps.size()
     }
 
-    /// The shaders that make spectra of stamps.
+    /// The shader calls that compute the spectra of stamps.
     fn stamp_calls<'a>(
         &self,
         device: &'a Attempt,
@@ -139,7 +139,7 @@ impl BatchData {
         batch: &Batch,
     ) -> Calls<'a> {
         let stamp = params.stamp;
-        // One kernel a tile.
+        // Each tile has one kernel here.
         let place = Place {
             kernels: 1,
             ..Place::default()
@@ -182,7 +182,7 @@ impl BatchData {
     }
 }
 
-/// A part's coefficients and stamps.
+/// A part's coefficients and stamps as words.
 fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
     let kernels = BlockKernels::new(plan, part.block);
     let (table, stamps) = (kernels.table(), kernels.stamps());
@@ -191,13 +191,15 @@ fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
     (table.packed(part.kernels.clone()), cast_slice(stamps).to_vec())
 }
 
-/// Words before the table's contents: see `coefficients.wgsl`.
+/// The number of words before the table's contents: see `coefficients.wgsl`.
 const HEADER: usize = 9;
 
 impl<T: ConvReal> CoefficientTable<T> {
-    /// What `coefficients.wgsl` reads of some of the kernels, in f32: a header (whether values are given pixel by pixel, number of functions,
-    /// whether they are divided by the first, kernels without a function, columns, rows, and where the row starts, the first columns
-    /// of runs and the values begin), then those three. Places count from the table's first word.
+    /// Packs the coefficients of some kernels in f32 for `coefficients.wgsl`. The header holds:
+    /// whether values are given pixel by pixel, the number of functions, whether functions are
+    /// divided by the first, the number of kernels without a function, columns, rows, and the first
+    /// words of the row starts, the runs' first columns and the values. These three arrays follow.
+    /// Words count from the table's first word.
     pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
         let functions = self.functions_of(kernels.clone());
         let plain = kernels

@@ -1,4 +1,4 @@
-//! Buffers on a GPU, and between it and the host.
+//! Buffers on a GPU, and buffers for copies between it and the host.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Mutex, PoisonError};
@@ -8,13 +8,14 @@ use super::panels::Rectangle;
 use super::stopwatch::{self, Marks};
 use crate::error::GpuError;
 
-/// What shaders see.
+/// The usages of buffers that shaders access.
 pub(super) const STORAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE
     .union(wgpu::BufferUsages::COPY_DST)
     .union(wgpu::BufferUsages::COPY_SRC);
 
 impl GpuDevice {
-    /// A buffer of at least a word, whose contents are undefined. Only [`check`](Self::check) tells whether there was room for it.
+    /// A buffer of at least one word with undefined content. Only [`check`](Self::check) tells
+    /// whether there was memory for it.
     pub(super) fn buffer(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         self.device().create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -24,13 +25,13 @@ impl GpuDevice {
         })
     }
 
-    /// A list of commands to be submitted.
+    /// Returns an empty list of commands.
     pub(super) fn encoder(&self) -> wgpu::CommandEncoder {
         self.device()
             .create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
     }
 
-    /// A buffer of words.
+    /// A buffer filled with words.
     pub(super) fn filled(&self, label: &str, words: &[u32]) -> wgpu::Buffer {
         let buffer = self.buffer(label, 4 * words.len() as u64, STORAGE);
         if !words.is_empty() {
@@ -41,7 +42,7 @@ impl GpuDevice {
     }
 }
 
-/// A buffer that grows with what it is asked to hold.
+/// A buffer that grows when more bytes are needed.
 #[derive(Debug)]
 pub(super) struct Growing {
     label: &'static str,
@@ -58,7 +59,7 @@ impl Growing {
         }
     }
 
-    /// The buffer, with room for some bytes; what it holds is undefined.
+    /// Returns the buffer, with room for `bytes`. Its content is undefined.
     pub(super) fn with_room(&mut self, device: &GpuDevice, bytes: u64) -> wgpu::Buffer {
         if self.buffer.as_ref().is_none_or(|buffer| buffer.size() < bytes) {
             self.buffer = Some(device.buffer(self.label, bytes, self.usage));
@@ -67,7 +68,7 @@ impl Growing {
     }
 }
 
-/// Mapped buffers that come back once the GPU has copied from them.
+/// Mapped buffers for copies to the GPU. Each can be used again when the GPU has copied from it.
 #[derive(Debug)]
 pub(super) struct Staging {
     free: Vec<wgpu::Buffer>,
@@ -85,11 +86,11 @@ impl Staging {
         }
     }
 
-    /// A mapped buffer of at least so many bytes.
+    /// Returns a mapped buffer of at least `bytes`.
     pub(super) fn take(&mut self, device: &GpuDevice, bytes: u64) -> wgpu::Buffer {
         let receiver = self.receiver.get_mut().unwrap_or_else(PoisonError::into_inner);
         self.free.extend(receiver.try_iter());
-        // The smallest that suffices.
+        // The smallest that is large enough.
         let fitting = self
             .free
             .iter()
@@ -98,7 +99,7 @@ impl Staging {
         if let Some((place, _)) = fitting.min_by_key(|(_, buffer)| buffer.size()) {
             return self.free.swap_remove(place);
         }
-        // One that is too small will not be asked for again soon.
+        // A buffer that is too small will not be needed again soon.
         if self.free.len() > KEPT {
             self.free.swap_remove(0);
         }
@@ -116,16 +117,16 @@ impl Staging {
         let returned = buffer.clone();
         buffer.slice(..).map_async(wgpu::MapMode::Write, move |mapped| {
             if mapped.is_ok() {
-                // Nobody listens any more where the engine is gone.
+                // Sending fails only if the engine has been dropped.
                 let _ = sender.send(returned);
             }
         });
     }
 }
 
-/// Buffers that wait to be used again at most.
+/// The most buffers kept for later use.
 const KEPT: usize = 16;
-/// Sizes are multiples of this, so that buffers serve again.
+/// Sizes are multiples of this, so that buffers can be used again.
 const ROUNDING: u64 = 1 << 16;
 
 /// A buffer for a panel's result, and one for the marks of its stopwatch.
@@ -135,7 +136,7 @@ pub(super) struct Readback {
     pub(super) marks: Growing,
 }
 
-/// A panel that the GPU works on.
+/// A panel that the GPU is computing.
 #[derive(Debug)]
 pub(super) struct InFlight {
     pub(super) output: Rectangle,
@@ -156,7 +157,7 @@ impl Readback {
         }
     }
 
-    /// The buffers, with room for some bytes of result.
+    /// Returns the buffers, with room for `bytes` of result.
     pub(super) fn with_room(&mut self, device: &GpuDevice, bytes: u64) -> (wgpu::Buffer, wgpu::Buffer) {
         (
             self.values.with_room(device, bytes),
@@ -166,7 +167,7 @@ impl Readback {
 }
 
 impl InFlight {
-    /// Asks for what was submitted to be readable once it is done.
+    /// Requests that the result be readable when the submission is done.
     pub(super) fn new(
         output: Rectangle,
         marks: Marks,
@@ -179,7 +180,7 @@ impl InFlight {
             buffer
                 .slice(..length)
                 .map_async(wgpu::MapMode::Read, move |result| {
-                    // Nobody listens any more after an error.
+                    // Sending fails only if reading stopped after an error.
                     let _ = sender.send(result);
                 });
         }
@@ -193,7 +194,7 @@ impl InFlight {
         }
     }
 
-    /// Waits for the GPU and shows the result's bytes and the stopwatch's.
+    /// Waits for the GPU and passes the bytes of the result and of the stopwatch to `read`.
     pub(super) fn read<R>(
         self,
         device: &Attempt,
@@ -201,9 +202,9 @@ impl InFlight {
     ) -> Result<R, GpuError> {
         device.wait(self.submission.clone())?;
         for _ in 0..2 {
-            // Another thread may be the one that passes the news on, a little later.
+            // Another thread may deliver the message a little later.
             let mapped = self.mapped.recv();
-            let mapped = mapped.map_err(|_| device.failed(&"the result did not come"))?;
+            let mapped = mapped.map_err(|_| device.failed(&"the result was not received"))?;
             mapped.map_err(|error| device.failed(&error))?;
         }
         let values = self.values.slice(..self.output.bytes()).get_mapped_range();

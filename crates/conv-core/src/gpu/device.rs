@@ -1,4 +1,4 @@
-//! An open GPU, and the shaders that it has ready.
+//! An open GPU, and its compiled shaders.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -10,7 +10,7 @@ use super::plane_source::PlaneSource;
 use super::shader::Shader;
 use crate::error::GpuError;
 
-/// A GPU that plans can run on. Cheap to clone: clones are the same GPU.
+/// A GPU that plans can run on. Cheap to clone: clones share the GPU.
 ///
 /// ```
 /// use conv_core::gpu::{GpuDevice, GpuError};
@@ -30,36 +30,38 @@ struct Inner {
     device: wgpu::Device,
     queue: wgpu::Queue,
     trouble: Arc<Mutex<Trouble>>,
-    /// Shaders that have been made, by the size of their planes.
+    /// Compiled shaders, by the size of their planes.
     pipelines: Mutex<Vec<Arc<Pipelines>>>,
 }
 
-/// What the driver said.
+/// Errors reported by the driver.
 #[derive(Debug, Default)]
 struct Trouble {
     lost: Option<String>,
-    /// How often its memory was full.
+    /// The number of times that its memory was full.
     out_of_memory: u64,
-    /// How often it complained of something else, and the last of it.
+    /// The number of other errors, and the text of the last.
     complaints: u64,
     last: String,
 }
 
-/// Work on a GPU, which fails with whatever its driver complains of from the beginning on. Others may use the GPU at the same time; a complaint
-/// about one makes all of them fail, since the driver does not say whom it means.
+/// Work on a GPU. It fails with any error that the driver reports after its beginning. Others may
+/// use the GPU at the same time. An error then makes all of them fail, because the driver does not
+/// report which work caused it.
 #[derive(Debug)]
 pub(super) struct Attempt {
     device: GpuDevice,
-    /// What was said before: how often memory was full, and other complaints.
+    /// Errors before the beginning: the number of times that memory was full, and of other errors.
     before: (u64, u64),
 }
 
 impl GpuDevice {
-    /// Opens the first adapter that answers to a name (a part of its name or its backend, in any case), or the preferred one: a
-    /// discrete GPU before an integrated one, and software last.
+    /// Opens the preferred adapter, or the first that matches a name. A name matches if it is a
+    /// part of the adapter's name or its backend. Upper and lower case are equal. Discrete GPUs are
+    /// preferred to integrated ones, and software is last.
     ///
     /// # Errors
-    /// [`GpuError`] where there is none, or none of that name, or its driver refuses.
+    /// [`GpuError`] if there is no GPU, none matches the name, or its driver refuses.
     pub fn new(name: Option<&str>) -> Result<Self, GpuError> {
         let (handle, adapter) = choose(name).map_err(|present| match name {
             Some(name) if !present.is_empty() => GpuError::NoSuchAdapter {
@@ -71,7 +73,8 @@ impl GpuDevice {
         let descriptor = wgpu::DeviceDescriptor {
             label: Some("psfield"),
             required_features: handle.features() & TIMESTAMPS,
-            // Whatever it can do: buffers and workgroups are sized by it.
+            // Requests the adapter's full limits: they determine the sizes of buffers and
+            // workgroups.
             required_limits: handle.limits(),
             memory_hints: wgpu::MemoryHints::Performance,
             ..wgpu::DeviceDescriptor::default()
@@ -107,7 +110,7 @@ impl GpuDevice {
         &self.0.adapter
     }
 
-    /// Tells the driver to let go of the GPU: whatever is done with it afterwards is [`GpuError::Lost`].
+    /// Tells the driver to close the GPU. Any later use returns [`GpuError::Lost`].
     pub fn close(&self) {
         self.0.device.destroy();
         locked(&self.0.trouble)
@@ -142,16 +145,17 @@ impl std::ops::Deref for Attempt {
 }
 
 impl Attempt {
-    /// The error that the driver told of since the beginning, if any.
+    /// Returns the error that the driver has reported since the beginning, if any.
     pub(super) fn check(&self) -> Result<(), GpuError> {
         let adapter = &self.device.adapter().name;
         locked(&self.device.0.trouble).since(self.before, adapter)
     }
 
-    /// Waits for what was submitted.
+    /// Waits for a submission to finish.
     pub(super) fn wait(&self, submission: wgpu::SubmissionIndex) -> Result<(), GpuError> {
         let device = self.device.device();
-        // wgpu panics where the GPU is lost while somebody waits for it (and the panic is reported on the standard error as any other).
+        // wgpu panics if the GPU is lost during the wait. The panic is still printed on standard
+        // error.
         let waited = catch_unwind(AssertUnwindSafe(|| {
             device.poll(wgpu::PollType::Wait {
                 submission_index: Some(submission),
@@ -162,7 +166,7 @@ impl Attempt {
             let mut trouble = locked(&self.device.0.trouble);
             trouble
                 .lost
-                .get_or_insert_with(|| "it does not answer any more".to_owned());
+                .get_or_insert_with(|| "it no longer responds".to_owned());
             drop(trouble);
             return self.check();
         };
@@ -170,7 +174,7 @@ impl Attempt {
         waited.map(drop).map_err(|error| self.failed(&error))
     }
 
-    /// The error that the driver told of, or that something failed for this reason.
+    /// Returns the error that the driver reported, otherwise an error with this reason.
     pub(super) fn failed(&self, reason: &dyn std::fmt::Display) -> GpuError {
         self.check().err().unwrap_or_else(|| GpuError::Driver {
             adapter: self.device.adapter().name.clone(),
@@ -178,7 +182,8 @@ impl Attempt {
         })
     }
 
-    /// The shaders for planes of a size; the driver takes its time to make them, so they are kept.
+    /// Returns the shaders for planes of a size. They are kept, because the driver takes long to
+    /// compile them.
     pub(super) fn pipelines(&self, source: PlaneSource) -> Result<Arc<Pipelines>, GpuError> {
         let mut made = locked(&self.device.0.pipelines);
         if let Some(found) = made.iter().find(|pipelines| pipelines.source == source) {
@@ -189,7 +194,7 @@ impl Attempt {
         Ok(new)
     }
 
-    /// Goes on after a complaint.
+    /// Continues after an error: ignores the errors up to now.
     pub(super) fn forgive(&mut self) {
         self.before = locked(&self.device.0.trouble).so_far();
     }
@@ -209,12 +214,12 @@ impl Trouble {
         (self.out_of_memory, self.complaints)
     }
 
-    /// The error that came after so much was said, if any.
+    /// Returns the error reported after the counts `before`, if any.
     fn since(&self, before: (u64, u64), adapter: &str) -> Result<(), GpuError> {
         let adapter = adapter.to_owned();
-        // wgpu gives a device up where memory runs out while it works.
+        // wgpu closes a device whose memory runs out while it works.
         let lost_for_memory = |reason: &String| reason.to_lowercase().contains("out of memory");
-        // First, since what could not be allocated gives rise to other complaints.
+        // This test is first, because a failed allocation causes other errors.
         if self.out_of_memory > before.0 || self.lost.as_ref().is_some_and(lost_for_memory) {
             return Err(GpuError::OutOfMemory { adapter });
         }
@@ -230,7 +235,7 @@ impl Trouble {
     }
 }
 
-/// A poisoned lock is only that of a thread that panicked elsewhere.
+/// Ignores poisoning: a panic of another thread does not make the data invalid.
 pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -247,7 +252,8 @@ pub(super) struct Pipelines {
 
 impl Pipelines {
     pub(super) fn new(device: &Attempt, source: PlaneSource) -> Result<Arc<Self>, GpuError> {
-        // Threads of their own: on those of a pool, other work would come between while the caller holds a lock.
+        // Uses separate threads. A thread of a pool could begin other work while the caller holds a
+        // lock.
         let of_shaders = std::thread::scope(|scope| {
             let made = Shader::ALL.map(|shader| {
                 let source = &source;
@@ -315,7 +321,7 @@ mod tests {
             description: "broken".into(),
         });
         let third = trouble.so_far();
-        // What follows from the lack of memory does not hide it.
+        // Errors that follow from the lack of memory do not hide it.
         assert_eq!(trouble.since(first, "a"), full);
         assert_eq!(trouble.since(second, "a"), broken);
         assert_eq!(trouble.since(third, "a"), Ok(()));

@@ -1,4 +1,4 @@
-//! Plans on a GPU.
+//! Execution of plans on a GPU.
 
 use std::sync::{Mutex, OnceLock};
 
@@ -17,15 +17,15 @@ use crate::error::GpuError;
 use crate::plan::Plan;
 use crate::{ConvError, ConvReal};
 
-/// What a plan keeps on a GPU.
+/// The data of a plan that stay on a GPU.
 #[derive(Debug)]
 pub(crate) struct GpuEngine {
     pub(crate) device: GpuDevice,
     plan: GpuPlan,
     forward: Layout,
-    /// Of the transpose, made when it is first asked for.
+    /// Layout of the transpose, made when it is first needed.
     adjoint: OnceLock<Layout>,
-    /// Of executions that are done; those under way at the same time have one each.
+    /// Buffers of finished executions. Executions that run at the same time use one each.
     working: Mutex<Vec<WorkBuffers>>,
     times: Mutex<Option<GpuTimes>>,
 }
@@ -62,14 +62,14 @@ impl GpuEngine {
         *locked(&self.times)
     }
 
-    /// Sends light through the operator, to be added to `output`.
+    /// Applies the operator to light and adds the result to `output`.
     pub(crate) fn run<T: ConvReal>(
         &self,
         pass: &LightPass<'_, T>,
         output: ArrayViewMut2<'_, T>,
     ) -> Result<TileCounts, ConvError> {
         let mut attempt = self.device.attempt()?;
-        // No lock is held while threads work: they may come back here with another execution.
+        // No lock is held while threads work, because they may begin another execution here.
         let taken = locked(&self.working).pop();
         let mut working = taken.unwrap_or_else(|| WorkBuffers::new(&self.device));
         let layout = match self.adjoint.get() {
@@ -83,7 +83,7 @@ impl GpuEngine {
         };
         let plan = (&self.plan, layout);
         let (counts, times) = T::dispatch(Run::new(&attempt, plan, pass, &mut working, output))?;
-        // After an error it is dropped: what is still under way may write to it.
+        // Dropped after an error, because work in progress may still write to it.
         locked(&self.working).push(working);
         *locked(&self.times) = Some(times);
         Ok(counts)

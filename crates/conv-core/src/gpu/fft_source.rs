@@ -1,51 +1,55 @@
-//! The text of one-dimensional transforms in a workgroup's memory.
+//! Generates the source text of one-dimensional transforms in a workgroup's memory.
 //!
-//! Stockham's algorithm with radices 3, 4, 5 and 8: natural order in and out. A stage reads each butterfly's values, which lie `n / radix`
-//! apart, turns them by the roots of unity and writes them next to each other; between stages values pass through the memory that the
-//! workgroup shares. The first stage reads from wherever the shader says and the last one leaves its results in registers, so
-//! that loading, products and storing need no pass of their own.
+//! Stockham's algorithm with radices 3, 4, 5 and 8: natural order in and out. A stage reads each
+//! butterfly's values, which lie `n / radix` apart, multiplies them by the roots of unity and
+//! writes them next to each other. Between stages values pass through the memory that the workgroup
+//! shares. The shader supplies the load of the first stage, and the last stage leaves its results
+//! in registers. So loading, products and storing need no extra pass.
 //!
-//! A product of spectra is taken in registers, and the transform back begins where the one before it ended: it takes the radices in
-//! reverse order, so that both agree about who holds what.
+//! A product of spectra is computed in registers, and the transform back begins with the values in
+//! the registers where the forward transform left them. It uses the radices in reverse order, so
+//! that both assign values to the same threads.
 
 use std::fmt::Write as _;
 
-/// Several transforms of one length that a workgroup does at once.
+/// Several transforms of one length that a workgroup computes together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct FftSource {
     /// The length.
     pub(super) n: usize,
-    /// How many at once.
+    /// The number of transforms computed together.
     pub(super) lines: usize,
     /// Threads of the workgroup.
     pub(super) threads: usize,
-    /// Whether neighbouring threads work on neighbouring lines (columns of a plane), else on neighbouring values of one line (rows).
+    /// True if neighbouring threads work on neighbouring lines (columns of a plane), false if they
+    /// work on neighbouring values of one line (rows).
     interleaved: bool,
     radices: Vec<usize>,
     padded: bool,
 }
 
-/// The value of one register: its name, the line and the index along it that it belongs to.
+/// A register: its number, and the line and the index along the line of its value.
 pub(super) struct Register<'a> {
     pub(super) number: usize,
     pub(super) line: &'a str,
     pub(super) index: &'a str,
 }
 
-/// Values that a workgroup works on: enough to hide what it waits for, few enough for several workgroups to share a processor.
+/// The number of values per workgroup: enough to hide memory latency, few enough for several
+/// workgroups to share a processor.
 const VALUES: usize = 2048;
-/// Values of a thread.
+/// The number of values per thread.
 const VALUES_A_THREAD: usize = 8;
-/// Lines at most: neighbouring columns that are read together, 128 bytes.
+/// The most lines: neighbouring columns that are read together, 128 bytes.
 const MOST_LINES: usize = 16;
-/// Threads at most: every adapter has as many, by the standard.
+/// The most threads: every adapter supports this number, by the standard.
 const MOST_THREADS: usize = 256;
 /// Bytes of a complex value.
 const BYTES: usize = 8;
 
 impl FftSource {
-    /// Transforms of `n` values, a multiple of 16 without prime factors above 5, for a workgroup with some bytes of memory; nothing
-    /// where they do not fit.
+    /// Transforms of `n` values, a multiple of 16 without prime factors above 5, for a workgroup
+    /// with `memory` bytes. Returns `None` if they do not fit.
     pub(super) fn new(n: usize, interleaved: bool, memory: usize, most_threads: usize) -> Option<Self> {
         let room = memory / BYTES;
         if n > room {
@@ -66,18 +70,18 @@ impl FftSource {
         })
     }
 
-    /// The longest transform for a workgroup with some bytes of memory.
+    /// The longest transform for a workgroup with `memory` bytes.
     pub(super) fn longest(memory: usize) -> usize {
         memory / BYTES / 16 * 16
     }
 
-    /// Values of the memory that the workgroup shares.
+    /// The number of values in the memory that the workgroup shares.
     pub(super) fn shared(&self) -> usize {
         let values = self.lines * self.n;
         if self.padded { padded(values) } else { values }
     }
 
-    /// Declares the registers, and the functions that the stages need.
+    /// Declares the registers and the functions that the stages need.
     pub(super) fn declarations(&self) -> String {
         let threads = self.threads;
         let shared = self.shared();
@@ -98,7 +102,7 @@ impl FftSource {
         )
     }
 
-    /// Declares registers of a name; they hold zero.
+    /// Declares registers with a given name, set to zero.
     pub(super) fn registers(&self, name: &str) -> String {
         (0..self.register_count()).fold(String::new(), |mut text, i| {
             let _ = writeln!(text, "var {name}{i} = vec2f(0.0);");
@@ -111,7 +115,8 @@ impl FftSource {
         self.radices.iter().map(of_stage).max().unwrap_or(0)
     }
 
-    /// A transform in registers `v`; `load` gives the expression of an input value at a line and an index.
+    /// A transform in registers `v`. `load` returns the expression of an input value at a line and
+    /// an index.
     pub(super) fn forward(&self, load: impl Fn(&str, &str) -> String) -> String {
         let input = self.at_each(self.radices[0], |register| {
             format!("v{} = {};", register.number, load(register.line, register.index))
@@ -119,18 +124,19 @@ impl FftSource {
         input + &self.stages(self.radices.iter().copied())
     }
 
-    /// The transform back of what [`each_result`](Self::each_result) left in the registers `v`, real and imaginary parts swapped before and after;
-    /// its results are where [`each_result_back`](Self::each_result_back) finds them.
+    /// The transform back of the values that [`each_result`](Self::each_result) left in the
+    /// registers `v`. Real and imaginary parts are swapped before and after it. Its results are
+    /// where [`each_result_back`](Self::each_result_back) finds them.
     pub(super) fn back_of_swapped(&self) -> String {
         self.stages(self.radices.iter().rev().copied())
     }
 
-    /// What is done with each result of a transform.
+    /// Code for each result of a transform.
     pub(super) fn each_result(&self, text: impl Fn(Register<'_>) -> String) -> String {
         self.at_each(self.radices[self.radices.len() - 1], text)
     }
 
-    /// What is done with each result of a transform back.
+    /// Code for each result of a transform back.
     pub(super) fn each_result_back(&self, text: impl Fn(Register<'_>) -> String) -> String {
         self.at_each(self.radices[0], text)
     }
@@ -142,7 +148,7 @@ impl FftSource {
             let length = done * radix;
             let last = length == self.n;
             if done > 1 {
-                // What the stage before wrote.
+                // Reads the values that the stage before wrote.
                 text += &self.at_each(radix, |r| {
                     format!("v{} = shared_values[slot({}, {})];", r.number, r.line, r.index)
                 });
@@ -169,7 +175,7 @@ impl FftSource {
         text
     }
 
-    /// The butterflies of a stage, each value turned by its root first.
+    /// The butterflies of a stage. Each value is first multiplied by its root.
     fn butterflies(&self, radix: usize, done: usize) -> String {
         let step = self.n / (done * radix);
         self.at_each_butterfly(radix, |first, _, b| {
@@ -185,7 +191,7 @@ impl FftSource {
         })
     }
 
-    /// What is done at each value of each butterfly of a radix.
+    /// Code for each value of each butterfly of a radix.
     fn at_each(&self, radix: usize, text: impl Fn(Register<'_>) -> String) -> String {
         let step = self.n / radix;
         self.at_each_butterfly(radix, |first, line, b| {
@@ -202,7 +208,8 @@ impl FftSource {
         })
     }
 
-    /// What each thread does for its butterflies: number of the first register, line, and number of the butterfly along it.
+    /// Code of each thread for its butterflies. `text` gets the number of the first register, the
+    /// line, and the number of the butterfly along the line.
     fn at_each_butterfly(&self, radix: usize, text: impl Fn(usize, &str, &str) -> String) -> String {
         let along = self.n / radix;
         let count = self.lines * along;
@@ -230,12 +237,13 @@ impl FftSource {
     }
 }
 
-/// One in nine places is left empty, so that neighbouring threads fall into different banks whatever the radix.
+/// Leaves one place in nine empty, so that neighbouring threads access different banks for any
+/// radix.
 fn padded(values: usize) -> usize {
     values + values / 8
 }
 
-/// The radices of a length, those of odd numbers in the middle.
+/// The radices of a length, with 3 and 5 in the middle.
 fn radices(n: usize) -> Option<Vec<usize>> {
     let mut rest = n;
     let mut odd = Vec::new();

@@ -1,4 +1,4 @@
-//! The work of a plan in one direction, cut for a GPU.
+//! The work of a plan in one direction, divided for a GPU.
 
 use std::sync::Arc;
 
@@ -18,13 +18,14 @@ pub struct GpuOptions {
 }
 
 impl GpuOptions {
-    /// What a plan keeps on the GPU unless told otherwise: 2 GiB.
+    /// The default limit of the GPU memory that a plan keeps: 2 GiB.
     pub const DEFAULT_MEMORY_BYTES: u64 = 2 << 30;
-    /// Pieces of work unless told otherwise: 64 MiB.
+    /// The default size of pieces of work: 64 MiB.
     pub const DEFAULT_PIECE_BYTES: u64 = 64 << 20;
 
-    /// The same with another limit to what the plan keeps on the GPU: spectra and coefficients. What does not fit is made anew by each
-    /// execution. What is in work comes on top, a few pieces of [`with_pieces`](Self::with_pieces).
+    /// Limits the GPU memory that the plan keeps for spectra and coefficients. Each execution
+    /// computes again those that do not fit. The limit excludes the working memory, which is a few
+    /// pieces of [`with_pieces`](Self::with_pieces).
     #[must_use]
     pub fn with_memory(self, bytes: u64) -> Self {
         Self {
@@ -33,7 +34,7 @@ impl GpuOptions {
         }
     }
 
-    /// The same with other pieces of work, in bytes; the adapter's own limit holds beside it.
+    /// Sets the size of pieces of work, in bytes. The adapter's own limit also applies.
     #[must_use]
     pub fn with_pieces(self, bytes: u64) -> Self {
         Self {
@@ -42,12 +43,12 @@ impl GpuOptions {
         }
     }
 
-    /// Bytes that a plan keeps on the GPU at most.
+    /// The most bytes that a plan keeps on the GPU.
     pub fn memory_bytes(&self) -> u64 {
         self.memory_bytes
     }
 
-    /// Bytes of a piece of work at most.
+    /// The most bytes of a piece of work.
     pub fn piece_bytes(&self) -> u64 {
         self.piece_bytes
     }
@@ -62,20 +63,20 @@ impl Default for GpuOptions {
     }
 }
 
-/// The work of a direction, and what is kept for it.
+/// The work in one direction, and the data kept for it.
 #[derive(Debug)]
 pub(super) struct Layout {
     pub(super) direction: Direction,
-    /// Stamps are applied turned by 180 degrees.
+    /// True if stamps are turned by 180 degrees.
     pub(super) flip: bool,
     pub(super) panels: Vec<Panel>,
-    /// By panel and batch, as far as the memory reaches.
+    /// Data per panel and batch, as far as they fit into the memory.
     pub(super) kept: Vec<Vec<Option<BatchData>>>,
-    /// Bytes of what is kept.
+    /// The size of the kept data in bytes.
     pub(super) bytes: u64,
 }
 
-/// A plan's tiles, the shaders for its transforms, and the limits that its work is cut to.
+/// A plan's tiles, the shaders for its transforms, and the limits for pieces of its work.
 #[derive(Debug)]
 pub(super) struct GpuPlan {
     pub(super) pipelines: Arc<Pipelines>,
@@ -84,8 +85,8 @@ pub(super) struct GpuPlan {
 }
 
 impl GpuPlan {
-    /// The work of a direction, and as much of what it needs whatever the light as fits into the
-    /// memory of the GPU that the options allow when some of it is taken.
+    /// Divides the work in one direction. Computes the data of batches that do not depend on the
+    /// light, as far as they fit into the memory of the options less the bytes already `taken`.
     pub(super) fn layout<T: ConvReal>(
         &self,
         plan: &Plan<T>,
@@ -114,18 +115,18 @@ impl GpuPlan {
         };
         for (panel, kept) in layout.panels.iter().zip(&mut layout.kept) {
             for (batch, kept) in panel.batches.iter().zip(kept) {
-                // The spectra are most of it.
+                // The spectra are the largest part.
                 let least = batch.spectra as u64 * self.pipelines.source.bytes();
                 if layout.bytes + least > memory {
                     return Ok(layout);
                 }
                 let data = match BatchData::new(device, &self.pipelines, working, plan, (batch, flip), None) {
-                    // What does not fit is made anew by each execution.
+                    // Each execution computes the data that do not fit.
                     Err(GpuError::OutOfMemory { .. }) => {
                         device.forgive();
-                        // wgpu may have given up the whole device.
+                        // wgpu may have closed the whole device.
                         device.check()?;
-                        // Some of its buffers may be no buffers.
+                        // Some of its buffers may be invalid.
                         *working = WorkBuffers::new(device);
                         return Ok(layout);
                     }

@@ -1,4 +1,4 @@
-//! What a scene has for a batch to do.
+//! The work of a batch for a given scene.
 
 use pulp::bytemuck::cast_slice;
 use rayon::prelude::*;
@@ -14,12 +14,13 @@ use crate::plan::geometry::{Direction, Geometry};
 use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
-/// Tiles with light, by colour, and the single pixels that are drawn. For the place of their table they have the number of their part.
+/// Lit tiles by colour, and the single pixels to be drawn. At first the field for the place of a
+/// table holds the number of the part.
 #[derive(Debug, Default)]
 pub(super) struct LitBatch {
     pub(super) tiles: Vec<(usize, Tile)>,
     pub(super) drawn: Vec<(usize, DrawnTile)>,
-    /// First values and lengths of the light that was written.
+    /// First values and lengths of the light written.
     pub(super) light: Vec<(usize, usize)>,
     pub(super) counts: TileCounts,
 }
@@ -29,7 +30,7 @@ impl LitBatch {
         self.tiles.is_empty() && self.drawn.is_empty()
     }
 
-    /// Puts the places of the parts' tables where their numbers are.
+    /// Replaces the numbers of parts by the places of their tables.
     pub(super) fn find_tables(&mut self, starts: &[u32]) {
         let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.place.table);
         let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.place.table);
@@ -39,7 +40,7 @@ impl LitBatch {
     }
 }
 
-/// Single pixels of a tile, and what it takes to draw them.
+/// Single pixels of a tile, and the data needed to draw them.
 #[derive(Debug)]
 pub(super) struct DrawnTile {
     /// Without the places of pixels and amounts.
@@ -49,7 +50,7 @@ pub(super) struct DrawnTile {
     pub(super) amounts: Vec<f32>,
 }
 
-/// The light of a batch's tiles written to a mapped buffer, and what is to be done with it.
+/// Inspection of the light of a batch's tiles, which is written to a mapped buffer.
 pub(super) struct Examination<'a, 'j, T: ConvReal> {
     pub(super) device: &'a Attempt,
     pub(super) layout: &'a Layout,
@@ -62,7 +63,7 @@ pub(super) struct Examination<'a, 'j, T: ConvReal> {
 impl<T: ConvReal> Examination<'_, '_, T> {
     pub(super) fn examine<S: Lanes<T>>(&self, simd: S) -> Result<LitBatch, ConvError> {
         let parts = self.batch.parts.iter();
-        // Tile by tile, unless a block's tiles share what is made for them.
+        // Each tile is a task, unless a block's tiles share data computed for them.
         let tasks: Vec<(&Part, &[TileSlot])> = parts
             .flat_map(|part| {
                 let together = if self.pass.processor.plan.keeps(part.block) {
@@ -87,13 +88,13 @@ impl<T: ConvReal> Examination<'_, '_, T> {
             all.light.extend(part.light);
             all.counts += part.counts;
         }
-        // Stable: within a colour they keep their order.
+        // The sort is stable: tiles of a colour keep their order.
         all.tiles.sort_by_key(|(colour, _)| *colour);
         all.drawn.sort_by_key(|(colour, _)| *colour);
         Ok(all)
     }
 
-    /// Some tiles of a part.
+    /// Inspects some tiles of a part.
     fn tiles<S: Lanes<T>>(&self, simd: S, part: &Part, tiles: &[TileSlot]) -> Result<LitBatch, ConvError> {
         let processor = self.pass.processor;
         let mut lit = LitBatch::default();
@@ -108,7 +109,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
                     slot.tile,
                     workspace,
                 )?;
-                // A tile whose kernels come in several parts counts once.
+                // A tile whose kernels are in several parts counts once.
                 let first = part.kernels.start == 0;
                 let Some(treatment) = treatment else {
                     lit.counts.dark += usize::from(first);
@@ -184,7 +185,7 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         }
     }
 
-    /// Columns and rows by which the light that a tile takes begins before its result.
+    /// Columns and rows by which the light of a tile begins before its result.
     fn skip(&self) -> (usize, usize) {
         let stamp = self.geometry().stamp;
         match self.layout.direction {

@@ -1,7 +1,7 @@
 //! The fast engine on a GPU: feature `gpu`.
 //!
-//! [`Engine::on_gpu`](crate::Engine::on_gpu) hands a plan to a [`GpuDevice`]; its executions run
-//! there, with the same tiles, modes and treatments as on the processor, in f32.
+//! [`Engine::on_gpu`](crate::Engine::on_gpu) gives a plan to a [`GpuDevice`]. Its executions run
+//! there in f32, with the same tiles, modes and treatments as on the processor.
 
 mod adapter;
 mod batch_calls;

@@ -1,9 +1,10 @@
-//! A plan's work in pieces that a GPU can see at once.
+//! Division of a plan's work into pieces that a GPU can access at once.
 //!
-//! A *panel* is a rectangle of tiles whose result fits into one buffer, and lies within one band of the plan's blocks. Its tiles are worked on in *batches*,
-//! whose planes, spectra, light and coefficients fit into one buffer each. What a batch has of a block is a *part*: some of its tiles and
-//! some of its kernels, mostly all of both. The result is the sum over parts, so that a tile whose planes do not fit at once is simply done in
-//! several batches.
+//! A *panel* is a rectangle of tiles whose result fits into one buffer. It lies within one band of
+//! the plan's blocks. Its tiles are processed in *batches*, whose planes, spectra, light and
+//! coefficients fit into one buffer each. A *part* is the share of a block in a batch: some of its
+//! tiles and some of its kernels, mostly all of both. The result is the sum over parts, so a tile
+//! whose planes do not fit at once is processed in several batches.
 
 use std::ops::Range;
 
@@ -23,12 +24,12 @@ pub(crate) struct TileGrid {
     /// Along x and along y.
     pub(crate) tiles: [Vec<AxisTile>; 2],
     geometry: Geometry,
-    /// By block, row by row.
+    /// The number of kernels per block, row by row.
     kernel_counts: Vec<usize>,
     blocks_across: usize,
-    /// Rows of blocks that are in work at once.
+    /// The number of rows of blocks processed together.
     band: usize,
-    /// Of tiles whose light spreads, along both axes.
+    /// The number of colours along both axes, for tiles whose light spreads.
     colours: [usize; 2],
 }
 
@@ -81,7 +82,7 @@ impl TileGrid {
         }
     }
 
-    /// Rows of tiles that belong to rows of blocks which are in work at once.
+    /// The rows of tiles in each band of rows of blocks processed together.
     pub(crate) fn bands(&self) -> Vec<Range<usize>> {
         let rows = &self.tiles[1];
         let mut bands: Vec<Range<usize>> = Vec::new();
@@ -105,7 +106,7 @@ impl TileGrid {
         self.block_of(axis, tiles.start)..self.block_of(axis, tiles.end - 1) + 1
     }
 
-    /// Those of some tiles that belong to a block.
+    /// The tiles among a range that belong to a block.
     pub(crate) fn tiles_of(&self, axis: usize, block: usize, among: &Range<usize>) -> Range<usize> {
         let of_axis = &self.tiles[axis];
         let first = of_axis.partition_point(|tile| tile.block < block);
@@ -124,7 +125,7 @@ impl TileGrid {
         }
     }
 
-    /// Tiles of one colour do not overlap.
+    /// The colour of a tile. Tiles of one colour do not overlap.
     pub(crate) fn colour(&self, direction: Direction, column: usize, row: usize) -> usize {
         match direction {
             Direction::Scatter => column % self.colours[0] + self.colours[0] * (row % self.colours[1]),
@@ -137,7 +138,7 @@ impl TileGrid {
     }
 }
 
-/// A rectangle of the side that light goes to.
+/// A rectangle of the side that receives the light.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Rectangle {
     pub(super) column: usize,
@@ -163,11 +164,11 @@ pub(super) struct Panel {
     pub(super) batches: Vec<Batch>,
 }
 
-/// What is worked on at once.
+/// Tiles processed together.
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub(super) parts: Vec<Part>,
-    /// How much there is of everything: values of light, planes, spectra, stamps' values.
+    /// The numbers of values of light, planes, spectra, and values of stamps.
     pub(super) light: usize,
     pub(super) planes: usize,
     pub(super) spectra: usize,
@@ -179,7 +180,7 @@ pub(super) struct Batch {
 pub(super) struct Part {
     /// Column and row of the block.
     pub(super) block: (usize, usize),
-    /// Which one of its batch.
+    /// Its number within its batch.
     pub(super) number: u32,
     pub(super) kernels: Range<usize>,
     pub(super) tiles: Vec<TileSlot>,
@@ -188,7 +189,7 @@ pub(super) struct Part {
     pub(super) stamp: usize,
 }
 
-/// A tile and its places in a batch.
+/// A tile and the places of its data in a batch.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TileSlot {
     pub(super) tile: PlacedTile,
@@ -199,19 +200,20 @@ pub(super) struct TileSlot {
     pub(super) plane: usize,
 }
 
-/// What limits pieces.
+/// The limits of pieces.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limits<'a> {
     pub(super) adapter: &'a Adapter,
-    /// Bytes that a piece should have at most; what cannot be smaller may have as many as the adapter allows.
+    /// The most bytes that a piece should have. If it cannot be that small, the adapter's limit
+    /// applies.
     pub(super) piece: u64,
 }
 
-/// Planes of a batch at most: the workgroups of a dispatch along an axis.
+/// The most planes of a batch: the limit of the workgroups of a dispatch along an axis.
 const MOST_PLANES: usize = 65_535;
 const F32: u64 = 4;
 
-/// The work of a direction in panels, from the first row of blocks to the last.
+/// Divides the work in one direction into panels, from the first row of blocks to the last.
 pub(super) fn panels(
     plan: &TileGrid,
     source: &PlaneSource,
@@ -248,7 +250,8 @@ struct Packing<'a> {
 }
 
 impl Packing<'_> {
-    /// Neighbouring tiles along an axis whose results, `across` pixels wide, fit into a piece. Along x, a piece must hold the tallest tile as well.
+    /// Groups neighbouring tiles along an axis so that their results, `across` pixels wide, fit
+    /// into a piece. Along x, a piece must also hold the tallest tile.
     fn groups(
         &self,
         axis: usize,
@@ -313,7 +316,7 @@ impl Packing<'_> {
         })
     }
 
-    /// Adds a block's tiles to the last batch, or to new ones.
+    /// Adds a block's tiles to the last batch, or to new batches.
     fn add(
         &self,
         batches: &mut Vec<Batch>,
@@ -333,7 +336,7 @@ impl Packing<'_> {
             return Ok(());
         }
         if kernels == 0 {
-            // Nothing to convolve with, but light without a PSF is to be found.
+            // There are no kernels, but light without a PSF must still be found.
             for tile in tiles {
                 let mut batch = Batch::default();
                 self.force(&mut batch, block, std::slice::from_ref(tile), 0..0);
@@ -341,7 +344,8 @@ impl Packing<'_> {
             }
             return Ok(());
         }
-        // As many tiles at once as fit with all kernels; if not even one does, a tile's kernels in several batches.
+        // Adds as many tiles at once as fit with all kernels. If one tile does not fit, its kernels
+        // are divided among several batches.
         for tile in tiles {
             let mut first = 0;
             while first < kernels {
@@ -356,7 +360,7 @@ impl Packing<'_> {
                     count /= 2;
                     if count == 0 {
                         self.limits.adapter.fits("a tile", self.least(tile))?;
-                        // A piece may be larger than asked for where nothing is smaller.
+                        // The smallest piece may be larger than the limit in the options.
                         count = 1;
                         self.force(&mut batch, block, one, first..first + 1);
                         break;
@@ -369,7 +373,7 @@ impl Packing<'_> {
         Ok(())
     }
 
-    /// Bytes of the largest buffer that a tile needs with a single kernel.
+    /// Bytes of the largest buffer that a tile needs with one kernel.
     fn least(&self, tile: &TileSlot) -> u64 {
         let planes = self.planes_a_tile(1) as u64 * self.plane_bytes;
         planes
@@ -377,7 +381,8 @@ impl Packing<'_> {
             .max(F32 * self.plan.geometry.stamp_values() as u64)
     }
 
-    /// Values of a tile's light, rounded up so that the next one begins where the host may write.
+    /// The number of values of a tile's light, rounded up so that the next tile begins at an offset
+    /// to which the host may write.
     fn light_values(&self, slot: &TileSlot) -> usize {
         let (columns, rows) = self.plan.geometry.light_size(self.direction, slot.tile.part.size);
         (columns * rows).next_multiple_of(4)

@@ -1,4 +1,4 @@
-//! Shaders one after the other.
+//! Lists of shader calls.
 
 use pulp::bytemuck::cast_slice;
 
@@ -11,13 +11,13 @@ use super::shader::{STRIP, Shader};
 use super::stopwatch::Marks;
 use crate::error::GpuError;
 
-/// What shaders are called with, collected to be handed over at once.
+/// Shader calls, collected to be submitted together.
 #[derive(Debug)]
 pub(super) struct Calls<'a> {
     device: &'a GpuDevice,
     pipelines: &'a Pipelines,
     params: wgpu::Buffer,
-    /// Bytes of the parameters, each call's at an offset that the adapter allows.
+    /// The bytes of all parameters. Those of each call are at an offset that the adapter allows.
     bytes: Vec<u8>,
     step: usize,
     list: Vec<Call>,
@@ -30,10 +30,10 @@ struct Call {
     groups: (u32, u32),
 }
 
-/// Bytes of a call's parameters.
+/// The size of a call's parameters in bytes.
 const PARAM_BYTES: u64 = 32;
 
-/// The buffer that parameters go to.
+/// A buffer for parameters.
 pub(super) fn params_buffer() -> Growing {
     Growing::new(
         "parameters",
@@ -42,7 +42,7 @@ pub(super) fn params_buffer() -> Growing {
 }
 
 impl<'a> Calls<'a> {
-    /// For at most `most` calls.
+    /// An empty list for at most `most` calls.
     pub(super) fn new(
         device: &'a GpuDevice,
         pipelines: &'a Pipelines,
@@ -62,7 +62,7 @@ impl<'a> Calls<'a> {
     }
 
     /// Adds a call of some workgroups with the words of its [`Params`](super::shader::Params).
-    /// Buffers are bound in the order of the shader's bindings, parameters first.
+    /// Buffers are bound in the order of the shader's bindings, after the parameters.
     pub(super) fn add(
         &mut self,
         shader: Shader,
@@ -108,7 +108,7 @@ impl<'a> Calls<'a> {
         });
     }
 
-    /// Hands the parameters over, to be there before whatever is submitted next, and writes the calls down.
+    /// Writes the parameters to their buffer before the next submission, and encodes the calls.
     pub(super) fn encode(
         self,
         encoder: &mut wgpu::CommandEncoder,
@@ -127,35 +127,35 @@ impl<'a> Calls<'a> {
     }
 }
 
-/// One call of one shader on a caller's data, so that tests can look at each on its own: no part of
-/// this crate's interface.
+/// One call of one shader on a caller's data, so that tests can check each shader separately. It
+/// does not belong to this crate's interface.
 #[doc(hidden)]
 #[derive(Debug)]
 pub struct ShaderTrial<'a> {
-    /// The shader.
+    /// The name of the shader.
     pub name: &'a str,
     /// Columns and rows of the planes.
     pub planes: (usize, usize),
     /// `Params` of `common.wgsl`.
     pub params: [u32; 8],
-    /// Words that are bound after the parameters, in order; none for the roots of unity. The shader
-    /// changes the last.
+    /// Words that are bound after the parameters, in order. `None` stands for the roots of unity.
+    /// The shader changes the last buffer.
     pub buffers: Vec<Option<Vec<u32>>>,
-    /// Tiles, or planes where each is one call's.
+    /// The number of tiles, or of planes if the shader works on single planes.
     pub count: u32,
-    /// Rows of the highest result that stamps are drawn to.
+    /// The number of rows of the highest result that stamps are drawn to.
     pub highest: u32,
-    /// Whether one root of unity is wrong.
+    /// If true, one root of unity is wrong.
     pub spoilt: bool,
 }
 
 impl ShaderTrial<'_> {
-    /// The shaders.
+    /// The names of the shaders.
     pub fn names() -> impl Iterator<Item = &'static str> {
         Shader::ALL.iter().map(|shader| shader.name())
     }
 
-    /// Rows that a workgroup sized for an adapter transforms together.
+    /// The number of rows that a workgroup sized for an adapter transforms together.
     ///
     /// # Errors
     /// [`GpuError::TransformSize`].
@@ -163,14 +163,14 @@ impl ShaderTrial<'_> {
         Ok(PlaneSource::new(nx, ny, adapter)?.rows.lines)
     }
 
-    /// Runs the shader and gives the last buffer as it left it; workgroups are sized for `adapter`, which may be
-    /// less than the device's own.
+    /// Runs the shader and returns the last buffer after the call. Workgroups are sized for
+    /// `adapter`, which may have lower limits than the device's own.
     ///
     /// # Errors
-    /// [`GpuError`] where the GPU cannot do it.
+    /// [`GpuError`] if the GPU cannot execute the call.
     ///
     /// # Panics
-    /// For a name that is not a shader's.
+    /// If the name is not a shader's.
     pub fn run(self, device: &GpuDevice, adapter: &Adapter) -> Result<Vec<f32>, GpuError> {
         let shader = Shader::ALL.iter().find(|shader| shader.name() == self.name);
         let shader = *shader.expect("the name of a shader");

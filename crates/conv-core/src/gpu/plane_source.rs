@@ -1,11 +1,11 @@
-//! The text of shaders for one size of planes.
+//! Generates the source text of shaders for one size of planes.
 
 use super::adapter::Adapter;
 use super::fft_source::FftSource;
 use super::shader::{DRAWING_THREADS, STRIP, Shader};
 use crate::error::GpuError;
 
-/// Planes of a size, and how workgroups share the work on them.
+/// The size of planes, and the division of the work on them among workgroups.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct PlaneSource {
     nx: usize,
@@ -36,12 +36,12 @@ impl PlaneSource {
         })
     }
 
-    /// Complex values of a plane.
+    /// The number of complex values in a plane.
     pub(super) fn values(&self) -> usize {
         self.nx * self.ny / 2
     }
 
-    /// Bytes of a plane.
+    /// The size of a plane in bytes.
     pub(super) fn bytes(&self) -> u64 {
         8 * self.values() as u64
     }
@@ -50,7 +50,7 @@ impl PlaneSource {
         self.ny / 2
     }
 
-    /// Workgroups that work on the rows of a plane, and those on its columns.
+    /// The number of workgroups for the rows of a plane.
     pub(super) fn row_groups(&self) -> u32 {
         (self.half() / self.rows.lines) as u32
     }
@@ -64,8 +64,9 @@ impl PlaneSource {
         roots(self.nx, self.nx, 1.0)
     }
 
-    /// Roots of unity for the columns, then the factors before and after them: `exp(i pi y / ny)` and `exp(-i pi y / ny)` over the number of
-    /// complex values, which makes planes negacyclic in y.
+    /// Roots of unity for the columns, then the factors before and after them. These are
+    /// `exp(i pi y / ny)`, and `exp(-i pi y / ny)` divided by the number of complex values. They
+    /// make planes negacyclic in y.
     pub(super) fn column_roots(&self) -> Vec<[f32; 2]> {
         let half = self.half();
         let mut all = roots(half, half, 1.0);

@@ -1,4 +1,4 @@
-//! Executions: the host looks at the light of a batch while the GPU works on the one before.
+//! Executions: the host inspects the light of a batch while the GPU computes the batch before it.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -22,7 +22,7 @@ use crate::error::GpuError;
 use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
-/// Batches handed to the GPU and not finished, so that what is made for them does not pile up.
+/// The most batches submitted and not finished. It bounds the memory for their data.
 const MOST_BATCHES: usize = 3;
 
 /// An execution.
@@ -35,11 +35,11 @@ pub(super) struct Run<'a, 'j, T: ConvReal> {
     output: ArrayViewMut2<'a, T>,
     times: GpuTimes,
     counts: TileCounts,
-    /// The panel that the GPU works on while the next one is prepared.
+    /// The panel that the GPU computes while the host prepares the next one.
     pending: Option<InFlight>,
-    /// Batches that the GPU works on, the oldest first.
+    /// Submitted batches, the oldest first.
     batches: VecDeque<wgpu::SubmissionIndex>,
-    /// Which of the two readback buffers comes next.
+    /// The index of the next readback buffer, 0 or 1.
     slot: usize,
 }
 
@@ -103,7 +103,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         Ok(())
     }
 
-    /// Hands a panel to the GPU, unless it is dark.
+    /// Submits a panel to the GPU, unless it is dark.
     fn submit<S: Lanes<T>>(
         &mut self,
         simd: S,
@@ -169,7 +169,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         Ok(Some(InFlight::new(panel.output, marks, readback, submission)))
     }
 
-    /// Looks at the light of a batch and writes it to where the GPU can copy it from.
+    /// Inspects the light of a batch and writes it to a buffer from which the GPU can copy.
     fn examine<S: Lanes<T>>(
         &mut self,
         simd: S,
@@ -191,7 +191,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         Ok((staging, lit))
     }
 
-    /// Copies a batch's light and has its shaders run.
+    /// Copies a batch's light and submits its shaders.
     fn submit_batch(
         &mut self,
         panel: &Panel,
@@ -271,7 +271,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
                     }
                 });
             times.host += clock.elapsed();
-            // Nothing at all where some of it was not measured.
+            // The sums become `None` if a part was not measured.
             let taken = stopwatch.and_then(|stopwatch| stopwatch.durations(&panel.marks, marks));
             times.kernels = times.kernels.zip(taken).map(|(sum, (kernels, _))| sum + kernels);
             times.transfers = times.transfers.zip(taken).map(|(sum, (_, copies))| sum + copies);
@@ -279,12 +279,12 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
     }
 }
 
-/// Neighbouring ranges as one.
+/// Merges neighbouring ranges.
 fn joined(ranges: &[(usize, usize)]) -> Vec<(usize, usize)> {
     let mut joined: Vec<(usize, usize)> = Vec::new();
     for &(first, count) in ranges {
         match joined.last_mut() {
-            // Places are rounded up, and what lies between is never read.
+            // Places are rounded up, and the values between ranges are never read.
             Some(last) if first - (last.0 + last.1) < 4 => last.1 = first + count - last.0,
             _ => joined.push((first, count)),
         }

@@ -1,6 +1,6 @@
-//! The shaders by name, and what they read.
+//! The shaders by name, and the data that they read.
 
-/// The shaders; each has a file of this name in `shaders`.
+/// The shaders. Each has a file of this name in `shaders`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Shader {
     WeighRows,
@@ -63,12 +63,12 @@ impl Shader {
     }
 }
 
-/// Threads that draw stamps, and the rows of a tile that they draw to.
+/// The number of threads that draw stamps, and the number of rows of a tile that they draw to.
 pub(super) const DRAWING_THREADS: usize = 64;
 pub(super) const STRIP: usize = 8;
 
-/// Which kernels a batch applies to a tile, and where its result goes: the fields that `Tile` of
-/// `common.wgsl`, which says what they are, and `Draw` of `draw_stamps.wgsl` have in common.
+/// The kernels that a batch applies to a tile, and the place of the result. These are the common
+/// fields of `Tile` in `common.wgsl`, which explains them, and of `Draw` in `draw_stamps.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Place {
     pub(super) kernels: u32,
@@ -91,7 +91,8 @@ impl Place {
     }
 }
 
-/// A tile and the kernels that a batch applies to it: `Tile` of `common.wgsl`, which says what the fields are.
+/// A tile and the kernels that a batch applies to it: `Tile` of `common.wgsl`, which explains the
+/// fields.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Tile {
     pub(super) light: usize,
@@ -114,7 +115,7 @@ impl Tile {
     }
 }
 
-/// What holds for a dispatch: `Params` of `common.wgsl`.
+/// The parameters of a dispatch: `Params` of `common.wgsl`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(super) struct Params {
     pub(super) first: u32,

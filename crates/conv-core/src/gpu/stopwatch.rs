@@ -1,50 +1,52 @@
-//! Where the time goes, by the GPU's own clock.
+//! Measurement of time by the GPU's own clock.
 
 use std::time::Duration;
 
 use super::device::GpuDevice;
 
-/// How long the parts of an execution took. What the host does overlaps with the rest, so that the sum may be more than the whole.
+/// The durations of the parts of an execution. The host works at the same time as the GPU, so the
+/// sum may exceed the total.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuTimes {
     /// From the light in the host's memory to the image there.
     pub total: Duration,
-    /// Shaders, by the GPU's own clock. None where it has none that can be read.
+    /// Shaders, by the GPU's own clock. `None` if it has no readable clock.
     pub kernels: Option<Duration>,
-    /// Copies of the light to the GPU's memory and of the image from it, by the GPU's own clock. None where it has none that can be read.
+    /// Copies of the light to the GPU's memory and of the image from it, by the GPU's own clock.
+    /// `None` if it has no readable clock.
     pub transfers: Option<Duration>,
-    /// What the host did meanwhile: looking at the light and handing it over, adding the result to the image.
+    /// Work of the host: inspecting and copying the light, and adding the result to the image.
     pub host: Duration,
-    /// Bytes copied to the GPU, and from it.
+    /// Bytes copied to the GPU, and bytes copied from it.
     pub bytes: (u64, u64),
 }
 
-/// Marks in the work of a panel, and where they are read.
+/// Time marks in the work of a panel, and the buffer for reading them.
 #[derive(Debug)]
 pub(super) struct Stopwatch {
     marks: wgpu::QuerySet,
     resolved: wgpu::Buffer,
-    /// Nanoseconds of a tick.
+    /// Nanoseconds per tick.
     tick: f32,
 }
 
-/// Marks that were set, and what lies between pairs of them.
+/// Marks that were set, and the pairs that enclose shaders and copies.
 #[derive(Debug, Default)]
 pub(super) struct Marks {
     count: u32,
-    /// There were too many: what is there is not all.
+    /// True if there were too many marks, so that some are missing.
     incomplete: bool,
     kernels: Vec<(u32, u32)>,
     transfers: Vec<(u32, u32)>,
 }
 
-/// Marks of a panel at most.
+/// The most marks of a panel.
 const MARKS: u32 = 2048;
 pub(super) const BYTES: u64 = 8 * MARKS as u64;
 
 impl Stopwatch {
-    /// A stopwatch, where the GPU has a clock that can be read.
+    /// Returns a stopwatch if the GPU has a readable clock.
     pub(super) fn new(device: &GpuDevice) -> Option<Self> {
         if !device.adapter().timestamps {
             return None;
@@ -75,7 +77,7 @@ impl Stopwatch {
         })
     }
 
-    /// Does some copies, between two marks where there is a stopwatch.
+    /// Does some copies, between two marks if there is a stopwatch.
     pub(super) fn transfers(
         stopwatch: Option<&Self>,
         marks: &mut Marks,
@@ -111,7 +113,8 @@ impl Stopwatch {
         }
     }
 
-    /// How long shaders and copies took, from the bytes of the marks; nothing where there were too many.
+    /// Returns the durations of shaders and of copies from the bytes of the marks. Returns `None`
+    /// if there were too many marks.
     pub(super) fn durations(&self, marks: &Marks, bytes: &[u8]) -> Option<(Duration, Duration)> {
         if marks.incomplete {
             return None;

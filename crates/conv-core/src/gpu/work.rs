@@ -1,4 +1,4 @@
-//! What an execution has to move.
+//! The amount of data that an execution moves, and the time predicted from it.
 
 use super::adapter::{Adapter, AdapterKind};
 use super::panels::TileGrid;
@@ -6,21 +6,24 @@ use crate::ConvReal;
 use crate::plan::Plan;
 use crate::plan::geometry::Direction;
 
-/// The bytes that an execution on a GPU moves where every pixel is lit: over the hardware's bandwidths, the floor under the time that this engine
-/// takes, but for what planes gain from caches that hold them.
+/// The bytes that an execution on a GPU moves if every pixel is lit. Divided by the hardware's
+/// bandwidths, they give a lower bound of this engine's time, except for the gain from caches that
+/// hold planes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuWork {
-    /// Between the host's memory and the GPU's: light to it, the image from it.
+    /// Between the host's memory and the GPU's: light to the GPU, the image from it.
     pub bus_bytes: u64,
-    /// Through the GPU's own memory: what shaders read and write, each value of a plane, the light and the image once a pass, each spectrum once.
+    /// To and from the GPU's own memory: each value of a plane, of the light and of the image once
+    /// per pass, and each spectrum once.
     pub memory_bytes: u64,
 }
 
 const F32: u64 = 4;
 
 impl GpuWork {
-    /// A tile of some kernels: values of a plane, of the part of a plane that its light fills, of its light and of its result.
+    /// Adds a tile with some kernels. Counts the values of a plane, of the part of a plane that the
+    /// tile's light fills, of its light and of its result.
     pub(crate) fn add_tile(
         &mut self,
         kernels: u64,
@@ -29,22 +32,24 @@ impl GpuWork {
         direction: Direction,
     ) {
         let planes = match direction {
-            // Along x, planes of all kernels out; along y, those in and one out; back along x, that one in.
+            // Along x, writes planes of all kernels. Along y, reads these and writes one. Back
+            // along x, reads that one.
             Direction::Scatter => 2 * kernels * filled + 2 * plane,
-            // Along x, one out; along y, that one in and those of all kernels out; back along x, those in.
+            // Along x, writes one. Along y, reads it and writes those of all kernels. Back along x,
+            // reads these.
             Direction::Gather => 2 * filled + 2 * kernels * plane,
         };
-        // The light in, the image in and out.
+        // Reads the light, reads and writes the image.
         self.memory_bytes += F32 * (planes + light + 2 * result);
         self.bus_bytes += F32 * light;
     }
 
-    /// The spectra of a block's kernels.
+    /// Adds the spectra of a block's kernels.
     pub(crate) fn add_block(&mut self, kernels: u64, plane: u64) {
         self.memory_bytes += F32 * kernels * plane;
     }
 
-    /// The image.
+    /// Adds the image.
     pub(crate) fn add_image(
         &mut self,
         weighted: (usize, usize),
@@ -58,10 +63,11 @@ impl GpuWork {
         self.bus_bytes += F32 * (columns * rows) as u64;
     }
 
-    /// Predicted seconds on a kind of adapter, rounded guesses from what such hardware usually is, not measurements: only good
-    /// enough to choose a device.
+    /// Predicted seconds on a kind of adapter. The constants are rounded guesses for such hardware,
+    /// not measurements. They are only good enough to choose a device.
     pub(crate) fn seconds(&self, kind: AdapterKind) -> f64 {
-        // Bytes a second over the bus with what the host does for it, through memory, and what it takes to begin.
+        // Bytes per second over the bus, including the work of the host, bytes per second of the
+        // GPU's memory, and seconds to start.
         let (bus, memory, start) = match kind {
             AdapterKind::Discrete | AdapterKind::Virtual => (8e9, 2e11, 1e-3),
             AdapterKind::Integrated | AdapterKind::Other => (8e9, 3e10, 1e-3),
@@ -72,7 +78,7 @@ impl GpuWork {
 }
 
 impl<T: ConvReal> Plan<T> {
-    /// What an execution on a GPU has to move where every pixel is lit.
+    /// The amount of data that an execution on a GPU moves if every pixel is lit.
     pub fn gpu_work(&self) -> GpuWork {
         let mut work = GpuWork::default();
         let grid = TileGrid::new(self);
@@ -107,15 +113,17 @@ impl<T: ConvReal> Plan<T> {
         work
     }
 
-    /// Predicted seconds of an execution on a GPU where every pixel is lit, from host memory to host memory; to be compared with
-    /// [`PlanSummary::predicted_seconds`](crate::PlanSummary::predicted_seconds) over the number of threads. None where the GPU cannot run the plan.
+    /// Predicted seconds of an execution on a GPU if every pixel is lit, from host memory to host
+    /// memory. Compare it with
+    /// [`PlanSummary::predicted_seconds`](crate::PlanSummary::predicted_seconds) divided by the
+    /// number of threads. `None` if the GPU cannot run the plan.
     pub fn predicted_gpu_seconds(&self, adapter: &Adapter) -> Option<f64> {
         let (nx, ny) = self.tiling.size;
         (size_of::<T>() == size_of::<f32>() && adapter.can_transform(nx, ny))
             .then(|| self.gpu_work().seconds(adapter.kind))
     }
 
-    /// Whether a block's coefficients and stamps are there, and need not be made anew.
+    /// Returns whether the plan keeps a block's coefficients and stamps.
     pub(crate) fn keeps(&self, (column, row): (usize, usize)) -> bool {
         let block = self.block(column, row);
         block.table.is_some() && block.stamps.is_some()

@@ -100,7 +100,8 @@ impl<T: ConvReal> Plan<T> {
     /// use conv_core::{Engine, Operation, Plan, PlanOptions};
     /// use ndarray::{Array2, Array3, s};
     /// use psf_types::{
-    ///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, PixelRegion, Position, PsfBasis, PsfModel, StampGrid,
+    ///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation,
+    ///     PixelRegion, Position, PsfBasis, PsfModel, StampGrid,
     /// };
     ///
     /// /// No component at all: the mean stamp everywhere.
@@ -115,16 +116,19 @@ impl<T: ConvReal> Plan<T> {
     ///     }
     /// }
     ///
-    /// let basis = PsfBasis::new(Some(Array2::from_elem((5, 5), 0.04)), Array3::zeros((0, 5, 5)), StampGrid::new(5, 5)?)?;
+    /// let mean = Array2::from_elem((5, 5), 0.04);
+    /// let basis = PsfBasis::new(Some(mean), Array3::zeros((0, 5, 5)), StampGrid::new(5, 5)?)?;
     /// let model = PsfModel::new(&basis, Arc::new(Constant), Normalisation::Unit, None)?;
     /// let light = Array2::from_shape_fn((60, 80), |(y, x)| ((7 * x + 3 * y) % 11) as f64);
     /// let (shape, options) = (FrameShape::new(80, 60)?, PlanOptions::new(1e-3)?);
     /// let engine = Engine::new(Plan::new(&model, shape, shape.region(), options)?);
     /// let mut whole = engine.plan().zeros();
-    /// engine.execute(Operation::Convolve, &ImageView::new(light.view())?, whole.view_mut(), &NoProgress)?;
+    /// let all = ImageView::new(light.view())?;
+    /// engine.execute(Operation::Convolve, &all, whole.view_mut(), &NoProgress)?;
     ///
     /// let region = PixelRegion::new(32, 20, FrameShape::new(16, 20)?);
-    /// let engine = Engine::new(Plan::for_region(&model, shape, shape.region(), region, options, &NoProgress)?);
+    /// let plan = Plan::for_region(&model, shape, shape.region(), region, options, &NoProgress)?;
+    /// let engine = Engine::new(plan);
     /// let part = engine.plan().light_region();
     /// assert_eq!((part.x0(), part.y0(), part.shape()), (30, 18, FrameShape::new(20, 24)?));
     /// let light = ImageView::new(light.slice(s![18..42, 30..50]))?;

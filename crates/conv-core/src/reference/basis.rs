@@ -32,14 +32,18 @@ use crate::{ConvError, ConvReal};
 /// use conv_core::{BasisConvolution, ConvolutionMethod};
 /// use ndarray::{Array2, Array3};
 /// use psf_types::{
-///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position, PsfBasis, PsfModel, StampGrid,
+///     CoefficientField, FieldError, FrameShape, ImageView, NoProgress, Normalisation, Position,
+///     PsfBasis, PsfModel, StampGrid,
 /// };
 ///
 /// #[derive(Debug)]
 /// struct Constant;
 /// impl CoefficientField for Constant {
 ///     fn component_count(&self) -> usize { 1 }
-///     fn evaluate_into(&self, _: Position, a: &mut [f64]) -> Result<(), FieldError> { a[0] = 1.0; Ok(()) }
+///     fn evaluate_into(&self, _: Position, a: &mut [f64]) -> Result<(), FieldError> {
+///         a[0] = 1.0;
+///         Ok(())
+///     }
 /// }
 /// // A PSF that moves all light one pixel to the right.
 /// let stamp = Array3::from_shape_vec((1, 1, 3), vec![0.0, 0.0, 1.0])?;

@@ -1,5 +1,5 @@
-//! The kernels that stamps are interpolated with, and the coefficients that the values along an
-//! axis are made of.
+//! Interpolation kernels of stamps, and the weights of the coefficients in interpolated values
+//! along an axis.
 
 use std::f64::consts::PI;
 
@@ -14,10 +14,11 @@ pub(crate) enum Kernel {
     Lanczos3,
 }
 
-/// The most coefficients that a value is made of.
+/// The most coefficients that contribute to a value.
 pub(crate) const MOST_TAPS: usize = 6;
 
-/// A coordinate this far beyond the outermost pixel still counts as on it: rounding, not position.
+/// A coordinate this far beyond the outermost pixel still counts as on it: the difference is
+/// rounding.
 const EDGE: f64 = 1e-9;
 
 impl Kernel {
@@ -28,7 +29,7 @@ impl Kernel {
         }
     }
 
-    /// What the weights multiply, from the values of a stamp.
+    /// Computes the coefficients that the weights multiply from the values of a stamp.
     pub(crate) fn coefficients(self, values: ArrayView2<'_, f64>) -> Array2<f64> {
         match self {
             Self::CubicSpline => spline_coefficients(values),
@@ -36,7 +37,7 @@ impl Kernel {
         }
     }
 
-    /// Coefficients a value is made of.
+    /// The number of coefficients that contribute to a value.
     pub(crate) fn tap_count(self) -> usize {
         match self {
             Self::CubicSpline => 4,
@@ -44,12 +45,12 @@ impl Kernel {
         }
     }
 
-    /// The first of them, counted from the pixel below the coordinate.
+    /// The first of these coefficients, counted from the pixel below the coordinate.
     pub(crate) fn first_tap(self) -> i64 {
         1 - self.tap_count() as i64 / 2
     }
 
-    /// Their weights at a fraction of a pixel, 0 to 1, above that pixel.
+    /// The weights of these coefficients at a fraction of a pixel, 0 to 1, above that pixel.
     pub(crate) fn weights(self, u: f64) -> [f64; MOST_TAPS] {
         match self {
             Self::CubicSpline => {
@@ -83,7 +84,7 @@ impl Kernel {
         }
     }
 
-    /// Pixels beyond the outermost ones where there still are values.
+    /// The number of pixels beyond the outermost ones where values are not zero.
     pub(crate) fn reach(self) -> f64 {
         match self {
             Self::CubicSpline => 0.0,
@@ -91,7 +92,8 @@ impl Kernel {
         }
     }
 
-    /// The coefficient that stands at an index which may lie off the stamp; none where there is nothing.
+    /// The index of a coefficient for an index that may lie outside the stamp. `None` if the
+    /// coefficient is zero.
     pub(crate) fn index(self, index: i64, length: usize) -> Option<usize> {
         match self {
             Self::CubicSpline => Some(mirrored_index(index, length)),
@@ -120,7 +122,8 @@ pub(crate) struct Taps {
     taps: Vec<(usize, f64)>,
 }
 
-/// Gauss-Legendre nodes and weights on [-1, 1]: exact for the pieces of a cubic spline, and to 1e-7 for those of a Lanczos kernel.
+/// Gauss-Legendre nodes and weights on [-1, 1]: exact for the pieces of a cubic spline, and to 1e-7
+/// for the pieces of a Lanczos kernel.
 const GAUSS: [(f64, f64); 4] = [
     (-0.861_136_311_594_052_6, 0.347_854_845_137_453_86),
     (-0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
@@ -129,8 +132,8 @@ const GAUSS: [(f64, f64); 4] = [
 ];
 
 impl Taps {
-    /// Those of `count` values at the coordinates that `coordinate` gives, along a stamp of `length` pixels; averages over `width`
-    /// pixels about them where that is above 0.
+    /// The taps of `count` values at the coordinates that `coordinate` returns, along a stamp of
+    /// `length` pixels. If `width` is above 0, values are averages over `width` pixels around them.
     pub(crate) fn new(
         kernel: Kernel,
         length: usize,
@@ -172,7 +175,7 @@ impl Taps {
         }
     }
 
-    /// Piece by piece between the stamp's pixels, where the kernels are smooth.
+    /// Integrates piece by piece between the stamp's pixels, where the kernels are smooth.
     fn push_average(&mut self, kernel: Kernel, length: usize, t: f64, width: f64) {
         let domain = kernel.domain(length);
         let from = (t - width / 2.0).max(*domain.start());
@@ -190,7 +193,7 @@ impl Taps {
         self.merge(begin);
     }
 
-    /// Adds up the weights of equal indices.
+    /// Sums the weights of equal indices.
     fn merge(&mut self, begin: usize) {
         self.taps[begin..].sort_by_key(|&(index, _)| index);
         let mut kept = begin;

@@ -1,4 +1,4 @@
-//! Stamps between their pixels.
+//! Interpolation of stamps between their pixels.
 
 mod kernel;
 
@@ -7,27 +7,31 @@ use psf_types::{DataError, PsfSamples, StampGrid};
 
 pub(crate) use kernel::{Kernel, MOST_TAPS, Taps};
 
-/// The values of a stamp between its pixels, by the rule that its grid names ([`psf_types::StampInterpolation`]).
+/// Interpolates a stamp between its pixels, by the rule that its grid names
+/// ([`psf_types::StampInterpolation`]).
 ///
-/// * Cubic spline: exact at the pixels, twice continuously differentiable between them. A cubic B-spline whose coefficients come from the
-///   recursive filter of Unser, Aldroubi and Eden 1993 (IEEE Trans. Signal Process. 41, 834), with the stamp continued by
-///   mirroring about its outermost pixels. Beyond those it is 0.
-/// * Lanczos-3: `sinc(t) sinc(t / 3)` over three pixels either side, its weights scaled so that they add up to 1 and a constant stays
-///   one (Bernstein and Gruen 2014, PASP 126, 287, section 4). Beyond the outermost pixels the stamp is 0, so that it fades out over three more.
+/// - Cubic spline: exact at the pixels, twice continuously differentiable between them. It is a
+///   cubic B-spline whose coefficients are computed by the recursive filter of Unser, Aldroubi and
+///   Eden 1993 (IEEE Trans. Signal Process. 41, 834). The stamp is continued by mirroring at its
+///   outermost pixels. Beyond them the spline is 0.
+/// - Lanczos-3: `sinc(t) sinc(t / 3)` over three pixels on either side. Its weights are scaled to
+///   sum to 1, so that a constant stays constant (Bernstein and Gruen 2014, PASP 126, 287, section
+///   4). The stamp is 0 beyond the outermost pixels, so it falls to 0 over three more pixels.
 ///
 /// ```
 /// use conv_core::StampInterpolator;
 /// use ndarray::Array2;
 /// use psf_types::StampGrid;
 /// let grid = StampGrid::new(9, 9)?;
-/// let stamp = Array2::from_shape_fn((9, 9), |(y, x)| (-(((y as f64 - 4.0).powi(2) + (x as f64 - 4.0).powi(2)) / 3.0)).exp());
+/// let gauss = |d: f64| (-d * d / 3.0).exp();
+/// let stamp = Array2::from_shape_fn((9, 9), |(y, x)| gauss(y as f64 - 4.0) * gauss(x as f64 - 4.0));
 /// let same = StampInterpolator::new(stamp.view(), grid).resample((0.0, 0.0), grid);
 /// assert!((same[[4, 5]] - stamp[[4, 5]]).abs() < 1e-15);
 /// # Ok::<(), psf_types::DataError>(())
 /// ```
 #[derive(Debug, Clone)]
 pub struct StampInterpolator {
-    /// What the kernel's weights multiply: the values, or the spline's coefficients.
+    /// The factors of the kernel's weights: the values, or the spline's coefficients.
     coefficients: Array2<f64>,
     grid: StampGrid,
     kernel: Kernel,
@@ -37,7 +41,7 @@ impl StampInterpolator {
     /// The interpolator of the values `[y, x]` of a stamp.
     ///
     /// # Panics
-    /// When the values do not have the grid's shape.
+    /// If the values do not have the grid's shape.
     pub fn new(values: ArrayView2<'_, f64>, grid: StampGrid) -> Self {
         assert_eq!(values.dim(), grid.dim(), "a stamp has its grid's shape");
         let kernel = Kernel::of(grid.interpolation());
@@ -48,11 +52,13 @@ impl StampInterpolator {
         }
     }
 
-    /// The PSF of a source shifted by `(dx, dy)` frame pixels from the centre of `target`, at the pixels of `target`
-    /// `[y, x]`. The values keep their meaning (fraction of the flux in a frame pixel), whatever the two oversamplings.
+    /// The PSF of a source shifted by `(dx, dy)` frame pixels from the centre of `target`, at the
+    /// pixels of `target` `[y, x]`. The values remain fractions of the flux per frame pixel, for
+    /// any two oversamplings.
     ///
-    /// Where `target` holds the pixel response and the stamp does not, the values are averages over a frame pixel, which is
-    /// the response of a square pixel; a response that is in the stamp stays in.
+    /// If `target` includes the pixel response and the stamp does not, the values are averages over
+    /// a frame pixel, which is the response of a square pixel. A response that the stamp includes
+    /// is kept.
     pub fn resample(&self, (dx, dy): (f64, f64), target: StampGrid) -> Array2<f64> {
         let (ours, s) = (self.grid, self.grid.oversampling());
         let adds_response = target.pixel_response_included() && !ours.pixel_response_included();
@@ -81,10 +87,10 @@ impl StampInterpolator {
     }
 }
 
-/// Every sample resampled to another grid, as [`StampInterpolator::resample`] does.
+/// Resamples every sample to another grid, like [`StampInterpolator::resample`].
 ///
 /// # Errors
-/// [`DataError`] when a resampled stamp holds no flux, as on a target far smaller than the PSF.
+/// [`DataError`] if a resampled stamp holds no flux, as on a target far smaller than the PSF.
 pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSamples, DataError> {
     let ours = samples.grid();
     let mut stamps = Array3::zeros((samples.len(), target.ny(), target.nx()));
@@ -98,10 +104,11 @@ pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSa
     PsfSamples::new(stamps, samples.positions().clone(), target)
 }
 
-/// The grid at the frame's own pixel scale that covers a stamp, centred on a pixel; a grid that is such already stays.
+/// The grid at the frame's own pixel scale that covers a stamp, centred on a pixel. Returns a grid
+/// that already has these properties unchanged.
 ///
 /// # Errors
-/// [`DataError`] never for a valid grid; it is the type's constructor that checks.
+/// No error for a valid grid. The constructor of the grid checks it.
 pub fn native_grid(grid: StampGrid) -> Result<StampGrid, DataError> {
     let s = grid.oversampling();
     let native = grid_reaching(grid, |room, _| (room / s).floor() as usize)?;
@@ -110,9 +117,9 @@ pub fn native_grid(grid: StampGrid) -> Result<StampGrid, DataError> {
         .with_interpolation(grid.interpolation()))
 }
 
-/// A grid at the frame's own pixel scale, centred on a pixel. `reach` makes pixels of the frame of
-/// the room that a stamp has on a side of its centre, in its own pixels: to smaller indices (0),
-/// and to larger ones (1).
+/// A grid at the frame's own pixel scale, centred on a pixel. `reach` converts the room of a stamp
+/// on a side of its centre from stamp pixels to frame pixels. Its second argument is 0 for the side
+/// of smaller indices and 1 for the side of larger ones.
 pub(crate) fn grid_reaching(
     grid: StampGrid,
     reach: impl Fn(f64, usize) -> usize,
@@ -126,11 +133,12 @@ pub(crate) fn grid_reaching(
     StampGrid::new(left + right + 1, below + above + 1)?.with_centre(left as f64, below as f64)
 }
 
-/// The grid of the same stamps once the response of a frame pixel is in them: half a frame pixel wider on every side, so that
-/// no light is lost. A grid with the response in it stays.
+/// The grid of the stamps after the response of a frame pixel is added: half a frame pixel wider on
+/// every side, so that no light is lost. Returns a grid that already includes the response
+/// unchanged.
 ///
 /// # Errors
-/// [`DataError`] never for a valid grid; it is the type's constructor that checks.
+/// No error for a valid grid. The constructor of the grid checks it.
 pub fn grid_with_pixel_response(grid: StampGrid) -> Result<StampGrid, DataError> {
     if grid.pixel_response_included() {
         return Ok(grid);

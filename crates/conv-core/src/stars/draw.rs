@@ -1,4 +1,5 @@
-//! Stars of a block, drawn together: row by row into a tile, tiles into bands of rows of the image.
+//! Draws the stars of a block together: row by row into a tile, then tiles into bands of image
+//! rows.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -18,13 +19,13 @@ use crate::{ConvError, ConvReal};
 /// Rows of the image to which one task adds.
 const BAND: usize = 32;
 
-/// The order of stars: what a pixel gets depends on it, so it depends on nothing but them.
+/// The order of stars. Pixel values depend on it, so it depends only on the stars.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct StarKey {
     pub(super) block: BlockKey,
-    /// A part of the catalogue, so that no group has more stars than are prepared at a time.
+    /// The number of the part of the catalogue. Parts limit the number of stars prepared at a time.
     pub(super) part: usize,
-    /// Stars of the same phases take the same values.
+    /// Stars of the same phases use the same coefficients.
     pub(super) phases: (i64, i64),
     pub(super) index: usize,
 }
@@ -51,12 +52,12 @@ impl<T> Group<T> {
     }
 }
 
-/// Groups into an image: each into a tile of its own, and these in their order into bands of rows.
+/// Draws groups into an image: each into its own tile, then the tiles in order into bands of rows.
 pub(super) struct DrawGroups<'a, T> {
     pub(super) axes: &'a [PhasedAxis; 2],
     pub(super) layout: RowLayout,
     pub(super) groups: &'a [Group<T>],
-    /// Of the frame, from this column and row on.
+    /// The part of the frame from pixel `first` on.
     pub(super) image: ArrayViewMut2<'a, T>,
     pub(super) first: (i64, i64),
     pub(super) progress: &'a dyn Progress,
@@ -112,7 +113,7 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
     }
 }
 
-/// The smallest range that holds all ranges.
+/// The smallest range that contains all ranges.
 fn hull<'a>(ranges: impl Iterator<Item = &'a Range<i64>>) -> Range<i64> {
     ranges
         .cloned()
@@ -128,14 +129,14 @@ struct BlockDraw<'a, T> {
     progress: &'a dyn Progress,
 }
 
-/// Stars whose rows are worth a question whether they are still wanted.
+/// The number of stars per poll of the progress object.
 const STARS_A_QUESTION: usize = 1 << 10;
 
 impl<T: ConvReal> BlockDraw<'_, T> {
-    /// Adds the stars to a tile that holds all their columns. Row by row of the stamps, so that a row of all kernels stays in the first
-    /// cache while every star takes its part of it.
+    /// Adds the stars to a tile that holds all their columns. Draws row by row of the stamps, so
+    /// that a row of all kernels stays in the first-level cache while every star uses it.
     ///
-    /// What a pixel gets comes in an order that does not depend on which rows are at hand.
+    /// The order of additions to a pixel does not depend on the rows of the tile.
     #[inline(always)]
     fn draw<S: Lanes<T>, const TAPS: usize>(&self, simd: S, tile: &mut Piece<T>) -> Result<(), ConvError> {
         let Group {
@@ -176,7 +177,7 @@ impl<T: ConvReal> BlockDraw<'_, T> {
     }
 }
 
-/// One row of one star: rows of a block's kernels, added up.
+/// One row of one star: the sum over rows of a block's kernels.
 #[derive(Clone, Copy)]
 struct StarRow<'a, T, const TAPS: usize> {
     /// `[row, kernel, chunk, residue, pixel]`, from the row of the first tap on.
@@ -214,7 +215,7 @@ impl<T: ConvReal, const TAPS: usize> StarRow<'_, T, TAPS> {
         }
     }
 
-    /// `N` vectors of the row, from a pixel on.
+    /// Computes `N` vectors of the row, from a pixel on.
     #[inline(always)]
     fn sums<S: Lanes<T>, const N: usize>(self, simd: S, pixel: usize) -> [S::V; N] {
         let zero = simd.splat(T::zero());

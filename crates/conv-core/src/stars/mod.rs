@@ -1,9 +1,10 @@
-//! Many stars at once.
+//! Drawing of many stars together.
 //!
-//! A star at a sub-pixel position takes the same phases of an oversampled stamp in all its pixels, where the oversampling is a whole
-//! number `s`: in each of its pixels the kernel's weights fall on every `s`-th coefficient. So coefficients are kept by residues modulo
-//! `s`, and drawing a star is a combination of contiguous values, kernels and rows of taps in one sum. In a block of the field the
-//! few PSFs of a local basis ([`crate::Plan`] has the same) stand for all components.
+//! If the oversampling is a whole number `s`, a star uses the same sub-pixel phases of an
+//! oversampled stamp in all its pixels: the kernel's weights apply to every `s`-th coefficient. So
+//! coefficients are stored by residues modulo `s`. A star is then a combination of contiguous
+//! values, with kernels and rows of taps in one sum. In a block of the field the few PSFs of a
+//! local basis, as in [`crate::Plan`], represent all components.
 
 mod draw;
 mod painter;

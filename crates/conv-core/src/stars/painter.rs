@@ -11,24 +11,25 @@ use crate::overlap::{Piece, add_in_order, overlap};
 use crate::stamp_interpolator::{Kernel, StampInterpolator, grid_reaching};
 use crate::{ConvError, ConvReal};
 
-/// Sources that one task draws.
+/// The number of sources that one task draws.
 const AT_ONCE: usize = 32;
-/// Painted sources in memory at once.
+/// The number of painted sources in memory at a time.
 const PAINTED_AT_ONCE: usize = 1024;
 
-/// Draws stars one by one in double precision, each from all components of the model: the reference for [`crate::StarPlan`], and the way
-/// that serves every model and anchoring.
+/// Draws stars one by one in f64, each from all components of the model. It is the reference for
+/// [`crate::StarPlan`], and supports every model and anchoring.
 #[derive(Debug)]
 pub struct StarPainter<'a> {
     model: &'a PsfModel,
     frame: PixelRegion,
     /// Output-anchored: the spline of every stamp.
     pub(crate) splines: Option<StampSplines>,
-    /// A grid at the frame's scale that holds the stamp wherever in its pixel the source lies.
+    /// A grid at the frame's scale that holds the stamp for any position of the source in its
+    /// pixel.
     target: StampGrid,
 }
 
-/// The spline of every stamp, made when it is first needed; painters of one model share them.
+/// The spline of every stamp, computed when first needed. Painters of one model share them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StampSplines(Arc<OnceLock<Vec<StampInterpolator>>>);
 
@@ -45,11 +46,12 @@ impl StampSplines {
 }
 
 impl<'a> StarPainter<'a> {
-    /// Draws on a frame, a region of the scene in whose pixels sources are given. Stars are cut to `size` columns and rows about the
-    /// pixel that each lies on (that at index `size / 2`), where given.
+    /// Draws on a frame, a region of the scene. Sources are given in pixels of the scene. If `size`
+    /// is given, stars are truncated to `size` columns and rows around the pixel that each lies on,
+    /// which is at index `size / 2`.
     ///
     /// # Errors
-    /// [`ConvError::PixelResponse`] when the stamps lack the pixel response.
+    /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
     pub fn new(
         model: &'a PsfModel,
         frame: PixelRegion,
@@ -75,7 +77,7 @@ impl<'a> StarPainter<'a> {
         })
     }
 
-    /// The pixels about a star's own that it may light.
+    /// The pixels that a star may light, relative to its own pixel.
     pub(crate) fn window(&self) -> Window {
         let axis = |centre: f64, count: usize| (-(centre as i64), count as i64 - centre as i64);
         Window {
@@ -87,7 +89,7 @@ impl<'a> StarPainter<'a> {
     /// The sources' light in single pixels `(column, row)` of the frame.
     ///
     /// # Errors
-    /// [`ConvError`] when the PSF has no value at a source that reaches one of the pixels.
+    /// [`ConvError`] if the PSF has no value at a source that reaches one of the pixels.
     pub fn at_pixels(
         &self,
         sources: &[PointSource],
@@ -119,15 +121,15 @@ impl<'a> StarPainter<'a> {
         Ok(values)
     }
 
-    /// Adds sources to a part of the image: `image` is `[y, x]` of `region`, in pixels of the frame. `progress` is asked whether to go on, and not
-    /// told how far it has come.
+    /// Adds sources to a part of the image: `image` is `[y, x]` of `region`, in pixels of the
+    /// frame. `progress` is polled and may cancel the work. It receives no steps.
     ///
     /// # Errors
-    /// [`ConvError`] when the PSF has no value at a source that reaches the region;
+    /// [`ConvError`] if the PSF has no value at a source that reaches the region, and
     /// [`ConvError::Cancelled`].
     ///
     /// # Panics
-    /// When `image` has not the region's shape.
+    /// If `image` does not have the region's shape.
     pub fn draw_into<S: ConvReal>(
         &self,
         sources: &[PointSource],
@@ -155,7 +157,7 @@ impl<'a> StarPainter<'a> {
         })
     }
 
-    /// The pixel of the frame that a source lies on, which may be off the frame.
+    /// The pixel of the frame that a source lies on, which may be outside the frame.
     fn pixel(&self, source: &PointSource) -> (i64, i64) {
         let pixel = |v: f64, origin: i64| ((v + 0.5).floor() as i64).saturating_sub(origin);
         (
@@ -164,7 +166,8 @@ impl<'a> StarPainter<'a> {
         )
     }
 
-    /// First column, first row, columns and rows of the pixels that a source may light, in pixels of the frame.
+    /// First column, first row, columns and rows of the pixels that a source may light, in pixels
+    /// of the frame.
     fn lit(&self, source: &PointSource) -> (i64, i64, usize, usize) {
         let (column, row) = self.pixel(source);
         let first_column = column.saturating_sub(self.target.centre_x() as i64);
@@ -176,7 +179,7 @@ impl<'a> StarPainter<'a> {
         self.lights(source, self.frame.shape().region()) && source.flux() != 0.0
     }
 
-    /// Whether a source may light pixels of a region of the frame.
+    /// Returns whether a source may light pixels of a region of the frame.
     fn lights(&self, source: &PointSource, region: PixelRegion) -> bool {
         let (x, y, nx, ny) = self.lit(source);
         let on = |first: i64, length: usize, start: i64, count: usize| {
@@ -190,7 +193,7 @@ impl<'a> StarPainter<'a> {
     fn paint(&self, source: &PointSource) -> Result<((i64, i64), Array2<f64>), ConvError> {
         let (first_column, first_row, nx, ny) = self.lit(source);
         let (column, row) = self.pixel(source);
-        // Positions of the field count from the frame's first pixel.
+        // Field positions count from the frame's first pixel.
         let x = source.position().x() - self.frame.x0() as f64;
         let y = source.position().y() - self.frame.y0() as f64;
         let shift = (x - column as f64, y - row as f64);

@@ -1,4 +1,4 @@
-//! Sub-pixel phases of stamps whose oversampling is a whole number, and the stars that take them.
+//! Sub-pixel phases of stamps whose oversampling is a whole number, and the stars that use them.
 
 use std::ops::Range;
 
@@ -7,39 +7,42 @@ use psf_types::{PixelRegion, PointSource, StampGrid};
 use crate::overlap::overlap;
 use crate::stamp_interpolator::{Kernel, MOST_TAPS};
 
-/// Coordinates this close to a pixel of the stamp are on it: rounding, not position.
+/// Coordinates this close to a pixel of the stamp are taken as on it: the difference is rounding.
 const ON_PIXEL: f64 = 1e-9;
 
-/// One axis of a stamp `s` times finer than the frame. Its coefficients, with what the kernel needs beyond its ends, are kept by residue
-/// modulo `s`: coefficient `p = s q + r` at `[r][q]`. A star takes the same residues in every pixel of the frame, and
-/// neighbouring pixels neighbouring `q`.
+/// One axis of a stamp `s` times finer than the frame. Its coefficients, including those that the
+/// kernel needs beyond its ends, are stored by residue modulo `s`: coefficient `p = s q + r` at
+/// `[r][q]`. A star uses the same residues in every pixel of the frame, and neighbouring pixels use
+/// neighbouring `q`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhasedAxis {
     kernel: Kernel,
     length: usize,
     centre: f64,
     pub(super) oversampling: usize,
-    /// The pixels about a star's own that it may light.
+    /// The pixels that a star may light, relative to its own pixel.
     window: (i64, i64),
-    /// Where the first coefficient kept stands in the stamp, and how many there are: those that stars may take, no others, so that
-    /// vectors of the first residues start at cache lines.
+    /// The position in the stamp of the first coefficient kept, and the number of coefficients
+    /// kept. Only those that stars may use are kept, so that vectors of the first residues start at
+    /// cache lines.
     first: i64,
     pub(super) kept: usize,
 }
 
-/// A star's place on an axis.
+/// A star's position on an axis.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Phase {
-    /// The first coefficient of the pixel that the star lies on, counted from the first kept.
+    /// The first coefficient of the pixel that the star lies on, counted from the first one kept.
     first: i64,
-    /// The pixels that the stamp reaches, counted from that one.
+    /// The pixels that the stamp reaches, relative to that pixel.
     pub(super) from: i64,
     pub(super) to: i64,
     pub(super) weights: [f64; MOST_TAPS],
 }
 
 impl PhasedAxis {
-    /// The columns and the rows of a grid, for stars that light a window, if the oversampling is a whole number.
+    /// The columns and the rows of a grid, for stars that light a window. `None` if the
+    /// oversampling is not a whole number.
     pub(super) fn both(grid: StampGrid, window: Window) -> Option<[Self; 2]> {
         let s = grid.oversampling();
         if s.fract() != 0.0 || s > f64::from(u16::MAX) {
@@ -71,17 +74,18 @@ impl PhasedAxis {
         self.kernel.tap_count()
     }
 
-    /// Where the coefficient stands in the stamp that is kept at `kept`; none where there is nothing.
+    /// The index in the stamp of the coefficient at position `kept`. `None` if there is none.
     pub(super) fn index(&self, kept: usize) -> Option<usize> {
         self.kernel.index(kept as i64 + self.first, self.length)
     }
 
-    /// Which of the coefficients kept a star's own pixel takes first: stars of one number take the same everywhere.
+    /// The number of the first coefficient that a star's own pixel uses. Stars of one number use
+    /// the same coefficients everywhere.
     pub(super) fn phase_number(&self, shift: f64) -> i64 {
         self.first_of(self.at(shift))
     }
 
-    /// The coordinate in the stamp that a star's own pixel takes.
+    /// The coordinate in the stamp of the centre of a star's own pixel.
     fn at(&self, shift: f64) -> f64 {
         let at = self.centre - self.oversampling as f64 * shift;
         if (at - at.round()).abs() < ON_PIXEL {
@@ -95,7 +99,8 @@ impl PhasedAxis {
         at.floor() as i64 + self.kernel.first_tap() - self.first
     }
 
-    /// The place of a star `shift` frame pixels beyond the centre of its pixel; none where the stamp reaches no pixel of the window.
+    /// The phase of a star `shift` frame pixels from the centre of its pixel. `None` if the stamp
+    /// reaches no pixel of the window.
     pub(super) fn phase(&self, shift: f64) -> Option<Phase> {
         let (from, to) = self.window;
         let (s, at) = (self.oversampling as f64, self.at(shift));
@@ -118,21 +123,21 @@ impl Phase {
     }
 }
 
-/// Where a star lies and which pixels it lights.
+/// A star's position and flux.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Star {
-    /// Its number in the catalogue.
+    /// Its index in the catalogue.
     pub(super) index: usize,
     /// The pixel of the frame that it lies on.
     pub(super) pixel: (i64, i64),
-    /// The rest of the way, in pixels.
+    /// Its offset from the centre of that pixel, in pixels.
     pub(super) shift: (f64, f64),
     /// Its field position.
     pub(super) position: (f64, f64),
     pub(super) flux: f64,
 }
 
-/// Pixels about a star's own that its stamp may light: columns and rows `from..to`.
+/// The pixels that a star's stamp may light, relative to its own: columns and rows `from..to`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Window {
     pub(crate) columns: (i64, i64),
@@ -145,10 +150,11 @@ pub(super) struct PhasedStar<T> {
     /// The pixels that it lights.
     pub(super) columns: Range<i64>,
     pub(super) rows: Range<i64>,
-    /// The coefficients that its first pixel takes first: the row, and the residue of the column.
+    /// The first coefficients that its first pixel uses: the row, and the residue of the column.
     pub(super) first_row: usize,
     pub(super) first_residue: usize,
-    /// Where its weights lie: for each tap of the rows, those of the kernels, times the star's flux.
+    /// The range of its weights: for each tap of the rows, those of the kernels times the star's
+    /// flux.
     pub(super) weights: Range<usize>,
     /// The columns' weights.
     pub(super) taps: [T; MOST_TAPS],
@@ -156,7 +162,7 @@ pub(super) struct PhasedStar<T> {
 
 impl Star {
     pub(super) fn new(index: usize, source: &PointSource, frame: PixelRegion) -> Self {
-        // Positions of the field count from the frame's first pixel.
+        // Field positions count from the frame's first pixel.
         let x = source.position().x() - frame.x0() as f64;
         let y = source.position().y() - frame.y0() as f64;
         let pixel = ((x + 0.5).floor() as i64, (y + 0.5).floor() as i64);
@@ -169,7 +175,7 @@ impl Star {
         }
     }
 
-    /// Whether it may light a pixel of a region of the frame.
+    /// Returns whether it may light a pixel of a region of the frame.
     pub(super) fn reaches(&self, window: Window, region: PixelRegion) -> bool {
         let (column, row) = self.pixel;
         let on = |pixel: i64, (from, to): (i64, i64), start: i64, count: usize| {
@@ -182,7 +188,7 @@ impl Star {
             && on(row, window.rows, region.y0(), shape.ny())
     }
 
-    /// Numbers of its phases.
+    /// The numbers of its phases.
     pub(super) fn phase_numbers(&self, [columns, rows]: &[PhasedAxis; 2]) -> (i64, i64) {
         (
             rows.phase_number(self.shift.1),
@@ -190,7 +196,7 @@ impl Star {
         )
     }
 
-    /// Columns and rows of its phases; none where no pixel is lit.
+    /// Its phases along columns and rows. `None` if it lights no pixel.
     pub(super) fn phases(&self, [columns, rows]: &[PhasedAxis; 2]) -> Option<[Phase; 2]> {
         Some([columns.phase(self.shift.0)?, rows.phase(self.shift.1)?])
     }
@@ -205,7 +211,7 @@ mod tests {
 
     const SHIFTS: [f64; 6] = [-0.5, -0.25, 0.0, 0.1, 0.37, 0.499_999_999_999];
 
-    /// The same coefficients and weights as the general rule gives, pixel by pixel.
+    /// Coefficients and weights equal those of the general rule, pixel by pixel.
     #[test]
     fn phases_are_the_taps_of_every_pixel() {
         for interpolation in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
@@ -257,7 +263,8 @@ mod tests {
                             "{interpolation} {length} {s} {shift} {pixel}: {dense:?}"
                         );
                     }
-                    // None only where a stamp smaller than a pixel misses every centre, as the taps above say.
+                    // `None` only if a stamp smaller than a pixel misses every centre, as the taps
+                    // above show.
                     assert!(phase.is_some() || length < s as usize || length == 1);
                     assert!(phase.is_none_or(|phase| {
                         phase.first_of(phase.from, axis.oversampling) <= axis.oversampling

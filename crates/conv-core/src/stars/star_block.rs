@@ -1,4 +1,4 @@
-//! Parts of the field whose stars are drawn from one local basis.
+//! Blocks of the field whose stars are drawn from one local basis.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -21,20 +21,21 @@ pub(super) struct StarBlock<T> {
     values: Aligned<T>,
 }
 
-/// Modes are chosen by a few rows of a block for this part of the tolerance, so that hardly a star between them misses it.
+/// Modes are chosen from a few rows of a block for this fraction of the tolerance, so that few
+/// stars between these rows exceed the tolerance.
 const MARGIN: f64 = 0.5;
 
-/// How the coefficients of a kernel's row lie: `[chunk, residue, pixel]`, with the pixels of the frame in chunks. Coefficient
-/// `s q + residue` belongs to pixel `q`; residues go on beyond `s`, so that the taps of a star are neighbours wherever its first
-/// is.
+/// The layout of the coefficients of a kernel's row: `[chunk, residue, pixel]`, with the pixels of
+/// the frame in chunks. Coefficient `s q + residue` belongs to pixel `q`. Residues continue beyond
+/// `s`, so that the taps of a star are neighbours wherever the first tap is.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RowLayout {
     residues: usize,
-    /// Values of a row of one kernel.
+    /// The number of values in a row of one kernel.
     pub(super) kernel: usize,
 }
 
-/// Pixels of a chunk: a whole number of vectors of any instruction set.
+/// The number of pixels in a chunk: a whole number of vectors of any instruction set.
 pub(super) const CHUNK: usize = 16;
 
 impl RowLayout {
@@ -54,7 +55,8 @@ impl RowLayout {
         (line / self.residues * CHUNK + pixel, line % self.residues)
     }
 
-    /// Where the value of a residue and a pixel is in a row of one kernel. The next residue's is [`CHUNK`] further.
+    /// The index of the value of a residue and a pixel in a row of one kernel. The next residue's
+    /// value is [`CHUNK`] further.
     #[inline(always)]
     pub(super) fn index(self, residue: usize, pixel: usize) -> usize {
         (pixel / CHUNK * self.residues + residue) * CHUNK + pixel % CHUNK
@@ -62,7 +64,7 @@ impl RowLayout {
 }
 
 impl<T: ConvReal> StarBlock<T> {
-    /// Rows that are looked at stand for the others: every star is checked for itself.
+    /// Computes a block from a few of its rows. Each star is tested separately.
     pub(super) fn new(
         model: &PsfModel,
         space: &PsfSpace,
@@ -96,7 +98,7 @@ impl<T: ConvReal> StarBlock<T> {
     }
 }
 
-/// Coefficients of kernels in the order in which stars take them.
+/// Stores coefficients of kernels in the order in which stars use them.
 fn by_phases<T: ConvReal>(kernels: &[Array2<f64>], columns: &PhasedAxis, rows: &PhasedAxis) -> Aligned<T> {
     let layout = RowLayout::new(columns);
     let mut aligned = Aligned::zeros(rows.kept * kernels.len() * layout.kernel);
@@ -130,13 +132,13 @@ fn coefficients_of(
     Kernel::of(grid.interpolation()).coefficients(values.view())
 }
 
-/// Column and row of a block of the field, row first so that blocks are in the order of rows.
+/// Column and row of a block of the field. The row is first so that blocks are sorted by rows.
 pub(super) type BlockKey = (i64, i64);
 
-/// Blocks, and their bytes.
+/// Blocks, and their size in bytes.
 type Kept<T> = (BTreeMap<BlockKey, Arc<StarBlock<T>>>, usize);
 
-/// Blocks made so far, as many as the memory allowed holds.
+/// Blocks computed so far, as many as the memory limit allows.
 #[derive(Debug)]
 pub(super) struct BlockCache<T> {
     blocks: Mutex<Kept<T>>,
@@ -151,7 +153,7 @@ impl<T: ConvReal> BlockCache<T> {
         }
     }
 
-    /// The block, kept or made anew; what is in a block does not depend on which.
+    /// The block, kept or computed now. Its content is the same in both cases.
     pub(super) fn get(&self, key: BlockKey, make: impl FnOnce() -> StarBlock<T>) -> Arc<StarBlock<T>> {
         let kept = self.blocks.lock().ok();
         if let Some(block) = kept.and_then(|kept| kept.0.get(&key).cloned()) {

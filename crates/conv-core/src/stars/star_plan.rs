@@ -13,16 +13,17 @@ use crate::plan::PlanOptions;
 use crate::plan::local_modes::{LocalModes, PsfSpace};
 use crate::{ConvError, ConvReal};
 
-/// The drawing of point sources through one model, prepared.
+/// A plan for drawing point sources through one model.
 ///
-/// Source-anchored, and with stamps whose oversampling is a whole number, a star is drawn from the few PSFs of its part of the field that
-/// the tolerance asks for, in the working precision: the relative L2 error of its PSF, at the stamps' own sampling, is at most the
-/// tolerance. Every star is checked; one that would miss it is drawn from all components. So are all stars of other models, in
-/// double precision. Which way a star takes depends on its position alone, so that the image is linear in the fluxes. At any number of
-/// threads it has the same bytes.
+/// If it is source-anchored and the stamps' oversampling is a whole number, a star is drawn from
+/// the few PSFs of its block of the field that the tolerance requires, in the working precision.
+/// The relative L2 error of its PSF, at the stamps' own sampling, is at most the tolerance. Every
+/// star is tested. A star that would exceed the tolerance is drawn from all components in f64, like
+/// all stars of other models. The choice depends only on the star's position, so the image is
+/// linear in the fluxes. The image is the same, bit by bit, for any number of threads.
 ///
-/// Parts of the field are prepared when the first star falls on them, and kept for the next catalogue as far as the options' memory
-/// reaches.
+/// Blocks of the field are prepared when the first star falls on them. They are kept for the next
+/// catalogue as far as the options' memory allows.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -30,7 +31,8 @@ use crate::{ConvError, ConvReal};
 /// use conv_core::{PlanOptions, StarPlan};
 /// use ndarray::{Array2, Array3};
 /// use psf_types::{
-///     CoefficientField, FieldError, FrameShape, NoProgress, Normalisation, PointSource, Position, PsfBasis, PsfModel, StampGrid,
+///     CoefficientField, FieldError, FrameShape, NoProgress, Normalisation, PointSource, Position,
+///     PsfBasis, PsfModel, StampGrid,
 /// };
 ///
 /// /// No component at all: the mean stamp everywhere.
@@ -46,7 +48,8 @@ use crate::{ConvError, ConvReal};
 /// }
 ///
 /// let gauss = |d: f64| (-d * d / 18.0).exp();
-/// let stamp = Array2::from_shape_fn((41, 41), |(y, x)| gauss(y as f64 - 20.0) * gauss(x as f64 - 20.0));
+/// let stamp =
+///     Array2::from_shape_fn((41, 41), |(y, x)| gauss(y as f64 - 20.0) * gauss(x as f64 - 20.0));
 /// let grid = StampGrid::new(41, 41)?.with_oversampling(4.0)?;
 /// let basis = PsfBasis::new(Some(stamp), Array3::zeros((0, 41, 41)), grid)?;
 /// let model = PsfModel::new(&basis, Arc::new(Constant), Normalisation::Unit, None)?;
@@ -66,7 +69,7 @@ pub struct StarPlan<T> {
     size: Option<usize>,
     window: Window,
     splines: Option<StampSplines>,
-    /// None where stars are drawn from all components.
+    /// `None` if all stars are drawn from all components.
     phased: Option<Phased<T>>,
 }
 
@@ -87,22 +90,23 @@ struct Catalogue<'a> {
     progress: &'a dyn Progress,
 }
 
-/// Columns and rows of the field that share a local basis: smaller ones need fewer kernels, but the values of all of them pass through the
-/// caches once a catalogue.
+/// Columns and rows of the blocks of the field that share a local basis. Smaller blocks need fewer
+/// kernels, but the values of all blocks pass through the caches once per catalogue.
 const BLOCK: i64 = 256;
-/// Stars that are prepared at a time, more or less.
+/// The approximate number of stars prepared at a time.
 const MOST_AT_ONCE: usize = 1 << 15;
-/// Parts of the field that are drawn at a time.
+/// The number of blocks of the field drawn at a time.
 const TILES_AT_ONCE: usize = 64;
-/// Stars that are worth a task of their own.
+/// The least number of stars for a task.
 const LEAST_AT_ONCE: usize = 1 << 10;
 
 impl<T: ConvReal> StarPlan<T> {
-    /// A plan for stars through a model, drawn on `size` by `size` pixels about the pixel that each lies on (its own at index
-    /// `size / 2`) where given, else as far as the stamps reach. Light beyond these pixels is lost, not put elsewhere.
+    /// Plans stars through a model. If `size` is given, a star is drawn on `size` by `size` pixels
+    /// around the pixel that it lies on, which is at index `size / 2`. Otherwise it is drawn as far
+    /// as its stamp reaches. Light beyond these pixels is lost.
     ///
     /// # Errors
-    /// [`ConvError::PixelResponse`] when the stamps lack the pixel response.
+    /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
     pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
         let painter = StarPainter::new(
             model,
@@ -133,22 +137,24 @@ impl<T: ConvReal> StarPlan<T> {
         &self.model
     }
 
-    /// Columns and rows to which stars are cut, if they are.
+    /// Columns and rows to which stars are truncated, if they are.
     pub fn size(&self) -> Option<usize> {
         self.size
     }
 
-    /// Adds stars to a part of an image: `image` is `[y, x]` of `region`, in pixels of the frame;
-    /// stars are given in pixels of the scene that `frame` is a region of. Stars off the frame
-    /// shine in as far as their stamps reach. Each pixel gets the same light whichever others are
-    /// at hand. Pixels of a row that are no neighbours in memory are copied and back.
+    /// Adds stars to a part of an image: `image` is `[y, x]` of `region`, in pixels of the frame.
     ///
-    /// `progress` is asked whether to go on, and not told how far it has come.
+    /// Stars are given in pixels of the scene, and `frame` is a region of the scene. Stars outside
+    /// the frame contribute light as far as their stamps reach. The light of a pixel does not
+    /// depend on the region. If the pixels of a row are not contiguous in memory, the image is
+    /// copied and written back.
+    ///
+    /// `progress` is polled and may cancel the work. It receives no steps.
     ///
     /// # Errors
-    /// [`ConvError`] when the PSF has no value at a star that reaches the region;
-    /// [`ConvError::FrameShape`] for an image of another shape than the region.
-    /// [`ConvError::Cancelled`]: some of the stars may have been added.
+    /// [`ConvError`] if the PSF has no value at a star that reaches the region, and
+    /// [`ConvError::FrameShape`] for an image of another shape than the region. After
+    /// [`ConvError::Cancelled`] the image may hold some of the stars.
     pub fn draw_into(
         &self,
         stars: &[PointSource],
@@ -220,7 +226,8 @@ impl<T: ConvReal> StarPlan<T> {
         self.draw_exactly(Catalogue { stars, ..catalogue }, region, image)
     }
 
-    /// Draws groups of stars, and tells which would miss the tolerance and were not drawn.
+    /// Draws groups of stars. Returns the stars that would exceed the tolerance, which are not
+    /// drawn.
     fn draw(
         &self,
         phased: &Phased<T>,
@@ -244,7 +251,7 @@ impl<T: ConvReal> StarPlan<T> {
         Ok(missed.into_iter().flatten().collect())
     }
 
-    /// The block of some stars, and what each takes of it.
+    /// Returns the block of some stars, and the phases and weights of each.
     fn prepare(
         &self,
         phased: &Phased<T>,
@@ -320,7 +327,7 @@ fn region_of((row, column): BlockKey) -> PixelRegion {
     PixelRegion::new(column * BLOCK, row * BLOCK, shape)
 }
 
-/// Vectors of one star after the other, in memory that is used again.
+/// The vectors of stars, one star at a time, in memory that is used again.
 #[derive(Debug)]
 pub(super) struct StarVectors<'a> {
     model: &'a PsfModel,
@@ -341,7 +348,7 @@ impl<'a> StarVectors<'a> {
         }
     }
 
-    /// Sets the PSF at a position, before any scaling to unit flux, and gives that scale.
+    /// Sets the PSF at a position, before any scaling to unit flux, and returns that scale.
     pub(super) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
         self.model.coefficients_into(position, &mut self.coefficients)?;
         let first = usize::from(self.model.is_mean_centred());
@@ -366,7 +373,8 @@ impl<'a> StarVectors<'a> {
         self.psf.dot(&self.psf).sqrt()
     }
 
-    /// The coefficients of a block's kernels for this PSF, which becomes what they leave of it.
+    /// Computes the coefficients of a block's kernels for this PSF, and leaves the remainder in its
+    /// place.
     pub(super) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
         coefficients.clear();
         if let Some(reference) = modes.reference() {

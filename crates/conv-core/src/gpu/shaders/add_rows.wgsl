@@ -1,4 +1,5 @@
-// The first plane of each tile, transformed back along x and added to the panel. Tiles of a dispatch do not overlap.
+// Transforms the first plane of each tile back along x and adds it to the panel. Tiles of a
+// dispatch do not overlap.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;
@@ -25,7 +26,7 @@ fn add_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id)
     let this_tile = tiles[params.first + group.y];
     tile = this_tile;
     first_row = group.x * LINES;
-    // All threads leave together: barriers follow.
+    // All threads return together, because barriers follow.
     if (group.x * LINES >= min(this_tile.out_height, HALF)) {
         return;
     }

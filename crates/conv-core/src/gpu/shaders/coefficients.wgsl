@@ -1,6 +1,6 @@
 // Coefficients of a block's kernels as functions along its rows.
 
-// A table's first words.
+// Offsets of the words in a table's header.
 const DENSE: u32 = 0u;
 const FUNCTIONS: u32 = 1u;
 const DIVIDES: u32 = 2u;
@@ -15,7 +15,7 @@ fn real(place: u32) -> f32 {
     return bitcast<f32>(tables[place]);
 }
 
-// The last run of a row that begins at a column or before it.
+// Finds the last run of a row that begins at a column or before it.
 fn run_of(table: u32, row: u32, column: u32) -> u32 {
     let starts = table + tables[table + ROW_STARTS] + row;
     let columns = table + tables[table + RUNS];

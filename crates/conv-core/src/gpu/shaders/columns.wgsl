@@ -1,11 +1,12 @@
 
-// Columns of planes that are transformed along x.
+// Columns of planes that have been transformed along x.
 
 var<private> tile: Tile;
 var<private> plane: u32;
 var<private> first_column: u32;
 
-// A value before its transform along y, turned so that planes are negacyclic in y; rows without light are not read.
+// A value before its transform along y, times the factor that makes planes negacyclic in y. Rows
+// without light are not read.
 fn load(line: u32, row: u32) -> vec2f {
     if (row >= min(tile.height, HALF)) {
         return vec2f(0.0);

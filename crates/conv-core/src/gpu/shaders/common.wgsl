@@ -1,19 +1,21 @@
-// What all shaders share. Values in double braces are filled in for the sizes of a plan.
+// Code that all shaders share. Values in double braces are replaced for the sizes of a plan.
 
-// Columns of a plane, and half its rows: the upper half of the rows is the imaginary part of the lower.
+// The columns of a plane, and half its rows: the upper half of the rows is the imaginary part of
+// the lower.
 const NX: u32 = {{NX}}u;
 const HALF: u32 = {{HALF}}u;
-// Where the factors before and after transforms along y lie among the roots of unity for columns.
+// The positions, among the roots of unity for columns, of the factors before and after transforms
+// along y.
 const TWIST: u32 = HALF;
 const UNTWIST: u32 = 2u * HALF;
 
 // A tile and the kernels that a batch applies to it. Places count values of their buffer.
 struct Tile {
-    // First pixel of its light, and how much of it there is.
+    // First pixel of its light, and the light's size.
     light: u32,
     width: u32,
     height: u32,
-    // First of its planes and of its kernels' spectra, both by number, and the number of kernels.
+    // The numbers of its first plane and of its kernels' first spectrum, and the number of kernels.
     plane: u32,
     spectrum: u32,
     kernels: u32,
@@ -21,19 +23,20 @@ struct Tile {
     table: u32,
     column: u32,
     row: u32,
-    // First pixel of the result within the panel, which may lie outside, its size, and where it begins in the plane.
+    // The result: first pixel within the panel, which may lie outside, size, and first pixel in the
+    // plane.
     out_column: i32,
     out_row: i32,
     out_width: u32,
     out_height: u32,
     skip_column: u32,
     skip_row: u32,
-    // What the result is multiplied by.
+    // The factor of the result.
     back: f32,
 }
 
 struct Params {
-    // The first entry of the list that a dispatch works on.
+    // The first entry of the list that a dispatch processes.
     first: u32,
     // 1: the light is a stamp and is read backwards.
     flip: u32,

@@ -1,12 +1,12 @@
-// Single pixels of the light of tiles, each drawn as the combination of stamps that its coefficients say, or those of the pixels that it
-// reaches. Tiles of a dispatch do not overlap.
+// Draws single pixels of the light of tiles, each as a combination of stamps. The coefficients are
+// those of the pixel, or those of the pixels that it reaches. Tiles of a dispatch do not overlap.
 
 struct Draw {
-    // Its pixels, and what belongs to them in `amounts`.
+    // Its pixels, and the first of their values in `amounts`.
     first_pixel: u32,
     pixels: u32,
     first_amount: u32,
-    // Where its stamps begin, and how many there are.
+    // The place of its first stamp, and the number of stamps.
     stamps: u32,
     kernels: u32,
     // Its coefficients, and its first pixel within the block that they belong to.
@@ -20,7 +20,7 @@ struct Draw {
     out_height: u32,
 }
 
-// Where a stamp begins, from the result's first pixel on.
+// The first pixel of a stamp, counted from the result's first pixel.
 struct Pixel {
     row: i32,
     column: i32,
@@ -29,7 +29,8 @@ struct Pixel {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> draws: array<Draw>;
 @group(0) @binding(2) var<storage, read> pixels: array<Pixel>;
-// Light times coefficient, by pixel and kernel; the light alone where coefficients belong to the pixels that it reaches.
+// Light times coefficient, per pixel and kernel. Only the light, if coefficients belong to the
+// pixels that it reaches.
 @group(0) @binding(3) var<storage, read> amounts: array<f32>;
 @group(0) @binding(4) var<storage, read> stamps: array<f32>;
 @group(0) @binding(5) var<storage, read> tables: array<u32>;
@@ -65,7 +66,8 @@ fn draw_stamps(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_
         let top = max(first_row, pixel.row);
         let bottom = min(end_row, pixel.row + i32(params.stamp_height));
         let end = min(i32(draw.out_width), pixel.column + i32(params.stamp_width));
-        // A column belongs to one thread, whatever the stamp, so that additions to a pixel keep their order.
+        // A column belongs to one thread for all stamps, so that additions to a pixel keep their
+        // order.
         let start = u32(max(pixel.column, 0));
         let column_of_thread = start + (thread + THREADS - start % THREADS) % THREADS;
         for (var column = i32(column_of_thread); column < end; column += i32(THREADS)) {

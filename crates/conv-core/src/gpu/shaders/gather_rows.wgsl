@@ -1,5 +1,5 @@
-// The planes of each tile behind its first, transformed back along x, multiplied by the kernels' coefficients and added to the panel. Tiles do not
-// overlap there.
+// Transforms the planes of each tile after its first back along x, multiplies them by the kernels'
+// coefficients and adds them to the panel. Tiles do not overlap there.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;
@@ -16,11 +16,11 @@ fn load(line: u32, column: u32) -> vec2f {
     return planes[(plane * HALF + first_row + line) * NX + column].yx;
 }
 
-// Rows and columns count from the plane's first, of which the result is a part.
+// Rows and columns count from the plane's first pixel. The result is a part of the plane.
 fn coefficient(kernel: u32, row: u32, column: u32) -> f32 {
     let y = row - tile.skip_row;
     let x = column - tile.skip_column;
-    // Also where the difference wraps around.
+    // Also true if the difference wraps around.
     if (y >= tile.out_height || x >= tile.out_width) {
         return 0.0;
     }

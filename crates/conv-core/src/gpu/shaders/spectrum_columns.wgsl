@@ -1,4 +1,4 @@
-// Planes that are transformed along x, transformed along y as well: spectra of kernels.
+// Spectra of kernels: transforms planes along y that have been transformed along x.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;
@@ -8,7 +8,7 @@
 
 @compute @workgroup_size({{THREADS}})
 fn spectrum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_id) group: vec3u) {
-    // Kernels come one a tile here.
+    // Each tile has one kernel here.
     tile = tiles[params.first + group.y];
     plane = tile.plane;
     first_column = group.x * LINES;

@@ -1,5 +1,6 @@
-// A plane that is transformed along x: transformed along y, and for each kernel multiplied by its spectrum and transformed back along y
-// into a plane of its own, those behind the first.
+// Transforms a plane along y that has been transformed along x. Then, for each kernel, multiplies
+// it by the kernel's spectrum and transforms it back along y into one of the planes after the
+// first.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;

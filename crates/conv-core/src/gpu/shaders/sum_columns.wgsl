@@ -1,5 +1,6 @@
-// Planes that are transformed along x: transformed along y, multiplied by the kernels' spectra, added up over the kernels, and transformed back
-// along y into the tile's first plane.
+// Transforms planes along y that have been transformed along x, multiplies them by the kernels'
+// spectra and sums them over the kernels. Transforms the sum back along y into the tile's first
+// plane.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;
@@ -23,7 +24,7 @@ fn sum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_
     {{SWAP}}
     {{BACK}}
     let into = tile.plane * HALF;
-    // The first plane has been read by then: its values are part of what is stored.
+    // The first plane has been read before it is overwritten: its values are part of the sum.
     storageBarrier();
     {{STORE}}
 }

@@ -1,4 +1,5 @@
-// Light times coefficients, transformed along x: a plane for each kernel of each tile, [row of the lower half][x frequency].
+// Multiplies light by coefficients and transforms it along x. The result is one plane for each
+// kernel of each tile, [row of the lower half][x frequency].
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;
@@ -39,7 +40,7 @@ fn weigh_rows(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_i
     tile = this_tile;
     kernel = entry.y;
     first_row = group.x * LINES;
-    // Rows without light are not read either. All threads leave together: barriers follow.
+    // Rows without light are not transformed. All threads return together, because barriers follow.
     if (group.x * LINES >= min(this_tile.height, HALF)) {
         return;
     }
