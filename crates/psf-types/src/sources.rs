@@ -61,7 +61,8 @@ const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 ///
 /// ```
 /// use psf_types::SersicProfile;
-/// // re = 3 pixels along the major axis, n = 1, b/a = 0.5, the major axis 30 degrees from +x towards +y
+/// // re = 3 pixels along the major axis, n = 1, b/a = 0.5,
+/// // the major axis 30 degrees from +x towards +y
 /// let disc = SersicProfile::new(3.0, 1.0, 0.5, 30.0)?;
 /// assert_eq!(disc.axis_ratio(), 0.5);
 /// assert!(SersicProfile::new(3.0, 9.0, 0.5, 30.0).is_err());

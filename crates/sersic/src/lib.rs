@@ -7,7 +7,8 @@
 //! ```
 //! use ndarray::Array2;
 //! use psf_types::{Position, SersicProfile, SersicSource};
-//! let profile = SersicProfile::new(3.0, 1.0, 0.5, 30.0)?; // re in pixels, n, q, angle in degrees from +x towards +y
+//! // re in pixels, n, q, angle in degrees from +x towards +y
+//! let profile = SersicProfile::new(3.0, 1.0, 0.5, 30.0)?;
 //! let galaxy = SersicSource::new(Position::new(63.2, 64.0)?, 1000.0, profile)?;
 //! let mut image = Array2::<f64>::zeros((128, 128)); // [y, x]
 //! sersic::add_galaxies(image.view_mut(), (0, 0), &[galaxy]);
