@@ -1,4 +1,4 @@
-//! Images by bands of rows: the same as in one piece, in memory of a band.
+//! Images read and written by bands of rows equal whole images, and take the memory of one band.
 
 mod support;
 
@@ -9,7 +9,7 @@ use psf_io::{Card, HeaderCards, ImageReader, ImageWriter, IoError, read_header, 
 use psf_types::{DataError, FrameShape, Image, Real};
 use support::{IMAGE, SIMPLE, Scratch, f32s, f64s, i16s, i32s, image, names};
 
-/// A request that is refused with this text.
+/// Asserts that a request is refused with this text.
 fn assert_request<T: std::fmt::Debug>(result: Result<T, IoError>, text: &str) {
     match result {
         Err(IoError::Request { problem, .. }) => assert_eq!(problem, text),
@@ -17,10 +17,10 @@ fn assert_request<T: std::fmt::Debug>(result: Result<T, IoError>, text: &str) {
     }
 }
 
-/// Rows of a band, and more than any image here has.
+/// Rows per band. The last number is larger than any image here.
 const BANDS: [usize; 3] = [1, 7, 1000];
 
-/// The whole image, put together from bands.
+/// Reads the whole image in bands.
 fn read_by_bands<T: Real>(path: &Path, rows: usize) -> Array2<T> {
     let mut reader = ImageReader::open(path).unwrap();
     let ny = reader.shape().ny();
@@ -38,7 +38,7 @@ fn write_by_bands<T: Real>(writer: &mut ImageWriter<T>, pixels: ArrayView2<'_, T
     }
 }
 
-/// Values of every size, a minus zero and a subnormal number among them.
+/// Values of all magnitudes, including a negative zero and a subnormal number.
 fn values<T: Real>(nx: usize, ny: usize) -> Array2<T> {
     let mut values = Array2::from_shape_fn((ny, nx), |(y, x)| {
         T::nearest((x as f64 - 3.5) * 10_f64.powi(y as i32 % 60 - 30))
@@ -58,7 +58,7 @@ fn files_in(path: &Path) -> usize {
 
 fn assert_bands_are_the_image<T: Real>(path: &Path, what: &str) {
     let whole = read_image::<T>(path).unwrap();
-    // Bits, by way of doubles: a minus zero is not a zero.
+    // Compares bits, because a negative zero differs from a zero.
     let bits = |pixels: ArrayView2<'_, T>| pixels.mapv(|v| v.as_f64().to_bits());
     for rows in BANDS {
         let bands = read_by_bands::<T>(path, rows);
@@ -133,7 +133,7 @@ fn rows_are_read_in_any_order_into_any_layout() {
         let band = reader.read_rows::<f64>(rows.clone()).unwrap();
         assert_eq!(band, pixels.slice(s![rows, ..]));
     }
-    // Part of a larger frame, and one whose columns are contiguous; what was there before does not matter.
+    // A part of a larger frame whose columns are contiguous. Its old content must not matter.
     let mut frame = Array2::from_elem((5, 10), f64::NAN);
     reader.read_rows_into(4, frame.slice_mut(s![1..4, 2..8])).unwrap();
     assert_eq!(frame.slice(s![1..4, 2..8]), pixels.slice(s![4..7, ..]));
@@ -159,7 +159,7 @@ fn assert_bands_out_are_the_file<T: Real>() {
         Card::new("VERSION", "new", "").unwrap(),
         Card::history("psfield simulate"),
     ];
-    // 1600 x 40 pixels take CFITSIO's path around its buffers, 13 x 23 the one through them.
+    // For 1600 x 40 pixels CFITSIO bypasses its buffers, for 13 x 23 it uses them.
     for (nx, ny) in [(13, 23), (1600, 40), (1, 1), (720, 7)] {
         let image = Image::new(values::<T>(nx, ny)).unwrap();
         write_image(&whole, &image, &header, &added, true).unwrap();
@@ -187,7 +187,7 @@ fn bands_out_are_the_file_byte_by_byte() {
     assert_bands_out_are_the_file::<f64>();
 }
 
-/// Cards in three keywords, the last of them taken up again by those that come late.
+/// Cards with three keywords. One of them is repeated by a late card.
 fn early() -> HeaderCards {
     let card = |keyword: &str, value: i64| Card::new(keyword, value, "").unwrap();
     [card("FIRST", 1), card("CHECKED", 0), card("LAST", 3)]
@@ -206,7 +206,7 @@ fn late(count: usize) -> Vec<Card> {
 fn late_cards_make_the_file_that_early_ones_make() {
     let scratch = Scratch::new();
     let (whole, path) = (scratch.path("whole.fits"), scratch.path("bands.fits"));
-    // The header's own 8 records, 3 cards and END leave room for 24 in the first block.
+    // The header's own 8 records, 3 cards and END leave room for 24 records in the first block.
     for (nx, ny) in [(13, 23), (1600, 40), (720, 7)] {
         let image = Image::new(values::<f32>(nx, ny)).unwrap();
         for count in [0, 1, 23, 24, 25, 26, 100] {
@@ -247,7 +247,7 @@ fn room_that_is_not_used_and_cards_that_go_away_leave_a_sound_file() {
         let keywords: Vec<String> = header.iter().map(Card::keyword).collect();
         assert_eq!(keywords, ["FIRST", "CHECKED", "LAST", "LATE0"]);
         assert_eq!(header.get("CHECKED").and_then(Card::value), Some(5e-7.into()));
-        // One END, in the last block of the header, with nothing but blanks around it.
+        // There is one END, in the last block of the header, with only blanks around it.
         let bytes = std::fs::read(&path).unwrap();
         let header_length = bytes.len() - (13 * 23 * 8_usize).next_multiple_of(2880);
         let records: Vec<&[u8]> = bytes[..header_length].chunks(80).collect();
@@ -293,13 +293,13 @@ fn undefined_pixels_of_a_band_are_located_in_the_whole_image() {
             located(reader.read_rows::<f64>(7..8).unwrap_err()),
             (vec![7, 1], 1)
         );
-        // The same where the rows are not one piece of memory.
+        // The error also occurs if the rows are not contiguous in memory.
         let mut frame = Array2::<f32>::zeros((3, 8));
         let error = reader
             .read_rows_into(7, frame.slice_mut(s![.., ..;2]))
             .unwrap_err();
         assert_eq!(located(error), (vec![7, 1], 2));
-        // A reader goes on after an error.
+        // A reader can be used after an error.
         assert_eq!(reader.read_rows::<f64>(8..9).unwrap().ncols(), 4);
     }
     let path = scratch.put(
@@ -437,7 +437,7 @@ fn an_image_that_is_not_finished_leaves_nothing_behind() {
     drop(complete);
     assert_eq!(std::fs::read(&path).unwrap(), b"the old file");
 
-    // One that appears while the image is written is kept as well.
+    // A file that appears while the image is written is kept as well.
     let other = scratch.path("b.fits");
     let mut writer = create(&other, false).unwrap();
     writer.write_rows(Array2::zeros((100, 100)).view()).unwrap();
@@ -447,7 +447,8 @@ fn an_image_that_is_not_finished_leaves_nothing_behind() {
     assert_eq!(files_in(&other), 2);
 }
 
-/// Giving up takes milliseconds; filling 8 GB up with zeros, as CFITSIO would, takes longer than this on any disk.
+/// The longest time for giving up, which takes milliseconds. Filling 8 GB with zeros, as CFITSIO
+/// would do, takes longer on any disk.
 const GIVING_UP_S: f64 = 2.0;
 
 #[test]

@@ -1,4 +1,4 @@
-//! Catalogues with columns by name, stars and galaxies.
+//! Catalogues with named columns, stars and galaxies.
 
 mod support;
 
@@ -25,7 +25,7 @@ fn fits(tables: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// The tables of SExtractor's FITS_LDAC: the header of the frame as one cell, then the objects.
+/// The tables of SExtractor's FITS_LDAC: the header of the frame in one cell, then the objects.
 fn ldac(objects: Vec<u8>) -> Vec<u8> {
     let cell = [b' '; 160];
     let header = table("LDAC_IMHEAD", &[("Field Header Card", "160A")], 1, &[], &cell);
@@ -89,7 +89,7 @@ fn magnitudes_need_a_zero_point() {
     let stars = read(text, &with).unwrap().into_parts().0;
     assert!((stars[0].flux() - 100.0).abs() < 1e-10 && (stars[1].flux() - 0.1).abs() < 1e-13);
     assert!(CatalogOptions::new().with_zero_point(f64::NAN).is_err());
-    // Fluxes have no use for one, and which column is meant is not guessed.
+    // Fluxes do not use a zero point, and the reader does not guess which column is meant.
     for text in ["x,y,flux\n1,2,20\n", "x,y,mag,flux\n1,2,20,7\n"] {
         let error = read(text, &with).unwrap_err();
         assert!(
@@ -100,7 +100,7 @@ fn magnitudes_need_a_zero_point() {
     let chosen = with.clone().with_columns("mag=mag".parse().unwrap());
     let star = read("x,y,mag,flux\n1,2,20,7\n", &chosen).unwrap().stars()[0];
     assert!((star.flux() - 100.0).abs() < 1e-10);
-    // A flux goes before a magnitude.
+    // A flux is preferred to a magnitude.
     assert_eq!(
         read("x,y,mag,flux\n1,2,20,7\n", &CatalogOptions::new())
             .unwrap()
@@ -186,7 +186,7 @@ fn bad_rows_are_named_or_counted() {
             "{bad}"
         );
     }
-    // Text that is no number is not an invalid source but a broken table.
+    // Text that is not a number makes a broken table, not an invalid source.
     let text = format!("{head}1,2,3px,4,1,1,0\n");
     assert!(matches!(
         read(&text, &CatalogOptions::new().with_invalid_skipped(true)),
@@ -248,7 +248,7 @@ fn one_of_several_tables_must_be_chosen() {
     }
 }
 
-/// A frame of a tenth of an arc second a pixel around (150, 2) degrees.
+/// A frame with 0.1 arcseconds per pixel around (150, 2) degrees.
 fn sky() -> SkyCoordinates {
     let mut header = HeaderCards::new();
     for (keyword, value) in [

@@ -1,4 +1,4 @@
-//! Files compressed by gzip, and images compressed by tiles.
+//! Files compressed by gzip, and images compressed in tiles.
 
 mod support;
 
@@ -17,7 +17,7 @@ use psf_io::{
 use psf_types::{Position, PsfSamples, SamplePositions, StampGrid};
 use support::{IMAGE, SIMPLE, Scratch, chain, f32s, f64s, i16s, image, names, table};
 
-/// Bits of noise that quantised floats keep: a step is sigma / 16.
+/// Quantised floats have a step of sigma / 16, where sigma is the noise.
 const STEPS_PER_SIGMA: f64 = 16.0;
 const NX: usize = 70;
 const NY: usize = 60;
@@ -32,7 +32,7 @@ fn pixels(path: &Path) -> Result<Array2<f64>, IoError> {
     read_image::<f64>(path).map(|read| read.into_parts().0.into_pixels())
 }
 
-/// Small whole numbers that no pattern repeats.
+/// Small whole numbers without a repeating pattern.
 fn counts() -> Vec<i32> {
     let mut state = 12345_u32;
     (0..NX * NY)
@@ -43,7 +43,7 @@ fn counts() -> Vec<i32> {
         .collect()
 }
 
-/// Writes an image in tiles through CFITSIO; `how` as its extended file names say it.
+/// Writes an image in tiles through CFITSIO, with the options `how` of its extended file names.
 fn tiled<T: WriteImage>(path: &Path, how: &str, data_type: ImageType, values: &[T]) -> PathBuf {
     let description = ImageDescription {
         data_type,
@@ -81,7 +81,7 @@ fn whole_numbers_in_tiles_come_back() {
         assert_eq!(detect(&path).unwrap(), FileKind::Image);
         let header = read_header(&path).unwrap();
         let keywords: Vec<String> = header.iter().map(Card::keyword).collect();
-        // The name is fitsio's idea.
+        // The name is set by fitsio.
         assert_eq!(keywords, ["EXTNAME", "OBJECT", "CRPIX1"], "{how}");
         let mut reader = ImageReader::open(&path).unwrap();
         for first in [50, 0, 7] {
@@ -98,7 +98,7 @@ fn whole_numbers_in_tiles_come_back() {
 #[test]
 fn quantised_floats_come_back_to_a_step() {
     let scratch = Scratch::new();
-    // Uniform from 0 to 256: CFITSIO's estimate of the noise stays below twice the true sigma.
+    // Uniform from 0 to 256. CFITSIO's estimate of the noise stays below twice the true sigma.
     let largest_step = 2.0 * 256.0 / 12.0_f64.sqrt() / STEPS_PER_SIGMA;
     let values: Vec<f32> = counts().iter().map(|&v| v as f32 + 0.25).collect();
     for how in ["R; q 16", "G; q 16"] {
@@ -132,7 +132,8 @@ fn undefined_pixels_in_tiles_are_refused() {
     let mut values: Vec<f32> = counts().iter().map(|&v| v as f32 + 0.25).collect();
     values[3 * NX + 4] = f32::NAN;
     let exact = tiled(&scratch.path("exact.fits"), "G; q 0", ImageType::Float, &values);
-    // NaN stands for itself there; among quantised values it is a number of its own: one pixel and one row of 40.
+    // NaN is stored as itself in one file and as a special number among the quantised values of the
+    // other: one pixel and one row of 40.
     let quantised = scratch.put("quantised.fits.gz", include_bytes!("data/quantised_nan.fits.gz"));
     for (path, expected) in [(exact, 1), (quantised, 41)] {
         match pixels(&path) {
@@ -179,11 +180,11 @@ fn broken_tiles_are_errors() {
             "{keyword} = {to}: {error}"
         );
     }
-    // A parameter that stands where CFITSIO takes it for another.
+    // A parameter in a position where CFITSIO reads it as another one.
     assert!(
         matches!(forged("'BYTEPIX '", "'BLOCKSIZE'"), IoError::Header { keyword, .. } if keyword == "ZVAL2")
     );
-    // Parameters in the other order are told apart by their sizes.
+    // Parameters in the other order are recognised by their sizes.
     let mut bytes = good.clone();
     for (from, to) in [
         (number("ZVAL1", "32"), number("ZVAL1", "4")),
@@ -205,7 +206,7 @@ fn broken_tiles_are_errors() {
     );
     let hcompress = tiled(&scratch.path("h.fits"), "H", ImageType::Long, &counts());
     assert!(chain(&pixels(&hcompress).unwrap_err()).contains("funpack"));
-    // The heap of tiles overwritten.
+    // The heap of tiles is overwritten.
     let mut bytes = good.clone();
     let length = bytes.len();
     bytes[length - 4000..length - 3000].fill(0xff);
@@ -235,7 +236,7 @@ fn every_kind_of_file_is_read_through_gzip() {
     assert_eq!(detect(&path).unwrap(), FileKind::Image);
     let mut reader = ImageReader::open(&path).unwrap();
     assert_eq!(reader.read_rows::<f32>(1..2).unwrap()[[0, 0]], 4.0);
-    // Several members in one file, and what follows the last HDU.
+    // Several members in one file, and data after the last HDU.
     let mut members = gzip(&plain[..1000]);
     members.extend(gzip(&[&plain[1000..], b"left over"].concat()));
     assert_eq!(
@@ -289,7 +290,7 @@ fn broken_gzip_files_are_errors() {
         pixels(&scratch.put("sum.gz", &damaged)),
         Err(IoError::Gzip { .. })
     ));
-    // Sound gzip, but the FITS file in it is cut short.
+    // The gzip data are sound, but the FITS file in them is cut short.
     let plain = image(SIMPLE, 32, &[NX, NY], &[], &support::i32s(&counts()));
     let path = scratch.put("short.gz", &gzip(&plain[..plain.len() - 2880]));
     match pixels(&path) {
@@ -310,7 +311,7 @@ fn broken_gzip_files_are_errors() {
 #[test]
 fn small_gzip_files_cannot_fill_the_disk() {
     let scratch = Scratch::new();
-    // 4 TB by its header, and none of it there.
+    // The header claims 4 TB, none of which exist.
     let header = image(SIMPLE, -64, &[1_000_000, 500_000], &[], &[]);
     match pixels(&scratch.put("claim.gz", &gzip(&header[..2880]))) {
         Err(IoError::UnpacksTooLarge { length, allowed, .. }) => assert!(length < 1000 && allowed < 1 << 31),
@@ -344,7 +345,7 @@ fn no_copy_is_left_behind() {
             .flatten()
             .filter(|entry| of_here(&entry.file_name().to_string_lossy()))
             .filter_map(|entry| entry.metadata().ok())
-            // Other tests run beside this one; no other makes a file of this size.
+            // Other tests run at the same time, but none of them makes a file of this size.
             .filter(|found| found.len() == 2880 * 14)
             .count()
     };

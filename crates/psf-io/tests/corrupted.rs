@@ -1,4 +1,5 @@
-//! Whatever the bytes of a file, reading gives a value or an error: no panic, no hang, no memory without bound.
+//! For any bytes in a file, reading returns a value or an error: no panic, no hang, no unbounded
+//! memory.
 
 mod support;
 
@@ -91,7 +92,7 @@ fn scopesim_options() -> ScopesimOptions {
     options.with_wavelength_um(1.5).unwrap()
 }
 
-/// An image in tiles, of whole numbers unless the scale makes them others.
+/// An image in tiles. Its values are whole numbers unless `scale` changes them.
 fn tiled(scratch: &Scratch, how: &str, scale: f32) -> Vec<u8> {
     let path = scratch.path(&format!("{how}.fits"));
     std::fs::remove_file(&path).ok();
@@ -112,7 +113,8 @@ fn tiled(scratch: &Scratch, how: &str, scale: f32) -> Vec<u8> {
     std::fs::read(path).unwrap()
 }
 
-/// Reads a file in every way; returns how many succeeded. Errors must have a text and name the file.
+/// Reads a file in every way and returns the number of successes. Each error must have a text that
+/// names the file.
 fn read_all(path: &Path) -> usize {
     let outcomes = [
         detect(path).map(drop),
@@ -184,7 +186,8 @@ fn a_cut_in_the_data_is_said_to_be_one() {
     assert!(matches!(read_samples(&path), Err(IoError::MissingHdu { .. })));
 }
 
-/// Every `STRIDE`-th byte is changed in turn; prime, so that all columns of the records are met.
+/// Every `STRIDE`-th byte is changed in turn. The number is prime, so that all columns of the
+/// records are changed.
 const STRIDE: usize = 13;
 
 #[test]

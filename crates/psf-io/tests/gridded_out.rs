@@ -1,4 +1,4 @@
-//! Gridded libraries out, and plain stamps in.
+//! Writing gridded libraries and reading plain stamps.
 
 mod support;
 
@@ -16,14 +16,14 @@ use support::libraries::{stdpsf, stpsf};
 use support::mutations::{assert_refused, cut, huge_sizes, not_finite, wrong_types};
 use support::{IMAGE, SIMPLE, Scratch, chain, f32s, image};
 
-/// Bilinear sums of a few terms in double precision.
+/// Rounding of bilinear sums of a few terms in double precision.
 const ROUNDING: f64 = 1e-13;
 
 fn grid() -> StampGrid {
     StampGrid::new(5, 5).unwrap().with_oversampling(2.0).unwrap()
 }
 
-/// Samples on a grid, in an order that is none, each of them `100 + 2 x + 3 y + x y` throughout.
+/// Samples on a grid in an unusual order. All values of a sample are `100 + 2 x + 3 y + x y`.
 fn samples(xs: &[f64], ys: &[f64], grid: StampGrid) -> PsfSamples {
     let positions: Vec<Position> = xs
         .iter()
@@ -46,8 +46,8 @@ fn samples_at(positions: Vec<Position>, grid: StampGrid) -> PsfSamples {
     PsfSamples::new(stamps, SamplePositions::new(positions, None).unwrap(), grid).unwrap()
 }
 
-/// Position to value of each plane, as a reader sees it who takes the cards in their order as (x, y), and as one who takes
-/// them by their number as (y, x).
+/// The value of each plane by its position, as seen by two readers. One reads the cards in their
+/// order as (x, y), the other reads them by their number as (y, x).
 fn seen_by_both(path: &Path) -> [HashMap<(u64, u64), f64>; 2] {
     let planes = read_cube::<f64>(path).unwrap();
     let header = read_header(path).unwrap();
@@ -94,7 +94,7 @@ fn readers_of_either_kind_see_the_same_field() {
         let [in_order, by_number] = seen_by_both(&path);
         assert_eq!(in_order.len(), planes);
         assert_eq!(in_order, by_number);
-        // The samples' bilinear function is kept between them, and the nearest outside.
+        // The bilinear function of the samples holds between them, and the nearest sample outside.
         let within = |v: f64, lines: &[f64]| v.clamp(lines[0], lines[lines.len() - 1]);
         for ((x, y), found) in in_order {
             let (x, y) = (f64::from_bits(x), f64::from_bits(y));

@@ -1,4 +1,4 @@
-//! Images in.
+//! Reading images.
 
 mod support;
 
@@ -181,7 +181,7 @@ fn a_header_needs_no_pixels() {
     let both = [primary.clone(), frame.clone()].concat();
     assert!(has("b.fits", &both, None, "CTYPE1") && has("b.fits", &both, Some("FRAME"), "CTYPE1"));
     assert!(!has("b.fits", &both, Some("0"), "CTYPE1"));
-    // The image goes before headers without pixels, unless one of them is chosen.
+    // The image is preferred to headers without pixels, unless one of them is chosen.
     let all = [primary, frame, pixels].concat();
     assert!(!has("c.fits", &all, None, "CTYPE1") && has("c.fits", &all, Some("1"), "CTYPE1"));
     let error = read_cards(scratch.path("c.fits"), Some(&"3".parse().unwrap())).unwrap_err();

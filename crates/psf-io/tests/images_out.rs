@@ -1,4 +1,4 @@
-//! Images out, and in again.
+//! Writing images and reading them back.
 
 mod support;
 

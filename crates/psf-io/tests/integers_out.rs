@@ -1,4 +1,4 @@
-//! Images of whole numbers out, and in again.
+//! Writing images of whole numbers and reading them back.
 
 mod support;
 

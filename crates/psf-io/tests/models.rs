@@ -1,4 +1,4 @@
-//! PSF models in and out.
+//! Reading and writing PSF models.
 
 mod support;
 
@@ -10,7 +10,7 @@ use psf_types::{
 };
 use support::{Scratch, chain, names};
 
-/// A model whose numbers need every bit: two orthonormal stamps of 2 x 3 turned by an angle.
+/// A model whose numbers need every bit: two orthonormal stamps of 2 x 3, rotated by an angle.
 fn model(rank: usize, centred: bool, field: Option<FrameShape>) -> PsfModelRecord {
     let grid = StampGrid::new(3, 2)
         .and_then(|g| g.with_centre(1.0 / 3.0, 0.7))
@@ -40,7 +40,7 @@ fn model(rank: usize, centred: bool, field: Option<FrameShape>) -> PsfModelRecor
     .unwrap()
 }
 
-/// All numbers of a model, as bits: `==` takes -0.0 for 0.0.
+/// All numbers of a model as bits, because `==` treats -0.0 and 0.0 as equal.
 fn bits(model: &PsfModelRecord) -> Vec<u64> {
     let (basis, coefficients) = (model.basis(), model.coefficients());
     let positions = coefficients
@@ -106,7 +106,7 @@ fn the_same_model_gives_the_same_bytes() {
     assert!(matches!(error, Err(IoError::Value { .. })));
 }
 
-/// Reads a good file in which one text of the header is replaced by another of the same length.
+/// Reads a good file in which a text of the header is replaced by another of equal length.
 fn edited(from: &str, to: &str) -> IoError {
     assert_eq!(from.len(), to.len());
     let scratch = Scratch::new();

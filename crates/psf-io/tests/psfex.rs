@@ -1,4 +1,4 @@
-//! PSFEx models in and out, also such as PSFEx writes them, and such as it should not.
+//! Reading and writing PSFEx models, with files like those of PSFEx and with invalid ones.
 
 mod support;
 
@@ -16,7 +16,7 @@ use support::{SIMPLE, Scratch, chain, f32s, image, names, table};
 
 const NX: usize = 5;
 const NY: usize = 4;
-/// A file is read or refused within this time, however much it claims to hold.
+/// The longest time for reading or refusing a file of any claimed size.
 const QUICK: Duration = Duration::from_secs(1);
 
 /// The header of a model of degree 1, as PSFEx 3 writes it.
@@ -48,7 +48,7 @@ fn cards() -> Vec<String> {
     .to_vec()
 }
 
-/// Replaces the card with this keyword; an empty card removes it.
+/// Replaces the card with this keyword, or removes it if the new card is empty.
 fn changed(mut cards: Vec<String>, keyword: &str, card: &str) -> Vec<String> {
     let of = |card: &String| card.split('=').next().is_some_and(|k| k.trim() == keyword);
     match (cards.iter().position(of), card.is_empty()) {
@@ -114,7 +114,7 @@ fn a_model_is_read_as_psfex_means_it() {
         (polynomial.degree(), polynomial.y().zero(), polynomial.y().scale()),
         (1, 20.0, 40.0)
     );
-    // A quarter of the scale above the 0-based offset: 1, 0, 1/4.
+    // A quarter of the scale above the 0-based offset, so the terms are 1, 0, 1/4.
     let at = Position::new(polynomial.x().zero(), 30.0).unwrap();
     let psf = model.psf_at(at).unwrap();
     let expected = model.planes()[[0, 1, 1]] + 0.25 * model.planes()[[2, 1, 1]];
@@ -129,7 +129,7 @@ fn what_is_written_comes_back() {
         let polynomial =
             PsfexPolynomial::new(axis("XWIN_IMAGE", 1023.5), axis("YWIN_IMAGE", 7.25), degree).unwrap();
         let terms = PsfexPolynomial::term_count(degree);
-        // Single precision: the values are sixteenths.
+        // The values are sixteenths, which single precision holds exactly.
         let planes = Array3::from_shape_fn((terms, 7, 9), |(t, y, x)| (t + 3 * y * x) as f64 / 16.0);
         let model = PsfexModel::new(planes, 0.476, Some(polynomial)).unwrap();
         let mut figures = PsfexFigures::default();
@@ -331,7 +331,7 @@ fn tables_that_cannot_hold_the_planes_are_refused() {
         )]),
         &["NAXIS2", "one row"],
     );
-    // Claims of sizes that the file does not have.
+    // The header claims sizes that the file does not have.
     let without = |cards: Vec<String>, keyword: &str, card: &str| {
         with_primary(&[extension(
             "PSF_DATA",
@@ -356,7 +356,7 @@ fn tables_that_cannot_hold_the_planes_are_refused() {
     }
 }
 
-/// The cards that a model cannot do without.
+/// The cards that every model needs.
 const NEEDED: [&str; 12] = [
     "POLNAXIS", "POLNAME1", "POLNAME2", "POLZERO1", "POLZERO2", "POLSCAL1", "POLSCAL2", "POLNGRP", "POLDEG1",
     "PSF_SAMP", "PSFNAXIS", "PSFAXIS3",

@@ -1,5 +1,5 @@
-//! Images in tiles of `RICE_1`, from CFITSIO, from astropy and from an encoder of these tests: what is sound is read, what ends too early is
-//! refused.
+//! Images in tiles of `RICE_1`, from CFITSIO, from astropy and from an encoder of these tests.
+//! Sound tiles are read, and tiles that end too early are refused.
 
 mod support;
 
@@ -14,14 +14,14 @@ use support::{SIMPLE, Scratch, hdu, i32s, image};
 
 const NX: usize = 70;
 const NY: usize = 60;
-/// Shapes of tiles: rows, one pixel across, blocks cut by the edges, all in one.
+/// Shapes of tiles: rows, one pixel across, blocks cut by the edges, one tile for the whole image.
 const SHAPES: [&str; 6] = ["", " 70,7", " 1,60", " 33,20", " 31,1", " 70,60"];
-/// Quantised floats: a step that does not depend on their noise.
+/// Step of quantised floats, independent of their noise.
 const FIXED_STEP: f32 = 0.5;
 /// Seed of the noise.
 const SEED: u32 = 12345;
 
-/// Bits that no pattern repeats.
+/// Bits without a repeating pattern.
 fn noise(count: usize) -> impl Iterator<Item = u32> {
     let next = |state: &u32| Some(state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223));
     std::iter::successors(Some(SEED), next)
@@ -30,7 +30,8 @@ fn noise(count: usize) -> impl Iterator<Item = u32> {
         .take(count)
 }
 
-/// Scenes for all ways to code a block: equal pixels, noise of a few bits with rare outliers, noise of all bits. Of 16 bits.
+/// 16-bit scenes for all codes of a block: equal pixels, noise of a few bits with rare outliers,
+/// noise of all bits.
 fn scenes() -> [Vec<i32>; 4] {
     let of = |value: fn(usize, i32) -> i32| {
         noise(NX * NY)
@@ -110,7 +111,7 @@ fn quantised_floats_of_cfitsio_are_read() {
                 let how = format!("{shape}{quantised}");
                 let path = written(&scratch.path(&name), &how, ImageType::Float, &floats);
                 let read = pixels(&path).unwrap_or_else(|e| panic!("{name}: {e}"));
-                // No other scene is as near; the size of a step is for compressed.rs to test.
+                // No other scene is as close. The size of a step is tested in compressed.rs.
                 let range = f64::from(*scene.iter().max().unwrap() - *scene.iter().min().unwrap());
                 let most = range / 4.0 + f64::from(FIXED_STEP);
                 let near = |(got, &value): (&f64, &f32)| (got - f64::from(value)).abs() <= most;
@@ -120,7 +121,8 @@ fn quantised_floats_of_cfitsio_are_read() {
     }
 }
 
-/// Images of astropy with other blocks than CFITSIO's, each beside the pixels: see `data/rice_blocks.py`.
+/// Images of astropy with other block sizes than CFITSIO's, each with its pixels: see
+/// `data/rice_blocks.py`.
 #[test]
 fn what_astropy_writes_is_read() {
     let scratch = Scratch::new();
@@ -141,17 +143,17 @@ fn what_astropy_writes_is_read() {
 /// Pixels of 1, 2 and 4 bytes, in blocks of 16 and 32.
 const ASTROPY_PAIRS: usize = 6;
 
-/// How the tests' encoder puts a block.
+/// The code that the tests' encoder uses for a block.
 #[derive(Debug, Clone, Copy)]
 enum Code {
-    /// Differences as they are.
+    /// Uncoded differences.
     Plain,
-    /// So many low bits, the rest in zeros.
+    /// This number of low bits, and the rest as zeros.
     Low(u32),
 }
 
-/// A tile of `RICE_1` by the text of the standard: pixels of so many bytes, the blocks coded in turn as told. Blocks of equal pixels are put
-/// as such.
+/// A tile of `RICE_1` according to the standard. `codes` are used for the blocks in turn. Blocks of
+/// equal pixels have their own code.
 fn encoded(pixels: &[i32], pixel_bytes: u32, block: usize, codes: &[Code]) -> Vec<u8> {
     let pixel_bits = 8 * pixel_bytes;
     let (head_bits, plain) = match pixel_bytes {
@@ -239,7 +241,7 @@ fn one_tile(nx: usize, pixel_bytes: u32, block: usize, tile: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// Pixels of a size in bytes: walks of steps up to some size, with rests.
+/// A pixel size in bytes, and pixels: random walks with limited steps and pauses.
 fn walks() -> impl Strategy<Value = (u32, Vec<i32>)> {
     let steps = prop::collection::vec((0_u32..4, any::<i32>()), 1..150);
     (prop::sample::select(vec![1_u32, 2, 4]), 0_u32..9, steps).prop_map(|(bytes, size, steps)| {
@@ -248,7 +250,7 @@ fn walks() -> impl Strategy<Value = (u32, Vec<i32>)> {
         let walk = steps.iter().map(|&(kind, step)| {
             let step = if kind == 0 { 0 } else { step >> (31 - size) };
             value = value.wrapping_add(step);
-            // Bytes have no sign.
+            // Bytes are unsigned.
             if bytes == 1 {
                 value & 0xff
             } else {
@@ -276,7 +278,7 @@ proptest! {
         let scratch = Scratch::new();
         let tile = encoded(&walk, pixel_bytes, block, &codes);
         let read = |tile: &[u8]| pixels(&scratch.put("tile.fits", &one_tile(walk.len(), pixel_bytes, block, tile)));
-        // CFITSIO decodes what the encoder put; bytes behind it do not matter.
+        // CFITSIO decodes the output of the encoder. Bytes after it do not matter.
         let whole = read(&[&tile[..], &vec![0xff; more]].concat()).unwrap();
         prop_assert!(whole.iter().copied().eq(walk.iter().map(|&pixel| f64::from(pixel))));
         for length in [tile.len() - 1, (part * tile.len() as f64) as usize, 1] {

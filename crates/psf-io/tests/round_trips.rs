@@ -1,4 +1,4 @@
-//! What is written comes back bit by bit, whatever it is.
+//! Any data are read back from a file bit by bit.
 
 mod support;
 
@@ -14,7 +14,7 @@ use psf_types::{
 };
 use support::Scratch;
 
-/// Numbers of all sizes, subnormal ones and those of single precision among them.
+/// Numbers of all magnitudes, including subnormal numbers and numbers of single precision.
 fn number() -> impl Strategy<Value = f64> {
     prop_oneof![
         4 => -1.0..1.0_f64,
@@ -28,7 +28,7 @@ fn numbers(count: usize) -> impl Strategy<Value = Vec<f64>> {
     prop::collection::vec(number(), count)
 }
 
-/// So many positions, no two alike, with the size of the frame or without.
+/// This number of distinct positions, with or without the size of the frame.
 fn positions(count: usize) -> impl Strategy<Value = SamplePositions> {
     let frame = prop::option::of((5000_usize..100_000, 5000_usize..100_000));
     (prop::collection::vec(-0.4..0.4_f64, 2 * count), frame).prop_map(move |(offsets, frame)| {
@@ -40,7 +40,7 @@ fn positions(count: usize) -> impl Strategy<Value = SamplePositions> {
     })
 }
 
-/// Stamps of `nx` by `ny` pixels, a centre within them, any oversampling.
+/// Stamps of `nx` by `ny` pixels, with a centre inside and any oversampling.
 fn grid(nx: usize, ny: usize) -> impl Strategy<Value = StampGrid> {
     let centre = (0.0..nx as f64 - 0.999, 0.0..ny as f64 - 0.999);
     let names = prop::sample::select(vec!["cubic-spline", "lanczos3"]);
@@ -58,7 +58,7 @@ fn samples() -> impl Strategy<Value = PsfSamples> {
             move |(values, positions, grid)| {
                 let mut stamps = Array3::from_shape_vec((count, ny, nx), values).unwrap();
                 for mut stamp in stamps.outer_iter_mut() {
-                    // A PSF has light.
+                    // A PSF needs flux.
                     stamp[[0, 0]] = 1.0 + 2.0 * stamp.iter().map(|v| v.abs()).sum::<f64>();
                 }
                 PsfSamples::new(stamps, positions, grid).unwrap()
@@ -67,7 +67,7 @@ fn samples() -> impl Strategy<Value = PsfSamples> {
     })
 }
 
-/// A model of single pixels as components, which are orthonormal.
+/// A model whose components are single pixels, which are orthonormal.
 fn record() -> impl Strategy<Value = PsfModelRecord> {
     const METHODS: [&str; 9] = [
         "auto",
@@ -113,7 +113,7 @@ fn record() -> impl Strategy<Value = PsfModelRecord> {
     })
 }
 
-/// Planes of single precision, as the file has them.
+/// Planes in single precision, as in the file.
 fn psfex() -> impl Strategy<Value = PsfexModel> {
     (0_usize..4, 1_usize..8, 1_usize..8).prop_flat_map(|(degree, ny, nx)| {
         let terms = PsfexPolynomial::term_count(degree);
@@ -130,7 +130,7 @@ fn psfex() -> impl Strategy<Value = PsfexModel> {
     })
 }
 
-/// Zeros of either sign are equal; these are not.
+/// Compares bits, because `==` treats zeros of both signs as equal.
 fn bits<'a>(values: impl IntoIterator<Item = &'a f64>) -> Vec<u64> {
     values.into_iter().map(|value| value.to_bits()).collect()
 }

@@ -1,4 +1,4 @@
-//! PSF samples in and out.
+//! Reading and writing PSF samples.
 
 mod support;
 
@@ -70,7 +70,7 @@ fn single_precision_rounds_stamps_alone() {
     assert!(matches!(error, Err(IoError::Overflow { .. })) && !path.exists());
 }
 
-/// A file of two 2 x 2 stamps, with its parts replaced at will.
+/// A file of two 2 x 2 stamps, of which any part can be replaced.
 struct File<'a> {
     axes: &'a [usize],
     cards: &'a [&'a str],
@@ -175,7 +175,7 @@ fn an_image_is_a_single_sample() {
     assert_eq!(detect(scratch.path("a.fits")).unwrap(), FileKind::Image);
 }
 
-/// What makes the data invalid.
+/// The data error that caused the failure.
 fn cause(result: Result<PsfSamples, IoError>) -> DataError {
     match result {
         Err(IoError::Data { source, .. }) => source,

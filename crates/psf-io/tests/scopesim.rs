@@ -1,4 +1,4 @@
-//! ScopeSim's field-varying PSFs in.
+//! Reading ScopeSim's field-varying PSFs.
 
 mod support;
 
@@ -10,7 +10,7 @@ use support::mutations::{
 };
 use support::{Scratch, chain, f64s, table};
 
-/// What one degree in the rounded steps of the map leaves over, in pixels of a quarter of an arcsecond.
+/// Rounding error of one degree in steps of the map, in pixels of a quarter of an arcsecond.
 const ROUNDING: f64 = 1e-9;
 
 fn options() -> ScopesimOptions {
@@ -21,7 +21,7 @@ fn read(bytes: &[u8], options: &ScopesimOptions) -> Result<ScopesimPsf, IoError>
     read_scopesim(Scratch::new().put("a.fits", bytes), options)
 }
 
-/// Three rows of a map: x and y in arcseconds, layer.
+/// A map with three rows: x and y in arcseconds, and the layer.
 fn table_map(layers: [f64; 3]) -> Vec<u8> {
     let rows: Vec<f64> = [(-10.0, 5.0), (0.0, 0.0), (7.5, -2.0)]
         .iter()
@@ -44,7 +44,7 @@ fn a_map_image_becomes_nodes_that_name_their_layer() {
     assert_eq!(detect(&path).unwrap(), FileKind::Scopesim);
     let psf = read_scopesim(&path, &options().with_wavelength_um(2.0).unwrap()).unwrap();
     assert_eq!(psf.wavelength_um(), 2.25);
-    // Pixels of 4 frame pixels about (100, 200); CRVAL2 = 360 degrees is 0.
+    // Map pixels of 4 frame pixels around (100, 200). CRVAL2 = 360 degrees means 0.
     let expected = [
         (96.0, 198.0),
         (100.0, 198.0),
@@ -109,7 +109,7 @@ fn angles_are_degrees_unless_the_file_says_otherwise() {
     };
     let unit = |unit: &str| {
         let bytes = with_value(&good, "CDELT1", "0.001").bytes;
-        // The first CDELT1 and CUNIT1 are the map's; a map may have what units it likes.
+        // The first CDELT1 and CUNIT1 belong to the map, which may have any units.
         with_value(&bytes, "CUNIT1", unit).bytes
     };
     for name in ["'deg'", "'arcmin'", "'ARCSEC'", "'mas'", "'rad'"] {
@@ -122,7 +122,7 @@ fn angles_are_degrees_unless_the_file_says_otherwise() {
     let kernels = with_value(&kernels, "CDELT2", "1.0E-5").bytes;
     let file = [scopesim_primary(), scopesim_map([0.0; 6]), kernels.clone()].concat();
     assert!((oversampling(&file) - 0.25 / 0.036).abs() < 1e-12);
-    // A twelfth of the frame's pixel, as far as the digits go.
+    // A twelfth of the frame's pixel, within the digits of the header.
     let kernels = with_value(&kernels, "CDELT1", "5.7870370E-6").bytes;
     let kernels = with_value(&kernels, "CDELT2", "5.7870370E-6").bytes;
     let file = [scopesim_primary(), scopesim_map([0.0; 6]), kernels].concat();
@@ -192,7 +192,7 @@ fn spoilt_files_are_refused_soon() {
     let good = scopesim();
     let numbers = ["ECAT", "EDATA", "CRPIX1", "CDELT1", "CDELT2", "WAVE0"];
     let mut all = cut(&good);
-    // Also between HDUs: what was there of the file is whole, but the PSFs are missing.
+    // After some of the cuts each remaining HDU is complete, but the PSFs are missing.
     all.extend(without(
         &good,
         &["ETYPE", "ECAT", "EDATA", "CRPIX1", "CDELT2", "WAVE0", "XTENSION"],

@@ -4,9 +4,9 @@ use psf_io::{Card, CardValue, HeaderCards, SkyCoordinates, WorldCoordinatesError
 use psf_types::Position;
 use serde_json::Value;
 
-/// Pixels; astropy's own inverse of distortions is good to 1e-7.
+/// In pixels. astropy's own inverse of distortions is accurate to 1e-7.
 const PIXEL_ERROR: f64 = 1e-6;
-/// Degrees, for pixels of at least 0.18 arc seconds.
+/// In degrees, for pixels of at least 0.18 arcseconds.
 const SKY_ERROR: f64 = 1e-11;
 
 fn cases() -> Vec<Value> {
@@ -25,7 +25,7 @@ fn header(case: &Value) -> HeaderCards {
     case["header"].as_object().unwrap().iter().map(card).collect()
 }
 
-/// The pairs of pixel and sky of a case.
+/// The pairs of pixel and sky position of a case.
 fn pairs(case: &Value) -> Vec<([f64; 2], [f64; 2])> {
     let list = |name: &str| -> Vec<[f64; 2]> { serde_json::from_value(case[name].clone()).unwrap() };
     list("pixels").into_iter().zip(list("sky")).collect()
@@ -46,7 +46,7 @@ fn pixels_and_places_agree_with_astropy() {
             let error = (found.x() - x).abs().max((found.y() - y).abs());
             assert!(error <= PIXEL_ERROR, "{name}: pixel {x} {y} came back as {found}");
             largest = largest.max(error);
-            // The other way; longitudes lose their meaning at the pole.
+            // The inverse direction. Longitudes are undefined at the pole.
             let place = sky.sky(Position::new(x, y).unwrap()).unwrap();
             let turn = (place.0 - longitude + 180.0).rem_euclid(360.0) - 180.0;
             let along = turn * latitude.to_radians().cos();
@@ -61,7 +61,8 @@ fn pixels_and_places_agree_with_astropy() {
 
 #[test]
 fn every_number_of_a_header_counts() {
-    // Without any one of its numbers a header is refused or gives other pixels; inverses of SIP are not used.
+    // If one of its numbers is removed, a header is refused or gives other pixels. Inverses of SIP
+    // are not used.
     for case in cases() {
         let whole = header(&case);
         let ([x, y], [longitude, latitude]) = pairs(&case)[5];
@@ -166,7 +167,7 @@ fn no_distortion_is_left_out() {
         with(&plain, "A_ORDER", 2.into()),
         Err(WorldCoordinatesError::Missing { keyword, .. }) if keyword == "B_ORDER"
     ));
-    // SIP is applied whether CTYPE says so or not.
+    // SIP is applied even if CTYPE does not say so.
     let mut compared = 0;
     for case in &cases {
         let whole = header(case);
@@ -213,7 +214,8 @@ fn extremes_are_no_pixels() {
 fn places_too_far_off_to_be_numbers_are_none() {
     for case in cases() {
         let sky = SkyCoordinates::from_header(&header(&case)).unwrap();
-        // Vectors of no length or NaN from mapproj, which panics at them with debug assertions.
+        // mapproj returns vectors of length zero or NaN here, and panics at them with debug
+        // assertions.
         for (x, y) in [(1e15, 1e300), (-1e300, 0.0), (1e250, 1e250)] {
             let far = Position::new(x, y).unwrap();
             assert_eq!(sky.sky(far), None, "{} at {x}, {y}", case["name"]);

@@ -1,4 +1,4 @@
-//! STDPSF libraries in.
+//! Reading STDPSF libraries.
 
 mod support;
 
@@ -49,7 +49,7 @@ fn positions_count_from_0_with_x_fastest_and_fillers_are_not_read() {
 
 #[test]
 fn detectors_are_cut_out_and_their_positions_are_their_own() {
-    // ACS: the second detector begins at row 5, y = 251.
+    // ACS: the second detector begins at row 5 with y = 251.
     let wfc1 = read(&stdpsf(9, 10), Some(2)).unwrap();
     let found = places(&wfc1);
     assert_eq!((wfc1.detector(), found.len()), (Some("WFC1"), 45));
@@ -87,7 +87,7 @@ fn several_detectors_want_a_choice() {
     assert!(read(&stdpsf(3, 2), Some(2)).is_err());
 }
 
-/// 20 x 10 PSFs with positions in texts, as NIRCam's short-wave files have them.
+/// 20 x 10 PSFs with positions in texts, as in NIRCam's short-wave files.
 fn listed() -> Vec<String> {
     let list = |stem: &str, letter: char, first: usize, step: usize| {
         let numbers: Vec<String> = (first..first + 5).map(|i| (i * step + 1).to_string()).collect();
@@ -113,7 +113,7 @@ fn positions_may_stand_in_texts() {
     let singly = read(&stdpsf(20, 10), Some(7)).unwrap();
     assert_eq!(read(&stdpsf_of(200, &listed()), Some(7)).unwrap(), singly);
 
-    // Lists are filled up with 9999 and only read as far as the grid goes.
+    // Lists are padded with 9999, and only as many positions are read as the grid has.
     let cards = [
         "NXPSFS  = 3",
         "NYPSFS  = 2",

@@ -1,4 +1,4 @@
-//! STPSF libraries in.
+//! Reading STPSF libraries.
 
 mod support;
 
@@ -195,7 +195,7 @@ fn planes_without_light_are_named() {
     let data = dark.len() - (6 * SIZE * SIZE * 8_usize).next_multiple_of(2880);
     let plane = SIZE * SIZE * 8;
     for value in dark[data + 4 * plane..data + 5 * plane].chunks_mut(8) {
-        // The sign.
+        // Changes the sign.
         value[0] ^= 0x80;
     }
     let error = chain(&read(&dark, PlaneOrder::Auto).unwrap_err());

@@ -1,4 +1,4 @@
-//! Catalogues and positions.
+//! Reading catalogues and positions.
 
 mod support;
 
@@ -145,7 +145,7 @@ fn empty_tables_are_no_error() {
             .unwrap()
             .is_empty()
     );
-    // NAXIS1 is 16 though there are no rows.
+    // NAXIS1 is 16 although the table has no rows.
     let bytes = String::from_utf8(fits(&[table("T", &[("x", "D"), ("y", "D")], 0, &[], &[])])).unwrap();
     let bytes = bytes.replace("NAXIS1  = 0 ", "NAXIS1  = 16");
     assert!(
@@ -163,7 +163,7 @@ fn forged_row_counts_take_no_memory() {
         let text = String::from_utf8(bytes).unwrap().replace(from, to);
         read_positions(scratch.put("a.fits", text.as_bytes()))
     };
-    // Rows of no bytes: as many as one likes fit in the file.
+    // If rows have no bytes, any number of them fits in the file.
     assert!(matches!(
         forged("NAXIS2  = 1       ", "NAXIS2  = 99999999"),
         Err(IoError::Header { .. })

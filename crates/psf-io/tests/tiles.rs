@@ -1,5 +1,5 @@
-//! Findings of fuzzing: files with which CFITSIO would take memory without bound, leave its buffers as they were in memory, or write beyond
-//! them.
+//! Findings of fuzzing: files for which CFITSIO would take unbounded memory, leave its buffers
+//! uninitialised, or write beyond them.
 
 mod support;
 
@@ -11,7 +11,7 @@ use psf_io::{IoError, read_image};
 use support::mutations::{assert_refused, replaced, with_value};
 use support::{IMAGE, SIMPLE, Scratch, f64s, hdu, i16s, i32s, image, table};
 
-/// Pixels of the images here: two tiles of 4.
+/// Pixels per row. The images here have two tiles of 4 pixels.
 const NX: usize = 4;
 const NY: usize = 2;
 
@@ -52,7 +52,7 @@ fn tiled(bitpix: i32, algorithm: &str, columns: &[(&str, &str)], rows: &[u8], he
 
 const COMPRESSED: (&str, &str) = ("COMPRESSED_DATA", "1PB");
 
-/// Tiles with the same content.
+/// An image of two tiles with equal content.
 fn twice(bitpix: i32, algorithm: &str, tile: &[u8], elements: usize) -> Vec<u8> {
     let count = elements as i32;
     let rows = i32s(&[count, 0, count, tile.len() as i32]);
@@ -80,7 +80,7 @@ fn is_a_broken_tile(bytes: &[u8], which: usize) -> bool {
     matches!(values(bytes), Err(IoError::Tile { hdu: 1, tile, .. }) if tile == which)
 }
 
-/// A list of `PLIO_1`: four pixels of 5.
+/// A list of `PLIO_1` with four pixels of value 5.
 const FIVES: [i16; 9] = [0, 7, -100, 9, 0, 0, 0, 0x2004, 0x4004];
 
 #[test]
@@ -102,13 +102,14 @@ fn the_makers_of_these_files_make_sound_ones() {
 
 #[test]
 fn tiles_that_unpack_to_other_than_their_pixels_are_refused() {
-    // Eight bytes a pixel of whole numbers would leave the pixels as they were in memory; the others would be other numbers.
+    // With eight bytes per whole number CFITSIO would leave the pixels uninitialised. The other
+    // streams would give wrong numbers.
     for bytes in [
         zipped(32, &i32s(&[1; 2 * NX])),
         zipped(32, &i16s(&[1; NX])),
         zipped(16, &i32s(&[1; NX])),
         zipped(8, &i16s(&[1; NX])),
-        // Floats as they are, of half the length: CFITSIO would read as many doubles beyond its buffer.
+        // Unquantised floats of half the length: CFITSIO would read doubles beyond its buffer.
         zipped(-64, &i16s(&[1; NX])),
         zipped(-32, &[1; NX]),
         zipped(32, &vec![0; 1 << 20]),
@@ -138,7 +139,7 @@ fn tiles_that_are_not_compressed_have_as_many_pixels_as_they_should() {
         tiled(bitpix, "GZIP_2", &columns, &rows, &tile)
     };
     assert_eq!(values(&of(-64, &f64s(&[0.5; NX]))).unwrap(), [0.5; NX * NY]);
-    // Half as long: CFITSIO would follow a null pointer.
+    // The data are half as long as needed: CFITSIO would follow a null pointer.
     assert!(is_a_broken_tile(&of(-64, &i32s(&[1; NX])), 0));
     assert!(is_a_broken_tile(&of(32, &i32s(&[1; NX])), 0));
 }
@@ -150,17 +151,18 @@ fn lists_and_blocks_without_pixels_are_refused() {
     assert!(is_a_broken_tile(&with_value(&list, "TFORM1", "'1PI'").bytes, 0));
     let block = twice(32, "RICE_1", &[0; 5], 5);
     assert_eq!(values(&block).unwrap(), [0.0; NX * NY]);
-    // One block more than a byte has codes for; these are quantised floats or none.
+    // One block more than the bytes have codes for. Then floats, which RICE_1 needs quantised.
     let wide = with_value(&block, "ZNAXIS1", "1000").bytes;
     assert!(is_a_broken_tile(&with_value(&wide, "ZTILE1", "1000").bytes, 0));
     assert!(is_a_broken_tile(&twice(-32, "RICE_1", &[0; 40], 40), 0));
-    // Beyond the heap.
+    // The tile lies beyond the heap.
     assert!(is_a_broken_tile(&twice(32, "RICE_1", &[0; 4], 1 << 30), 0));
 }
 
 #[test]
 fn blocks_of_rice_that_end_too_early_are_refused() {
-    // CFITSIO would read on behind them, in search of the one of a code (as it was found), of a code, of the first pixel, of low bits.
+    // CFITSIO would read on after each tile: in search of the one of a code (found by fuzzing), a
+    // code, the first pixel, or low bits.
     for tile in [
         &[0, 0, 0, 0x30, 0x10][..],
         &[0; 4],
@@ -194,7 +196,7 @@ fn tiles_that_cfitsio_would_convert_are_refused() {
         mutations.push(with_value(tile, "TFORM1", form));
     }
     for card in ["TSCAL1  = 2.0", "TZERO1  = -128", "TZERO1  = 'no'"] {
-        // In place of a card that may be absent.
+        // Replaces a card that may be absent.
         mutations.extend([&block, &list, &zip].map(|good| replaced(good, "ZTILE2", card)));
     }
     assert_refused(mutations, |path| read_image::<f32>(path));
@@ -210,18 +212,18 @@ fn headers_that_cfitsio_takes_on_trust_are_refused() {
         with_value(&good, "TFORM1", "'2PB'"),
         with_value(&good, "TFORM1", "'8B'"),
         with_value(&good, "TTYPE1", "'PIXELS'"),
-        // In place of cards that may be absent.
+        // Replaces cards that may be absent.
         replaced(&good, "ZTILE2", "ZQUANTIZ= 'NONE'"),
     ];
     for count in ["16777216", "1000", "-1", "2"] {
         mutations.push(with_value(&good, "TFIELDS", count));
     }
-    // Columns of a table that only stands before the image.
+    // The table with too many columns precedes the image and is not read.
     let mut second = image(SIMPLE, 8, &[], &[], &[]);
     second.extend(table("T", &[("x", "I")], 1, &[], &i16s(&[1])));
     second.extend(image(IMAGE, 16, &[1], &[], &i16s(&[1])));
     mutations.push(with_value(&second, "TFIELDS", "99999999"));
-    // An image whose axes promise what no group holds.
+    // An image whose axes claim pixels that no group holds.
     let mut none = image(SIMPLE, 8, &[], &[], &[]);
     none.extend(image(IMAGE, 8, &[2_147_483_648, 21], &[], &[]));
     mutations.push(with_value(&none, "GCOUNT", "0"));

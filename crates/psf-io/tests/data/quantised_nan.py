@@ -1,4 +1,7 @@
-"""Makes quantised_nan.fits.gz: a float image with NaN in it, quantised and compressed by tiles (astropy), then by gzip."""
+"""Makes quantised_nan.fits.gz: a float image with NaN, quantised and compressed in tiles by astropy.
+
+The file is then compressed by gzip.
+"""
 
 import gzip
 

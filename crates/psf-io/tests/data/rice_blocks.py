@@ -1,4 +1,7 @@
-"""Makes rice_blocks.fits.gz: images of 1, 2 and 4 bytes a pixel, plain and in tiles of RICE_1 with blocks of 16 and 32 pixels (astropy)."""
+"""Makes rice_blocks.fits.gz with astropy: images of 1, 2 and 4 bytes per pixel.
+
+Each image is stored plain and in tiles of RICE_1, with blocks of 16 and 32 pixels.
+"""
 
 import gzip
 
@@ -9,11 +12,11 @@ from astropy.io.fits.hdu.compressed import header
 rng = np.random.default_rng(2)
 hdus = [fits.PrimaryHDU()]
 for block in (16, 32):
-    # astropy has no argument for it.
+    # astropy has no argument for the block size.
     header.DEFAULT_BLOCK_SIZE = block
     for dtype in (np.uint8, np.int16, np.int32):
         limits = np.iinfo(dtype)
-        # Rows of equal pixels, of noise of a few bits, and of all numbers that there are.
+        # Rows of equal pixels, of noise of a few bits, and of all possible numbers.
         image = np.full((24, 50), 9, dtype)
         image[6:18] = rng.integers(20, 40, (12, 50))
         image[15:] = rng.integers(limits.min, limits.max, (9, 50), endpoint=True)

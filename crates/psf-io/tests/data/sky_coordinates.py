@@ -1,4 +1,4 @@
-"""Makes sky_coordinates.json: headers and the pixels (0-based) that astropy gives for places on the sky."""
+"""Makes sky_coordinates.json: headers, and the 0-based pixels that astropy gives for sky positions."""
 import json, numpy as np
 from astropy.wcs import WCS
 from astropy.io import fits

@@ -1,11 +1,11 @@
-//! Small PSF libraries, whose planes can be told apart.
+//! Small PSF libraries with distinguishable planes.
 
 use super::{IMAGE, SIMPLE, f32s, f64s, image};
 
 /// Pixels along a side of the stamps.
 pub(crate) const SIZE: usize = 5;
 
-/// A stamp that is `plane + 1` in its middle and the half of it elsewhere.
+/// A stamp with `plane + 1` in its middle and half of this elsewhere.
 pub(crate) fn stamp(plane: usize) -> Vec<f64> {
     let mut values = vec![(plane + 1) as f64 / 2.0; SIZE * SIZE];
     values[SIZE * SIZE / 2] *= 2.0;
@@ -16,7 +16,8 @@ fn cube(planes: usize) -> Vec<f64> {
     (0..planes).flat_map(stamp).collect()
 }
 
-/// An STPSF library of 2 x 3 PSFs (columns x rows), its cards x-slow as WebbPSF writes them: `(y, x)` of 0, 10, 20 and 0, 100.
+/// An STPSF library of 2 x 3 PSFs (columns x rows). Its cards have x as the slow coordinate, as in
+/// WebbPSF: `(y, x)` of 0, 10, 20 and 0, 100.
 pub(crate) fn stpsf(more: &[&str]) -> Vec<u8> {
     let positions = (0..6).map(|i| {
         let text = format!("({}.0, {}.0)", i % 3 * 10, i / 3 * 100);
@@ -36,7 +37,8 @@ pub(crate) fn stpsf(more: &[&str]) -> Vec<u8> {
     image(SIMPLE, -64, &[SIZE, SIZE, 6], &cards, &f64s(&cube(6)))
 }
 
-/// An STDPSF library of so many columns and rows: x = 1, 101, 201 ..., y = 1, 51, 101 ..., one card each, then 9999.
+/// An STDPSF library of this grid: x = 1, 101, 201 ..., y = 1, 51, 101 ..., one card each, then
+/// 9999.
 pub(crate) fn stdpsf(columns: usize, rows: usize) -> Vec<u8> {
     let mut cards = vec![format!("NXPSFs  = {columns}"), format!("NYPSFs  = {rows}")];
     for (stem, count, step) in [("IPSFX", columns, 100), ("JPSFY", rows, 50)] {
@@ -64,7 +66,7 @@ pub(crate) fn scopesim_primary() -> Vec<u8> {
     )
 }
 
-/// PSFs of so many layers for a wavelength in micrometres, 0.5 arcseconds a pixel.
+/// PSFs of several layers for a wavelength in micrometres, with 0.5 arcseconds per pixel.
 pub(crate) fn scopesim_kernels(layers: usize, wavelength_um: f64) -> Vec<u8> {
     let wavelength = format!("WAVE0   = {wavelength_um:?}");
     let cards = [
@@ -78,7 +80,7 @@ pub(crate) fn scopesim_kernels(layers: usize, wavelength_um: f64) -> Vec<u8> {
     image(IMAGE, -64, &[SIZE, SIZE, layers], &cards, &f64s(&cube(layers)))
 }
 
-/// A map of 3 x 2 pixels of an arcsecond about the centre of the field.
+/// A map of 3 x 2 pixels of one arcsecond around the centre of the field.
 pub(crate) fn scopesim_map(layers: [f64; 6]) -> Vec<u8> {
     let cards = [
         "CRPIX1  = 2.0",
@@ -93,7 +95,7 @@ pub(crate) fn scopesim_map(layers: [f64; 6]) -> Vec<u8> {
     image(IMAGE, -64, &[3, 2], &cards, &f64s(&layers))
 }
 
-/// A ScopeSim PSF with an image as map: two layers of three, and two wavelengths.
+/// A ScopeSim PSF with an image as map, two of three layers in use, and two wavelengths.
 pub(crate) fn scopesim() -> Vec<u8> {
     [
         scopesim_primary(),

@@ -6,7 +6,7 @@ pub(crate) mod mutations;
 
 use std::path::{Path, PathBuf};
 
-/// A directory for one test's files.
+/// A directory for the files of one test.
 pub(crate) struct Scratch(tempfile::TempDir);
 
 impl Scratch {
@@ -92,7 +92,7 @@ pub(crate) fn table(
     hdu(&all.iter().map(String::as_str).collect::<Vec<_>>(), data)
 }
 
-/// Big-endian bytes, as FITS has them.
+/// Big-endian bytes, as in FITS.
 macro_rules! big_endian {
     ($name:ident, $type:ty) => {
         pub(crate) fn $name(values: &[$type]) -> Vec<u8> {
@@ -118,7 +118,7 @@ pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// Whether an error's text names the file.
+/// Returns whether the text of an error names the file.
 pub(crate) fn names(error: &psf_io::IoError, path: &Path) -> bool {
     error.path() == path && error.to_string().contains(&*path.to_string_lossy())
 }

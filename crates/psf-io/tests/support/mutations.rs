@@ -1,4 +1,5 @@
-//! Ways to spoil a good FITS file, and the limits within which a reader must refuse what comes out.
+//! Mutations that damage a good FITS file, and the limits within which a reader must refuse the
+//! result.
 
 use std::ops::Range;
 use std::path::Path;
@@ -8,12 +9,12 @@ use super::{Scratch, chain, names};
 
 const BLOCK: usize = 2880;
 const RECORD: usize = 80;
-/// A refusal takes no longer.
+/// The longest time for a refusal.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// Nor more memory, which leaves room for what the test itself and its threads take.
+/// The largest memory for a refusal, with room for the test itself and its threads.
 const MEMORY_BYTES: u64 = 256 << 20;
 
-/// A spoilt file.
+/// A damaged file.
 pub(crate) struct Mutation {
     pub(crate) name: String,
     pub(crate) bytes: Vec<u8>,
@@ -26,7 +27,7 @@ fn mutation(name: impl Into<String>, bytes: Vec<u8>) -> Mutation {
     }
 }
 
-/// Where an HDU's header and data lie.
+/// The positions of an HDU's header and data.
 struct Parts {
     header: Range<usize>,
     data: Range<usize>,
@@ -68,8 +69,8 @@ fn parts(good: &[u8]) -> Vec<Parts> {
     found
 }
 
-/// Cut at every block, in the middle of every block, and one byte short; an end at the end of an HDU is left out, since what
-/// is there is whole.
+/// The file cut at every block, in the middle of every block, and one byte short. Cuts at the end
+/// of an HDU are omitted, since the remaining file is valid.
 pub(crate) fn cut(good: &[u8]) -> Vec<Mutation> {
     let ends: Vec<usize> = parts(good)
         .iter()
@@ -83,7 +84,7 @@ pub(crate) fn cut(good: &[u8]) -> Vec<Mutation> {
         .collect()
 }
 
-/// The first card of the keyword replaced by another record.
+/// Replaces the first card with this keyword by another record.
 pub(crate) fn replaced(good: &[u8], keyword: &str, record: &str) -> Mutation {
     let mut bytes = good.to_vec();
     let at = (0..good.len())
@@ -94,12 +95,12 @@ pub(crate) fn replaced(good: &[u8], keyword: &str, record: &str) -> Mutation {
     mutation(format!("{keyword} replaced by {record:?}"), bytes)
 }
 
-/// The first card of the keyword with another value.
+/// Gives the first card with this keyword another value.
 pub(crate) fn with_value(good: &[u8], keyword: &str, value: &str) -> Mutation {
     replaced(good, keyword, &format!("{keyword:<8}= {value}"))
 }
 
-/// Each of these cards left out.
+/// Removes each of these cards in turn.
 pub(crate) fn without(good: &[u8], keywords: &[&str]) -> Vec<Mutation> {
     keywords
         .iter()
@@ -107,7 +108,7 @@ pub(crate) fn without(good: &[u8], keywords: &[&str]) -> Vec<Mutation> {
         .collect()
 }
 
-/// Each of these cards with values of types that it cannot have; numbers also as texts, texts as numbers.
+/// Gives each of these cards values of wrong types. Numbers also become texts, and texts numbers.
 pub(crate) fn wrong_types(good: &[u8], numbers: &[&str], texts: &[&str]) -> Vec<Mutation> {
     let of = |keywords: &[&str], values: &[&str]| -> Vec<Mutation> {
         keywords
@@ -120,7 +121,8 @@ pub(crate) fn wrong_types(good: &[u8], numbers: &[&str], texts: &[&str]) -> Vec<
     all
 }
 
-/// Every axis of every HDU, and what else its size depends on, far beyond the file.
+/// Makes every axis of every HDU, and other numbers that its size depends on, much larger than the
+/// file.
 pub(crate) fn huge_sizes(good: &[u8]) -> Vec<Mutation> {
     const SIZES: [&str; 4] = [
         "99999999",
@@ -144,7 +146,7 @@ pub(crate) fn huge_sizes(good: &[u8]) -> Vec<Mutation> {
     all
 }
 
-/// NaN or an infinity as the first or last value of every HDU of floats.
+/// Sets the first or last value of every HDU of floats to NaN or an infinity.
 pub(crate) fn not_finite(good: &[u8]) -> Vec<Mutation> {
     let mut all = Vec::new();
     for (i, part) in parts(good).iter().enumerate() {
@@ -165,7 +167,8 @@ pub(crate) fn not_finite(good: &[u8]) -> Vec<Mutation> {
     all
 }
 
-/// Every spoilt file is refused, soon, with a text that names the file, and without much memory.
+/// Asserts that every damaged file is refused quickly, with a text that names the file, and with
+/// little memory.
 pub(crate) fn assert_refused<T: std::fmt::Debug>(
     mutations: Vec<Mutation>,
     read: impl Fn(&Path) -> Result<T, psf_io::IoError>,
@@ -192,7 +195,7 @@ pub(crate) fn assert_refused<T: std::fmt::Debug>(
     }
 }
 
-/// The most memory this process has had mapped, used or not, where the system tells.
+/// The largest memory that this process has mapped, if the system reports it.
 fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmPeak:"))?;
