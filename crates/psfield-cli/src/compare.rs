@@ -12,25 +12,26 @@ use super::context::{Context, object};
 
 /// Compare an image (or a cube) with a reference
 ///
-/// MAE, MSE, relative L2 = |F - T| / |T|, largest difference, and that over the peak of the reference. Of cubes, each measure's
-/// median over the planes and its value in the worst plane.
+/// Prints MAE, MSE, relative L2 = |F - T| / |T|, the largest difference, and the largest difference
+/// over the peak of the reference. For cubes, prints the median of each measure over the planes and
+/// its value in the worst plane.
 #[derive(Debug, clap::Args)]
 pub(crate) struct CompareArgs {
-    /// The result F
+    /// Result F
     #[arg(value_name = "RESULT.fits")]
     result: PathBuf,
-    /// The reference T
+    /// Reference T
     #[arg(value_name = "REFERENCE.fits")]
     reference: PathBuf,
-    /// Which image of the result's file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    /// HDU of the result: its number (0: primary), NAME or NAME,VERSION
     #[arg(long, value_name = "N|NAME")]
     extension: Option<HduChoice>,
-    /// Which image of the reference's file
+    /// HDU of the reference: its number (0: primary), NAME or NAME,VERSION
     #[arg(long, value_name = "N|NAME")]
     reference_extension: Option<HduChoice>,
 }
 
-/// A measure: its key in JSON, its name, whether it exists whatever the reference, and its value.
+/// A measure: its key in JSON, its name, whether it exists for every reference, and its value.
 type Measure = (&'static str, &'static str, bool, fn(&Comparison) -> Option<f64>);
 
 const SNR: &str = "snr_db";
@@ -44,7 +45,7 @@ const MEASURES: [Measure; 7] = [
     (SNR, "SNR (dB)", false, |c| c.snr_db().ok()),
 ];
 
-/// The [`MEASURES`] of one image. Those that do not exist (a reference of zeros) are null.
+/// The [`MEASURES`] of one image. A measure that does not exist (for a reference of zeros) is null.
 #[derive(Debug)]
 struct Measures([Option<f64>; 7]);
 
@@ -69,7 +70,7 @@ impl CompareArgs {
             let report = object! {
                 planes: planes.len(),
                 median: Measures::over(&planes, Summary::median, Summary::median)?,
-                // Of each measure the value of the plane that is worst in it.
+                // For each measure, the value in the plane where it is worst.
                 max: Measures::over(&planes, Summary::max, Summary::min)?,
             };
             context.report(&report, || {
@@ -87,11 +88,11 @@ impl CompareArgs {
     }
 }
 
-/// An image as a cube of one plane, or a cube; and which of the two it is.
+/// Reads a cube, or an image as a cube of one plane. Returns whether it is a cube.
 fn read(path: &Path, extension: Option<&HduChoice>) -> anyhow::Result<(Array3<f64>, bool)> {
     Ok(match psf_io::detect(path)? {
         FileKind::PsfModel => anyhow::bail!(
-            "{} is a PSF model: compare its PSFs at chosen positions (psfield evaluate)",
+            "{} is a PSF model: compare its PSFs at chosen positions (psfield evaluate writes them)",
             path.display()
         ),
         FileKind::PsfSamples | FileKind::Cube => (psf_io::read_cube_hdu::<f64>(path, extension)?, true),
@@ -111,7 +112,8 @@ impl Measures {
         Self(MEASURES.map(|(.., of)| of(comparison)))
     }
 
-    /// One statistic of the errors, and one of the signal-to-noise ratio; none where a plane has no such measure.
+    /// One statistic of the errors and one of the signal-to-noise ratio. None if a plane lacks the
+    /// measure.
     fn over(
         planes: &[Comparison],
         of_errors: fn(&Summary) -> f64,

@@ -16,7 +16,7 @@ use crate::psf_args::PsfArgs;
 
 /// Convert a PSF file to another format
 ///
-/// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim field-varying PSFs and plain stamps.
+/// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim PSFs and plain stamps.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ConvertArgs {
     /// PSF to read

@@ -9,31 +9,31 @@ use super::context::{Context, object, signature};
 use super::values::{Precision, stamp_size};
 use crate::psf_args::PsfArgs;
 
-/// Write the PSF of a model at given positions
+/// Write the PSF at given positions
 #[derive(Debug, clap::Args)]
 pub(crate) struct EvaluateArgs {
-    /// A model, samples to be fitted, or any other PSF file (PSFEx, STPSF, STDPSF, ScopeSim, plain stamps)
+    /// PSF: a model, samples (which are fitted), or any PSF file that convert reads
     #[arg(value_name = "PSF")]
     psf: PathBuf,
-    /// Where: CSV or FITS table with columns x, y (0-based pixels)
+    /// Positions: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
     at: PathBuf,
-    /// The stamps to write, in the layout of PSF samples
+    /// Stamps to write, in the layout of PSF samples
     #[arg(short, long, value_name = "STAMPS.fits")]
     output: PathBuf,
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
-    /// The model's own sampling, or the frame's pixels (with their response, also where the model's stamps lack it)
+    /// Pixels of the stamps
     #[arg(long, default_value = "model", value_enum)]
     grid: Grid,
-    /// Cut or pad to N x N pixels about the centre
+    /// Cut or pad to N x N pixels around the centre
     #[arg(long, value_name = "N", value_parser = stamp_size)]
     size: Option<usize>,
-    /// Draw each PSF at the sub-pixel phase of its position (with --grid native), else centred
+    /// Draw each PSF at the sub-pixel phase of its position, not centred (with --grid native)
     #[arg(long)]
     sub_pixel: bool,
-    /// Write f32 or f64
+    /// Precision of the stamps
     #[arg(long, default_value = "f32", value_enum)]
     precision: Precision,
     #[command(flatten)]
@@ -42,7 +42,9 @@ pub(crate) struct EvaluateArgs {
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Grid {
+    /// The model's own sampling
     Model,
+    /// The frame's pixels, with their response even if the model's stamps lack it
     Native,
 }
 
@@ -84,7 +86,7 @@ impl EvaluateArgs {
             stamps: stamps.len(),
             shape: [grid.nx(), grid.ny()],
             oversampling: grid.oversampling(),
-            // How the PSF was read.
+            // Notes on how the PSF was read.
             notes: psf.notes(),
         };
         context.report(&report, || {

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use detector::{Detector, DetectorParams};
+use detector::{Detector, DetectorError, DetectorParams};
 use psf_io::HduChoice;
 use psf_types::Real;
 use psfield::{ExposureFiles, read_bad_pixel_mask};
@@ -12,100 +12,116 @@ use super::UsageError;
 use super::context::{Context, object, signature};
 use super::values::{Precision, above_zero, at_least_zero};
 
-/// Turn a noise-free image into what a detector counts
+/// Add sky, noise and other effects of a detector to a noise-free image
 ///
-/// Adds sky, pixel response, dark current, bad pixels, photon noise, full well, read noise, gain and bias, and digitises: each step
-/// only if it is asked for, in the detector file or by an option. Flux of the image times electrons_per_flux (default 1) is
-/// electrons in the exposure. Counts are in ADU when gain, bias or bits are given, else in electrons. Pixels below 0 are taken as
-/// dark. The image itself is never changed.
+/// Sky, pixel response, dark current, bad pixels, photon noise, full well, read noise, gain, bias
+/// and digitisation: each step is applied only if the detector file or an option asks for it.
+///
+/// The flux of the image times electrons_per_flux (default 1) is the number of electrons in the
+/// exposure. Counts are in ADU if gain, bias or bits are given, else in electrons. Pixels below 0
+/// count as 0. The image itself is never changed.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ExposeArgs {
-    /// The noise-free image
+    /// Noise-free image
     #[arg(value_name = "IMAGE.fits")]
     image: PathBuf,
-    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
-    #[arg(long, value_name = "N|NAME")]
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
+    #[arg(long, value_name = "N|NAME", hide_short_help = true)]
     extension: Option<HduChoice>,
-    /// The exposure to write: whole numbers if it is digitised
+    /// Exposure to write (whole numbers if it is digitised)
     #[arg(short, long, value_name = "RAW.fits")]
     output: PathBuf,
-    /// Also write the noise-free image with sky, dark charge and bias, in the unit of the result
+    /// Also write the noise-free image with sky, dark charge and bias, in the unit of the exposure
     #[arg(long, value_name = "TRUTH.fits")]
     truth: Option<PathBuf>,
-    /// Also write what is wrong with each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
-    #[arg(long, value_name = "QUALITY.fits")]
+    /// Also write flags of each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
+    #[arg(long, value_name = "QUALITY.fits", hide_short_help = true)]
     quality: Option<PathBuf>,
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
-    /// The detector: a TOML file with the keys in brackets below, and response_rms, sky_gradient_e_per_px, pattern_seed, bad_pixels
+    /// Detector file (TOML)
+    ///
+    /// Its keys are given in square brackets below. More keys: response_rms, sky_gradient_e_per_px,
+    /// pattern_seed, bad_pixels.
     #[arg(long, value_name = "DETECTOR.toml")]
     detector: Option<PathBuf>,
-    /// Bad pixels beside those of the detector file: an image of 0 (good) or sums of 1 dead, 2 hot, 4 bad column
-    #[arg(long, value_name = "MASK.fits")]
+    /// Image of bad pixels, in addition to those of the detector file
+    ///
+    /// Each pixel is 0 (good) or a sum of 1 dead, 2 hot, 4 bad column.
+    #[arg(long, value_name = "MASK.fits", hide_short_help = true)]
     mask: Option<PathBuf>,
-    /// Chooses the noise; the same seed gives the same bytes
+    /// Seed of the noise
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Precision in which the image is read, and that of a result that is not digitised
-    #[arg(long, default_value = "f32", value_enum)]
+    /// Precision in which the image is read, and the exposure written if it is not digitised
+    #[arg(long, default_value = "f32", value_enum, hide_short_help = true)]
     precision: Precision,
-    /// Photon noise and nothing else
+    /// Add photon noise and nothing else
     #[arg(long, conflicts_with_all = ["detector", "mask", "Settings"])]
     photons_only: bool,
     #[command(flatten)]
     settings: Settings,
 }
 
-/// Settings that can be given without a file; they take the place of the file's.
+/// Settings of the detector that can be given without a file. They override the file.
 #[derive(Debug, clap::Args)]
 #[group(id = "Settings", multiple = true)]
-#[command(next_help_heading = "Detector (each takes the place of the file's)")]
+#[command(next_help_heading = "Detector (each option overrides the file)")]
 struct Settings {
-    /// Photon noise: charge is Poisson distributed [photon_noise]
+    /// Add photon noise: the charge is Poisson distributed [photon_noise]
     #[arg(long)]
     photon_noise: bool,
     /// Electrons in the exposure per unit of the image's flux [electrons_per_flux]
-    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     electrons_per_flux: Option<f64>,
-    /// Sky in electrons a pixel [sky_e]
+    /// Sky (electrons per pixel) [sky_e]
     #[arg(long, value_name = "E", value_parser = at_least_zero, allow_negative_numbers = true)]
     sky: Option<f64>,
-    /// Exposure time in s, for the dark current [exposure_s]
+    /// Exposure time (s), for the dark current [exposure_s]
     #[arg(long, value_name = "S", value_parser = at_least_zero, allow_negative_numbers = true)]
     exposure: Option<f64>,
-    /// Dark current in electrons a pixel and second [dark_e_per_s]
+    /// Dark current (electrons per pixel and second) [dark_e_per_s]
     #[arg(long, value_name = "E_PER_S", value_parser = at_least_zero, allow_negative_numbers = true)]
     dark: Option<f64>,
-    /// The largest charge of a pixel in electrons [full_well_e]
-    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true)]
+    /// Full well: the largest charge of a pixel (electrons) [full_well_e]
+    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     full_well: Option<f64>,
-    /// Read noise in electrons, r.m.s. [read_noise_e]
+    /// Read noise, r.m.s. (electrons) [read_noise_e]
     #[arg(long, value_name = "E", value_parser = at_least_zero, allow_negative_numbers = true)]
     read_noise: Option<f64>,
-    /// Electrons per ADU [gain_e_per_adu]
+    /// Gain (electrons per ADU) [gain_e_per_adu]
     #[arg(long, value_name = "E_PER_ADU", value_parser = above_zero, allow_negative_numbers = true)]
     gain: Option<f64>,
-    /// Level of no charge in ADU [bias_adu]
-    #[arg(long, value_name = "ADU", allow_negative_numbers = true)]
+    /// Level of a pixel without charge (ADU) [bias_adu]
+    #[arg(
+        long,
+        value_name = "ADU",
+        allow_negative_numbers = true,
+        hide_short_help = true
+    )]
     bias: Option<f64>,
     /// Digitise to whole numbers from 0 to 2^N - 1, N at most 24 [bits]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=24))]
     bits: Option<u32>,
 }
 
-/// Refuses a detector that changes nothing, where that is all there is, and warns of one without photon noise.
+/// Options by their keys in the detector file, for messages.
+const OPTIONS: [(&str, &str); 2] = [("dark_e_per_s", "--dark"), ("exposure_s", "--exposure")];
+
+/// Refuses a detector without any effect if `alone`, and warns if there is no photon noise.
+
 pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context) -> anyhow::Result<()> {
     if detector.is_perfect() && alone {
         return Err(UsageError(
-            "there is nothing to add: give a detector (--detector DETECTOR.toml) with settings, or to expose options such as \
-             --photon-noise --sky 100 --read-noise 5, or --photons-only"
+            "there is nothing to add: give a detector file (--detector DETECTOR.toml) with settings, or give psfield expose options \
+             such as --photon-noise --sky 100 --read-noise 5, or --photons-only"
                 .to_owned(),
         )
         .into());
     }
     if !detector.params().photon_noise {
-        context.warn("the light has no photon noise: ask for it by photon_noise = true in the detector's file (expose: --photon-noise)");
+        context.warn("the exposure has no photon noise: set photon_noise = true in the detector file (or give expose --photon-noise)");
     }
     Ok(())
 }
@@ -159,7 +175,7 @@ impl ExposeArgs {
             shape: [nx, ny],
             precision: T::NAME,
             unit: detector.unit(),
-            // Counts of saturated pixels.
+            // The count of saturated pixels.
             saturation: detector.saturation(),
             detector: params,
             #[serde(flatten)]
@@ -179,7 +195,7 @@ impl ExposeArgs {
             };
             format!(
                 "{}: {nx} x {ny} pixels in {}, seed {}\nsky {} e, dark {} e, {noise}\n\
-                 pixels: {} saturated, {} bad, {} below 0 before noise{negative}, {} cut at 0 by the converter\n\
+                 pixels: {} saturated, {} bad, {} below 0 before noise{negative}, {} clipped at 0 by the converter\n\
                  seconds: read {read:.3}, expose {expose:.3}, write {write:.3}",
                 files.raw.display(),
                 report.unit,
@@ -194,7 +210,7 @@ impl ExposeArgs {
         })
     }
 
-    /// The detector of the file with the options in place.
+    /// Returns the detector of the file, overridden by the options.
     fn detector(&self) -> anyhow::Result<Detector> {
         let mut params = match &self.detector {
             Some(path) => Detector::from_toml_file(path)?.params().clone(),
@@ -219,7 +235,22 @@ impl ExposeArgs {
             *key = option.or(*key);
         }
         params.bits = set.bits.or(params.bits);
-        // The file is good by itself, so what is wrong now was said in the options.
-        Detector::new(params).map_err(|e| UsageError(e.to_string()).into())
+        // The file is valid by itself, so that the error comes from the options.
+        Detector::new(params).map_err(|error| {
+            let option = |key| {
+                OPTIONS
+                    .iter()
+                    .find(|known| known.0 == key)
+                    .map_or(key, |known| known.1)
+            };
+            let text = match error {
+                DetectorError::Needs { key, other } => {
+                    let (key, other) = (option(key), option(other));
+                    format!("{key} needs {other}: give {other}, or leave {key} out")
+                }
+                other => other.to_string(),
+            };
+            UsageError(text).into()
+        })
     }
 }

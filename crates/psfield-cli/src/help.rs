@@ -41,8 +41,8 @@ fn groups(command: &Command) -> String {
     text
 }
 
-/// Wraps the long texts of a command, its options and its subcommands. (The parser does so only with
-/// its feature `wrap_help`.)
+/// Wraps the long texts of a command, its options and its subcommands. (The parser does so only
+/// with its feature `wrap_help`.)
 fn wrapped(command: Command) -> Command {
     let command = command.mut_args(|arg| match arg.get_long_help().map(ToString::to_string) {
         Some(text) => arg.long_help(lines(&text)),

@@ -1,4 +1,4 @@
-//! Ctrl-C and other requests to stop: temporary files go, outputs stay as they were.
+//! Ctrl-C and other requests to stop: removes temporary files and leaves outputs as they were.
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write as _};
@@ -10,31 +10,33 @@ use signal_hook::flag;
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::signal_name;
 
-/// A process that a signal ends has this exit status and the signal's number, as shells tell it.
+/// The exit status of a process ended by a signal is this plus the signal's number, as in shells.
 const SIGNALLED: i32 = 128;
 
-/// Ends the process on SIGINT, SIGTERM or SIGHUP with status 130, 143 or 129, after it has removed the temporary files. More signals on the
-/// way there change nothing: `timeout` and others send two at once. Signals that whoever started the process wants ignored (`nohup`, jobs
-/// in the background of a script) stay ignored.
+/// Ends the process on SIGINT, SIGTERM or SIGHUP with status 130, 143 or 129, after removing the
+/// temporary files. Further signals in the meantime have no effect: `timeout` and others send two
+/// at once. Signals that the parent process has set to be ignored (`nohup`, background jobs of a
+/// script) stay ignored.
 ///
-/// A limit on the size of files (`ulimit -f`) becomes an error like that of a full disk, for the same sake.
+/// A limit on the size of files (`ulimit -f`) becomes an error like that of a full disk, so that
+/// temporary files are removed then too.
 ///
 /// # Errors
-/// What the system says against it.
+/// The error of the system, if it refuses the handlers.
 pub(crate) fn remove_files_when_told_to_stop() -> std::io::Result<()> {
     let ignored = ignored_signals();
     let wanted: Vec<i32> = [SIGINT, SIGTERM, SIGHUP]
         .into_iter()
         .filter(|&signal| ignored & (1 << (signal - 1)) == 0)
         .collect();
-    // A signal with a handler lets the write fail; the flag itself says nothing.
+    // With a handler for this signal the write fails with an error. The flag itself is not used.
     flag::register(SIGXFSZ, Arc::default())?;
     let mut signals = Signals::new(&wanted)?;
     std::thread::Builder::new()
         .name("signals".to_owned())
         .spawn(move || {
             if let Some(signal) = signals.forever().next() {
-                // The outputs are locked until the process is gone.
+                // The outputs stay locked until the process ends.
                 psf_io::remove_unfinished(|outputs| {
                     tell(signal, outputs);
                     std::process::exit(SIGNALLED + signal)
@@ -44,21 +46,21 @@ pub(crate) fn remove_files_when_told_to_stop() -> std::io::Result<()> {
     Ok(())
 }
 
-/// One line about what was left as it was.
+/// Prints one line about the state of the outputs.
 fn tell(signal: i32, outputs: &[PathBuf]) {
     let mut line = String::from("psfield: ");
     if std::io::stderr().is_terminal() {
-        // Over what is left of a progress bar and the terminal's `^C`.
+        // Overwrites the rest of a progress bar and the `^C` of the terminal.
         line = format!("\r\x1b[2K{line}");
     }
     let name = signal_name(signal).unwrap_or("a signal");
-    let _ = write!(line, "stopped by {name}: ");
+    let _ = write!(line, "interrupted ({name}), ");
     if outputs.is_empty() {
-        line.push_str("no file was being written");
+        line.push_str("no output written");
     }
     for (n, output) in outputs.iter().enumerate() {
         let state = if output.exists() {
-            "is as it was"
+            "is unchanged"
         } else {
             "was not written"
         };
@@ -66,11 +68,12 @@ fn tell(signal: i32, outputs: &[PathBuf]) {
         let _ = write!(line, "{separator}{} {state}", output.display());
     }
     line.push('\n');
-    // Nobody may be left to read it, as after the end of a terminal.
+    // There may be no reader, as after the end of a terminal.
     let _ = std::io::stderr().write_all(line.as_bytes());
 }
 
-/// The signals that the process was started to ignore, signal 1 in the lowest bit; none where the system does not tell.
+/// The signals that the process was started to ignore, signal 1 in the lowest bit. 0 if the system
+/// does not tell.
 fn ignored_signals() -> u64 {
     std::fs::read_to_string("/proc/self/status")
         .ok()

@@ -37,8 +37,8 @@ use context::{Context, UsageError, told};
 /// Positions are 0-based pixels: an integer is the centre of a pixel. Existing files are kept
 /// unless --overwrite is given.
 ///
-/// Exit status: 0 done, 1 failed, 2 bad usage, 128 + N stopped by signal N (130 after Ctrl-C). A run
-/// that is stopped leaves its outputs as they were before.
+/// Exit status: 0 done, 1 failed, 2 bad usage, 128 + N stopped by signal N (130 after Ctrl-C). A
+/// run that is stopped leaves its outputs as they were before.
 #[derive(Debug, Parser)]
 #[command(name = "psfield", version, max_term_width = 110)]
 struct Cli {

@@ -11,28 +11,30 @@ use super::context::{Context, object};
 
 /// Measure size, shape and flux of PSFs
 ///
-/// Writes CSV: x, y, flux, x_centroid, y_centroid, fwhm_px, fwhm_major_px, fwhm_minor_px, angle_rad, ellipticity =
-/// sqrt(1 - b^2/a^2) from an elliptical Gaussian fit; e1, e2 (distortion), g1, g2 (reduced shear), sigma_px from adaptive
-/// moments; note. Lengths are in pixels of the array, in a cube centroids are 0-based stamp indices. A measurement that failed is
-/// an empty field, and the note says why.
+/// Writes CSV with the columns x, y, flux, x_centroid, y_centroid, fwhm_px, fwhm_major_px,
+/// fwhm_minor_px, angle_rad, ellipticity = sqrt(1 - b^2/a^2) from an elliptical Gaussian fit, e1,
+/// e2 (distortion), g1, g2 (reduced shear), sigma_px from adaptive moments, and note.
+///
+/// Lengths are in pixels of the array. In a cube, centroids are 0-based stamp indices. The field of
+/// a measurement that failed is empty, and the note says why.
 #[derive(Debug, clap::Args)]
 pub(crate) struct MeasureArgs {
-    /// PSF samples, a cube of stamps, an image with --at, or an image that is a single stamp
+    /// PSF samples, cube of stamps, image with --at, or image that is a single stamp
     #[arg(value_name = "IMAGE.fits|STAMPS.fits")]
     input: PathBuf,
-    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
     #[arg(long, value_name = "N|NAME")]
     extension: Option<HduChoice>,
-    /// Where in an image: CSV or FITS table with columns x, y (0-based pixels)
+    /// Positions in an image: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
-    /// Fit the Gaussian to N x N central pixels [default: the whole stamp; 15 about each position of an image]
+    /// Fit the Gaussian to N x N central pixels [default: whole stamp, for images 15]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     window: Option<u16>,
     /// Fit a constant background too
     #[arg(long)]
     background: bool,
-    /// The table to write
+    /// Table to write
     #[arg(short, long, value_name = "TABLE.csv")]
     output: PathBuf,
     /// Replace the output if it exists
@@ -51,7 +53,7 @@ impl MeasureArgs {
         let report = object! {
             output: self.output,
             measured: rows.len(),
-            // Rows with a note: at least one measurement failed.
+            // Rows with a note, in which at least one measurement failed.
             with_notes,
         };
         context.report(&report, || {
@@ -76,7 +78,7 @@ impl MeasureArgs {
         }
         Ok(match kind {
             FileKind::PsfModel => anyhow::bail!(
-                "{} is a PSF model: measure its PSFs at chosen positions (psfield evaluate)",
+                "{} is a PSF model: measure its PSFs at chosen positions (psfield evaluate writes them)",
                 path.display()
             ),
             FileKind::PsfSamples => {

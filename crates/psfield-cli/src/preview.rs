@@ -13,28 +13,32 @@ use super::UsageError;
 use super::context::{Context, object};
 
 /// Show a FITS image as a PNG picture
+/// Show a FITS image as a PNG picture
 ///
-/// Any image that psfield reads, one plane of a cube, plain or compressed (.gz, .fz). y points upwards: row 0 is at the bottom, as in ds9.
-/// Images that are too large are binned by means; limits are those of the binned image. Pixels without a value (NaN, infinite, BLANK) are
-/// magenta in grey, viridis and cividis, cyan in the other colours; a bin is the mean of its pixels that have one.
+/// Shows any image that psfield reads, or one plane of a cube, plain or compressed (.gz, .fz). y
+/// points upwards as in ds9: row 0 is at the bottom.
+///
+/// Images that are too large are binned by means, and the limits are those of the binned image. A
+/// bin is the mean of its pixels that have a value. Pixels without a value (NaN, infinite, BLANK)
+/// are magenta in grey, viridis and cividis, and cyan in the other colour maps.
 #[derive(Debug, clap::Args)]
 pub(crate) struct PreviewArgs {
-    /// The image
+    /// Image to show
     #[arg(value_name = "IMAGE.fits")]
     image: PathBuf,
-    /// The picture [default: the image's name, with .png for .fits, beside it]
+    /// Picture to write [default: IMAGE.png next to the image]
     #[arg(short, long, value_name = "IMAGE.png")]
     output: Option<PathBuf>,
     /// Replace the picture if it exists
     #[arg(long)]
     overwrite: bool,
-    /// Which image of the file: a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
     #[arg(long, value_name = "N|NAME")]
     extension: Option<HduChoice>,
-    /// Which plane of a cube, counted from 0
+    /// Plane of a cube, counted from 0
     #[arg(long, value_name = "N")]
     plane: Option<usize>,
-    /// How brightness grows between the limits; those of astropy
+    /// Brightness between the limits, as in astropy
     #[arg(long, default_value = "asinh", value_parser = PossibleValuesParser::new(Stretch::ALL.map(Stretch::name))
         .try_map(|name| name.parse::<Stretch>()))]
     stretch: Stretch,
@@ -49,14 +53,14 @@ pub(crate) struct PreviewArgs {
         conflicts_with = "zscale"
     )]
     range: Option<Limits>,
-    /// Black and white as IRAF, ds9 and astropy find them: about the sky, stars left out
+    /// Black and white around the sky level, as in IRAF, ds9 and astropy
     #[arg(long)]
     zscale: bool,
-    /// Colours that colour-blind people can read as well
+    /// Colour map (all suit colour-blind readers)
     #[arg(long, default_value = "grey", value_parser = PossibleValuesParser::new(Colormap::ALL.map(Colormap::name))
         .try_map(|name| name.parse::<Colormap>()))]
     colormap: Colormap,
-    /// The most pixels of the picture along an axis
+    /// Largest number of pixels of the picture along an axis
     #[arg(long, value_name = "N", default_value_t = 2000, value_parser = clap::value_parser!(u32).range(1..=32768))]
     max_size: u32,
 }
@@ -98,7 +102,7 @@ impl PreviewArgs {
             output,
             image_size: [reader.shape().nx(), reader.shape().ny()],
             picture_size: [picture.width(), picture.height()],
-            // Pixels of the image along the side of a pixel of the picture.
+            // Pixels of the image along each side of a pixel of the picture.
             binning: image.factor,
             stretch: self.stretch.name(),
             colormap: self.colormap.name(),
@@ -111,11 +115,11 @@ impl PreviewArgs {
             let mut text = format!("{}: {nx} x {ny} pixels", report.output.display());
             if report.binning > 1 {
                 let [nx, ny] = report.image_size;
-                let _ = write!(text, ", means over {0} x {0} of {nx} x {ny}", report.binning);
+                let _ = write!(text, ", means of {0} x {0} pixels of {nx} x {ny}", report.binning);
             }
             let _ = write!(text, ", {} from {limits}", report.stretch);
             if report.undefined_pixels > 0 {
-                let _ = write!(text, "; {} pixels have no value", report.undefined_pixels);
+                let _ = write!(text, ", {} pixels without a value", report.undefined_pixels);
             }
             text
         })
@@ -130,7 +134,7 @@ impl PreviewArgs {
     }
 }
 
-/// The picture's name, beside the image: `a/b.fits.gz` gives `a/b.png`.
+/// The name of the picture, next to the image: `a/b.fits.gz` gives `a/b.png`.
 fn picture_of(image: &Path) -> PathBuf {
     let packed = image
         .extension()

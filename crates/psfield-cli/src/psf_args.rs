@@ -23,7 +23,7 @@ pub(crate) struct FitArgs {
     ///
     /// auto: at least up to the elbow of the singular values, and more until the fit error is 1e-4,
     /// but no components below the noise.
-    /// energy=F: enough for the fraction F of the sum of squared singular values, as in energy=0.999.
+    /// energy=F: enough for the fraction F of the squared singular values, as in energy=0.999.
     /// error=E: enough for the relative L2 fit error E, as in error=1e-3.
     /// Default for STPSF and STDPSF: full.
     #[arg(long, value_name = "RANK", hide_short_help = true, verbatim_doc_comment)]

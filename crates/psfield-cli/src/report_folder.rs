@@ -1,4 +1,4 @@
-//! The folder that a report goes to.
+//! The folder of a report.
 
 use std::collections::BTreeMap;
 use std::path::{Display, Path, PathBuf};
@@ -9,13 +9,15 @@ use serde::Serialize;
 
 use crate::context::{Bar, Context, object};
 
-/// Where a report is written.
+/// The folder in which a report is written.
 #[derive(Debug, clap::Args)]
 pub(super) struct ReportFolder {
-    /// The folder to write report.html, report.json, tables and figures (SVG and PNG) to; made if it does not exist, empty unless --overwrite is given
+    /// Folder for the report: report.html, report.json, tables and figures (SVG and PNG)
+    ///
+    /// It is made if it does not exist. It must be empty unless --overwrite is given.
     #[arg(long, value_name = "DIR")]
     report: PathBuf,
-    /// Replace files that exist there
+    /// Replace files that exist in the folder
     #[arg(long)]
     overwrite: bool,
 }
@@ -24,11 +26,11 @@ const PAGE: &str = "report.html";
 const NUMBERS: &str = "report.json";
 
 impl ReportFolder {
-    /// Refuses before any work where the folder cannot be made or has files that may not be replaced. It is made when there is something to
-    /// write.
+    /// Refuses, before any work, a folder that cannot be made or has files that may not be
+    /// replaced. The folder is made later, when there is something to write.
     pub(super) fn check(&self) -> anyhow::Result<()> {
         check(&self.report, &[PAGE, NUMBERS], self.overwrite)?;
-        // Tables and figures, whose names are not known yet, are refused as early.
+        // Names of tables and figures are not known yet, so any file in the folder is refused.
         let held = match std::fs::read_dir(&self.report) {
             Ok(mut found) => found.next().is_some(),
             Err(_) => false,
@@ -41,8 +43,8 @@ impl ReportFolder {
         Ok(())
     }
 
-    /// Writes everything, the page last, so that a page has all its files; ends the bar and tells
-    /// of it. `notes`: how the PSF was read.
+    /// Writes everything, the page last, so that a page has all its files. Then ends the bar and
+    /// prints the report. `notes`: how the PSF was read.
     pub(super) fn publish(
         &self,
         document: &Document,
@@ -79,7 +81,7 @@ impl ReportFolder {
         psf_io::write_text(at(PAGE.to_owned()), &document.to_html(), self.overwrite)?;
         drop(bar);
         let folder = self.report.as_path();
-        // A flattened option that is none has no keys.
+        // A flattened option that is none adds no keys.
         let report = object! {
             folder,
             files,
@@ -92,7 +94,8 @@ impl ReportFolder {
     }
 }
 
-/// Refuses where a folder cannot be made or has one of these files, which may not be replaced. Nothing is left behind.
+/// Refuses a folder that cannot be made, or that has one of these files if they may not be
+/// replaced. Leaves no new folders behind.
 pub(super) fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::Result<()> {
     if folder.is_dir() {
         for name in files {
@@ -106,13 +109,13 @@ pub(super) fn check(folder: &Path, files: &[&str], overwrite: bool) -> anyhow::R
         .collect();
     make(folder)?;
     for part in missing {
-        // One that another process uses by now stays.
+        // A folder that another process uses by now is kept.
         let _ = std::fs::remove_dir(part);
     }
     Ok(())
 }
 
-/// Makes a folder, if it is not there.
+/// Makes a folder if it does not exist.
 pub(super) fn make(folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder)
         .with_context(|| format!("{}: the report folder cannot be made", folder.display()))

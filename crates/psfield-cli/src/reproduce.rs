@@ -9,32 +9,33 @@ use super::values::Pair;
 
 /// Remake every figure and table of the method's paper
 ///
-/// On the built-in survey telescope, without any data: singular values, sampling, FWHM and ellipticity of simulated against true
-/// objects, errors over the field, an extended galaxy beside patches of constant PSF, and Table 1; with the errors at several tolerances.
-/// Minutes on two cores: some 10, with --quick less than 3.
+/// Uses the built-in survey telescope and no data. Shows singular values, sampling, FWHM and
+/// ellipticity of simulated and true objects, errors over the field and at several tolerances, an
+/// extended galaxy compared with patches of constant PSF, and Table 1. Takes some 10 minutes on two
+/// cores, with --quick less than 3.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReproduceArgs {
     #[command(flatten)]
     folder: ReportFolder,
-    /// The same on a smaller frame with fewer samples and objects
+    /// Use a smaller frame, with fewer samples and objects
     #[arg(long)]
     quick: bool,
-    /// The frame's columns and rows [default: 9232,9216; --quick: 2308,2304]
+    /// Columns and rows of the frame (pixels) [default: 9232,9216, with --quick 2308,2304]
     #[arg(long, value_name = "NX,NY", hide_short_help = true)]
     frame: Option<Pair>,
-    /// PSF samples along each axis [default: 71; --quick: 36]
+    /// PSF samples along each axis [default: 71, with --quick 36]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(4..=200), hide_short_help = true)]
     samples: Option<u16>,
-    /// Objects along each axis [default: 54; --quick: 18]
+    /// Objects along each axis [default: 54, with --quick 18]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=500), hide_short_help = true)]
     objects: Option<u16>,
-    /// Pixels along each side of the images of Table 1, of which there is one then [default: 512 and 1024]
+    /// Make a single image of Table 1, with N pixels along each side [default: 512 and 1024]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=4096), hide_short_help = true)]
     image_side: Option<u16>,
-    /// Pixels along each side of the image of the large galaxy [default: 512; --quick: 256]
+    /// Side of the image of the large galaxy (pixels) [default: 512, with --quick 256]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=2048), hide_short_help = true)]
     galaxy_side: Option<u16>,
-    /// Interpolation error of the non-uniform sampling that is shown [default: 1e-3; --quick: 4e-3]
+    /// Interpolation error of the non-uniform sampling shown [default: 1e-3, with --quick 4e-3]
     #[arg(long, value_name = "X", value_parser = super::values::above_zero, allow_negative_numbers = true, hide_short_help = true)]
     adaptive_threshold: Option<f64>,
 }
@@ -55,7 +56,7 @@ impl ReproduceArgs {
             .publish(&document, (&measured, None), &tables, speaking, |folder| {
                 let targets = targets_text(&measured.targets);
                 format!(
-                    "{targets}{folder}: begin with report.html ({:.0} s)",
+                    "{targets}{folder}: open report.html first ({:.0} s)",
                     measured.seconds
                 )
             })
@@ -88,14 +89,14 @@ impl ReproduceArgs {
     }
 }
 
-/// A line a target.
+/// A line of text per target.
 pub(super) fn targets_text(targets: &[Target]) -> String {
     let line = |target: &Target| {
         let measured = target.measured;
         let measured = measured.map_or_else(|| "not measured".to_owned(), |m| format!("{m:.1e}"));
         let verdict = if target.met { "met" } else { "NOT met" };
         let (what, limit) = (&target.what, target.limit);
-        format!("{what}: {measured}, should be below {limit:e}: {verdict}\n")
+        format!("{what}: {measured}, target below {limit:e}: {verdict}\n")
     };
     targets.iter().map(line).collect::<Vec<_>>().concat()
 }

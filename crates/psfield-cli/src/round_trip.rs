@@ -18,30 +18,33 @@ use crate::psf_args::FitArgs;
 
 /// Simulate a real frame from its own stars and compare
 ///
-/// PSF samples from the frame's stars, a model, a simulated frame of all sources found, at their measured positions and fluxes, on the
-/// measured background; then FWHM and ellipticity of the same stars in both. Simulated frames get the noise of the background (and
-/// of the stars' photons with --gain), without which the distributions could not agree; the distribution is that of several of them.
+/// Makes PSF samples from the frame's stars, fits a model, and simulates the frame: all sources
+/// found, at their measured positions and fluxes, on the measured background. Then compares FWHM
+/// and ellipticity of the same stars in both.
+///
+/// Simulated frames get the noise of the background (with --gain also photon noise of the stars),
+/// because noise widens the distributions. Distributions are those of several simulated frames.
 #[derive(Debug, clap::Args)]
 pub(crate) struct RoundTripArgs {
-    /// An image with stars
+    /// Image with stars
     #[arg(value_name = "FRAME.fits")]
     frame: PathBuf,
-    /// The folder to write tables, figures, plots, frames, samples and model to
+    /// Folder for tables, figures, frames, samples and model
     #[arg(long, value_name = "DIR")]
     report: PathBuf,
     /// Replace files that exist
     #[arg(long)]
     overwrite: bool,
-    /// The detection threshold in sigma [default: 5]
+    /// Detection threshold (sigma) [default: 5]
     #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true)]
     threshold: Option<f64>,
     /// Measure stars in N x N pixels [default: four FWHM, at least 7]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
     window: Option<u16>,
-    /// Leave the simulated frame without noise
+    /// Simulate without noise
     #[arg(long, conflicts_with = "realisations")]
     no_noise: bool,
-    /// Simulated frames, each with its own noise; the first is written
+    /// Number of simulated frames, each with its own noise (the first is written)
     #[arg(long, value_name = "N", default_value_t = RoundTripOptions::DEFAULT_REALISATIONS, value_parser = clap::value_parser!(u32).range(1..=1000))]
     realisations: u32,
     /// Seed of the noise
@@ -53,7 +56,7 @@ pub(crate) struct RoundTripArgs {
     fit: FitArgs,
 }
 
-/// All that is written.
+/// All files that are written.
 const FILES: [&str; 9] = [
     "samples.fits",
     "sources.csv",
@@ -98,7 +101,7 @@ impl RoundTripArgs {
             let figures = report.figures;
             let line = |name: &str, agreement: &psfield_lab::Agreement| {
                 format!(
-                    "{name}  median {:.3} in the frame, {:.3} simulated (ratio {:.3}); mean absolute difference of a star {:.3}; KS distance {:.3}",
+                    "{name}  median {:.3} in the frame, {:.3} simulated (ratio {:.3}), mean absolute difference per star {:.3}, KS distance {:.3}",
                     agreement.frame.median,
                     agreement.simulated.median,
                     agreement.median_ratio,
@@ -107,7 +110,7 @@ impl RoundTripArgs {
                 )
             };
             format!(
-                "{}: {} stars ({} registration), {} measured in both; {} sources drawn, {} simulated frame(s)\n{}\n{}",
+                "{}: {} stars ({} registration), {} measured in both, {} sources drawn, {} simulated frame(s)\n{}\n{}",
                 report.folder.display(),
                 figures.stars,
                 report.registration.method,
@@ -156,7 +159,7 @@ fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
     let panel = |title: &str, quantity, frame: Vec<f64>, simulated: &[f64]| {
         let curves = Curves {
             x: Axis::linear(quantity),
-            y: Axis::linear("part of the stars below"),
+            y: Axis::linear("cumulative fraction of stars"),
             curves: vec![
                 Curve::distribution("frame", frame),
                 Curve::distribution("simulated", simulated.iter().copied()),
@@ -168,13 +171,13 @@ fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
     curve_panels(&[
         panel(
             "FWHM",
-            "FWHM, pixels",
+            "FWHM (pixels)",
             rows().filter_map(|row| row.fwhm_frame_px).collect(),
             &trip.simulated_fwhm_px,
         ),
         panel(
             "ellipticity",
-            "sqrt(1 - b^2 / a^2)",
+            "ellipticity sqrt(1 - b^2 / a^2)",
             rows().filter_map(|row| row.ellipticity_frame).collect(),
             &trip.simulated_ellipticity,
         ),

@@ -38,7 +38,7 @@ pub(crate) struct SampleArgs {
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
-    /// Threshold of --criterion (relative) [default: 0.01], for frames of detection (sigma) [default: 5]
+    /// Threshold of --criterion [default: 0.01], for frames of the detection (sigma) [default: 5]
     #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true)]
     threshold: Option<f64>,
     #[command(flatten)]

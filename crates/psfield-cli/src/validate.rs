@@ -14,21 +14,22 @@ use super::reproduce::targets_text;
 use super::star_args::StarArgs;
 use crate::psf_args::PsfArgs;
 
-/// Compare a PSF model with PSFs that are known, or with the stars of a frame
+/// Compare a PSF model with known PSFs, or with the stars of a frame
 ///
-/// FWHM, ellipticity, MAE and MSE of the model at the positions of the true PSFs, with the same figures as `reproduce`. Of a frame, every
-/// star that is good enough is compared with the model's, drawn at its measured position with its measured flux.
+/// Compares FWHM, ellipticity, MAE and MSE at the positions of the true PSFs, with the figures of
+/// `reproduce`. For a frame, each good star is compared with the model's star, drawn at its
+/// measured position with its measured flux.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ValidateArgs {
-    /// A model, samples to be fitted, or any other PSF file (PSFEx, STPSF, STDPSF, ScopeSim, plain stamps)
+    /// PSF: a model, samples (which are fitted), or any PSF file that convert reads
     #[arg(value_name = "MODEL")]
     model: PathBuf,
-    /// What is true: PSF samples (or a gridded library), or an image with stars
+    /// Truth: PSF samples (or a gridded library), or an image with stars
     #[arg(long, value_name = "SAMPLES|FRAME")]
     truth: PathBuf,
     #[command(flatten)]
     folder: ReportFolder,
-    /// Of a frame: measure stars in N x N pixels [default: four FWHM, at least 7]
+    /// For a frame: measure stars in N x N pixels [default: four FWHM, at least 7]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]
     window: Option<u16>,
     #[command(flatten)]
@@ -53,13 +54,13 @@ impl ValidateArgs {
             _ => match Psf::open(&self.truth)?.samples() {
                 Some((samples, _)) => {
                     if self.window.is_some() {
-                        let text = "--window is for frames: PSFs are compared on all their pixels";
+                        let text = "--window applies only to frames: PSFs are compared on all their pixels";
                         return Err(UsageError(text.to_owned()).into());
                     }
                     Validation::of_samples(model, samples).with_context(of_truth)?
                 }
                 None => anyhow::bail!(
-                    "{}: this is a model; give true PSFs as samples (psfield evaluate writes those of a model)",
+                    "{} is a model, but the truth must be samples (psfield evaluate writes those of a model)",
                     self.truth.display()
                 ),
             },
@@ -81,11 +82,11 @@ impl ValidateArgs {
                     })
                 };
                 format!(
-                    "{} objects compared, {} failed\n{}{}{}{}{folder}: begin with report.html",
+                    "{} objects compared, {} failed\n{}{}{}{}{folder}: open report.html first",
                     summary.objects,
                     summary.failed,
                     line("difference of ellipticity", summary.ellipticity),
-                    line("difference of FWHM, pixels", summary.fwhm_px),
+                    line("difference of FWHM (pixels)", summary.fwhm_px),
                     line("MAE / mean", summary.mae_over_mean),
                     targets_text(&measured.targets),
                 )

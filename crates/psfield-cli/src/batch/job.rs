@@ -1,4 +1,4 @@
-//! A job: options that are understood, and how far its files are.
+//! A job of a batch: its parsed options, and the state of its files.
 
 use std::any::TypeId;
 use std::collections::HashMap;
@@ -14,37 +14,39 @@ use crate::UsageError;
 use crate::batch::jobs_file::{JobsFile, Setting, Settings};
 use crate::simulate::{JobMark, SimulateArgs};
 
-/// The scene, which has no long name on the command line.
+/// The option of the scene, which has no long name on the command line.
 const SCENE: &str = "scene";
-/// The files that a job makes; the first one is always there.
+/// The options of the files that a job writes. The first one is always given.
 const OUTPUTS: [&str; 3] = ["output", "truth", "quality"];
-/// Options that change where results go and how they come about, not what they are.
+/// Options that do not change the results.
 const SILENT: [&str; 1] = ["stream"];
 
 /// A run of `simulate`.
 #[derive(Debug)]
 pub(super) struct Job {
-    /// Counted from 1.
+    /// The number of the job, counted from 1.
     pub(super) number: usize,
-    /// As given, else the output.
+    /// The given name, else the output.
     pub(super) name: String,
     pub(super) output: PathBuf,
-    /// All that it writes.
+    /// All files that it writes.
     pub(super) files: Vec<PathBuf>,
-    /// Of the options that its results depend on.
+    /// The digest of the options on which its results depend.
     pub(super) digest: String,
     inputs: Vec<PathBuf>,
     args: SimulateArgs,
-    /// The command line that does the same.
+    /// The equivalent command line.
     arguments: Vec<OsString>,
 }
 
 impl Job {
-    /// All jobs of a file, each checked as far as can be told before the work. `stronger` are defaults that precede the file's.
+    /// Parses all jobs of a file, and checks all that can be checked before the work. `stronger`
+    /// are defaults that precede those of the file.
     ///
     /// # Errors
-    /// [`UsageError`] that names the job and the option: for options that `simulate` does not take, for files that two jobs write, and for
-    /// outputs that would replace what this job or one before it reads, the jobs file or the log.
+    /// [`UsageError`] that names the job and the option: for options that `simulate` does not have,
+    /// for files that two jobs write, and for outputs that would replace an input of this job or of
+    /// an earlier one, the jobs file or the log.
     pub(super) fn all(
         file: JobsFile,
         stronger: &Settings,
@@ -57,7 +59,9 @@ impl Job {
         ];
         for (place, settings) in named {
             if settings.get("name").is_some() {
-                return Err(UsageError(format!("{place}: name is of single jobs, not of all")));
+                return Err(UsageError(format!(
+                    "{place}: name belongs in a job, not in the defaults"
+                )));
             }
         }
         let mut command = SimulateArgs::augment_args(Command::new("simulate"))
@@ -83,7 +87,7 @@ impl Job {
     fn new(number: usize, mut settings: Settings, command: &mut Command) -> Result<Self, String> {
         let name = settings.take("name").map(|name| name.value);
         if settings.get("overwrite").is_some() {
-            return Err("overwrite is of the whole batch: psfield batch --overwrite".to_owned());
+            return Err("overwrite applies only to the whole batch: psfield batch --overwrite".to_owned());
         }
         let name = name.or_else(|| Some(settings.get("output")?.value.clone()));
         let arguments = arguments(&settings, command)?;
@@ -115,7 +119,7 @@ impl Job {
         })
     }
 
-    /// What runs it, such that its files bear its mark.
+    /// Returns the run of the job. The files carry its mark.
     pub(super) fn marked(&self, overwrite: bool) -> SimulateArgs {
         let arguments = self
             .arguments
@@ -129,7 +133,7 @@ impl Job {
     }
 }
 
-/// Files of the jobs so far, and whose they are.
+/// The files of the jobs so far, and the jobs to which they belong.
 #[derive(Default)]
 struct Places {
     reads: HashMap<PathBuf, String>,
@@ -164,14 +168,14 @@ fn is_path(arg: &clap::Arg) -> bool {
     arg.get_value_parser().type_id() == TypeId::of::<PathBuf>()
 }
 
-/// The option of this name.
+/// Returns the option of this name.
 fn option<'a>(command: &'a Command, name: &str) -> Option<&'a clap::Arg> {
     command
         .get_arguments()
         .find(|arg| arg.get_long() == Some(name) || (name == SCENE && arg.get_id() == SCENE))
 }
 
-/// Whether a flag is up.
+/// Returns whether a flag is set.
 fn flag(name: &str, setting: &Setting) -> Result<bool, String> {
     match setting.value.as_str() {
         "true" => Ok(true),
@@ -180,7 +184,8 @@ fn flag(name: &str, setting: &Setting) -> Result<bool, String> {
     }
 }
 
-/// The options as arguments of `simulate`. Unknown ones too: the parser knows best what to say of them.
+/// The options as arguments of `simulate`. Unknown options are included, so that the parser reports
+/// them.
 fn arguments(settings: &Settings, command: &Command) -> Result<Vec<OsString>, String> {
     let mut arguments = Vec::new();
     let mut scene = None;
@@ -210,8 +215,9 @@ fn arguments(settings: &Settings, command: &Command) -> Result<Vec<OsString>, St
     Ok(arguments)
 }
 
-/// Tells jobs apart by the options that their results depend on, with paths as they are written, so that a batch can be moved. FNV-1a of
-/// 64 bits: the same on every machine and in every release.
+/// The digest of the options on which the results depend. Paths enter as they are written, so that
+/// a batch can be moved. FNV-1a of 64 bits, which is the same on every machine and in every
+/// release.
 fn digest(settings: &Settings, command: &Command) -> String {
     let mut hasher = fnv::FnvHasher::default();
     for (name, setting) in settings.iter() {
@@ -221,14 +227,14 @@ fn digest(settings: &Settings, command: &Command) -> String {
         }
         for text in [name, &setting.value] {
             hasher.write(text.as_bytes());
-            // Where a text ends counts.
+            // A mark after each text keeps ("ab", "c") apart from ("a", "bc").
             hasher.write(&[0xff]);
         }
     }
     format!("{:016x}", hasher.finish())
 }
 
-/// What the parser complains of, without its advice on the command line.
+/// The parser's message, without its advice on the command line.
 fn in_one_line(error: &clap::Error) -> String {
     let text = error.to_string();
     let end = ["\n\nUsage:", "\n\nFor more information"]
@@ -241,21 +247,21 @@ fn in_one_line(error: &clap::Error) -> String {
     line.strip_prefix("error: ").unwrap_or(&line).to_owned()
 }
 
-/// What there is of a job's files.
+/// The state of a job's files.
 #[derive(Debug)]
-pub(super) enum Standing {
+pub(super) enum JobState {
     Missing,
-    /// Some of them, made by this job.
+    /// Some of the files exist, and this job made them.
     Partial,
     Done,
-    /// They are not to be touched, or not good: why.
+    /// A file is bad, or was not made by this job: the reason.
     Refused(String),
 }
 
-impl Standing {
+impl JobState {
     pub(super) fn of(job: &Job) -> Self {
         let mut there = 0;
-        // Without following a link into nowhere: what is there in any form is in the way.
+        // Without following links: a dangling link is in the way too.
         for file in job.files.iter().filter(|file| file.symlink_metadata().is_ok()) {
             if let Err(why) = judge(file, &job.digest) {
                 return Self::Refused(why);
@@ -270,11 +276,11 @@ impl Standing {
     }
 }
 
-/// Whether a file is a good one of the job with this digest.
+/// Checks that a file is a good one of the job with this digest.
 fn judge(file: &Path, digest: &str) -> Result<(), String> {
     let header = psf_io::read_header(file).map_err(|e| {
         format!(
-            "{} exists and is not of this job: --overwrite replaces it ({e})",
+            "{} exists and is not an image of this job: --overwrite replaces it ({e})",
             file.display()
         )
     })?;
@@ -293,8 +299,8 @@ fn judge(file: &Path, digest: &str) -> Result<(), String> {
             file.display()
         )),
         Some(_) if text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED) => Err(format!(
-            "{} exists, and failed its spot check when it was made: it differs from the direct sum by more than the method promises; \
-             --overwrite makes it anew",
+            "{} exists but failed its spot check when it was made: it differs from the direct sum by more than the method promises. \
+             --overwrite makes it again",
             file.display()
         )),
         Some(_) => Ok(()),

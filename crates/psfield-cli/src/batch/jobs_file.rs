@@ -1,4 +1,4 @@
-//! Jobs files, and options as they were given.
+//! Jobs files, and options as they are written there.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -9,17 +9,17 @@ use toml::{Table, Value};
 
 use crate::UsageError;
 
-/// The jobs of a file, not understood yet.
+/// The jobs of a file, with options that are not parsed yet.
 #[derive(Debug)]
 pub(super) struct JobsFile {
     pub(super) path: PathBuf,
     pub(super) defaults: Settings,
-    /// Where each job stands, for messages, and what it sets.
+    /// The place of each job in the file (for messages), and its options.
     pub(super) jobs: Vec<(String, Settings)>,
 }
 
 impl JobsFile {
-    /// Reads TOML or CSV, by the name of the file.
+    /// Reads TOML or CSV, depending on the extension of the file.
     pub(super) fn read(path: &Path) -> anyhow::Result<Self> {
         let extension = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         let is_toml = match extension.as_deref() {
@@ -35,14 +35,14 @@ impl JobsFile {
         let parsed = if is_toml {
             match std::str::from_utf8(&bytes) {
                 Ok(text) => Self::from_toml(text, folder),
-                Err(e) => Err(format!("no UTF-8 text: {e}")),
+                Err(e) => Err(format!("not UTF-8 text: {e}")),
             }
         } else {
             Self::from_csv(&bytes, folder)
         };
         let file = parsed.map_err(|what| UsageError(format!("{}: {what}", path.display())))?;
         if file.jobs.is_empty() {
-            return Err(UsageError(format!("{}: there is no job in it", path.display())).into());
+            return Err(UsageError(format!("{}: the file has no job", path.display())).into());
         }
         Ok(Self {
             path: path.to_owned(),
@@ -50,7 +50,7 @@ impl JobsFile {
         })
     }
 
-    /// `[defaults]` and `[[job]]` tables.
+    /// Parses `[defaults]` and `[[job]]` tables.
     pub(super) fn from_toml(text: &str, folder: &Path) -> Result<Self, String> {
         let table: Table = text.parse().map_err(|e: toml::de::Error| e.to_string())?;
         let mut defaults = Settings::default();
@@ -64,7 +64,7 @@ impl JobsFile {
                     for (k, job) in tables.into_iter().enumerate() {
                         let place = format!("job {}", k + 1);
                         let Value::Table(options) = job else {
-                            return Err(format!("{place}: jobs are tables: [[job]]"));
+                            return Err(format!("{place}: a job must be a table, [[job]]"));
                         };
                         let options = settings(options, folder).map_err(|what| format!("{place}: {what}"))?;
                         jobs.push((place, options));
@@ -77,7 +77,7 @@ impl JobsFile {
                 }
                 _ => {
                     return Err(format!(
-                        "{key}: only [defaults] and [[job]] are known; options stand below one of them"
+                        "{key}: only [defaults] and [[job]] are known, and options stand below one of them"
                     ));
                 }
             }
@@ -89,7 +89,7 @@ impl JobsFile {
         })
     }
 
-    /// A line of option names, a row a job.
+    /// Parses a line of option names and a row per job.
     pub(super) fn from_csv(bytes: &[u8], folder: &Path) -> Result<Self, String> {
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
@@ -120,7 +120,7 @@ impl JobsFile {
     }
 }
 
-/// The line of a record, whose position is that of the blank lines and comments before it.
+/// Returns the line of a record. Its position is that of the blank lines and comments before it.
 fn line_of(bytes: &[u8], position: &csv::Position) -> u64 {
     let rest = &bytes[position.byte() as usize..];
     let skipped = rest
@@ -129,7 +129,7 @@ fn line_of(bytes: &[u8], position: &csv::Position) -> u64 {
     position.line() + skipped.count() as u64
 }
 
-/// The options of a table.
+/// Converts a TOML table to options.
 fn settings(table: Table, folder: &Path) -> Result<Settings, String> {
     let mut settings = Settings::default();
     for (name, value) in table {
@@ -152,7 +152,7 @@ fn settings(table: Table, folder: &Path) -> Result<Settings, String> {
     Ok(settings)
 }
 
-/// A single value as it would stand on the command line.
+/// Converts a value to the text of an argument.
 fn text(name: &str, value: &Value) -> Result<String, String> {
     match value {
         Value::String(text) => Ok(text.clone()),
@@ -160,13 +160,13 @@ fn text(name: &str, value: &Value) -> Result<String, String> {
         Value::Float(number) => Ok(number.to_string()),
         Value::Boolean(flag) => Ok(flag.to_string()),
         other => Err(format!(
-            "{name}: a text, number, true or false, or a list of them is needed, this is of type {}",
+            "{name}: expected a text, a number, true or false, or a list of them, found a value of type {}",
             other.type_str()
         )),
     }
 }
 
-/// `OPTION=VALUE`; a flag may stand alone.
+/// `OPTION=VALUE`. A flag needs no value.
 #[derive(Debug, Clone)]
 pub(super) struct Assignment {
     option: String,
@@ -187,11 +187,11 @@ impl FromStr for Assignment {
     }
 }
 
-/// What an option is set to.
+/// The value of an option.
 #[derive(Debug, Clone)]
 pub(super) struct Setting {
     pub(super) value: String,
-    /// Where relative paths count from.
+    /// The folder to which a relative path refers.
     pub(super) folder: PathBuf,
 }
 
@@ -200,13 +200,13 @@ pub(super) struct Setting {
 pub(super) struct Settings(BTreeMap<String, Setting>);
 
 impl Settings {
-    /// Sets an option of the command line.
+    /// Sets an option given on the command line.
     pub(super) fn add(&mut self, of: Assignment) -> Result<(), UsageError> {
         self.set(&of.option, of.value, Path::new(""))
             .map_err(|what| UsageError(format!("--set: {what}")))
     }
 
-    /// Sets an option that is not set yet. `stamp_size` is `stamp-size`.
+    /// Sets an option that is not set yet. `stamp_size` means `stamp-size`.
     pub(super) fn set(&mut self, option: &str, value: String, folder: &Path) -> Result<(), String> {
         let name = option.trim().replace('_', "-");
         let folder = folder.to_owned();
@@ -216,7 +216,7 @@ impl Settings {
         }
     }
 
-    /// These, and of `weaker` what is not set here.
+    /// Returns these options, completed by those of `weaker`.
     pub(super) fn or(mut self, weaker: &Self) -> Self {
         for (name, setting) in &weaker.0 {
             self.0.entry(name.clone()).or_insert_with(|| setting.clone());
@@ -232,7 +232,7 @@ impl Settings {
         self.0.get(name)
     }
 
-    /// In the order of the names.
+    /// Iterates in the order of the names.
     pub(super) fn iter(&self) -> impl Iterator<Item = (&str, &Setting)> {
         self.0.iter().map(|(name, setting)| (name.as_str(), setting))
     }

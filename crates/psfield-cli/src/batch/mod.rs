@@ -12,28 +12,34 @@ use anyhow::Context as _;
 use psf_types::Progress;
 use serde::Serialize;
 
-use crate::batch::job::{Job, Standing};
+use crate::batch::job::{Job, JobState};
 use crate::batch::jobs_file::{Assignment, JobsFile, Settings};
 use crate::context::{Context, told};
 use crate::simulate::{Report, Simulators};
 
-/// Simulate many scenes, with what those of one kind share prepared once
+/// Simulate many scenes, and prepare only once what they share
 ///
-/// A job is a set of options of simulate by their long names, with `scene` for the scene itself, and perhaps a `name`. Relative paths in
-/// the jobs file count from its folder. All jobs are checked before the first one runs. Each one ends with a line of JSON on
-/// standard output; a job that fails does not stop the rest, and the exit status is 1.
+/// A job is a set of options of simulate by their long names, with `scene` for the scene itself and
+/// optionally a `name`. Relative paths in the jobs file refer to its folder. All jobs are checked
+/// before the first one runs. Each job ends with a line of JSON on standard output. A job that
+/// fails does not stop the others, and the exit status is then 1.
 ///
-/// Run again, a batch goes on where it was interrupted: a job whose files exist is skipped. Images bear a digest of the options that
-/// made them (PSFJOB), and a job whose options have changed since then fails until --overwrite is given. Whether the content of its
-/// inputs has changed is not looked at.
+/// A batch that is run again continues where it was interrupted: a job whose files exist is
+/// skipped. Images carry a digest of their options (PSFJOB), and a job whose options have changed
+/// since then fails unless --overwrite is given. Changes in the content of its inputs are not
+/// detected.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = SAMPLE)]
 pub(crate) struct BatchArgs {
-    /// The jobs: TOML (`[[job]]` tables, `[defaults]` for all) or CSV (a line of option names, a row a job; an empty field: not given)
+    /// Jobs file (TOML or CSV)
+    ///
+    /// TOML: a table `[[job]]` for each job, and a table `[defaults]` for all. CSV: a line of
+    /// option names and a row for each job. An empty field means that the option is not given.
     #[arg(value_name = "JOBS.toml|csv")]
     jobs: PathBuf,
-    /// An option for all jobs that do not set it themselves, before `[defaults]`; may be repeated. Relative paths count from the
-    /// working directory
+    /// Set an option for all jobs that do not set it themselves (repeatable)
+    ///
+    /// It overrides `[defaults]`. Relative paths refer to the working directory.
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<Assignment>,
     /// Run all jobs, and replace outputs that exist
@@ -42,7 +48,9 @@ pub(crate) struct BatchArgs {
     /// Also append the lines of all jobs to this file
     #[arg(long, value_name = "LOG.jsonl")]
     log: Option<PathBuf>,
-    /// Keep the models and plans of the N latest kinds of job for jobs to come; each takes the memory of its PSF and plan (--memory)
+    /// Number of models and plans that are kept for later jobs of the same kind
+    ///
+    /// Each takes the memory of its PSF and its plan (--memory).
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=1000))]
     keep: u16,
 }
@@ -69,14 +77,15 @@ const SAMPLE: &str = r#"A jobs file in TOML:
   output = "field2.fits"
   seed = 2
 
-and one in CSV, with --set psf=telescope.fits --set shape=1024,1024 for what all have in common:
+and one in CSV, with the common options as --set psf=telescope.fits --set shape=1024,1024:
 
   output,catalog,seed,detector
   field1.fits,field1.csv,,
   field2.fits,field2.csv,2,camera.toml
 
-A job's line has the keys job (counted from 1), name, output, status (done, skipped or failed), error, reused (whether model and plan
-were those of an earlier job), seconds, and report (what simulate --json prints)."#;
+A job's line has the keys job (counted from 1), name, output, status (done, skipped or failed),
+error, reused (true if model and plan were made for an earlier job), seconds, and report (the
+object of simulate --json)."#;
 
 impl BatchArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
@@ -119,10 +128,10 @@ impl BatchArgs {
     }
 }
 
-/// Failed jobs that are named at the end.
+/// The number of failed jobs that are named at the end.
 const MOST_NAMED: usize = 10;
 
-/// Runs a job, unless its files are there.
+/// Runs a job, unless its files exist.
 fn report_of<'a>(
     job: &'a Job,
     overwrite: bool,
@@ -140,16 +149,16 @@ fn report_of<'a>(
         seconds: 0.0,
         report: None,
     };
-    let standing = if overwrite {
-        Standing::Partial
+    let state = if overwrite {
+        JobState::Partial
     } else {
-        Standing::of(job)
+        JobState::of(job)
     };
-    let replace = matches!(standing, Standing::Partial);
-    match standing {
-        Standing::Done => report.status = Status::Skipped,
-        Standing::Refused(why) => report.error = Some(why),
-        Standing::Missing | Standing::Partial => {
+    let replace = matches!(state, JobState::Partial);
+    match state {
+        JobState::Done => report.status = Status::Skipped,
+        JobState::Refused(why) => report.error = Some(why),
+        JobState::Missing | JobState::Partial => {
             let context = context.for_part(&format!("job {} ({})", job.number, job.name));
             let made = simulators.made;
             match job.marked(replace).simulate(simulators, &context) {
@@ -177,7 +186,7 @@ enum Status {
     Failed,
 }
 
-/// The line of a job.
+/// The line of JSON of a job.
 #[derive(Debug, Serialize)]
 struct JobReport<'a> {
     job: usize,
@@ -185,17 +194,17 @@ struct JobReport<'a> {
     output: &'a Path,
     status: Status,
     error: Option<String>,
-    /// Whether model and plan were those of an earlier job; null where nothing was simulated.
+    /// True if model and plan were made for an earlier job. Null if nothing was simulated.
     reused: Option<bool>,
     seconds: f64,
     report: Option<Report>,
 }
 
-/// Standard output and the log.
+/// Writes to standard output and to the log.
 struct LineWriter {
     log: Option<(File, PathBuf)>,
     failures_only: bool,
-    /// Nobody reads standard output any more.
+    /// True once standard output has no reader.
     closed: bool,
 }
 
@@ -225,7 +234,7 @@ impl LineWriter {
         }
         let mut out = std::io::stdout().lock();
         match out.write_all(line.as_bytes()).and_then(|()| out.flush()) {
-            // The images are what was asked for: the jobs go on.
+            // The jobs go on without a reader: the images are the result.
             Err(e) if e.kind() == ErrorKind::BrokenPipe => self.closed = true,
             other => other.context("cannot write to standard output")?,
         }
@@ -233,10 +242,10 @@ impl LineWriter {
     }
 }
 
-/// Opens a log whose last line is whole: what a killed process has begun gets its end here.
+/// Opens a log. If its last line is incomplete, because the process was killed, ends that line.
 fn open(path: &Path) -> std::io::Result<File> {
     let log = File::options().create(true).append(true).open(path)?;
-    // A pipe or a device holds nothing, and a log that may not be read is taken as whole.
+    // A pipe or a device holds nothing. A log that cannot be read is taken as complete.
     let found = log.metadata()?;
     if found.is_file() && found.len() > 0 && !ends_a_line(path).unwrap_or(true) {
         append(&log, "\n")?;
@@ -252,12 +261,12 @@ fn ends_a_line(path: &Path) -> std::io::Result<bool> {
     Ok(last == *b"\n")
 }
 
-/// Appends a line, or nothing: a full disk must not leave half of it.
+/// Appends a whole line or nothing, also on a full disk.
 fn append(mut log: &File, line: &str) -> std::io::Result<()> {
     let before = log.metadata()?;
     log.write_all(line.as_bytes()).inspect_err(|_| {
         if before.is_file() {
-            // The first error is the one to tell.
+            // The first error is the one to report.
             let _ = log.set_len(before.len());
         }
     })
@@ -269,7 +278,7 @@ mod tests {
     use rand::{RngExt, SeedableRng};
     use rand_chacha::ChaCha8Rng;
 
-    /// The two files of the help, as they would be written.
+    /// The two jobs files of the help.
     fn samples() -> [String; 2] {
         let blocks = |from: &str, to: &str| {
             let start = SAMPLE.find(from).unwrap();
@@ -333,14 +342,15 @@ mod tests {
         ] {
             assert_ne!(digest(&format!("output = 'a.fits'\n{other}")), plain, "{other}");
         }
-        // The same texts in another place.
+        // Equal texts, with the boundary between them elsewhere.
         assert_ne!(
             digest("output = 'a.fits'\nanchor = 'source'\nprecision = 'f64'"),
             digest("output = 'a.fits'\nanchor = 'output'\nprecision = 'f64'")
         );
     }
 
-    /// Jobs files that are spoilt here and there: the options' own checks included, none of them is to panic.
+    /// Jobs files with random errors are parsed or refused, by the checks of the options too, and
+    /// never cause a panic.
     #[test]
     fn spoilt_jobs_are_understood_or_refused_by_name() {
         const CASES: u64 = 4000;

@@ -1,4 +1,4 @@
-//! From a scene to its image: a scene in memory as a whole, or rows from one FITS file to another.
+//! From a scene to its image: in memory, or by rows from one FITS file to another.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -16,7 +16,7 @@ use crate::simulate::exposure_args::Exposing;
 use crate::simulate::report::Seconds;
 use crate::simulate::scene::ReadScene;
 
-/// What became of a scene whose image is written.
+/// The outcome for a scene whose image is written.
 pub(super) struct Outcome {
     pub(super) counts: TileCounts,
     pub(super) spot_check: Option<SpotCheck>,
@@ -24,7 +24,7 @@ pub(super) struct Outcome {
 }
 
 impl SimulateArgs {
-    /// Makes the image in memory and writes it, or what a detector counts of it.
+    /// Simulates in memory and writes the image, or the counts of the detector.
     pub(super) fn in_memory<T: ConvReal>(
         &self,
         (simulator, made): (&Simulator<T>, &Preparation<'_>),
@@ -54,7 +54,7 @@ impl SimulateArgs {
             cards.extend(check.cards()?);
             if exposing.is_some() {
                 cards.push(Card::comment(
-                    "PSFCHK...: of the noise-free image, before the detector",
+                    "PSFCHK...: measured on the noise-free image, before the detector",
                 ));
             }
         }
@@ -73,7 +73,7 @@ impl SimulateArgs {
         })
     }
 
-    /// Reads the scene's image and writes its image by bands of rows.
+    /// Reads the scene and writes the image in bands of rows.
     pub(super) fn by_bands<T: ConvReal>(
         &self,
         (simulator, made): (&Simulator<T>, &Preparation<'_>),
@@ -84,7 +84,8 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome> {
         let header = simulator.carried_header(&read.header, true);
         let cards = self.cards(simulator, made)?;
-        // None without a check, so that the header is as long as that of an image written as a whole.
+        // Without a check nothing is reserved, so that the header equals that of an image written
+        // at once.
         let late = if self.spot_check > 0 {
             SpotCheck::KEYWORDS.len()
         } else {
@@ -129,13 +130,14 @@ impl SimulateArgs {
         })
     }
 
-    /// How many pixels are compared with the direct sum, and what chooses them.
+    /// Returns the number of pixels compared with the direct sum, and the seed that chooses them.
     fn checked_pixels(&self) -> (usize, u64) {
         (self.spot_check as usize, self.seed)
     }
 }
 
-/// Rows of the scene out of its file, rows of the image into theirs; and the pixels for the spot check as they pass.
+/// Reads rows of the scene from its file, writes rows of the image to its file, and picks the
+/// pixels of the spot check on the way.
 struct FitsRows<T: ConvReal> {
     reader: ImageReader,
     writer: ImageWriter<T>,

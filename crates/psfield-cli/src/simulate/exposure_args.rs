@@ -1,4 +1,4 @@
-//! The image as a detector counts it.
+//! The detector of `psfield simulate`.
 
 use std::path::{Path, PathBuf};
 
@@ -10,26 +10,40 @@ use psfield::ExposureFiles;
 use super::super::context::Context;
 use super::super::expose::check_detector;
 
-/// A detector behind the image.
+/// A detector that exposes the image.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Detector")]
 pub(super) struct ExposureArgs {
-    /// Write what this detector counts: sky, photon noise, dark current, read noise, gain, digits (psfield expose --help names the keys).
-    /// Noise follows --seed
+    /// Expose the image with this detector, and write its counts
+    ///
+    /// Sky, photon noise, dark current, read noise, gain, digitisation: psfield expose --help lists
+    /// the keys of the file. The noise follows --seed.
     #[arg(long, value_name = "DETECTOR.toml")]
     pub(super) detector: Option<PathBuf>,
-    /// Where the noise-free image goes, in the detector's unit and with its sky [default: beside the image, IMAGE_truth.fits]
-    #[arg(long, value_name = "TRUTH.fits", requires = "detector")]
+    /// Noise-free image to write with --detector [default: IMAGE_truth.fits next to the image]
+    ///
+    /// It has the unit of the detector's counts, and includes the sky.
+    #[arg(
+        long,
+        value_name = "TRUTH.fits",
+        requires = "detector",
+        hide_short_help = true
+    )]
     truth: Option<PathBuf>,
-    /// Do not keep the noise-free image
-    #[arg(long, requires = "detector", conflicts_with = "truth")]
+    /// Do not write the noise-free image
+    #[arg(long, requires = "detector", conflicts_with = "truth", hide_short_help = true)]
     no_truth: bool,
-    /// Also write what is wrong with each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
-    #[arg(long, value_name = "QUALITY.fits", requires = "detector")]
+    /// Also write flags of each pixel: sums of 1 dead, 2 hot, 4 bad column, 8 saturated
+    #[arg(
+        long,
+        value_name = "QUALITY.fits",
+        requires = "detector",
+        hide_short_help = true
+    )]
     quality: Option<PathBuf>,
 }
 
-/// A detector and where its counts go.
+/// A detector and its output files.
 pub(super) struct Exposing {
     detector: Detector,
     files: ExposureFiles,
@@ -37,7 +51,7 @@ pub(super) struct Exposing {
 }
 
 impl ExposureArgs {
-    /// The file of the noise-free image, where one is written beside `output`.
+    /// The file of the noise-free image, if one is written next to `output`.
     pub(crate) fn truth(&self, output: &Path) -> Option<PathBuf> {
         if self.detector.is_none() || self.no_truth {
             return None;
@@ -48,7 +62,7 @@ impl ExposureArgs {
         }))
     }
 
-    /// What is to be done, with everything checked that can be before the work.
+    /// Returns the detector to apply, if any. Checks all that can be checked before the work.
     pub(super) fn exposing(
         &self,
         output: &Path,

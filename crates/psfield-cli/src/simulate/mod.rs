@@ -29,85 +29,152 @@ pub(crate) use crate::simulate::report::Report;
 
 /// Convolve a scene with a PSF that varies over the field
 ///
-/// The scene is an image (flux in each pixel), a catalogue of stars and galaxies, or both. Field positions of the PSF count from the
-/// first pixel of the image that is written.
+/// The scene is an image (flux in each pixel), a catalogue of stars and galaxies, or both. Field
+/// positions of the PSF count from the first pixel of the image that is written.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct SimulateArgs {
-    /// The PSF: a model, samples to be fitted, or any PSF file that convert reads
+    /// PSF: a model, samples (which are fitted), or any PSF file that convert reads
     #[arg(long, value_name = "PSF")]
     psf: PathBuf,
-    /// The image to write
+    /// Image to write
     #[arg(short, long, value_name = "IMAGE.fits")]
     output: PathBuf,
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
-    /// Whose PSF applies: source (each source spreads with its own) or output (each pixel gathers with its own, as in the
-    /// method's paper)
-    #[arg(long, default_value_t, value_name = "source|output")]
-    anchor: Anchor,
+    // The heading of a group also applies to the options after it, unless they name their own.
+    #[command(flatten)]
+    scene: SceneArgs,
     #[arg(
         long,
         value_name = "T",
         value_parser = tolerance,
         allow_negative_numbers = true,
-        help = format!(
-            "The largest relative L2 error that the engine may add to the PSF of any single pixel or star, from 0 to below 1; 0: \
-             rounding alone. Of the methods auto and lowrank [default: {:e}]",
-            SimulateOptions::default().tolerance
+        help_heading = ACCURACY,
+        help = tolerance_help(),
+        long_help = format!(
+            "{}\n\nFrom 0 to below 1. 0: limited only by rounding. Applies only to the methods auto and lowrank.",
+            tolerance_help()
         )
     )]
     tolerance: Option<f64>,
-    /// auto (each tile in the cheapest way), lowrank (by transforms alone), basis (a convolution a component; exact), patch=N (one
-    /// PSF in N x N pixels; not exact) or direct (the double sum)
-    #[arg(long, default_value_t, value_name = "METHOD")]
+    /// Check N random pixels against the direct sum in double precision
+    ///
+    /// Half of them are where the image is bright. If a difference exceeds what the method
+    /// promises, the command fails after it has written the image.
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 0,
+        value_parser = clap::value_parser!(u32).range(..=MAX_SPOT_CHECK),
+        help_heading = ACCURACY
+    )]
+    spot_check: u32,
+    /// Seed for the pixels of the spot check and for the detector's noise
+    #[arg(long, default_value_t = 0, help_heading = ACCURACY)]
+    seed: u64,
+    /// Method of the convolution
+    ///
+    /// auto: each tile in the cheapest way.
+    /// lowrank: all tiles by Fourier transforms.
+    /// basis: one convolution per component, exact.
+    /// patch=N: one PSF for each N x N pixels, not exact.
+    /// direct: the double sum.
+    #[arg(
+        long,
+        default_value_t,
+        value_name = "METHOD",
+        help_heading = ACCURACY,
+        hide_short_help = true,
+        verbatim_doc_comment
+    )]
     method: Method,
+    /// Position at which the PSF is evaluated: source or output
+    ///
+    /// source: the light of each source is spread by the PSF at the source.
+    /// output: each pixel gathers light by the PSF at that pixel, as in the method's paper.
+    #[arg(
+        long,
+        default_value_t,
+        value_name = "source|output",
+        help_heading = ACCURACY,
+        hide_short_help = true,
+        verbatim_doc_comment
+    )]
+    anchor: Anchor,
+    /// Precision of the computation and of the image
+    #[arg(
+        long,
+        default_value = "f32",
+        value_enum,
+        help_heading = ACCURACY,
+        hide_short_help = true
+    )]
+    precision: Precision,
+    /// Cut or pad the PSF stamps to N x N pixels of the image
+    ///
+    /// The PSF is centred at pixel N / 2. For light in an image, stamps are cut before they are
+    /// scaled to unit flux. The stamp of a star is cut around the pixel on which the star lies, and
+    /// the light outside is lost.
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = stamp_size,
+        help_heading = ACCURACY,
+        hide_short_help = true
+    )]
+    stamp_size: Option<usize>,
     #[arg(
         long,
         value_name = "SIZE",
         value_parser = bytes,
-        help = format!(
-            "Memory of the plan of auto and lowrank, beside scene and image: bytes, or with K, M or G [default: {}]",
-            text_of_bytes(SimulateOptions::default().memory)
+        help_heading = MEMORY,
+        hide_short_help = true,
+        help = memory_help(),
+        long_help = format!(
+            "{}\n\nIt comes on top of scene and image. Applies only to the methods auto and lowrank.",
+            memory_help()
         )
     )]
     memory: Option<usize>,
-    /// Read the scene and write the image by bands of rows: neither is ever in memory as a whole. The same bytes. Chosen by
-    /// itself where they would fill most of the memory
-    #[arg(long)]
+    /// Read the scene and write the image in bands of rows
+    ///
+    /// Neither is ever entirely in memory, and the image has the same bytes. Chosen automatically
+    /// if they would fill most of the free memory.
+    #[arg(long, help_heading = MEMORY, hide_short_help = true)]
     stream: bool,
-    /// Working precision and that of the result
-    #[arg(long, default_value = "f32", value_enum)]
-    precision: Precision,
-    /// Cut or pad the stamps to N x N pixels of the image, centred at N / 2 (images: before PSFs are scaled to unit flux); stars are cut to
-    /// as many about the pixel that each lies on, and the light beyond is lost
-    #[arg(long, value_name = "N", value_parser = stamp_size)]
-    stamp_size: Option<usize>,
-    /// Check N random pixels, half of them where the image is bright, against the direct sum in double precision. A difference
-    /// beyond what the method promises is an error, after the image is written
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = clap::value_parser!(u32).range(..=MAX_SPOT_CHECK))]
-    spot_check: u32,
-    /// Chooses the pixels of the spot check, and the detector's noise
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
-    // The groups come last: their headings hold for what follows.
-    #[command(flatten)]
-    scene: SceneArgs,
     #[command(flatten)]
     exposure: ExposureArgs,
     #[command(flatten)]
     device: DeviceArgs,
     #[command(flatten)]
     fit: PsfArgs,
-    /// The job of a batch that this is.
+    /// The mark of the batch job that this run is.
     #[arg(skip)]
     job: Option<JobMark>,
 }
 
-/// More pixels than that are a slip.
+const ACCURACY: &str = "Accuracy and method";
+const MEMORY: &str = "Memory";
+
+fn tolerance_help() -> String {
+    format!(
+        "Largest relative L2 error that the engine adds to the PSF of any pixel or star [default: {:e}]",
+        SimulateOptions::default().tolerance
+    )
+}
+
+fn memory_help() -> String {
+    format!(
+        "Memory for the plan (bytes, or with K, M or G) [default: {}]",
+        text_of_bytes(SimulateOptions::default().memory)
+    )
+}
+
+/// A larger number is a typing error.
 const MAX_SPOT_CHECK: i64 = 10_000_000;
 
-/// Scene and image may fill this part of the free memory; larger ones are streamed.
+/// Larger scenes and images than this fraction of the free memory are streamed.
 const IN_MEMORY: f64 = 0.7;
 
 impl SimulateArgs {
@@ -117,9 +184,10 @@ impl SimulateArgs {
         report.verdict()
     }
 
-    /// The whole run, with the simulator of an earlier run where it fits.
+    /// Runs the simulation, with the simulator of an earlier run where it fits.
     ///
-    /// A failed spot check is in the report ([`Report::verdict`]): the image is written all the same.
+    /// A failed spot check is in the report ([`Report::verdict`]). The image is written all the
+    /// same.
     pub(crate) fn simulate(&self, simulators: &mut Simulators, context: &Context) -> anyhow::Result<Report> {
         if let Some(what) = self.misused() {
             return Err(UsageError(what).into());
@@ -134,14 +202,14 @@ impl SimulateArgs {
                 .is_some_and(PsfieldError::is_of_gpu);
             if of_gpu {
                 simulators.forget_gpus();
-                anyhow::anyhow!("{} (--device cpu does without a GPU)", told(&error))
+                anyhow::anyhow!("{} (--device cpu needs no GPU)", told(&error))
             } else {
                 error
             }
         })
     }
 
-    /// The same as a job of a batch, which its files bear the mark of.
+    /// Returns these options as a job of a batch, whose files carry its mark.
     pub(crate) fn for_job(&self, mark: JobMark, overwrite: bool) -> Self {
         Self {
             job: Some(mark),
@@ -150,24 +218,24 @@ impl SimulateArgs {
         }
     }
 
-    /// The noise-free image that is written beside the output, if one is.
+    /// The noise-free image that is written next to the output, if one is.
     pub(crate) fn truth_beside(&self) -> Option<PathBuf> {
         self.exposure.truth(&self.output)
     }
 
-    /// What is wrong with the options given, if anything.
+    /// Returns an error message if options do not fit together.
     pub(crate) fn misused(&self) -> Option<String> {
         let planned = self.method.has_plan();
         let first = if self.tolerance.is_some() && !planned {
-            Some("--tolerance is of the methods auto and lowrank")
+            Some("--tolerance applies only to the methods auto and lowrank")
         } else if self.memory.is_some() && !planned {
-            Some("--memory is of the methods auto and lowrank")
+            Some("--memory applies only to the methods auto and lowrank")
         } else if self.stream && self.scene.scene.is_none() {
-            Some("--stream is of scenes that are images: there is no scene here")
+            Some("--stream needs a scene that is an image (SCENE.fits)")
         } else if self.stream && !planned {
-            Some("--stream is of the methods auto and lowrank")
+            Some("--stream applies only to the methods auto and lowrank")
         } else if self.stream && self.exposure.detector.is_some() {
-            Some("--stream and --detector do not go together: expose the image afterwards (psfield expose)")
+            Some("--stream cannot be used with --detector: expose the image afterwards (psfield expose)")
         } else {
             self.device.misused(planned, self.precision == Precision::F32)
         };
@@ -248,10 +316,10 @@ impl SimulateArgs {
         })
     }
 
-    /// An error as bad usage where an option is wrong, else with the file that is to blame.
+    /// Turns an error about an option into a usage error, and names the file in other errors.
     fn told_of(&self, error: PsfieldError) -> anyhow::Error {
         match (&error, &self.scene.catalog) {
-            // Their texts begin with the name of the option.
+            // These messages begin with the name of the option.
             (PsfieldError::FrameOffScene { .. } | PsfieldError::FrameOffAnyScene { .. }, _) => {
                 UsageError(format!("--{error}")).into()
             }
@@ -266,7 +334,7 @@ impl SimulateArgs {
         }
     }
 
-    /// Whether the image of the scene is to be streamed.
+    /// Returns whether the image of the scene is streamed.
     fn is_streamed<T: ConvReal>(&self) -> bool {
         let (Some(path), true, None) = (&self.scene.scene, self.method.has_plan(), &self.exposure.detector)
         else {
@@ -275,7 +343,7 @@ impl SimulateArgs {
         if self.stream {
             return true;
         }
-        // An image that cannot be opened is told of where it is read.
+        // An error on opening the image is reported later, when the image is read.
         let (Some(free), Ok(reader)) = (available_memory_bytes(), self.scene.open(path)) else {
             return false;
         };
@@ -288,17 +356,17 @@ impl SimulateArgs {
     }
 }
 
-/// What made the files of a job.
+/// The mark of a batch job in its files.
 #[derive(Debug, Clone)]
 pub(crate) struct JobMark {
-    /// The command line that does the same.
+    /// The equivalent command line.
     pub(crate) arguments: Vec<String>,
-    /// Tells the options of one job from those of another.
+    /// Digest of the options. Jobs with other options have another digest.
     pub(crate) digest: String,
 }
 
 impl SimulateArgs {
-    /// What is needed to repeat the result.
+    /// Header cards with all that is needed to repeat the result.
     fn cards<T: ConvReal>(
         &self,
         simulator: &Simulator<T>,

@@ -1,4 +1,4 @@
-//! Simulators, kept for scenes of one kind, and made ready for them.
+//! Simulators for scenes of one kind: built, prepared, and kept for the next scene.
 
 use std::any::Any;
 use std::rc::Rc;
@@ -12,20 +12,20 @@ use crate::context::Context;
 use crate::simulate::SimulateArgs;
 use crate::simulate::report::Seconds;
 
-/// Simulators kept for the next scene of the same kind, the latest first.
+/// Simulators kept for the next scene of their kind, the latest first.
 #[derive(Default)]
 pub(crate) struct Simulators {
     kept: Vec<(String, Rc<dyn Any>)>,
-    /// How many; none are kept for a single scene.
+    /// The largest number of simulators kept. 0 for a single scene.
     most: usize,
-    /// For how many scenes models or plans were made, in place of found.
+    /// The number of scenes for which a model or plan was made rather than reused.
     pub(crate) made: usize,
     /// The last PSF that was read.
     psf: Option<(String, Psf)>,
 }
 
 impl Simulators {
-    /// A keeper of at most so many.
+    /// Keeps at most `most` simulators.
     pub(crate) fn keeping(most: usize) -> Self {
         Self {
             most,
@@ -33,13 +33,14 @@ impl Simulators {
         }
     }
 
-    /// After trouble with a GPU: it may be lost, and the plans on it with it.
+    /// Forgets all simulators after an error of a GPU: the GPU may be lost, and with it their
+    /// plans.
     pub(super) fn forget_gpus(&mut self) {
         self.kept.clear();
         psfield::forget_gpus();
     }
 
-    /// The PSF that `key` describes, the last one or read.
+    /// Returns the PSF that `key` describes: the last one, or read anew.
     fn psf(&mut self, key: &str, read: impl FnOnce() -> anyhow::Result<Psf>) -> anyhow::Result<Psf> {
         match &self.psf {
             Some((kept, psf)) if kept == key => Ok(psf.clone()),
@@ -51,7 +52,7 @@ impl Simulators {
         }
     }
 
-    /// The simulator that `key` describes in full, kept or built.
+    /// Returns the simulator that `key` describes in full: a kept one, or built anew.
     fn get<T: ConvReal>(
         &mut self,
         key: &str,
@@ -74,7 +75,7 @@ impl Simulators {
     }
 }
 
-/// What a piece of work gives, and the seconds that it took.
+/// Runs `work`. Returns its result and the seconds that it took.
 pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Result<(R, f64)> {
     let clock = Instant::now();
     let result = work()?;
@@ -82,9 +83,9 @@ pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Resu
 }
 
 impl SimulateArgs {
-    /// Opens the GPU that was asked for before the rest of the work, which would be in vain without.
+    /// Opens the requested GPU before the rest of the work, which is useless without it.
     pub(super) fn open_gpu(&self, context: &Context) -> Result<(), PsfieldError> {
-        // Stars alone need none.
+        // A scene of stars only needs no GPU.
         let needed = self.scene.scene.is_some() || !cfg!(feature = "gpu");
         let options = self.options();
         if options.device == Device::Gpu && needed {
@@ -94,7 +95,7 @@ impl SimulateArgs {
         Ok(())
     }
 
-    /// The PSF of the file, kept or read.
+    /// Returns the PSF of the file, kept or read.
     pub(super) fn psf(
         &self,
         simulators: &mut Simulators,
@@ -110,7 +111,7 @@ impl SimulateArgs {
         })
     }
 
-    /// The simulator for scenes of a shape, kept or built.
+    /// Returns the simulator for scenes of a shape, kept or built.
     pub(super) fn simulator<T: ConvReal>(
         &self,
         psf: &Psf,
@@ -118,13 +119,14 @@ impl SimulateArgs {
         simulators: &mut Simulators,
     ) -> anyhow::Result<Rc<Simulator<T>>> {
         let options = self.options();
-        // All that a simulator depends on.
+        // Everything on which a simulator depends.
         let key = format!("{:?}", (&self.psf, &self.fit, shape, &options, T::NAME));
         let build = || psf.simulator((shape.ny(), shape.nx())).options(options).build();
         simulators.get(&key, build).map_err(|e| self.told_of(e))
     }
 
-    /// Makes the models and the plan that a scene needs, unless they are there. `rows`: its image comes by rows.
+    /// Makes the models and the plan that a scene needs, unless they exist. `rows`: the image of
+    /// the scene is read by rows.
     pub(super) fn prepare<'a, T: ConvReal>(
         &self,
         simulator: &'a Simulator<T>,
@@ -149,14 +151,13 @@ impl SimulateArgs {
         Ok(made)
     }
 
-    /// Says where the work is not done on a GPU that was meant to do it.
+    /// Warns if the work is not done on the GPU that was requested.
     fn warn_of_placement(&self, placement: &Placement, context: &Context) {
         if placement.is_failure() {
             context.warn(&format!("the work is done {placement}"));
         } else if self.options().device == Device::Gpu && placement.adapter().is_none() {
-            context.warn(
-                "--device gpu is of scenes with an image or galaxies: stars alone are drawn on the CPU",
-            );
+            context
+                .warn("--device gpu applies to scenes with an image or galaxies: stars are drawn on the CPU");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! What `simulate` says of a run.
+//! The report of `psfield simulate`.
 
 use std::path::PathBuf;
 
@@ -10,33 +10,33 @@ use serde::{Serialize, Serializer};
 
 use crate::context::object;
 
-/// What `--json` prints.
+/// The object that `--json` prints.
 #[derive(Debug, Serialize)]
 pub(crate) struct Report {
     pub(super) output: PathBuf,
     pub(super) method: String,
     pub(super) anchor: Anchor,
     pub(super) precision: &'static str,
-    /// Of the methods that have one.
+    /// For methods that have a tolerance.
     pub(super) tolerance: Option<f64>,
     /// Components of the model, the mean not counted.
     pub(super) rank: usize,
-    /// Modes a tile in the mean where there is a plan, else the stamps of the model.
+    /// Mean number of modes per tile if there is a plan, else the number of stamps of the model.
     pub(super) modes: f64,
     pub(super) normalise: Normalisation,
     pub(super) shape: [usize; 2],
     /// Point sources.
     pub(super) sources: usize,
     pub(super) galaxies: usize,
-    /// Rows of the catalogue that were left out.
+    /// Invalid rows of the catalogue, which were skipped.
     pub(super) invalid_rows: usize,
     /// Rows of the catalogue on a part of the sky that the projection does not show.
     pub(super) rows_off_projection: usize,
-    /// Whether the scene came and the image went by bands of rows.
+    /// True if the scene was read and the image written in bands of rows.
     pub(super) streamed: bool,
     #[serde(serialize_with = "plan_figures")]
     pub(super) plan: Option<PlanSummary>,
-    /// By the way they were treated, where there is a plan.
+    /// Tiles by the way in which they were computed, if there is a plan.
     #[serde(serialize_with = "tile_figures")]
     pub(super) tiles: Option<TileCounts>,
     #[serde(serialize_with = "with_text")]
@@ -44,11 +44,11 @@ pub(crate) struct Report {
     pub(super) seconds: Seconds,
     pub(super) peak_memory_bytes: Option<u64>,
     pub(super) spot_check: Option<SpotCheck>,
-    /// What the detector made of it, where there is one.
+    /// The report of the detector, if there is one.
     pub(super) exposure: Option<ExposureReport>,
 }
 
-/// Seconds by stage. `plan` is the time that the engine takes to prepare itself.
+/// Seconds by stage. `plan` is the time in which the engine prepares itself.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Seconds {
     pub(super) read: f64,
@@ -58,7 +58,7 @@ pub(super) struct Seconds {
     pub(super) write: f64,
 }
 
-/// Where the image was convolved, also in words.
+/// Writes the device of the convolution, with a text for readers.
 fn with_text<S: Serializer>(placement: &Placement, serializer: S) -> Result<S::Ok, S::Error> {
     object! {
         #[serde(flatten)]
@@ -100,7 +100,7 @@ fn tile_figures<S: Serializer>(counts: &Option<TileCounts>, serializer: S) -> Re
 }
 
 impl Report {
-    /// An error if the image failed its spot check.
+    /// Returns an error if the image failed its spot check.
     pub(crate) fn verdict(&self) -> anyhow::Result<()> {
         if self
             .spot_check
@@ -123,7 +123,7 @@ impl Report {
         });
         let tiles = self.tiles.as_ref().map_or_else(String::new, |t| {
             format!(
-                "tiles: {} by transforms, {} directly, {} stamp by stamp, {} dark; {} pixels drawn\n",
+                "tiles: {} by transforms, {} directly, {} by drawing stamps, {} without light, {} pixels drawn\n",
                 t.transformed, t.direct, t.drawn, t.dark, t.drawn_pixels
             )
         });
@@ -133,21 +133,25 @@ impl Report {
                 .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)"));
             let relative = check
                 .relative_rms
-                .map_or_else(String::new, |r| format!(" ({r:.1e} of theirs)"));
+                .map_or_else(String::new, |r| format!(" (relative {r:.1e})"));
             format!(
-                "against the direct sum at {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}{relative}\n",
+                "spot check against the direct sum, {} pixels: largest difference {:.2e}{over_peak}, r.m.s. {:.2e}{relative}\n",
                 check.pixels, check.max_abs, check.rms,
             )
         });
         let sources: Vec<String> = [
-            (self.sources, "stars"),
-            (self.galaxies, "galaxies"),
-            (self.invalid_rows, "rows left out"),
-            (self.rows_off_projection, "rows on another side of the sky"),
+            (self.sources, "star", "stars"),
+            (self.galaxies, "galaxy", "galaxies"),
+            (self.invalid_rows, "invalid row skipped", "invalid rows skipped"),
+            (
+                self.rows_off_projection,
+                "row outside the projection",
+                "rows outside the projection",
+            ),
         ]
         .into_iter()
-        .filter(|(count, _)| *count > 0)
-        .map(|(count, what)| format!("{count} {what}"))
+        .filter(|(count, ..)| *count > 0)
+        .map(|(count, one, more)| format!("{count} {}", if count == 1 { one } else { more }))
         .collect();
         let sources = if sources.is_empty() {
             String::new()
@@ -156,7 +160,7 @@ impl Report {
         };
         let exposure = self.exposure.as_ref().map_or_else(String::new, |e| {
             format!(
-                "detector: sky {} e, dark {} e, seed {}; {} pixels saturated, {} bad, {} below 0 before noise\n",
+                "detector: sky {} e, dark {} e, seed {}, {} pixels saturated, {} bad, {} below 0 before noise\n",
                 e.mean_sky_e, e.dark_e, e.seed, e.saturated_pixels, e.bad_pixels, e.negative_pixels
             )
         });

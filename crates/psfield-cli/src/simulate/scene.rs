@@ -15,58 +15,89 @@ use crate::values::{Frame, Pair, number};
 /// The scene: an image, a catalogue, or both.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct SceneArgs {
-    /// The scene: a FITS image, flux in each pixel. Without one: --catalog and --shape
+    /// Scene: a FITS image with the flux in each pixel [without it: --catalog and --shape]
     #[arg(value_name = "SCENE.fits")]
     pub(super) scene: Option<PathBuf>,
-    /// Which image of the file of the scene (or of --wcs): a number counted from 0 (the primary HDU), or NAME or NAME,VERSION
-    #[arg(long, value_name = "N|NAME")]
-    pub(super) extension: Option<HduChoice>,
-    /// Stars and galaxies: a CSV, text or FITS table with the columns x, y (pixels of the image, 0-based; also off it) and flux; with re, n,
-    /// q and angle: galaxies with Sersic profiles. See --columns
-    #[arg(long, value_name = "CATALOG")]
+    /// Stars and galaxies: CSV, text or FITS table with columns x, y (0-based pixels) and flux
+    ///
+    /// x and y are in pixels of the image, and may lie outside it. Rows with re, n, q and angle are
+    /// galaxies with Sersic profiles. --columns gives other names of columns.
+    #[arg(long, value_name = "CATALOG", help_heading = SCENE)]
     pub(super) catalog: Option<PathBuf>,
-    /// Columns and rows of a scene without an image
+    /// Columns and rows of a scene without an image (pixels)
     #[arg(
         long,
         value_name = "NX,NY",
         conflicts_with = "scene",
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        help_heading = SCENE
     )]
     pub(super) shape: Option<Pair>,
-    /// The part of the scene that the result shows: first column and row, columns and rows
-    #[arg(long, value_name = "X0,Y0,NX,NY", allow_hyphen_values = true)]
-    pub(super) frame: Option<Frame>,
-    /// The scene is finer than the image: S x S of its pixels are one of the image. The catalogue, --shape and --frame are in pixels of
-    /// the image all the same, and the response of its pixels is applied once
-    #[arg(long, value_name = "S", value_parser = clap::value_parser!(u16).range(1..=SimulateOptions::MAX_OVERSAMPLE as i64))]
+    /// The scene is S times finer than the image along each axis
+    ///
+    /// S x S pixels of the scene are one pixel of the image. The catalogue, --shape and --frame are
+    /// still in pixels of the image, and the response of its pixels is applied once.
+    #[arg(
+        long,
+        value_name = "S",
+        value_parser = clap::value_parser!(u16).range(1..=SimulateOptions::MAX_OVERSAMPLE as i64),
+        help_heading = SCENE
+    )]
     oversample: Option<u16>,
-    /// World coordinates of a scene without an image: those of the header of this FITS file. The result gets its cards, and catalogues may
-    /// give ra and dec in degrees
-    #[arg(long, value_name = "FILE.fits", conflicts_with = "scene")]
+    /// Part of the scene to write: first column, first row, columns, rows (pixels)
+    #[arg(
+        long,
+        value_name = "X0,Y0,NX,NY",
+        allow_hyphen_values = true,
+        help_heading = SCENE,
+        hide_short_help = true
+    )]
+    pub(super) frame: Option<Frame>,
+    /// HDU of the scene (or of --wcs): its number (0: primary), NAME or NAME,VERSION
+    #[arg(
+        long,
+        value_name = "N|NAME",
+        help_heading = SCENE,
+        hide_short_help = true
+    )]
+    pub(super) extension: Option<HduChoice>,
+    /// FITS file with the world coordinates of a scene without an image
+    ///
+    /// The cards of its header are copied to the image, and catalogues may give ra and dec
+    /// (degrees).
+    #[arg(
+        long,
+        value_name = "FILE.fits",
+        conflicts_with = "scene",
+        help_heading = SCENE,
+        hide_short_help = true
+    )]
     pub(super) wcs: Option<PathBuf>,
     #[command(flatten)]
     columns: CatalogArgs,
 }
 
-/// A scene, as far as it is read.
+const SCENE: &str = "Scene";
+
+/// A scene that has been read.
 pub(super) struct ReadScene<T: ConvReal> {
-    /// Without its image where that comes by rows.
+    /// Without its image, if that is read by rows.
     pub(super) scene: Scene<'static, T>,
-    /// The scene's, in its own pixels.
+    /// The shape of the scene, in its own pixels.
     pub(super) shape: FrameShape,
-    /// That of its image, or of --wcs.
+    /// The header of the scene's image, or of --wcs.
     pub(super) header: HeaderCards,
-    /// Rows of the catalogue that make no source.
+    /// Invalid rows of the catalogue, which were skipped.
     pub(super) invalid_rows: usize,
-    /// Rows of the catalogue that lie on a part of the sky that the projection does not show.
+    /// Rows of the catalogue on a part of the sky that the projection does not show.
     pub(super) rows_off_projection: usize,
 }
 
 impl SceneArgs {
-    /// What is wrong with the options given, if anything.
+    /// Returns an error message if the options do not fit together.
     pub(super) fn missing(&self) -> Option<String> {
         if self.extension.is_some() && self.scene.is_none() && self.wcs.is_none() {
-            return Some("--extension is of the file of the scene or of --wcs: there is none".to_owned());
+            return Some("--extension needs a scene (SCENE.fits) or --wcs".to_owned());
         }
         match (&self.scene, &self.catalog, self.shape) {
             (None, None, _) => Some(
@@ -80,7 +111,7 @@ impl SceneArgs {
             (Some(_), None, _) => self
                 .columns
                 .given()
-                .map(|option| format!("{option} is of a catalogue: there is none here (--catalog)")),
+                .map(|option| format!("{option} needs a catalogue (--catalog)")),
             _ => None,
         }
     }
@@ -91,7 +122,7 @@ impl SceneArgs {
         self.oversample.map_or(default, usize::from)
     }
 
-    /// The scene; its image is not read but opened where it is to come by rows.
+    /// Reads the scene. If its image is read by rows, it is only opened here.
     pub(super) fn read<T: ConvReal>(
         &self,
         by_rows: bool,
@@ -133,7 +164,7 @@ impl SceneArgs {
         Ok((read, rows))
     }
 
-    /// The image of the scene, row by row.
+    /// Opens the image of the scene for reading by rows.
     pub(super) fn open(&self, path: &Path) -> Result<ImageReader, psf_io::IoError> {
         ImageReader::open_hdu(path, self.extension.as_ref())
     }
@@ -146,16 +177,17 @@ impl SceneArgs {
         let s = self.finer();
         let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
         if pixels.is_none_or(|pixels| pixels > Simulator::<T>::MAX_PIXELS) {
-            // Its text begins with the name of the option.
+            // The message begins with the name of the option.
             let error = PsfieldError::SceneTooLarge { nx, ny };
             return Err(UsageError(format!("--{error}")).into());
         }
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
 
-    /// The catalogue, in pixels of the image.
+    /// Reads the catalogue, in pixels of the image.
     fn read_catalog(&self, path: &Path, header: &HeaderCards) -> anyhow::Result<Catalog> {
-        // A scene's header counts its own pixels, that of --wcs the image's.
+        // The header of a scene refers to pixels of the scene, that of --wcs to pixels of the
+        // image.
         let sky = match self.scene {
             Some(_) => SkyCoordinates::from_header(&header.binned(self.finer())),
             None => SkyCoordinates::from_header(header),
@@ -169,7 +201,7 @@ impl SceneArgs {
             Err(error) => Some(error),
         };
         match (psf_io::read_catalog_with(path, &options), unusable) {
-            // Only now does it matter.
+            // An unusable header matters only now, when the catalogue needs it.
             (Err(error @ IoError::NoWorldCoordinates { .. }), Some(why)) if !header.is_empty() => {
                 let file = self.scene.as_ref().or(self.wcs.as_ref());
                 let file = file.map_or_else(String::new, |file| format!("{}: ", file.display()));
@@ -184,18 +216,21 @@ impl SceneArgs {
 #[derive(Debug, Clone, Default, clap::Args)]
 #[command(next_help_heading = "Catalogue")]
 struct CatalogArgs {
-    /// Columns by what they mean, where they have other names: x, y (or ra, dec), flux (or mag), and for galaxies re, n, q, angle; as in
-    /// x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO
-    #[arg(long, value_name = "ROLE=COLUMN,...")]
+    /// Names of the columns, as in x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO
+    ///
+    /// Roles: x, y (or ra, dec), flux (or mag), and for galaxies re, n, q, angle.
+    #[arg(long, value_name = "ROLE=COLUMN,...", hide_short_help = true)]
     columns: Option<CatalogColumns>,
-    /// Positions count from 1, as those of SExtractor and FITS do
-    #[arg(long)]
+    /// Positions count from 1, as in SExtractor and FITS
+    #[arg(long, hide_short_help = true)]
     one_based: bool,
-    /// The magnitude of flux 1, for catalogues with magnitudes
-    #[arg(long, value_name = "MAG", allow_negative_numbers = true, value_parser = finite)]
+    /// Magnitude of flux 1, for catalogues with magnitudes
+    #[arg(long, value_name = "MAG", allow_negative_numbers = true, value_parser = finite, hide_short_help = true)]
     zero_point: Option<f64>,
-    /// Leave out rows that make no source (a position or flux that is missing, a galaxy out of range), and count them
-    #[arg(long)]
+    /// Skip and count invalid rows
+    ///
+    /// A row is invalid if its position or flux is missing, or if its galaxy is out of range.
+    #[arg(long, hide_short_help = true)]
     skip_invalid: bool,
 }
 
@@ -213,7 +248,7 @@ impl CatalogArgs {
         Ok(options)
     }
 
-    /// The first option given.
+    /// Returns the first option given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         [
             ("--columns", self.columns.is_some()),
