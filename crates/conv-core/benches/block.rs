@@ -1,5 +1,6 @@
-//! What a block of tiles needs before any light comes: the weights of the field's nodes, the local modes, and the weighing of
-//! light by a mode's coefficients.
+//! The work for a block of tiles that does not depend on the light: the weights of the field's
+//! nodes, the local modes, and their coefficients. Also the multiplication of light by a mode's
+//! coefficients.
 
 mod common;
 
@@ -15,7 +16,7 @@ const BLOCKS: [usize; 3] = [64, 128, 256];
 const FRAME: usize = 2048;
 const TOLERANCE: f64 = 1e-4;
 
-/// What a block of tiles needs before any light comes.
+/// The steps of the work for a block of tiles.
 struct BlockSteps<T: ConvReal> {
     model: PsfModel,
     space: PsfSpace,
@@ -29,7 +30,7 @@ struct BlockSteps<T: ConvReal> {
 }
 
 impl<T: ConvReal> BlockSteps<T> {
-    /// The steps for a region of a model's field, all of them done once.
+    /// The steps for a region of a model's field, with each step done once.
     fn new(model: &PsfModel, region: PixelRegion, tolerance: f64) -> Self {
         let space = PsfSpace::new(model);
         let cells = RegionCells::new(model.field(), region);
@@ -53,17 +54,17 @@ impl<T: ConvReal> BlockSteps<T> {
         self.cells = RegionCells::new(self.model.field(), self.region);
     }
 
-    /// The modes.
+    /// Computes the modes.
     fn local_modes(&mut self) {
         self.modes = LocalModes::new(&self.space, &self.cells, self.tolerance);
     }
 
-    /// Their coefficients over the region.
+    /// Tabulates their coefficients over the region.
     fn coefficients(&mut self) {
         self.table = CoefficientTable::new(self.region, self.role, &self.modes, &self.cells);
     }
 
-    /// The region's light `[y, x]` times the coefficient of the last mode.
+    /// Multiplies the region's light `[y, x]` by the coefficient of the last mode.
     fn weigh(&self, light: &[T], weighted: &mut [T]) {
         T::dispatch(Weigh(self, light, weighted));
     }
@@ -90,7 +91,7 @@ impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
 }
 
 fn steps<T: ConvReal>(side: usize) -> BlockSteps<T> {
-    // Across cells of the grid, as tiles lie.
+    // Across cells of the grid, like the blocks of a plan.
     let region = PixelRegion::new(700, 500, FrameShape::new(side, side).expect("a valid shape"));
     BlockSteps::new(&common::model(FRAME), region, TOLERANCE)
 }

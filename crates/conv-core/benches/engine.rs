@@ -1,4 +1,4 @@
-//! Plans and executions, on as many threads as rayon has.
+//! Plans and executions, on all threads of rayon's pool.
 
 mod common;
 
@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 
 const SIZES: [usize; 3] = [256, 512, 1024];
 const TOLERANCES: [f64; 3] = [1e-2, 1e-4, 0.0];
-/// One pixel in so many is lit where stamps are drawn: a few tens in a tile.
+/// One pixel in this many is lit in the benches that draw stamps: a few tens per tile.
 const SPARSE: usize = 1000;
 
 /// Square light of which about one in `every` pixels is lit.
@@ -87,7 +87,7 @@ fn draw(criterion: &mut Criterion) {
     for size in SIZES {
         let model = common::model(size);
         let mut image = Array2::zeros((size, size));
-        // Whole pixels, from the local modes' stamps.
+        // Pixels at integer positions, from the local modes' stamps.
         let pixels = lit::<f32>(size, SPARSE);
         let count = pixels.pixels().iter().filter(|v| **v > 0.0).count();
         group.throughput(Throughput::Elements(count as u64));
@@ -99,7 +99,7 @@ fn draw(criterion: &mut Criterion) {
                     .expect("an image")
             });
         });
-        // As many sources between pixels, by splines.
+        // An equal number of sources between pixels, by splines.
         let place = |i: usize, factor: usize| ((i * factor) % (size - 1)) as f64 + 0.3;
         let sources = (0..count).map(|i| {
             let position = Position::new(place(i, 7919), place(i, 104_729)).expect("a position");

@@ -1,4 +1,5 @@
-//! The engine's transforms of a square tile, step by step, and realfft's and rustfft's of the same size.
+//! The engine's transforms of a square tile, step by step, compared with realfft and rustfft at the
+//! same size.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -12,10 +13,10 @@ use rustfft::{Fft, FftPlanner};
 
 const SIZES: [usize; 5] = [128, 192, 256, 320, 512];
 const STAMP: usize = 64;
-/// Rows whose spectra are transposed together: whole cache lines.
+/// The number of rows whose spectra are transposed together: whole cache lines.
 const BLOCK: usize = 16;
 
-/// The transform of a square tile as large as it holds with a stamp, and the planes that it works in.
+/// The transform of the largest square tile that fits with a stamp, and its planes.
 struct SquareTransform<T: ConvReal> {
     fft: TileTransform<T>,
     /// Pixels along each side of the tile and of the stamp.
@@ -33,16 +34,17 @@ struct SquareTransform<T: ConvReal> {
 enum Step {
     /// The light's spectrum.
     Forward,
-    /// The stamp's.
+    /// The stamp's spectrum.
     Kernel,
     /// Their product, added to a sum.
     Multiply,
-    /// Back to pixels. Overwrites the sum.
+    /// The inverse transform, which overwrites the sum.
     Inverse,
 }
 
 impl<T: ConvReal> SquareTransform<T> {
-    /// Transforms of `size x size` values, a multiple of 32 without prime factors above 5, with stamps of `stamp x stamp` pixels.
+    /// Transforms of `size x size` values, a multiple of 32 without prime factors above 5, with
+    /// stamps of `stamp x stamp` pixels.
     fn new(size: usize, stamp: usize) -> Self {
         let fft = TileTransform::new(size, size);
         let length = fft.plane_len().max(fft.spectrum_len());
@@ -103,8 +105,8 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
     }
 }
 
-/// The spectrum of a square plane that holds a tile as large as [`SquareTransform`]'s, left transposed, by realfft along the tile's rows and
-/// rustfft along columns.
+/// The spectrum of a square plane with a tile as large as [`SquareTransform`]'s, left transposed,
+/// by realfft along the tile's rows and rustfft along columns.
 struct RowsThenColumns<T: ConvReal> {
     size: usize,
     along_rows: Arc<dyn RealToComplex<T>>,
@@ -184,7 +186,7 @@ fn transforms<T: ConvReal>(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::new(name, size), |bencher| {
                 bencher.iter(|| black_box(&mut ours).run(step));
             });
-            // Sums that grow without end would become infinite, and denormal numbers are slow.
+            // Sums that grow without limit would become infinite, and denormal numbers are slow.
             ours = SquareTransform::new(size, STAMP);
             ours.run(Step::Forward);
             ours.run(Step::Kernel);

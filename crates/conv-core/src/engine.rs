@@ -102,7 +102,7 @@ impl<T: ConvReal> Engine<T> {
     #[cfg(feature = "gpu")]
     #[allow(
         clippy::result_large_err,
-        reason = "the plan is as large where there is no error"
+        reason = "the plan is as large in the result without an error"
     )]
     pub fn on_gpu(
         plan: Plan<T>,
@@ -229,8 +229,8 @@ impl<T: ConvReal> Engine<T> {
         Ok(counts)
     }
 
-    /// Applies the operator to some rows of blocks. `light` and `output` are given with the first
-    /// row of their side that they hold. Here the code of the devices separates.
+    /// Applies the operator to some rows of blocks, on the engine's device. `light` and `output`
+    /// come with the index of their first row.
     fn run(
         &self,
         rows: Range<usize>,

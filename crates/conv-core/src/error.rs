@@ -105,9 +105,7 @@ pub enum ConvError {
 #[non_exhaustive]
 pub enum GpuError {
     /// No adapter was found.
-    #[error(
-        "there is no GPU that Vulkan, Metal, DirectX 12 or OpenGL can drive. Is its driver installed?"
-    )]
+    #[error("there is no GPU that Vulkan, Metal, DirectX 12 or OpenGL can drive. Is its driver installed?")]
     NoAdapter,
     /// No adapter has this name.
     #[error("no GPU matches the name {wanted:?}. Available: {}", present.join(", "))]
@@ -154,7 +152,9 @@ pub enum GpuError {
         limit: u64,
     },
     /// The memory of the adapter is full.
-    #[error("{adapter} is out of memory. Set a smaller memory limit, or stop other programs that use the GPU")]
+    #[error(
+        "{adapter} is out of memory. Set a smaller memory limit, or stop other programs that use the GPU"
+    )]
     OutOfMemory {
         /// The adapter.
         adapter: String,
@@ -167,7 +167,7 @@ pub enum GpuError {
         /// The driver's message.
         reason: String,
     },
-    /// Any other refusal by the driver.
+    /// Any other error of the driver.
     #[error("{adapter}: {reason}")]
     Driver {
         /// The adapter.

@@ -53,7 +53,7 @@
 
 #![allow(
     clippy::inline_always,
-    reason = "what runs inside `Isa::vectorized` must be inlined there, or it is compiled for the baseline instruction set"
+    reason = "code inside `Isa::vectorized` must be inlined, otherwise it is compiled for the baseline instruction set"
 )]
 
 mod cpu;

@@ -1,5 +1,5 @@
-//! Parts of images that overlap, or do not. Adds them in an order that does not depend on the
-//! number of threads, and lends disjoint parts to threads for writing.
+//! Parts of images that may overlap. Adds them in an order that does not depend on the number of
+//! threads, and lends disjoint parts to threads for writing.
 
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
 use psf_types::Progress;

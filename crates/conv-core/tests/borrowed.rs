@@ -1,4 +1,4 @@
-//! Executions on pixels that belong to somebody else.
+//! Executions on borrowed pixels.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -26,7 +26,7 @@ fn scene() -> Scene<f64> {
     Scene::new(noise(SCENE.1, SCENE.0, 5)).with_frame(frame())
 }
 
-/// The same pixels with everything between them spoilt, in every layout that NumPy may hand over.
+/// The pixels in every layout that NumPy may pass, with bad values in all memory between them.
 fn layouts(pixels: &Array2<f64>, mut each: impl FnMut(&str, ArrayViewMut2<'_, f64>)) {
     let (ny, nx) = pixels.dim();
     let mut whole = pixels.clone();
@@ -129,7 +129,7 @@ fn the_light_that_reaches_the_frame_is_enough() {
         let whole = engine.adjoint(&expected).unwrap();
         assert_eq!(plane, whole.pixels().slice(s![rows, columns]));
 
-        // Single pixels from the part as from the whole.
+        // Single pixels are the same from the part as from the whole.
         let pixels = [(0, 0), (36, 28), (17, 5)];
         let first = (part.x0() as usize, part.y0() as usize);
         let of_part = Direct::new(anchor)
@@ -153,7 +153,7 @@ fn other_shapes_are_errors_that_say_what_fits() {
     );
     assert_eq!(
         error.unwrap_err().to_string(),
-        "the light is 72 x 53 pixels: the plan takes the whole scene, 71 x 53, or its part that reaches the image, 42 x 33 at (11, 9)"
+        "the light is 72 x 53 pixels: the plan accepts the whole scene, 71 x 53, or its part that reaches the image, 42 x 33 at (11, 9)"
     );
     let light = scene.light.view();
     let mut wide = Array2::zeros((29, 38));

@@ -19,16 +19,17 @@ use psf_types::{
     StampGrid,
 };
 
-/// A few hundred additions of values near 1 in double precision.
+/// A few hundred additions of values near 1 in f64.
 const DIRECT: f64 = 1e-13;
-/// Transforms of a few thousand values in double precision.
+/// Transforms of a few thousand values in f64.
 const FFT_F64: f64 = 1e-13;
-/// The same in single precision.
+/// Transforms of a few thousand values in f32.
 const FFT_F32: f64 = 3e-6;
 
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 
-/// Stamps: even, odd, off-centre, one pixel, wider than the scene; scenes: square, not square, prime, one pixel.
+/// Stamps: even, odd, off-centre, one pixel, wider than the scene. Scenes: square, not square,
+/// prime, one pixel.
 const STAMPS: [((usize, usize), (usize, usize)); 5] = [
     ((6, 4), (3, 2)),
     ((5, 7), (2, 3)),
@@ -40,7 +41,7 @@ const SCENES: [(usize, usize); 4] = [(12, 12), (13, 7), (1, 1), (17, 3)];
 
 fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
     STAMPS.into_iter().enumerate().flat_map(|(n, (shape, centre))| {
-        // Centred and not, scaled to unit flux and not.
+        // With and without a mean, with and without scaling to unit flux.
         let (mean, normalisation) = [
             (true, Normalisation::Unit),
             (true, Normalisation::Keep),
@@ -55,7 +56,7 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
     })
 }
 
-/// One coefficient, the same everywhere.
+/// A field with one constant coefficient.
 #[derive(Debug)]
 struct Single(f64);
 impl psf_types::CoefficientField for Single {
@@ -70,7 +71,7 @@ impl psf_types::CoefficientField for Single {
 
 #[test]
 fn a_gaussian_of_a_gaussian_is_the_wider_gaussian() {
-    // The reference's own check: widths add in quadrature.
+    // Test of the reference itself: widths add in quadrature.
     let gauss = |r2: f64, s2: f64| (-r2 / (2.0 * s2)).exp() / (std::f64::consts::TAU * s2);
     let (n, s2_scene, s2_psf) = (41, 4.0, 6.0);
     let image = |s2: f64| {
@@ -261,7 +262,7 @@ fn point_sources_on_pixels_are_pixels_of_light() {
     }
 }
 
-/// Stars one by one into a new image of the frame.
+/// Draws stars one by one into a new image of the frame.
 fn painted(model: &PsfModel, stars: &[PointSource], frame: PixelRegion, anchor: Anchor) -> Array2<f64> {
     let mut image = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
     StarPainter::new(model, frame, anchor, None)
@@ -286,7 +287,7 @@ fn sources_off_the_frame_shine_in_and_far_ones_do_nothing() {
 
 #[test]
 fn a_mean_centred_model_of_unit_flux_keeps_the_flux() {
-    // Components of zero flux on a mean of unit flux: whatever the coefficients, no light is lost.
+    // The components have no flux and the mean has unit flux, so no coefficients lose light.
     let model = model_with(Arc::new(Waves), (6, 5), (3, 2), true, Normalisation::Keep);
     let mut components = model.stamps().slice_move(ndarray::s![1.., .., ..]).to_owned();
     for mut component in components.outer_iter_mut() {
@@ -390,7 +391,7 @@ fn the_number_of_threads_does_not_matter() {
         for threads in [2, 5] {
             assert!(with_threads(threads) == one, "{threads} threads, {anchor}");
         }
-        // And the parallel transforms are right.
+        // The parallel transforms are also correct.
         let pixels: Vec<_> = (0..50).map(|n| ((n * 97) % 520, (n * 41) % 530)).collect();
         let exact = scene.at_pixels(&model, anchor, &pixels).unwrap();
         for (&(x, y), value) in pixels.iter().zip(exact) {
@@ -399,7 +400,7 @@ fn the_number_of_threads_does_not_matter() {
     }
 }
 
-/// A field that has values on a few pixels only.
+/// A field with values on only a few pixels.
 #[derive(Debug)]
 struct Island;
 
@@ -416,7 +417,7 @@ impl psf_types::CoefficientField for Island {
     }
 }
 
-/// Nobody asks for the PSF of darkness, nor of light that falls on no pixel of the frame.
+/// Dark pixels need no PSF, and neither does light that falls on no pixel of the frame.
 #[test]
 fn only_light_that_reaches_the_frame_needs_a_psf() {
     let model = |field: Arc<dyn psf_types::CoefficientField>| {
@@ -459,7 +460,8 @@ fn only_light_that_reaches_the_frame_needs_a_psf() {
     }
 }
 
-/// Light at either end of what f32 holds: sums over it would overflow, products with kernels would lose their bits.
+/// Light at either end of the range of f32: sums over it would overflow, products with kernels
+/// would lose their bits.
 #[test]
 fn light_at_the_ends_of_the_range_is_convolved_like_light_near_one() {
     let model = model_with(Arc::new(Waves), (16, 9), (8, 4), true, Normalisation::Unit);
@@ -477,7 +479,7 @@ fn light_at_the_ends_of_the_range_is_convolved_like_light_near_one() {
             Box::new(LowRank::new(options)),
             Box::new(LowRank::new(options.with_paths(Paths::Transforms))),
         ];
-        // The brightest pixel is about 1; 2^127 is the last power of f32.
+        // The brightest pixel is about 1, and 2^127 is the largest power in f32.
         for power in [-115, -85, 0, 85, 123] {
             for method in &methods {
                 let image = scaled(power).through(&model, &**method).unwrap();

@@ -1,4 +1,5 @@
-//! The fast engine against the double sum, its tolerance pixel by pixel, its transpose, and what must not change its result.
+//! The fast engine against the double sum, its tolerance pixel by pixel, its transpose, and
+//! conditions that must not change its result.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -13,9 +14,9 @@ use conv_core::{ConvError, Direct, LowRank, Paths, Plan, PlanOptions, RowStream}
 use ndarray::{Array2, s};
 use psf_types::{Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, Position, PsfModel};
 
-/// Transforms of a few thousand values, and the rounding of the modes, in double precision.
+/// Transforms of a few thousand values, and the rounding of the modes, in f64.
 const ROUNDING_F64: f64 = 1e-12;
-/// Transforms of a few thousand values in single precision.
+/// Transforms of a few thousand values in f32.
 const ROUNDING_F32: f64 = 3e-6;
 
 const SCENES: [(usize, usize); 6] = [(12, 12), (13, 7), (1, 1), (1, 37), (101, 1), (67, 53)];
@@ -26,7 +27,7 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
             let (mean, normalisation) = KINDS[(n + m) % 3];
             let model = model_with(Arc::new(Waves), shape, centre, mean, normalisation);
             let scene = scene(nx, ny, (nx * ny + n) as u64);
-            // Every other scene through a frame that is smaller.
+            // Every second scene has a smaller frame.
             let frame = region((nx / 3) as i64, (ny / 4) as i64, nx - nx / 3, ny.div_ceil(2));
             let scene = if (n + m) % 2 == 0 {
                 scene.with_frame(frame)
@@ -38,7 +39,7 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
     })
 }
 
-/// Every fifth pixel is a star: a light that every path treats.
+/// Every fifth pixel is a star, so that every path is used.
 fn sparse(scene: &Scene<f64>) -> Scene<f64> {
     let mut light = scene.pixels().to_owned();
     for ((y, x), value) in light.indexed_iter_mut() {
@@ -96,7 +97,7 @@ fn the_adjoint_is_exact() {
     }
 }
 
-/// A field whose PSF jumps: tiles across the jump need both sides.
+/// A field whose PSF jumps: tiles across the jump need the modes of both sides.
 #[derive(Debug)]
 struct Step;
 
@@ -114,7 +115,8 @@ impl CoefficientField for Step {
     }
 }
 
-/// The response to one more unit of light at a pixel, with light everywhere, against the exact PSF of that pixel.
+/// Compares the response to one more unit of light at a pixel, with light everywhere, with the
+/// exact PSF of that pixel.
 #[test]
 fn every_pixel_sees_a_psf_within_the_tolerance() {
     let (nx, ny) = (120, 90);
@@ -142,7 +144,8 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
                 let before = engine.image_of(&lit(&light)).unwrap().into_pixels();
                 for n in 0..40 {
                     let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
-                    // Output-anchored, the kernel of one output pixel is a row of the operator: a column of its transpose.
+                    // Output-anchored, the kernel of one output pixel is a row of the operator,
+                    // which is a column of its transpose.
                     let response = if anchor == Anchor::Source {
                         let mut more = light.clone();
                         more[[y, x]] += 1.0;
@@ -163,7 +166,7 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
                         }
                     }
                     let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
-                    // The tolerance is of the whole PSF; at the edge a part of it is cut off.
+                    // The tolerance is relative to the whole PSF, which is truncated at the edge.
                     let whole = psf.values().mapv(|v| v * v).sum().sqrt();
                     let error = norm(&(&response - &exact)) / whole;
                     assert!(
@@ -175,7 +178,7 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
             }
         }
     }
-    // The tolerance is made use of: otherwise this would test nothing.
+    // If the tolerance were not used, the test would prove nothing.
     assert!(coarsest > 1e-2, "{coarsest:e}");
 }
 
@@ -260,7 +263,7 @@ fn flux_is_kept_at_any_tolerance() {
     }
 }
 
-/// Components without any flux, and no mean: a kernel that takes differences.
+/// Components without flux and no mean: a kernel that computes differences.
 #[test]
 fn kernels_without_flux_are_kernels_too() {
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), false, Normalisation::Keep);
@@ -285,10 +288,11 @@ fn kernels_without_flux_are_kernels_too() {
     }
 }
 
-/// More components than a tile has modes, and fluxes that nearly cancel: the one mode that carries flux comes first.
+/// More components than a tile has modes, and fluxes that nearly cancel: the one mode that carries
+/// flux must be kept.
 #[test]
 fn kernels_whose_flux_nearly_cancels_are_exact_and_keep_it() {
-    /// Twelve smooth fields that few modes make in a tile.
+    /// Twelve smooth fields that few modes represent in a tile.
     #[derive(Debug)]
     struct Smooth;
     impl CoefficientField for Smooth {
@@ -324,7 +328,7 @@ fn kernels_whose_flux_nearly_cancels_are_exact_and_keep_it() {
             let image = engine.image_of(&scene).unwrap().into_pixels();
             let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
             let error = norm(&(&image - &truth)) / norm(&truth);
-            // Light of one sign through kernels of both: errors add up a little.
+            // Light of one sign and kernels of both signs: errors add up a little.
             assert!(
                 error <= 10.0 * tolerance + ROUNDING_F64,
                 "{error:e} at {tolerance:e}, {anchor}"
@@ -360,7 +364,7 @@ fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
     assert!(summary.to_string().contains("tolerance 0e0"), "{summary}");
 }
 
-/// A bright star would fill its tile with noise if it went through a transform in single precision.
+/// In f32, transforms of a bright star would fill its tile with noise.
 #[test]
 fn a_bright_star_does_not_drown_the_faint_light_of_its_tile() {
     let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
@@ -383,7 +387,7 @@ fn a_bright_star_does_not_drown_the_faint_light_of_its_tile() {
             "{:e} {anchor}",
             (error / norm).sqrt()
         );
-        // Through transforms alone it does.
+        // If only transforms are used, the noise appears.
         let drowned = single(&scene)
             .through(&model, &LowRank::new(options(0.0, anchor, Paths::Transforms)))
             .unwrap();
@@ -430,7 +434,7 @@ fn a_plan_refuses_what_it_was_not_made_for() {
     }
 }
 
-/// A scene in memory that is handed out by rows.
+/// A scene in memory that is read by rows.
 struct Rows<'a> {
     scene: &'a Scene<f64>,
     image: Vec<f64>,

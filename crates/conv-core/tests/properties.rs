@@ -1,5 +1,6 @@
-//! What every method keeps, for any light: it is linear, follows a shift where the PSF is the same everywhere, keeps the flux of sources that
-//! the frame holds, makes nothing negative from what is not, and has the transpose that it says.
+//! Properties of every method for any light: it is linear, follows a shift where the PSF is
+//! constant, keeps the flux of sources that the frame contains, makes no negative values from
+//! positive ones, and its adjoint is its transpose.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -14,7 +15,7 @@ use psf_types::{
     Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfBasis, PsfModel, StampGrid,
 };
 
-/// Transforms and sums of a few thousand values in double precision, relative to the peak.
+/// Transforms and sums of a few thousand values in f64, relative to the peak.
 const ROUNDING: f64 = 1e-12;
 
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
@@ -22,7 +23,7 @@ const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 const STAMP: (usize, usize) = (6, 5);
 const CENTRE: (usize, usize) = (3, 1);
 
-/// Every method with every way that the fast engine may go left to its choice; patches are a method of their own.
+/// Every method, with every choice of the fast engine. Patches are tested separately.
 fn methods(anchor: Anchor) -> Vec<(&'static str, Box<dyn ConvolutionMethod<f64>>)> {
     let options = PlanOptions::new(0.0).unwrap().with_anchor(anchor);
     let rough = PlanOptions::new(1e-3).unwrap().with_anchor(anchor);
@@ -49,7 +50,7 @@ fn light(least: f64) -> impl Strategy<Value = Array2<f64>> {
     })
 }
 
-/// The light with dark pixels around it, `x` columns and `y` rows of them in front.
+/// The light with a dark margin, of which `x` columns and `y` rows are in front.
 fn framed(light: &Array2<f64>, x: usize, y: usize, margin: usize) -> Array2<f64> {
     let (ny, nx) = light.dim();
     let mut wide = Array2::zeros((ny + 2 * margin, nx + 2 * margin));
@@ -72,7 +73,7 @@ impl CoefficientField for Shares {
     }
 }
 
-/// Two positive stamps on pixels of their own, so that they are orthogonal.
+/// Two positive stamps with no common pixels, so that they are orthogonal.
 fn positive_model() -> PsfModel {
     let mut stamps = Array3::zeros((2, STAMP.1, STAMP.0));
     for ((k, y, x), value) in stamps.indexed_iter_mut() {
@@ -113,7 +114,7 @@ proptest! {
     #[test]
     fn a_psf_that_is_the_same_everywhere_follows_a_shift(light in light(-1.0), dx in 0_usize..9, dy in 0_usize..9) {
         let model = model_with(Arc::new(Constant), STAMP, CENTRE, true, Normalisation::Keep);
-        // Wide enough for the stamp on all sides of both.
+        // Wide enough for the stamp on all sides of both images.
         let margin = 16;
         let (ny, nx) = light.dim();
         for anchor in ANCHORS {
@@ -169,12 +170,12 @@ proptest! {
     fn nothing_negative_comes_of_what_is_not(light in light(0.0)) {
         let model = positive_model();
         for anchor in ANCHORS {
-            // At a tolerance above 0 a PSF may be off by it, and negative.
+            // At a tolerance above 0 a PSF may be wrong by the tolerance, and so be negative.
             for (name, method) in methods(anchor).into_iter().filter(|(name, _)| *name != "rough low rank") {
                 let image = convolved(&*method, &model, &light);
                 let least = image.iter().copied().fold(0.0, f64::min);
                 prop_assert!(least >= -ROUNDING * peak(&light), "{} {}: {:e}", name, anchor, least);
-                // Sums of what is not negative are not either.
+                // Sums of values that are not negative are not negative either.
                 prop_assert!(name != "direct" || least >= 0.0, "{:e}", least);
             }
         }

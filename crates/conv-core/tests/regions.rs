@@ -1,4 +1,4 @@
-//! Frames made in pieces.
+//! Frames computed in pieces.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -14,11 +14,12 @@ use psf_types::{
     PsfModel,
 };
 
-/// Pieces against the whole, relative L2: rounding of f32 transforms.
+/// Relative L2 difference between the pieces and the whole: rounding of f32 transforms.
 const SAME_F32: f64 = 1e-6;
-/// The same of the adjoint: what noise gives to stamps of noise nearly cancels, so that the whole in f32 is itself 1.3e-6 from that in f64.
+/// Difference for the adjoint. Sums of noise with stamps of noise nearly cancel, so the whole in
+/// f32 itself differs from that in f64 by 1.3e-6.
 const SAME_ADJOINT_F32: f64 = 3e-6;
-/// Forward and back in f64.
+/// Forward and adjoint in f64.
 const SAME_F64: f64 = 1e-13;
 const F32: (f64, f64) = (SAME_F32, SAME_ADJOINT_F32);
 const F64: (f64, f64) = (SAME_F64, SAME_F64);
@@ -53,7 +54,7 @@ fn models() -> [(&'static str, PsfModel); 3] {
     ]
 }
 
-/// A scene with light everywhere, or in every hundredth pixel and with a star that outshines all else.
+/// A scene with light everywhere, or in every hundredth pixel and with one very bright star.
 fn light(full: bool) -> Image<f64> {
     let mut light = noise(SCENE.1, SCENE.0, 8).mapv(|v| v + 1.5);
     if !full {
@@ -71,12 +72,12 @@ fn of_precision<T: ConvReal>(image: &Image<f64>) -> Image<T> {
     Image::new(image.pixels().mapv(T::nearest)).unwrap()
 }
 
-/// The whole scene, and a frame within it that light comes into from all sides.
+/// The whole scene, and a frame within it that receives light from all sides.
 fn frames() -> [PixelRegion; 2] {
     [region(0, 0, SCENE.0, SCENE.1), region(23, 17, 151, 127)]
 }
 
-/// A frame cut into columns and rows of nearly equal size.
+/// Divides a frame into columns and rows of nearly equal size.
 fn pieces(frame: FrameShape, across: usize, up: usize) -> Vec<PixelRegion> {
     let cut = |length: usize, count: usize, i: usize| i * length / count;
     (0..up)
@@ -99,7 +100,7 @@ fn other<T: ConvReal>(engine: &Engine<T>, region: PixelRegion) -> Engine<T> {
     Engine::new(engine.plan().for_other_region(region, &NoProgress).unwrap())
 }
 
-/// The image of a region, from the light that reaches it and no other.
+/// The image of a region, computed only from the light that reaches it.
 fn image_of<T: ConvReal>(engine: &Engine<T>, light: &Image<T>) -> Array2<T> {
     let cut = slice_of(light.pixels(), engine.plan().light_region()).to_owned();
     let mut image = engine.plan().zeros();
@@ -121,7 +122,7 @@ fn relative_l2<T: ConvReal>(image: ArrayView2<'_, T>, truth: ArrayView2<'_, T>) 
     (pairs.fold(0.0, square) / truth.iter().map(|v| v.as_f64()).fold(0.0, square)).sqrt()
 }
 
-/// Plans of all pieces put together, forward and back, against the whole.
+/// Compares the plans of all pieces put together with the whole, forward and adjoint.
 fn compare<T: ConvReal>(
     case: &str,
     whole: &Engine<T>,
@@ -143,7 +144,7 @@ fn compare<T: ConvReal>(
         image
             .slice_mut(s![y..y + made.nrows(), x..x + made.ncols()])
             .assign(&made);
-        // The transpose of the whole is the sum of those of its parts.
+        // The transpose of the whole is the sum of the transposes of its parts.
         let cut = slice_of(seen.pixels(), part);
         engine
             .execute(
@@ -219,7 +220,7 @@ fn a_region_chooses_the_tiles_of_the_whole() {
                 );
                 assert_eq!(image_of(&chosen, &light(true)), image_of(&taken, &light(true)));
             }
-            // The region that is everything is the plan itself, from whichever region it comes.
+            // The region of the whole frame gives the whole plan, from any other region.
             let part = make(region(3, 4, 1, 1));
             let again = other(&part, frame.shape().region());
             assert_eq!(again.plan().summary(), whole.plan().summary());
@@ -256,7 +257,7 @@ fn single_pixels_and_thin_regions_anywhere() {
                     let engine = other(&engine, part);
                     let error = relative_l2(image_of(&engine, &light).view(), slice_of(truth.pixels(), part));
                     assert!(error <= SAME_F64, "{case}: {error:e}");
-                    // Light of the whole scene does as well, and so does the scene itself.
+                    // The engine also accepts the light of the whole scene, and the scene itself.
                     let image = engine.image_of(&scene).unwrap();
                     assert_eq!(image.pixels(), image_of(&engine, &light), "{case}");
                 }
@@ -265,7 +266,7 @@ fn single_pixels_and_thin_regions_anywhere() {
     }
 }
 
-/// A region's adjoint lies where the light that reaches it does.
+/// A region's adjoint has the region of the light that reaches it.
 #[test]
 fn a_region_has_its_own_adjoint() {
     let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
@@ -297,7 +298,7 @@ fn a_region_has_its_own_adjoint() {
     }
 }
 
-/// The rows of an image, coming and going.
+/// The rows of a scene to be read, and of an image to be written.
 struct Rows<'a> {
     light: ArrayView2<'a, f64>,
     read: Vec<usize>,
@@ -351,7 +352,7 @@ fn a_region_streams_its_rows_and_draws_its_stars() {
                 "{name} {anchor}"
             );
 
-            // Stars of the region are those of the whole, byte by byte.
+            // Stars of the region equal those of the whole, bit by bit.
             let stars = StarPlan::<f64>::new(&model, options, None).unwrap();
             let whole = drawn(&stars, &sources, frame);
             let mut of_part = Array2::zeros((47, 53));

@@ -33,8 +33,9 @@ fn a_shifted_gaussian_is_the_gaussian_of_the_shifted_source() {
     {
         largest = largest.max((value - gauss(y as f64 - 15.0 - dy, x as f64 - 15.0 - dx)).abs());
     }
-    // A cubic spline is off by at most 1/384 of the fourth derivative, here 3 / sigma^4, along each of two axes
-    // (Hall and Meyer 1976: 5/384 in general, 1/384 for the leading term on a uniform grid).
+    // The error of a cubic spline is at most 1/384 of the fourth derivative, here 3 / sigma^4,
+    // along each of two axes (Hall and Meyer 1976: 5/384 in general, 1/384 for the leading term on
+    // a uniform grid).
     let bound = 2.0 * 3.0 / sigma2.powi(2) / 384.0;
     assert!(largest < bound, "{largest} against {bound}");
     assert!(largest > 1e-8, "the test must be able to see an error");
@@ -67,13 +68,13 @@ fn lanczos_keeps_pixels_and_constants() {
     }
     let flat = StampInterpolator::new(Array2::ones((9, 16)).view(), lanczos).resample((0.3, 0.2), lanczos);
     assert!((flat[[4, 8]] - 1.0).abs() < 1e-14);
-    // Two pixels off the edge there is still something, four off there is not.
+    // Two pixels beyond the edge the values are not zero, four pixels beyond they are.
     let wide = grid(24, 17).with_interpolation(StampInterpolation::Lanczos3);
     let faded = StampInterpolator::new(Array2::ones((9, 16)).view(), lanczos).resample((0.3, 0.0), wide);
     assert!(faded[[8, 2]].abs() > 1e-3 && faded[[8, 0]] == 0.0);
 }
 
-/// A Gaussian averaged over a frame pixel, by error functions through a fine sum.
+/// A Gaussian averaged over a frame pixel, compared with a fine sum.
 #[test]
 fn the_pixel_response_is_the_average_over_a_frame_pixel() {
     let (s, sigma) = (4.0, 1.1);
@@ -91,8 +92,8 @@ fn the_pixel_response_is_the_average_over_a_frame_pixel() {
             .sum::<f64>()
             / 1000.0
     };
-    // A cubic spline is off by 3 / (384 sigma^4) of the peak along each axis, with sigma = 4.4 pixels of the stamp; a
-    // Lanczos kernel by a few parts in 10^4 at any sampling.
+    // The error of a cubic spline is 3 / (384 sigma^4) of the peak along each axis, with sigma =
+    // 4.4 pixels of the stamp. That of a Lanczos kernel is a few parts in 10^4 at any sampling.
     for (kernel, within) in [
         (StampInterpolation::CubicSpline, 5e-5),
         (StampInterpolation::Lanczos3, 3e-4),
@@ -110,7 +111,7 @@ fn the_pixel_response_is_the_average_over_a_frame_pixel() {
             );
         }
         assert!((target.flux_of_sum(with.sum()) - fine.flux_of_sum(stamp.sum())).abs() < 1e-6);
-        // Once is enough.
+        // A second call changes nothing.
         assert_eq!(grid_with_pixel_response(target).unwrap(), target);
     }
 }

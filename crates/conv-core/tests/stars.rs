@@ -1,4 +1,4 @@
-//! Stars by a plan against the same drawn one by one.
+//! Stars drawn by a plan against stars drawn one by one.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -17,10 +17,10 @@ use rand_chacha::ChaCha8Rng;
 
 const FRAME: (usize, usize) = (150, 97);
 
-/// Rounding, and phases within 1e-9 of a stamp's pixel taken as on it.
+/// Rounding, and phases that are moved by at most 1e-9 to a stamp's pixel.
 const SAME: f64 = 1e-11;
 
-/// The same model with stamps of another sampling.
+/// The model with stamps resampled to another grid.
 fn resampled(
     model: &PsfModel,
     oversampling: f64,
@@ -41,7 +41,8 @@ fn model(normalisation: Normalisation) -> PsfModel {
     common::model_with(Arc::new(Waves), (23, 18), (11, 9), false, normalisation)
 }
 
-/// On the frame, at its edges, off it; on pixels, between them and just beside their borders.
+/// Stars on the frame, at its edges and outside, and on pixels, between pixels and close to their
+/// borders.
 fn stars(count: usize) -> Vec<PointSource> {
     let mut rng = ChaCha8Rng::seed_from_u64(5);
     let mut at = |low: f64, high: f64| rng.random_range(low..high);
@@ -88,7 +89,7 @@ fn painted(
     image
 }
 
-/// Every sampling, kernel, centre and cut: without a tolerance, the same but for rounding.
+/// For every sampling, kernel, centre and size, at tolerance 0 the results agree up to rounding.
 #[test]
 fn a_plan_draws_what_the_painter_draws() {
     let stars = stars(300);
@@ -152,7 +153,7 @@ fn scaling_and_means_are_kept() {
     }
 }
 
-/// The tolerance is of every single star.
+/// The tolerance applies to every single star.
 #[test]
 fn every_star_is_within_the_tolerance() {
     let model = resampled(
@@ -174,7 +175,8 @@ fn every_star_is_within_the_tolerance() {
                 largest = largest.max(l2(&(&a - &b)) / l2(&b));
             }
         }
-        // At the stamps' sampling it is the tolerance; one phase of three random stamps may hold more of the error than others.
+        // The tolerance holds at the stamps' sampling. One phase of three random stamps may have
+        // more of the error than others.
         assert!(largest < 3.0 * tolerance, "{tolerance}: {largest}");
         assert!(
             largest > 0.0 || tolerance < 0.1,
@@ -197,7 +199,7 @@ fn single_precision_is_rounding_off() {
     assert!(largest < 1e-6 && largest > 1e-10, "{largest}");
 }
 
-/// Seen through a frame, output-anchored, on any number of threads, twice with one plan.
+/// Through a frame, output-anchored, on any number of threads, and twice with one plan.
 #[test]
 fn frames_anchors_threads_and_repetition() {
     let model = resampled(
@@ -231,7 +233,7 @@ fn frames_anchors_threads_and_repetition() {
     }
 }
 
-/// A field without values in places: an error where a star needs one, none where it does not.
+/// A field that lacks values in places: an error only if a star needs one.
 #[test]
 fn a_star_without_a_psf_is_an_error() {
     #[derive(Debug)]

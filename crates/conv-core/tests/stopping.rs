@@ -1,4 +1,4 @@
-//! Work that is stopped before its end.
+//! Work that is cancelled before its end.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -34,8 +34,9 @@ fn sources(count: usize) -> Vec<PointSource> {
         .collect()
 }
 
-/// Runs work that is stopped after none, some and nearly all of its questions, on one thread and on several. It must ask at least
-/// `at_least` times, end with the error, and ask at most `most_after` times after it was told.
+/// Runs work that is cancelled after none, some and nearly all of its polls, on one thread and on
+/// several. The work must poll at least `at_least` times, return the error, and poll at most
+/// `most_after` times after the cancellation.
 fn stops<R: std::fmt::Debug + Send>(
     name: &str,
     (at_least, most_after): (usize, usize),
@@ -46,23 +47,24 @@ fn stops<R: std::fmt::Debug + Send>(
         let patience = Patience::endless();
         pool.install(|| work(&patience)).unwrap();
         let all = patience.asked();
-        assert!(all >= at_least, "{name}: asked {all} times");
+        assert!(all >= at_least, "{name}: polled {all} times");
         for enough in [0, 1, all / 2, all - 1] {
             let patience = Patience::of(enough);
             match pool.install(|| work(&patience)) {
                 Err(ConvError::Cancelled(_)) => {}
-                other => panic!("{name}, {threads} threads, stopped at {enough} of {all}: {other:?}"),
+                other => panic!("{name}, {threads} threads, cancelled at {enough} of {all}: {other:?}"),
             }
             let after = patience.asked() - enough;
             assert!(
                 (1..=most_after).contains(&after),
-                "{name}, {threads} threads: asked {after} times after it was told at {enough} of {all}"
+                "{name}, {threads} threads: polled {after} times after cancellation at {enough} of {all}"
             );
         }
     }
 }
 
-/// After the no, each block that is about to be done at the same time asks once more; there are some tens of them.
+/// After the cancellation, each block that is about to be executed polls once more. Some tens of
+/// them run at the same time.
 const BLOCKS: usize = 100;
 
 #[test]
@@ -136,7 +138,7 @@ fn every_method_stops() {
             ("low rank", Box::new(LowRank::new(options))),
         ];
         for (name, method) in methods {
-            // Columns of a plane are skipped one by one: each asks.
+            // Columns of a plane are skipped one by one, and each polls.
             stops(name, (4, 600), |patience| {
                 method.convolve(&model, &scene.light.view(), scene.frame, patience)
             });

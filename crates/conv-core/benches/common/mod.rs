@@ -1,4 +1,4 @@
-//! A model as models of telescopes are: samples on a regular grid, bilinear between them.
+//! A model like those of telescopes: samples on a regular grid, bilinear between them.
 
 #[path = "../../tests/common/grid_field.rs"]
 mod grid_field;
@@ -13,9 +13,9 @@ use rand_chacha::ChaCha8Rng;
 
 /// Pixels along each side of a stamp.
 pub(crate) const STAMP: usize = 64;
-/// Components of the model.
+/// The number of components of the model.
 pub(crate) const RANK: usize = 30;
-/// Samples along each side of the field.
+/// The number of samples along each side of the field.
 pub(crate) const SAMPLES: usize = 17;
 
 /// Coefficients over a square frame.

@@ -149,7 +149,7 @@ fn total_of_faint<T: ConvReal>(
 /// The treatment of a tile.
 #[derive(Debug)]
 pub(crate) struct Treatment<T> {
-    /// The method for the tile's light as a whole. `None` if only single pixels are drawn.
+    /// The method for the tile's light as a whole. `None` if nothing remains to be convolved.
     pub(crate) method: Option<TileMethod>,
     /// Pixels drawn stamp by stamp. They have been removed from the tile's light.
     pub(crate) drawn: Vec<LitPixel<T>>,

@@ -115,8 +115,8 @@ const SUPPORT_CELLS: usize = 16;
 /// The region's mean is the reference if it holds at least this fraction of the largest flux that a
 /// vector of its norm can hold.
 const FLUX_TO_SPEAK_OF: f64 = 1e-3;
-/// After removal of the flux, what nodes hold along the flux direction is rounding up to this,
-/// relative to their norms.
+/// After removal of the flux, parts of nodes along the flux direction are rounding up to this,
+/// relative to the nodes' norms.
 const NO_FLUX: f64 = 1e-12;
 /// Directions in which no node reaches farther than this, relative to the nodes' norms, are
 /// rounding.

@@ -48,8 +48,8 @@ const BLOCKS_A_PRODUCT: usize = 32;
 /// operator: the modes of a tile depend on the model and the tolerance, never on the light.
 ///
 /// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with the fewest modes
-/// that represent each PSF within the tolerance. The modes hold no flux, so the flux is exact at
-/// any tolerance.
+/// that represent each PSF within the tolerance. The modes hold no flux, so flux is kept at any
+/// tolerance.
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(crate) model: PsfModel,

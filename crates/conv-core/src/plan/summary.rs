@@ -90,7 +90,10 @@ impl std::fmt::Display for PlanSummary {
             (_, direct) => {
                 let method = if direct { "direct sum" } else { "transforms" };
                 let most = self.drawn_up_to;
-                writeln!(f, "lit tiles: {method}; at most {most} lit pixels: stamp by stamp")?;
+                writeln!(
+                    f,
+                    "lit tiles: {method}; at most {most} lit pixels: stamp by stamp"
+                )?;
             }
         }
         write!(

@@ -1,16 +1,17 @@
-//! A field on a regular grid, as models of telescopes have.
+//! A field on a regular grid, like those of models of telescopes.
 
 use std::borrow::Cow;
 
 use ndarray::Array2;
 use psf_types::{CoefficientField, FieldError, Position, RowRun};
 
-/// Coefficients that are bilinear in the cells of a square grid of nodes, the first of which is at (0, 0).
+/// Coefficients that are bilinear in the cells of a square grid of nodes. The first node is at (0,
+/// 0).
 #[derive(Debug)]
 pub(crate) struct GridField {
     /// Pixels from one node to the next.
     step: f64,
-    /// Nodes along each side.
+    /// The number of nodes along each side.
     side: usize,
     /// `[node, component]`, rows of nodes one after the other.
     values: Array2<f64>,
@@ -22,12 +23,12 @@ impl GridField {
         Self { step, side, values }
     }
 
-    /// A coordinate in steps, held within the grid.
+    /// A coordinate in steps, clamped to the grid.
     fn place(&self, coordinate: f64) -> f64 {
         (coordinate / self.step).clamp(0.0, (self.side - 1) as f64)
     }
 
-    /// The cell of a coordinate, and the place in it.
+    /// The cell of a coordinate, and the position in the cell.
     fn cell(&self, coordinate: f64) -> (usize, f64) {
         let at = self.place(coordinate);
         let cell = (at as usize).min(self.side - 2);

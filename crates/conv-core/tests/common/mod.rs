@@ -1,4 +1,4 @@
-//! A small model with a PSF that varies strongly, and the double sum written as plainly as can be.
+//! A small model with a PSF that varies strongly, and the double sum in its plainest form.
 
 pub(crate) mod grid_field;
 
@@ -20,7 +20,7 @@ use rand_chacha::ChaCha8Rng;
 pub(crate) const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 pub(crate) const PATHS: [Paths; 2] = [Paths::Cheapest, Paths::Transforms];
 
-/// With a mean or without, and what becomes of the flux.
+/// With or without a mean, and the normalisation of the flux.
 pub(crate) const KINDS: [(bool, Normalisation); 3] = [
     (true, Normalisation::Unit),
     (true, Normalisation::Keep),
@@ -97,7 +97,7 @@ impl<T: ConvReal> Scene<T> {
     }
 }
 
-/// Executions that make new images.
+/// Executions that return new images.
 pub(crate) trait Execute<T: ConvReal> {
     fn counted(&self, scene: &Scene<T>, progress: &dyn Progress)
     -> Result<(Image<T>, TileCounts), ConvError>;
@@ -137,7 +137,7 @@ impl<T: ConvReal> Execute<T> for Engine<T> {
     }
 }
 
-/// A new image of a frame with stars drawn by a plan.
+/// Draws stars by a plan into a new image of a frame.
 pub(crate) fn drawn<T: ConvReal>(plan: &StarPlan<T>, stars: &[PointSource], frame: PixelRegion) -> Array2<T> {
     let mut image = Array2::zeros((frame.shape().ny(), frame.shape().nx()));
     let whole = frame.shape().region();
@@ -166,7 +166,7 @@ impl CoefficientField for Waves {
     }
 }
 
-/// The same PSF everywhere.
+/// A field with a constant PSF.
 #[derive(Debug)]
 pub(crate) struct Constant;
 
@@ -185,7 +185,7 @@ pub(crate) fn noise(ny: usize, nx: usize, seed: u64) -> Array2<f64> {
     Array2::from_shape_simple_fn((ny, nx), || rng.random_range(-1.0..1.0))
 }
 
-/// Stamps of `nx x ny` pixels with a centre, three random orthonormal components and perhaps a mean.
+/// A model with stamps of `nx x ny` pixels, three random orthonormal components and perhaps a mean.
 pub(crate) fn model_with(
     field: Arc<dyn CoefficientField>,
     (nx, ny): (usize, usize),
@@ -221,7 +221,7 @@ pub(crate) fn model_with(
 
 pub(crate) fn scene(nx: usize, ny: usize, seed: u64) -> Scene<f64> {
     let mut light = noise(ny, nx, seed);
-    // Some of it dark, so that what is skipped is tested too.
+    // A part of it is dark, so that skipping is tested too.
     light.slice_mut(ndarray::s![ny / 3..ny / 2, ..]).fill(0.0);
     Scene::new(light)
 }
@@ -230,7 +230,7 @@ pub(crate) fn region(x0: i64, y0: i64, nx: usize, ny: usize) -> PixelRegion {
     PixelRegion::new(x0, y0, FrameShape::new(nx, ny).unwrap())
 }
 
-/// Wants the work to stop from a question on, and counts questions.
+/// Cancels the work from a given poll on, and counts polls.
 pub(crate) struct Patience {
     questions: AtomicUsize,
     enough: usize,
@@ -261,7 +261,7 @@ impl Progress for Patience {
     }
 }
 
-/// The double sum over the frame, without any cleverness.
+/// The double sum over the frame, without any optimisation.
 pub(crate) fn double_sum(model: &PsfModel, scene: &Scene<f64>, anchor: Anchor) -> Array2<f64> {
     let light = scene.pixels();
     let (ny, nx) = light.dim();

@@ -1,4 +1,4 @@
-//! What must hold on every device.
+//! Tests that must pass on every device.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::common::{
 };
 use crate::on_device::OnDevice;
 
-/// Transforms of a few thousand values in single precision, relative to the peak of the image.
+/// Transforms of a few thousand values in f32, relative to the peak of the image.
 pub(crate) const ROUNDING: f64 = 3e-6;
 
 type Body = fn(&OnDevice);
@@ -60,7 +60,7 @@ fn double_sums(device: &OnDevice) {
             let model = model_with(Arc::new(Waves), shape, centre, mean, normalisation);
             let mut scene = scene(nx, ny, (nx * ny + n) as u64);
             if m % 2 == 0 {
-                // Every fifth pixel: a light that every path treats.
+                // Every fifth pixel is lit, so that every path is used.
                 let mut light = scene.pixels().to_owned();
                 for ((y, x), value) in light.indexed_iter_mut() {
                     *value *= f64::from(u8::from((3 * y + x) % 5 == 0));
@@ -111,7 +111,7 @@ fn adjoints(device: &OnDevice) {
     }
 }
 
-/// Single units of light through transforms, whose modes do not depend on the light.
+/// Single units of light through transforms. The modes of transforms do not depend on the light.
 fn tolerances(device: &OnDevice) {
     let (nx, ny) = (120, 90);
     let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
@@ -125,7 +125,8 @@ fn tolerances(device: &OnDevice) {
                 let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
                 let mut one = Array2::zeros((ny, nx));
                 one[[y, x]] = 1.0;
-                // Output-anchored, the kernel of one output pixel is a row of the operator: a column of its transpose.
+                // Output-anchored, the kernel of one output pixel is a row of the operator, which
+                // is a column of its transpose.
                 let (response, sign) = if anchor == Anchor::Source {
                     (engine.image_of(&of_light(one)).unwrap(), 1)
                 } else {
@@ -139,7 +140,7 @@ fn tolerances(device: &OnDevice) {
                         exact[[row as usize, column as usize]] = h;
                     }
                 }
-                // The tolerance is of the whole PSF; at the edge a part of it is cut off.
+                // The tolerance is relative to the whole PSF, which is truncated at the edge.
                 let error = norm(&(doubles(&response) - &exact)) / norm(&psf.values().to_owned());
                 assert!(
                     error <= tolerance + ROUNDING,
@@ -149,7 +150,7 @@ fn tolerances(device: &OnDevice) {
             }
         }
     }
-    // The tolerance is made use of: otherwise this would test nothing.
+    // If the tolerance were not used, the test would prove nothing.
     assert!(coarsest > 1e-3, "{coarsest:e}");
 }
 
@@ -192,7 +193,7 @@ fn bright_stars(device: &OnDevice) {
             (squares.sum::<f64>() / truth.iter().map(|v| v * v).sum::<f64>()).sqrt()
         };
         assert!(error(Paths::Cheapest) < 1e-6, "{anchor}");
-        // Through transforms alone it would.
+        // If only transforms were used, it would.
         assert!(error(Paths::Transforms) > 1e-3, "{anchor}");
     }
 }
@@ -214,7 +215,7 @@ fn ranges(device: &OnDevice) {
     }
 }
 
-/// A scene in memory that is handed out by rows.
+/// A scene in memory that is read by rows.
 struct Rows<'a> {
     scene: &'a Scene<f32>,
     image: Vec<f32>,
@@ -250,7 +251,7 @@ fn same_bytes(device: &OnDevice) {
                 let engine = device.with(scene.plan(&model, options));
                 let (image, counts) = engine.counted(&scene, &NoProgress).unwrap();
                 assert_eq!(counts.tiles(), engine.plan().summary().tiles);
-                // Something else between, so that what it left is not what belongs there.
+                // Another execution in between leaves other values in the buffers.
                 let half = scene.pixels().mapv(|v| v.max(0.0) * -3.0);
                 let other = of_light(half).with_frame(scene.frame);
                 assert!(engine.image_of(&other).unwrap() != image);
@@ -270,7 +271,7 @@ fn same_bytes(device: &OnDevice) {
     }
 }
 
-/// As many as there are threads, on the pool that each of them works in as well.
+/// Many executions at the same time, on the pool in which each of them works too.
 fn at_once(device: &OnDevice) {
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
     let scenes: Vec<Scene<f32>> = (0..60).map(|seed| single(&scene(150, 130, seed))).collect();
@@ -290,7 +291,7 @@ fn at_once(device: &OnDevice) {
     assert!(one_by_one == at_once);
 }
 
-/// No PSF in the left part.
+/// A field without values in the left part.
 #[derive(Debug)]
 struct Half;
 
@@ -321,12 +322,12 @@ fn no_psf(device: &OnDevice) {
         light[[7, 10]] = 1.0;
         let error = engine.image_of(&of_light(light)).unwrap_err();
         assert!(matches!(error, ConvError::Field(_)), "{error}");
-        // It is none the worse for it.
+        // The engine still works after the error.
         assert!(engine.image_of(&fine).is_ok(), "{anchor}");
     }
 }
 
-/// Pieces of a frame from the light that reaches each, forward and back.
+/// Computes pieces of a frame from the light that reaches each, forward and adjoint.
 fn regions(device: &OnDevice) {
     let scene = single(&scene(201, 157, 8).with_frame(region(5, 9, 173, 131)));
     let model = model_with(Arc::new(Waves), (11, 7), (4, 3), true, Normalisation::Unit);

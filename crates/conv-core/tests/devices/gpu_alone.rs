@@ -1,4 +1,4 @@
-//! What only a GPU can do well or badly.
+//! Tests of properties that only a GPU has.
 
 use std::sync::Arc;
 
@@ -12,11 +12,11 @@ use crate::common::{ANCHORS, Execute, Scene, Waves, model_with, noise, options, 
 use crate::on_device::OnDevice;
 use crate::shaders;
 
-/// Both devices in single precision, by different transforms: relative L2.
+/// Relative L2 difference of the devices in f32, which use different transforms.
 const PARITY: f64 = 3e-6;
-/// A shader against its twin in double precision.
+/// A shader against its twin in f64.
 const TWIN: f64 = 1e-6;
-/// Pieces cut elsewhere change the order of additions alone.
+/// Other pieces only change the order of additions.
 const ORDER: f64 = 1e-6;
 
 type Body = Box<dyn FnOnce(&OnDevice) + Send>;
@@ -38,10 +38,10 @@ pub(crate) fn all() -> Vec<(String, Body)> {
     all
 }
 
-/// Radices 4 and 8, then 3 and 5 as well; rows in groups of 16 and fewer.
+/// Radices 4 and 8, then also 3 and 5. Rows in groups of 16 and fewer.
 fn twin(gpu: &GpuDevice, name: &str) {
     let adapter = gpu.adapter();
-    // Too little memory for padding, too few threads for a butterfly each, one line at a time.
+    // Too little memory for padding, too few threads for one butterfly each, one line at a time.
     let mut small = adapter.clone();
     (small.workgroup_memory, small.workgroup_threads) = (2048, 24);
     for (adapter, size) in [
@@ -54,13 +54,13 @@ fn twin(gpu: &GpuDevice, name: &str) {
         assert!(error <= TWIN, "{name} {size:?}: {error:e}");
     }
     if name != "draw_stamps" {
-        // The comparison can fail: one root of unity is wrong.
+        // Proves that the comparison can fail: one root of unity is wrong.
         let error = shaders::error_against_twin(gpu, adapter, name, (64, 128), true).unwrap();
         assert!(error > 1e-3, "{name}: {error:e}");
     }
 }
 
-/// The images of both devices by one plan.
+/// The images of both devices from one plan.
 fn both(gpu: &GpuDevice, plan: Plan<f32>, scene: &Scene<f32>) -> [Array2<f64>; 2] {
     let image = |engine: Engine<f32>| engine.image_of(scene).unwrap().pixels().mapv(f64::from);
     let whole = plan.region();
@@ -71,7 +71,7 @@ fn both(gpu: &GpuDevice, plan: Plan<f32>, scene: &Scene<f32>) -> [Array2<f64>; 2
     ]
 }
 
-/// The plan on a GPU that can run it.
+/// The plan on a GPU that can execute it.
 fn on_gpu_with(plan: Plan<f32>, gpu: &GpuDevice, options: GpuOptions) -> Engine<f32> {
     Engine::on_gpu(plan, gpu, options)
         .map_err(|(_, error)| error)
@@ -117,7 +117,7 @@ fn lit(nx: usize, ny: usize, chosen: impl Fn(usize, usize) -> bool) -> Scene<f32
     }))
 }
 
-/// Full, sparse, a few pixels, one corner, nothing; roles of the flux.
+/// Light everywhere, sparse light, a few pixels, one corner, darkness, and the roles of the flux.
 fn lights(device: &OnDevice) {
     let (nx, ny) = (431, 283);
     for normalisation in [Normalisation::Unit, Normalisation::Keep] {
@@ -146,7 +146,8 @@ fn lights(device: &OnDevice) {
     }
 }
 
-/// Nothing kept, pieces so small that a tile's kernels come one by one, stamps and coefficients made anew; light of every kind, there and back.
+/// Nothing is kept, and pieces are so small that a tile's kernels are processed one by one. Stamps
+/// and coefficients are computed by each execution. Light of every kind, forward and adjoint.
 fn pieces(device: &OnDevice) {
     let model = model_with(Arc::new(Waves), (33, 29), (16, 11), true, Normalisation::Unit);
     let full = single(&scene(307, 211, 3));
@@ -178,7 +179,7 @@ fn pieces(device: &OnDevice) {
     }
 }
 
-/// On a device of its own, which others do not miss.
+/// Uses a separate device, so that other tests are not affected.
 fn lost(_: &OnDevice) {
     let gpu = GpuDevice::new(None).unwrap();
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
@@ -205,7 +206,7 @@ fn refused(device: &OnDevice) {
     assert_eq!(plan.predicted_gpu_seconds(gpu.adapter()), None);
     let (plan, error) = Engine::on_gpu(plan, gpu, GpuOptions::default()).unwrap_err();
     assert_eq!(error, GpuError::Precision { precision: "f64" });
-    // It still runs on the processor.
+    // The plan still runs on the processor.
     let engine = Engine::new(plan);
     assert!(engine.image_of(&scene).is_ok() && engine.gpu().is_none());
     let huge = shaders::error_against_twin(gpu, gpu.adapter(), "add_rows", (1 << 15, 32), false);
@@ -228,7 +229,7 @@ fn times(device: &OnDevice) {
     engine.image_of(&scene).unwrap();
     let times = engine.gpu_times().unwrap();
     let work = engine.plan().gpu_work();
-    // What has to be moved is moved: the light, and the image with what panels share.
+    // At least the light, and the image with the pixels that panels share, must be moved.
     assert!(
         times.bytes.0 + times.bytes.1 >= work.bus_bytes,
         "{times:?} {work:?}"

@@ -1,7 +1,8 @@
-//! The fast engine in f32 on both devices, the processor and the GPU: the same bodies with the same tolerances, each with what it must equal.
+//! Tests of the fast engine in f32 on the processor and the GPU. Both run the same tests with the
+//! same tolerances against the same references.
 //!
-//! Where there is no GPU that can be driven, its tests show as ignored; with `PSFIELD_REQUIRE_GPU` set they fail instead. A driver that runs
-//! shaders on the processor (Mesa's lavapipe) will do.
+//! Without a usable GPU, its tests are shown as ignored. If `PSFIELD_REQUIRE_GPU` is set, they fail
+//! instead. A driver that runs shaders on the processor (Mesa's lavapipe) is enough.
 
 mod bodies;
 #[allow(dead_code, reason = "each test binary uses a part")]
@@ -42,7 +43,7 @@ fn main() {
     libtest_mimic::run(&arguments, trials).exit();
 }
 
-/// A test on a device, ignored where it is not there.
+/// A test on a device, ignored if there is no device.
 fn trial(name: String, device: Option<OnDevice>, body: impl FnOnce(&OnDevice) + Send + 'static) -> Trial {
     let there = device.is_some();
     let run = move || -> Result<(), Failed> {

@@ -1,4 +1,4 @@
-//! Where a plan runs.
+//! The device that a plan runs on.
 
 use conv_core::{Engine, Plan};
 
@@ -17,7 +17,7 @@ impl OnDevice {
         }
     }
 
-    /// The GPU, or why there is none.
+    /// The GPU, or the reason why there is none.
     #[cfg(feature = "gpu")]
     pub(crate) fn gpu() -> Result<Self, String> {
         let gpu = conv_core::gpu::GpuDevice::new(None).map_err(|error| error.to_string())?;
@@ -30,7 +30,7 @@ impl OnDevice {
         Err("conv-core was built without its feature `gpu`".to_owned())
     }
 
-    /// An engine that executes a plan here.
+    /// An engine that executes a plan on this device.
     #[cfg(feature = "gpu")]
     pub(crate) fn with(&self, plan: Plan<f32>) -> Engine<f32> {
         match &self.gpu {
@@ -42,7 +42,7 @@ impl OnDevice {
     }
 
     #[cfg(not(feature = "gpu"))]
-    #[allow(clippy::unused_self, reason = "there is one device alone")]
+    #[allow(clippy::unused_self, reason = "there is only one device")]
     pub(crate) fn with(&self, plan: Plan<f32>) -> Engine<f32> {
         Engine::new(plan)
     }

@@ -1,16 +1,17 @@
-//! Made-up input for shaders, and transforms by their definition.
+//! Artificial input for shaders, and transforms by their definition.
 
 use std::f64::consts::TAU;
 
-/// Two tiles of different sizes: one with runs of coefficients and a kernel without any, one with coefficients pixel by pixel, divided by the
-/// first. Their results do not overlap; those of the first reach beyond the panel.
+/// Two tiles of different sizes. The first has runs of coefficients and a kernel without any. The
+/// second has coefficients pixel by pixel, divided by the first. Their results do not overlap, and
+/// those of the first reach beyond the panel.
 #[derive(Debug)]
 pub(super) struct Case {
     pub(super) nx: usize,
     pub(super) ny: usize,
     /// Rows that a workgroup transforms together.
     pub(super) row_group: usize,
-    /// With coefficients; else stamps are turned by 180 degrees.
+    /// True with coefficients. If false, stamps are turned by 180 degrees.
     pub(super) weighted: bool,
     pub(super) tiles: Vec<Tile>,
     pub(super) tables: Vec<u32>,
@@ -28,14 +29,14 @@ pub(super) const STAMP: (usize, usize) = (7, 5);
 const KERNELS: [u32; 2] = [3, 2];
 
 impl Case {
-    /// For planes of `nx x ny` values; with one kernel a tile where `single`.
+    /// Input for planes of `nx x ny` values, with one kernel per tile if `single`.
     pub(super) fn new((nx, ny): (usize, usize), row_group: usize, single: bool, weighted: bool) -> Self {
         let mut numbers = Numbers(0x9e37_79b9);
         let mut reals = |count: usize| -> Vec<f32> { (0..count).map(|_| numbers.next()).collect() };
         let half = ny / 2;
         let kernels = if single { [1, 1] } else { KERNELS };
         let planes = (kernels[0] + kernels[1] + 2) as usize;
-        // One tile that fills most of its plane, one that fills less than half the rows.
+        // One tile fills most of its plane, the other less than half the rows.
         let sizes = [(nx - 6, ny - 4), (nx / 2 + 1, half - 3)];
         let panel = (nx + 40, 2 * ny + 10);
         let mut tables = runs_table(sizes[0], &mut reals);
@@ -86,7 +87,7 @@ impl Case {
             spectra: reals((kernels[0] + kernels[1]) as usize * nx * ny),
             panel: reals(panel.0 * panel.1),
             draws: vec![draw(0), draw(1)],
-            // Some begin before the result, some lie over each other.
+            // Some begin before the result, some overlap.
             pixels: vec![[-2, -3], [4, 3], [6, 5], [4, 3], [0, 2], [3, 9], [4, 1]],
             amounts: reals(7 * 3),
             tiles,
@@ -154,7 +155,7 @@ impl Case {
         values[place..place + 2].copy_from_slice(&value);
     }
 
-    /// The transform along y of a tile's column, turned first.
+    /// The transform along y of a tile's column, multiplied by the twist factors first.
     pub(super) fn column(&self, tile: &Tile, plane: usize, column: usize) -> Vec<Complex> {
         let lit = self.half().min(tile.height as usize);
         let values: Vec<Complex> = (0..self.half())
@@ -173,14 +174,14 @@ impl Case {
         turn(std::f64::consts::PI * row as f64 / self.ny as f64)
     }
 
-    /// The inverse of [`turned`](Self::turned), and the factor of both transforms back.
+    /// The inverse of [`turned`](Self::turned), times the gain of both transforms back.
     pub(super) fn turned_back(&self, row: usize) -> Complex {
         let [re, im] = self.turned(row);
         let gain = (self.nx * self.half()) as f64;
         [re / gain, -im / gain]
     }
 
-    /// Adds to a pixel of the panel, counted from a tile's result, if it lies within.
+    /// Adds to a pixel of the panel, counted from a tile's result, if it lies within the panel.
     pub(super) fn add(&self, panel: &mut [f64], (x, y): (i64, i64), value: f64) {
         let (columns, rows) = self.panel_size();
         if (0..columns as i64).contains(&x) && (0..rows as i64).contains(&y) {
@@ -193,7 +194,7 @@ pub(super) fn doubles(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v)).collect()
 }
 
-/// Three runs a row, two functions, one kernel before them without any.
+/// Three runs per row, two functions, preceded by one kernel without a function.
 fn runs_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> Vec<f32>) -> Vec<u32> {
     let runs = 3 * rows;
     let header = [0, 2, 0, 1, columns, rows, 9, 9 + rows + 1, 9 + rows + 1 + runs];
@@ -204,7 +205,7 @@ fn runs_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> 
     words
 }
 
-/// Three functions, all pixels, of which the first divides the others and is positive.
+/// Three functions at all pixels. The first is positive and divides the others.
 fn dense_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> Vec<f32>) -> Vec<u32> {
     let header = [1, 3, 1, 0, columns, rows, 9, 9, 9];
     let mut words: Vec<u32> = header.map(|v| v as u32).to_vec();
@@ -225,7 +226,7 @@ impl Numbers {
     }
 }
 
-/// `Tile` of `common.wgsl`, which says what the fields are.
+/// `Tile` of `common.wgsl`, which explains the fields.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Tile {
     pub(super) light: u32,
@@ -333,7 +334,7 @@ pub(super) fn forward(values: &[Complex]) -> Vec<Complex> {
     transform(values, -1.0)
 }
 
-/// Without a factor.
+/// The transform back, without a factor.
 pub(super) fn back(values: &[Complex]) -> Vec<Complex> {
     transform(values, 1.0)
 }

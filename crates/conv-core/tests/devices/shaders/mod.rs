@@ -6,8 +6,9 @@ mod twins;
 use case::Case;
 use conv_core::gpu::{Adapter, GpuDevice, GpuError, ShaderTrial};
 
-/// How far a shader's result on made-up input, with planes of `nx x ny` values, is from its twin's: relative L2. Workgroups are sized for
-/// `adapter`, which may be less than the device's own. With `spoilt`, one of the roots of unity that the shader is given is wrong.
+/// The relative L2 difference between a shader's result and its twin's, on artificial input with
+/// planes of `nx x ny` values. Workgroups are sized for `adapter`, which may have lower limits than
+/// the device's own. With `spoilt`, one of the shader's roots of unity is wrong.
 pub(crate) fn error_against_twin(
     device: &GpuDevice,
     adapter: &Adapter,
@@ -40,7 +41,7 @@ pub(crate) fn error_against_twin(
     Ok(largest)
 }
 
-/// The relative L2 error of what there was to change; where nothing was, any change is an error.
+/// The L2 error of all values, relative to the L2 norm of the values that had to change.
 fn relative_error(result: &[f32], expected: &[f64], before: &[f32]) -> f64 {
     assert_eq!(result.len(), expected.len());
     let (mut difference, mut norm) = (0.0, 0.0);
@@ -50,7 +51,7 @@ fn relative_error(result: &[f32], expected: &[f64], before: &[f32]) -> f64 {
             norm += exact * exact;
         }
     }
-    assert!(norm > 0.0, "there is something to do");
+    assert!(norm > 0.0, "some values must change");
     (difference / norm).sqrt()
 }
 

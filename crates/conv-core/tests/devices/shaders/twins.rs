@@ -1,4 +1,4 @@
-//! Each shader's twin on the processor, in f64 and as plain as can be.
+//! The twin of each shader on the processor, in f64 and in the plainest form.
 
 use super::case::{Case, STAMP, back, doubles, forward, times};
 
@@ -194,7 +194,7 @@ pub(super) fn weigh_rows(case: &Case) -> Vec<f64> {
                 let (row, column) = (tile.row as usize + row, tile.column as usize + column);
                 weighted(&case.tables, light, tile.table as usize, kernel, row, column)
             };
-            // Groups of rows without light are left alone.
+            // Groups of rows without light are not changed.
             for row in 0..height.min(case.half()).next_multiple_of(case.row_group) {
                 let values: Vec<_> = (0..case.nx)
                     .map(|column| [lit(row, column), lit(row + case.half(), column)])
