@@ -1,4 +1,4 @@
-//! The cost of an exposure, step by step.
+//! The time of an exposure, with different steps switched on.
 
 use criterion::{BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
 use ndarray::Array2;

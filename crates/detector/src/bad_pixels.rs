@@ -1,5 +1,4 @@
-//! Pixels that do not work as the others: their flags, masks that the caller knows, and those drawn
-//! at random.
+//! Bad pixels: their flags, masks given by the caller, and bad pixels drawn at random.
 
 use ndarray::{Array2, ArrayView2};
 use psf_types::{FrameShape, Real};
@@ -8,24 +7,26 @@ use rand::RngExt;
 use crate::noise::{Step, noise_stream};
 use crate::{DetectorError, DetectorParams};
 
-/// Flags of a pixel, as sums of these numbers in a `u8`: the values of quality images and of bad-pixel masks.
+/// Flags of a pixel, as sums of these numbers in a `u8`: the values of quality images and of
+/// bad-pixel masks.
 #[derive(Debug, Clone, Copy)]
 pub struct PixelFlags;
 
 impl PixelFlags {
     /// The pixel never holds charge.
     pub const DEAD: u8 = 1;
-    /// The pixel has a dark current of its own.
+    /// The pixel has its own dark current.
     pub const HOT: u8 = 2;
     /// The pixel's column holds no charge.
     pub const BAD_COLUMN: u8 = 4;
-    /// The pixel is at its full well or at the upper end of the converter. Of an exposure, not of the sensor.
+    /// The pixel is at its full well or at the upper end of the converter. This flag belongs to an
+    /// exposure, not to the sensor.
     pub const SATURATED: u8 = 8;
-    /// What belongs to the sensor.
+    /// All flags that belong to the sensor.
     pub const BAD: u8 = Self::DEAD | Self::HOT | Self::BAD_COLUMN;
-    /// All there are.
+    /// All flags.
     pub const ALL: u8 = Self::BAD | Self::SATURATED;
-    /// Without charge.
+    /// The flags of pixels without charge.
     pub(crate) const NO_CHARGE: u8 = Self::DEAD | Self::BAD_COLUMN;
 }
 
@@ -46,10 +47,12 @@ pub struct BadPixelMask {
 }
 
 impl BadPixelMask {
-    /// A mask from the values of an image. [`PixelFlags::SATURATED`] is of an exposure, not of the sensor, and is left out.
+    /// A mask from the values of an image. [`PixelFlags::SATURATED`] belongs to an exposure, not to
+    /// the sensor, and is ignored.
     ///
     /// # Errors
-    /// [`DetectorError::MaskValue`] for the first value that is no sum of flags, [`DetectorError::Data`] for a mask without pixels.
+    /// [`DetectorError::MaskValue`] for the first value that is not a sum of flags.
+    /// [`DetectorError::Data`] for a mask without pixels.
     pub fn new<T: Real>(values: ArrayView2<'_, T>) -> Result<Self, DetectorError> {
         let (ny, nx) = values.dim();
         let shape = FrameShape::new(nx, ny)?;
@@ -74,14 +77,14 @@ impl BadPixelMask {
         self.shape
     }
 
-    /// Whether a pixel is hot.
+    /// Returns whether any pixel is hot.
     pub(crate) fn has_hot(&self) -> bool {
         self.flags.iter().any(|flag| flag & PixelFlags::HOT != 0)
     }
 }
 
-/// The flags that a frame's columns give to all their pixels. They belong to the sensor and are the
-/// same in every exposure.
+/// Draws the flags that bad columns give to all their pixels. They belong to the sensor and do not
+/// change between exposures.
 pub(crate) fn bad_columns(params: &DetectorParams, nx: usize) -> Vec<u8> {
     let mut rng = noise_stream(params.pattern_seed, Step::BadColumns, 0);
     let mut flag = || {
@@ -94,8 +97,8 @@ pub(crate) fn bad_columns(params: &DetectorParams, nx: usize) -> Vec<u8> {
     (0..nx).map(|_| flag()).collect()
 }
 
-/// Adds the flags of single dead and hot pixels of a row, each with its chance. They belong to the
-/// sensor as well.
+/// Adds the flags of single dead and hot pixels of a row, each with its own probability. They also
+/// belong to the sensor.
 pub(crate) fn mark_bad_pixels(params: &DetectorParams, row: usize, flags: &mut [u8]) {
     let dead = params.bad_pixels.dead_fraction;
     let dead_or_hot = dead + params.bad_pixels.hot_fraction;

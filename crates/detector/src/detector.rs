@@ -1,4 +1,4 @@
-//! A detector: its description, as a TOML file or code gives it, and the check of it.
+//! A detector: its description in a TOML file or in code, and the check of the description.
 
 use std::path::Path;
 
@@ -7,11 +7,11 @@ use serde::{Deserialize, Serialize};
 use crate::DetectorError;
 use crate::error::{above_zero, at_least_zero, require};
 
-/// Everything that describes a detector and an exposure, with the keys of the TOML file. Nothing is checked here:
-/// [`Detector::new`] does it, in one place, for files and for code alike.
+/// The full description of a detector and an exposure, with the keys of the TOML file. Nothing is
+/// checked here: [`Detector::new`] checks descriptions from files and from code.
 ///
-/// All keys may be left out; unknown keys are errors. The default is a perfect detector, which counts electrons without noise.
-/// The steps are in the [crate's table](crate#the-chain).
+/// Every key is optional, and unknown keys are errors. The default is a perfect detector, which
+/// counts electrons without noise. The [crate's table](crate#the-chain) lists the steps.
 ///
 /// | key | unit, range | default |
 /// |---|---|---|
@@ -19,16 +19,16 @@ use crate::error::{above_zero, at_least_zero, require};
 /// | `electrons_per_flux` | electrons in the exposure per unit of the image's flux, above 0 | 1 |
 /// | `exposure_s` | s, 0 and above | none |
 /// | `photon_noise` | `true` or `false` | `false` |
-/// | `sky_e` | electrons a pixel in the exposure, 0 and above | 0 |
+/// | `sky_e` | electrons per pixel in the exposure, 0 and above | 0 |
 /// | `sky_gradient_e_per_px` | [`SkyGradient`] | none |
-/// | `dark_e_per_s` | electrons a pixel and second, 0 and above; needs `exposure_s` | 0 |
+/// | `dark_e_per_s` | electrons per pixel and second, 0 and above. Needs `exposure_s` | 0 |
 /// | `response_rms` | relative, 0 to below 1 | 0 |
 /// | `full_well_e` | electrons, above 0 | none |
 /// | `read_noise_e` | electrons, standard deviation, 0 and above | 0 |
 /// | `gain_e_per_adu` | electrons per ADU, above 0 | 1 |
 /// | `bias_adu` | ADU | 0 |
 /// | `bits` | 1 to 24 | none: no digitisation |
-/// | `pattern_seed` | of the response and the bad pixels | 0 |
+/// | `pattern_seed` | seed of the response and the bad pixels | 0 |
 /// | `bad_pixels` | [`BadPixelParams`] | none |
 ///
 /// ```toml
@@ -50,21 +50,22 @@ use crate::error::{above_zero, at_least_zero, require};
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct DetectorParams {
-    /// A name for people.
+    /// A name for human readers.
     pub name: String,
     /// Electrons that one unit of the image's flux gives in the exposure.
     pub electrons_per_flux: f64,
-    /// Exposure time in s; it scales the dark current, not the light.
+    /// Exposure time in s. It scales the dark current, but not the light.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub exposure_s: Option<f64>,
-    /// Whether charge is Poisson distributed about its expected value.
+    /// If true, the charge is Poisson distributed about its expected value.
     pub photon_noise: bool,
-    /// Sky in electrons a pixel, in the exposure; with a gradient: at the middle of the frame.
+    /// Sky in electrons per pixel in the exposure. With a gradient, it is the value at the middle
+    /// of the frame.
     pub sky_e: f64,
-    /// How the sky changes over the frame.
+    /// The gradient of the sky over the frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sky_gradient_e_per_px: Option<SkyGradient>,
-    /// Dark current in electrons a pixel and second.
+    /// Dark current in electrons per pixel and second.
     pub dark_e_per_s: f64,
     /// Standard deviation of the pixels' response to light about 1 (pixel-response non-uniformity).
     pub response_rms: f64,
@@ -76,19 +77,20 @@ pub struct DetectorParams {
     /// Electrons per ADU.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gain_e_per_adu: Option<f64>,
-    /// The level of no charge in ADU.
+    /// The count in ADU for a charge of 0.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bias_adu: Option<f64>,
     /// Bits of the converter: counts are whole numbers from 0 to `2^bits - 1`.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub bits: Option<u32>,
-    /// Seed of what belongs to the sensor: its response and its bad pixels.
+    /// Seed of the sensor's properties: its response and its bad pixels.
     pub pattern_seed: u64,
-    /// Pixels that do not work as the others.
+    /// Fractions of bad pixels.
     pub bad_pixels: BadPixelParams,
 }
 
-/// The slope of the sky, in electrons a pixel per pixel, about the middle of the frame.
+/// The slope of the sky, in electrons per pixel for each pixel of distance from the middle of the
+/// frame.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct SkyGradient {
@@ -98,17 +100,20 @@ pub struct SkyGradient {
     pub y: f64,
 }
 
-/// How many pixels do not work as the others. Which ones follows from `pattern_seed` and the shape of the frame.
+/// Fractions of bad pixels. `pattern_seed` and the shape of the frame determine which pixels are
+/// bad.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BadPixelParams {
-    /// Chance of a pixel to hold no charge ever, 0 to 1.
+    /// Probability that a pixel never holds charge, 0 to 1.
     pub dead_fraction: f64,
-    /// Chance of a pixel to have a dark current of its own, 0 to 1; not more than 1 with `dead_fraction`.
+    /// Probability that a pixel has its own dark current, 0 to 1. The sum with `dead_fraction` is
+    /// at most 1.
     pub hot_fraction: f64,
-    /// Dark current of hot pixels in electrons a second, on top of that of all pixels; needs `exposure_s`.
+    /// Dark current of hot pixels in electrons per second, in addition to that of all pixels. Needs
+    /// `exposure_s`.
     pub hot_dark_e_per_s: f64,
-    /// Chance of a column to hold no charge, 0 to 1.
+    /// Probability that a column holds no charge, 0 to 1.
     pub bad_column_fraction: f64,
 }
 
@@ -138,14 +143,14 @@ impl Default for DetectorParams {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum CountUnit {
-    /// Electrons: no gain, bias or bits are given.
+    /// Electrons, if no gain, bias or bits are given.
     Electron,
     /// Analogue-to-digital units.
     Adu,
 }
 
 impl std::fmt::Display for CountUnit {
-    /// As FITS writes it: `electron` or `adu`.
+    /// Writes the unit as in FITS: `electron` or `adu`.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Electron => "electron",
@@ -154,7 +159,8 @@ impl std::fmt::Display for CountUnit {
     }
 }
 
-/// A detector that turns the light of an image into counts. See the [crate's page](crate) for the steps, their order and units.
+/// A detector that converts the light of an image to counts. The [crate's page](crate) explains the
+/// steps, their order and units.
 ///
 /// ```
 /// use psf_detector::Detector;
@@ -170,23 +176,24 @@ impl std::fmt::Display for CountUnit {
 /// assert_eq!(ccd.truth(&light)?.pixels()[[0, 0]], 50.0); // 100 s of dark current
 /// assert_eq!(ccd.saturation(), Some(60000.0));
 /// assert_eq!(ccd.expose(&light, 1)?, ccd.expose(&light, 1)?);
-/// assert!(Detector::from_toml_str("read_noise = 4.0").is_err()); // the key has its unit: read_noise_e
+/// assert!(Detector::from_toml_str("read_noise = 4.0").is_err()); // the key is read_noise_e
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct Detector {
-    /// Checked: every step takes its settings from here.
+    /// Checked parameters. Every step takes its settings from here.
     params: DetectorParams,
 }
 
 impl Detector {
-    /// Every count is exact in single precision.
+    /// With this number of bits every count is exact in single precision.
     const MAX_BITS: u32 = f32::MANTISSA_DIGITS;
 
-    /// A detector from its parameters. Checks all of them.
+    /// Makes a detector from its parameters. Checks all of them.
     ///
     /// # Errors
-    /// [`DetectorError::Setting`] and [`DetectorError::Needs`], naming the key and what is allowed.
+    /// [`DetectorError::Setting`] and [`DetectorError::Needs`], which name the key and the
+    /// requirement.
     pub fn new(params: DetectorParams) -> Result<Self, DetectorError> {
         above_zero("electrons_per_flux", params.electrons_per_flux)?;
         if let Some(seconds) = params.exposure_s {
@@ -233,7 +240,7 @@ impl Detector {
         let hot = fraction("bad_pixels.hot_fraction", bad.hot_fraction)?;
         require(
             "bad_pixels.hot_fraction",
-            "at most 1 with bad_pixels.dead_fraction",
+            "at most 1 in sum with bad_pixels.dead_fraction",
             hot,
             |hot| dead + hot <= 1.0,
         )?;
@@ -254,15 +261,16 @@ impl Detector {
         Ok(())
     }
 
-    /// A detector from TOML text with the keys of [`DetectorParams`].
+    /// Makes a detector from TOML text with the keys of [`DetectorParams`].
     ///
     /// # Errors
-    /// [`DetectorError::Toml`] with line, column and key for text that is not such a file; else as [`new`](Self::new).
+    /// [`DetectorError::Toml`] with line, column and key for text that is not such a file.
+    /// Otherwise the errors of [`new`](Self::new).
     pub fn from_toml_str(text: &str) -> Result<Self, DetectorError> {
         Self::new(toml::from_str(text).map_err(|e| DetectorError::Toml(Box::new(e)))?)
     }
 
-    /// A detector from a TOML file.
+    /// Makes a detector from a TOML file.
     ///
     /// # Errors
     /// [`DetectorError::Read`] or [`DetectorError::InFile`], which name the file.
@@ -278,12 +286,13 @@ impl Detector {
         })
     }
 
-    /// The parameters it was made from; change a copy and call [`new`](Self::new) for another detector.
+    /// The parameters that the detector was made from. To make another detector, change a copy and
+    /// call [`new`](Self::new).
     pub fn params(&self) -> &DetectorParams {
         &self.params
     }
 
-    /// The unit of its counts.
+    /// The unit of the counts.
     pub fn unit(&self) -> CountUnit {
         let params = &self.params;
         if params.gain_e_per_adu.is_some() || params.bias_adu.is_some() || params.bits.is_some() {
@@ -293,23 +302,23 @@ impl Detector {
         }
     }
 
-    /// Electrons per unit of its counts.
+    /// Electrons per unit of the counts.
     pub fn gain(&self) -> f64 {
         self.params.gain_e_per_adu.unwrap_or(1.0)
     }
 
-    /// The counts that the amplifier makes of a charge, `electrons / gain + bias`.
+    /// Converts a charge to the count of the amplifier, `electrons / gain + bias`.
     pub(crate) fn counts(&self, electrons: f64) -> f64 {
         electrons / self.gain() + self.params.bias_adu.unwrap_or(0.0)
     }
 
-    /// The upper end of the converter.
+    /// The largest count of the converter.
     pub(crate) fn highest_count(&self) -> Option<f64> {
         self.params.bits.map(|bits| f64::from((1_u32 << bits) - 1))
     }
 
-    /// The count at which a pixel is saturated, without read noise: that of the full well, or the upper end of the converter if that is
-    /// lower; none where nothing limits it.
+    /// The count at which a pixel is saturated, without read noise. This is the count of the full
+    /// well or the largest count of the converter, whichever is lower. `None` if there is no limit.
     pub fn saturation(&self) -> Option<f64> {
         let full = self.params.full_well_e.map(|electrons| self.counts(electrons));
         match (full, self.highest_count()) {
@@ -318,12 +327,12 @@ impl Detector {
         }
     }
 
-    /// Dark charge of a good pixel in electrons, expected in the exposure.
+    /// Expected dark charge of a good pixel in the exposure, in electrons.
     pub fn dark_e(&self) -> f64 {
         self.params.dark_e_per_s * self.params.exposure_s.unwrap_or(0.0)
     }
 
-    /// Whether every step is off: the counts are the image.
+    /// Returns whether every step is off, so that the counts equal the image.
     pub fn is_perfect(&self) -> bool {
         let on = DetectorParams {
             name: self.params.name.clone(),

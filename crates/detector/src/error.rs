@@ -1,4 +1,4 @@
-//! What goes wrong with detectors.
+//! Errors of detectors.
 
 use std::ops::Range;
 use std::path::PathBuf;
@@ -6,9 +6,10 @@ use std::path::PathBuf;
 use psf_types::{DataError, FrameShape};
 use thiserror::Error;
 
-/// What is wrong with the description of a detector, or with what it is to expose.
+/// An error in the description of a detector, or in the data that it exposes.
 ///
-/// Keys are written as in the TOML file, `bad_pixels.dead_fraction`. Pixels are `[y, x]`, 0-based.
+/// Keys are written as in the TOML file, for example `bad_pixels.dead_fraction`. Pixels are
+/// `[y, x]`, 0-based.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum DetectorError {
@@ -17,16 +18,16 @@ pub enum DetectorError {
     Read {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The error of the operating system.
         #[source]
         source: std::io::Error,
     },
-    /// The file was read, its content is no detector.
+    /// The file was read, but its content does not describe a detector.
     #[error("the detector file {} is not usable", path.display())]
     InFile {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The error in it.
         #[source]
         source: Box<DetectorError>,
     },
@@ -38,20 +39,20 @@ pub enum DetectorError {
     Setting {
         /// The key.
         key: &'static str,
-        /// What is allowed, in words.
+        /// The values that are allowed.
         allowed: &'static str,
-        /// What was given.
+        /// The value that was given.
         got: f64,
     },
-    /// A setting that says nothing without another.
-    #[error("{key} needs {other}: give {other}, or leave {key} out")]
+    /// A setting that has no meaning without another one.
+    #[error("{} needs {}: set {other}", quantity_and_key(key), quantity(other))]
     Needs {
         /// The key.
         key: &'static str,
         /// The key that is missing.
         other: &'static str,
     },
-    /// A sky that becomes negative in a corner of the frame.
+    /// The sky is negative in a corner of the frame.
     #[error(
         "the sky is {lowest_e} electrons at pixel {index:?} ([y, x]): raise sky_e or lower sky_gradient_e_per_px"
     )]
@@ -61,7 +62,7 @@ pub enum DetectorError {
         /// The corner.
         index: [usize; 2],
     },
-    /// An expected charge that is no number.
+    /// An expected charge that is not a finite number.
     #[error(
         "the charge expected at pixel {index:?} ([y, x]) is {value}: every pixel must be a finite number"
     )]
@@ -71,9 +72,9 @@ pub enum DetectorError {
         /// NaN or an infinity.
         value: f64,
     },
-    /// A result that the type of the image cannot hold.
+    /// A result that is too large for the type of the image.
     #[error(
-        "the result at pixel {index:?} ([y, x]) is {value}, beyond the range of {precision}: use double precision"
+        "the result at pixel {index:?} ([y, x]) is {value}, which exceeds the range of {precision}: use double precision"
     )]
     TooLarge {
         /// The pixel.
@@ -83,10 +84,10 @@ pub enum DetectorError {
         /// The type of the image.
         precision: &'static str,
     },
-    /// Rows that the frame does not have, or an image that does not have all of them.
+    /// Rows that are not in the frame, or an image that does not have all rows of the frame.
     #[error("rows {} to {} (not included, 0-based) do not fit a frame of {frame} pixels", rows.start, rows.end)]
     Rows {
-        /// The rows given.
+        /// The rows that were given.
         rows: Range<usize>,
         /// The frame.
         frame: FrameShape,
@@ -96,20 +97,20 @@ pub enum DetectorError {
     RowWidth {
         /// Columns of the frame.
         expected: usize,
-        /// Columns given.
+        /// Columns that were given.
         got: usize,
     },
-    /// A mask of another shape than the frame.
-    #[error("the bad-pixel mask is {mask} pixels, the image {frame}: give a mask of the image's shape")]
+    /// A mask whose shape differs from that of the frame.
+    #[error("the bad-pixel mask has {mask} pixels, the image {frame}: the mask must have the image's shape")]
     MaskShape {
         /// Shape of the mask.
         mask: FrameShape,
         /// Shape of the image.
         frame: FrameShape,
     },
-    /// A value of a mask that is no sum of flags.
+    /// A value of a mask that is not a sum of flags.
     #[error(
-        "the bad-pixel mask is {value} at pixel {index:?} ([y, x]): it must be 0 (good) or a sum of 1 (dead), 2 (hot), 4 (bad \
+        "the bad-pixel mask has the value {value} at pixel {index:?} ([y, x]): it must be 0 (good) or a sum of 1 (dead), 2 (hot), 4 (bad \
          column) and 8 (saturated, ignored)"
     )]
     MaskValue {
@@ -123,7 +124,28 @@ pub enum DetectorError {
     Data(#[from] DataError),
 }
 
-/// `value` if it is finite and `holds`, else an error that names `key`.
+/// The quantity that a key sets, or the key itself if it has no other name.
+fn quantity(key: &str) -> &str {
+    match key {
+        "dark_e_per_s" => "a dark current",
+        "exposure_s" => "an exposure time",
+        "bad_pixels.hot_fraction" => "a fraction of hot pixels",
+        "bad_pixels.hot_dark_e_per_s" => "a dark current of hot pixels",
+        other => other,
+    }
+}
+
+/// The quantity that a key sets, followed by the key.
+fn quantity_and_key(key: &str) -> String {
+    let quantity = quantity(key);
+    if quantity == key {
+        key.to_owned()
+    } else {
+        format!("{quantity} ({key})")
+    }
+}
+
+/// Returns `value` if it is finite and `holds` for it, else an error that names `key`.
 pub(crate) fn require(
     key: &'static str,
     allowed: &'static str,
@@ -141,12 +163,12 @@ pub(crate) fn require(
     }
 }
 
-/// `value` if it is a number, 0 or above.
+/// Returns `value` if it is finite and at least 0.
 pub(crate) fn at_least_zero(key: &'static str, value: f64) -> Result<f64, DetectorError> {
     require(key, "a number, 0 or above", value, |v| v >= 0.0)
 }
 
-/// `value` if it is a number above 0.
+/// Returns `value` if it is finite and above 0.
 pub(crate) fn above_zero(key: &'static str, value: f64) -> Result<f64, DetectorError> {
     require(key, "a number above 0", value, |v| v > 0.0)
 }

@@ -1,4 +1,4 @@
-//! Exposures: the whole chain, by rows, and what came of it.
+//! Exposures: the whole chain, row by row, and its result.
 
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use psf_types::{FrameShape, Image, Real};
@@ -11,45 +11,48 @@ use crate::noise::{add_read_noise, apply_response, catch_photons};
 use crate::{Detector, DetectorError, DetectorParams};
 
 impl Detector {
-    /// Made ready for a frame and a seed: for images that come by bands of rows, and for masks of bad pixels.
+    /// Prepares the exposure of a frame with a seed, for images that are exposed in bands of rows
+    /// and for masks of bad pixels.
     ///
     /// # Errors
-    /// [`DetectorError::NegativeSky`] for a sky that falls below 0 in this frame.
+    /// [`DetectorError::NegativeSky`] for a sky that is below 0 somewhere in this frame.
     pub fn exposer(&self, frame: FrameShape, seed: u64) -> Result<Exposer<'_>, DetectorError> {
         Exposer::new(self, frame, seed)
     }
 
-    /// Exposes an image. The same seed gives the same counts, whatever the number of threads.
+    /// Exposes an image. A seed always gives the same counts, for any number of threads.
     ///
     /// # Errors
-    /// [`DetectorError::NegativeSky`], [`DetectorError::NonFinite`] for charges beyond double precision, and
-    /// [`DetectorError::TooLarge`] for counts that `T` cannot hold.
+    /// [`DetectorError::NegativeSky`], [`DetectorError::NonFinite`] for charges beyond double
+    /// precision, and [`DetectorError::TooLarge`] for counts that `T` cannot hold.
     pub fn expose<T: Real>(&self, light: &Image<T>, seed: u64) -> Result<Exposure<T>, DetectorError> {
         self.exposer(light.shape(), seed)?.expose(light)
     }
 
-    /// The noise-free image in the unit of the counts: light, sky and dark charge as a detector would give them that had no noise,
-    /// no limits and no bad pixels, whose pixels were all alike.
+    /// The noise-free image in the unit of the counts: light, sky and dark charge, as measured by a
+    /// detector without noise, limits and bad pixels, with equal response in all pixels.
     ///
-    /// `(c F + sky + D t) / g + b` with the letters of the [crate's page](crate#the-chain). Negative pixels stay.
+    /// `(c F + sky + D t) / g + b` with the letters of the [crate's page](crate#the-chain).
+    /// Negative pixels stay negative.
     ///
     /// # Errors
-    /// As [`expose`](Self::expose).
+    /// The errors of [`expose`](Self::expose).
     pub fn truth<T: Real>(&self, light: &Image<T>) -> Result<Image<T>, DetectorError> {
         let exposer = self.exposer(light.shape(), 0)?;
         Ok(Image::new(exposer.truth_rows(0, light.pixels())?)?)
     }
 }
 
-/// The photon step alone: `N ~ Poisson(S)` in every pixel, `P(N = k) = S^k exp(-S) / k!`.
+/// Only the step of photon noise: `N ~ Poisson(S)` in every pixel, `P(N = k) = S^k exp(-S) / k!`.
 ///
-/// The mean `S` is the image's flux, in photons (or electrons) in the exposure. Exact at every mean that a picture can have: Knuth's
-/// products of uniform numbers below 12, the rejection method PD of Ahrens and Dieter (1982, ACM Trans. Math. Softw. 8, 163) above, in
-/// double precision. Beyond 1.8e19, where one count is less than the spacing of doubles and the skewness below 3e-10, it is a normal
-/// deviate of variance `S`, rounded.
+/// The mean `S` is the image's flux, in photons or electrons in the exposure. The method is exact
+/// at every mean that an image can have, in double precision. Below a mean of 12 it is Knuth's
+/// product of uniform numbers. Above, it is the rejection method PD of Ahrens and Dieter (1982, ACM
+/// Trans. Math. Softw. 8, 163). Beyond 1.8e19 one count is less than the spacing of doubles and the
+/// skewness is below 3e-10. There it is a normal deviate of variance `S`, rounded.
 ///
-/// The same seed gives the same counts as a [`Detector`] with `photon_noise` and nothing else. Means below 0 give 0 and are
-/// counted in the report.
+/// The counts equal those of a [`Detector`] with this seed that has only `photon_noise`. Means
+/// below 0 give 0 and are counted in the report.
 ///
 /// ```
 /// use psf_detector::PhotonNoise;
@@ -65,7 +68,7 @@ pub struct PhotonNoise {
 }
 
 impl PhotonNoise {
-    /// Photon noise of a seed.
+    /// Photon noise with a seed.
     pub fn new(seed: u64) -> Self {
         Self { seed }
     }
@@ -78,10 +81,12 @@ impl PhotonNoise {
         Self::detector().expose(expected, self.seed)
     }
 
-    /// Draws the counts of some rows `[y, x]` of an image that is `rows_in_all` high, the first of which is row `first_row`.
+    /// Draws the counts of rows `[y, x]` of an image with `rows_in_all` rows. The first of them is
+    /// row `first_row`.
     ///
     /// # Errors
-    /// [`DetectorError::NonFinite`] for NaN and infinities, [`DetectorError::Rows`], and as [`apply`](Self::apply).
+    /// [`DetectorError::NonFinite`] for NaN and infinities, [`DetectorError::Rows`], and the errors
+    /// of [`apply`](Self::apply).
     pub fn apply_to_rows<T: Real>(
         &self,
         rows_in_all: usize,
@@ -103,15 +108,17 @@ impl PhotonNoise {
     }
 }
 
-/// A detector made ready for a frame and a seed.
+/// A detector prepared for a frame and a seed.
 ///
-/// Rows may be exposed in any order and in bands of any height: the counts put together are those of the whole image.
+/// Rows may be exposed in any order and in bands of any height. Together, the bands have the counts
+/// of the whole image.
 ///
 /// ```
 /// use psf_detector::{Detector, DetectorParams};
 /// use ndarray::{Array2, s};
 /// use psf_types::{FrameShape, Image};
-/// let ccd = Detector::new(DetectorParams { photon_noise: true, sky_e: 9.0, ..DetectorParams::default() })?;
+/// let params = DetectorParams { photon_noise: true, sky_e: 9.0, ..DetectorParams::default() };
+/// let ccd = Detector::new(params)?;
 /// let light = Image::new(Array2::from_elem((20, 30), 1.0_f32))?;
 /// let whole = ccd.expose(&light, 7)?;
 ///
@@ -126,7 +133,7 @@ pub struct Exposer<'a> {
     frame: FrameShape,
     seed: u64,
     sky: FrameSky,
-    /// Electrons that dark current gives good and hot pixels.
+    /// Expected dark charges of good and of hot pixels in electrons.
     dark_e: f64,
     hot_dark_e: f64,
     columns: Vec<u8>,
@@ -141,7 +148,7 @@ pub struct ExposedRows<T> {
     pub counts: Array2<T>,
     /// Sums of [`PixelFlags`], `[y, x]`.
     pub flags: Array2<u8>,
-    /// What happened in these rows.
+    /// The report about these rows.
     pub report: ExposureReport,
 }
 
@@ -160,10 +167,11 @@ impl<'a> Exposer<'a> {
         })
     }
 
-    /// With bad pixels beside those that the detector draws.
+    /// Adds bad pixels to those that the detector draws.
     ///
     /// # Errors
-    /// [`DetectorError::MaskShape`], and [`DetectorError::Needs`] for hot pixels without `bad_pixels.hot_dark_e_per_s`.
+    /// [`DetectorError::MaskShape`], and [`DetectorError::Needs`] for hot pixels without
+    /// `bad_pixels.hot_dark_e_per_s`.
     pub fn with_mask(self, mask: &'a BadPixelMask) -> Result<Self, DetectorError> {
         if mask.shape() != self.frame {
             return Err(DetectorError::MaskShape {
@@ -186,7 +194,8 @@ impl<'a> Exposer<'a> {
     /// Exposes a whole image, in parallel.
     ///
     /// # Errors
-    /// As [`Detector::expose`]; [`DetectorError::Rows`] or [`DetectorError::RowWidth`] for an image of another shape.
+    /// The errors of [`Detector::expose`]. [`DetectorError::Rows`] or [`DetectorError::RowWidth`]
+    /// for an image whose shape differs from the frame.
     pub fn expose<T: Real>(&self, light: &Image<T>) -> Result<Exposure<T>, DetectorError> {
         if light.shape().ny() != self.frame.ny() {
             return Err(DetectorError::Rows {
@@ -202,11 +211,12 @@ impl<'a> Exposer<'a> {
         })
     }
 
-    /// Exposes rows `[y, x]`, the first of which is row `first_row` of the frame, in parallel.
+    /// Exposes rows `[y, x]` in parallel. The first of them is row `first_row` of the frame.
     ///
     /// # Errors
-    /// As [`Detector::expose`]; [`DetectorError::NonFinite`] also for NaN and infinities among the rows, [`DetectorError::Rows`],
-    /// [`DetectorError::RowWidth`]. Of several bad pixels the first is named.
+    /// The errors of [`Detector::expose`]. [`DetectorError::NonFinite`] also for NaN and infinities
+    /// among the rows. [`DetectorError::Rows`] and [`DetectorError::RowWidth`] for rows that do not
+    /// fit the frame. If several pixels are invalid, the error names the first.
     pub fn expose_rows<T: Real>(
         &self,
         first_row: usize,
@@ -232,10 +242,10 @@ impl<'a> Exposer<'a> {
         })
     }
 
-    /// Rows of the noise-free image ([`Detector::truth`]).
+    /// Computes rows of the noise-free image ([`Detector::truth`]).
     ///
     /// # Errors
-    /// As [`expose_rows`](Self::expose_rows).
+    /// The errors of [`expose_rows`](Self::expose_rows).
     pub fn truth_rows<T: Real>(
         &self,
         first_row: usize,
@@ -258,7 +268,7 @@ impl<'a> Exposer<'a> {
         Ok(truth)
     }
 
-    /// The whole chain for a row.
+    /// Applies the whole chain to a row.
     fn expose_row<T: Real>(
         &self,
         row: usize,
@@ -304,7 +314,7 @@ impl<'a> Exposer<'a> {
         Ok(report)
     }
 
-    /// Electrons that light and sky give a row of pixels alike.
+    /// Expected electrons from light and sky in a row of pixels with equal response.
     fn collected<T: Real>(&self, row: usize, light: ArrayView1<'_, T>) -> Result<Vec<f64>, DetectorError> {
         let per_flux = self.detector.params().electrons_per_flux;
         let electrons: Vec<f64> = light
@@ -332,7 +342,7 @@ impl<'a> Exposer<'a> {
         }
     }
 
-    /// A report of no pixels.
+    /// A report that counts no pixels yet.
     fn report(&self) -> ExposureReport {
         ExposureReport {
             seed: self.seed,
@@ -361,13 +371,13 @@ impl<'a> Exposer<'a> {
     }
 }
 
-/// The rows of an array that was just made.
+/// The rows of a newly made array.
 fn as_rows<T: Send>(array: &mut Array2<T>, nx: usize) -> rayon::slice::ChunksMut<'_, T> {
     let values = array.as_slice_mut().expect("a new array is contiguous");
     values.par_chunks_mut(nx)
 }
 
-/// Values in the type of the image.
+/// Stores values in the type of the image.
 fn store<T: Real>(row: usize, values: &[f64], out: &mut [T]) -> Result<(), DetectorError> {
     for (x, (value, out)) in values.iter().zip(out).enumerate() {
         *out = T::nearest(*value);
@@ -382,7 +392,7 @@ fn store<T: Real>(row: usize, values: &[f64], out: &mut [T]) -> Result<(), Detec
     Ok(())
 }
 
-/// The counts of an exposure, with what is to know of its pixels.
+/// The counts of an exposure, with flags and a report.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Exposure<T = f32> {
     counts: Image<T>,
@@ -391,7 +401,7 @@ pub struct Exposure<T = f32> {
 }
 
 impl<T: Real> Exposure<T> {
-    /// The counts, in the unit of [`Detector::unit`]. Digitised ones are whole numbers.
+    /// The counts, in the unit of [`Detector::unit`]. Digitised counts are whole numbers.
     pub fn counts(&self) -> &Image<T> {
         &self.counts
     }
@@ -401,32 +411,33 @@ impl<T: Real> Exposure<T> {
         self.flags.view()
     }
 
-    /// What happened.
+    /// The report about the exposure.
     pub fn report(&self) -> &ExposureReport {
         &self.report
     }
 
-    /// The counts, without a copy.
+    /// Returns the counts without a copy.
     pub fn into_counts(self) -> Image<T> {
         self.counts
     }
 }
 
-/// Counts of pixels and levels of an exposure, or of some rows of it.
+/// Statistics of an exposure, or of some rows of it: numbers of pixels and levels.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct ExposureReport {
     /// The seed of the noise.
     pub seed: u64,
-    /// Pixels exposed.
+    /// Number of exposed pixels.
     pub pixels: usize,
     /// Pixels at their full well or at the upper end of the converter.
     pub saturated_pixels: usize,
-    /// Pixels that the converter cut at 0.
+    /// Pixels that the converter set to 0 because their count was negative.
     pub below_zero_pixels: usize,
-    /// Pixels that expected less than no charge and were taken as dark.
+    /// Pixels whose expected charge was negative. They are treated as dark.
     pub negative_pixels: usize,
-    /// The lowest charge expected in any pixel, in electrons, negative ones as they were; 0 without pixels.
+    /// The lowest charge expected in any pixel, in electrons. It may be negative. It is 0 if there
+    /// are no pixels.
     pub lowest_expected_e: f64,
     /// Pixels with any flag of [`PixelFlags::BAD`].
     pub bad_pixels: usize,
@@ -436,14 +447,14 @@ pub struct ExposureReport {
     pub hot_pixels: usize,
     /// Pixels of bad columns among them.
     pub bad_column_pixels: usize,
-    /// Mean sky over the frame in electrons a pixel.
+    /// Mean sky over the frame in electrons per pixel.
     pub mean_sky_e: f64,
     /// Dark charge of a good pixel in electrons.
     pub dark_e: f64,
 }
 
 impl ExposureReport {
-    /// Adds what happened in other rows of the same exposure.
+    /// Adds the statistics of other rows of the same exposure.
     pub fn add(&mut self, other: &Self) {
         self.lowest_expected_e = match (self.pixels, other.pixels) {
             (0, _) => other.lowest_expected_e,
@@ -460,7 +471,7 @@ impl ExposureReport {
         self.bad_column_pixels += other.bad_column_pixels;
     }
 
-    /// A pixel with its expected charge.
+    /// Counts a pixel with its expected charge.
     pub(crate) fn count_expected(&mut self, electrons: f64) {
         self.lowest_expected_e = if self.pixels == 0 {
             electrons
@@ -471,7 +482,7 @@ impl ExposureReport {
         self.negative_pixels += usize::from(electrons < 0.0);
     }
 
-    /// The flags of pixels that are counted already.
+    /// Counts the flags of pixels whose charge is already counted.
     pub(crate) fn count_flags(&mut self, flags: &[u8]) {
         let with = |bits: u8| flags.iter().filter(|&flag| flag & bits != 0).count();
         self.saturated_pixels += with(PixelFlags::SATURATED);

@@ -1,12 +1,11 @@
-//! The steps that draw no random numbers: the sky, the full well and the analogue-to-digital
-//! converter.
+//! The steps without random numbers: the sky, the full well and the analogue-to-digital converter.
 
 use psf_types::FrameShape;
 
 use crate::bad_pixels::PixelFlags;
 use crate::{DetectorError, DetectorParams, SkyGradient};
 
-/// The sky over a frame, nowhere negative: constant, or rising along a direction,
+/// The sky over a frame, which is nowhere negative. It is constant or has a constant gradient,
 /// `level + gx (x - (nx - 1) / 2) + gy (y - (ny - 1) / 2)` electrons.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FrameSky {
@@ -25,7 +24,7 @@ impl FrameSky {
         let lowest = |slope: f64, n: usize| if slope < 0.0 { n - 1 } else { 0 };
         let (x, y) = (lowest(gradient.x, frame.nx()), lowest(gradient.y, frame.ny()));
         let lowest_e = sky.at(x, y);
-        // A sky that just reaches 0 may be off by rounding.
+        // A sky that falls exactly to 0 may be slightly negative by rounding.
         if lowest_e < -1e-9 * params.sky_e || !lowest_e.is_finite() {
             return Err(DetectorError::NegativeSky {
                 lowest_e,
@@ -41,8 +40,8 @@ impl FrameSky {
     }
 }
 
-/// Cuts the charges of a row at the full well, and flags pixels that are full. Charge beyond it is
-/// lost; it does not flow into the neighbours.
+/// Clips the charges of a row at the full well, and flags pixels that are full. The excess charge
+/// is lost and does not flow into neighbouring pixels.
 pub(crate) fn clip(full_well_e: f64, electrons: &mut [f64], flags: &mut [u8]) {
     for (value, flag) in electrons.iter_mut().zip(flags) {
         if *value >= full_well_e {
@@ -52,8 +51,8 @@ pub(crate) fn clip(full_well_e: f64, electrons: &mut [f64], flags: &mut [u8]) {
     }
 }
 
-/// Rounds a row to the nearest whole numbers, of two equally near ones the even one, from 0 to
-/// `highest`; flags what is at the upper end and returns how many pixels were cut at 0.
+/// Rounds a row to the nearest whole numbers from 0 to `highest`. Halves are rounded to the even
+/// number. Flags pixels at the upper end and returns how many pixels were set to 0.
 pub(crate) fn convert(highest: f64, counts: &mut [f64], flags: &mut [u8]) -> usize {
     let mut below = 0;
     for (value, flag) in counts.iter_mut().zip(flags) {
@@ -62,7 +61,7 @@ pub(crate) fn convert(highest: f64, counts: &mut [f64], flags: &mut [u8]) -> usi
             *flag |= PixelFlags::SATURATED;
         }
         below += usize::from(rounded < 0.0);
-        // Adding 0 makes -0 a plain 0.
+        // Adding 0 converts -0 to 0.
         *value = rounded.clamp(0.0, highest) + 0.0;
     }
     below

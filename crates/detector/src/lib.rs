@@ -1,13 +1,14 @@
-//! Photon and detector noise on a finished image: what a sensor makes of the light that a telescope sends.
+//! Photon and detector noise on a finished image: conversion of the light from a telescope to
+//! counts.
 //!
-//! [`Detector`] is the whole chain, described by [`DetectorParams`] in code or in a TOML file; [`PhotonNoise`] is its photon step
-//! alone. Every step is off unless it is asked for.
+//! [`Detector`] is the whole chain, described by [`DetectorParams`] in code or in a TOML file.
+//! [`PhotonNoise`] is only its step of photon noise. Every step is off unless it is requested.
 //!
 //! # The chain
 //!
-//! In pixel (x, y), with the image's flux `F`, in this order:
+//! In pixel (x, y) of an image with flux `F`, the steps are, in this order:
 //!
-//! | step | what happens | keys |
+//! | step | operation | keys |
 //! |---|---|---|
 //! | light | `S = c F + sky(x, y)`, electrons expected | `electrons_per_flux`, `sky_e`, `sky_gradient_e_per_px` |
 //! | response | `S r(x, y)`, `r` normal about 1, never below 0 | `response_rms` |
@@ -19,24 +20,31 @@
 //! | amplifier | `N / g + b` in ADU | `gain_e_per_adu`, `bias_adu` |
 //! | converter | to the nearest whole number in `0 ..= 2^bits - 1` | `bits` |
 //!
-//! It is the model of Janesick, *Scientific Charge-Coupled Devices* (2001), ch. 2, without blooming, nonlinearity and charge transfer.
+//! This is the model of Janesick, *Scientific Charge-Coupled Devices* (2001), ch. 2, without
+//! blooming, nonlinearity and charge transfer.
 //!
 //! # Units
-//! Charge is in electrons, of which each detected photon gives one. **Flux of the image times `electrons_per_flux` is
-//! electrons in the exposure.** Its default of 1 means an image in electrons; an image in photons a second needs quantum efficiency
-//! times exposure time. `exposure_s` scales the dark current alone. The result is in ADU when gain, bias or bits are given, else in
-//! electrons ([`CountUnit`]).
+//! Charge is in electrons. Each detected photon gives one electron. **Flux of the image times
+//! `electrons_per_flux` is electrons in the exposure.** The default of 1 means an image in
+//! electrons. For an image in photons per second, set it to quantum efficiency times exposure time.
+//! `exposure_s` scales only the dark current. The result is in ADU if gain, bias or bits are given,
+//! else in electrons ([`CountUnit`]).
 //!
 //! # Random numbers
-//! ChaCha8 keyed by the seed (`seed_from_u64`). Each row of the image has a stream of its own in each step, numbered `step * 2^56 + row`
-//! with the steps photons 1, read noise 2, response 3, bad pixels 4, bad columns 5; a row's pixels draw one after the other. So a result
-//! depends on the image and the seed alone, not on threads or bands of rows, and switching read noise on changes no photon. What
-//! belongs to the sensor, response and bad pixels, has a seed of its own, `pattern_seed`: exposures with different seeds share it.
-//! Across types of machines the last bit of `exp` or `ln` may differ, and with it, very rarely, a draw.
+//! The generator is ChaCha8, keyed by the seed (`seed_from_u64`). Each row of the image has its own
+//! stream in each step, numbered `step * 2^56 + row`. The steps are photons 1, read noise 2,
+//! response 3, bad pixels 4, bad columns 5. The pixels of a row draw one after the other. The
+//! result therefore depends only on the image and the seed, not on threads or bands of rows, and
+//! read noise does not change the photons.
+//!
+//! The properties of the sensor, response and bad pixels, have their own seed, `pattern_seed`.
+//! Exposures with different seeds share them. Between types of machines the last bit of `exp` or
+//! `ln` may differ, and with it, very rarely, a draw.
 //!
 //! # Bad values
-//! A pixel that expects less than no charge (rounding of a convolution, PSFs with negative lobes) holds none; such pixels are counted
-//! in the [`ExposureReport`]. NaN and infinities are refused.
+//! A pixel with a negative expected charge (from rounding of a convolution, or PSFs with negative
+//! lobes) gets no charge. The [`ExposureReport`] counts such pixels. NaN and infinities are
+//! refused.
 //!
 //! ```
 //! use psf_detector::{Detector, DetectorParams};

@@ -1,11 +1,11 @@
-//! Random numbers that depend on the seed, the step and the row alone, and the steps that draw
-//! them.
+//! Random numbers that depend only on the seed, the step and the row, and the steps that draw them.
 
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 
-/// A step of the chain that draws random numbers. The numbers are part of the results: they must not change.
+/// A step of the chain that draws random numbers. The numbers affect the results, so they must not
+/// change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Step {
     Photons = 1,
@@ -15,10 +15,10 @@ pub(crate) enum Step {
     BadColumns = 5,
 }
 
-/// Rows are counted below this, far beyond any frame.
+/// Row numbers are below 2 to this power, far beyond any frame.
 const ROW_BITS: u32 = 56;
 
-/// The stream of a row in a step. Streams of one seed never overlap, whatever they are used for.
+/// The stream of a row in a step. Streams of one seed never overlap.
 pub(crate) fn noise_stream(seed: u64, step: Step, row: usize) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(((step as u64) << ROW_BITS) | row as u64);
@@ -26,7 +26,7 @@ pub(crate) fn noise_stream(seed: u64, step: Step, row: usize) -> ChaCha8Rng {
 }
 
 /// Multiplies each pixel's charge from light by a normal deviate about 1, never below 0:
-/// pixel-response non-uniformity. It belongs to the sensor: `pattern_seed` makes it the same in
+/// pixel-response non-uniformity. It belongs to the sensor, and `pattern_seed` keeps it the same in
 /// every exposure.
 pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons: &mut [f64]) {
     let mut rng = noise_stream(pattern_seed, Step::Response, row);
@@ -36,7 +36,7 @@ pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons:
     }
 }
 
-/// Replaces the expected charges of a row, none below 0, by what was caught.
+/// Replaces the expected charges of a row, none below 0, by the charges that were detected.
 pub(crate) fn catch_photons(seed: u64, row: usize, electrons: &mut [f64]) {
     let mut rng = noise_stream(seed, Step::Photons, row);
     for value in electrons {
@@ -44,7 +44,7 @@ pub(crate) fn catch_photons(seed: u64, row: usize, electrons: &mut [f64]) {
     }
 }
 
-/// A Poisson deviate of a mean that is finite and not negative.
+/// Draws a Poisson deviate. The mean must be finite and not negative.
 fn poisson(mean: f64, rng: &mut impl Rng) -> f64 {
     if mean <= 0.0 {
         return 0.0;
@@ -56,7 +56,7 @@ fn poisson(mean: f64, rng: &mut impl Rng) -> f64 {
     (mean + mean.sqrt() * normal).round()
 }
 
-/// Adds the normal noise of the amplifier, the same everywhere, in electrons.
+/// Adds the normal noise of the amplifier, with equal sigma in all pixels, in electrons.
 pub(crate) fn add_read_noise(seed: u64, row: usize, sigma_e: f64, electrons: &mut [f64]) {
     let mut rng = noise_stream(seed, Step::ReadNoise, row);
     for value in electrons {
@@ -96,7 +96,8 @@ mod tests {
         for mean in [0.0, 1e-300, 1e-9] {
             assert_eq!(poisson(mean, &mut rng), 0.0);
         }
-        // Both sides of the limit of the library's method, and the largest double that stays finite.
+        // Means on both sides of the limit of the library's method, and the largest mean that stays
+        // finite.
         for mean in [1e3, 1e9, 1.8e19, 1.9e19, 1e30, 1e300] {
             let off = (poisson(mean, &mut rng) - mean) / mean.sqrt();
             assert!(off.abs() < 6.0, "{mean}: {off} standard deviations");

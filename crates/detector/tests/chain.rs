@@ -1,4 +1,5 @@
-//! Each step of the chain: exact where nothing is random, within its sampling distribution where something is.
+//! Each step of the chain: steps without random numbers are exact, the others are within their
+//! sampling distribution.
 
 mod common;
 
@@ -7,7 +8,7 @@ use ndarray::{Array2, array};
 use psf_detector::{BadPixelMask, CountUnit, DetectorError, PixelFlags, SkyGradient};
 use psf_types::{FrameShape, Image};
 
-/// Rounding of a few sums and products in double precision.
+/// Rounding error of a few sums and products in double precision.
 const ROUNDING: f64 = 1e-12;
 
 #[test]
@@ -71,7 +72,7 @@ fn all_sources_of_noise_add_up() {
         expected_e / 2.5 + 100.0,
         (variance / PIXELS).sqrt(),
     );
-    // The photons' excess over a normal kurtosis, 1 / m, is far below the bound.
+    // The photons' excess over a normal kurtosis, 1 / m, is far below the tolerance.
     assert_within(
         "variance",
         got.variance,
@@ -128,7 +129,7 @@ fn charge_stops_at_the_full_well() {
     );
     assert_eq!(exposure.flags(), array![[0, 0, 8], [8, 8, 0]]);
     assert_eq!(exposure.report().saturated_pixels, 3);
-    // Truth knows no limit.
+    // The noise-free image has no upper limit.
     assert_eq!(ccd.truth(&light).unwrap().pixels()[[1, 0]], 35.25);
 }
 
@@ -148,7 +149,7 @@ fn converters_cut_at_their_ends() {
     assert_eq!(exposure.flags(), array![[0, 0, 0], [0, 8, 8]]);
     let report = exposure.report();
     assert_eq!((report.saturated_pixels, report.below_zero_pixels), (2, 1));
-    // The lower of the two limits saturates.
+    // The lower of the two limits determines the saturation.
     let full = detector(|d| {
         d.full_well_e = Some(7.0);
         d.bits = Some(4);
@@ -167,7 +168,7 @@ fn digitisation_adds_the_variance_of_rounding() {
     let exposure = ccd.expose(&flat(0.0), 2).unwrap();
     assert!(exposure.counts().pixels().iter().all(|v| v.fract() == 0.0));
     let got = moments(exposure.counts().pixels());
-    // Sheppard: 1/12, exact to exp(-2 pi^2 sigma^2) = 1e-34 at sigma = 2.
+    // Sheppard's correction: 1/12, exact to exp(-2 pi^2 sigma^2) = 1e-34 at sigma = 2.
     let variance = 4.0 + 1.0 / 12.0;
     assert_within("mean", got.mean, 1000.3, (variance / PIXELS).sqrt());
     assert_within(
@@ -190,7 +191,7 @@ fn less_than_no_light_is_dark_and_counted() {
         (report.pixels, report.negative_pixels, report.lowest_expected_e),
         (6, 2, -0.5)
     );
-    // The sky lifts them.
+    // With a sky, no pixel is negative.
     let sky = detector(|d| d.sky_e = 1.0).expose(&light, 1).unwrap();
     assert_eq!(sky.report().negative_pixels, 0);
     assert_eq!(sky.counts().pixels()[[0, 2]], 0.5);
@@ -347,9 +348,9 @@ fn pixels_differ_in_their_response_by_what_is_asked() {
     assert_eq!(
         exposed(1).counts(),
         exposed(2).counts(),
-        "the response is the sensor's"
+        "the response belongs to the sensor"
     );
-    // Dark current does not know of it.
+    // The dark current does not depend on the response.
     let dark = detector(|d| {
         d.response_rms = rms;
         d.dark_e_per_s = 3.0;

@@ -1,4 +1,4 @@
-//! Descriptions of detectors, good and bad.
+//! Valid and invalid descriptions of detectors.
 
 use psf_detector::{Detector, DetectorError, DetectorParams};
 
@@ -95,6 +95,10 @@ fn settings_that_need_others_say_so() {
         let error = Detector::from_toml_str(text).unwrap_err().to_string();
         assert!(error.contains(key) && error.contains(other), "{error}");
     }
+    assert_eq!(
+        Detector::from_toml_str("dark_e_per_s = 1.0").unwrap_err().to_string(),
+        "a dark current (dark_e_per_s) needs an exposure time: set exposure_s"
+    );
 }
 
 #[test]

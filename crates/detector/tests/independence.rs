@@ -1,4 +1,4 @@
-//! Seeds, threads, and pixels that know nothing of each other.
+//! Seeds, threads, and the independence of pixels.
 
 mod common;
 
@@ -41,7 +41,7 @@ fn the_same_seed_gives_the_same_bytes_for_any_number_of_threads() {
         assert_eq!(exposed(threads, 11), one, "{threads} threads");
     }
     assert_ne!(exposed(2, 12).counts(), one.counts());
-    // Bad pixels are the sensor's, not the exposure's.
+    // Bad pixels belong to the sensor, not to the exposure.
     assert_eq!(exposed(2, 12).report().bad_pixels, one.report().bad_pixels);
 }
 
@@ -67,7 +67,7 @@ fn bands_of_any_height_are_those_of_the_whole() {
     assert_eq!(report.as_ref(), Some(whole.report()));
 }
 
-/// The largest correlation that independent images show, in absolute value.
+/// The largest absolute correlation of independent images.
 fn by_chance() -> f64 {
     SIGMAS / PIXELS.sqrt()
 }
@@ -102,7 +102,7 @@ fn seeds_and_steps_are_not_correlated() {
         }
         let read = noise(i as u64, false);
         assert!(correlation(a.view(), read.view()).abs() < by_chance());
-        // The statistic can fail.
+        // The test can fail: images with common noise are correlated.
         assert!(correlation(a.view(), (a + &read).view()) > 100.0 * by_chance());
     }
 }

@@ -1,4 +1,4 @@
-//! Photon noise against the theory of the Poisson distribution, over a million pixels.
+//! Photon noise compared with the theory of the Poisson distribution, over a million pixels.
 
 mod common;
 
@@ -9,7 +9,8 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-/// On both sides of 12, where the method changes, and far beyond single precision's whole numbers.
+/// Means on both sides of 12, where the method changes, and far beyond the whole numbers of single
+/// precision.
 const MEANS: [f64; 14] = [
     1e-4, 0.01, 0.1, 0.7, 3.5, 11.9, 12.1, 40.0, 200.0, 1e3, 1e4, 1e6, 1e9, 1e12,
 ];
@@ -23,7 +24,8 @@ fn counts(mean: f64, seed: u64) -> Array2<f64> {
 fn mean_variance_and_skewness_agree_with_theory() {
     for (seed, m) in MEANS.into_iter().enumerate() {
         let got = moments(counts(m, seed as u64).view());
-        // The variances of the estimators, from the central moments of the distribution: m, m, m, m + 3 m^2, ..., m + 25 m^2 + 15 m^3.
+        // The variances of the estimators follow from the central moments of the distribution: m,
+        // m, m, m + 3 m^2, ..., m + 25 m^2 + 15 m^3.
         assert_within(&format!("mean of {m}"), got.mean, m, (m / PIXELS).sqrt());
         let of_variance = ((m + 2.0 * m * m) / PIXELS).sqrt();
         assert_within(&format!("variance of {m}"), got.variance, m, of_variance);
@@ -32,14 +34,15 @@ fn mean_variance_and_skewness_agree_with_theory() {
     }
 }
 
-/// Pearson's chi-square of a histogram against the Poisson distribution, less its expectation, in its standard deviations.
+/// Pearson's chi-square of a histogram against the Poisson distribution, minus its expectation, in
+/// units of its standard deviation.
 fn chi_square(values: ArrayView2<'_, f64>, m: f64) -> f64 {
-    /// Fewer expected pixels in a bin, and it joins its neighbour.
+    /// A bin with fewer expected pixels is joined to its neighbour.
     const FEWEST: f64 = 25.0;
     let last = (m + 12.0 * m.sqrt() + 30.0) as usize;
     let mut histogram = vec![0_usize; last + 1];
     for &value in values {
-        assert!(value >= 0.0 && value.fract() == 0.0, "{value} is no count");
+        assert!(value >= 0.0 && value.fract() == 0.0, "{value} is not a count");
         histogram[(value as usize).min(last)] += 1;
     }
     let (mut chi, mut bins) = (0.0, 0_usize);
@@ -54,7 +57,7 @@ fn chi_square(values: ArrayView2<'_, f64>, m: f64) -> f64 {
         expected += here;
         left -= here;
         got += count as f64;
-        // What is left at the end goes into the last bin.
+        // The remaining pixels at the end go into the last bin.
         if expected >= FEWEST && left >= FEWEST {
             chi += (got - expected).powi(2) / expected;
             bins += 1;
@@ -68,7 +71,8 @@ fn chi_square(values: ArrayView2<'_, f64>, m: f64) -> f64 {
     (chi - freedom) / (2.0 * freedom).sqrt()
 }
 
-/// A chi-square of few degrees of freedom has a long tail; 7 of its deviations are rarer than 5 of a normal one's.
+/// A chi-square of few degrees of freedom has a long tail. A deviation of 7 sigma is rarer than 5
+/// sigma of a normal distribution.
 const CHI_SIGMAS: f64 = 7.0;
 
 #[test]
@@ -84,7 +88,7 @@ fn the_histogram_is_that_of_the_distribution() {
 
 #[test]
 fn the_comparisons_can_fail() {
-    // Rounded normal numbers of the right mean and variance are not photons.
+    // Rounded normal numbers with the correct mean and variance are not photons.
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let m = 40.0_f64;
     let normal = Array2::from_shape_fn((NY, NX), |_| {
@@ -98,7 +102,7 @@ fn the_comparisons_can_fail() {
         m,
         ((m + 18.0 * m.powi(2) + 6.0 * m.powi(3)) / PIXELS).sqrt()
     ));
-    // Photons of a mean that is wrong by a hundredth are not those expected.
+    // Photons with a mean that is wrong by 1 % are detected.
     assert!(chi_square(counts(m * 1.01, 5).view(), m) > SIGMAS);
 }
 

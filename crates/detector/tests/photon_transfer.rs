@@ -1,12 +1,13 @@
-//! The photon transfer curve: what an observer would measure of the detector from pairs of flat fields.
+//! The photon transfer curve: an observer's measurement of the detector from pairs of flat fields.
 
 mod common;
 
 use common::{detector, flat, moments};
 
-/// Relative error of the gain: the variances of 1e6 pixels are good to 1.4e-3 each, eight of them to about 1e-3.
+/// Relative error of the gain. The variances of 1e6 pixels have an error of 1.4e-3 each, their mean
+/// over eight levels about 1e-3.
 const GAIN: f64 = 4e-3;
-/// Relative error of the read noise, from a pair of bias frames: 1e-3.
+/// Relative error of the read noise from a pair of bias frames. Expected: 1e-3.
 const READ_NOISE: f64 = 5e-3;
 
 #[test]
@@ -33,7 +34,8 @@ fn gain_and_read_noise_come_out_of_pairs_of_flats() {
     let (mut ratios, mut levels) = (0.0, 0.0);
     for (k, level) in [500.0, 1e3, 2e3, 5e3, 1e4, 2e4, 3e4, 4e4].into_iter().enumerate() {
         let (signal, variance, single) = pair(level, 2 * k as u64);
-        // The variance is known to the same fraction at every level: all count alike.
+        // The relative error of the variance is the same at every level, so all levels get equal
+        // weight.
         ratios += (variance - floor) / signal;
         levels += 1.0;
         // A single flat shows the response: its variance grows with the square of the signal.
@@ -48,13 +50,13 @@ fn gain_and_read_noise_come_out_of_pairs_of_flats() {
     }
     let measured = levels / ratios;
     assert!((measured / gain - 1.0).abs() < GAIN, "gain {measured}");
-    // A converter adds 1/12 ADU^2.
+    // A converter adds a variance of 1/12 ADU^2.
     let noise = gain * (floor - 1.0 / 12.0).sqrt();
     assert!(
         (noise / read_noise - 1.0).abs() < READ_NOISE,
         "read noise {noise}"
     );
-    // Beyond the full well the variance collapses to the read noise.
+    // Beyond the full well the variance falls to that of the read noise.
     let (signal, variance, _) = pair(7e4, 50);
     assert!((signal - 60000.0 / gain).abs() < 0.1);
     assert!((variance / floor - 1.0).abs() < 2.0 * READ_NOISE);

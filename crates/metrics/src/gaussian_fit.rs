@@ -273,8 +273,8 @@ fn check_width(covariance: Covariance, cutout: &Cutout) -> Result<(), MetricsErr
     })
 }
 
-/// The offset and scale by which the values were normalised to order 1 about 0: `value = scaled *
-/// scale + offset`.
+/// The offset and scale by which the values were normalised to order 1 about 0:
+/// `value = scaled * scale + offset`.
 #[derive(Debug, Clone, Copy)]
 struct Units {
     offset: f64,

@@ -21,8 +21,8 @@ pub(crate) enum Profile {
 /// (u, v) = L^T (x - x0, y - y0)            L L^T = inverse covariance
 /// ```
 ///
-/// Round: `A, x0, y0, s` with `u = e^s dx`, `v = e^s dy`. Elliptical: `A, x0, y0, a, b, c` with `u
-/// = e^a dx + b dy`, `v = e^c dy`. The background `B`, if fitted, comes last. Any values give a
+/// Round: `A, x0, y0, s` with `u = e^s dx`, `v = e^s dy`. Elliptical: `A, x0, y0, a, b, c` with
+/// `u = e^a dx + b dy`, `v = e^c dy`. The background `B`, if fitted, comes last. Any values give a
 /// positive definite covariance, and a round ellipse is not a special case.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GaussianModel {

@@ -168,8 +168,8 @@ fn scipy_agrees() {
 }
 
 /// White noise of a twentieth of the peak: the fit is unbiased, and as precise as the Cramer-Rao
-/// bound of a round fit with free amplitude, `sd(x) = sqrt(2 / pi) noise / amplitude`, `sd(sigma) =
-/// sd(x) / sqrt(2)`.
+/// bound of a round fit with free amplitude, `sd(x) = sqrt(2 / pi) noise / amplitude`,
+/// `sd(sigma) = sd(x) / sqrt(2)`.
 #[test]
 fn noise_is_propagated_as_theory_says() {
     const TRIALS: usize = 400;

@@ -238,9 +238,10 @@ profile_source!(GaussianField);
 /// size and shape are polynomials of the field.
 ///
 /// The density is `(beta - 1) / (pi alpha^2) (1 + q r^2)^(-beta)` with `q = 2^(1/beta) - 1`, `r`
-/// the elliptical radius in units of half the FWHM `F` (geometric mean of both axes) and `alpha = F
-/// / (2 sqrt(q))`. A stamp does not contain the far wings: `(1 + (R / alpha)^2)^(1 - beta)` of the
-/// flux falls outside the radius `R`. Values are sampled as in [`GaussianField`].
+/// the elliptical radius in units of half the FWHM `F` (geometric mean of both axes) and
+/// `alpha = F / (2 sqrt(q))`. A stamp does not contain the far wings:
+/// `(1 + (R / alpha)^2)^(1 - beta)` of the flux falls outside the radius `R`. Values are sampled as
+/// in [`GaussianField`].
 ///
 /// ```
 /// use psf_optics::{MoffatField, ProfileShape};

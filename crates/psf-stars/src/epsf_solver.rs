@@ -208,8 +208,8 @@ const MOST_ITERATIONS: usize = 300;
 /// Stars processed as one piece. Sums are taken in the order of pieces, independent of the threads.
 const PIECE: usize = 32;
 
-/// Fits the planes `E_j` to the stars' current parameters. Minimises `sum w (d / F - E)^2 + |(E -
-/// prior) / spread|^2` by conjugate gradients.
+/// Fits the planes `E_j` to the stars' current parameters. Minimises
+/// `sum w (d / F - E)^2 + |(E - prior) / spread|^2` by conjugate gradients.
 pub(crate) fn solve(
     stars: &[Star],
     prior: &Prior,

@@ -5,13 +5,15 @@ use ndarray::{Array2, ArrayView2};
 use psf_detector::{Detector, DetectorParams};
 use psf_types::Image;
 
-/// Rows and columns of the frames: over a million pixels, and neither a power of two nor square.
+/// Rows and columns of the frames. They have over a million pixels, and are neither a power of two
+/// nor square.
 pub(crate) const NY: usize = 997;
 pub(crate) const NX: usize = 1009;
 pub(crate) const PIXELS: f64 = (NX * NY) as f64;
 
-/// Statistics stay within so many standard deviations of their sampling distribution: a chance of 6e-7 a test to fail by
-/// accident, and none at all once it has passed, since seeds are fixed.
+/// Statistics stay within this number of standard deviations of their sampling distribution. A test
+/// fails by accident with a probability of 6e-7. Seeds are fixed, so a test that has passed once
+/// always passes.
 pub(crate) const SIGMAS: f64 = 5.0;
 
 pub(crate) fn flat(value: f64) -> Image<f64> {
@@ -34,7 +36,7 @@ pub(crate) struct Moments {
 
 pub(crate) fn moments(values: ArrayView2<'_, f64>) -> Moments {
     let n = values.len() as f64;
-    // About a value near the mean, so that large means lose no digits.
+    // The moments are taken about a value near the mean, so that large means lose no digits.
     let pivot = values[[0, 0]];
     let mean = pivot + values.iter().map(|v| v - pivot).sum::<f64>() / n;
     let central = |power| values.iter().map(|v| (v - mean).powi(power)).sum::<f64>();
@@ -45,7 +47,7 @@ pub(crate) fn moments(values: ArrayView2<'_, f64>) -> Moments {
     }
 }
 
-/// Whether `got` is within [`SIGMAS`] standard deviations of what is expected.
+/// Returns whether `got` is within [`SIGMAS`] standard deviations of the expected value.
 pub(crate) fn within(got: f64, expected: f64, deviation: f64) -> bool {
     (got - expected).abs() <= SIGMAS * deviation
 }
@@ -58,7 +60,7 @@ pub(crate) fn assert_within(what: &str, got: f64, expected: f64, deviation: f64)
     );
 }
 
-/// Correlation of two images; 1 / sqrt(pixels) is its standard deviation for independent ones.
+/// Correlation of two images. For independent ones, 1 / sqrt(pixels) is its standard deviation.
 pub(crate) fn correlation(a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>) -> f64 {
     let (ma, mb) = (a.mean().unwrap(), b.mean().unwrap());
     let sum = |f: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(a, b)| f(a - ma, b - mb)).sum::<f64>();
