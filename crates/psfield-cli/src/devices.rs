@@ -11,20 +11,20 @@ use crate::values::bytes;
 #[cfg(feature = "gpu")]
 use crate::values::text_of_bytes;
 
-/// List the GPUs that images can be convolved on
+/// List the GPUs on which images can be convolved
 ///
-/// The first one is that of --device gpu; --gpu-adapter takes another, by a part of its name or its backend. Where there is none, that is said, and
-/// the exit status is 0.
+/// --device gpu takes the first one. --gpu-adapter chooses another, by a part of its name or
+/// backend. If there is no GPU, the command says so, with exit status 0.
 #[derive(Debug, clap::Args)]
 pub(crate) struct DevicesArgs {}
 
-/// What `--json` prints.
+/// The object that `--json` prints.
 #[derive(Debug, Serialize)]
 struct Report {
-    /// Whether this build can use GPUs at all.
+    /// True if this build supports GPUs.
     gpu_support: bool,
     adapters: Vec<AdapterRow>,
-    /// What `--device auto` does here.
+    /// The choice of `--device auto` on this machine.
     auto: &'static str,
 }
 
@@ -36,14 +36,14 @@ struct AdapterRow {
     kind: String,
     backend: String,
     driver: String,
-    /// Whether shaders run on the processor.
+    /// True if shaders run on the processor.
     software: bool,
     largest_buffer_bytes: u64,
     largest_binding_bytes: u64,
     workgroup_memory_bytes: u32,
     workgroup_threads: u32,
     timestamps: bool,
-    /// Whether `--device gpu` takes it unless told otherwise.
+    /// True if `--device gpu` takes it by default.
     preferred: bool,
 }
 
@@ -87,20 +87,20 @@ fn adapters() -> Vec<AdapterRow> {
 fn auto(adapters: &[AdapterRow]) -> &'static str {
     match adapters.first() {
         None => "takes the CPU",
-        Some(first) if first.software => "takes the CPU: software is no GPU",
-        Some(_) => "takes the first where a plan is predicted to be faster there than on the CPU",
+        Some(first) if first.software => "takes the CPU, because a software device is not a GPU",
+        Some(_) => "takes the first if a plan is predicted to be faster there than on the CPU",
     }
 }
 
 impl Report {
     fn text(&self) -> String {
         if !self.gpu_support {
-            return "This psfield was built without support of GPUs: everything runs on the CPU. Its feature gpu adds them (cargo build --release -p psfield-cli \
-                    --features gpu)."
+            return "This psfield was built without GPU support: everything runs on the CPU. The feature gpu adds it (cargo build \
+                    --release -p psfield-cli --features gpu)."
                 .to_owned();
         }
         if self.adapters.is_empty() {
-            return "There is no GPU that Vulkan, Metal, DirectX 12 or OpenGL could drive here: everything runs on the CPU.".to_owned();
+            return "No GPU was found through Vulkan, Metal, DirectX 12 or OpenGL: everything runs on the CPU.".to_owned();
         }
         let header = [
             "", "name", "kind", "backend", "driver", "buffer", "binding", "shared", "threads", "clock",
@@ -123,7 +123,8 @@ impl Report {
         }
         let _ = writeln!(
             text,
-            "buffer: the largest; binding: what a shader sees at once; shared: memory of a workgroup, of so many threads; clock: whether kernels can be timed\n\
+            "buffer: largest buffer, binding: largest part of it that a shader can use, shared: memory of a workgroup, threads: largest \
+             workgroup, clock: yes if kernels can be timed\n\
              --device gpu takes the first (*), --device auto {}",
             self.auto
         );
@@ -148,7 +149,7 @@ impl AdapterRow {
     }
 }
 
-/// Bytes in the largest unit that leaves a whole number of two digits or more.
+/// Formats bytes in the largest unit that leaves a whole number of at least two digits.
 fn size(bytes: u64) -> String {
     const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
     let mut unit = 0;
@@ -158,18 +159,21 @@ fn size(bytes: u64) -> String {
     format!("{} {}", bytes >> (10 * unit), UNITS[unit])
 }
 
-/// Where images are convolved.
+/// The device on which images are convolved.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Device")]
 pub(crate) struct DeviceArgs {
-    /// Where auto and lowrank convolve images in f32: auto (on a GPU where that is predicted to be faster), cpu, or gpu (there or not at all).
-    /// Results differ by the rounding of f32. Stars are drawn on the CPU
+    /// Device for the convolution of images in f32
+    ///
+    /// auto: a GPU if it is predicted to be faster, else the CPU. gpu: fail if there is no GPU.
+    /// Applies to the methods auto and lowrank. Results differ by the rounding of f32. Stars are
+    /// always drawn on the CPU.
     #[arg(long, default_value_t, value_parser = device_parser(["auto", "cpu", "gpu"]))]
     device: Device,
-    /// The GPU, by a part of its name or its backend (see psfield devices) [default: the first of psfield devices]
-    #[arg(long, value_name = "NAME")]
+    /// GPU to use: a part of its name or backend [default: the first of psfield devices]
+    #[arg(long, value_name = "NAME", hide_short_help = true)]
     gpu_adapter: Option<String>,
-    #[arg(long, value_name = "SIZE", value_parser = bytes, help = gpu_memory_help())]
+    #[arg(long, value_name = "SIZE", value_parser = bytes, help = gpu_memory_help(), hide_short_help = true)]
     gpu_memory: Option<usize>,
 }
 
@@ -179,7 +183,7 @@ pub(crate) fn device_parser<const N: usize>(
     PossibleValuesParser::new(names).try_map(|name| name.parse::<Device>())
 }
 
-const GPU_MEMORY: &str = "Memory of the plan on the GPU: bytes, or with K, M or G";
+const GPU_MEMORY: &str = "Memory for the plan on the GPU (bytes, or with K, M or G)";
 
 #[cfg(feature = "gpu")]
 fn gpu_memory_help() -> String {
@@ -193,7 +197,7 @@ fn gpu_memory_help() -> &'static str {
 }
 
 impl DeviceArgs {
-    /// These options on this device.
+    /// Returns `options` with this device.
     pub(crate) fn applied_to(&self, options: SimulateOptions) -> SimulateOptions {
         SimulateOptions {
             device: self.device,
@@ -203,13 +207,14 @@ impl DeviceArgs {
         }
     }
 
-    /// What is wrong with the options given, if anything. `planned`: the method has a plan that a GPU can execute; `single`: in f32.
+    /// Returns an error message if options do not fit together. `planned`: the method has a plan
+    /// that a GPU can execute. `single`: the precision is f32.
     pub(crate) fn misused(&self, planned: bool, single: bool) -> Option<&'static str> {
         Some(match self.device {
-            Device::Cpu if self.gpu_adapter.is_some() => "--gpu-adapter and --device cpu exclude each other",
-            Device::Cpu if self.gpu_memory.is_some() => "--gpu-memory and --device cpu exclude each other",
-            Device::Gpu if !planned => "--device gpu is of the methods auto and lowrank",
-            Device::Gpu if !single => "--device gpu computes in f32, and --precision f64 was asked for",
+            Device::Cpu if self.gpu_adapter.is_some() => "--gpu-adapter cannot be used with --device cpu",
+            Device::Cpu if self.gpu_memory.is_some() => "--gpu-memory cannot be used with --device cpu",
+            Device::Gpu if !planned => "--device gpu applies only to the methods auto and lowrank",
+            Device::Gpu if !single => "--device gpu computes in f32: leave --precision f64 out",
             _ => return None,
         })
     }

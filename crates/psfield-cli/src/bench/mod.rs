@@ -26,23 +26,52 @@ use crate::values::{Precision, number, tolerance};
 
 pub(crate) use crate::bench::settings::JsonTo;
 
-/// Measure run time against error, all methods in one run
+/// Measure run time and error of all methods in one run
 ///
-/// Each method is planned once and then runs in turn with all others (A B C, A B C, ...); plan and run are timed apart. Errors are relative
-/// L2 differences from the direct sum in double precision at random pixels, the same for all. The PSF is drawn from a preset on grids of
-/// samples and stretched to the frame, so that it varies as much over a frame of any size; in the scene every pixel is lit. The unit of
-/// the ratios, `single`, is one convolution with the PSF of the frame's middle by the engine's own tiles (a plan of a constant field with
-/// a single mode and no coefficients), the fastest convolution with one PSF that psfield has; it always runs.
+/// Each method is planned once and then runs in turn with all others (A B C, A B C, ...). Planning
+/// and running are timed separately. Errors are relative L2 differences from the direct sum in
+/// double precision, at the same random pixels for all methods.
+///
+/// The PSF is drawn from a preset on grids of samples and stretched to the frame, so that it varies
+/// by the same amount over a frame of any size. In the scene every pixel has light.
+///
+/// The unit of the ratios, `single`, always runs. It is one convolution with the PSF of the middle
+/// of the frame by the tiles of the engine (a plan of a constant field with a single mode and no
+/// coefficients), the fastest convolution with one PSF in psfield.
 #[derive(Debug, clap::Args)]
 pub(crate) struct BenchArgs {
-    /// Pixels along each side of the frame [default: 512,1024,2048]
-    #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "scene", value_parser = side)]
+    /// Sides of the frames (pixels) [default: 512,1024,2048]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "scene", value_parser = side, help_heading = CASES)]
     sizes: Option<Vec<NonZeroUsize>>,
-    /// PSF samples along each side of the field [default: 9,33]
-    #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "psf", value_parser = grid_side)]
+    /// Numbers of PSF samples along each side of the field [default: 9,33]
+    #[arg(long, value_name = "N,...", value_delimiter = ',', conflicts_with = "psf", value_parser = grid_side, help_heading = CASES)]
     grids: Option<Vec<NonZeroUsize>>,
-    /// The methods [default: all]
-    #[arg(long, value_name = "METHOD,...", value_delimiter = ',', value_enum)]
+    /// PSF: a model, or samples (which are fitted) [default: drawn from --preset]
+    #[arg(long, value_name = "MODEL.fits|SAMPLES.fits", help_heading = CASES)]
+    psf: Option<PathBuf>,
+    /// Scene: a FITS image [default: noise on a smooth background]
+    #[arg(long, value_name = "SCENE.fits", help_heading = CASES)]
+    scene: Option<PathBuf>,
+    /// Stretch the positions of --psf to the frame
+    #[arg(long, requires = "psf", help_heading = CASES, hide_short_help = true)]
+    stretch: bool,
+    /// Telescope from which the PSF is drawn
+    #[arg(
+        long,
+        value_enum,
+        default_value = "survey-2m",
+        conflicts_with = "psf",
+        help_heading = CASES,
+        hide_short_help = true
+    )]
+    preset: Preset,
+    /// Components of the model, at most those of the samples [default: 100]
+    ///
+    /// Default for --psf with a model: all its components.
+    #[arg(long, value_name = "K", help_heading = CASES, hide_short_help = true)]
+    rank: Option<NonZeroUsize>,
+    /// Methods to measure [default: all]
+    #[arg(long, value_name = "METHOD,...", value_delimiter = ',', value_enum, help_heading = METHODS)]
     methods: Option<Vec<MethodName>>,
     /// Tolerances of lowrank and auto [default: 1e-1,1e-2,1e-3,1e-4,1e-5,1e-6,0]
     #[arg(
@@ -50,87 +79,108 @@ pub(crate) struct BenchArgs {
         value_name = "X,...",
         value_delimiter = ',',
         value_parser = tolerance,
-        allow_hyphen_values = true
+        allow_hyphen_values = true,
+        help_heading = METHODS
     )]
     tolerances: Option<Vec<f64>>,
-    /// Sides of the patches in pixels [default: 32,64,128,256]
-    #[arg(long, value_name = "N,...", value_delimiter = ',', value_parser = side)]
+    /// Sides of the patches (pixels) [default: 32,64,128,256]
+    #[arg(
+        long,
+        value_name = "N,...",
+        value_delimiter = ',',
+        value_parser = side,
+        help_heading = METHODS,
+        hide_short_help = true
+    )]
     patches: Option<Vec<NonZeroUsize>>,
-    /// Components that basis keeps, at most those of the model [default: 10,30,100]
-    #[arg(long, value_name = "K,...", value_delimiter = ',')]
+    /// Numbers of components that basis keeps, at most those of the model [default: 10,30,100]
+    #[arg(long, value_name = "K,...", value_delimiter = ',', help_heading = METHODS, hide_short_help = true)]
     ranks: Option<Vec<NonZeroUsize>>,
-    /// Components of the model, at most those of the samples [default: 100; a model of --psf as it is]
-    #[arg(long, value_name = "K")]
-    rank: Option<NonZeroUsize>,
-    /// The telescope that the PSF is drawn from
-    #[arg(long, value_enum, default_value = "survey-2m", conflicts_with = "psf")]
-    preset: Preset,
-    /// The PSF: a model, or samples to be fitted
-    #[arg(long, value_name = "MODEL.fits|SAMPLES.fits")]
-    psf: Option<PathBuf>,
-    /// Stretch the positions of --psf to the frame
-    #[arg(long, requires = "psf")]
-    stretch: bool,
-    /// The scene: a FITS image [default: noise on a smooth background, every pixel lit]
-    #[arg(long, value_name = "SCENE.fits")]
-    scene: Option<PathBuf>,
-    /// Whose PSF applies: source (each source spreads with its own) or output (each pixel gathers with its own)
-    #[arg(long, default_value_t, value_name = "source|output")]
+    /// Position at which the PSF is evaluated: source or output
+    ///
+    /// source: the light of each source is spread by the PSF at the source.
+    /// output: each pixel gathers light by the PSF at that pixel.
+    #[arg(
+        long,
+        default_value_t,
+        value_name = "source|output",
+        help_heading = METHODS,
+        hide_short_help = true,
+        verbatim_doc_comment
+    )]
     anchor: Anchor,
-    /// Working precision
-    #[arg(long, default_value = "f32", value_enum)]
+    /// Precision of the computation
+    #[arg(long, default_value = "f32", value_enum, help_heading = METHODS, hide_short_help = true)]
     precision: Precision,
-    /// Timed turns of each method; what is done in less than 20 ms runs more than once a turn [default: 3]
-    #[arg(long, value_name = "N")]
+    /// Number of timed turns of each method [default: 3]
+    ///
+    /// A run that takes less than 20 ms is repeated within a turn.
+    #[arg(long, value_name = "N", help_heading = MEASUREMENT, hide_short_help = true)]
     repeat: Option<NonZeroU16>,
-    /// Random pixels at which errors are measured [default: 400]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=MAX_PIXELS))]
+    /// Number of random pixels at which errors are measured [default: 400]
+    #[arg(
+        long,
+        value_name = "N",
+        value_parser = clap::value_parser!(u32).range(1..=MAX_PIXELS),
+        help_heading = MEASUREMENT,
+        hide_short_help = true
+    )]
     pixels: Option<u32>,
-    /// Chooses the scene and those pixels
-    #[arg(long, value_name = "N", default_value_t = BenchOptions::DEFAULT_SEED)]
+    /// Seed for the scene and for these pixels
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = BenchOptions::DEFAULT_SEED,
+        help_heading = MEASUREMENT,
+        hide_short_help = true
+    )]
     seed: u64,
-    /// Small lists for what is not given: 256 pixels, 5 x 5 samples, two tolerances, one run
-    #[arg(long)]
+    /// Shorten the defaults: 256 pixels, 5 x 5 samples, two tolerances, one run
+    #[arg(long, help_heading = MEASUREMENT)]
     quick: bool,
-    /// Write all figures as JSON to FILE; without FILE to standard output, in place of the table
+    /// Write all figures as JSON to FILE, or without FILE to standard output instead of the table
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-", value_parser = OsStringValueParser::new().map(JsonTo::of_argument))]
     json: Option<JsonTo>,
-    /// Draw run time against error, as SVG
+    /// Plot run time against error (SVG)
     #[arg(long, value_name = "FILE.svg", value_parser = svg_path)]
     plot: Option<PathBuf>,
     /// Replace the files of --json and --plot if they exist
     #[arg(long)]
     overwrite: bool,
-    // A group comes last: its heading holds for what follows.
+    // The heading of a group also applies to the options after it.
     #[command(flatten)]
     device: BenchDeviceArgs,
 }
+
+const CASES: &str = "Frames and PSFs";
+const METHODS: &str = "Methods";
+const MEASUREMENT: &str = "Measurement";
 
 /// The methods by name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, Serialize)]
 #[serde(rename_all = "lowercase")]
 enum MethodName {
-    /// One PSF for the whole frame: the unit
+    /// One PSF for the whole frame, the unit of the ratios
     Single,
-    /// The fast engine by transforms alone, at each of --tolerances
+    /// The fast engine with transforms for all tiles, at each of --tolerances
     Lowrank,
-    /// The fast engine, each tile in the cheapest way, at each of --tolerances
+    /// The fast engine with the cheapest way for each tile, at each of --tolerances
     Auto,
-    /// One PSF a patch, for each of --patches
+    /// One PSF per patch, for each of --patches
     Patch,
-    /// One whole-image convolution a component, for each of --ranks
+    /// One convolution of the whole image per component, for each of --ranks
     Basis,
-    /// The double sum; only where that takes seconds
+    /// The double sum, only where it takes seconds
     Direct,
 }
 
-/// Components of a fitted model.
+/// Default number of components of a fitted model.
 const RANK: usize = 100;
-/// More pixels than that are a slip.
+/// A larger number is a typing error.
 const MAX_PIXELS: i64 = 1_000_000;
-/// A larger frame is a slip.
+/// The largest side of a frame. A larger number is a typing error.
 const MAX_SIDE: usize = 1 << 15;
-/// More samples along a side are a slip.
+/// The largest number of samples along a side. A larger number is a typing error.
 const MAX_GRID: usize = 256;
 
 impl BenchArgs {
@@ -160,7 +210,7 @@ impl BenchArgs {
             ..BenchOptions::default()
         };
         if options.device == Device::Gpu {
-            // Before samples are drawn in vain.
+            // An error here comes before samples are drawn.
             psfield::open_gpu(options.gpu_adapter.as_deref())?;
         }
         let mut scene = None;
@@ -169,7 +219,7 @@ impl BenchArgs {
             let image = psf_io::read_image::<T>(path)?.into_parts().0;
             anyhow::ensure!(
                 image.pixels().iter().any(|v| !v.is_zero()),
-                "{}: the scene is dark, there is nothing to measure",
+                "{}: the scene has no light, so there is nothing to measure",
                 path.display()
             );
             scene = Some(image);
@@ -220,7 +270,7 @@ impl BenchArgs {
         context.report(&report, || report.text())
     }
 
-    /// Where the PSF comes from, for errors.
+    /// Returns the origin of the PSF, for errors.
     fn origin(&self) -> String {
         match &self.psf {
             Some(path) if self.stretch => format!("with the PSF of {}", path.display()),
@@ -232,7 +282,7 @@ impl BenchArgs {
         }
     }
 
-    /// A model for each grid, or that of the file, made when it is asked for.
+    /// Returns a model for each grid, or the model of the file. Each is made when it is needed.
     fn records<'a>(
         &'a self,
         settings: &'a Settings,
@@ -275,7 +325,7 @@ impl BenchArgs {
         })
     }
 
-    /// The options in force; those that a file takes the place of are left out.
+    /// Returns the options in force, without those that a file replaces.
     fn options<T: ConvReal>(&self, settings: &Settings) -> impl Serialize {
         object! {
             #[serde(flatten)]
@@ -300,7 +350,7 @@ impl BenchArgs {
     }
 }
 
-/// A fit that keeps every component, of which the first are taken.
+/// A fit that keeps every component. The first ones are used.
 fn every_component() -> FitOptions {
     FitOptions {
         rank: RankSelection::Full,
@@ -308,12 +358,12 @@ fn every_component() -> FitOptions {
     }
 }
 
-/// Pixels along a side.
+/// Parses a number of pixels along a side.
 fn side(text: &str) -> Result<NonZeroUsize, String> {
     whole(text, 1..=MAX_SIDE)
 }
 
-/// Samples along a side: two ends at least.
+/// Parses a number of samples along a side, at least 2.
 fn grid_side(text: &str) -> Result<NonZeroUsize, String> {
     whole(text, 2..=MAX_GRID)
 }

@@ -6,7 +6,7 @@ use psfield_lab::bench::{BenchOutcome, BenchRow, Skipped};
 use psfield_lab::plot::{Axis, Curve, Curves, Figure, Mark, Marker, PlotError, curve_panels};
 use serde::Serialize;
 
-/// What `--json` writes.
+/// The object that `--json` writes.
 #[derive(Debug, Serialize)]
 pub(super) struct Report<O> {
     pub(super) version: &'static str,
@@ -21,7 +21,7 @@ impl<O> Report<O> {
         self.skipped.extend(outcome.skipped);
     }
 
-    /// The rows of each size and number of samples, the single PSF first.
+    /// Returns the rows of each case (a size and a number of samples), with the single PSF first.
     pub(super) fn cases(&self) -> Vec<&[BenchRow]> {
         self.rows.chunk_by(|_, next| next.method != "single").collect()
     }
@@ -36,7 +36,7 @@ impl<O> Report<O> {
             // Writing to a string does not fail.
             let _ = write!(text, "{}, {}", size_of(&rows[0]), settings_of(&rows[0]));
             if let Some(gpu) = gpu {
-                let _ = write!(text, "; lowrank and auto on {gpu}");
+                let _ = write!(text, ", lowrank and auto on {gpu}");
             }
             let shown = if gpu.is_some() { COLUMNS.len() } else { ON_CPU };
             let _ = writeln!(text, "\n{}", line(&COLUMNS[..shown]));
@@ -63,7 +63,7 @@ impl<O> Report<O> {
     }
 }
 
-/// How large a case is.
+/// The size of a case.
 pub(super) fn size_of(row: &BenchRow) -> String {
     format!(
         "{} x {} pixels, {} PSF samples",
@@ -71,7 +71,7 @@ pub(super) fn size_of(row: &BenchRow) -> String {
     )
 }
 
-/// How a case was run.
+/// The settings of a case.
 fn settings_of(row: &BenchRow) -> String {
     let threads = if row.threads == 1 { "thread" } else { "threads" };
     format!(
@@ -84,7 +84,7 @@ fn or_dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| "-".to_owned())
 }
 
-/// What has to be moved whatever the hardware, where a GPU did the work.
+/// The bytes that any hardware has to move, if a GPU did the work.
 fn floor(row: &BenchRow) -> String {
     let Some([bus, memory]) = row.gpu_seconds.as_ref().map(|times| times.least_bytes) else {
         return String::new();
@@ -99,13 +99,13 @@ fn floor(row: &BenchRow) -> String {
     )
 }
 
-/// The names of the columns; the last ones tell where the time of the fastest run went on a GPU.
+/// The names of the columns. The last ones tell how the time of the fastest run on a GPU is spent.
 const COLUMNS: [&str; 14] = [
     "method", "setting", "plan s", "min s", "median s", "ratio", "rel. L2", "modes", "tile", "memory",
     "kernel s", "copy s", "host s", "total s",
 ];
 const WIDTHS: [usize; 14] = [8, 16, 9, 9, 9, 8, 10, 6, 11, 9, 9, 9, 9, 9];
-/// Columns where nothing ran on a GPU.
+/// Number of columns if nothing ran on a GPU.
 const ON_CPU: usize = 10;
 
 fn cells(row: &BenchRow) -> [String; 14] {
@@ -130,7 +130,7 @@ fn cells(row: &BenchRow) -> [String; 14] {
     ]
 }
 
-/// Texts below each other: method and setting begin at the left, numbers end at the right.
+/// A line of the table. Method and setting are left-aligned, numbers are right-aligned.
 fn line(cells: &[impl AsRef<str>]) -> String {
     let cells = cells.iter().map(AsRef::as_ref).zip(WIDTHS).enumerate();
     let padded = cells.map(|(k, (cell, width))| match k {
@@ -140,10 +140,10 @@ fn line(cells: &[impl AsRef<str>]) -> String {
     padded.collect::<Vec<_>>().join(" ")
 }
 
-/// An error below this, or none at all, is drawn here.
+/// Errors below this value, and errors of 0, are drawn here.
 const LEAST_ERROR: f64 = 1e-17;
 
-/// The methods in the order of the key, with marker and place among the colours of curves.
+/// The methods in the order of the key, each with its marker and the index of its colour.
 const METHODS: [(&str, Marker, usize); 6] = [
     (UNIT, Marker::Cross, 3),
     ("lowrank", Marker::Circle, 0),
@@ -152,10 +152,10 @@ const METHODS: [(&str, Marker, usize); 6] = [
     ("basis", Marker::Diamond, 1),
     ("direct", Marker::Cross, 4),
 ];
-/// The method whose time is the unit.
+/// The method whose time is the unit of the ratios.
 const UNIT: &str = "single";
 
-/// A panel for each case, whose rows have the single PSF first.
+/// Draws a panel for each case. The first row of a case is the single PSF.
 pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
     let panels: Vec<(String, Curves)> = cases
         .iter()
@@ -169,7 +169,7 @@ pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
 
 fn curves(rows: &[BenchRow]) -> Curves {
     let of = |name| rows.iter().filter(move |row| row.method == name);
-    // One convolution costs this, whatever the error.
+    // The time of one convolution, at any error.
     let marks = of(UNIT)
         .map(|row| Mark::Horizontal(row.seconds, UNIT.to_owned()))
         .collect();
@@ -180,7 +180,7 @@ fn curves(rows: &[BenchRow]) -> Curves {
             let points: Vec<(f64, f64, Option<&str>)> = of(name)
                 .filter_map(|row| Some((error(row)?, row.seconds, row.setting.as_deref())))
                 .collect();
-            // `auto` has the settings of `lowrank`, close by.
+            // `auto` has the settings of `lowrank`, at nearby points.
             let named = name != "auto" || of("lowrank").next().is_none();
             Curve {
                 marker: Some(marker),
@@ -192,13 +192,13 @@ fn curves(rows: &[BenchRow]) -> Curves {
         .collect();
     Curves {
         x: Axis::logarithmic("measured relative L2 error"),
-        y: Axis::logarithmic("run time, seconds (fastest run)"),
+        y: Axis::logarithmic("run time (seconds, fastest run)"),
         curves,
         marks,
     }
 }
 
-/// The settings' values, those of points close together in one text.
+/// The values of the settings. Points that lie close together share a text.
 fn labels(points: &[(f64, f64, Option<&str>)]) -> Vec<((f64, f64), String)> {
     points
         .chunk_by(|a, b| close(a.0, b.0) && close(a.1, b.1))
@@ -209,12 +209,12 @@ fn labels(points: &[(f64, f64, Option<&str>)]) -> Vec<((f64, f64), String)> {
         .collect()
 }
 
-/// Whether two values lie so close on a logarithmic axis that their labels would overlap.
+/// Returns whether two values lie so close on a logarithmic axis that their labels would overlap.
 fn close(a: f64, b: f64) -> bool {
     (a / b).ln().abs() < 0.3
 }
 
-/// The error as it is drawn, where there is one.
+/// The error as it is drawn, if there is one.
 fn error(row: &BenchRow) -> Option<f64> {
     row.relative_l2.map(|e| e.max(LEAST_ERROR))
 }

@@ -1,4 +1,4 @@
-//! Defaults of a benchmark, the device it runs on, and the file that its JSON goes to.
+//! Defaults of a benchmark, its device, and the file for its JSON.
 
 use std::ffi::OsString;
 use std::num::NonZeroUsize;
@@ -67,7 +67,7 @@ impl Settings {
         }
     }
 
-    /// The contenders for a model of some rank, method by method; no setting twice.
+    /// Returns the contenders for a model of this rank, method by method, without duplicates.
     pub(super) fn contenders(&self, rank: usize) -> Vec<Contender> {
         let mut all = Vec::new();
         for method in &self.methods {
@@ -85,7 +85,7 @@ impl Settings {
                     .iter()
                     .map(|&size| Contender::Patch { size })
                     .collect(),
-                // A rank beyond the model's is the model's.
+                // A rank is at most that of the model.
                 MethodName::Basis => self
                     .ranks
                     .iter()
@@ -103,43 +103,43 @@ impl Settings {
     }
 }
 
-/// Nothing here is chosen by itself: a figure belongs to a device.
+/// The device is never chosen automatically, because figures belong to a device.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Device")]
 pub(super) struct BenchDeviceArgs {
-    /// Where lowrank and auto run, in f32; the other methods run on the CPU
+    /// Device of lowrank and auto, in f32 (the other methods run on the CPU)
     #[arg(long, default_value = "cpu", value_parser = device_parser(["cpu", "gpu"]))]
     pub(super) device: Device,
-    /// The GPU, by a part of its name or its backend (see psfield devices) [default: the first of psfield devices]
-    #[arg(long, value_name = "NAME")]
+    /// GPU to use: a part of its name or backend [default: the first of psfield devices]
+    #[arg(long, value_name = "NAME", hide_short_help = true)]
     pub(super) gpu_adapter: Option<String>,
 }
 
 impl BenchDeviceArgs {
-    /// What is wrong with the options given, if anything. `single`: in f32.
+    /// Returns an error message if options do not fit together. `single`: the precision is f32.
     pub(super) fn misused(&self, single: bool) -> Option<&'static str> {
         match self.device {
-            Device::Cpu if self.gpu_adapter.is_some() => Some("--gpu-adapter is of --device gpu"),
-            Device::Gpu if !single => Some("--device gpu computes in f32, and --precision f64 was asked for"),
+            Device::Cpu if self.gpu_adapter.is_some() => Some("--gpu-adapter applies only to --device gpu"),
+            Device::Gpu if !single => Some("--device gpu computes in f32: leave --precision f64 out"),
             _ => None,
         }
     }
 }
 
-/// Whether, and where to, a command writes JSON.
+/// The destination of a command's JSON, if any.
 ///
-/// `--json` is an option of every command that takes no value; `bench` takes a file as well, under the same name. The parser wants
-/// one type for both.
+/// For every command `--json` takes no value, but for `bench` it may also take a file. The parser
+/// wants one type for both.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum JsonTo {
     Nowhere,
-    /// In place of text on standard output.
+    /// Instead of text on standard output.
     Output,
     File(PathBuf),
 }
 
 impl JsonTo {
-    /// Of `--json` without a value.
+    /// Parses `--json` without a value.
     #[allow(clippy::unnecessary_wraps, reason = "a parser of values")]
     pub(crate) fn of_flag(text: &str) -> Result<Self, String> {
         Ok(if text == "true" {
@@ -149,7 +149,7 @@ impl JsonTo {
         })
     }
 
-    /// Of `--json FILE`; `-` is standard output.
+    /// Parses `--json FILE`. `-` is standard output.
     pub(super) fn of_argument(text: OsString) -> Self {
         if text == "-" {
             Self::Output

@@ -20,27 +20,28 @@ use crate::demo::sky::{GALAXIES, STARS, Sky};
 
 /// Run every stage on a built-in telescope and scene
 ///
-/// Samples the PSF of a small survey telescope over its field, fits a model, makes a sky of stars and galaxies, images it, and measures
-/// what came out. Writes FITS files, tables, pictures and a report; a minute at most.
+/// Samples the PSF of a small survey telescope over its field, fits a model, simulates the image of
+/// a scene with stars and galaxies, and measures the result. Writes FITS files, tables, pictures
+/// and a report. Takes a minute at most.
 #[derive(Debug, clap::Args)]
 pub(crate) struct DemoArgs {
-    /// The folder to write to; made if it does not exist
+    /// Folder to write to (made if it does not exist)
     #[arg(long, value_name = "DIR", default_value = "psfield-demo")]
     out: PathBuf,
-    /// Replace files that exist there
+    /// Replace files that exist in the folder
     #[arg(long)]
     overwrite: bool,
-    /// Chooses the stars and galaxies
+    /// Seed for the stars and galaxies
     #[arg(long, default_value_t = 1)]
     seed: u64,
 }
 
 const TELESCOPE: &str = include_str!("../../assets/demo_telescope.toml");
-/// Interpolation error at which the sampling stops, relative L2.
+/// Interpolation error (relative L2) at which the sampling stops.
 const SAMPLING_THRESHOLD: f64 = 0.01;
-/// PSFs drawn by the telescope to judge the model.
+/// Number of PSFs drawn by the telescope to judge the model.
 const JUDGED: usize = 100;
-/// Pixels checked against the direct sum.
+/// Number of pixels checked against the direct sum.
 const SPOT_CHECK: usize = 300;
 const PATCH: usize = 128;
 
@@ -48,7 +49,7 @@ impl DemoArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let start = Instant::now();
         let mut out = Output::new(self.out, self.overwrite)?;
-        // Nothing is written when anything is in the way.
+        // Nothing is written if any file is in the way.
         for name in FILES {
             psf_io::check_output(out.folder.join(name), self.overwrite)?;
         }
@@ -101,7 +102,7 @@ impl DemoArgs {
             fwhm_px_max: fwhm.max(),
             ellipticity_max: ellipticity.max(),
             spot_check,
-            // Relative L2 of the image by patches against the exact one.
+            // Relative L2 of the image made by patches against the exact one.
             patch: PATCH,
             patch_relative_l2: patch_error,
             seconds: object! {
@@ -118,12 +119,12 @@ impl DemoArgs {
             format!(
                 "sampled   {} PSFs over {frame} pixels ({} drawn) in {:.2} s\n\
                  fitted    {} components (elbow at {}), largest fit error {:.1e}, in {:.2} s\n\
-                 model     off by {:.1e} (median), {:.1e} (largest) from the telescope's own PSFs\n\
+                 model     differs by {:.1e} (median), {:.1e} (largest) from the telescope's own PSFs\n\
                  PSF       FWHM {:.2} to {:.2} pixels, ellipticity up to {:.2}\n\
-                 imaged    {} galaxies and {} stars in {:.2} s\n\
+                 simulated {} galaxies and {} stars in {:.2} s\n\
                  checked   {} pixels against the direct sum: largest difference {:.1e}{}\n\
-                 patches   of {} pixels are off by {:.1e} (relative L2): see patch_error.png\n\
-                 wrote     {} files to {} in {:.1} s: begin with image.png, psf_field.png and report.json\n",
+                 patches   of {} pixels differ by {:.1e} (relative L2): see patch_error.png\n\
+                 wrote     {} files to {} in {:.1} s: start with image.png, psf_field.png and report.json\n",
                 report.samples,
                 report.psfs_drawn,
                 s.sample,
@@ -154,7 +155,7 @@ impl DemoArgs {
     }
 }
 
-/// Samples of the telescope's PSF, how many PSFs were drawn for them, and in how many seconds.
+/// Samples the telescope's PSF. Returns the samples, the number of PSFs drawn, and the seconds.
 fn sample(telescope: &Telescope, progress: &dyn Progress) -> anyhow::Result<(PsfSamples, usize, f64)> {
     let clock = Instant::now();
     let criterion = InterpolationError::new(SAMPLING_THRESHOLD, DifferenceMeasure::L2)?;
@@ -163,8 +164,8 @@ fn sample(telescope: &Telescope, progress: &dyn Progress) -> anyhow::Result<(Psf
     Ok((sampling.samples, sampling.report.draws, seconds))
 }
 
-/// Images a sky, also by patches: the check of the image, the relative L2 error of that by patches,
-/// and the seconds that the image took.
+/// Simulates a scene, with the default method and by patches. Returns the spot check of the image,
+/// the relative L2 error of the image made by patches, and the seconds that the first image took.
 fn image(
     out: &mut Output,
     record: &PsfModelRecord,
@@ -193,7 +194,7 @@ fn image(
     Ok((spot_check, patch_error, simulate_seconds))
 }
 
-/// Relative L2 errors of the model's PSFs at random positions, against PSFs that the telescope draws there.
+/// Relative L2 errors of the model's PSFs at random positions, against PSFs drawn by the telescope.
 fn judge(telescope: &Telescope, model: &PsfModel, seed: u64) -> anyhow::Result<Summary> {
     let positions = sky::random_positions(telescope.field(), JUDGED, seed)?;
     let errors = positions.into_iter().map(|position| {

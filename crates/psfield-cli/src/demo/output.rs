@@ -1,4 +1,4 @@
-//! What the demonstration writes.
+//! The files that the demonstration writes.
 
 use std::path::PathBuf;
 
@@ -13,12 +13,12 @@ use psfield_lab::plot::{Figure, Picture, PictureAxes, Scale, pictures, positions
 use super::sky::Sky;
 use crate::context::signature;
 
-/// Flux a pixel above which pictures of the sky are logarithmic.
+/// Flux per pixel above which pictures of the scene are logarithmic.
 const SOFT: f64 = 30.0;
-/// PSFs shown along each side of the field.
+/// Number of PSFs shown along each side of the field.
 const ACROSS: usize = 9;
 
-/// All that is written.
+/// All files that are written.
 pub(super) const FILES: [&str; 13] = [
     "telescope.toml",
     "samples.fits",
@@ -35,7 +35,7 @@ pub(super) const FILES: [&str; 13] = [
     "report.json",
 ];
 
-/// Where things are written.
+/// The output folder, and the files written so far.
 pub(super) struct Output {
     pub(super) folder: PathBuf,
     pub(super) overwrite: bool,
@@ -53,7 +53,7 @@ impl Output {
         })
     }
 
-    /// The path of a file, which counts as written from here on.
+    /// Returns the path of a file, which counts as written from here on.
     pub(super) fn path(&mut self, name: &str) -> PathBuf {
         self.files.push(name.to_owned());
         self.folder.join(name)
@@ -80,13 +80,14 @@ impl Output {
         Ok(psf_io::write_bytes(path, &figure.png()?, self.overwrite)?)
     }
 
-    /// Where the PSF was sampled.
+    /// Draws the positions of the samples.
     pub(super) fn sampling(&mut self, positions: &[Position], frame: FrameShape) -> anyhow::Result<()> {
         let title = format!("{} samples of the PSF", positions.len());
         self.figure("sampling.png", &positions_figure(&[(title, positions)], frame)?)
     }
 
-    /// The PSFs on a grid over the frame, as a picture and as a table of measurements: their widths and ellipticities.
+    /// Writes the PSFs on a grid over the frame, as a picture and as a table of measurements.
+    /// Returns their FWHM and their ellipticity.
     pub(super) fn psf_map(
         &mut self,
         model: &PsfModel,
@@ -123,21 +124,18 @@ impl Output {
             .max(2.0 * SOFT);
         let stretch = Scale::Asinh { soft: SOFT, high };
         let sharp = sky.sharp().mapv(f64::from);
-        let flux = "flux a pixel";
-        self.figure(
-            "scene.png",
-            &alone("the sky before the telescope", sharp.view(), stretch, flux)?,
-        )?;
+        let flux = "flux per pixel";
+        self.figure("scene.png", &alone("input scene", sharp.view(), stretch, flux)?)?;
         self.figure(
             "image.png",
-            &alone("the sky through the telescope", image.view(), stretch, flux)?,
+            &alone("simulated image", image.view(), stretch, flux)?,
         )?;
         let difference = by_patches.pixels().mapv(f64::from) - &image;
         let most = Summary::of(difference.iter().map(|v| v.abs()))?.quantile(0.995)?;
         let scale = Scale::Difference {
             most: most.max(f64::MIN_POSITIVE),
         };
-        let title = "one PSF a patch less psfield";
+        let title = "image with one PSF per patch - image by psfield";
         self.figure("patch_error.png", &alone(title, difference.view(), scale, flux)?)
     }
 }
@@ -152,7 +150,8 @@ fn alone(title: &str, pixels: ArrayView2<'_, f64>, scale: Scale, quantity: &str)
     }])?)
 }
 
-/// PSFs `[k, y, x]` of a grid over the frame, the first at the bottom left, with one scale; the axes say where on the frame each is.
+/// Draws PSFs `[k, y, x]` of a grid over the frame on one scale, the first at the bottom left. The
+/// axes give positions on the frame.
 fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<Figure> {
     let (count, ny, nx) = stamps.dim();
     let peak = stamps.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
@@ -165,22 +164,22 @@ fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<F
         let (y, x) = (k / ACROSS * (ny + 1), k % ACROSS * (nx + 1));
         whole.slice_mut(s![y..y + ny, x..x + nx]).assign(&stamp);
     }
-    // A PSF stands in the middle of its square, the outer ones at the frame's edges.
+    // Each PSF is in the middle of its square. The outer PSFs are at the frame's edges.
     let along = |pixels: usize| {
         let step = (pixels - 1) as f64 / (ACROSS - 1) as f64;
         -0.5 * step..(ACROSS as f64 - 0.5) * step
     };
     Ok(pictures(&[Picture {
-        title: "the PSF over the field, on one scale",
+        title: "PSF over the field, on one scale",
         pixels: whole.view(),
         scale: Scale::Asinh {
             soft: peak * 1e-3,
             high: peak,
         },
-        quantity: "part of the flux a pixel",
+        quantity: "fraction of flux per pixel",
         axes: PictureAxes::Of([
-            ("x on the frame, pixels", along(frame.nx())),
-            ("y on the frame, pixels", along(frame.ny())),
+            ("x on the frame (pixels)", along(frame.nx())),
+            ("y on the frame (pixels)", along(frame.ny())),
         ]),
     }])?)
 }

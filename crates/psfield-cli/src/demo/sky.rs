@@ -1,4 +1,4 @@
-//! The sky of the demonstration: galaxies on pixels, stars between them.
+//! The scene of the demonstration: galaxies on pixels, and stars between pixel centres.
 
 use ndarray::Array2;
 use psf_types::{FrameShape, Image, PointSource, Position};
@@ -8,14 +8,14 @@ use rand_chacha::ChaCha8Rng;
 pub(super) const GALAXIES: usize = 400;
 pub(super) const STARS: usize = 2500;
 
-/// Stars and galaxies of a frame.
+/// The stars and galaxies of a frame.
 pub(super) struct Sky {
     pub(super) galaxies: Image<f32>,
     pub(super) stars: Vec<PointSource>,
 }
 
 impl Sky {
-    /// Galaxies, one of them large, and stars, some just off the frame.
+    /// Makes galaxies, one of them large, and stars, some of them just outside the frame.
     pub(super) fn new(frame: FrameShape, seed: u64) -> anyhow::Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (nx, ny) = (frame.nx() as f64, frame.ny() as f64);
@@ -42,7 +42,7 @@ impl Sky {
             };
             galaxy.add_to(&mut image);
         }
-        // Light from just beyond the edges shines in.
+        // Sources just outside the frame still contribute light.
         let margin = 16.0;
         let stars = (0..STARS)
             .map(|_| {
@@ -59,7 +59,8 @@ impl Sky {
         })
     }
 
-    /// The sky on pixels, each star in the pixel it falls on: what a perfect telescope would show.
+    /// Returns the scene on pixels, with each star in the pixel on which it lies, as a perfect
+    /// telescope would show it.
     pub(super) fn sharp(&self) -> Array2<f32> {
         let mut pixels = self.galaxies.pixels().to_owned();
         for star in &self.stars {
@@ -75,32 +76,34 @@ impl Sky {
     }
 }
 
-/// A galaxy of Sersic's profile, `I(r) ~ exp(-b_n ((r / r_e)^(1/n) - 1))` on ellipses (Sersic 1963), cut at 6 `r_e`.
+/// A galaxy with a Sersic profile, `I(r) ~ exp(-b_n ((r / r_e)^(1/n) - 1))` on ellipses (Sersic
+/// 1963), truncated at 6 `r_e`.
 #[derive(Debug, Clone, Copy)]
 struct Galaxy {
     x: f64,
     y: f64,
     flux: f64,
-    /// Half-light radius along the major axis, pixels.
+    /// Half-light radius along the major axis (pixels).
     re_px: f64,
     index: f64,
     axis_ratio: f64,
     angle_rad: f64,
 }
 
-/// Samples a pixel each way; the profile's cusp needs them.
+/// Samples per pixel along each axis, because of the profile's cusp.
 const SUBPIXELS: usize = 5;
 const CUT: f64 = 6.0;
 
 impl Galaxy {
-    /// Adds the galaxy's light; what is drawn sums to `flux`, what falls off the image is lost.
+    /// Adds the galaxy's light. It is normalised to `flux` before the part outside the image is
+    /// dropped.
     fn add_to(self, image: &mut Array2<f32>) {
         let (ny, nx) = image.dim();
         let reach = (CUT * self.re_px).ceil();
         let (x0, y0) = ((self.x - reach).floor(), (self.y - reach).floor());
         let side = (2.0 * reach) as usize + 2;
         let (sin, cos) = self.angle_rad.sin_cos();
-        // Ciotti and Bertin 1999, first terms.
+        // First terms of Ciotti and Bertin 1999.
         let b = 2.0 * self.index - 1.0 / 3.0 + 4.0 / (405.0 * self.index);
         let profile = |dx: f64, dy: f64| {
             let (u, v) = (dx * cos + dy * sin, (dy * cos - dx * sin) / self.axis_ratio);
@@ -128,13 +131,13 @@ impl Galaxy {
     }
 }
 
-/// A power law of fluxes, `N(> f) ~ f^-slope`, from `faintest` to `brightest`.
+/// Draws from a power law of fluxes, `N(> f) ~ f^-slope`, between `faintest` and `brightest`.
 fn power_law(rng: &mut ChaCha8Rng, slope: f64, faintest: f64, brightest: f64) -> f64 {
     let (a, b) = (faintest.powf(-slope), brightest.powf(-slope));
     (a + rng.random::<f64>() * (b - a)).powf(-1.0 / slope)
 }
 
-/// Positions spread evenly over the frame.
+/// Draws positions that are uniform over the frame.
 pub(crate) fn random_positions(frame: FrameShape, count: usize, seed: u64) -> anyhow::Result<Vec<Position>> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     (0..count)
