@@ -238,9 +238,9 @@ fn sextractor_names(comments: &[&[u8]], row: &[u8]) -> Option<Vec<String>> {
         return None;
     }
     let of_column = |comment: &&[u8]| {
-        let mut words = blank_separated(comment);
-        let number: usize = std::str::from_utf8(words.next()?).ok()?.parse().ok()?;
-        Some((number, String::from_utf8_lossy(words.next()?).into_owned()))
+        let mut parts = blank_separated(comment);
+        let number: usize = std::str::from_utf8(parts.next()?).ok()?.parse().ok()?;
+        Some((number, String::from_utf8_lossy(parts.next()?).into_owned()))
     };
     of_column(comments.last()?)?;
     let columns: Vec<(usize, String)> = comments.iter().filter_map(of_column).collect();

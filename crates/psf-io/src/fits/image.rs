@@ -256,7 +256,8 @@ impl ImageReader {
         Self::open_part(path.as_ref(), choice, |hdu| {
             let (planes, ny, nx) = stack_shape(hdu, STACK)?;
             if plane >= planes {
-                let problem = format!("there is no plane {plane}: the image has {planes} planes, counted from 0");
+                let problem =
+                    format!("there is no plane {plane}: the image has {planes} planes, counted from 0");
                 return Err(request(hdu.path(), problem));
             }
             Ok((plane * ny * nx, ny, nx))
