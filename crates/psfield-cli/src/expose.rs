@@ -107,7 +107,11 @@ struct Settings {
 }
 
 /// Options by their keys in the detector file, for messages.
-const OPTIONS: [(&str, &str); 2] = [("dark_e_per_s", "--dark"), ("exposure_s", "--exposure")];
+const OPTIONS: [(&str, &str); 3] = [
+    ("bias_adu", "--bias"),
+    ("dark_e_per_s", "--dark"),
+    ("exposure_s", "--exposure"),
+];
 
 /// Refuses a detector without any effect if `alone`, and warns if there is no photon noise.
 
@@ -247,6 +251,9 @@ impl ExposeArgs {
                 DetectorError::Needs { key, other } => {
                     let (key, other) = (option(key), option(other));
                     format!("{key} needs {other}: give {other}, or leave {key} out")
+                }
+                DetectorError::Setting { key, allowed, got } => {
+                    format!("{} must be {allowed}, got {got}", option(key))
                 }
                 other => other.to_string(),
             };

@@ -450,7 +450,7 @@ fn toml_that_cannot_be_understood() {
         ),
         (
             &format!("[defaults]\nname = 'x'\n{good}"),
-            vec!["name", "single jobs"],
+            vec!["name", "in a job"],
         ),
     ] {
         desk.write("jobs.toml", content);

@@ -342,8 +342,8 @@ fn bad_usage() {
         ("--gain 0", ["--gain", "above 0"]),
         ("--full-well -5", ["--full-well", "above 0"]),
         ("--bits 25", ["--bits", "25"]),
-        ("--bias inf", ["bias_adu", "inf"]),
-        ("--dark 1", ["dark_e_per_s", "exposure_s"]),
+        ("--bias inf", ["--bias", "inf"]),
+        ("--dark 1", ["--dark needs --exposure", "give --exposure"]),
         ("--seed one", ["--seed", "one"]),
         (
             "--photons-only --detector ccd.toml",

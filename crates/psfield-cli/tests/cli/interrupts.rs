@@ -126,7 +126,7 @@ fn signals_leave_the_old_file_and_nothing_else() {
         assert_eq!(run.code, Some(code), "{run:?}");
         assert_eq!(
             run.stderr,
-            format!("psfield: stopped by SIG{signal}: out.fits is as it was\n")
+            format!("psfield: interrupted (SIG{signal}), out.fits is unchanged\n")
         );
         assert_eq!(run.stdout, "");
         assert_eq!(desk.bytes("out.fits"), OLD.as_bytes());
@@ -136,7 +136,7 @@ fn signals_leave_the_old_file_and_nothing_else() {
     let run = run_until("TERM", &desk);
     assert_eq!(
         run.stderr,
-        "psfield: stopped by SIGTERM: out.fits was not written\n"
+        "psfield: interrupted (SIGTERM), out.fits was not written\n"
     );
     assert!(!desk.path("out.fits").exists());
 

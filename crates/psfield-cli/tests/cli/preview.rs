@@ -78,7 +78,7 @@ fn values_are_where_they_belong() {
     );
     let run = desk.done("preview a.fits --stretch linear --range 0,10");
     assert!(
-        run.stdout.contains("linear from 0 to 10; 2 pixels have no value"),
+        run.stdout.contains("linear from 0 to 10, 2 pixels without a value"),
         "{run:?}"
     );
     let (magenta, grey) = ([255, 0, 255], |v: u8| [v; 3]);
@@ -102,7 +102,7 @@ fn values_are_where_they_belong() {
     assert_eq!(pixels, [grey(0), magenta, grey(255)]);
     // Tiny limits are read without rows of zeros.
     let run = desk.done("preview a.fits --range -6.795561e-16,10 -o e.png");
-    assert!(run.stdout.contains("from -6.79556e-16 to 10;"), "{run:?}");
+    assert!(run.stdout.contains("from -6.79556e-16 to 10,"), "{run:?}");
     // A negative limit is no option.
     desk.done("preview a.fits --range -1.5,10 -o c.png");
     desk.done("preview a.fits --range=-1.5,-1 -o d.png");

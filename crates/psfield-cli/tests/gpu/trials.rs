@@ -134,7 +134,7 @@ pub(crate) fn stars_alone() {
     desk.write("stars.csv", "x,y,flux\n30,25,5\n");
     desk.warned(
         "simulate --catalog stars.csv --shape 61,51 --psf samples.fits -o out.fits --device gpu",
-        "stars alone are drawn on the CPU",
+        "stars are drawn on the CPU",
     );
     assert_eq!(text(&desk, "out.fits", "PSFDEV").as_deref(), Some("CPU"));
 }
@@ -319,7 +319,7 @@ pub(crate) fn without() {
     let run = |arguments: &str| -> Run { desk.shell(&format!("{HIDDEN} {arguments}")) };
     let none = run("devices");
     assert!(
-        none.code == Some(0) && none.stdout.contains("There is no GPU"),
+        none.code == Some(0) && none.stdout.contains("No GPU was found"),
         "{none:?}"
     );
     for options in ["", "--gpu-adapter nvidia"] {
