@@ -29,8 +29,8 @@ impl Detector {
         self.exposer(light.shape(), seed)?.expose(light)
     }
 
-    /// The noise-free image in the unit of the counts: light, sky and dark charge, as measured by a
-    /// detector without noise, limits and bad pixels, with equal response in all pixels.
+    /// The noise-free image in the unit of the counts. It contains light, sky and dark charge. The
+    /// detector has no noise, limits or bad pixels, and all pixels have equal response.
     ///
     /// `(c F + sky + D t) / g + b` with the letters of the [crate's page](crate#the-chain).
     /// Negative pixels stay negative.

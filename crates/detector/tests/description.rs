@@ -96,7 +96,9 @@ fn settings_that_need_others_say_so() {
         assert!(error.contains(key) && error.contains(other), "{error}");
     }
     assert_eq!(
-        Detector::from_toml_str("dark_e_per_s = 1.0").unwrap_err().to_string(),
+        Detector::from_toml_str("dark_e_per_s = 1.0")
+            .unwrap_err()
+            .to_string(),
         "a dark current (dark_e_per_s) needs an exposure time: set exposure_s"
     );
 }

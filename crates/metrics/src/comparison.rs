@@ -423,7 +423,7 @@ impl From<Summary> for SummaryRecord {
 
 /// A running sum whose rounding error does not grow with the number of terms.
 ///
-/// Neumaier's (1974) compensated summation with Knuth's branch-free two-sum: the relative error of
+/// Neumaier's (1974) compensated summation with Knuth's branch-free two-sum. The relative error of
 /// the result is about that of one rounding, plus the square of the machine precision times the
 /// condition number of the sum.
 #[derive(Debug, Clone, Copy, Default)]

@@ -108,7 +108,7 @@ impl GaussianFit {
 /// requested, the constant background `B`. The model is the Gaussian *at pixel centres*, not its
 /// integral over the pixel. The FWHM is that of the given stamp, and contains the pixel response if
 /// the stamp does. The minimum is found by Levenberg-Marquardt (Marquardt 1963) with an analytic
-/// Jacobian, in parameters (logarithmic Cholesky factor of `C^-1`) that have no bounds and no
+/// Jacobian. The parameters (logarithmic Cholesky factor of `C^-1`) have no bounds and no
 /// singularity at a round PSF. The fit starts at the best of a coarse grid of round Gaussians.
 ///
 /// The stamp is `[y, x]`, `f32` or `f64`, in any units.

@@ -85,8 +85,8 @@ impl<const N: usize> Linearised<N> {
 /// Levenberg-Marquardt with the damping rule of Nielsen (1999, report IMM-REP-1999-05) and
 /// Marquardt's scaling.
 ///
-/// It has converged when the residuals are orthogonal to the tangent space of the model: the change
-/// that an undamped step would still make, `|P_J r|`, is below 1e-11 of `data_norm`.
+/// It has converged when the residuals are orthogonal to the tangent space of the model. This means
+/// that the change by an undamped step, `|P_J r|`, is below 1e-11 of `data_norm`.
 pub(crate) fn minimise<const N: usize>(
     start: SVector<f64, N>,
     data_norm: f64,

@@ -237,9 +237,9 @@ profile_source!(GaussianField);
 /// An elliptical Moffat PSF (Moffat 1969, A&A 3, 455) of unit flux over the infinite plane whose
 /// size and shape are polynomials of the field.
 ///
-/// The density is `(beta - 1) / (pi alpha^2) (1 + q r^2)^(-beta)` with `q = 2^(1/beta) - 1`, `r`
-/// the elliptical radius in units of half the FWHM `F` (geometric mean of both axes) and
-/// `alpha = F / (2 sqrt(q))`. A stamp does not contain the far wings:
+/// The density is `(beta - 1) / (pi alpha^2) (1 + q r^2)^(-beta)` with `q = 2^(1/beta) - 1` and
+/// `alpha = F / (2 sqrt(q))`. Here `r` is the elliptical radius in units of half the FWHM `F`, the
+/// geometric mean of both axes. A stamp does not contain the far wings:
 /// `(1 + (R / alpha)^2)^(1 - beta)` of the flux falls outside the radius `R`. Values are sampled as
 /// in [`GaussianField`].
 ///

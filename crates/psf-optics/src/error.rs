@@ -43,9 +43,10 @@ pub enum OpticsError {
         /// The value that was given.
         got: String,
     },
-    /// A description that cannot be used. Examples: exactly one of several keys is needed but none
-    /// or several are given, an entry is repeated, a computation needs too much memory, or a
-    /// wavefront sends light beyond the computed part of the focal plane.
+    /// A description that cannot be used. For example, an entry is repeated, or none or several are
+    /// given of keys of which exactly one is needed. Other examples are a computation that needs
+    /// too much memory, or a wavefront that sends light beyond the computed part of the focal
+    /// plane.
     #[error("{0}")]
     Unusable(String),
     /// The size of a profile is not finite or not above 0.

@@ -17,7 +17,7 @@ const BLOCK: usize = 16;
 ///
 /// A pupil cell is `lambda / (M step)` wide. Here `step` is the stamp's pixel size and `M` the
 /// period of the computed focal plane in stamp pixels. Lag `k` of the pupil's autocorrelation then
-/// is the spatial frequency `k / M` cycles per stamp pixel, and the inverse transform gives values
+/// is the spatial frequency `k / M` cycles per stamp pixel. The inverse transform then gives values
 /// exactly at the stamp's pixels, for any ratio of pixel size to lambda / D.
 pub(crate) struct FocalPlane {
     pupil: PupilCells,

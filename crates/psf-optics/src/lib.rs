@@ -46,16 +46,16 @@
 //! A stamp value is the fraction of the source's light that falls in a frame pixel centred there,
 //! also when the stamp is oversampled. With `detector.pixel_integration = false` it is the density
 //! at the centre times the area of a pixel. The flux over the infinite plane is 1, so **the flux of
-//! a stamp is the fraction that falls on it and is below 1**: at `r` times lambda / D from the
-//! centre, `2 / (pi^2 r)` of the light of a perfect aperture is still outside.
+//! a stamp is the fraction that falls on it and is below 1**. For a perfect aperture,
+//! `2 / (pi^2 r)` of the light is outside the radius `r` times lambda / D.
 //!
 //! Approximation: the focal plane is computed on a period of `padding` times the stamp and at least
 //! 64 lambda / D. Light beyond the period reappears on the opposite side. At the default padding of
 //! 2 the error is up to 5e-5 in the flux and 2e-5 of the peak in the values (5e-5 for a ring of
-//! obscuration 0.6), measured on stamps of 30 lambda / D against the Airy formula. Doubling the
-//! padding divides the flux error by more than 2 and takes four times as long. A wavefront so steep
-//! that it sends light beyond the period is refused ([`OpticsError::Unusable`]). The PSF is
-//! monochromatic, in the Fraunhofer approximation (scalar, small angles).
+//! obscuration 0.6). This was measured on stamps of 30 lambda / D against the Airy formula.
+//! Doubling the padding divides the flux error by more than 2 and takes four times as long. A
+//! wavefront so steep that it sends light beyond the period is refused ([`OpticsError::Unusable`]).
+//! The PSF is monochromatic, in the Fraunhofer approximation (scalar, small angles).
 
 mod analytic;
 mod error;

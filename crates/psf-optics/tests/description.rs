@@ -38,7 +38,10 @@ fn chain(error: OpticsError) -> String {
 }
 
 fn refused(from: &str, to: &str) -> String {
-    assert!(GOOD.contains(from), "the file contains the text to replace: {from}");
+    assert!(
+        GOOD.contains(from),
+        "the file contains the text to replace: {from}"
+    );
     chain(Telescope::from_toml_str(&GOOD.replacen(from, to, 1)).unwrap_err())
 }
 

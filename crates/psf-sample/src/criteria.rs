@@ -191,10 +191,10 @@ impl RefinementCriterion for NeighbourDifference {
 ///   error is larger: a Delaunay triangulation may draw either diagonal. Bilinear interpolation,
 ///   the mean of both, is never worse than the worse of them.
 ///
-/// For a PSF that varies quadratically within a cell, the worst point of a triangle with a right
-/// angle is the middle of its longest side, so these points bound the error in the cell. Where
-/// cells of different size meet, a triangulation may join other samples. Its error there is of the
-/// same order, but not strictly bounded.
+/// For a PSF that varies quadratically within a cell, the error in a right-angled triangle is
+/// largest at the middle of its longest side. The points above therefore bound the error in the
+/// cell. Where cells of different size meet, a triangulation may join other samples. Its error
+/// there is of the same order, but not strictly bounded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InterpolationError {
     threshold: f64,

@@ -12,7 +12,7 @@ use crate::{Background, StarError};
 /// The significance of a point source at a pixel is `S = sum k d / (sigma sqrt(sum k^2))`. Here `d`
 /// is the frame above its background of noise `sigma`, and `k` a Gaussian. This is the likelihood
 /// ratio test for a source of that shape (Stetson 1987, PASP 99, 191), without the subtraction of a
-/// local mean, because the background mesh is already subtracted.
+/// local mean. The background mesh replaces this subtraction.
 ///
 /// Pixels with `S >= threshold` are joined to their eight neighbours from the brightest down. Where
 /// two peaks meet at a saddle, the lower one is a separate source if it rises above the saddle by

@@ -151,7 +151,7 @@ pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
 /// coefficients.
 ///
 /// The fit is the most probable PSF under Gaussian noise and independent Gaussian errors of these
-/// sizes, so coefficients that no pixel of any star determines keep their prior values.
+/// sizes. Coefficients that no pixel of any star determines keep their prior values.
 #[derive(Debug)]
 pub(crate) struct Prior {
     pub(crate) mean: Vec<f64>,

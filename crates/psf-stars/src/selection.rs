@@ -236,9 +236,9 @@ const MOST_ROUNDS: usize = 20;
 
 /// Returns the most frequent width among sources ordered from the brightest down, if there is any.
 ///
-/// This is the width that has most others within 10 %, among the brighter quarter: bright stars
-/// share one width, whereas galaxies and noisy fits have any width. Of two widths with equal counts
-/// the narrower is chosen.
+/// This is the width with the most other widths within 10 %, among the brighter quarter of the
+/// sources. Bright stars share one width, whereas galaxies and noisy fits have any width. Of two
+/// widths with equal counts the narrower is chosen.
 pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     widths.truncate((widths.len() / 4).max(BRIGHT));
     let company = |width: f64| widths.iter().filter(|w| (*w / width).ln().abs() <= ALIKE).count();
