@@ -160,7 +160,10 @@ fn what_the_layout_cannot_hold_is_refused() {
     let irregular = [(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)].map(|(x, y)| Position::new(x, y).unwrap());
     let long: Vec<f64> = (0..150).map(|i| f64::from(i) + 0.5).collect();
     let cases = [
-        (on(grid().with_oversampling(2.5).unwrap()), "oversampled 2.5 times"),
+        (
+            on(grid().with_oversampling(2.5).unwrap()),
+            "oversampled 2.5 times",
+        ),
         (on(grid().with_centre(2.5, 2.0).unwrap()), "index (2.5, 2)"),
         (on(size(6)), "(3, 2)"),
         (on(grid().with_pixel_response_included(false)), "response"),
@@ -169,7 +172,10 @@ fn what_the_layout_cannot_hold_is_refused() {
             "lanczos3",
         ),
         (on(size(3)), "3 x 5 pixels"),
-        (samples_at(irregular.into(), grid()), "3 samples do not fill a grid of 2 x 2"),
+        (
+            samples_at(irregular.into(), grid()),
+            "3 samples do not fill a grid of 2 x 2",
+        ),
         (samples(&[0.0], &long, grid()), "22801 planes"),
     ];
     for (samples, expected) in cases {

@@ -1,4 +1,4 @@
-"""Makes quantised_nan.fits.gz: a float image with NaN, quantised and compressed in tiles by astropy.
+"""Makes quantised_nan.fits.gz with astropy: a float image with NaN, quantised and in tiles.
 
 The file is then compressed by gzip.
 """

@@ -1,4 +1,4 @@
-"""Makes sky_coordinates.json: headers, and the 0-based pixels that astropy gives for sky positions."""
+"""Makes sky_coordinates.json: headers, and the 0-based pixels of astropy for sky positions."""
 import json, numpy as np
 from astropy.wcs import WCS
 from astropy.io import fits
