@@ -174,7 +174,7 @@ impl Telescope {
     }
 
     /// An under-sampled wide-field lens on the ground: 180 mm aperture, 11.7 arcsec per pixel on
-    /// 4096 x 4096 pixels. Its size is that of the GWAC cameras, the aberrations are invented.
+    /// 4096 x 4096 pixels. It resembles the GWAC cameras, but the aberrations are invented.
     ///
     /// The file is [`WIDE_FIELD_LENS_TOML`].
     pub fn wide_field_lens() -> Self {
