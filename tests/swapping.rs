@@ -13,7 +13,7 @@ use psfield::psf_types::{
     PixelRegion, PointSource, Position, Progress, PsfBasis, PsfModel, PsfSamples, PsfSource, SamplePositions,
     SourceError, StampGrid,
 };
-use psfield::{Method, Psf, Scene, SimulateOptions, fit_with};
+use psfield::{Method, Psf, Scene, fit_with};
 
 /// A PSF source: two points of light whose ratio changes along x.
 #[derive(Debug)]
@@ -212,7 +212,7 @@ fn own_parts_make_a_whole_simulation() {
         [Box::new(PlainLoop), Box::new(BasisConvolution::default())];
     for method in methods {
         let name = format!("{method:?}");
-        let simulator = psf.simulator((48, 64)).build_with(method).unwrap();
+        let simulator = psf.simulator_by(method, (48, 64)).build().unwrap();
         let image = simulator.simulate(&scene).unwrap();
         assert!(relative_l2(&image, &expected) < 1e-13, "{name}");
         let check = simulator.spot_check(&scene, &image, (50, 1), &NoProgress);
@@ -220,28 +220,30 @@ fn own_parts_make_a_whole_simulation() {
     }
 }
 
-/// Stars, exact values and header cards go by the anchoring of the method, whatever the settings said.
+/// Stars, exact values and header cards follow the anchoring of the method. Cards and the spot check claim no tolerance.
 #[test]
 fn a_method_of_the_callers_own_decides_the_anchoring() {
     let psf = Psf::from(TwoEdges.sample(&Doublet, &NoProgress).unwrap().samples);
     let light = test_scene(64, 48, 0);
     let star = PointSource::new(Position::of_pixel(31, 20), 7.0).unwrap();
     let scene = Scene::from(&light).with_stars(vec![star]);
-    for (asked, of_method) in [(Anchor::Source, Anchor::Output), (Anchor::Output, Anchor::Source)] {
-        let method = Box::new(BasisConvolution::new(of_method));
-        let settings = psf.simulator((48, 64)).anchor(asked);
-        let own = settings.clone().build_with::<f64>(method).unwrap();
-        assert_eq!(own.options().anchor, of_method);
-        let expected = SimulateOptions {
-            anchor: of_method,
-            ..settings.build::<f64>().unwrap().options().clone()
-        };
-        assert_eq!(own.options(), &expected);
-        let by_name = psf.simulator((48, 64)).method(Method::Basis).anchor(of_method);
+    for anchor in [Anchor::Source, Anchor::Output] {
+        let method = Box::new(BasisConvolution::new(anchor));
+        let own = psf.simulator_by::<f64>(method, (48, 64)).build().unwrap();
+        assert_eq!(
+            (own.options().anchor, own.options().method),
+            (anchor, Method::Own)
+        );
+        let by_name = psf.simulator((48, 64)).method(Method::Basis).anchor(anchor);
         let expected = by_name.build().unwrap().simulate(&scene).unwrap();
         let image = own.simulate(&scene).unwrap();
         assert_eq!(image, expected);
         let check = own.spot_check(&scene, &image, (50, 1), &NoProgress).unwrap();
-        assert!(check.max_over_peak.unwrap() < 1e-13, "{check:?}");
+        assert!(
+            check.max_over_peak.unwrap() < 1e-13 && check.limit.is_none(),
+            "{check:?}"
+        );
     }
+    let nameless = psf.simulator((48, 64)).method(Method::Own);
+    assert!(nameless.build::<f64>().is_err());
 }

@@ -4,10 +4,9 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use anyhow::Context as _;
-use psf_io::FileKind;
-use psf_types::{FrameShape, StampGrid};
-use psfield::convert::{SamplesAt, is_on_grid, to_gridded, to_psfex, to_samples};
-use psfield::{Fit, Psf, check_outputs};
+use psf_types::FrameShape;
+use psfield::convert::{PsfFormat, SamplesAt, is_on_grid};
+use psfield::{Psf, check_outputs};
 
 use super::UsageError;
 use super::context::{Context, object, signature};
@@ -87,11 +86,16 @@ impl Target {
             Self::Gridded => "gridded",
         }
     }
-}
 
-/// The number of planes, their name (stamps, components without the mean, polynomial terms), their
-/// grid, their largest relative L2 error if measured, and notes.
-type Written = (usize, &'static str, StampGrid, Option<f64>, Vec<String>);
+    /// The planes of a file in words.
+    fn planes(self) -> &'static str {
+        match self {
+            Self::PsfSamples | Self::Gridded => "stamps",
+            Self::PsfModel => "components",
+            Self::Psfex(_) => "polynomial terms",
+        }
+    }
+}
 
 impl ConvertArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
@@ -112,19 +116,25 @@ impl ConvertArgs {
         self.check_fit_options(target, &at, &psf)?;
         let spinner = context.spinner("converting");
         let mut notes = psf.notes().to_vec();
-        let written = match target {
-            Target::PsfSamples => self.write_samples(&psf, &at),
-            Target::PsfModel => self.write_model(&psf),
-            Target::Psfex(degree) => self.write_psfex(&psf, degree),
-            Target::Gridded => self.write_gridded(&psf, &at),
+        let format = match target {
+            Target::PsfSamples => PsfFormat::Samples {
+                at,
+                precision: self.precision.unwrap_or(Precision::F32).into(),
+            },
+            Target::PsfModel => PsfFormat::Model,
+            Target::Psfex(degree) => PsfFormat::Psfex { degree },
+            Target::Gridded => PsfFormat::Gridded { at },
         };
-        let (planes, what, grid, max_error, new_notes) =
-            written.with_context(|| format!("with the PSF of {}", self.input.display()))?;
+        let written = psf
+            .write(&self.output, &format, &signature(), self.overwrite)
+            .with_context(|| format!("with the PSF of {}", self.input.display()))?;
         drop(spinner);
-        for note in &new_notes {
+        for note in &written.notes {
             context.note(&format!("{}: {note}", self.output.display()));
         }
-        notes.extend(new_notes);
+        notes.extend(written.notes);
+        let (planes, what, grid, max_error) =
+            (written.planes, target.planes(), written.grid, written.max_error);
         let (nx, ny) = (grid.nx(), grid.ny());
         let report = object! {
             output: self.output,
@@ -198,62 +208,5 @@ impl ConvertArgs {
             _ => return Ok(()),
         };
         Err(UsageError(what.to_owned()))
-    }
-
-    fn write_samples(&self, psf: &Psf, at: &SamplesAt) -> anyhow::Result<Written> {
-        let samples = to_samples(psf, at)?;
-        let precision = self.precision.unwrap_or(Precision::F32).into();
-        psf_io::write_samples(&self.output, &samples, &signature(), precision, self.overwrite)?;
-        Ok((samples.len(), "stamps", samples.grid(), None, Vec::new()))
-    }
-
-    fn write_model(&self, psf: &Psf) -> anyhow::Result<Written> {
-        let (record, fitted) = (psf.record()?, psf.fit()?);
-        let max_error = fitted
-            .map(Fit::report)
-            .transpose()?
-            .map(|report| report.max_error);
-        let singular_values = fitted.map_or(&[][..], Fit::singular_values);
-        psf_io::write_model(
-            &self.output,
-            record,
-            singular_values,
-            &signature(),
-            self.overwrite,
-        )?;
-        let basis = record.basis();
-        Ok((basis.rank(), "components", basis.grid(), max_error, Vec::new()))
-    }
-
-    fn write_psfex(&self, psf: &Psf, degree: Option<usize>) -> anyhow::Result<Written> {
-        let (model, max_error, notes) = if let Some(model) = self.unchanged_psfex(psf, degree)? {
-            (model, 0.0, Vec::new())
-        } else {
-            let converted = to_psfex(psf, degree)?;
-            (converted.model, converted.max_error, converted.notes)
-        };
-        psf_io::write_psfex(&self.output, &model, &signature(), self.overwrite)?;
-        let terms = model.planes().dim().0;
-        Ok((terms, "polynomial terms", model.grid(), Some(max_error), notes))
-    }
-
-    /// Returns the model of a PSFEx file that already has the requested degree.
-    fn unchanged_psfex(
-        &self,
-        psf: &Psf,
-        degree: Option<usize>,
-    ) -> anyhow::Result<Option<psf_io::PsfexModel>> {
-        if psf.kind() != Some(FileKind::Psfex) || !psf.grid().pixel_response_included() {
-            return Ok(None);
-        }
-        let model = psf_io::read_psfex(&self.input, self.fit.file.psf_extension.as_ref())?;
-        Ok(Some(model).filter(|model| degree.is_none_or(|degree| degree == model.degree())))
-    }
-
-    fn write_gridded(&self, psf: &Psf, at: &SamplesAt) -> anyhow::Result<Written> {
-        let converted = to_gridded(psf, at)?;
-        let planes = psf_io::write_gridded(&self.output, &converted.samples, &signature(), self.overwrite)?;
-        let grid = converted.samples.grid();
-        Ok((planes, "stamps", grid, converted.max_error, converted.notes))
     }
 }

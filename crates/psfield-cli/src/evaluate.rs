@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
-use psfield::{EvaluateOptions, OutputGrid, check_outputs, evaluate};
+use psfield::{EvaluateOptions, OutputGrid, check_outputs};
 
 use super::context::{Context, object, signature};
 use super::values::{Precision, stamp_size};
@@ -59,8 +59,7 @@ impl EvaluateArgs {
         let positions = psf_io::read_positions(&self.at)?;
         let psf = self.fit.open(&self.psf, context)?;
         let spinner = context.spinner("evaluating");
-        let model = psf
-            .model()
+        psf.model()
             .with_context(|| format!("with the PSF of {}", self.psf.display()))?;
         let options = EvaluateOptions {
             grid: match self.grid {
@@ -70,7 +69,8 @@ impl EvaluateArgs {
             size: self.size,
             sub_pixel: self.sub_pixel,
         };
-        let stamps = evaluate(model, positions, options)
+        let stamps = psf
+            .evaluate(positions, options)
             .with_context(|| format!("at the positions of {}", self.at.display()))?;
         psf_io::write_samples(
             &self.output,

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::FileKind;
+use psfield::convert::PsfFormat;
 use psfield::{FitReport, check_outputs};
 
 use super::context::{Context, signature};
@@ -54,14 +55,7 @@ impl FitCommandArgs {
             ),
         };
         let report = fitted.report().with_context(in_file)?;
-        let cards = signature();
-        psf_io::write_model(
-            &self.output,
-            fitted.record(),
-            fitted.singular_values(),
-            &cards,
-            self.overwrite,
-        )?;
+        psf.write(&self.output, &PsfFormat::Model, &signature(), self.overwrite)?;
         drop(spinner);
         context.report(&report, || text(&report, &self.output.display().to_string()))
     }

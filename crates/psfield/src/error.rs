@@ -237,6 +237,15 @@ pub enum PsfieldError {
         /// Its flux.
         flux: f64,
     },
+    /// A model with a coefficient field of the caller's own has stamps on other pixels.
+    #[error(
+        "the stamps of a model with a coefficient field of your own cannot be resampled: give stamps at the frame's pixels, \
+         without oversample and stamp_size, or sample the model first"
+    )]
+    ModelNotResampled,
+    /// A GPU was requested for a method without a plan.
+    #[error("only the methods auto and lowrank run on a GPU: choose one of them, or the device cpu")]
+    GpuNeedsPlan,
     /// A region of the frame asked of a method without a plan.
     #[error("a region of the frame can be made by the methods auto and lowrank alone: make the whole frame")]
     RegionNeedsPlan,

@@ -5,7 +5,7 @@ use ndarray::{Array2, Array3};
 use psf_types::{DataError, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
-use crate::{PsfieldError, check_stack};
+use crate::{Psf, PsfieldError, check_stack};
 
 /// The pixels on which PSFs are given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -47,6 +47,20 @@ pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), Ps
         });
     }
     Ok(())
+}
+
+impl Psf {
+    /// The PSFs at positions, as samples. As [`evaluate`] does it with a model.
+    ///
+    /// # Errors
+    /// Those of [`evaluate`] and of the fit.
+    pub fn evaluate(
+        &self,
+        positions: Vec<Position>,
+        options: EvaluateOptions,
+    ) -> Result<PsfSamples, PsfieldError> {
+        evaluate(self.model()?, positions, options)
+    }
 }
 
 /// The PSFs of a model at positions, as samples.

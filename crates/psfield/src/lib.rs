@@ -85,7 +85,7 @@ pub use readable::readable;
 pub use same_file::{check_outputs, resolved};
 pub use scene::Scene;
 pub use simulate_options::{Device, Method, SimulateOptions};
-pub use simulator::{Preparation, SimulationWarning, Simulator, SimulatorBuilder};
+pub use simulator::{OwnMethodBuilder, Preparation, SimulationWarning, Simulator, SimulatorBuilder};
 pub use spot_check::{PickedPixel, PixelPicker, SpotCheck};
 
 /// The names that most programs need.

@@ -7,7 +7,7 @@ mod resample;
 use std::sync::{Arc, OnceLock};
 
 use ndarray::{Array3, ArrayView3};
-use psf_io::FileKind;
+use psf_io::{FileKind, PsfexModel};
 use psf_sample::{SamplingMethod, SamplingReport};
 use psf_types::{
     Position, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource, SamplePositions, StampGrid,
@@ -42,10 +42,18 @@ pub struct Psf(Arc<Inner>);
 #[derive(Debug)]
 struct Inner {
     origin: Origin,
-    kind: Option<FileKind>,
-    notes: Vec<String>,
+    source: SourceFile,
     fit: OnceLock<Fit>,
     model: OnceLock<PsfModel>,
+}
+
+/// The file that a PSF was read from, if there is one.
+#[derive(Debug, Clone, Default)]
+struct SourceFile {
+    kind: Option<FileKind>,
+    notes: Vec<String>,
+    /// The model of a PSFEx file, which is written unchanged.
+    psfex: Option<PsfexModel>,
 }
 
 #[derive(Debug)]
@@ -58,13 +66,7 @@ enum Origin {
 
 impl From<Origin> for Psf {
     fn from(origin: Origin) -> Self {
-        Self(Arc::new(Inner {
-            origin,
-            kind: None,
-            notes: Vec::new(),
-            fit: OnceLock::new(),
-            model: OnceLock::new(),
-        }))
+        Self::with_source(origin, SourceFile::default())
     }
 }
 
@@ -122,6 +124,15 @@ impl Psf {
         Ok((Self::new(sampling.samples, options), sampling.report))
     }
 
+    fn with_source(origin: Origin, source: SourceFile) -> Self {
+        Self(Arc::new(Inner {
+            origin,
+            source,
+            fit: OnceLock::new(),
+            model: OnceLock::new(),
+        }))
+    }
+
     /// The samples and the options of their fit, where there are samples.
     pub fn samples(&self) -> Option<(&PsfSamples, &FitOptions)> {
         match &self.0.origin {
@@ -140,12 +151,17 @@ impl Psf {
 
     /// The format of the file that the PSF was read from.
     pub fn kind(&self) -> Option<FileKind> {
-        self.0.kind
+        self.0.source.kind
     }
 
     /// How the file was read, in plain sentences for the user.
     pub fn notes(&self) -> &[String] {
-        &self.0.notes
+        &self.0.source.notes
+    }
+
+    /// The model of the PSFEx file that the PSF was read from.
+    pub(crate) fn psfex(&self) -> Option<&PsfexModel> {
+        self.0.source.psfex.as_ref()
     }
 
     /// The pixel grid of the stamps.

@@ -138,6 +138,8 @@ pub enum Method {
     Patch(usize),
     /// The double sum in f64 ([`Direct`]).
     Direct,
+    /// A method of the caller's own, given to [`Psf::simulator_by`](crate::Psf::simulator_by).
+    Own,
 }
 
 impl Method {
@@ -155,7 +157,7 @@ impl Method {
         anchor: Anchor,
     ) -> Result<Option<Box<dyn ConvolutionMethod<T>>>, PsfieldError> {
         Ok(match self {
-            Self::Auto | Self::LowRank => None,
+            Self::Auto | Self::LowRank | Self::Own => None,
             Self::Basis => Some(Box::new(BasisConvolution::new(anchor))),
             Self::Patch(size) => Some(Box::new(PatchConvolution::new(size, anchor)?)),
             Self::Direct => Some(Box::new(Direct::new(anchor))),
@@ -171,6 +173,7 @@ impl std::fmt::Display for Method {
             Self::Basis => f.write_str("basis"),
             Self::Patch(size) => write!(f, "patch={size}"),
             Self::Direct => f.write_str("direct"),
+            Self::Own => f.write_str("own"),
         }
     }
 }

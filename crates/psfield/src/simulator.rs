@@ -6,6 +6,7 @@ mod stream;
 #[cfg(test)]
 mod tests;
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
@@ -44,6 +45,60 @@ impl Psf {
             shape,
             options: SimulateOptions::default(),
         }
+    }
+
+    /// A builder of simulators that convolve images by a method of the caller's own. The method decides the anchoring.
+    /// Stars are drawn one by one in f64.
+    pub fn simulator_by<T: ConvReal>(
+        &self,
+        method: Box<dyn ConvolutionMethod<T>>,
+        shape: (usize, usize),
+    ) -> OwnMethodBuilder<T> {
+        let options = SimulateOptions {
+            method: Method::Own,
+            anchor: method.anchor(),
+            ..SimulateOptions::default()
+        };
+        let builder = self.simulator(shape).options(options);
+        OwnMethodBuilder { builder, method }
+    }
+}
+
+/// Collects the settings of a [`Simulator`] with a method of the caller's own; made by [`Psf::simulator_by`].
+#[derive(Debug)]
+pub struct OwnMethodBuilder<T> {
+    builder: SimulatorBuilder,
+    method: Box<dyn ConvolutionMethod<T>>,
+}
+
+impl<T: ConvReal> OwnMethodBuilder<T> {
+    /// Sets the pixels of the scene along each side of a frame pixel.
+    #[must_use]
+    pub fn oversample(mut self, oversample: usize) -> Self {
+        self.builder.options.oversample = oversample;
+        self
+    }
+
+    /// Sets the part of the scene that the image shows.
+    #[must_use]
+    pub fn frame(mut self, frame: PixelRegion) -> Self {
+        self.builder.options.frame = Some(frame);
+        self
+    }
+
+    /// Cuts or pads stamps to so many frame pixels along each side.
+    #[must_use]
+    pub fn stamp_size(mut self, size: usize) -> Self {
+        self.builder.options.stamp_size = Some(size);
+        self
+    }
+
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// As [`SimulatorBuilder::build`].
+    pub fn build(self) -> Result<Simulator<T>, PsfieldError> {
+        self.builder.build_by(Some(self.method))
     }
 }
 
@@ -102,21 +157,13 @@ impl SimulatorBuilder {
     /// [`PsfieldError`] for settings that make no simulation: a tolerance, an oversampling or a stamp size out of range, a
     /// frame that reaches beyond the scene or the field of the PSF, a region beyond the frame.
     pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
+        if self.options.method == Method::Own {
+            return Err(PsfieldError::BadMethod {
+                got: Method::Own.to_string(),
+            });
+        }
         let method = self.options.method.without_plan(self.options.anchor)?;
         self.build_by(method)
-    }
-
-    /// Builds a simulator that convolves images by a method of the caller's own, whose anchoring it takes. Stars are drawn
-    /// one by one in f64.
-    ///
-    /// # Errors
-    /// As [`build`](Self::build).
-    pub fn build_with<T: ConvReal>(
-        mut self,
-        method: Box<dyn ConvolutionMethod<T>>,
-    ) -> Result<Simulator<T>, PsfieldError> {
-        self.options.anchor = method.anchor();
-        self.build_by(Some(method))
     }
 
     fn build_by<T: ConvReal>(
@@ -128,6 +175,9 @@ impl SimulatorBuilder {
         let geometry = Geometry::new(FrameShape::new(shape.1, shape.0)?, &options)?;
         if method.is_some() && !geometry.is_whole() {
             return Err(PsfieldError::RegionNeedsPlan);
+        }
+        if method.is_some() && options.device == Device::Gpu {
+            return Err(PsfieldError::GpuNeedsPlan);
         }
         if options.stamp_size == Some(0) {
             FrameShape::new(0, 0)?;
@@ -149,6 +199,7 @@ impl SimulatorBuilder {
             geometry,
             images: OnceLock::new(),
             padded: OnceLock::new(),
+            ran_padded: AtomicBool::new(false),
         })
     }
 }
@@ -194,6 +245,8 @@ pub struct Simulator<T: ConvReal> {
     images: OnceLock<Convolver<T>>,
     /// For scenes with galaxies, which reach in from beyond the edges: the scene with dark pixels around it.
     padded: OnceLock<Convolver<T>>,
+    /// Which of the two ran last.
+    ran_padded: AtomicBool,
 }
 
 /// What the simulators of all regions of a frame share.
@@ -237,9 +290,9 @@ pub struct Preparation<'a> {
     pub plan: Option<PlanSummary>,
     /// Where extended light is convolved.
     pub placement: Placement,
-    /// Seconds that it took to fit the model, whenever that was.
+    /// Seconds that this call spent on fits.
     pub fit_seconds: f64,
-    /// Seconds that it took to plan, whenever that was.
+    /// Seconds that this call spent on plans.
     pub plan_seconds: f64,
 }
 
@@ -388,6 +441,7 @@ impl<T: ConvReal> Simulator<T> {
             geometry,
             images: OnceLock::from(images),
             padded: OnceLock::new(),
+            ran_padded: AtomicBool::new(false),
         })
     }
 
@@ -417,35 +471,40 @@ impl<T: ConvReal> Simulator<T> {
     ) -> Result<Preparation<'_>, PsfieldError> {
         self.check_sources(scene, rows)?;
         let extended = rows || has_extended_light(scene);
-        let convolver = if extended {
-            Some(self.convolver(scene, progress)?)
+        let with_stars = !extended || !scene.stars().is_empty();
+        let kept = if scene.galaxies().is_empty() {
+            &self.images
         } else {
-            None
+            &self.padded
         };
-        let stars = if scene.stars().is_empty() && extended {
-            None
-        } else {
-            Some(self.stars()?)
-        };
-        let of_stars = stars.map_or([0.0; 2], |stars| [stars.fit_seconds, stars.plan_seconds]);
-        Ok(match (convolver, stars) {
-            (Some(convolver), _) => {
-                let (model, fit_seconds) = self.image_model()?;
-                Preparation {
-                    model,
-                    plan: convolver.engine.as_ref().map(|engine| engine.plan().summary()),
-                    placement: convolver.placement.clone(),
-                    fit_seconds: fit_seconds + of_stars[0],
-                    plan_seconds: convolver.seconds + of_stars[1],
-                }
-            }
-            (None, stars) => Preparation {
-                model: &stars.expect("stars alone").model,
-                plan: None,
-                placement: self.placement_of_stars(),
-                fit_seconds: of_stars[0],
-                plan_seconds: of_stars[1],
-            },
+        // Seconds of parts that are there already count as 0.
+        let new_model = self.shared.image_model.get().is_none();
+        let new_convolver = kept.get().is_none();
+        let new_stars = self.shared.stars.get().is_none();
+        let spent = |new: bool, seconds: f64| if new { seconds } else { 0.0 };
+        let (mut fit_seconds, mut plan_seconds) = (0.0, 0.0);
+        let mut made = None;
+        if extended {
+            let convolver = self.convolver(scene, progress)?;
+            let (model, seconds) = self.image_model()?;
+            fit_seconds += spent(new_model, seconds);
+            plan_seconds += spent(new_convolver, convolver.seconds);
+            let plan = convolver.engine.as_ref().map(|engine| engine.plan().summary());
+            made = Some((model, plan, convolver.placement.clone()));
+        }
+        if with_stars {
+            let stars = self.stars()?;
+            fit_seconds += spent(new_stars, stars.fit_seconds);
+            plan_seconds += spent(new_stars, stars.plan_seconds);
+            made = made.or_else(|| Some((&stars.model, None, self.placement_of_stars())));
+        }
+        let (model, plan, placement) = made.expect("a scene has extended light or stars");
+        Ok(Preparation {
+            model,
+            plan,
+            placement,
+            fit_seconds,
+            plan_seconds,
         })
     }
 
@@ -463,7 +522,8 @@ impl<T: ConvReal> Simulator<T> {
 
     /// How long the parts of the last convolution on a GPU took; none where images are convolved on the processor.
     pub fn gpu_seconds(&self) -> Option<GpuSeconds> {
-        let convolver = self.images.get().or(self.padded.get())?;
+        let ran_padded = self.ran_padded.load(Ordering::Relaxed);
+        let convolver = if ran_padded { &self.padded } else { &self.images }.get()?;
         convolver.engine.as_ref().and_then(GpuSeconds::of_last)
     }
 
@@ -627,6 +687,7 @@ impl<T: ConvReal> Simulator<T> {
         mut image: ArrayViewMut2<'_, T>,
         progress: &dyn Progress,
     ) -> Result<TileCounts, PsfieldError> {
+        self.ran_padded.store(convolver.padding > 0, Ordering::Relaxed);
         let Some(engine) = &convolver.engine else {
             let method = self
                 .shared

@@ -65,7 +65,7 @@ impl SpotCheck {
             ROUNDING_F64
         };
         match options.method {
-            Method::Patch(_) if extended => None,
+            Method::Patch(_) | Method::Own if extended => None,
             method if method.has_plan() => Some(PIXELS_OVER_PSF * options.tolerance + rounding),
             _ => Some(rounding),
         }

@@ -12,6 +12,7 @@ use metrics::{Comparison, Summary};
 use psf_optics::Telescope;
 use psf_sample::{AdaptiveSampling, DifferenceMeasure, InterpolationError, SamplingMethod};
 use psf_types::{FrameShape, NoProgress, Progress, PsfModel, PsfModelRecord, PsfSamples, PsfSource};
+use psfield::convert::PsfFormat;
 use psfield::{Device, FitOptions, Method, Psf, Scene, SpotCheck};
 
 use crate::context::{Context, object, signature, write_samples};
@@ -68,10 +69,9 @@ impl DemoArgs {
         let fitted = psf.fit()?.expect("samples have a fit");
         let fit_seconds = clock.elapsed().as_secs_f64();
         let fit_report = fitted.report()?;
-        psf_io::write_model(
+        psf.write(
             out.path("model.fits"),
-            fitted.record(),
-            fitted.singular_values(),
+            &PsfFormat::Model,
             &signature(),
             self.overwrite,
         )?;

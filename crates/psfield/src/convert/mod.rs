@@ -7,7 +7,9 @@
 mod gridded;
 mod psfex;
 mod samples;
+mod write;
 
 pub use gridded::{GriddedConversion, is_on_grid, to_gridded};
 pub use psfex::{PsfexConversion, to_psfex};
 pub use samples::{SamplesAt, to_samples};
+pub use write::{PsfFormat, Written};

@@ -56,6 +56,14 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
             remedy: "if it is in them, say so with --pixel-response included",
         });
     }
+    if let Some(model) = psf.psfex().filter(|model| model.degree() == degree) {
+        return Ok(PsfexConversion {
+            model: model.clone(),
+            samples: psf.positions().len(),
+            max_error: 0.0,
+            notes: Vec::new(),
+        });
+    }
     let notes = notes(psf);
     let samples = match psf.stored() {
         Some(record) if own_degree.is_some_and(|own| own <= degree) => polynomial_samples(record, degree)?,

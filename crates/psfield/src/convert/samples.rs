@@ -3,7 +3,7 @@
 use ndarray::{Array3, s};
 use psf_types::{Normalisation, Position, PsfSamples, StampGrid};
 
-use crate::{EvaluateOptions, Psf, PsfieldError, check_stack, evaluate};
+use crate::{EvaluateOptions, Psf, PsfieldError, check_stack};
 
 /// Where a PSF is evaluated.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -42,7 +42,7 @@ pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError>
         (SamplesAt::Grid { nx, ny }, _) => grid_positions(psf, *nx, *ny)?,
         (SamplesAt::Positions(positions), _) => positions.clone(),
     };
-    evaluate(psf.model()?, positions, EvaluateOptions::default())
+    psf.evaluate(positions, EvaluateOptions::default())
 }
 
 /// A regular grid over the field, from the centre of its first pixel to that of its last, or over the samples; x fastest.

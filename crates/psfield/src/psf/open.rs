@@ -1,7 +1,6 @@
 //! One door for every PSF file.
 
 use std::path::Path;
-use std::sync::Arc;
 
 use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::{FileKind, HduChoice, PlaneOrder, ScopesimOptions, StampCubeOptions};
@@ -11,7 +10,7 @@ use psf_types::{
 };
 
 use super::format_records::{record_of_psfex, record_of_scopesim};
-use super::{Inner, Origin, Psf};
+use super::{Origin, Psf, SourceFile};
 use crate::{FitOptions, PsfieldError};
 
 /// What a PSF file does not say of itself, or leaves to be chosen. Each option is of some formats; to give one to a file of
@@ -210,7 +209,7 @@ impl Psf {
         choices: &FitChoices,
     ) -> Result<Self, PsfieldError> {
         let path = path.as_ref();
-        let (origin, kind, notes) = read(path, file)?;
+        let (origin, kind, source) = read(path, file)?;
         let origin = match origin {
             Origin::Samples(samples, _) => {
                 let defaults = defaults(kind, samples.positions());
@@ -231,19 +230,17 @@ impl Psf {
             )?),
             model @ Origin::Model(..) => model,
         };
-        let inner = Arc::into_inner(Self::from(origin).0).expect("nobody else has it yet");
-        Ok(Self(Arc::new(Inner {
-            kind: Some(kind),
-            notes,
-            ..inner
-        })))
+        Ok(Self::with_source(origin, source))
     }
 
-    /// These samples with other options of their fit; a model stays as it is.
+    /// Returns these samples with other options for their fit. A model is returned unchanged.
     #[must_use]
     pub fn with_fit_options(&self, options: FitOptions) -> Self {
         match self.samples() {
-            Some((samples, _)) => Self::new(samples.clone(), options),
+            Some((samples, _)) => {
+                let origin = Origin::Samples(samples.clone(), options);
+                Self::with_source(origin, self.0.source.clone())
+            }
             None => self.clone(),
         }
     }
@@ -258,7 +255,7 @@ fn defaults(kind: FileKind, positions: &SamplePositions) -> FitOptions {
     }
 }
 
-fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, Vec<String>), PsfieldError> {
+fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceFile), PsfieldError> {
     let choice = file.extension.as_ref();
     let kind = psf_io::detect_hdu(path, choice)?;
     if let Some((option, formats)) = file.unknown_to(kind) {
@@ -273,11 +270,14 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, Vec<Str
         let notes = library.notes().to_vec();
         (unfitted(library.into_samples()), notes)
     };
+    let mut psfex = None;
     let (origin, notes) = match kind {
         FileKind::PsfModel => (Origin::Record(psf_io::read_model(path)?), Vec::new()),
         FileKind::Psfex => {
             let model = psf_io::read_psfex(path, choice)?;
-            (Origin::Record(record_of_psfex(&model)?), Vec::new())
+            let record = record_of_psfex(&model)?;
+            psfex = Some(model);
+            (Origin::Record(record), Vec::new())
         }
         FileKind::Stpsf => of_library(psf_io::read_stpsf_hdu(
             path,
@@ -297,7 +297,12 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, Vec<Str
         Some(included) => origin.with_pixel_response_included(included)?,
         None => origin,
     };
-    Ok((origin, kind, notes))
+    let source = SourceFile {
+        kind: Some(kind),
+        notes,
+        psfex,
+    };
+    Ok((origin, kind, source))
 }
 
 fn missing(path: &Path, kind: FileKind, what: &'static str, option: &'static str) -> PsfieldError {

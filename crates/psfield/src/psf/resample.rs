@@ -12,9 +12,10 @@ use crate::PsfieldError;
 impl Psf {
     /// This PSF with stamps at the frame's own pixels, centred on one, as images need them, the pixel response in them;
     /// `size` pixels wide and high, centred at `size / 2`, where given, else as large as the stamps. A PSF with such stamps
-    /// stays as it is, and so does a model with a coefficient field of the caller's own.
+    /// stays as it is.
     ///
     /// # Errors
+    /// [`PsfieldError::ModelNotResampled`] for a model with a coefficient field of the caller's own.
     /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux or the stamps would fill more memory than
     /// [`PsfieldError::TooLarge`] allows.
     pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
@@ -131,7 +132,7 @@ impl Psf {
                     record.normalisation(),
                 )?))
             }
-            Origin::Model(..) => Ok(self.clone()),
+            Origin::Model(..) => Err(PsfieldError::ModelNotResampled),
         }
     }
 }

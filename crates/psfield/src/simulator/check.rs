@@ -225,8 +225,9 @@ impl fmt::Display for SimulationWarning {
             ),
             Self::BlurredGalaxies { count } => write!(
                 f,
-                "{count} galaxies are blurred a second time by the pixels on which they are drawn (by 3 % of their peak in the median, \
-                 more where they are small); the spot check does not see that: --oversample 4 or more draws them on finer pixels"
+                "{count} galaxies are blurred a second time by the scene pixels on which they are drawn (by 3 % of their peak in the \
+                 median, more where they are small). The spot check does not see that. Draw them on finer pixels: --oversample 4 or \
+                 more, and at least {RESOLVED_PX} scene pixels per half-light radius"
             ),
         }
     }

@@ -297,3 +297,41 @@ fn warnings_tell_of_stars_between_pixels_and_blurred_galaxies() {
     );
     assert!(warnings(2, 4, 7.25, 3.0).is_empty());
 }
+
+#[test]
+fn settings_that_a_method_or_a_model_cannot_follow_are_refused() {
+    let on_gpu = SimulateOptions {
+        device: Device::Gpu,
+        method: Method::Basis,
+        ..SimulateOptions::default()
+    };
+    let refused = psf(1).simulator((10, 10)).options(on_gpu).build::<f32>();
+    assert!(matches!(refused.unwrap_err(), PsfieldError::GpuNeedsPlan));
+
+    // A model of the caller's own has its stamps on one grid only.
+    let own = Psf::from(psf(1).model().unwrap().clone());
+    let scene = Scene::new(Array2::from_elem((12, 12), 1.0)).unwrap();
+    let image = own.simulator((12, 12)).build::<f64>().unwrap().simulate(&scene);
+    assert!(image.is_ok());
+    for options in [
+        finer(3),
+        SimulateOptions {
+            stamp_size: Some(5),
+            ..SimulateOptions::default()
+        },
+    ] {
+        let simulator = own.simulator((12, 12)).options(options).build::<f64>().unwrap();
+        let refused = simulator.simulate(&scene).unwrap_err();
+        assert!(matches!(refused, PsfieldError::ModelNotResampled), "{refused}");
+    }
+}
+
+#[test]
+fn preparation_counts_the_seconds_of_this_call() {
+    let simulator = built::<f64>((40, 30), SimulateOptions::default()).unwrap();
+    let scene = Scene::new(ramp(40, 30)).unwrap().with_stars(vec![star(5.0, 2.0, 7.0)]);
+    let first = simulator.prepare(&scene, false, &NoProgress).unwrap();
+    assert!(first.plan_seconds > 0.0);
+    let second = simulator.prepare(&scene, false, &NoProgress).unwrap();
+    assert_eq!((second.fit_seconds, second.plan_seconds), (0.0, 0.0));
+}

@@ -1,0 +1,106 @@
+//! PSF files of every format that can be written.
+
+use std::path::Path;
+
+use psf_io::{Card, Precision};
+use psf_types::StampGrid;
+
+use super::{SamplesAt, to_gridded, to_psfex, to_samples};
+use crate::{Fit, Psf, PsfieldError};
+
+/// The format of a PSF file, with its settings.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum PsfFormat {
+    /// PSFs at positions.
+    Samples {
+        /// The positions.
+        at: SamplesAt,
+        /// Type of the pixels.
+        precision: Precision,
+    },
+    /// A basis and its coefficients.
+    Model,
+    /// A PSFEx model.
+    Psfex {
+        /// Total degree in x and y. None: that of the source.
+        degree: Option<usize>,
+    },
+    /// A gridded library, as photutils reads it.
+    Gridded {
+        /// The positions.
+        at: SamplesAt,
+    },
+}
+
+/// Contents of a file that [`Psf::write`] wrote.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct Written {
+    /// Stamps, components or polynomial terms.
+    pub planes: usize,
+    /// Their pixel grid.
+    pub grid: StampGrid,
+    /// The largest relative L2 error over the samples of the source. None: nothing was fitted.
+    pub max_error: Option<f64>,
+    /// Notes on what the file cannot hold, in plain sentences.
+    pub notes: Vec<String>,
+}
+
+impl Psf {
+    /// Writes a PSF file, with `cards` added to its header.
+    ///
+    /// # Errors
+    /// [`PsfieldError::Io`], and those of [`to_samples`], [`to_psfex`], [`to_gridded`] and of the fit.
+    pub fn write(
+        &self,
+        path: impl AsRef<Path>,
+        format: &PsfFormat,
+        cards: &[Card],
+        overwrite: bool,
+    ) -> Result<Written, PsfieldError> {
+        let path = path.as_ref();
+        let (planes, grid, max_error, notes) = match format {
+            PsfFormat::Samples { at, precision } => {
+                let samples = to_samples(self, at)?;
+                psf_io::write_samples(path, &samples, cards, *precision, overwrite)?;
+                (samples.len(), samples.grid(), None, Vec::new())
+            }
+            PsfFormat::Model => {
+                let (record, fit) = (self.record()?, self.fit()?);
+                let report = fit.map(Fit::report).transpose()?;
+                let singular_values = fit.map_or(&[][..], Fit::singular_values);
+                psf_io::write_model(path, record, singular_values, cards, overwrite)?;
+                let basis = record.basis();
+                (
+                    basis.rank(),
+                    basis.grid(),
+                    report.map(|r| r.max_error),
+                    Vec::new(),
+                )
+            }
+            PsfFormat::Psfex { degree } => {
+                let converted = to_psfex(self, *degree)?;
+                psf_io::write_psfex(path, &converted.model, cards, overwrite)?;
+                let (terms, grid) = (converted.model.planes().dim().0, converted.model.grid());
+                (terms, grid, Some(converted.max_error), converted.notes)
+            }
+            PsfFormat::Gridded { at } => {
+                let converted = to_gridded(self, at)?;
+                let planes = psf_io::write_gridded(path, &converted.samples, cards, overwrite)?;
+                (
+                    planes,
+                    converted.samples.grid(),
+                    converted.max_error,
+                    converted.notes,
+                )
+            }
+        };
+        Ok(Written {
+            planes,
+            grid,
+            max_error,
+            notes,
+        })
+    }
+}
