@@ -27,7 +27,9 @@ def main() -> None:
     model = sys.argv[1]
     given = [*sys.argv[2:], *["4096", "1e-3", "8"][len(sys.argv) - 2 :]]
     size, tolerance, rounds = int(given[0]), float(given[1]), int(given[2])
-    example = Path(__file__).resolve().parents[2] / "target" / "release" / "examples" / "time_simulation"
+    example = (
+        Path(__file__).resolve().parents[2] / "target" / "release" / "examples" / "time_simulation"
+    )
     y, x = np.mgrid[:size, :size]
     scene = (1.0 + (3 * x + 5 * y) % 7).astype(np.float32)
     del x, y
@@ -35,7 +37,12 @@ def main() -> None:
     plan.simulate(scene)
     whole, execution = [], []
     for _ in range(rounds):
-        ran = subprocess.run([example, model, str(size), str(tolerance), str(REPEAT)], capture_output=True, text=True, check=True)
+        ran = subprocess.run(
+            [example, model, str(size), str(tolerance), str(REPEAT)],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         rust = [[float(v) for v in line.split()] for line in ran.stdout.splitlines()]
         python = []
         for _ in range(REPEAT):
@@ -47,11 +54,17 @@ def main() -> None:
         without_check = min(total - check for total, check in rust)
         whole.append(mine / whole_call)
         execution.append(mine / without_check)
-        print(f"Python {mine:.4f} s, Rust {whole_call:.4f} s, without the check of the scene {without_check:.4f} s")
-    print(f"Python over Rust: {statistics.median(whole):.3f}; over the execution alone: {statistics.median(execution):.3f}")
+        print(
+            f"Python {mine:.4f} s, Rust {whole_call:.4f} s, without the check of the scene {without_check:.4f} s"
+        )
+    print(
+        f"Python over Rust: {statistics.median(whole):.3f}; over the execution alone: {statistics.median(execution):.3f}"
+    )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     arrays = 2 * scene.nbytes / 2**20
-    print(f"peak memory {peak:.0f} MiB; scene and image {arrays:.0f} MiB, plan {plan.summary['kept_bytes'] / 2**20:.0f} MiB")
+    print(
+        f"peak memory {peak:.0f} MiB; scene and image {arrays:.0f} MiB, plan {plan.summary['kept_bytes'] / 2**20:.0f} MiB"
+    )
 
 
 if __name__ == "__main__":

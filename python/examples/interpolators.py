@@ -22,7 +22,15 @@ import psfield
 SHAPE = (1024, 1024)
 SAMPLES, TESTS, SEED = 100, 200, 11
 #: Those that take samples anywhere, and those that need a grid.
-ANYWHERE = ["delaunay", "natural-neighbour", "idw", "idw=4", "polynomial=2", "polynomial=4", "nearest"]
+ANYWHERE = [
+    "delaunay",
+    "natural-neighbour",
+    "idw",
+    "idw=4",
+    "polynomial=2",
+    "polynomial=4",
+    "nearest",
+]
 ON_A_GRID = [*ANYWHERE, "bilinear", "bicubic"]
 
 
@@ -38,9 +46,13 @@ def stamp(x: float, y: float) -> NDArray[np.float64]:
     return psf / psf.sum()
 
 
-def errors(positions: NDArray[np.float64], method: str, tests: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
+def errors(
+    positions: NDArray[np.float64], method: str, tests: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
     """Return relative errors at new positions, and the error that the model predicts without knowing the truth (median)."""
-    model = psfield.PsfModel.from_samples([stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, interpolation=method)
+    model = psfield.PsfModel.from_samples(
+        [stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, interpolation=method
+    )
     report = model.fit_report()
     drawn = model.evaluate(tests[:, 0], tests[:, 1])
     truth = np.array([stamp(x, y) for x, y in tests])
@@ -57,7 +69,9 @@ def main(folder: Path) -> None:
     corners = [(0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1)]
     scattered = np.concatenate([corners, rng.uniform(0, nx - 1, (SAMPLES - 4, 2))])
     side = round(SAMPLES**0.5)
-    grid = np.array([(x, y) for y in np.linspace(0, ny - 1, side) for x in np.linspace(0, nx - 1, side)])
+    grid = np.array(
+        [(x, y) for y in np.linspace(0, ny - 1, side) for x in np.linspace(0, nx - 1, side)]
+    )
     tests = rng.uniform(50, nx - 51, (TESTS, 2))
 
     rows = []
@@ -71,8 +85,14 @@ def main(folder: Path) -> None:
     for name, method, median, largest, predicted in rows:
         print(f"{name:10} {method:18} {median:9.2e} {largest:9.2e} {predicted:14.2e}")
     with open(folder / "errors.csv", "w", newline="") as file:
-        csv.writer(file).writerows([("samples", "interpolation", "median", "largest", "leave_one_out"), *rows])
+        csv.writer(file).writerows(
+            [("samples", "interpolation", "median", "largest", "leave_one_out"), *rows]
+        )
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "output" / Path(__file__).stem)
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parent / "output" / Path(__file__).stem
+    )

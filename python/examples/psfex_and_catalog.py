@@ -34,8 +34,12 @@ def make_psfex_file(path: Path) -> None:
         fwhm = 2.8 + 0.8 * ((x - 400) / 400) ** 2 + 0.3 * (y - 500) / 500
         return (1 + (dx**2 + dy**2) * 4 * (2 ** (1 / 3) - 1) / fwhm**2) ** -3
 
-    positions = [(x, y) for y in np.linspace(0, SHAPE[0] - 1, 5) for x in np.linspace(0, SHAPE[1] - 1, 5)]
-    model = psfield.PsfModel.from_samples([stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, oversampling=oversampling)
+    positions = [
+        (x, y) for y in np.linspace(0, SHAPE[0] - 1, 5) for x in np.linspace(0, SHAPE[1] - 1, 5)
+    ]
+    model = psfield.PsfModel.from_samples(
+        [stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, oversampling=oversampling
+    )
     model.write(path, format="psfex", degree=2, overwrite=True)
 
 
@@ -53,11 +57,15 @@ def make_catalogue(path: Path) -> None:
         name="LDAC_OBJECTS",
     )
     card = np.array([["SIMPLE  =                    T".ljust(80)]])
-    frame = fits.BinTableHDU.from_columns([fits.Column("Field Header Card", "80A", array=card[0])], name="LDAC_IMHEAD")
+    frame = fits.BinTableHDU.from_columns(
+        [fits.Column("Field Header Card", "80A", array=card[0])], name="LDAC_IMHEAD"
+    )
     fits.HDUList([fits.PrimaryHDU(), frame, objects]).writeto(path, overwrite=True)
 
 
-def simulate(psf: Path, catalogue: Path) -> tuple[psfield.PsfModel, dict[str, NDArray[np.float64]], NDArray[np.float32]]:
+def simulate(
+    psf: Path, catalogue: Path
+) -> tuple[psfield.PsfModel, dict[str, NDArray[np.float64]], NDArray[np.float32]]:
     """Return model, stars and image of two files."""
     # Planes and polynomial are taken as they are; between the pixels PSFEx is interpolated by Lanczos-3, as in GalSim.
     model = psfield.PsfModel.read(psf)
@@ -65,7 +73,9 @@ def simulate(psf: Path, catalogue: Path) -> tuple[psfield.PsfModel, dict[str, ND
         print(note)
 
     # Which columns mean what; positions become 0-based, magnitudes fluxes.
-    stars = psfield.read_catalog(catalogue, columns="x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO", one_based=True, zero_point=ZERO_POINT)
+    stars = psfield.read_catalog(
+        catalogue, columns="x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO", one_based=True, zero_point=ZERO_POINT
+    )
     return model, stars, model.plan(SHAPE).simulate(catalog=stars)
 
 
@@ -81,20 +91,34 @@ def main(folder: Path) -> None:
     fits.writeto(folder / "truth.fits", image, header, overwrite=True)
 
     # Photon noise, sky and read noise in electrons, and 16 bits. The same seed gives the same frame.
-    ccd = Detector(photon_noise=True, sky_e=200, read_noise_e=5, full_well_e=90_000, gain_e_per_adu=1.5, bias_adu=300, bits=16)
+    ccd = Detector(
+        photon_noise=True,
+        sky_e=200,
+        read_noise_e=5,
+        full_well_e=90_000,
+        gain_e_per_adu=1.5,
+        bias_adu=300,
+        bits=16,
+    )
     exposure = ccd.expose(image, seed=SEED)
     counts = exposure.counts.astype(np.uint16)
     fits.writeto(folder / "image.fits", counts, header, overwrite=True)
-    print(f"counts from {counts.min()} to {counts.max()}, {exposure.report['saturated_pixels']} pixels saturated")
+    print(
+        f"counts from {counts.min()} to {counts.max()}, {exposure.report['saturated_pixels']} pixels saturated"
+    )
 
     # What photometry finds: the light within 10 pixels of stars that stand alone, against their magnitudes.
     apart = np.hypot(*(np.subtract.outer(stars[axis], stars[axis]) for axis in "xy"))
     np.fill_diagonal(apart, np.inf)
     alone = np.flatnonzero(apart.min(axis=1) > 25)
     y, x = np.indices(SHAPE)
-    measured = [image[np.hypot(x - stars["x"][i], y - stars["y"][i]) < 10].sum(dtype=float) for i in alone]
+    measured = [
+        image[np.hypot(x - stars["x"][i], y - stars["y"][i]) < 10].sum(dtype=float) for i in alone
+    ]
     faint = -2.5 * np.log10(np.array(measured) / stars["flux"][alone])
-    print(f"{len(stars['x'])} stars, {len(alone)} of them alone: within 10 pixels they are {np.median(faint):.3f} mag fainter than in all")
+    print(
+        f"{len(stars['x'])} stars, {len(alone)} of them alone: within 10 pixels they are {np.median(faint):.3f} mag fainter than in all"
+    )
 
     # The PSF that a star has depends on where it is.
     for at in [(400, 500), (0, 0), (799, 999)]:
@@ -103,4 +127,8 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "output" / Path(__file__).stem)
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parent / "output" / Path(__file__).stem
+    )

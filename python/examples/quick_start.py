@@ -43,11 +43,15 @@ def main(folder: Path) -> None:
     # 1. The model: stamps at positions, from which the PSF everywhere else is interpolated. Arrays are [y, x], positions (x, y), and an
     #    integer is the centre of a pixel, counted from 0. Every PSF is scaled to unit flux unless you say normalise="keep".
     positions = [(x, y) for y in np.linspace(0, ny - 1, 7) for x in np.linspace(0, nx - 1, 9)]
-    model = psfield.PsfModel.from_samples([stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, oversampling=OVERSAMPLING)
+    model = psfield.PsfModel.from_samples(
+        [stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, oversampling=OVERSAMPLING
+    )
     report = model.fit_report()
     print(model)
     predicted = report["leave_one_out"]["median"]
-    print(f"{model.rank} components; samples reproduced to {report['max_error']:.1e}, predicted by the others to {predicted:.1e}")
+    print(
+        f"{model.rank} components; samples reproduced to {report['max_error']:.1e}, predicted by the others to {predicted:.1e}"
+    )
     model.write(folder / "psf.fits", overwrite=True)
 
     # 2. The plan: everything that does not depend on the light. The tolerance bounds the error that the engine adds to any single PSF.
@@ -75,12 +79,20 @@ def main(folder: Path) -> None:
     # 4. The image, as often as you like with the same plan.
     image = plan.simulate(nebula, catalog)
     np.save(folder / "image.npy", image)
-    print(f"flux of the scene {nebula.sum() + catalog['flux'].sum():.1f}, of the image {image.sum(dtype=float):.1f}")
+    print(
+        f"flux of the scene {nebula.sum() + catalog['flux'].sum():.1f}, of the image {image.sum(dtype=float):.1f}"
+    )
 
     # 5. The image against the direct sum in double precision, at 500 random pixels.
     check = plan.spot_check(nebula, catalog, image=image, pixels=500)
-    print(f"relative error at {check.pixels} pixels: {check.relative_rms:.1e} ({'as promised' if check.passed else 'more than promised'})")
+    print(
+        f"relative error at {check.pixels} pixels: {check.relative_rms:.1e} ({'as promised' if check.passed else 'more than promised'})"
+    )
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "output" / Path(__file__).stem)
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parent / "output" / Path(__file__).stem
+    )

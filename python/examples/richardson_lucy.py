@@ -42,7 +42,12 @@ def telescope() -> psfield.PsfModel:
         return np.fft.fftshift(np.abs(pupil) ** 2)
 
     positions = [(x, y) for y in np.linspace(0, 255, 9) for x in np.linspace(0, 255, 9)]
-    return psfield.PsfModel.from_samples([stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, pixel_response_included=False)
+    return psfield.PsfModel.from_samples(
+        [stamp(x, y) for x, y in positions],
+        positions,
+        field_shape=SHAPE,
+        pixel_response_included=False,
+    )
 
 
 def scene() -> Image:
@@ -59,8 +64,14 @@ def scene() -> Image:
         "angle": rng.uniform(0, 180, count),
     }
     sky = np.full(SHAPE, 20.0)
-    truth = psfield.PsfModel.from_samples([[[1.0]]], [(0, 0)]).plan(SHAPE, precision="f64").simulate(sky, galaxies)
-    np.add.at(truth, (rng.integers(10, 246, 40), rng.integers(10, 246, 40)), rng.uniform(1e3, 1e4, 40))
+    truth = (
+        psfield.PsfModel.from_samples([[[1.0]]], [(0, 0)])
+        .plan(SHAPE, precision="f64")
+        .simulate(sky, galaxies)
+    )
+    np.add.at(
+        truth, (rng.integers(10, 246, 40), rng.integers(10, 246, 40)), rng.uniform(1e3, 1e4, 40)
+    )
     return truth
 
 
@@ -106,18 +117,33 @@ def main(folder: Path) -> None:
     result, errors = richardson_lucy(plan, image, truth)
     print("iteration  relative error")
     print(*(f"{i + 1:9}  {error:.4f}" for i, error in enumerate(errors)), sep="\n")
-    print(f"the error fell in every one of {ITERATIONS} iterations: {all(a > b for a, b in itertools.pairwise(errors))}")
+    print(
+        f"the error fell in every one of {ITERATIONS} iterations: {all(a > b for a, b in itertools.pairwise(errors))}"
+    )
 
     # The same with the PSF in the middle of the frame alone, as programs do that know one PSF.
-    single = psfield.PsfModel.from_samples([model.evaluate(127.5, 127.5)], [(0, 0)], pixel_response_included=False)
+    single = psfield.PsfModel.from_samples(
+        [model.evaluate(127.5, 127.5)], [(0, 0)], pixel_response_included=False
+    )
     _, with_one = richardson_lucy(single.plan(SHAPE, tolerance=1e-6, precision="f64"), image, truth)
     print(f"with the PSF of the middle for the whole frame the error ends at {with_one[-1]:.4f}")
 
-    hdus = [fits.PrimaryHDU(image), fits.ImageHDU(result, name="RESULT"), fits.ImageHDU(truth, name="TRUTH")]
+    hdus = [
+        fits.PrimaryHDU(image),
+        fits.ImageHDU(result, name="RESULT"),
+        fits.ImageHDU(truth, name="TRUTH"),
+    ]
     fits.HDUList(hdus).writeto(folder / "deconvolved.fits", overwrite=True)
     if importlib.util.find_spec("matplotlib"):
-        plot(folder / "deconvolved.png", {"image": image, f"{ITERATIONS} iterations": result, "truth": truth})
+        plot(
+            folder / "deconvolved.png",
+            {"image": image, f"{ITERATIONS} iterations": result, "truth": truth},
+        )
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "output" / Path(__file__).stem)
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parent / "output" / Path(__file__).stem
+    )

@@ -42,14 +42,21 @@ PUPIL_BIN = 8
 def optics(x: float, y: float) -> galsim.GSObject:
     """Return the PSF of the telescope at a position, of which GalSim counts pixels from 1."""
     position = galsim.PositionD(x + 1, y + 1)
-    return galsim.roman.getPSF(SCA, BAND, SCA_pos=position, wavelength=WAVELENGTH, pupil_bin=PUPIL_BIN)
+    return galsim.roman.getPSF(
+        SCA, BAND, SCA_pos=position, wavelength=WAVELENGTH, pupil_bin=PUPIL_BIN
+    )
 
 
 def stamp(x: float, y: float) -> NDArray[np.float64]:
     """Draw the PSF at a position with the response of a detector pixel, on fine pixels."""
     psf = galsim.Convolve(optics(x, y), galsim.Pixel(galsim.roman.pixel_scale))
     # The pixel is in it already: "no_pixel" only looks up values.
-    fine = psf.drawImage(nx=STAMP_SIZE, ny=STAMP_SIZE, scale=galsim.roman.pixel_scale / OVERSAMPLING, method="no_pixel")
+    fine = psf.drawImage(
+        nx=STAMP_SIZE,
+        ny=STAMP_SIZE,
+        scale=galsim.roman.pixel_scale / OVERSAMPLING,
+        method="no_pixel",
+    )
     # GalSim gives the flux in a fine pixel; psfield's stamps hold the flux in a detector pixel centred there.
     return fine.array.astype(float) * OVERSAMPLING**2
 
@@ -62,7 +69,9 @@ def against_galsim(model: psfield.PsfModel, count: int) -> NDArray[np.float64]:
         ours = model.evaluate(x, y, pixels="frame", size=25, sub_pixel=True)
         # The pixel that the star falls on is the middle of the stamp.
         shift = galsim.PositionD(x - np.floor(x + 0.5), y - np.floor(y + 0.5))
-        theirs = optics(x, y).drawImage(nx=25, ny=25, scale=galsim.roman.pixel_scale, offset=shift).array
+        theirs = (
+            optics(x, y).drawImage(nx=25, ny=25, scale=galsim.roman.pixel_scale, offset=shift).array
+        )
         errors.append(np.abs(ours - theirs).max() / theirs.max())
     return np.array(errors)
 
@@ -75,14 +84,24 @@ def main(folder: Path) -> None:
     # would be in GalSim; with the default, "unit", every PSF would be scaled to unit flux. These PSFs are computed, not measured: noise=0.
     began = time.perf_counter()
     model = psfield.PsfModel.from_function(
-        stamp, SHAPE, threshold=THRESHOLD, start=(3, 3), oversampling=OVERSAMPLING, normalise="keep", noise=0
+        stamp,
+        SHAPE,
+        threshold=THRESHOLD,
+        start=(3, 3),
+        oversampling=OVERSAMPLING,
+        normalise="keep",
+        noise=0,
     )
     seconds, how = time.perf_counter() - began, model.sampling
-    print(f"{how['samples']} samples, {how['draws']} PSFs drawn by GalSim in {seconds:.1f} s: threshold {how['outcome']}")
+    print(
+        f"{how['samples']} samples, {how['draws']} PSFs drawn by GalSim in {seconds:.1f} s: threshold {how['outcome']}"
+    )
     model.write(folder / "roman_psf.fits", overwrite=True)
 
     errors = against_galsim(model, 10)
-    print(f"10 stars at new positions against GalSim: {np.median(errors):.1e} of the peak (median), {errors.max():.1e} at most")
+    print(
+        f"10 stars at new positions against GalSim: {np.median(errors):.1e} of the peak (median), {errors.max():.1e} at most"
+    )
 
     rng = np.random.default_rng(SEED)
     count = STARS + GALAXIES
@@ -102,11 +121,24 @@ def main(folder: Path) -> None:
     plan = model.plan(SHAPE, tolerance=1e-3)
     began = time.perf_counter()
     image = plan.simulate(catalog=catalog)
-    print(f"{STARS} stars and {GALAXIES} galaxies on {SHAPE[1]} x {SHAPE[0]} pixels in {time.perf_counter() - began:.1f} s")
+    print(
+        f"{STARS} stars and {GALAXIES} galaxies on {SHAPE[1]} x {SHAPE[0]} pixels in {time.perf_counter() - began:.1f} s"
+    )
 
-    header = fits.Header([("TELESCOP", "Roman"), ("DETECTOR", f"SCA{SCA:02}"), ("FILTER", BAND), ("PSFTOL", plan.tolerance)])
+    header = fits.Header(
+        [
+            ("TELESCOP", "Roman"),
+            ("DETECTOR", f"SCA{SCA:02}"),
+            ("FILTER", BAND),
+            ("PSFTOL", plan.tolerance),
+        ]
+    )
     fits.writeto(folder / "image.fits", image, header, overwrite=True)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "output" / Path(__file__).stem)
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parent / "output" / Path(__file__).stem
+    )

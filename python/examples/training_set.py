@@ -33,14 +33,24 @@ def telescope() -> psfield.PsfModel:
 
     def stamp(x: float, y: float) -> NDArray[np.float64]:
         field = np.hypot(x, y) / np.hypot(*SHAPE)
-        coma, astigmatism = 0.25 * field * (3 * (u**2 + v**2) - 2) * u, 0.15 * field**2 * (u**2 - v**2)
+        coma, astigmatism = (
+            0.25 * field * (3 * (u**2 + v**2) - 2) * u,
+            0.15 * field**2 * (u**2 - v**2),
+        )
         pupil = np.fft.fft2(aperture * np.exp(2j * np.pi * (coma + astigmatism)))
         # The middle of a transform with 64 pixels is pixel 32: the default centre of a stamp.
         return np.fft.fftshift(np.abs(pupil) ** 2)
 
-    positions = [(x, y) for y in np.linspace(0, SHAPE[0] - 1, 5) for x in np.linspace(0, SHAPE[1] - 1, 5)]
+    positions = [
+        (x, y) for y in np.linspace(0, SHAPE[0] - 1, 5) for x in np.linspace(0, SHAPE[1] - 1, 5)
+    ]
     # The stamps are the telescope's alone: psfield puts in the blur of the camera's pixels.
-    return psfield.PsfModel.from_samples([stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, pixel_response_included=False)
+    return psfield.PsfModel.from_samples(
+        [stamp(x, y) for x, y in positions],
+        positions,
+        field_shape=SHAPE,
+        pixel_response_included=False,
+    )
 
 
 def main(folder: Path) -> None:
@@ -87,7 +97,9 @@ def main(folder: Path) -> None:
                 pass
             seconds = time.perf_counter() - began
             size, speed = f"{SHAPE[1]} x {SHAPE[0]} pixels", PAIRS / seconds
-            print(f"{PAIRS} frames of {size} {stage} in {seconds:.2f} s: {speed:.0f} a second on {workers} threads")
+            print(
+                f"{PAIRS} frames of {size} {stage} in {seconds:.2f} s: {speed:.0f} a second on {workers} threads"
+            )
     sharp.flush()
     blurred.flush()
     kept = blurred.sum(dtype=float) / sharp.sum(dtype=float)
@@ -95,4 +107,8 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "output" / Path(__file__).stem)
+    main(
+        Path(sys.argv[1])
+        if len(sys.argv) > 1
+        else Path(__file__).parent / "output" / Path(__file__).stem
+    )

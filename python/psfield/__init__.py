@@ -1,8 +1,9 @@
 """Astronomical images with a point spread function (PSF) that varies over the field.
 
-A `PsfModel` knows the PSF at every position of a field: from samples, from a file, from a photutils model or from any function that
-draws it. Its `plan` for images of one shape simulates any number of scenes, each pixel with the PSF of its own position, within an error
-that you set:
+A `PsfModel` describes the PSF at every position of a field. Make it from samples, from a file, from
+a photutils model or from a function that draws the PSF. Its `plan` for images of one shape
+simulates any number of scenes. Each pixel is convolved with the PSF at its own position, within an
+error that you set:
 
 >>> import numpy as np
 >>> import psfield
@@ -11,7 +12,8 @@ that you set:
 ...     stamp = np.exp(-(x**2 + y**2) / (2 * sigma**2))
 ...     return stamp / stamp.sum()
 >>> positions = [(0, 0), (99, 0), (0, 79), (99, 79)]
->>> model = psfield.PsfModel.from_samples([gaussian(s) for s in (1.2, 1.5, 1.3, 1.8)], positions)
+>>> stamps = [gaussian(sigma) for sigma in (1.2, 1.5, 1.3, 1.8)]
+>>> model = psfield.PsfModel.from_samples(stamps, positions)
 >>> plan = model.plan((80, 100), tolerance=1e-3)
 >>> scene = np.zeros((80, 100))
 >>> scene[40, 50] = 1000.0
@@ -19,7 +21,8 @@ that you set:
 >>> round(float(image.sum()), 2)
 1000.0
 
-Arrays are ``[y, x]``, positions 0-based pixels ``(x, y)``; an integer is the centre of a pixel.
+Arrays are ``[y, x]``. Positions are 0-based pixels ``(x, y)``, where an integer is the centre of a
+pixel.
 """
 
 from psfield import detector, metrics

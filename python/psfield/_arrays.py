@@ -1,20 +1,44 @@
-"""Arrays as the native module takes them."""
+"""Arrays in the form that the native module accepts."""
 
 from __future__ import annotations
 
-from typing import Any
+import contextlib
+from typing import Any, Literal, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from psfield._astropy import in_unit
+from psfield._tables import column_names, find_columns
+
+#: The working precision: single or double.
+Precision: TypeAlias = (
+    Literal["f32", "f64", "float32", "float64"]
+    | type[np.float32]
+    | type[np.float64]
+    | np.dtype[np.float32]
+    | np.dtype[np.float64]
+)
 
 #: The types of the two precisions.
 DTYPES: dict[str, np.dtype[Any]] = {"f32": np.dtype(np.float32), "f64": np.dtype(np.float64)}
 
 
+def precision_of(precision: Any, name: str) -> Literal["f32", "f64"]:
+    """Return the name of a precision that is given by its name or as a type of NumPy."""
+    dtype = DTYPES.get(precision) if isinstance(precision, str) else None
+    if dtype is None and precision is not None:
+        with contextlib.suppress(TypeError):
+            dtype = np.dtype(precision).newbyteorder("=")
+    for known, of_known in DTYPES.items():
+        if dtype is not None and dtype == of_known:
+            return cast(Literal["f32", "f64"], known)
+    error = TypeError if dtype is None and not isinstance(precision, str) else ValueError
+    raise error(f"{name} must be f32 or f64 (float32, numpy.float64, ...), got {precision!r}")
+
+
 def plain(values: Any, name: str) -> NDArray[Any]:
-    """Return an array without its unit, mask or wrapping; what a mask hides is an error."""
+    """Return an array without its unit, mask or container. Masked values are an error."""
     if not isinstance(values, np.ndarray) and isinstance(getattr(values, "data", None), np.ndarray):
         # astropy's NDData and CCDData.
         mask, values = getattr(values, "mask", None), values.data
@@ -35,22 +59,26 @@ def plain(values: Any, name: str) -> NDArray[Any]:
 
 
 def check_real(array: Any, name: str) -> None:
-    """Refuse what is no array of real numbers."""
+    """Refuse an array of anything but real numbers."""
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name} must be real numbers, got {array.dtype}")
 
 
 def reals(values: Any, name: str) -> NDArray[np.float64]:
-    """Return doubles of any shape, aligned, in the machine's byte order; without a copy where they are that already."""
+    """Return an aligned array of doubles of any shape, in the byte order of the machine.
+
+    An array that is already of this form is not copied.
+    """
     array = plain(values, name)
     check_real(array, name)
     return np.require(array, dtype=DTYPES["f64"], requirements="A")
 
 
 def numbers(values: Any, name: str, dtype: np.dtype[Any], axes: str) -> NDArray[Any]:
-    """Return real numbers of a type, aligned, in the machine's byte order; without a copy where they are that already.
+    """Return an aligned array of real numbers of one type, in the byte order of the machine.
 
-    ``axes`` names the axes that there must be, as in ``"[y, x]"``.
+    An array that is already of this form is not copied. ``axes`` names the axes that the array must
+    have, as in ``"[y, x]"``.
     """
     array = plain(values, name)
     check_real(array, name)
@@ -71,33 +99,62 @@ def doubles(values: Any, name: str, axes: str) -> NDArray[np.float64]:
     return numbers(values, name, DTYPES["f64"], axes)
 
 
+def stack(stamps: Any, name: str, axes: str) -> NDArray[np.float64]:
+    """Return stamps ``[stamp, y, x]`` as doubles. A single stamp ``[y, x]`` is a stack of one."""
+    if isinstance(stamps, (list, tuple)):
+        arrays = [plain(stamp, f"{name}[{i}]") for i, stamp in enumerate(stamps)]
+        if not arrays:
+            raise ValueError(f"{name} is empty: give at least one stamp")
+        if shapes := {array.shape for array in arrays} - {arrays[0].shape}:
+            raise ValueError(
+                f"{name} must all have one shape, got {arrays[0].shape} and {min(shapes)}"
+            )
+        stamps = np.stack(arrays)
+    array = plain(stamps, name)
+    return doubles(array[np.newaxis] if array.ndim == 2 else array, name, axes)
+
+
 def column(values: ArrayLike, name: str) -> NDArray[np.float64]:
     """Return a column of doubles, which may be empty."""
     return np.atleast_1d(reals(values, name))
 
 
-def points(positions: Any, name: str = "positions") -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the coordinates x and y of positions: an array ``[position, (x, y)]``, or a table with columns x and y."""
-    columns = getattr(positions, "colnames", None) or getattr(getattr(positions, "dtype", None), "names", None)
-    if columns is not None or isinstance(positions, dict) or hasattr(positions, "columns"):
-        try:
-            x, y = positions["x"], positions["y"]
-        except (KeyError, ValueError, IndexError):
-            raise ValueError(f"{name} must be a table with columns x and y, or an array [position, 2]") from None
-        return column(in_unit(x, "pix", f"{name}: x"), f"{name}: x"), column(in_unit(y, "pix", f"{name}: y"), f"{name}: y")
-    array = doubles(in_unit(positions, "pix", name), name, "[position, 2]")
+def points(
+    positions: Any, name: str = "positions"
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the coordinates x and y of positions.
+
+    Positions are an array ``[position, (x, y)]``, a single pair ``(x, y)``, or a table with columns
+    x and y.
+    """
+    names = column_names(positions)
+    if names is not None:
+        found = find_columns(names, ("x", "y"), name)
+        if len(found) < 2:
+            raise ValueError(
+                f"{name} must be a table with columns x and y, or an array [position, 2]"
+            )
+        x, y = (
+            column(in_unit(positions[found[axis]], "pix", f"{name}: {axis}"), f"{name}: {axis}")
+            for axis in ("x", "y")
+        )
+        return x, y
+    array = plain(in_unit(positions, "pix", name), name)
+    array = doubles(array[np.newaxis] if array.shape == (2,) else array, name, "[position, 2]")
     if array.shape[1] != 2:
-        raise ValueError(f"{name} must be an array [position, 2] of x and y, got one of shape {array.shape}")
+        raise ValueError(
+            f"{name} must be an array [position, 2] of x and y, got one of shape {array.shape}"
+        )
     return np.ascontiguousarray(array[:, 0]), np.ascontiguousarray(array[:, 1])
 
 
 def shape_of(shape: Any, name: str) -> tuple[int, int]:
-    """Return rows and columns of a shape ``(ny, nx)``, or of a square where it is one number."""
+    """Return rows and columns of a shape ``(ny, nx)``. A single number is the side of a square."""
     try:
         ny, nx = (shape, shape) if np.ndim(shape) == 0 else shape
         rows, columns = (int(np.asarray(n).__index__()) for n in (ny, nx))
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be (ny, nx), two whole numbers, got {shape!r}") from None
+        raise TypeError(f"{name} must be (ny, nx), two integers, got {shape!r}") from None
     if rows < 1 or columns < 1:
         raise ValueError(f"{name} must be at least (1, 1), got {(rows, columns)}")
     return rows, columns

@@ -1,4 +1,4 @@
-"""Units and headers of astropy, which is never imported for them."""
+"""Units and headers of astropy. Astropy itself is not imported."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ import numpy as np
 
 
 def unit_of(scene: Any) -> Any:
-    """Return the unit of a Quantity or of CCDData, if there is one."""
+    """Return the unit of a Quantity or of CCDData, or None."""
     unit = getattr(scene, "unit", None)
     check_linear(unit, "scene")
     return unit
 
 
 def check_linear(unit: Any, name: str) -> None:
-    """Refuse magnitudes, decibels and the like: light adds up, they do not."""
+    """Refuse logarithmic units such as magnitudes, whose values cannot be added."""
     if unit is not None and (hasattr(unit, "physical_unit") or str(unit) in ("mag", "dex", "dB")):
-        raise ValueError(f"{name}: its unit is {unit}, which does not add up: give fluxes")
+        raise ValueError(f"{name}: its unit is {unit}, which is logarithmic: convert it to flux")
 
 
 def in_unit(values: Any, unit: Any, name: str) -> Any:
-    """Return the numbers of a Quantity in a unit (None: its own); what has no unit, and pure numbers for pixels, as they are."""
+    """Return the numbers of a Quantity in a unit, or in its own unit if that is None.
+
+    Values without a unit are returned as they are. Dimensionless values count as pixels.
+    """
     own = getattr(values, "unit", None)
     if own is None or not hasattr(values, "to_value"):
         return values
@@ -36,7 +39,8 @@ def in_unit(values: Any, unit: Any, name: str) -> Any:
 def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any:
     """Return an image with the unit, the header and the world coordinates of its scene.
 
-    ``first`` is the column and the row of the image's first pixel, in its own pixels counted from the first of the scene.
+    ``first`` is the column and the row of the first pixel of the image, in pixels of the image
+    counted from the first pixel of the scene.
     """
     unit = unit_of(scene)
     if isinstance(scene, np.ndarray) or scene is None or not hasattr(scene, "meta"):
@@ -44,6 +48,10 @@ def like(scene: Any, image: Any, first: tuple[int, int], oversample: int) -> Any
     wcs = getattr(scene, "wcs", None)
     ny, nx = image.shape
     if wcs is not None and (scene.shape != (ny, nx) or first != (0, 0)):
-        shown = (slice(start * oversample, (start + n) * oversample, oversample) for start, n in ((first[1], ny), (first[0], nx)))
+        column, row = first
+        shown = (
+            slice(start * oversample, (start + n) * oversample, oversample)
+            for start, n in ((row, ny), (column, nx))
+        )
         wcs = wcs.slice(tuple(shown))
     return type(scene)(image, unit=unit, meta=scene.meta.copy(), wcs=wcs)

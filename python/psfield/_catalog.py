@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import warnings
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,10 @@ from psfield import _native
 from psfield._arrays import reals
 from psfield._astropy import check_linear, in_unit
 from psfield._errors import PsfieldWarning
+from psfield._tables import OTHER_NAMES, column_names, find_columns
 
 Column = NDArray[np.float64]
-#: x, y, flux, re, n, q, angle by name; what there is not is None.
+#: The columns x, y, flux, re, n, q and angle by name. A missing column is None.
 Columns = dict[str, Column | None]
 
 _NEEDED = ("x", "y", "flux")
@@ -34,113 +35,152 @@ def read_catalog(
     wcs: str | os.PathLike[str] | None = None,
     wcs_extension: str | int | None = None,
 ) -> dict[str, NDArray[np.float64]]:
-    """Read stars and galaxies from a CSV, text or FITS table, as ``psfield simulate --catalog`` does.
+    r"""Read stars and galaxies from a text table or a FITS table.
 
     Parameters
     ----------
     path : path
-        CSV, blank-separated text, SExtractor (``ASCII_HEAD``, ``FITS_LDAC``) or a FITS table.
+        CSV, text separated by blanks, SExtractor's ``ASCII_HEAD`` and ``FITS_LDAC``, or a binary
+        table of a FITS file.
     columns : str, optional
-        Which columns mean what, as in ``"x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO"``. The roles are x, y (or ra, dec), flux (or mag), and for
-        galaxies re, n, q, angle; without it each role uses the column of its own name.
+        The column of each role, as in ``"x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO"``. The roles are x and y
+        (or ra and dec), flux (or mag), and re, n, q and angle for galaxies. By default each role
+        uses the column of its own name. Positions may also be called ``x_0`` and ``y_0``.
     one_based : bool
-        Pixels count from 1, as SExtractor's and those of FITS do.
+        The first pixel is 1, as in SExtractor and FITS.
     zero_point : float, optional
         The magnitude of flux 1.
     skip_invalid : bool
-        Leave out rows that make no source, with a warning, in place of an error.
+        Skip rows that are not valid sources, with a warning, instead of raising an error.
     table : str or int, optional
-        Which table of a FITS file: its number from 0, or its name.
+        The table of a FITS file: its number from 0, or its name.
     wcs : path, optional
-        A FITS file whose header has the frame's world coordinates, for ``ra`` and ``dec`` in degrees.
+        A FITS file with the world coordinates of the frame, for positions ``ra`` and ``dec`` in
+        degrees.
     wcs_extension : str or int, optional
-        Which header of that file.
+        The extension of that file.
 
     Returns
     -------
     dict of str to numpy.ndarray
-        Columns ``x``, ``y`` (0-based pixels) and ``flux``, and where there are galaxies ``re`` (half-light radius along the major
-        axis in pixels; 0 for a star), ``n``, ``q`` and ``angle`` (degrees from +x towards +y). Stars come first.
+        Columns ``x``, ``y`` (0-based pixels) and ``flux``. If there are galaxies, also ``re``
+        (half-light radius along the major axis in pixels, 0 for a star), ``n``, ``q`` and ``angle``
+        (degrees from +x towards +y). Stars come first.
 
     Raises
     ------
     OSError
-        The file cannot be read, or a row or column of it is not as it should be.
+        The file cannot be read, a column is missing, or a row is invalid.
     ValueError
-        Options that contradict each other.
+        The arguments contradict each other.
+
+    Warns
+    -----
+    PsfieldWarning
+        Rows were skipped.
+
+    Examples
+    --------
+    >>> import pathlib
+    >>> import psfield
+    >>> _ = pathlib.Path("stars.csv").write_text("X_IMAGE,Y_IMAGE,MAG_AUTO\n3,2,20\n")
+    >>> stars = psfield.read_catalog(
+    ...     "stars.csv", columns="x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO", one_based=True, zero_point=25
+    ... )
+    >>> stars["x"].tolist(), stars["y"].tolist(), stars["flux"].round(6).tolist()
+    ([2.0], [1.0], [100.0])
     """
-    stars, galaxies, invalid, off_projection = _native.read_catalog(
-        os.fspath(path),
-        columns,
-        one_based,
-        zero_point,
-        skip_invalid,
-        None if table is None else str(table),
-        None if wcs is None else os.fspath(wcs),
-        None if wcs_extension is None else str(wcs_extension),
-    )
-    if invalid:
-        warnings.warn(f"{os.fspath(path)}: {invalid} rows make no source and were left out", PsfieldWarning, stacklevel=2)
-    if off_projection:
-        warnings.warn(
-            f"{os.fspath(path)}: {off_projection} rows lie on a part of the sky that the projection does not show",
-            PsfieldWarning,
-            stacklevel=2,
+    path = os.fspath(path)
+
+    def read(columns: str | None) -> tuple[list[Column], list[Column], int, int]:
+        return _native.read_catalog(
+            path,
+            columns,
+            one_based,
+            zero_point,
+            skip_invalid,
+            None if table is None else str(table),
+            None if wcs is None else os.fspath(wcs),
+            None if wcs_extension is None else str(wcs_extension),
         )
+
+    found = None
+    try:
+        found = read(columns)
+    except OSError:
+        others = [f"{role}={name}" for role, name in OTHER_NAMES.items()]
+        with contextlib.suppress(OSError, ValueError):
+            found = read(",".join(others if columns is None else [*others, columns]))
+        if found is None:
+            raise
+    stars, galaxies, invalid, outside = found
+    for count, problem in (
+        (invalid, "invalid"),
+        (outside, "outside the projection of the world coordinates"),
+    ):
+        if count:
+            rows = "row" if count == 1 else "rows"
+            text = f"{path}: {count} {rows} skipped: {problem}"
+            warnings.warn(text, PsfieldWarning, stacklevel=2)
     catalog = dict(zip(_NEEDED, stars, strict=True))
     if len(galaxies[0]):
         of_star = {"re": 0.0, "n": np.nan, "q": 1.0, "angle": 0.0}
         catalog = {name: np.concatenate([stars[i], galaxies[i]]) for i, name in enumerate(_NEEDED)}
         for i, name in enumerate(_SHAPE):
-            catalog[name] = np.concatenate([np.full(len(stars[0]), of_star[name]), galaxies[len(_NEEDED) + i]])
+            in_stars = np.full(len(stars[0]), of_star[name])
+            catalog[name] = np.concatenate([in_stars, galaxies[len(_NEEDED) + i]])
     return catalog
 
 
+def is_path(value: Any) -> bool:
+    """Return whether a value is the path of a file."""
+    return isinstance(value, (str, os.PathLike))
+
+
 def columns_of(catalog: Any, unit: Any = None) -> Columns | None:
-    """Return the columns of a table of any kind; fluxes in ``unit`` where they have one."""
+    """Return the columns of a catalogue: a table of any kind, or the path of a file.
+
+    Fluxes that have a unit are converted to ``unit``. A single number in place of a column holds
+    for every row.
+    """
     if catalog is None:
         return None
-    names = _names(catalog)
-    if missing := [name for name in _NEEDED if name not in names]:
-        there = ", ".join(map(str, names.values())) or "none"
-        raise ValueError(f"catalog: there is no column {missing[0]} (needed: x, y, flux; for galaxies re, n, q, angle); there are {there}")
-    columns = {name: _column(catalog[names[name]], name, unit) if name in names else None for name in (*_NEEDED, *_SHAPE)}
-    if columns["re"] is not None and columns["n"] is None:
+    if is_path(catalog):
+        catalog = read_catalog(catalog)
+    names = column_names(catalog)
+    if names is None:
+        raise TypeError(
+            "catalog must be the path of a file or a table with columns x, y and flux (a dict of"
+            " arrays, an astropy Table, a structured array, a data frame),"
+            f" got {type(catalog).__name__}"
+        )
+    found = find_columns(names, (*_NEEDED, *_SHAPE), "catalog")
+    if missing := [role for role in _NEEDED if role not in found]:
+        raise ValueError(
+            f"catalog: there is no column {missing[0]}. A catalogue needs x, y and flux, and for"
+            f" galaxies re and n. The columns are {', '.join(map(str, names)) or 'none'}"
+        )
+    if "re" in found and "n" not in found:
         raise ValueError("catalog: galaxies (column re) need their Sersic index (column n)")
+    arrays = {role: _column(catalog[name], role, unit) for role, name in found.items()}
+    rows = max((array.size for array in arrays.values() if array.ndim == 1), default=1)
+    columns: Columns = dict.fromkeys((*_NEEDED, *_SHAPE))
+    columns |= {
+        role: array if array.ndim else np.full(rows, array) for role, array in arrays.items()
+    }
     return columns
 
 
-def _names(catalog: Any) -> dict[str, Any]:
-    """Return the names of the columns by their lower case."""
-    if (colnames := getattr(catalog, "colnames", None)) is not None:
-        names: Iterable[Any] = colnames
-    elif getattr(getattr(catalog, "dtype", None), "names", None):
-        names = catalog.dtype.names
-    elif hasattr(catalog, "keys"):
-        names = catalog.keys()
-    else:
-        kinds = "a dict of arrays, an astropy Table, a structured array, a data frame"
-        raise TypeError(f"catalog must be a table with columns x, y, flux ({kinds}), got {type(catalog).__name__}")
-    found: dict[str, Any] = {}
-    for name in names:
-        role = str(name).lower()
-        # A column of the very name comes before those that differ in case.
-        if role not in found or str(name) == role:
-            found[role] = name
-        elif str(found[role]) != role and role in (*_NEEDED, *_SHAPE):
-            raise ValueError(f"catalog: which column is {role}: {found[role]} or {name}? Rename one of them")
-    return found
-
-
-def _column(values: Any, name: str, unit: Any) -> Column:
-    if name == "flux":
+def _column(values: Any, role: str, unit: Any) -> Column:
+    """Return a column of doubles, or one double without axes."""
+    if role == "flux":
         check_linear(getattr(values, "unit", None), "catalog: flux")
-    wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(name)
-    values = in_unit(values, wanted, f"catalog: {name}")
-    if name in _SHAPE and np.ma.isMaskedArray(values):
-        # No shape: a star.
+    wanted = {"x": "pix", "y": "pix", "re": "pix", "angle": "deg", "flux": unit}.get(role)
+    values = in_unit(values, wanted, f"catalog: {role}")
+    if role in _SHAPE and np.ma.isMaskedArray(values):
+        # A source without a shape is a star.
         values = np.ma.asarray(values, dtype=np.float64).filled(np.nan)
-    array = reals(values, f"catalog: {name}")
-    if array.ndim != 1:
-        raise ValueError(f"catalog: {name} must be a column, got an array of shape {array.shape}")
+    array = reals(values, f"catalog: {role}")
+    if array.ndim > 1:
+        raise ValueError(f"catalog: {role} must be a column, got an array of shape {array.shape}")
     return array

@@ -1,39 +1,37 @@
-"""Arguments that are single numbers or words, as the native module takes them."""
+"""Checks of arguments that are single numbers or names, for the native module."""
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Collection
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-T = TypeVar("T")
-
-#: The largest number of things that the native module counts.
-MOST = 2**63 - 1
+#: The largest count that the native module accepts.
+LARGEST = 2**63 - 1
 
 
-def whole(value: Any, name: str, least: int = 0, most: int = MOST) -> int:
-    """Return a whole number within limits."""
+def integer(value: Any, name: str, least: int = 0, most: int = LARGEST) -> int:
+    """Return an integer within limits."""
     try:
         number = operator.index(value)
     except TypeError:
-        raise TypeError(f"{name} must be a whole number, got {value!r}") from None
+        raise TypeError(f"{name} must be an integer, got {value!r}") from None
     if not least <= number <= most:
         limits = f"at least {least}" if number < least else f"at most {most}"
         raise ValueError(f"{name} must be {limits}, got {number}")
     return number
 
 
-def whole_or_none(value: Any, name: str, least: int = 0, most: int = MOST) -> int | None:
-    """Return a whole number within limits, or None."""
-    return None if value is None else whole(value, name, least, most)
+def integer_or_none(value: Any, name: str, least: int = 0, most: int = LARGEST) -> int | None:
+    """Return an integer within limits, or None."""
+    return None if value is None else integer(value, name, least, most)
 
 
 def real(value: Any, name: str) -> float:
     """Return a real number."""
-    # A text that reads as a number is a mistake.
+    # A text that could be read as a number is probably a mistake.
     if not isinstance(value, (str, bytes)) and np.ndim(value) == 0:
         try:
             return float(value)
@@ -58,23 +56,28 @@ def pair_or_none(value: Any, name: str) -> tuple[float, float] | None:
     return real(x, f"{name}: x"), real(y, f"{name}: y")
 
 
-def yes_or_no(value: Any, name: str) -> bool:
+def boolean(value: Any, name: str) -> bool:
     """Return a bool."""
     if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{name} must be True or False, got {value!r}")
     return bool(value)
 
 
-def word(value: Any, name: str, known: Collection[str] = ()) -> str:
-    """Return a text; one of those that are known, where these are given."""
+def text(value: Any, name: str) -> str:
+    """Return a string."""
     if not isinstance(value, str):
-        raise TypeError(f"{name} must be a text, got {value!r}")
-    if known and value not in known:
-        *most, last = known
-        raise ValueError(f"{name} must be {', '.join(most)} or {last}, got {value}")
+        raise TypeError(f"{name} must be a string, got {value!r}")
     return str(value)
 
 
-def word_or_none(value: Any, name: str) -> str | None:
-    """Return a text, or None."""
-    return None if value is None else word(value, name)
+def text_or_none(value: Any, name: str) -> str | None:
+    """Return a string, or None."""
+    return None if value is None else text(value, name)
+
+
+def choice(value: Any, name: str, known: Collection[str]) -> str:
+    """Return one of the known strings."""
+    if text(value, name) not in known:
+        *most, last = known
+        raise ValueError(f"{name} must be {', '.join(most)} or {last}, got {value}")
+    return str(value)

@@ -1,14 +1,15 @@
-"""The defaults of options: the library's own, which the command line has as well."""
+"""Defaults of arguments. They are defined in the Rust library and shared with the command line."""
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+import json
+from typing import Any, Literal, NamedTuple
 
 from psfield import _native
 
 
 class Defaults(NamedTuple):
-    """A default for each option, by its name."""
+    """The default of each argument, by its name."""
 
     tolerance: float
     precision: Literal["f32", "f64"]
@@ -28,4 +29,32 @@ class Defaults(NamedTuple):
     max_samples: int
 
 
+class DetectorDefaults(NamedTuple):
+    """The parameters of a perfect detector, by name. None means that a step is skipped."""
+
+    name: str
+    electrons_per_flux: float
+    exposure_s: float | None
+    photon_noise: bool
+    sky_e: float
+    sky_gradient_e_per_px: dict[str, float] | None
+    dark_e_per_s: float
+    response_rms: float
+    full_well_e: float | None
+    read_noise_e: float
+    gain_e_per_adu: float | None
+    bias_adu: float | None
+    bits: int | None
+    pattern_seed: int
+    bad_pixels: dict[str, float]
+
+
+def _perfect_detector() -> DetectorDefaults:
+    # The library omits parameters without a value.
+    params: dict[str, Any] = dict.fromkeys(DetectorDefaults._fields)
+    params |= json.loads(_native.Detector("{}").params())
+    return DetectorDefaults(**params)
+
+
 DEFAULTS = Defaults(**_native.DEFAULTS)
+DETECTOR = _perfect_detector()

@@ -2,4 +2,21 @@
 
 
 class PsfieldWarning(UserWarning):
-    """Something that nothing checks and that a user should know, such as stars drawn from stamps that are too coarse."""
+    """A result that may be wrong in a way that psfield cannot check.
+
+    For example, stars lie between pixels and the PSF stamps are not oversampled.
+
+    Examples
+    --------
+    Turn these warnings into errors:
+
+    >>> import warnings
+    >>> import psfield
+    >>> plan = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 5))
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", psfield.PsfieldWarning)
+    ...     plan.simulate(catalog={"x": [2.5], "y": [1], "flux": 10})
+    Traceback (most recent call last):
+        ...
+    psfield._errors.PsfieldWarning: stars lie between pixels...
+    """

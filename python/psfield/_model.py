@@ -1,4 +1,4 @@
-"""PSFs that change over the field."""
+"""PSFs that vary over the field."""
 
 from __future__ import annotations
 
@@ -11,34 +11,74 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from psfield import _native
-from psfield._arrays import DTYPES, column, doubles, plain, points, shape_of, shape_or_none
+from psfield._arrays import (
+    Precision,
+    column,
+    doubles,
+    plain,
+    points,
+    precision_of,
+    shape_of,
+    shape_or_none,
+    stack,
+)
 from psfield._astropy import in_unit
-from psfield._choices import pair_or_none, real, real_or_none, whole, whole_or_none, word, word_or_none, yes_or_no
+from psfield._choices import (
+    boolean,
+    choice,
+    integer,
+    integer_or_none,
+    pair_or_none,
+    real,
+    real_or_none,
+    text,
+    text_or_none,
+)
 from psfield._defaults import DEFAULTS
 from psfield._plan import Plan
 from psfield._progress import Progress, as_callback
+from psfield._spelling import american, british
 
 if TYPE_CHECKING:
     from photutils.psf import GriddedPSFModel
+    from typing_extensions import Unpack
+
+    from psfield._spelling import American
 
 Centre = tuple[float, float]
 PathLike = str | os.PathLike[str]
 
 
 class PsfModel:
-    """A PSF that changes over the field.
+    """A PSF that varies over the field.
 
-    Models are made by `from_samples`, `from_basis`, `from_gridded_psf_model`, `from_function` and `read`. They do not change, can be
-    pickled, and may be used from many threads. What follows from samples (the fit, the interpolator) is made when it is first needed,
-    and kept.
+    Make a model with `from_samples`, `from_basis`, `from_gridded_psf_model`, `from_function` or
+    `read`. Models are immutable, can be pickled, and may be used from many threads. The fit of the
+    samples and the interpolator are computed when they are first needed, and kept.
 
     Notes
     -----
-    The PSF at a field position x is ``h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)``: the mean stamp, orthonormal components (from an
-    SVD of the samples), their coefficients, interpolated between the samples, and the flux ``s`` where PSFs are scaled to unit flux.
+    The PSF at a field position x is ``h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)``. ``B_0`` is
+    the mean stamp and ``B_k`` are orthonormal components, from an SVD of the samples. The
+    coefficients ``a_k`` are interpolated between the samples. ``s`` is the flux, if PSFs are scaled
+    to unit flux, else 1.
 
-    A value of a stamp is the fraction of a source's flux that falls into a *frame* pixel centred there, so that a stamp oversampled ``s``
-    times holds unit flux where its values sum to ``s**2``, as in photutils.
+    A value of a stamp is the fraction of the flux of a source that falls into a *frame* pixel
+    centred there. A stamp that is oversampled ``s`` times therefore has unit flux if its values sum
+    to ``s**2``, as in photutils.
+
+    The arguments ``centre``, ``centring``, ``field_centre`` and ``normalise`` may also be spelt
+    ``center``, ``centering``, ``field_center`` and ``normalize``.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> narrow, wide = [[0, 1, 0], [1, 4, 1], [0, 1, 0]], [[1, 2, 1], [2, 4, 2], [1, 2, 1]]
+    >>> model = psfield.PsfModel.from_samples([narrow, wide], [(0, 0), (10, 0)])
+    >>> model.evaluate(0, 0).round(3).tolist()
+    [[0.0, 0.125, 0.0], [0.125, 0.5, 0.125], [0.0, 0.125, 0.0]]
+    >>> model.plan((20, 30), tolerance=1e-3).simulate([[1.0] * 30] * 20).shape
+    (20, 30)
     """
 
     __slots__ = ("_handle", "_sampling")
@@ -47,7 +87,10 @@ class PsfModel:
     _sampling: dict[str, Any] | None
 
     def __init__(self) -> None:
-        raise TypeError("use PsfModel.from_samples, .read, .from_function, .from_gridded_psf_model or .from_basis")
+        raise TypeError(
+            "make a PsfModel with from_samples, read, from_function, from_gridded_psf_model or"
+            " from_basis"
+        )
 
     @classmethod
     def _of(cls, native: _native.PsfModel, sampling: dict[str, Any] | None = None) -> PsfModel:
@@ -57,6 +100,7 @@ class PsfModel:
         return model
 
     @classmethod
+    @american
     def from_samples(
         cls,
         stamps: ArrayLike,
@@ -73,38 +117,46 @@ class PsfModel:
         interpolation: str | None = None,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
+        **american: Unpack[American],
     ) -> PsfModel:
         """Make a model from PSF stamps at positions of the field.
 
         Parameters
         ----------
         stamps : array_like
-            Stamps ``[sample, y, x]``, each with positive flux.
+            Stamps ``[sample, y, x]``, or a single stamp ``[y, x]``. Each must have positive flux.
         positions : array_like or table
-            Where they belong: ``[sample, 2]``, x and y in 0-based pixels of the frame; or a table with columns x and y.
+            Positions of the stamps in 0-based pixels of the frame: ``[sample, 2]``, x and y, or a
+            table with columns x and y. For a single stamp also a pair ``(x, y)``.
         field_shape : (int, int), optional
-            Rows and columns of the frame over which the PSF is known; larger frames are then refused.
+            Rows and columns of the frame over which the PSF is known. Larger frames are refused.
         oversampling : float
             Stamp pixels per frame pixel, along each axis.
         centre : (float, float), optional
-            The stamps' reference point ``(x, y)``, a 0-based index that may be fractional. Default: ``(nx // 2, ny // 2)``.
+            Reference point ``(x, y)`` of the stamps, a 0-based index that may be fractional.
+            Default: ``(nx // 2, ny // 2)``.
         pixel_response_included : bool
-            Whether the response of a frame pixel is in the stamps; where it is not, it is applied once when the PSF is used.
+            The stamps include the response of a frame pixel. If not, the response is applied when
+            the PSF is used.
         stamp_interpolation : {'cubic-spline', 'lanczos3'}
-            How stamps continue between their pixels.
+            Interpolation between the pixels of a stamp.
         rank : str or int, optional
-            Components to keep: ``'auto'`` (default), ``'elbow'``, ``'full'``, a number, ``'energy=0.999'`` or ``'error=1e-3'``.
+            Number of components to keep: ``'auto'`` (default), ``'elbow'``, ``'full'``, a number,
+            ``'energy=0.999'`` or ``'error=1e-3'``.
         centring : {'mean', 'none'}, optional
-            Take out the mean stamp (default) or not.
+            Subtract the mean stamp before the fit (default), or not.
         noise : float, optional
-            Standard deviation of the noise in the samples' pixels, after normalisation; 0 for none. Default: estimated.
+            Standard deviation of the noise in the pixels of the samples, after normalisation. 0
+            means no noise. Default: estimated.
         interpolation : str, optional
-            ``'auto'`` (default: bicubic on a regular grid, else natural neighbour), ``'delaunay'``, ``'natural-neighbour'``, ``'idw'``,
-            ``'idw=POWER'``, ``'bilinear'``, ``'bicubic'``, ``'polynomial=DEGREE'`` or ``'nearest'``.
+            Interpolation over the field: ``'auto'`` (default: bicubic on a regular grid, else
+            natural neighbour), ``'delaunay'``, ``'natural-neighbour'``, ``'idw'``,
+            ``'idw=POWER'``, ``'bilinear'``, ``'bicubic'``, ``'polynomial=DEGREE'`` or
+            ``'nearest'``.
         outside : {'nearest', 'extend', 'error'}, optional
-            What holds outside the area that the samples cover. Default: nearest.
+            Treatment of positions outside the area of the samples. Default: nearest.
         normalise : {'unit', 'keep'}, optional
-            Scale every PSF to unit flux (default), or keep the values as they are.
+            Scale every PSF to unit flux (default), or keep the values.
 
         Returns
         -------
@@ -113,9 +165,22 @@ class PsfModel:
         Raises
         ------
         ValueError
-            Stamps or positions that cannot be: of the wrong shape, not finite, without flux, two at one position.
+            Stamps or positions are invalid: they have the wrong shape, are not finite, have no
+            flux, or share a position.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> narrow, wide = [[0, 1, 0], [1, 4, 1], [0, 1, 0]], [[1, 2, 1], [2, 4, 2], [1, 2, 1]]
+        >>> psfield.PsfModel.from_samples([narrow, wide], [(0, 0), (10, 0)], field_shape=(5, 11))
+        <PsfModel: 2 samples, stamps 3 x 3, oversampling 1, field 5 x 11>
+
+        A PSF that is constant over the field:
+
+        >>> psfield.PsfModel.from_samples(narrow, (0, 0), center=(1, 1), normalize="unit")
+        <PsfModel: 1 samples, stamps 3 x 3, oversampling 1>
         """
-        cube = doubles(_stack(stamps), "stamps", "[sample, y, x]")
+        cube = stack(stamps, "stamps", "[sample, y, x]")
         x, y = points(positions)
         grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
         fit = _fit(rank, centring, noise, interpolation, outside, normalise)
@@ -123,6 +188,7 @@ class PsfModel:
         return cls._of(_native.PsfModel.from_samples(cube, x, y, field, grid, fit, False))
 
     @classmethod
+    @american
     def from_basis(
         cls,
         mean: ArrayLike | None,
@@ -138,17 +204,18 @@ class PsfModel:
         interpolation: str = DEFAULTS.interpolation,
         outside: Literal["nearest", "extend", "error"] = DEFAULTS.outside,
         normalise: Literal["unit", "keep"] = DEFAULTS.normalise,
+        **american: Unpack[American],
     ) -> PsfModel:
-        """Make a model from a basis of your own and its coefficients at positions.
+        """Make a model from a given basis and its coefficients at positions.
 
         Parameters
         ----------
         mean : array_like or None
-            The mean stamp ``[y, x]``, if the basis is centred.
+            Mean stamp ``[y, x]``, if the basis is centred.
         components : array_like
-            Orthonormal stamps ``[component, y, x]``.
+            Orthonormal stamps ``[component, y, x]``, or a single stamp ``[y, x]``.
         coefficients : array_like
-            ``[position, component]``.
+            Coefficients ``[position, component]``.
         positions : array_like or table
             As for `from_samples`.
         field_shape, oversampling, centre, pixel_response_included, stamp_interpolation
@@ -159,46 +226,79 @@ class PsfModel:
         Returns
         -------
         PsfModel
+
+        Examples
+        --------
+        The PSF is one pixel, whose flux is 1 at x = 0 and 3 at x = 10:
+
+        >>> import psfield
+        >>> pixel = [[0, 0, 0], [0, 1, 0], [0, 0, 0]]
+        >>> model = psfield.PsfModel.from_basis(
+        ...     None, pixel, [[1], [3]], [(0, 0), (10, 0)], normalise="keep"
+        ... )
+        >>> round(float(model.evaluate(10, 0).sum()), 9)
+        3.0
         """
         x, y = points(positions)
         grid = _grid(oversampling, centre, pixel_response_included, stamp_interpolation)
         native = _native.PsfModel.from_basis(
             None if mean is None else doubles(mean, "mean", "[y, x]"),
-            doubles(components, "components", "[component, y, x]"),
+            stack(components, "components", "[component, y, x]"),
             doubles(coefficients, "coefficients", "[position, component]"),
             x,
             y,
             shape_or_none(field_shape, "field_shape"),
             grid,
-            (word(interpolation, "interpolation"), word(outside, "outside"), word(normalise, "normalise")),
+            (
+                text(british(interpolation), "interpolation"),
+                text(outside, "outside"),
+                text(normalise, "normalise"),
+            ),
         )
         return cls._of(native)
 
     @classmethod
     def from_gridded_psf_model(
-        cls, model: GriddedPSFModel, *, field_shape: tuple[int, int] | None = None, interpolation: str | None = None
+        cls,
+        model: GriddedPSFModel,
+        *,
+        field_shape: tuple[int, int] | None = None,
+        interpolation: str | None = None,
     ) -> PsfModel:
-        """Take over a gridded PSF model of photutils.
+        """Make a model from a gridded PSF model of photutils.
 
-        Its planes are kept as they are (every component, no scaling), and interpolated bilinearly between the grid's positions and by a
-        cubic spline between the stamps' pixels, as photutils does.
+        The model keeps every component and does not scale the stamps. It interpolates bilinearly
+        between the positions of the grid and by a cubic spline between the pixels of the stamps, as
+        photutils does.
 
         Parameters
         ----------
         model : photutils.psf.GriddedPSFModel
-            The model; anything with ``data``, ``grid_xypos`` and ``oversampling`` will do. Its ``flux``, ``x_0`` and ``y_0`` play no part.
+            The gridded model, or any object with ``data``, ``grid_xypos`` and ``oversampling``. Its
+            ``flux``, ``x_0`` and ``y_0`` are ignored.
         field_shape : (int, int), optional
             Rows and columns of the frame.
         interpolation : str, optional
-            Another interpolation over the field than photutils' bilinear one.
+            Interpolation over the field, if not bilinear.
 
         Returns
         -------
         PsfModel
+
+        Examples
+        --------
+        >>> import types
+        >>> import numpy as np
+        >>> import psfield
+        >>> gridded = types.SimpleNamespace(  # photutils.psf.GriddedPSFModel
+        ...     data=np.ones((4, 3, 3)), grid_xypos=[(0, 0), (9, 0), (0, 9), (9, 9)], oversampling=1
+        ... )
+        >>> psfield.PsfModel.from_gridded_psf_model(gridded).interpolation
+        'bilinear'
         """
         oversampling = np.unique(np.atleast_1d(plain(model.oversampling, "oversampling")))
         if len(oversampling) != 1:
-            raise ValueError(f"oversampling: x and y must be oversampled alike, got {model.oversampling}")
+            raise ValueError(f"oversampling must be the same in x and y, got {model.oversampling}")
         cube = doubles(model.data, "data", "[position, y, x]")
         x, y = points(np.asarray(model.grid_xypos, dtype=float), "grid_xypos")
         _, ny, nx = cube.shape
@@ -208,13 +308,14 @@ class PsfModel:
         return cls._of(_native.PsfModel.from_samples(cube, x, y, field, grid, fit, True))
 
     @classmethod
+    @american
     def from_function(
         cls,
         function: Callable[[float, float], Any],
         shape: tuple[int, int],
         *,
         threshold: float = DEFAULTS.threshold,
-        criterion: Literal["interpolation", "neighbours"] = "interpolation",
+        criterion: Literal["interpolation", "neighbours", "neighbors"] = "interpolation",
         measure: Literal["l2", "l1"] = "l2",
         start: tuple[int, int] = DEFAULTS.start,
         max_samples: int = DEFAULTS.max_samples,
@@ -230,39 +331,55 @@ class PsfModel:
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
         progress: Progress | None = None,
+        **american: Unpack[American],
     ) -> PsfModel:
-        """Sample a function that draws the PSF at any position, densely where the PSF varies and sparsely where it does not.
+        """Make a model from a function that draws the PSF at any position.
+
+        The function is sampled densely where the PSF varies and sparsely elsewhere.
 
         Parameters
         ----------
         function : callable
-            ``function(x, y)`` draws the PSF of a source at a position (0-based pixels of the frame), centred on its stamp, as an array
-            ``[y, x]`` or a GalSim image; always of one shape. It is never called twice at a time.
+            ``function(x, y)`` draws the PSF of a source at a position, in 0-based pixels of the
+            frame. It returns an array ``[y, x]`` or a GalSim image, always of one shape, with the
+            PSF at its centre. It is never called by two threads at once.
         shape : (int, int)
             Rows and columns of the frame.
         threshold : float
-            Where sampling may stop: the relative error of interpolating between neighbouring samples, or their relative difference.
+            Largest relative error at which the refinement stops: the error of interpolating between
+            neighbouring samples, or the difference of neighbouring samples.
         criterion : {'interpolation', 'neighbours'}
-            Which of the two.
+            Which of the two errors is compared with ``threshold``.
         measure : {'l2', 'l1'}
-            The norm in which PSFs are compared.
+            Norm in which PSFs are compared.
         start : (int, int)
-            Rows and columns of the coarse grid that refinement starts from.
+            Rows and columns of the coarse grid at which the refinement starts.
         max_samples : int
-            An error where more are needed.
+            Largest number of samples. It is an error to need more.
         uniform : (int, int), optional
-            Rows and columns of a regular grid of samples, in place of refinement.
+            Rows and columns of a regular grid of samples that replaces the refinement.
         oversampling, centre, pixel_response_included, stamp_interpolation
-            What the stamps are, as for `from_samples`.
+            Geometry of the stamps, as for `from_samples`.
         rank, centring, noise, interpolation, outside, normalise
-            How samples become a model, as for `from_samples`.
+            Fit of the samples, as for `from_samples`.
         progress : callable or tqdm bar, optional
-            Called with the PSFs drawn and their number as far as it is known.
+            ``progress(done, total)`` with the number of PSFs drawn and of those known to be needed.
 
         Returns
         -------
         PsfModel
-            `sampling` says how the sampling ended.
+            Its `sampling` reports on the sampling.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import psfield
+        >>> y, x = np.mgrid[-4:5, -4:5]
+        >>> def draw(px, py):
+        ...     return np.exp(-(x**2 + y**2) / (2 * (1 + px / 100) ** 2))
+        >>> model = psfield.PsfModel.from_function(draw, (40, 60), threshold=0.05, noise=0)
+        >>> model.sampling["outcome"], model.field_shape
+        ('met', (40, 60))
         """
         rows, columns = shape_of(shape, "shape")
 
@@ -276,11 +393,13 @@ class PsfModel:
             (rows, columns),
             _grid(oversampling, centre, pixel_response_included, stamp_interpolation),
             {
-                "criterion": word(criterion, "criterion", ("neighbours", "interpolation")),
-                "measure": word(measure, "measure", ("l1", "l2")),
+                "criterion": choice(
+                    british(criterion), "criterion", ("neighbours", "interpolation")
+                ),
+                "measure": choice(measure, "measure", ("l1", "l2")),
                 "threshold": real(threshold, "threshold"),
                 "start": shape_of(start, "start"),
-                "max_samples": whole(max_samples, "max_samples", 1),
+                "max_samples": integer(max_samples, "max_samples", 1),
                 "uniform": shape_or_none(uniform, "uniform"),
             },
             _fit(rank, centring, noise, interpolation, outside, normalise),
@@ -289,6 +408,7 @@ class PsfModel:
         return cls._of(native, sampling)
 
     @classmethod
+    @american
     def read(
         cls,
         path: PathLike,
@@ -309,49 +429,60 @@ class PsfModel:
         interpolation: str | None = None,
         outside: Literal["nearest", "extend", "error"] | None = None,
         normalise: Literal["unit", "keep"] | None = None,
+        **american: Unpack[American],
     ) -> PsfModel:
-        """Read any PSF file that psfield knows, told by its content.
+        """Read a PSF file. The format is recognised by the content of the file.
 
-        PSFEx models, STPSF and WebbPSF gridded libraries, STDPSF, ScopeSim's field-varying PSFs, psfield's own samples and models, and
-        plain cubes and stamps. Options that a format has no use for are refused.
+        The formats are PSFEx models, gridded libraries of STPSF and WebbPSF, STDPSF, field-varying
+        PSFs of ScopeSim, samples and models of psfield, and plain cubes and stamps. Arguments that
+        do not apply to the format are refused.
 
         Parameters
         ----------
         path : path
-            The file; ``.gz`` and ``.fz`` are read as they are.
+            The file. It may be compressed (``.gz``, ``.fz``).
         extension : str or int, optional
             Which of several models (PSFEx) or images.
         detector : int, optional
             Which of several detectors (STDPSF).
         plane_order : str, optional
-            How positions belong to planes (STPSF), where its writer's version does not say.
+            Assignment of positions to planes (STPSF), if the version of STPSF does not tell.
         wavelength_um, pixel_scale_arcsec, field_centre : optional
-            What ScopeSim's files do not say.
+            Values that files of ScopeSim lack.
         positions : array_like or table, optional
-            Where the planes of a plain cube belong.
+            Positions of the stamps of a plain cube.
         oversampling, centre, pixel_response_included : optional
-            What plain stamps do not say of themselves, as for `from_samples`.
+            Geometry of the stamps, for files that do not state it. As for `from_samples`.
         rank, centring, noise, interpolation, outside, normalise
-            How samples become a model, as for `from_samples`. Models take ``outside`` and ``normalise`` alone. STPSF and STDPSF libraries
-            are by default interpolated bilinearly and not scaled.
+            Fit of the samples, as for `from_samples`. Only ``outside`` and ``normalise`` apply to
+            models. By default STPSF and STDPSF libraries are interpolated bilinearly and not
+            scaled.
 
         Returns
         -------
         PsfModel
-            `notes` says how the file was read.
+            Its `notes` say how the file was read.
 
         Raises
         ------
         OSError
-            The file cannot be read or is damaged; the text names the keyword or row.
+            The file cannot be read or is damaged. The text names the keyword or row.
         ValueError
-            Something that the file does not say and that must be chosen, or an option that does not suit the file.
+            An argument is needed because the file lacks a value, or does not apply to the file.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> _ = model.write("psf.fits", overwrite=True)
+        >>> psfield.PsfModel.read("psf.fits")
+        <PsfModel: 1 nodes, stamps 3 x 3, oversampling 1>
         """
         at = None if positions is None else tuple(axis.tolist() for axis in points(positions))
         file = {
             "extension": None if extension is None else str(extension),
-            "detector": whole_or_none(detector, "detector"),
-            "plane_order": word_or_none(plane_order, "plane_order"),
+            "detector": integer_or_none(detector, "detector"),
+            "plane_order": text_or_none(plane_order, "plane_order"),
             "wavelength_um": real_or_none(wavelength_um, "wavelength_um"),
             "pixel_scale_arcsec": real_or_none(pixel_scale_arcsec, "pixel_scale_arcsec"),
             "field_centre": pair_or_none(field_centre, "field_centre"),
@@ -359,7 +490,9 @@ class PsfModel:
             "oversampling": real_or_none(oversampling, "oversampling"),
             "centre": pair_or_none(centre, "centre"),
             "pixel_response_included": (
-                None if pixel_response_included is None else yes_or_no(pixel_response_included, "pixel_response_included")
+                None
+                if pixel_response_included is None
+                else boolean(pixel_response_included, "pixel_response_included")
             ),
         }
         fit = _fit(rank, centring, noise, interpolation, outside, normalise)
@@ -367,91 +500,216 @@ class PsfModel:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How its file was read, in plain sentences."""
+        """Sentences on how the file of the model was read.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> model.notes  # it was not read from a file
+        ()
+        """
         return tuple(self._handle.notes())
 
     @property
     def sampling(self) -> dict[str, Any] | None:
-        """How `from_function` ended: samples, draws, cells, unmet_cells, worst, threshold, outcome ('met' or 'cell-size-reached')."""
+        """Report of the sampling by `from_function`. None for other models.
+
+        Its keys are samples, draws, cells, unmet_cells, worst, threshold and outcome ('met' or
+        'cell-size-reached').
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_function(lambda x, y: [[0, 1, 0], [1, 4, 1]], (5, 8))
+        >>> model.sampling["outcome"], model.sampling["samples"] == len(model.positions)
+        ('met', True)
+        """
         return None if self._sampling is None else dict(self._sampling)
 
     @property
     def field_shape(self) -> tuple[int, int] | None:
-        """Rows and columns of the frame over which the PSF is known, if that is known."""
+        """Rows and columns of the frame over which the PSF is known, or None if not stated.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0), field_shape=(20, 30)).field_shape
+        (20, 30)
+        """
         return self._handle.field()
 
     @property
     def stamp_shape(self) -> tuple[int, int]:
-        """Rows and columns of the stamps."""
+        """Rows and columns of the stamps.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).stamp_shape
+        (1, 3)
+        """
         return self._handle.stamp_shape()
 
     @property
     def oversampling(self) -> float:
-        """Stamp pixels per frame pixel."""
+        """Stamp pixels per frame pixel, along each axis.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0), oversampling=2).oversampling
+        2.0
+        """
         value: float = self._handle.grid()["oversampling"]
         return value
 
     @property
     def centre(self) -> Centre:
-        """The stamps' reference point (x, y)."""
+        """Reference point (x, y) of the stamps.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).centre
+        (1.0, 0.0)
+        """
         value: Centre = self._handle.grid()["centre"]
         return value
 
     @property
     def pixel_response_included(self) -> bool:
-        """Whether the response of a frame pixel is in the stamps."""
+        """Whether the stamps include the response of a frame pixel.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).pixel_response_included
+        True
+        """
         value: bool = self._handle.grid()["pixel_response_included"]
         return value
 
     @property
     def positions(self) -> NDArray[np.float64]:
-        """Where its samples or nodes lie: ``[sample, 2]``, x and y."""
+        """Positions of the samples or nodes: ``[sample, 2]``, x and y.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (7, 5)).positions.tolist()
+        [[7.0, 5.0]]
+        """
         return np.column_stack(self._handle.positions())
 
     @property
     def rank(self) -> int:
-        """Components, the mean stamp not counted."""
+        """Number of components. The mean stamp does not count.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
+        >>> psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0).rank
+        1
+        """
         return len(self.components)
 
     @property
     def mean(self) -> NDArray[np.float64] | None:
-        """The mean stamp ``[y, x]``, if there is one."""
+        """Mean stamp ``[y, x]``, or None if the basis is not centred.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps = [[[1, 2, 1]], [[1, 4, 3]]]
+        >>> psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], normalise="keep").mean.tolist()
+        [[1.0, 3.0, 2.0]]
+        """
         return self._handle.basis()[0]
 
     @property
     def components(self) -> NDArray[np.float64]:
-        """Orthonormal stamps ``[component, y, x]``."""
+        """Orthonormal stamps ``[component, y, x]``.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
+        >>> psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0).components.shape
+        (1, 1, 3)
+        """
         return self._handle.basis()[1]
 
     @property
     def coefficients(self) -> NDArray[np.float64]:
-        """Their coefficients at `positions`: ``[sample, component]``."""
+        """Coefficients of the components at `positions`: ``[sample, component]``.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
+        >>> psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0).coefficients.shape
+        (2, 1)
+        """
         return self._handle.basis()[2]
 
     @property
     def interpolation(self) -> str:
-        """How coefficients are carried over the field."""
+        """Interpolation of the coefficients over the field.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps, corners = [[[1, 2, 1]]] * 4, [(0, 0), (9, 0), (0, 9), (9, 9)]
+        >>> psfield.PsfModel.from_samples(stamps, corners, interpolation="bilinear").interpolation
+        'bilinear'
+        """
         return self._handle.choices()[0]
 
     @property
     def outside(self) -> str:
-        """What holds outside the area that the samples cover."""
+        """Treatment of positions outside the area of the samples.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).outside
+        'nearest'
+        """
         return self._handle.choices()[1]
 
     @property
     def normalise(self) -> str:
-        """Whether PSFs are scaled to unit flux ('unit') or not ('keep')."""
+        """Whether PSFs are scaled to unit flux ('unit') or not ('keep').
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).normalise
+        'unit'
+        """
         return self._handle.choices()[2]
 
     def fit_report(self) -> dict[str, Any] | None:
-        """Return the figures of the fit of its samples; None where there are no samples.
+        """Return the figures of the fit of the samples, or None for a model without samples.
 
         Returns
         -------
         dict or None
-            ``rank``, ``elbow``, ``noise_sigma``, ``max_error``, ``rms_error`` and ``errors`` (relative L2 errors of the samples),
-            ``leave_one_out`` (errors of predicting each sample from the others: ``median``, ``max``, ``errors``), ``singular_values``,
+            ``rank``, ``elbow``, ``noise_sigma``, ``max_error``, ``rms_error`` and ``errors``
+            (relative L2 errors of the samples), ``leave_one_out`` (errors of predicting each sample
+            from the others: ``median``, ``max``, ``errors``), ``singular_values``,
             ``cumulative_weights``.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps = [[[1, 2, 1]], [[2, 3, 2]]]
+        >>> model = psfield.PsfModel.from_samples(stamps, [(0, 0), (9, 0)], noise=0)
+        >>> report = model.fit_report()
+        >>> report["rank"], report["max_error"] < 1e-12
+        (1, True)
         """
         report = self._handle.fit_report()
         return None if report is None else json.loads(report)
@@ -470,28 +728,45 @@ class PsfModel:
         Parameters
         ----------
         x, y : float or array_like
-            Positions in 0-based pixels of the frame; they are broadcast.
+            Positions in 0-based pixels of the frame. They are broadcast.
         pixels : {'stamp', 'frame'}
-            Sampled as the stamps are, or at the frame's own pixels, with their response also where the stamps lack it.
+            Sample the PSF at the pixels of the stamps, or at those of the frame. Pixels of the
+            frame include the pixel response, even if the stamps do not.
         size : int, optional
-            Rows and columns, cut or padded about the centre.
+            Rows and columns of the result, which is cut or padded about the centre.
         sub_pixel : bool
-            Draw each PSF at the sub-pixel phase of its position, as a star there looks, in place of centred; needs ``pixels='frame'``.
+            Draw each PSF at the sub-pixel phase of its position, as a star there appears, instead
+            of centred. It needs ``pixels='frame'``.
 
         Returns
         -------
         numpy.ndarray
-            ``[y, x]`` for one position, else ``[..., y, x]`` in the shape of the positions.
+            ``[y, x]`` for one position, else ``[..., y, x]`` with the shape of the positions.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0))
+        >>> model.evaluate(7.0, 5.0).tolist()
+        [[0.25, 0.5, 0.25]]
+        >>> model.evaluate([1, 2, 3, 4], 5.0).shape
+        (4, 1, 3)
         """
-        at_frame = word(pixels, "pixels", ("stamp", "frame")) == "frame"
-        size, sub_pixel = whole_or_none(size, "size", 1), yes_or_no(sub_pixel, "sub_pixel")
-        at_x, at_y = (plain(in_unit(axis, "pix", name), name) for axis, name in ((x, "x"), (y, "y")))
+        at_frame = choice(pixels, "pixels", ("stamp", "frame")) == "frame"
+        size, sub_pixel = integer_or_none(size, "size", 1), boolean(sub_pixel, "sub_pixel")
+        at_x, at_y = (
+            plain(in_unit(axis, "pix", name), name) for axis, name in ((x, "x"), (y, "y"))
+        )
         try:
             xs, ys = np.broadcast_arrays(at_x, at_y)
         except ValueError:
-            raise ValueError(f"x and y of the shapes {np.shape(x)} and {np.shape(y)} cannot be broadcast") from None
+            shapes = f"{np.shape(x)} and {np.shape(y)}"
+            raise ValueError(f"x and y of the shapes {shapes} cannot be broadcast") from None
         shape = xs.shape
-        flat_x, flat_y = (np.ascontiguousarray(column(axis.ravel(), name)) for axis, name in ((xs, "x"), (ys, "y")))
+        flat_x, flat_y = (
+            np.ascontiguousarray(column(axis.ravel(), name))
+            for axis, name in ((xs, "x"), (ys, "y"))
+        )
         stamps = self._handle.evaluate(flat_x, flat_y, at_frame, size, sub_pixel)
         return stamps.reshape(*shape, *stamps.shape[1:])
 
@@ -501,14 +776,24 @@ class PsfModel:
         Parameters
         ----------
         grid_shape : (int, int), optional
-            Rows and columns of the grid of positions. Default: the model's own positions where they are a grid, else a grid of at least
-            11 x 11 over the field.
+            Rows and columns of the grid of positions. By default the positions of the model, if
+            they are a grid, else a grid of at least 11 x 11 over the field.
 
         Returns
         -------
         photutils.psf.GriddedPSFModel
-            Its ``meta['psfield_max_error']`` is the largest relative L2 error of its bilinear interpolation in the middle between its
-            positions, against this model; None where this model is bilinear between the same positions itself.
+            Its ``meta['psfield_max_error']`` is the largest relative L2 error of its bilinear
+            interpolation, measured against this model halfway between the positions. It is None if
+            this model is itself bilinear between the same positions.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> stamps, corners = [[[1, 2, 4, 2, 1]] * 5] * 4, [(0, 0), (9, 0), (0, 9), (9, 9)]
+        >>> model = psfield.PsfModel.from_samples(stamps, corners)
+        >>> import photutils.psf
+        >>> model.to_gridded_psf_model().data.shape
+        (4, 5, 5)
         """
         from astropy.nddata import NDData
         from photutils.psf import GriddedPSFModel
@@ -529,45 +814,53 @@ class PsfModel:
         format: Literal["psf-model", "psf-samples", "psfex", "gridded"] = "psf-model",
         degree: int | None = None,
         grid_shape: tuple[int, int] | None = None,
-        precision: Literal["f32", "f64"] = "f32",
+        precision: Precision = "f32",
         overwrite: bool = False,
     ) -> tuple[str, ...]:
-        """Write the PSF to a file, which appears whole or not at all.
+        """Write the PSF to a file. No partial file is left if that fails.
 
         Parameters
         ----------
         path : path
             The file.
         format : {'psf-model', 'psf-samples', 'psfex', 'gridded'}
-            A model of psfield; stamps at positions; PSFEx; a library that photutils reads.
+            A model of psfield, stamps at positions, a model of PSFEx, or a library for photutils.
         degree : int, optional
-            PSFEx: the degree of its polynomial.
+            Degree of the polynomial of PSFEx.
         grid_shape : (int, int), optional
-            Samples and libraries: rows and columns of a grid of positions. Default: the model's own.
-        precision : {'f32', 'f64'}
-            Of samples.
+            Rows and columns of a grid of positions, for samples and libraries. By default the
+            positions of the model.
+        precision : {'f32', 'f64'} or dtype
+            Precision of samples.
         overwrite : bool
-            Replace a file that exists.
+            Replace an existing file.
 
         Returns
         -------
         tuple of str
-            What the file does not hold, in plain sentences.
+            Sentences on what the file cannot hold.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> model.write("samples.fits", format="psf-samples", precision="f64", overwrite=True)
+        ()
         """
-        words = {
-            "format": word(format, "format", ("psf-model", "psf-samples", "psfex", "gridded")),
-            "degree": whole_or_none(degree, "degree"),
+        settings = {
+            "format": choice(format, "format", ("psf-model", "psf-samples", "psfex", "gridded")),
+            "degree": integer_or_none(degree, "degree"),
             "at": shape_or_none(grid_shape, "grid_shape"),
-            "double": word(precision, "precision", DTYPES) == "f64",
-            "overwrite": yes_or_no(overwrite, "overwrite"),
+            "double": precision_of(precision, "precision") == "f64",
+            "overwrite": boolean(overwrite, "overwrite"),
         }
-        return tuple(self._handle.write(os.fspath(path), words))
+        return tuple(self._handle.write(os.fspath(path), settings))
 
     def plan(
         self,
         shape: tuple[int, int],
         tolerance: float = DEFAULTS.tolerance,
-        precision: Literal["f32", "f64"] = DEFAULTS.precision,
+        precision: Precision = DEFAULTS.precision,
         device: Literal["auto", "cpu", "gpu"] = DEFAULTS.device,
         *,
         frame: tuple[int, int, int, int] | None = None,
@@ -587,37 +880,49 @@ class PsfModel:
         shape : (int, int)
             Rows and columns of the scenes.
         tolerance : float
-            The largest relative L2 error that the engine may add to the PSF of any single pixel or star, from 0 (rounding alone) to
-            below 1.
-        precision : {'f32', 'f64'}
-            Working precision and that of images.
+            Largest relative L2 error that the engine may add to the PSF of any single pixel or
+            star, from 0 (limited only by rounding) to below 1.
+        precision : {'f32', 'f64'} or dtype
+            Precision of the computation and of the images. Also ``'float64'``, ``numpy.float64``
+            or any other spelling of these types.
         device : {'auto', 'cpu', 'gpu'}
-            Where images are convolved. ``auto``: on a GPU where the plan is predicted to be faster there.
+            Device that convolves. ``auto`` uses a GPU if that is predicted to be faster.
         frame : (int, int, int, int), optional
-            The part of the scene that the image shows: first column, first row, columns, rows, in pixels of the image. Field positions
-            count from its first pixel; light from around it comes in.
+            Part of the scene that the image shows: first column, first row, columns, rows, in
+            pixels of the image. Field positions count from its first pixel. Light from around the
+            frame enters the image.
         region : (int, int, int, int), optional
-            The part of the frame that is made, for frames that are made in pieces, on many machines: first column, first row, columns,
-            rows, in pixels of the image counted from the frame's first. Put together, the pieces are the image of the whole frame but for
-            rounding, at any tolerance. Scenes need no light but that of `Plan.light_region`; `Plan.for_region` makes the plans for others.
+            Part of the frame to simulate: first column, first row, columns, rows, in pixels of the
+            image counted from the first pixel of the frame. Use it to simulate a frame in pieces,
+            on one or many machines. The pieces together equal the image of the whole frame except
+            for rounding, at any tolerance. A scene needs light only within `Plan.light_region`.
+            `Plan.for_region` makes the plans for the other regions.
         anchor : {'source', 'output'}
-            Whose PSF applies: each source spreads with that of its own position, or each pixel gathers with its own.
+            Position whose PSF applies. ``source``: each source spreads with the PSF at its own
+            position. ``output``: each pixel gathers light with the PSF at its own position.
         method : {'auto', 'lowrank'}
-            Each tile in the cheapest way, or by transforms alone.
+            ``auto`` convolves each tile in the cheapest way, ``lowrank`` only by transforms.
         memory : int
-            Bytes that the plan keeps, at most.
+            Largest number of bytes that the plan keeps.
         oversample : int
-            Scenes are finer than the image: so many of their pixels along each side of one of the image.
+            Scene pixels along each side of a pixel of the image.
         stamp_size : int, optional
-            Cut or pad stamps to so many pixels of the image.
+            Cut or pad stamps to this number of pixels of the image.
         gpu_adapter : str, optional
-            Which GPU, by a part of its name.
+            Part of the name of the GPU to use.
         gpu_memory : int, optional
-            Bytes that the plan keeps on a GPU, at most.
+            Largest number of bytes that the plan keeps on a GPU.
 
         Returns
         -------
         Plan
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> model.plan((4, 6), tolerance=1e-4, precision="float64", device="cpu")
+        <Plan: scenes 4 x 6, tolerance 0.0001, f64, on the CPU>
         """
         return Plan(
             self,
@@ -639,36 +944,34 @@ class PsfModel:
     def __repr__(self) -> str:
         kind = "samples" if self._handle.has_samples() else "nodes"
         (ny, nx), count = self.stamp_shape, len(self._handle.positions()[0])
-        field = "" if self.field_shape is None else f", field {self.field_shape[0]} x {self.field_shape[1]}"
-        return f"<PsfModel: {count} {kind}, stamps {ny} x {nx}, oversampling {self.oversampling:g}{field}>"
+        field = "" if self.field_shape is None else ", field {} x {}".format(*self.field_shape)
+        return (
+            f"<PsfModel: {count} {kind}, stamps {ny} x {nx}, oversampling {self.oversampling:g}"
+            f"{field}>"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (*self._handle.state(), self._sampling)
 
 
-def _again(constructor: str, arguments: tuple[Any, ...], sampling: dict[str, Any] | None) -> PsfModel:
+def _again(
+    constructor: str, arguments: tuple[Any, ...], sampling: dict[str, Any] | None
+) -> PsfModel:
     """Make a pickled model again."""
     return PsfModel._of(getattr(_native.PsfModel, constructor)(*arguments), sampling)
 
 
-def _stack(stamps: Any) -> Any:
-    """Return a list of stamps as one array."""
-    if isinstance(stamps, (list, tuple)):
-        arrays = [plain(stamp, f"stamp {i}") for i, stamp in enumerate(stamps)]
-        if not arrays:
-            raise ValueError("stamps is empty: there must be at least one")
-        if shapes := {array.shape for array in arrays} - {arrays[0].shape}:
-            raise ValueError(f"stamps must have one shape, got {arrays[0].shape} and {min(shapes)}")
-        return np.stack(arrays)
-    return stamps
-
-
-def _grid(oversampling: float, centre: Centre | None, included: bool, interpolation: str) -> dict[str, Any]:
+def _grid(
+    oversampling: float, centre: Centre | None, included: bool, interpolation: str
+) -> dict[str, Any]:
+    """Return the geometry of stamps, as the native module accepts it."""
     return {
         "oversampling": real(oversampling, "oversampling"),
         "centre": pair_or_none(centre, "centre"),
-        "pixel_response_included": yes_or_no(included, "pixel_response_included"),
-        "stamp_interpolation": word(interpolation, "stamp_interpolation", ("cubic-spline", "lanczos3")),
+        "pixel_response_included": boolean(included, "pixel_response_included"),
+        "stamp_interpolation": choice(
+            interpolation, "stamp_interpolation", ("cubic-spline", "lanczos3")
+        ),
     }
 
 
@@ -680,11 +983,12 @@ def _fit(
     outside: str | None,
     normalise: str | None,
 ) -> dict[str, Any]:
+    """Return the settings of the fit, as the native module accepts them."""
     return {
         "rank": None if rank is None else str(rank),
-        "centring": word_or_none(centring, "centring"),
+        "centring": text_or_none(centring, "centring"),
         "noise": real_or_none(noise, "noise"),
-        "interpolation": word_or_none(interpolation, "interpolation"),
-        "outside": word_or_none(outside, "outside"),
-        "normalise": word_or_none(normalise, "normalise"),
+        "interpolation": text_or_none(british(interpolation), "interpolation"),
+        "outside": text_or_none(outside, "outside"),
+        "normalise": text_or_none(normalise, "normalise"),
     }

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psfield import _native
-from psfield._arrays import DTYPES, numbers, shape_of
+from psfield._arrays import DTYPES, numbers, precision_of, shape_of
 from psfield._astropy import like, unit_of
-from psfield._catalog import columns_of
-from psfield._choices import real, whole, whole_or_none, word, word_or_none
+from psfield._catalog import columns_of, is_path
+from psfield._choices import choice, integer, integer_or_none, real, text_or_none
 from psfield._errors import PsfieldWarning
 from psfield._progress import Progress, as_callback
+from psfield._tables import column_names
 
 if TYPE_CHECKING:
     from scipy.sparse.linalg import LinearOperator
@@ -28,24 +29,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SpotCheck:
-    """An image checked against the direct sum in double precision at random pixels.
+    """A comparison of an image with the direct sum in double precision at random pixels.
+
+    `Plan.spot_check` returns it.
 
     Attributes
     ----------
     pixels : int
-        How many pixels were looked at.
+        Number of pixels compared.
     seed : int
-        The seed that chose them.
+        Seed that chose the pixels.
     max_abs, rms : float
-        The largest absolute difference, and the root mean square.
+        Largest absolute difference, and root mean square difference.
     max_over_peak : float or None
-        The largest over the image's largest absolute value.
+        Largest difference over the largest absolute value of the image.
     relative_rms : float or None
         ``rms`` over the root mean square of the direct sum at the same pixels.
     limit : float or None
-        What ``relative_rms`` may be.
+        Largest ``relative_rms`` that passes the check.
     passed : bool or None
-        Whether it is.
+        Whether ``relative_rms`` is within the limit.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+    >>> check = model.plan((20, 30), 1e-3).spot_check([[1.0] * 30] * 20)
+    >>> check.passed, check.pixels, check.max_over_peak < 1e-3
+    (True, 500, True)
     """
 
     pixels: int
@@ -59,94 +70,189 @@ class SpotCheck:
 
 
 class Plan:
-    """Everything about the simulation of scenes of one shape that does not depend on the light. Made by `PsfModel.plan`.
+    """Everything about the simulation of scenes of one shape that does not depend on the light.
 
-    A plan is a linear operator from scenes to images; it may be used from many threads at once, and can be pickled (it is then made
-    anew). Plans for stars and for galaxies are made when the first of them comes, and kept.
+    `PsfModel.plan` makes it.
+
+    A plan is a linear operator from scenes to images. It may be used from many threads at once. It
+    can be pickled, and is then computed again where it is loaded. The parts for stars and for
+    galaxies are computed when they are first needed, and kept.
+
+    Examples
+    --------
+    >>> import psfield
+    >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+    >>> plan = model.plan((3, 4), tolerance=1e-4)
+    >>> plan.simulate(catalog={"x": [1], "y": [1], "flux": [8]}).round(2).tolist()
+    [[0.0, 1.0, 0.0, 0.0], [1.0, 4.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0]]
     """
 
-    __slots__ = ("_handle", "_model", "_words")
+    __slots__ = ("_handle", "_model", "_settings")
 
-    def __init__(self, model: PsfModel, shape: tuple[int, int], **words: Any) -> None:
-        if "tolerance" not in words:
-            raise TypeError("use PsfModel.plan")
+    def __init__(self, model: PsfModel, shape: tuple[int, int], **settings: Any) -> None:
+        if "tolerance" not in settings:
+            raise TypeError("make a Plan with PsfModel.plan")
         self._model = model
-        self._words = {**checked(words), "shape": shape_of(shape, "shape")}
-        self._handle = _native.Plan(model._handle, self._words)
+        self._settings = {**checked(settings), "shape": shape_of(shape, "shape")}
+        self._handle = _native.Plan(model._handle, self._settings)
 
     def for_region(self, region: tuple[int, int, int, int]) -> Plan:
-        """Return the plan for another region of the same frame, with the tiles that were chosen for this one.
+        """Return a plan for another region of the same frame, with the tiles of this plan.
 
-        Much sooner made than a plan that has to choose.
+        It takes much less time than a plan that has to choose its tiles.
 
         Parameters
         ----------
         region : (int, int, int, int)
-            First column, first row, columns, rows, in pixels of the image counted from the frame's first.
+            First column, first row, columns, rows, in pixels of the image counted from the first
+            pixel of the frame.
 
         Returns
         -------
         Plan
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> left = model.plan((20, 30), region=(0, 0, 15, 20))
+        >>> right = left.for_region((15, 0, 15, 20))
+        >>> right.region, right.image_shape
+        ((15, 0, 15, 20), (20, 15))
         """
         if region is None:
-            raise TypeError("region must be (x0, y0, nx, ny), four whole numbers, got None")
+            raise TypeError("region must be (x0, y0, nx, ny), four integers, got None")
         other = Plan.__new__(Plan)
         other._model = self._model
-        other._words = {**self._words, "region": region_of(region, "region")}
-        other._handle = self._handle.for_region(other._words["region"])
+        other._settings = {**self._settings, "region": region_of(region, "region")}
+        other._handle = self._handle.for_region(other._settings["region"])
         return other
 
     @property
     def model(self) -> PsfModel:
-        """The PSF."""
+        """The model of the PSF.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> model.plan((4, 6)).model is model
+        True
+        """
         return self._model
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns of the scenes."""
-        shape: tuple[int, int] = self._words["shape"]
+        """Rows and columns of the scenes.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6)).shape
+        (4, 6)
+        """
+        shape: tuple[int, int] = self._settings["shape"]
         return shape
 
     @property
     def image_shape(self) -> tuple[int, int]:
-        """Rows and columns of the images."""
+        """Rows and columns of the images.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0))
+        >>> model.plan((4, 6), frame=(0, 0, 3, 4)).image_shape
+        (4, 3)
+        """
         return self._handle.frame_shape()
 
     @property
     def region(self) -> tuple[int, int, int, int] | None:
-        """The part of the frame that images show: first column, first row, columns, rows; None for all of it."""
-        region: tuple[int, int, int, int] | None = self._words["region"]
+        """Part of the frame that images show: first column, first row, columns, rows.
+
+        None for the whole frame.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0))
+        >>> model.plan((40, 60), region=(0, 0, 30, 40)).region
+        (0, 0, 30, 40)
+        """
+        region: tuple[int, int, int, int] | None = self._settings["region"]
         return region
 
     @property
     def light_region(self) -> tuple[int, int, int, int]:
-        """The part of the scene whose light reaches images: first column, first row, columns, rows, in pixels of the scene."""
+        """Part of the scene whose light reaches the images.
+
+        First column, first row, columns, rows, in pixels of the scene.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> model.plan((40, 60), region=(0, 0, 30, 40)).light_region
+        (0, 0, 31, 40)
+        """
         return self._handle.light_region()
 
     @property
     def dtype(self) -> np.dtype[Any]:
-        """The type of the images' pixels."""
-        return DTYPES[self._words["precision"]]
+        """Type of the pixels of the images.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6), precision="f64").dtype
+        dtype('float64')
+        """
+        return DTYPES[self._settings["precision"]]
 
     @property
     def tolerance(self) -> float:
-        """The largest relative L2 error that the engine may add to the PSF of any pixel."""
-        return float(self._words["tolerance"])
+        """Largest relative L2 error that the engine may add to the PSF of any pixel.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6), 1e-3).tolerance
+        0.001
+        """
+        return float(self._settings["tolerance"])
 
     @property
     def summary(self) -> dict[str, Any]:
-        """The plan in figures: tiles, modes, memory, predicted seconds (on one thread, every pixel lit), device."""
+        """Figures of the plan: tiles, modes, memory, device and predicted seconds.
+
+        The prediction is for one thread and a scene with light in every pixel.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> plan = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6), device="cpu")
+        >>> plan.summary["shape"], plan.summary["precision"], plan.summary["gpu"]
+        ((4, 6), 'f32', None)
+        """
         figures = self._handle.summary()
         del figures["text"]
         return figures
 
     def describe(self) -> str:
-        """Return the plan as a few lines of text.
+        """Return a description of the plan in a few lines of text.
 
         Returns
         -------
         str
-            Tiles, modes, memory, the device and why it was chosen.
+            Tiles, modes, memory, the device and the reason for its choice.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> plan = psfield.PsfModel.from_samples([[1, 2, 1]], (0, 0)).plan((4, 6), device="cpu")
+        >>> len(plan.describe().splitlines()) > 1
+        True
         """
         figures = self._handle.summary()
         return f"{figures['text']}\n{figures['device']}"
@@ -159,43 +265,64 @@ class Plan:
         *,
         progress: Progress | None = None,
     ) -> Any:
-        """Return the image of a scene: an image, sources, or both.
+        """Return the image of a scene, of a catalogue of sources, or of both.
 
-        Pixels that are in the machine's byte order and of the plan's type are not copied, whatever the order of rows in memory, as long
-        as the pixels of a row are neighbours. The interpreter is free meanwhile, and Ctrl-C stops the work.
+        A scene is not copied if it has the type of the plan and the byte order of the machine, and
+        the pixels of a row are adjacent in memory. The order of the rows does not matter. The call
+        releases the interpreter while it works, and Ctrl-C cancels it.
 
         Parameters
         ----------
         scene : array_like, astropy CCDData or Quantity, optional
-            Flux in each pixel, ``[y, x]`` of the plan's `shape`; finite. Where the plan is for a region, its `light_region` will do.
-        catalog : table, optional
-            Stars and galaxies: anything with columns ``x``, ``y`` (0-based pixels of the image, also off it) and ``flux`` (an astropy
-            Table, a dict of arrays, a structured array, a data frame); with ``re`` (half-light radius along the major axis in pixels; 0,
-            NaN or masked: a star), ``n``, ``q`` and ``angle`` (degrees from +x towards +y) galaxies with Sersic profiles.
+            Flux in each pixel, ``[y, x]`` with the `shape` of the plan, finite. A plan for a region
+            also accepts only its `light_region`.
+        catalog : table or path, optional
+            Stars and galaxies, as a table (astropy Table, dict of arrays, structured array, data
+            frame) or as a CSV or FITS file that `read_catalog` can read. The columns are ``x``,
+            ``y`` (or ``x_0``, ``y_0``) in 0-based pixels of the image, which may lie outside it,
+            and ``flux``. Galaxies have a Sersic profile with the columns ``re`` (half-light radius
+            along the major axis in pixels, where 0, NaN or masked means a star), ``n``, ``q`` and
+            ``angle`` (degrees from +x towards +y). A number in place of a column holds for all
+            rows.
         out : numpy.ndarray, optional
-            Where the image goes: of `image_shape` and `dtype`. After an interruption its content is undefined.
+            Array to which the image is written, with `image_shape` and `dtype`. Its content is
+            undefined after an interruption.
         progress : callable or tqdm bar, optional
-            ``progress(done, total)``, called a few times a second.
+            ``progress(done, total)``, called a few times per second.
 
         Returns
         -------
         numpy.ndarray, Quantity or CCDData
-            The image ``[y, x]``, ``out`` where it was given; with the unit of the scene, and for CCDData its header and world
-            coordinates.
+            The image ``[y, x]``, or ``out`` if that is given. It has the unit of the scene. For
+            CCDData it also has the header and the world coordinates of the scene.
 
         Raises
         ------
         ValueError
-            A scene of another shape, values that are not finite or beyond the precision, a source that cannot be (with its row), light
-            where there is no PSF.
+            The scene has another shape, values are not finite or beyond the precision, a source is
+            invalid (the text names its row), or there is light where the PSF is not known.
 
         Warns
         -----
         PsfieldWarning
-            Stars between pixels drawn from stamps that are not oversampled; galaxies on pixels that blur them (``oversample`` below 4).
+            Stars lie between pixels and the stamps are not oversampled, or the pixels blur galaxies
+            (``oversample`` below 4).
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> plan = model.plan((3, 4), tolerance=1e-4)
+        >>> scene = np.zeros((3, 4))
+        >>> scene[1, 2] = 8
+        >>> plan.simulate(scene).round(2).tolist()
+        [[0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 4.0, 1.0], [0.0, 0.0, 1.0, 0.0]]
+        >>> plan.simulate(catalog={"x": [0, 3], "y": [1, 1], "flux": 8}).round(2).tolist()
+        [[1.0, 0.0, 0.0, 1.0], [4.0, 1.0, 1.0, 4.0], [1.0, 0.0, 0.0, 1.0]]
         """
         if scene is None and catalog is None:
-            raise ValueError("there is nothing to convolve: give a scene, a catalog, or both")
+            raise ValueError("there is nothing to simulate: give a scene, a catalog, or both")
         light, unit = None if scene is None else self._scene(scene), unit_of(scene)
         columns = columns_of(catalog, unit)
         target, copied = self._target(out, light, unit)
@@ -206,24 +333,36 @@ class Plan:
             np.copyto(out, target)  # type: ignore[arg-type]
         if out is not None:
             return out
-        return like(scene, image, self._shown(light), self._words["oversample"])
+        return like(scene, image, self._shown(light), self._settings["oversample"])
 
     def adjoint(self, image: Any, *, progress: Progress | None = None) -> NDArray[Any]:
-        """Apply the transpose: what each pixel of the scene gives to the scalar product of its image with this one.
+        """Apply the transpose of `simulate` to an image, for gradients and deconvolution.
 
-        ``(A f) . g == f . (A^T g)`` for every scene ``f`` without a catalogue: for gradients and deconvolution.
+        ``(A f) . g == f . (A^T g)`` for every scene ``f`` without a catalogue, and every image
+        ``g``.
 
         Parameters
         ----------
         image : array_like
-            ``[y, x]`` of `image_shape`.
+            ``[y, x]`` with `image_shape`.
         progress : callable or tqdm bar, optional
             ``progress(done, total)``.
 
         Returns
         -------
         numpy.ndarray
-            ``[y, x]`` of `shape`, or of `light_region` where the plan is for a region.
+            ``[y, x]`` with `shape`, or with the shape of `light_region` if the plan is for a
+            region.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 2], [0, 0, 0]], (0, 0))
+        >>> plan = model.plan((3, 4), tolerance=1e-6, precision="f64")
+        >>> f, g = np.arange(12.0).reshape(3, 4), np.ones((3, 4))
+        >>> bool(np.isclose(np.vdot(plan.simulate(f), g), np.vdot(f, plan.adjoint(g))))
+        True
         """
         return self._handle.adjoint(self._image(image), as_callback(progress))
 
@@ -233,7 +372,15 @@ class Plan:
         Returns
         -------
         scipy.sparse.linalg.LinearOperator
-            From flattened scenes to flattened images, with its adjoint.
+            Operator from flattened scenes to flattened images, with its adjoint.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> import scipy.sparse.linalg
+        >>> model.plan((3, 4)).linear_operator().shape
+        (12, 12)
         """
         from scipy.sparse.linalg import LinearOperator
 
@@ -246,69 +393,108 @@ class Plan:
             rmatvec=lambda image: self.adjoint(np.reshape(image, self.image_shape)).ravel(),
         )
 
-    def spot_check(self, scene: Any = None, catalog: Any = None, *, image: Any = None, pixels: int = 500, seed: int = 0) -> SpotCheck:
-        """Check an image against the direct sum in double precision at random pixels, half of them where it is bright.
+    def spot_check(
+        self,
+        scene: Any = None,
+        catalog: Any = None,
+        *,
+        image: Any = None,
+        pixels: int = 500,
+        seed: int = 0,
+    ) -> SpotCheck:
+        """Compare an image with the direct sum in double precision at random pixels.
+
+        Half of the pixels are chosen where the image is bright.
 
         Parameters
         ----------
         scene, catalog
             As for `simulate`.
         image : array_like, optional
-            What `simulate` gave for them; it is simulated where it is not given.
+            The result of `simulate` for them. By default it is simulated.
         pixels : int
-            How many pixels, at most as many as the image has (or 500).
+            Number of pixels, at most the number of pixels of the image (or 500).
         seed : int
-            Chooses them.
+            Seed that chooses the pixels.
 
         Returns
         -------
         SpotCheck
-            Its ``passed`` is the verdict.
+            Its ``passed`` is the result of the check.
+
+        Examples
+        --------
+        >>> import psfield
+        >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+        >>> model.plan((20, 30), tolerance=1e-3).spot_check([[1.0] * 30] * 20, pixels=100).passed
+        True
         """
         if scene is None and catalog is None:
             raise ValueError("there is nothing to check: give a scene, a catalog, or both")
         if self.region is not None:
-            raise ValueError("plans for a region check nothing: check with a plan of the whole frame")
-        # Each costs a direct sum; small images may be looked at more than once.
-        pixels = whole(pixels, "pixels", 1, max(500, self.image_shape[0] * self.image_shape[1]))
-        seed = whole(seed, "seed", 0, 2**64 - 1)
+            raise ValueError(
+                "a plan for a region cannot be checked: check with a plan of the whole frame"
+            )
+        # Each pixel costs a direct sum. Pixels of small images may be chosen more than once.
+        most = max(500, self.image_shape[0] * self.image_shape[1])
+        pixels = integer(pixels, "pixels", 1, most)
+        seed = integer(seed, "seed", 0, 2**64 - 1)
         light = None if scene is None else self._scene(scene)
         columns = columns_of(catalog, unit_of(scene))
         if image is None:
             image, _ = self._handle.simulate(light, columns, None, None)
-        checked = self._handle.spot_check(self._image(image), light, columns, pixels, seed)
-        return SpotCheck(**json.loads(checked))
+        figures = self._handle.spot_check(self._image(image), light, columns, pixels, seed)
+        return SpotCheck(**json.loads(figures))
 
     def _scene(self, scene: Any) -> NDArray[Any]:
+        """Return the pixels of a scene in the type of the plan."""
+        if column_names(scene) is not None or is_path(scene):
+            kind = f"the path {scene!r}" if is_path(scene) else "a table"
+            raise TypeError(f"scene must be an array [y, x], got {kind}: did you mean catalog=?")
         light = numbers(scene, "scene", self.dtype, "[y, x]")
-        if light.shape == self.shape or (self.region is not None and light.shape == self._light_shape()):
+        for_region = self.region is not None and light.shape == self._light_shape()
+        if light.shape == self.shape or for_region:
             return light
-        part = "" if self.region is None else f", or their part {self.light_region} of shape {self._light_shape()}"
-        raise ValueError(f"scene: the plan is for scenes of shape {self.shape}{part}, got {light.shape}")
+        expected = f"{self.shape}"
+        if self.region is not None:
+            expected += f" or of its part {self.light_region} with the shape {self._light_shape()}"
+        raise ValueError(f"scene: the plan is for scenes of shape {expected}, got {light.shape}")
 
     def _shown(self, light: NDArray[Any] | None) -> tuple[int, int]:
-        """Return the column and the row of the image's first pixel, in pixels of the image counted from the first of the scene given."""
+        """Return the column and the row of the first pixel of the image.
+
+        They are in pixels of the image, counted from the first pixel of the given scene.
+        """
         x0, y0 = 0, 0
-        for part in (self._words["frame"], self.region):
+        for part in (self._settings["frame"], self.region):
             x0, y0 = (x0 + part[0], y0 + part[1]) if part is not None else (x0, y0)
         if light is None or light.shape == self.shape:
             return x0, y0
         left, top, _, _ = self.light_region
-        oversample = self._words["oversample"]
+        oversample = self._settings["oversample"]
         return x0 - left // oversample, y0 - top // oversample
 
     def _light_shape(self) -> tuple[int, int]:
+        """Return rows and columns of the part of the scene whose light reaches the image."""
         _, _, columns, rows = self.light_region
         return rows, columns
 
     def _image(self, image: Any) -> NDArray[Any]:
+        """Return the pixels of an image in the type of the plan."""
         pixels = numbers(image, "image", self.dtype, "[y, x]")
         if pixels.shape != self.image_shape:
-            raise ValueError(f"image: the plan is for images of shape {self.image_shape}, got {pixels.shape}")
+            raise ValueError(
+                f"image: the plan is for images of shape {self.image_shape}, got {pixels.shape}"
+            )
         return pixels
 
-    def _target(self, out: Any, light: NDArray[Any] | None, unit: Any) -> tuple[NDArray[Any] | None, bool]:
-        """Return where the native module writes to, and whether that is copied to ``out`` afterwards."""
+    def _target(
+        self, out: Any, light: NDArray[Any] | None, unit: Any
+    ) -> tuple[NDArray[Any] | None, bool]:
+        """Return the array that the native module writes to.
+
+        The second value says whether that array must be copied to ``out`` afterwards.
+        """
         if out is None:
             return None, False
         if not isinstance(out, np.ndarray):
@@ -321,56 +507,61 @@ class Plan:
         if hasattr(out, "unit") and out.unit != unit:
             raise ValueError(f"out has the unit {out.unit}, the scene {unit or 'none'}")
         overlaps = light is not None and np.may_share_memory(out, light)
-        # Rows that share memory must not be written by several threads.
+        # Several threads must not write to rows that share memory.
         rows_apart = abs(out.strides[0]) >= out.shape[1] * out.itemsize or out.shape[0] == 1
-        direct = out.flags.aligned and out.dtype.isnative and out.strides[1] == out.itemsize and rows_apart and not overlaps
-        return (np.asarray(out), False) if direct else (np.empty(self.image_shape, self.dtype), True)
+        pixels_adjacent = out.strides[1] == out.itemsize and out.flags.aligned
+        if pixels_adjacent and out.dtype.isnative and rows_apart and not overlaps:
+            return np.asarray(out), False
+        return np.empty(self.image_shape, self.dtype), True
 
     def __repr__(self) -> str:
-        (ny, nx), words = self.shape, self._words
+        (ny, nx), settings = self.shape, self._settings
         part = "" if self.region is None else f", region {self.region}"
         device = self.summary["gpu"] or "the CPU"
-        return f"<Plan: scenes {ny} x {nx}{part}, tolerance {words['tolerance']:g}, {words['precision']}, on {device}>"
+        return (
+            f"<Plan: scenes {ny} x {nx}{part}, tolerance {settings['tolerance']:g},"
+            f" {settings['precision']}, on {device}>"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _again, (self._model, self._words)
+        return _again, (self._model, self._settings)
 
 
 def region_of(region: Any, name: str) -> tuple[int, int, int, int] | None:
-    """Return first column, first row, columns and rows as plain numbers."""
+    """Return first column, first row, columns and rows as integers."""
     if region is None:
         return None
     try:
         x0, y0, nx, ny = (int(np.asarray(n).__index__()) for n in region)
     except (TypeError, ValueError):
-        raise TypeError(f"{name} must be (x0, y0, nx, ny), four whole numbers, got {region!r}") from None
+        raise TypeError(f"{name} must be (x0, y0, nx, ny), four integers, got {region!r}") from None
     if nx < 1 or ny < 1:
         raise ValueError(f"{name} must have columns and rows, got {nx} x {ny}")
     return x0, y0, nx, ny
 
 
-#: What each argument of a plan but its shape must be.
+#: The check of each argument of a plan except its shape.
 _CHECKS: dict[str, Callable[[Any, str], Any]] = {
     "tolerance": real,
-    "precision": partial(word, known=DTYPES),
-    "device": partial(word, known=("auto", "cpu", "gpu")),
+    "precision": precision_of,
+    "device": partial(choice, known=("auto", "cpu", "gpu")),
     "frame": region_of,
     "region": region_of,
-    "anchor": partial(word, known=("source", "output")),
-    "method": partial(word, known=("auto", "lowrank")),
-    "memory": whole,
-    "oversample": partial(whole, least=1),
-    "stamp_size": partial(whole_or_none, least=1),
-    "gpu_adapter": word_or_none,
-    "gpu_memory": whole_or_none,
+    "anchor": partial(choice, known=("source", "output")),
+    "method": partial(choice, known=("auto", "lowrank")),
+    "memory": integer,
+    "oversample": partial(integer, least=1),
+    "stamp_size": partial(integer_or_none, least=1),
+    "gpu_adapter": text_or_none,
+    "gpu_memory": integer_or_none,
 }
 
 
-def checked(words: dict[str, Any]) -> dict[str, Any]:
-    """Return arguments of a plan in the native module's types."""
-    return {name: _CHECKS[name](value, name) for name, value in words.items()}
+def checked(settings: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a plan in the types of the native module."""
+    return {name: _CHECKS[name](value, name) for name, value in settings.items()}
 
 
-def _again(model: PsfModel, words: dict[str, Any]) -> Plan:
+def _again(model: PsfModel, settings: dict[str, Any]) -> Plan:
     """Make a pickled plan again."""
-    return Plan(model, **words)
+    return Plan(model, **settings)

@@ -1,4 +1,7 @@
-"""What a detector makes of an image: sky, photon noise, response, dark current, bad pixels, full well, read noise, gain, digits.
+"""A detector: the steps from the light of an image to counts.
+
+The steps are sky, photon noise, response, dark current, bad pixels, full well, read noise, gain and
+digitisation.
 
 >>> import numpy as np
 >>> from psfield.detector import Detector
@@ -12,6 +15,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,32 +24,43 @@ from numpy.typing import NDArray
 
 from psfield import _native
 from psfield._arrays import DTYPES, doubles, numbers, plain
-from psfield._choices import whole
+from psfield._choices import integer
+from psfield._defaults import DETECTOR
 
 __all__ = ["BAD_COLUMN", "DEAD", "HOT", "SATURATED", "Detector", "Exposure"]
 
-#: Flags of a pixel: it never holds charge.
+#: Flag of a pixel that never holds charge.
 DEAD = 1
-#: It has a dark current of its own.
+#: Flag of a pixel with an additional dark current.
 HOT = 2
-#: Its column holds no charge.
+#: Flag of a pixel in a column that holds no charge.
 BAD_COLUMN = 4
-#: It is at its full well or at the upper end of the converter.
+#: Flag of a pixel at its full well or at the largest value of the converter.
 SATURATED = 8
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """An image as a detector counted it.
+    """The counts of a detector. `Detector.expose` returns them.
 
     Attributes
     ----------
     counts : numpy.ndarray
-        ``[y, x]``, in ADU where the detector has a gain, a bias or bits, else in electrons.
+        ``[y, x]``, in ADU if the detector has a gain, a bias or bits, else in electrons.
     flags : numpy.ndarray
         ``[y, x]``, sums of `DEAD`, `HOT`, `BAD_COLUMN` and `SATURATED`.
     report : dict
-        Counts of pixels: ``saturated_pixels``, ``below_zero_pixels``, ``negative_pixels``, ``bad_pixels`` and others.
+        Numbers of pixels: ``saturated_pixels``, ``below_zero_pixels``, ``negative_pixels``,
+        ``bad_pixels`` and others.
+
+    Examples
+    --------
+    >>> from psfield.detector import SATURATED, Detector
+    >>> exposure = Detector(full_well_e=50.0).expose([[1.0, 60.0]], seed=1)
+    >>> exposure.counts.tolist(), (exposure.flags == SATURATED).tolist()
+    ([[1.0, 50.0]], [[False, True]])
+    >>> exposure.report["saturated_pixels"]
+    1
     """
 
     counts: NDArray[Any]
@@ -54,52 +69,131 @@ class Exposure:
 
 
 class Detector:
-    """The whole chain from light to counts. Every step is off unless it is asked for.
+    """The steps from light to counts. Every step is off by default.
 
     Parameters
     ----------
-    **params
-        The keys of the command line's TOML file: ``name``, ``electrons_per_flux`` (1), ``exposure_s``, ``photon_noise`` (False), ``sky_e``
-        (electrons a pixel), ``sky_gradient_e_per_px`` (a dict of ``x`` and ``y``), ``dark_e_per_s``, ``response_rms``, ``full_well_e``,
-        ``read_noise_e``, ``gain_e_per_adu``, ``bias_adu``, ``bits``, ``pattern_seed``, ``bad_pixels`` (a dict of ``dead_fraction``,
-        ``hot_fraction``, ``hot_dark_e_per_s``, ``bad_column_fraction``).
+    name : str
+        Name of the detector, for the user.
+    electrons_per_flux : float
+        Electrons per unit of the flux of the image, in the exposure.
+    exposure_s : float, optional
+        Exposure time in seconds. It scales the dark current, not the light.
+    photon_noise : bool
+        The charge is Poisson distributed about its expected value.
+    sky_e : float
+        Sky in electrons per pixel, in the exposure. With a gradient: at the middle of the frame.
+    sky_gradient_e_per_px : mapping, optional
+        Change of the sky per pixel, with the keys ``x`` and ``y``.
+    dark_e_per_s : float
+        Dark current in electrons per pixel and second. It needs ``exposure_s``.
+    response_rms : float
+        Standard deviation of the response of the pixels to light, about 1.
+    full_well_e : float, optional
+        Largest charge of a pixel in electrons.
+    read_noise_e : float
+        Standard deviation of the read noise in electrons.
+    gain_e_per_adu : float, optional
+        Electrons per ADU.
+    bias_adu : float, optional
+        Count of a pixel without charge, in ADU.
+    bits : int, optional
+        Bits of the converter. Counts are then integers from 0 to ``2**bits - 1``.
+    pattern_seed : int
+        Seed of the response and the bad pixels.
+    bad_pixels : mapping
+        Bad pixels, with the keys ``dead_fraction``, ``hot_fraction``, ``hot_dark_e_per_s`` and
+        ``bad_column_fraction``.
 
     Raises
     ------
     ValueError
-        A key that is not known, or a value out of range.
+        A value is out of range.
 
     Notes
     -----
-    Noise comes from ChaCha8 streams, one for each row and step: it depends on the image and the seed alone. ``pattern_seed`` belongs to the
-    sensor: exposures with different seeds share its response and bad pixels.
+    The noise comes from ChaCha8 streams, one for each row and step. It depends only on the image
+    and the seed. ``pattern_seed`` belongs to the sensor: exposures with different seeds share its
+    response and bad pixels.
+
+    Examples
+    --------
+    >>> from psfield.detector import Detector
+    >>> ccd = Detector(sky_e=20.0, gain_e_per_adu=2.0, bits=8)
+    >>> ccd
+    Detector(sky_e=20.0, gain_e_per_adu=2.0, bits=8)
+    >>> ccd.expose([[0.0, 80.0, 1000.0]], seed=1).counts.tolist()
+    [[10.0, 50.0, 255.0]]
     """
 
     __slots__ = ("_handle",)
 
-    def __init__(self, **params: Any) -> None:
+    def __init__(
+        self,
+        *,
+        name: str = DETECTOR.name,
+        electrons_per_flux: float = DETECTOR.electrons_per_flux,
+        exposure_s: float | None = DETECTOR.exposure_s,
+        photon_noise: bool = DETECTOR.photon_noise,
+        sky_e: float = DETECTOR.sky_e,
+        sky_gradient_e_per_px: Mapping[str, float] | None = DETECTOR.sky_gradient_e_per_px,
+        dark_e_per_s: float = DETECTOR.dark_e_per_s,
+        response_rms: float = DETECTOR.response_rms,
+        full_well_e: float | None = DETECTOR.full_well_e,
+        read_noise_e: float = DETECTOR.read_noise_e,
+        gain_e_per_adu: float | None = DETECTOR.gain_e_per_adu,
+        bias_adu: float | None = DETECTOR.bias_adu,
+        bits: int | None = DETECTOR.bits,
+        pattern_seed: int = DETECTOR.pattern_seed,
+        bad_pixels: Mapping[str, float] = DETECTOR.bad_pixels,
+    ) -> None:
+        params = {
+            "name": name,
+            "electrons_per_flux": electrons_per_flux,
+            "exposure_s": exposure_s,
+            "photon_noise": photon_noise,
+            "sky_e": sky_e,
+            "sky_gradient_e_per_px": sky_gradient_e_per_px,
+            "dark_e_per_s": dark_e_per_s,
+            "response_rms": response_rms,
+            "full_well_e": full_well_e,
+            "read_noise_e": read_noise_e,
+            "gain_e_per_adu": gain_e_per_adu,
+            "bias_adu": bias_adu,
+            "bits": bits,
+            "pattern_seed": pattern_seed,
+            "bad_pixels": bad_pixels,
+        }
         given = {key: value for key, value in params.items() if value is not None}
         for key, value in given.items():
             if isinstance(value, (float, np.floating)) and not np.isfinite(value):
-                raise ValueError(f"the detector: {key} must be finite, got {value}")
+                raise ValueError(f"{key} must be finite, got {value}")
         try:
-            text = json.dumps(given, default=_number)
+            encoded = json.dumps(given, default=_plain)
         except TypeError as error:
             raise TypeError(f"the detector: {error}") from None
-        self._handle = _native.Detector(text)
+        self._handle = _native.Detector(encoded)
 
     @classmethod
     def from_toml(cls, path: str | os.PathLike[str]) -> Detector:
-        """Read a detector from a TOML file, as ``psfield simulate --detector`` does.
+        r"""Read a detector from a TOML file, the format that the command line reads.
 
         Parameters
         ----------
         path : path
-            The file.
+            The file. Its keys are the parameters of `Detector`.
 
         Returns
         -------
         Detector
+
+        Examples
+        --------
+        >>> import pathlib
+        >>> from psfield.detector import Detector
+        >>> _ = pathlib.Path("ccd.toml").write_text("read_noise_e = 3.0\nbits = 16\n")
+        >>> Detector.from_toml("ccd.toml")
+        Detector(read_noise_e=3.0, bits=16)
         """
         detector = cls.__new__(cls)
         detector._handle = _native.Detector.from_toml(os.fspath(path))
@@ -107,18 +201,40 @@ class Detector:
 
     @property
     def params(self) -> dict[str, Any]:
-        """All parameters by key."""
+        """All parameters by name.
+
+        Examples
+        --------
+        >>> from psfield.detector import Detector
+        >>> params = Detector(read_noise_e=3.0).params
+        >>> params["read_noise_e"], params["sky_e"]
+        (3.0, 0.0)
+        """
         params: dict[str, Any] = json.loads(self._handle.params())
         return params
 
     @property
     def unit(self) -> str:
-        """The unit of counts: 'electron' or 'adu'."""
+        """Unit of the counts: 'electron' or 'adu'.
+
+        Examples
+        --------
+        >>> from psfield.detector import Detector
+        >>> Detector().unit, Detector(gain_e_per_adu=2.0).unit
+        ('electron', 'adu')
+        """
         return self._handle.unit()
 
     @property
     def saturation(self) -> float | None:
-        """The level of saturated pixels, if there is one."""
+        """Count at which pixels saturate, or None if they do not.
+
+        Examples
+        --------
+        >>> from psfield.detector import Detector
+        >>> Detector(full_well_e=9e4).saturation
+        90000.0
+        """
         return self._handle.saturation()
 
     def expose(self, image: Any, seed: int, *, bad_pixels: Any = None) -> Exposure:
@@ -127,27 +243,35 @@ class Detector:
         Parameters
         ----------
         image : array_like
-            Light ``[y, x]``, finite; single precision stays single precision.
+            Light ``[y, x]``, finite. Counts have single precision if the image has, else double.
         seed : int
-            Of the noise.
+            Seed of the noise.
         bad_pixels : array_like, optional
-            Flags of bad pixels beside those that the detector draws, ``[y, x]``.
+            Flags ``[y, x]`` of bad pixels, in addition to those that the detector draws.
 
         Returns
         -------
         Exposure
+
+        Examples
+        --------
+        >>> from psfield.detector import DEAD, Detector
+        >>> exposure = Detector().expose([[1.0, 2.0]], seed=1, bad_pixels=[[0, DEAD]])
+        >>> exposure.counts.tolist(), exposure.flags.tolist()
+        ([[1.0, 0.0]], [[0, 1]])
         """
         dtype = DTYPES["f32" if plain(image, "image").dtype == np.float32 else "f64"]
         mask = None if bad_pixels is None else doubles(bad_pixels, "bad_pixels", "[y, x]")
-        seed = whole(seed, "seed", 0, 2**64 - 1)
-        counts, flags, report = self._handle.expose(numbers(image, "image", dtype, "[y, x]"), seed, mask)
+        seed = integer(seed, "seed", 0, 2**64 - 1)
+        counts, flags, report = self._handle.expose(
+            numbers(image, "image", dtype, "[y, x]"), seed, mask
+        )
         return Exposure(counts, flags, json.loads(report))
 
     def __repr__(self) -> str:
-        perfect = _native.Detector("{}")
-        usual = json.loads(perfect.params())
-        given = ", ".join(f"{key}={value!r}" for key, value in self.params.items() if usual.get(key) != value)
-        return f"Detector({given})"
+        defaults = DETECTOR._asdict()
+        given = (f"{key}={value!r}" for key, value in self.params.items() if value != defaults[key])
+        return f"Detector({', '.join(given)})"
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _again, (self.params,)
@@ -158,8 +282,10 @@ def _again(params: dict[str, Any]) -> Detector:
     return Detector(**params)
 
 
-def _number(value: Any) -> Any:
-    """Return a NumPy number as a plain one."""
+def _plain(value: Any) -> Any:
+    """Return a number of NumPy as a plain number, and a mapping as a dict."""
     if isinstance(value, np.generic):
         return value.item()
-    raise TypeError(f"{value!r} is neither a number nor a text")
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{value!r} is not a number or a string")

@@ -1,14 +1,15 @@
-"""Measurements of PSFs and images: Gaussian fits, adaptive moments, error norms.
+"""Measurements of PSFs and images: Gaussian fits, moments and error norms.
 
-Stamps are ``[y, x]``; centroids 0-based stamp indices; lengths in pixels of the stamp; angles in radians from +x towards +y.
+Stamps are ``[y, x]``. Centroids are 0-based indices of the stamp and lengths are in its pixels.
+Angles are in radians from +x towards +y.
 
 The ellipticities of an ellipse with axes ``a >= b`` and position angle ``phi``:
 
-==============  =============================================
+==============  ================================================
 eccentricity    ``sqrt(1 - b**2 / a**2)``: ``ellipticity``
 distortion      ``(a**2 - b**2) / (a**2 + b**2)``: ``e1``, ``e2``
 reduced shear   ``(a - b) / (a + b)``: ``g1``, ``g2``
-==============  =============================================
+==============  ================================================
 
 >>> import numpy as np
 >>> from psfield import metrics
@@ -28,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from psfield import _native
-from psfield._arrays import doubles, points, reals
-from psfield._choices import real, whole, whole_or_none, yes_or_no
+from psfield._arrays import doubles, points, reals, stack
+from psfield._choices import boolean, integer, integer_or_none, real
 
 __all__ = [
     "AdaptiveMoments",
@@ -46,24 +47,33 @@ __all__ = [
 
 @dataclass(frozen=True)
 class GaussianFit:
-    """A Gaussian fitted by least squares.
+    """A Gaussian fitted by least squares. `fit_gaussian` returns it.
 
     Attributes
     ----------
     flux, amplitude : float
-        Its integral and its peak.
+        Integral and peak of the Gaussian.
     x, y : float
-        The centroid.
+        Centroid.
     fwhm, fwhm_major, fwhm_minor : float
-        Full widths at half maximum: the geometric mean, and of the axes.
+        Full widths at half maximum: the geometric mean, and those of the axes.
     angle : float
-        Of the major axis.
+        Angle of the major axis.
     ellipticity : float
         ``sqrt(1 - b**2 / a**2)``.
     background : float or None
-        The constant background, where it was fitted.
+        Constant background, if it was fitted.
     residual_rms : float
-        Root mean square of what the fit leaves.
+        Root mean square of the residuals.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from psfield import metrics
+    >>> y, x = np.mgrid[-8:9, -8:9]
+    >>> fit = metrics.fit_gaussian(5 * np.exp(-(x**2 + y**2) / 8))
+    >>> round(fit.amplitude, 6), round(fit.fwhm, 4), round(fit.x, 6)
+    (5.0, 4.7096, 8.0)
     """
 
     flux: float
@@ -81,20 +91,32 @@ class GaussianFit:
 
 @dataclass(frozen=True)
 class AdaptiveMoments:
-    """Second moments under a Gaussian weight of the light's own size and shape (Hirata and Seljak 2003).
+    """Second moments under a Gaussian weight that is fitted to the light.
+
+    The weight has the size and shape of the light (Hirata and Seljak 2003). `adaptive_moments`
+    returns them.
 
     Attributes
     ----------
     amplitude : float
-        Of the matched Gaussian.
+        Amplitude of the fitted Gaussian.
     x, y : float
-        The centroid.
+        Centroid.
     sigma : float
         ``det(moments)**(1/4)``, as GalSim's ``moments_sigma``.
     e1, e2 : float
         Distortion.
     g1, g2 : float
         Reduced shear.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from psfield import metrics
+    >>> y, x = np.mgrid[-12:13, -12:13]
+    >>> moments = metrics.adaptive_moments(np.exp(-(x**2 / 18 + y**2 / 8)))
+    >>> round(moments.sigma**2, 3), round(moments.e1, 3), round(moments.g1, 3)
+    (6.0, 0.385, 0.2)
     """
 
     amplitude: float
@@ -109,20 +131,27 @@ class AdaptiveMoments:
 
 @dataclass(frozen=True)
 class QuadrupoleMoments:
-    """Plain second moments, without a weight.
+    """Second moments without a weight. `quadrupole_moments` returns them.
 
     Attributes
     ----------
     flux : float
-        The sum of the pixels.
+        Sum of the pixels.
     x, y : float
-        The centroid.
+        Centroid.
     sigma : float
         ``det(moments)**(1/4)``.
     e1, e2 : float
         Distortion.
     g1, g2 : float
         Reduced shear.
+
+    Examples
+    --------
+    >>> from psfield import metrics
+    >>> moments = metrics.quadrupole_moments([[0, 1, 0], [2, 4, 2], [0, 1, 0]])
+    >>> moments.flux, moments.x, moments.y, round(moments.e1, 3)
+    (10.0, 1.0, 1.0, 0.333)
     """
 
     flux: float
@@ -137,22 +166,31 @@ class QuadrupoleMoments:
 
 @dataclass(frozen=True)
 class Comparison:
-    """How far a result is from a reference; what has no meaning (a dark reference, no error at all) is None.
+    """The errors of a result against a reference. `compare` returns them.
+
+    Figures that are undefined, such as ``snr_db`` without any error, are None.
 
     Attributes
     ----------
     mae, mse, max_abs : float
         Mean absolute, mean squared and largest absolute error.
     max_abs_index : tuple of int
-        Where the largest is.
+        Index of the largest error.
     relative_l2 : float or None
         ``norm(result - reference) / norm(reference)``.
     max_over_peak : float or None
-        The largest over the reference's peak.
+        Largest error over the peak of the reference.
     mae_over_mean : float or None
-        The mean absolute error over the reference's mean.
+        Mean absolute error over the mean of the reference.
     snr_db : float or None
         ``-20 log10(relative_l2)``.
+
+    Examples
+    --------
+    >>> from psfield import metrics
+    >>> errors = metrics.compare([3.0, 4.5], [3.0, 4.0])
+    >>> errors.max_abs, errors.max_abs_index, errors.relative_l2, errors.max_over_peak
+    (0.5, (1,), 0.1, 0.125)
     """
 
     mae: float
@@ -180,13 +218,13 @@ def fit_gaussian(
     stamp : array_like
         ``[y, x]``.
     size : int, optional
-        Use so many pixels each way alone, about index ``n // 2`` or about ``about``.
+        Use only a window of ``size`` by ``size`` pixels, about index ``n // 2`` or ``about``.
     about : (int, int), optional
-        Column and row of the middle of these pixels; needs ``size``.
+        Column and row of the middle of the window. It needs ``size``.
     background : bool
-        Fit a constant background too.
+        Also fit a constant background.
     round : bool
-        Fit a round Gaussian, in place of an elliptical one.
+        Fit a circular Gaussian instead of an elliptical one.
 
     Returns
     -------
@@ -195,12 +233,21 @@ def fit_gaussian(
     Raises
     ------
     ValueError
-        What could not be measured, and why.
+        The stamp cannot be measured. The text says why.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from psfield import metrics
+    >>> y, x = np.mgrid[-8:9, -8:9]
+    >>> fit = metrics.fit_gaussian(np.exp(-(x**2 + y**2) / 8) + 0.5, background=True)
+    >>> round(fit.background, 6), round(fit.fwhm, 4)
+    (0.5, 4.7096)
     """
     values = doubles(stamp, "stamp", "[y, x]")
-    return GaussianFit(
-        **_native.fit_gaussian(values, *_window(size, about), yes_or_no(background, "background"), yes_or_no(round, "round"))
-    )
+    window = _window(size, about)
+    background, circular = boolean(background, "background"), boolean(round, "round")
+    return GaussianFit(**_native.fit_gaussian(values, *window, background, circular))
 
 
 def adaptive_moments(
@@ -219,7 +266,7 @@ def adaptive_moments(
     size, about
         As for `fit_gaussian`.
     start : (float, float, float), optional
-        Centroid x, y and sigma to start from.
+        Initial centroid x, y and sigma.
 
     Returns
     -------
@@ -228,14 +275,25 @@ def adaptive_moments(
     Raises
     ------
     ValueError
-        What could not be measured, and why.
+        The stamp cannot be measured. The text says why.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from psfield import metrics
+    >>> y, x = np.mgrid[-8:9, -8:9]
+    >>> round(metrics.adaptive_moments(np.exp(-(x**2 + y**2) / 8)).sigma, 3)
+    2.0
     """
     values = doubles(stamp, "stamp", "[y, x]")
-    return AdaptiveMoments(**_native.adaptive_moments(values, *_window(size, about), _start(start)))
+    figures = _native.adaptive_moments(values, *_window(size, about), _start(start))
+    return AdaptiveMoments(**figures)
 
 
-def quadrupole_moments(stamp: Any, *, size: int | None = None, about: tuple[int, int] | None = None) -> QuadrupoleMoments:
-    """Measure the plain second moments of a stamp.
+def quadrupole_moments(
+    stamp: Any, *, size: int | None = None, about: tuple[int, int] | None = None
+) -> QuadrupoleMoments:
+    """Measure the second moments of a stamp without a weight.
 
     Parameters
     ----------
@@ -251,7 +309,14 @@ def quadrupole_moments(stamp: Any, *, size: int | None = None, about: tuple[int,
     Raises
     ------
     ValueError
-        What could not be measured, and why.
+        The stamp cannot be measured. The text says why.
+
+    Examples
+    --------
+    >>> from psfield import metrics
+    >>> moments = metrics.quadrupole_moments([[0, 1, 0], [1, 4, 1], [0, 1, 0]])
+    >>> moments.flux, moments.sigma
+    (8.0, 0.5)
     """
     values = doubles(stamp, "stamp", "[y, x]")
     return QuadrupoleMoments(**_native.quadrupole_moments(values, *_window(size, about)))
@@ -263,67 +328,92 @@ def compare(result: Any, reference: Any) -> Comparison:
     Parameters
     ----------
     result, reference : array_like
-        Of one shape, finite.
+        Finite arrays of one shape.
 
     Returns
     -------
     Comparison
+
+    Examples
+    --------
+    >>> from psfield import metrics
+    >>> metrics.compare([[1.0, 2.0]], [[1.0, 4.0]]).mae
+    1.0
     """
     figures = _native.compare(reals(result, "result"), reals(reference, "reference"))
     return Comparison(**{**figures, "max_abs_index": tuple(figures["max_abs_index"])})
 
 
-def measure(images: Any, positions: Any = None, *, size: int | None = None, background: bool = False) -> dict[str, NDArray[Any]]:
-    """Measure sizes and shapes of many PSFs: every stamp of a stack, or the stars of an image.
+def measure(
+    images: Any, positions: Any = None, *, size: int | None = None, background: bool = False
+) -> dict[str, NDArray[Any]]:
+    """Measure sizes and shapes of many PSFs: the stamps of a stack, or the stars of an image.
 
     Parameters
     ----------
     images : array_like
-        Stamps ``[stamp, y, x]``, or with ``positions`` an image ``[y, x]``.
+        Stamps ``[stamp, y, x]`` or a single stamp ``[y, x]``. With ``positions``: an image
+        ``[y, x]``.
     positions : array_like or table, optional
-        Where the stars lie: ``[star, 2]``, x and y, or a table with columns x and y.
+        Positions of the stars: ``[star, 2]``, x and y, or a table with columns x and y.
     size : int, optional
-        Pixels each way that are used, about the middle of a stamp or about a star. Default: a whole stamp for the moments and for the
-        fit, 15 pixels about a star.
+        Rows and columns of the window about the middle of a stamp or about a star. By default the
+        whole stamp, or 15 pixels about a star.
     background : bool
-        Fit a constant background too.
+        Also fit a constant background.
 
     Returns
     -------
     dict of str to numpy.ndarray
-        A column for each figure, as ``psfield measure`` writes them: ``flux``, ``x_centroid``, ``y_centroid``, ``fwhm_px``,
-        ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``ellipticity`` (Gaussian fit), ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``
-        (adaptive moments), and ``note``, which says what could not be measured and is then NaN. `astropy.table.Table` takes it as it is.
+        A column for each figure. From the Gaussian fit: ``flux``, ``x_centroid``, ``y_centroid``,
+        ``fwhm_px``, ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``ellipticity``. From the
+        adaptive moments: ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``. Figures that could not be
+        measured are NaN, and ``note`` says why. The dict can be given to `astropy.table.Table`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from psfield import metrics
+    >>> y, x = np.mgrid[-8:9, -8:9]
+    >>> stamps = [np.exp(-(x**2 + y**2) / (2 * sigma**2)) for sigma in (1.5, 2.0)]
+    >>> metrics.measure(stamps)["fwhm_px"].round(3).tolist()
+    [3.532, 4.71]
     """
-    size, background = whole_or_none(size, "size", 1), yes_or_no(background, "background")
+    size, background = integer_or_none(size, "size", 1), boolean(background, "background")
     if positions is None:
-        text = _native.measure_stamps(doubles(images, "images", "[stamp, y, x]"), size, background)
+        stamps = stack(images, "images", "[stamp, y, x]")
+        encoded = _native.measure_stamps(stamps, size, background)
     else:
-        text = _native.measure_image(doubles(images, "images", "[y, x]"), *points(positions), size, background)
-    rows = json.loads(text)
+        image = doubles(images, "images", "[y, x]")
+        encoded = _native.measure_image(image, *points(positions), size, background)
+    rows = json.loads(encoded)
     names = [name for name in rows[0] if name not in ("x", "y", "note")] if rows else []
     columns: dict[str, NDArray[Any]] = {
-        name: np.array([np.nan if row[name] is None else row[name] for row in rows], dtype=np.float64) for name in names
+        # A figure that could not be measured is None, and becomes NaN.
+        name: np.array([row[name] for row in rows], dtype=np.float64)
+        for name in names
     }
     columns["note"] = np.array([row["note"] for row in rows], dtype=np.str_)
     return columns
 
 
-def _window(size: int | None, about: tuple[int, int] | None) -> tuple[int | None, tuple[int, int] | None]:
-    """Return the window that is measured."""
+def _window(
+    size: int | None, about: tuple[int, int] | None
+) -> tuple[int | None, tuple[int, int] | None]:
+    """Return the window to measure: its size, and column and row of its middle."""
     if about is None:
-        return whole_or_none(size, "size"), None
+        return integer_or_none(size, "size"), None
     if size is None:
         raise ValueError("about is the middle of a window: give its size too")
     try:
         column, row = about
     except (TypeError, ValueError):
-        raise TypeError(f"about must be (column, row), two whole numbers, got {about!r}") from None
-    return whole(size, "size"), (whole(column, "about: column"), whole(row, "about: row"))
+        raise TypeError(f"about must be (column, row), two integers, got {about!r}") from None
+    return integer(size, "size"), (integer(column, "about: column"), integer(row, "about: row"))
 
 
 def _start(start: tuple[float, float, float] | None) -> tuple[float, float, float] | None:
-    """Return where adaptive moments start from."""
+    """Return the initial values of adaptive moments."""
     if start is None:
         return None
     try:

@@ -14,14 +14,18 @@ import psfield
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def gaussian_stamp(sigma: float, size: int = 17, shift: tuple[float, float] = (0.0, 0.0), q: float = 1.0) -> np.ndarray:
+def gaussian_stamp(
+    sigma: float, size: int = 17, shift: tuple[float, float] = (0.0, 0.0), q: float = 1.0
+) -> np.ndarray:
     """Return a Gaussian of unit sum, centred at index ``size // 2``."""
     y, x = np.mgrid[:size, :size] - float(size // 2)
     stamp = np.exp(-0.5 * (((x - shift[0]) / sigma) ** 2 + ((y - shift[1]) / (q * sigma)) ** 2))
     return stamp / stamp.sum()
 
 
-def widening_model(field: tuple[int, int] = (96, 128), across: int = 4, size: int = 17, **options: object) -> psfield.PsfModel:
+def widening_model(
+    field: tuple[int, int] = (96, 128), across: int = 4, size: int = 17, **options: object
+) -> psfield.PsfModel:
     """Return a model of Gaussians that widen to the right and lengthen upwards."""
     ny, nx = field
     grid = [(x, y) for y in np.linspace(0, ny - 1, across) for x in np.linspace(0, nx - 1, across)]
@@ -80,4 +84,6 @@ def command() -> str:
     for candidate in (named, ROOT / "target" / "release" / "psfield", shutil.which("psfield")):
         if candidate and Path(candidate).is_file():
             return str(candidate)
-    pytest.skip("the command psfield is not built (cargo build --release -p psfield-cli, or name it in PSFIELD_COMMAND)")
+    pytest.skip(
+        "the command psfield is not built (cargo build --release -p psfield-cli, or name it in PSFIELD_COMMAND)"
+    )

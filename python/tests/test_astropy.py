@@ -26,7 +26,11 @@ def test_quantities_keep_their_unit(model, scene):
 
 def test_fluxes_are_in_the_scene_s_unit(model, scene):
     plan = model.plan(scene.shape, 1e-3)
-    stars = {"x": np.array([10.0]) * units.pix, "y": np.array([20.0]) * units.pix, "flux": np.array([2.0]) * units.kilojansky}
+    stars = {
+        "x": np.array([10.0]) * units.pix,
+        "y": np.array([20.0]) * units.pix,
+        "flux": np.array([2.0]) * units.kilojansky,
+    }
     both = plan.simulate(scene * units.jansky, stars)
     plain = plan.simulate(scene, {"x": [10.0], "y": [20.0], "flux": [2000.0]})
     assert np.allclose(both.value, plain, rtol=1e-6)
@@ -39,7 +43,9 @@ def test_ccddata_keep_their_header_and_place_on_the_sky(model, scene, sky):
     image = model.plan(scene.shape, 1e-3).simulate(ccd)
     assert isinstance(image, nddata.CCDData)
     assert image.unit == units.adu and image.meta["OBJECT"] == "field"
-    assert np.array_equal(image.data, model.plan(scene.shape, 1e-3).simulate(scene.astype(np.float32)))
+    assert np.array_equal(
+        image.data, model.plan(scene.shape, 1e-3).simulate(scene.astype(np.float32))
+    )
     assert np.allclose(image.wcs.all_pix2world([[3.0, 4.0]], 0), sky.all_pix2world([[3.0, 4.0]], 0))
 
 

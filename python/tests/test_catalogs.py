@@ -9,14 +9,18 @@ from conftest import gaussian_stamp
 import psfield
 
 #: Where the blur of galaxies by the frame's pixels does not matter.
-blurred_galaxies = pytest.mark.filterwarnings(r"ignore:\d+ galaxies are blurred:psfield.PsfieldWarning")
+blurred_galaxies = pytest.mark.filterwarnings(
+    r"ignore:\d+ galaxies are blurred:psfield.PsfieldWarning"
+)
 
 
 @pytest.fixture(scope="module")
 def plan():
     """A plan whose stars are drawn from stamps of four pixels a frame pixel."""
     stamps = [16 * gaussian_stamp(s, 65) for s in (5.0, 6.0, 5.5, 6.5)]
-    model = psfield.PsfModel.from_samples(stamps, [(0, 0), (79, 0), (0, 59), (79, 59)], oversampling=4)
+    model = psfield.PsfModel.from_samples(
+        stamps, [(0, 0), (79, 0), (0, 59), (79, 59)], oversampling=4
+    )
     return model.plan((60, 80), 1e-3, "f64")
 
 
@@ -43,7 +47,9 @@ def test_stars_are_drawn_at_their_positions(plan):
 def test_stars_add_to_the_scene(plan):
     scene = np.random.default_rng(1).random((60, 80))
     both = plan.simulate(scene, STARS)
-    assert np.allclose(both, plan.simulate(scene) + plan.simulate(catalog=STARS), rtol=1e-12, atol=1e-12)
+    assert np.allclose(
+        both, plan.simulate(scene) + plan.simulate(catalog=STARS), rtol=1e-12, atol=1e-12
+    )
 
 
 def test_light_from_off_the_frame_shines_in(plan):
@@ -72,8 +78,12 @@ def as_astropy(columns):
 def as_quantities(columns):
     table, u = pytest.importorskip("astropy.table"), pytest.importorskip("astropy.units")
     units = {"x": u.pix, "y": u.pix, "re": u.pix, "angle": u.deg}
-    quantities = {name: values * units[name] if name in units else values for name, values in columns.items()}
-    quantities = {name: np.array(v) if not hasattr(v, "unit") else v for name, v in quantities.items()}
+    quantities = {
+        name: values * units[name] if name in units else values for name, values in columns.items()
+    }
+    quantities = {
+        name: np.array(v) if not hasattr(v, "unit") else v for name, v in quantities.items()
+    }
     if "angle" in quantities:
         quantities["angle"] = quantities["angle"].to(u.rad)
     return table.QTable(quantities)
@@ -81,7 +91,9 @@ def as_quantities(columns):
 
 def as_structured(columns):
     names = list(columns)
-    rows = np.zeros(len(columns["x"]), dtype=[(name.upper(), ">f4" if name == "q" else ">f8") for name in names])
+    rows = np.zeros(
+        len(columns["x"]), dtype=[(name.upper(), ">f4" if name == "q" else ">f8") for name in names]
+    )
     for name in names:
         rows[name.upper()] = columns[name]
     return rows
@@ -96,9 +108,23 @@ def as_masked(columns):
 
 
 @blurred_galaxies
-@pytest.mark.parametrize("form", [as_astropy, as_quantities, as_structured, as_masked, lambda c: {k: tuple(v) for k, v in c.items()}])
+@pytest.mark.parametrize(
+    "form",
+    [
+        as_astropy,
+        as_quantities,
+        as_structured,
+        as_masked,
+        lambda c: {k: tuple(v) for k, v in c.items()},
+    ],
+)
 def test_tables_of_any_kind(plan, form):
-    assert np.allclose(plan.simulate(catalog=form(GALAXIES)), plan.simulate(catalog=GALAXIES), rtol=1e-12, atol=1e-15)
+    assert np.allclose(
+        plan.simulate(catalog=form(GALAXIES)),
+        plan.simulate(catalog=GALAXIES),
+        rtol=1e-12,
+        atol=1e-15,
+    )
 
 
 def test_an_empty_catalogue_makes_a_dark_image(plan):
@@ -111,7 +137,11 @@ def test_an_empty_catalogue_makes_a_dark_image(plan):
     [
         ({"x": [1.0], "y": [1.0]}, ValueError, "no column flux"),
         ({"x": [1.0], "y": [1.0, 2.0], "flux": [1.0]}, ValueError, "y has 2 rows, x has 1"),
-        ({"x": [1.0, np.nan], "y": [1.0, 1.0], "flux": [1.0, 1.0]}, ValueError, r"row 1 \(0-based\)"),
+        (
+            {"x": [1.0, np.nan], "y": [1.0, 1.0], "flux": [1.0, 1.0]},
+            ValueError,
+            r"row 1 \(0-based\)",
+        ),
         ({"x": [1.0], "y": [1.0], "flux": [np.inf]}, ValueError, r"row 0"),
         ({"x": ["a"], "y": [1.0], "flux": [1.0]}, TypeError, "x must be real numbers"),
         ({"x": [[1.0]], "y": [1.0], "flux": [1.0]}, ValueError, "x must be a column"),
@@ -119,8 +149,8 @@ def test_an_empty_catalogue_makes_a_dark_image(plan):
         ({**GALAXIES, "q": [0.0, 1.0]}, ValueError, "row 0.*axis ratio"),
         ({**GALAXIES, "re": [-1.0, 1.0]}, ValueError, "half-light radius"),
         ({k: v for k, v in GALAXIES.items() if k != "n"}, ValueError, "need their Sersic index"),
-        ([1.0, 2.0], TypeError, "catalog must be a table"),
-        (np.zeros(3), TypeError, "catalog must be a table"),
+        ([1.0, 2.0], TypeError, "catalog must be the path of a file or a table"),
+        (np.zeros(3), TypeError, "catalog must be the path of a file or a table"),
     ],
 )
 def test_bad_catalogues(plan, catalog, error, text):
@@ -147,7 +177,10 @@ def test_galaxies_on_coarse_pixels_are_warned_of(plan):
         return {"x": [5.0], "y": [7.0], "flux": [1.0], "re": [radius], "n": [1.0]}
 
     for radius in (0.4, 5.0):
-        with pytest.warns(psfield.PsfieldWarning, match="1 galaxies are blurred a second time .* oversample=4 or more draws them"):
+        with pytest.warns(
+            psfield.PsfieldWarning,
+            match="1 galaxies are blurred a second time .* oversample=4 or more draws them",
+        ):
             plan.simulate(catalog=galaxy(radius))
     finer = plan.model.plan((240, 320), oversample=4)
     finer.simulate(catalog=galaxy(5.0))
@@ -161,7 +194,9 @@ class TestFiles:
     def test_csv(self, tmp_path):
         path = tmp_path / "stars.csv"
         path.write_text("X_IMAGE,Y_IMAGE,MAG_AUTO\n11.5,3,20\n1,1,22.5\n")
-        stars = psfield.read_catalog(path, columns="x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO", one_based=True, zero_point=25.0)
+        stars = psfield.read_catalog(
+            path, columns="x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO", one_based=True, zero_point=25.0
+        )
         assert {name: values.tolist() for name, values in stars.items()} == {
             "x": [10.5, 0.0],
             "y": [2.0, 0.0],
@@ -174,7 +209,9 @@ class TestFiles:
         path.write_text("x,y,flux,re,n,q,angle\n40,30,1000,4,1,0.5,30\n10,50,10,,,,\n")
         catalog = psfield.read_catalog(path)
         assert catalog["re"].tolist() == [0.0, 4.0]
-        assert np.allclose(plan.simulate(catalog=catalog), plan.simulate(catalog=GALAXIES), rtol=1e-12, atol=1e-15)
+        assert np.allclose(
+            plan.simulate(catalog=catalog), plan.simulate(catalog=GALAXIES), rtol=1e-12, atol=1e-15
+        )
 
     def test_bad_rows(self, tmp_path):
         path = tmp_path / "bad.csv"
@@ -184,7 +221,7 @@ class TestFiles:
         with pytest.raises(FileNotFoundError):
             psfield.read_catalog(tmp_path / "none.csv")
         path.write_text("x,y,flux\n1,2,3\n1,nan,3\n")
-        with pytest.warns(psfield.PsfieldWarning, match="1 rows make no source"):
+        with pytest.warns(psfield.PsfieldWarning, match="1 row skipped: invalid"):
             assert len(psfield.read_catalog(path, skip_invalid=True)["x"]) == 1
         with pytest.raises(ValueError, match="columns"):
             psfield.read_catalog(path, columns="z=Z")

@@ -38,7 +38,10 @@ def files(tmp_path_factory):
         ([], {}),
         (["--tolerance", "1e-2", "--precision", "f64"], {"tolerance": 1e-2, "precision": "f64"}),
         (["--anchor", "output", "--method", "lowrank"], {"anchor": "output", "method": "lowrank"}),
-        (["--frame", "8,5,100,80", "--stamp-size", "11"], {"frame": (8, 5, 100, 80), "stamp_size": 11}),
+        (
+            ["--frame", "8,5,100,80", "--stamp-size", "11"],
+            {"frame": (8, 5, 100, 80), "stamp_size": 11},
+        ),
         (["--oversample", "2"], {"oversample": 2}),
     ],
 )
@@ -48,7 +51,21 @@ def test_simulations(command, files, tmp_path, psf, options, words, catalog):
     output = tmp_path / "image.fits"
     sources = ["--catalog", files / "sources.csv"] if catalog else []
     subprocess.run(
-        [command, "simulate", scene, "--psf", files / psf, *options, *sources, "-o", output, "--quiet", "--device", "cpu"], check=True
+        [
+            command,
+            "simulate",
+            scene,
+            "--psf",
+            files / psf,
+            *options,
+            *sources,
+            "-o",
+            output,
+            "--quiet",
+            "--device",
+            "cpu",
+        ],
+        check=True,
     )
     model = psfield.PsfModel.read(files / psf)
     light = fits.getdata(scene)
@@ -63,17 +80,44 @@ def test_simulations(command, files, tmp_path, psf, options, words, catalog):
 def test_catalogues_alone(command, files, tmp_path):
     output = tmp_path / "image.fits"
     subprocess.run(
-        [command, "simulate", "--catalog", files / "sources.csv", "--shape", "128,96", "--psf", files / "samples.fits", "-o", output, "-q"],
+        [
+            command,
+            "simulate",
+            "--catalog",
+            files / "sources.csv",
+            "--shape",
+            "128,96",
+            "--psf",
+            files / "samples.fits",
+            "-o",
+            output,
+            "-q",
+        ],
         check=True,
     )
-    image = psfield.PsfModel.read(files / "samples.fits").plan((96, 128)).simulate(catalog=psfield.read_catalog(files / "sources.csv"))
+    image = (
+        psfield.PsfModel.read(files / "samples.fits")
+        .plan((96, 128))
+        .simulate(catalog=psfield.read_catalog(files / "sources.csv"))
+    )
     assert fits.getdata(output).astype(np.float32).tobytes() == image.tobytes()
 
 
 def test_exposures(command, files, tmp_path):
-    (tmp_path / "ccd.toml").write_text("photon_noise = true\nsky_e = 20.0\nread_noise_e = 3.0\ngain_e_per_adu = 1.5\nbits = 16\n")
+    (tmp_path / "ccd.toml").write_text(
+        "photon_noise = true\nsky_e = 20.0\nread_noise_e = 3.0\ngain_e_per_adu = 1.5\nbits = 16\n"
+    )
     raw, truth = tmp_path / "raw.fits", tmp_path / "truth.fits"
-    words = ["--psf", files / "model.fits", "--detector", tmp_path / "ccd.toml", "--seed", "5", "--truth", truth]
+    words = [
+        "--psf",
+        files / "model.fits",
+        "--detector",
+        tmp_path / "ccd.toml",
+        "--seed",
+        "5",
+        "--truth",
+        truth,
+    ]
     subprocess.run([command, "simulate", files / "scene.fits", *words, "-o", raw, "-q"], check=True)
     light = fits.getdata(files / "scene.fits")
     image = psfield.PsfModel.read(files / "model.fits").plan(light.shape).simulate(light)
@@ -90,7 +134,9 @@ def test_errors_have_the_same_texts(command, files, tmp_path):
         (["--psf", files / "model.fits", "--catalog", bad], lambda: psfield.read_catalog(bad)),
         (
             ["--psf", files / "model.fits", "--frame", "0,0,200,10"],
-            lambda: psfield.PsfModel.read(files / "model.fits").plan((96, 128), frame=(0, 0, 200, 10)),
+            lambda: psfield.PsfModel.read(files / "model.fits").plan(
+                (96, 128), frame=(0, 0, 200, 10)
+            ),
         ),
     ]:
         ran = subprocess.run(

@@ -27,7 +27,9 @@ SHAPE = (48, 64)
 
 def model_of(width: float = 1.5) -> psfield.PsfModel:
     y, x = np.mgrid[-6:7, -6:7]
-    stamps = [np.exp(-(x**2 + y**2) / (2 * sigma**2)) for sigma in width * np.array([1.0, 1.2, 1.1, 1.3])]
+    stamps = [
+        np.exp(-(x**2 + y**2) / (2 * sigma**2)) for sigma in width * np.array([1.0, 1.2, 1.1, 1.3])
+    ]
     stamps = [stamp / stamp.sum() for stamp in stamps]
     return psfield.PsfModel.from_samples(stamps, [(0, 0), (399, 0), (0, 399), (399, 399)])
 
@@ -70,7 +72,9 @@ def model() -> psfield.PsfModel:
 @pytest.fixture(scope="module")
 def client() -> Iterator[distributed.Client]:
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+        ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
         yield client
@@ -106,8 +110,12 @@ def test_fits_files(client, model, tmp_path) -> None:
     seen: list[tuple[int, int]] = []
     jobs = [{"scene": draw, "seed": seed} for seed in range(6)]
     template = tmp_path / "frames" / "{index:03d}.fits"
-    results = psfield.dask.batch(jobs, model, template, 1e-3, client=client, progress=lambda *step: seen.append(step))
-    assert [(r.index, r.status, r.error) for r in results] == [(i, "written", None) for i in range(6)]
+    results = psfield.dask.batch(
+        jobs, model, template, 1e-3, client=client, progress=lambda *step: seen.append(step)
+    )
+    assert [(r.index, r.status, r.error) for r in results] == [
+        (i, "written", None) for i in range(6)
+    ]
     assert seen == [(i + 1, 6) for i in range(6)]
     assert sorted(os.listdir(tmp_path / "frames")) == [f"{i:03d}.fits" for i in range(6)]
     for seed, result in enumerate(results):
@@ -115,7 +123,12 @@ def test_fits_files(client, model, tmp_path) -> None:
         image, header = fits.getdata(result.output, header=True)
         np.testing.assert_array_equal(image, expected_of(model, seed, tolerance=1e-3))
         assert header["PSFIELD"] == psfield.__version__
-        assert (header["PSFTOL"], header["PSFANCH"], header["PSFPREC"], header["PSFSEED"]) == (1e-3, "source", "f32", seed)
+        assert (header["PSFTOL"], header["PSFANCH"], header["PSFPREC"], header["PSFSEED"]) == (
+            1e-3,
+            "source",
+            "f32",
+            seed,
+        )
 
 
 def test_a_second_run_does_what_the_first_left_undone(client, model, tmp_path) -> None:
@@ -132,7 +145,16 @@ def test_a_second_run_does_what_the_first_left_undone(client, model, tmp_path) -
 
 def test_scenes_of_every_kind(client, model, tmp_path) -> None:
     scene = draw(3)
-    header = fits.Header({"OBJECT": "M 51", "CRPIX1": 10.5, "CRPIX2": 20.0, "CRPIX1B": 1.0, "BUNIT": "electron", "PSFTOL": 0.5})
+    header = fits.Header(
+        {
+            "OBJECT": "M 51",
+            "CRPIX1": 10.5,
+            "CRPIX2": 20.0,
+            "CRPIX1B": 1.0,
+            "BUNIT": "electron",
+            "PSFTOL": 0.5,
+        }
+    )
     fits.HDUList([fits.PrimaryHDU(), fits.ImageHDU(scene, header)]).writeto(tmp_path / "scene.fits")
     np.save(tmp_path / "scene.npy", scene)
     jobs = [
@@ -141,7 +163,11 @@ def test_scenes_of_every_kind(client, model, tmp_path) -> None:
         {"scene": scene},
         {"scene": lambda: draw(3)},
         {"catalog": {"x": [30.0], "y": [20.0], "flux": [100.0]}},
-        {"scene": draw, "seed": 3, "catalog": lambda seed: {"x": [30.0], "y": [20.0], "flux": [100.0 * seed]}},
+        {
+            "scene": draw,
+            "seed": 3,
+            "catalog": lambda seed: {"x": [30.0], "y": [20.0], "flux": [100.0 * seed]},
+        },
     ]
     frame = (2, 3, 40, 30)
     template = tmp_path / "{index}.fits"
@@ -150,10 +176,18 @@ def test_scenes_of_every_kind(client, model, tmp_path) -> None:
     plan = model.plan(SHAPE, device="cpu", frame=frame)
     for i in range(4):
         np.testing.assert_array_equal(fits.getdata(results[i].output), plan.simulate(scene))
-    np.testing.assert_array_equal(fits.getdata(results[4].output), plan.simulate(None, jobs[4]["catalog"]))
-    np.testing.assert_array_equal(fits.getdata(results[5].output), plan.simulate(scene, jobs[5]["catalog"](3)))
+    np.testing.assert_array_equal(
+        fits.getdata(results[4].output), plan.simulate(None, jobs[4]["catalog"])
+    )
+    np.testing.assert_array_equal(
+        fits.getdata(results[5].output), plan.simulate(scene, jobs[5]["catalog"](3))
+    )
     carried = fits.getheader(results[0].output)
-    assert (carried["OBJECT"], carried["BUNIT"], carried["OBSERVER"]) == ("M 51", "electron", "Hubble")
+    assert (carried["OBJECT"], carried["BUNIT"], carried["OBSERVER"]) == (
+        "M 51",
+        "electron",
+        "Hubble",
+    )
     assert (carried["CRPIX1"], carried["CRPIX2"], carried["CRPIX1B"]) == (8.5, 17.0, -1.0)
     assert carried["PSFTOL"] == 1e-4
 
@@ -178,7 +212,9 @@ def test_a_failed_job_does_not_stop_the_rest(client, model, tmp_path) -> None:
         {"scene": np.zeros((4, 4, 4))},
         {"scene": draw, "seed": 10},
     ]
-    with pytest.warns(psfield.PsfieldWarning, match="9 of 11 jobs failed, the first of them job 1: ValueError"):
+    with pytest.warns(
+        psfield.PsfieldWarning, match="9 of 11 jobs failed, the first of them job 1: ValueError"
+    ):
         results = psfield.dask.batch(jobs, model, tmp_path / "{index}.fits", client=client)
     assert [r.index for r in results if r.status == "written"] == [0, 10]
     texts = [r.error for r in results]
@@ -186,10 +222,10 @@ def test_a_failed_job_does_not_stop_the_rest(client, model, tmp_path) -> None:
         1: "[3, 4] is NaN",
         2: "missing.npy",
         3: "RuntimeError: no scene today",
-        4: "a job has no 'scenes'",
-        5: "nothing to convolve",
+        4: "a job has no key 'scenes'",
+        5: "nothing to simulate",
         6: "a job must be a dict, got str",
-        7: "seed must be a whole number",
+        7: "seed must be an integer",
         8: "already the output of job 0",
         9: r"[y, x]",
     }.items():
@@ -221,18 +257,22 @@ def test_zarr(client, model, tmp_path) -> None:
         psfield.dask.batch(jobs, model, path, 0.1, client=client, shape=SHAPE, keep=["scene"])
     with pytest.raises(ValueError, match="made with model"):
         psfield.dask.batch(jobs, model_of(2.0), path, client=client, shape=SHAPE, keep=["scene"])
-    with pytest.raises(ValueError, match="it has 4 frames, and there are 2 jobs"):
+    with pytest.raises(ValueError, match="it has 4 frames, but there are only 2 jobs"):
         psfield.dask.batch(jobs[:2], model, path, client=client, shape=SHAPE, keep=["scene"])
     with pytest.raises(ValueError, match="shape is not known"):
         psfield.dask.batch(jobs, model, path, client=client)
-    with pytest.raises(TypeError, match="how many"):
+    with pytest.raises(TypeError, match="the number of frames"):
         psfield.dask.batch(iter(jobs), model, path, client=client, shape=SHAPE)
-    results = psfield.dask.batch(jobs[:2], model, path, 0.1, client=client, shape=SHAPE, overwrite=True)
+    results = psfield.dask.batch(
+        jobs[:2], model, path, 0.1, client=client, shape=SHAPE, overwrite=True
+    )
     foreign = tmp_path / "data.zarr"
     foreign.mkdir()
     (foreign / "thesis.txt").write_text("years of work")
     with pytest.raises(ValueError, match="is not replaced"):
-        psfield.dask.batch(jobs[:2], model, foreign, 0.1, client=client, shape=SHAPE, overwrite=True)
+        psfield.dask.batch(
+            jobs[:2], model, foreign, 0.1, client=client, shape=SHAPE, overwrite=True
+        )
     assert (foreign / "thesis.txt").exists()
     assert [r.status for r in results] == ["written"] * 2
     assert zarr.open_group(path, mode="r")["image"].shape == (2, *SHAPE)
@@ -243,13 +283,20 @@ def test_frames_of_another_shape_are_refused_by_zarr(client, model, tmp_path) ->
     jobs = [{"scene": draw(1)}, {"scene": draw(2)[:1]}]
     with pytest.warns(psfield.PsfieldWarning, match="1 of 2 jobs failed"):
         results = psfield.dask.batch(jobs, model, tmp_path / "frames.zarr", client=client)
-    assert "are of shape (48, 64)" in results[1].error
+    assert "have the shape (48, 64)" in results[1].error
 
 
 def test_exposures(client, model, tmp_path) -> None:
     detector = psfield.detector.Detector(sky_e=20.0, read_noise_e=3.0)
     jobs = [{"scene": draw, "seed": seed} for seed in range(3)]
-    results = psfield.dask.batch(jobs, model, tmp_path / "{seed}.fits", client=client, detector=detector, keep=["truth", "scene"])
+    results = psfield.dask.batch(
+        jobs,
+        model,
+        tmp_path / "{seed}.fits",
+        client=client,
+        detector=detector,
+        keep=["truth", "scene"],
+    )
     for seed, result in enumerate(results):
         assert result.error is None
         truth = expected_of(model, seed)
@@ -261,7 +308,13 @@ def test_exposures(client, model, tmp_path) -> None:
             np.testing.assert_array_equal(hdus["TRUTH"].data, truth)
             np.testing.assert_array_equal(hdus["SCENE"].data, draw(seed))
     with pytest.warns(psfield.PsfieldWarning, match="needs a seed"):
-        psfield.dask.batch([{"scene": draw(1)}], model, tmp_path / "none{index}.fits", client=client, detector=detector)
+        psfield.dask.batch(
+            [{"scene": draw(1)}],
+            model,
+            tmp_path / "none{index}.fits",
+            client=client,
+            detector=detector,
+        )
 
 
 def test_files_that_fail_are_tried_again(client, model, tmp_path) -> None:
@@ -274,8 +327,13 @@ def test_files_that_fail_are_tried_again(client, model, tmp_path) -> None:
         return draw(seed)
 
     jobs = [{"scene": unsteady, "seed": seed} for seed in (0, 2, 3)]
-    with pytest.warns(psfield.PsfieldWarning, match="1 of 3 jobs failed, the first of them job 2: OSError: the disk is away"):
-        results = psfield.dask.batch(jobs, model, tmp_path / "{seed}.fits", client=client, retries=2)
+    with pytest.warns(
+        psfield.PsfieldWarning,
+        match="1 of 3 jobs failed, the first of them job 2: OSError: the disk is away",
+    ):
+        results = psfield.dask.batch(
+            jobs, model, tmp_path / "{seed}.fits", client=client, retries=2
+        )
     assert [r.status for r in results] == ["written", "written", "failed"]
     np.testing.assert_array_equal(fits.getdata(results[1].output), expected_of(model, 2))
 
@@ -284,7 +342,9 @@ def test_a_detector_of_one_job(client, model, tmp_path) -> None:
     detector = psfield.detector.Detector(photon_noise=True)
     jobs = [{"scene": draw, "seed": 1, "detector": detector}, {"scene": draw, "seed": 2}]
     results = psfield.dask.batch(jobs, model, tmp_path / "{index}.fits", client=client)
-    np.testing.assert_array_equal(fits.getdata(results[0].output), detector.expose(expected_of(model, 1), 1).counts)
+    np.testing.assert_array_equal(
+        fits.getdata(results[0].output), detector.expose(expected_of(model, 1), 1).counts
+    )
     np.testing.assert_array_equal(fits.getdata(results[1].output), expected_of(model, 2))
     pytest.importorskip("zarr")
     with pytest.warns(psfield.PsfieldWarning, match="has no array 'flags'"):
@@ -315,7 +375,12 @@ def test_a_killed_worker_loses_no_job(client, model, tmp_path, kind) -> None:
 
     output = tmp_path / "out" / ("{index:02d}.fits" if kind == "fits" else "frames.zarr")
     results = psfield.dask.batch(
-        [{"scene": slow, "seed": seed} for seed in range(count)], model, output, client=client, progress=kill, shape=SHAPE
+        [{"scene": slow, "seed": seed} for seed in range(count)],
+        model,
+        output,
+        client=client,
+        progress=kill,
+        shape=SHAPE,
     )
     assert killed
     assert killed[0] in before.values()
@@ -341,11 +406,21 @@ def test_a_job_that_kills_its_workers_fails_alone(model, tmp_path) -> None:
 
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+        ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
-        pytest.warns(psfield.PsfieldWarning, match="1 of 12 jobs failed, the first of them job 5: KilledWorker"),
+        pytest.warns(
+            psfield.PsfieldWarning,
+            match="1 of 12 jobs failed, the first of them job 5: KilledWorker",
+        ),
     ):
-        results = psfield.dask.batch([{"scene": poison, "seed": i} for i in range(12)], model, tmp_path / "{index}.fits", client=client)
+        results = psfield.dask.batch(
+            [{"scene": poison, "seed": i} for i in range(12)],
+            model,
+            tmp_path / "{index}.fits",
+            client=client,
+        )
     assert [r.index for r in results if r.status != "written"] == [5]
     assert len(os.listdir(tmp_path)) == 11
 
@@ -357,7 +432,9 @@ def test_unfinished_files_of_killed_workers_go(tmp_path) -> None:
     left = [tmp_path / f".{name}.psfield-0123456789ab-my-host-77" for name in ("1.fits", "2.fits")]
     for path in left:
         path.touch()
-    FitsFiles("psfield-ba9876543210", {}).remove_unfinished([output, str(tmp_path / "missing" / "1.fits")])
+    FitsFiles("psfield-ba9876543210", {}).remove_unfinished(
+        [output, str(tmp_path / "missing" / "1.fits")]
+    )
     assert os.listdir(tmp_path) == [left[1].name]
 
 
@@ -372,11 +449,11 @@ def test_a_cluster_of_its_own(model, tmp_path) -> None:
     ("output", "options", "message"),
     [
         ("frame.fits", {}, "must have {index} or {seed}"),
-        ("{index}{other}.fits", {}, "may have {index} and {seed}"),
+        ("{index}{other}.fits", {}, "is not a template with {index} or {seed}"),
         ("{index}.fits", {"threads": 0}, "threads must be"),
         ("{index}.fits", {"retries": -1}, "retries must be"),
         ("{index}.fits", {"keep": ["light"]}, "'scene' and 'truth'"),
-        ("{index}.fits", {"keep": ["truth"]}, "without a detector"),
+        ("{index}.fits", {"keep": ["truth"]}, "needs a detector"),
         ("{index}.fits", {"tolerance": 2.0}, "tolerance must be"),
     ],
 )

@@ -20,7 +20,9 @@ def test_the_snippets_run(tmp_path, monkeypatch, capsys) -> None:
     assert (len(here), len(snippets)) == (2, 3)
     names: dict[str, object] = {"__name__": "__main__"}
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+        ) as cluster,
         distributed.Client(cluster),
     ):
         for snippet in here:

@@ -23,7 +23,9 @@ EXAMPLES = ROOT / "python" / "examples"
 
 def run(name: str, folder: Path) -> str:
     """Run an example as a program, and return what it prints; it has nothing to complain about."""
-    sources = os.pathsep.join([str(Path(psfield.__file__).parents[1]), os.environ.get("PYTHONPATH", "")])
+    sources = os.pathsep.join(
+        [str(Path(psfield.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    )
     done = subprocess.run(
         [sys.executable, str(EXAMPLES / f"{name}.py"), str(folder)],
         capture_output=True,
@@ -105,8 +107,13 @@ def test_psfex_and_catalog(tmp_path):
 def test_training_set(tmp_path):
     text = run("training_set", tmp_path)
     assert number("blurred in .*: # a second", text) > 20
-    sharp, blurred = (np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in ("sharp", "blurred"))
-    assert sharp.shape == blurred.shape == (1000, 64, 64) and sharp.dtype == blurred.dtype == np.float32
+    sharp, blurred = (
+        np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in ("sharp", "blurred")
+    )
+    assert (
+        sharp.shape == blurred.shape == (1000, 64, 64)
+        and sharp.dtype == blurred.dtype == np.float32
+    )
     for pair in (0, 499, 999):
         assert sharp[pair].max() > 1.5 * blurred[pair].max() > 0
         assert 0.7 < blurred[pair].sum() / sharp[pair].sum() < 1
@@ -150,7 +157,9 @@ def sections(document: str) -> list[tuple[str, list[tuple[int, str]]]]:
     """Return the sections of a document: title, and blocks of Python, each with the number of its first line."""
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")
     made: list[tuple[str, list[tuple[int, str]]]] = [("", [])]
-    for found in re.finditer(r"^## ([^\n]*)$|^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+    for found in re.finditer(
+        r"^## ([^\n]*)$|^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL
+    ):
         if found[1] is not None:
             made.append((found[1], []))
         else:
@@ -167,7 +176,9 @@ def execute(blocks: list[tuple[int, str]], document: str, names: dict[str, Any])
     """Run blocks one after the other, as a reader would; lines are numbered as in the document."""
     for line, block in blocks:
         for module in OPTIONAL:
-            if re.search(rf"^(from|import) {module}\b", block, re.MULTILINE) and not available(module):
+            if re.search(rf"^(from|import) {module}\b", block, re.MULTILINE) and not available(
+                module
+            ):
                 pytest.skip(f"{module} is not installed")
         exec(compile("\n" * line + block, document, "exec"), names)
 
@@ -226,4 +237,6 @@ def test_coming_from_regularizepsf(tmp_path, monkeypatch):
 def test_links_lead_somewhere(document):
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", text):
-        assert target.startswith("https://") or (ROOT / "docs" / target).exists(), f"{document}: {target} is not there"
+        assert target.startswith("https://") or (ROOT / "docs" / target).exists(), (
+            f"{document}: {target} is not there"
+        )

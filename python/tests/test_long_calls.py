@@ -38,7 +38,7 @@ def test_tqdm_bars_are_taken(long_plan, large_scene):
     with open(os.devnull, "w") as nowhere, tqdm.tqdm(file=nowhere) as bar:
         long_plan.simulate(large_scene, progress=bar)
         assert bar.n == bar.total > 0
-    with pytest.raises(TypeError, match="progress must be callable"):
+    with pytest.raises(TypeError, match="progress must be a function"):
         long_plan.simulate(large_scene, progress=5)
 
 
@@ -91,7 +91,10 @@ def test_calls_do_not_write_to_one_array_at_once(long_plan, large_scene):
     refused = []
 
     def look(done, total):
-        for call in (lambda: long_plan.simulate(large_scene, out=out), lambda: long_plan.simulate(out)):
+        for call in (
+            lambda: long_plan.simulate(large_scene, out=out),
+            lambda: long_plan.simulate(out),
+        ):
             with pytest.raises(ValueError, match="another call") as error:
                 call()
             refused.append(str(error.value)[:3])
@@ -136,9 +139,13 @@ INTERRUPTED = """
 
 def test_ctrl_c_stops_the_work():
     program = textwrap.dedent(INTERRUPTED).format(tests=str(ROOT / "python" / "tests"))
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False
+    )
     lines = [line.split() for line in ran.stdout.splitlines()]
-    assert [line[:2] for line in lines] == [[name, "stopped"] for name in ("simulate", "galaxies", "adjoint", "sample")], ran.stderr
+    assert [line[:2] for line in lines] == [
+        [name, "stopped"] for name in ("simulate", "galaxies", "adjoint", "sample")
+    ], ran.stderr
     for name, _, seconds, whole in lines:
         # Long before the end of even one call of a hundred, or of a hundred of the galaxies.
         assert float(seconds) < 0.3 + 2.0 + float(whole), name
@@ -179,8 +186,12 @@ ALL_AT_ONCE = """
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_first_sources_may_come_to_many_threads_at_once(threads):
     # A thread that plans and is given the next call, which waits for its plan, would wait for ever.
-    program = textwrap.dedent(ALL_AT_ONCE).format(tests=str(ROOT / "python" / "tests"), threads=threads)
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    program = textwrap.dedent(ALL_AT_ONCE).format(
+        tests=str(ROOT / "python" / "tests"), threads=threads
+    )
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
     assert ran.stdout == "done\n", ran.stderr
 
 
@@ -205,5 +216,7 @@ NESTED = """
 def test_functions_of_the_caller_may_use_psfield(threads):
     # Were they called by the threads that do the work, the work that they ask for would wait for them.
     program = textwrap.dedent(NESTED).format(tests=str(ROOT / "python" / "tests"), threads=threads)
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False)
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False
+    )
     assert ran.stdout == "True\n", ran.stderr

@@ -43,11 +43,18 @@ PROGRAM = """
 """
 
 
-@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="only Linux tells of the peak of a call")
+@pytest.mark.skipif(
+    not Path("/proc/self/clear_refs").exists(), reason="only Linux tells of the peak of a call"
+)
 def test_a_call_takes_the_memory_of_its_image_alone():
     program = textwrap.dedent(PROGRAM).format(tests=str(ROOT / "python" / "tests"))
-    ran = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True)
-    figures = {name: (int(peak), int(image)) for name, peak, image in (line.split() for line in ran.stdout.splitlines())}
+    ran = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=True
+    )
+    figures = {
+        name: (int(peak), int(image))
+        for name, peak, image in (line.split() for line in ran.stdout.splitlines())
+    }
     assert set(figures) == {"new", "out", "cut_out", "adjoint"}
     for name, (peak, image) in figures.items():
         assert peak <= (0 if name == "out" else image) + WORK, (name, peak)

@@ -32,7 +32,10 @@ class TestMetrics:
         assert metrics.fit_gaussian(self.stamp, round=True).ellipticity == 0.0
 
     def test_moments(self):
-        for moments in (metrics.adaptive_moments(self.stamp), metrics.quadrupole_moments(self.stamp)):
+        for moments in (
+            metrics.adaptive_moments(self.stamp),
+            metrics.quadrupole_moments(self.stamp),
+        ):
             assert moments.sigma == pytest.approx(np.sqrt(6.0), rel=1e-4)
             assert moments.e1 == pytest.approx((4 - 9) / (4 + 9), rel=1e-4)
             assert moments.g1 == pytest.approx((2 - 3) / (2 + 3), rel=1e-4)
@@ -45,7 +48,9 @@ class TestMetrics:
         own = metrics.adaptive_moments(stamp)
         # GalSim stops at 1e-6.
         assert own.sigma == pytest.approx(theirs.moments_sigma, rel=1e-5)
-        assert (own.g1, own.g2) == pytest.approx((theirs.observed_shape.g1, theirs.observed_shape.g2), abs=1e-5)
+        assert (own.g1, own.g2) == pytest.approx(
+            (theirs.observed_shape.g1, theirs.observed_shape.g2), abs=1e-5
+        )
 
     def test_comparisons(self):
         truth = np.arange(1.0, 13.0).reshape(3, 4)
@@ -93,13 +98,22 @@ class TestDetector:
     """From light to counts."""
 
     def test_the_chain(self):
-        ccd = detector.Detector(photon_noise=True, sky_e=100.0, read_noise_e=5.0, gain_e_per_adu=2.0, bias_adu=300, bits=np.int64(12))
+        ccd = detector.Detector(
+            photon_noise=True,
+            sky_e=100.0,
+            read_noise_e=5.0,
+            gain_e_per_adu=2.0,
+            bias_adu=300,
+            bits=np.int64(12),
+        )
         light = np.zeros((200, 300), np.float32)
         light[5, 7] = 1e6
         exposure = ccd.expose(light, 42)
         assert exposure.counts.dtype == np.float32 and exposure.counts.shape == light.shape
         assert exposure.counts[5, 7] == ccd.saturation == 4095
-        assert exposure.flags[5, 7] == detector.SATURATED and exposure.report["saturated_pixels"] == 1
+        assert (
+            exposure.flags[5, 7] == detector.SATURATED and exposure.report["saturated_pixels"] == 1
+        )
         good = exposure.counts[exposure.flags == 0]
         assert good.mean() == pytest.approx(350, abs=0.1)
         assert good.std() == pytest.approx(np.sqrt(125) / 2, rel=0.02)
@@ -124,21 +138,25 @@ class TestDetector:
             detector.Detector().expose(np.ones((30, 40)), 0, bad_pixels=mask + 100)
 
     def test_parameters(self, tmp_path):
-        ccd = detector.Detector(read_noise_e=3.0, bad_pixels={"dead_fraction": 0.1}, full_well_e=None)
+        ccd = detector.Detector(
+            read_noise_e=3.0, bad_pixels={"dead_fraction": 0.1}, full_well_e=None
+        )
         assert ccd.params["bad_pixels"]["dead_fraction"] == 0.1
         assert repr(ccd).startswith("Detector(read_noise_e=3.0, bad_pixels=")
         again = pickle.loads(pickle.dumps(ccd))
         assert again.params == ccd.params
-        (tmp_path / "ccd.toml").write_text("read_noise_e = 3.0\n[bad_pixels]\ndead_fraction = 0.1\n")
+        (tmp_path / "ccd.toml").write_text(
+            "read_noise_e = 3.0\n[bad_pixels]\ndead_fraction = 0.1\n"
+        )
         assert detector.Detector.from_toml(tmp_path / "ccd.toml").params == ccd.params
 
     @pytest.mark.parametrize(
         ("params", "error", "text"),
         [
-            ({"reed_noise": 1.0}, ValueError, "reed_noise"),
+            ({"reed_noise": 1.0}, TypeError, "reed_noise"),
             ({"read_noise_e": -1.0}, ValueError, "read_noise_e"),
             ({"read_noise_e": "low"}, ValueError, "the detector"),
-            ({"read_noise_e": np.ones(3)}, TypeError, "neither a number nor a text"),
+            ({"read_noise_e": np.ones(3)}, TypeError, "not a number or a string"),
             ({"dark_e_per_s": 1.0}, ValueError, "exposure_s"),
             ({"bits": 40}, ValueError, "bits"),
         ],

@@ -36,7 +36,9 @@ def test_evaluate_draws_stars_at_their_phase():
     stamp = gaussian_stamp(6.0, 65)
     model = psfield.PsfModel.from_samples(stamp[None] * 16, [(0, 0)], oversampling=4)
     drawn = model.evaluate(10.25, 20.0, pixels="frame", sub_pixel=True, size=13)
-    assert relative_l2(drawn, gaussian_stamp(1.5, 13, shift=(0.25, 0.0))) < 1e-3  # The cubic spline's own error.
+    assert (
+        relative_l2(drawn, gaussian_stamp(1.5, 13, shift=(0.25, 0.0))) < 1e-3
+    )  # The cubic spline's own error.
     with pytest.raises(ValueError, match="sub-pixel"):
         model.evaluate(10.25, 20.0, sub_pixel=True)
     with pytest.raises(ValueError, match="pixels must be stamp or frame"):
@@ -54,39 +56,64 @@ def test_positions_off_the_field_are_refused(model):
 
 
 def test_a_model_tells_of_itself(model):
-    assert (model.field_shape, model.stamp_shape, model.oversampling, model.centre) == ((96, 128), (17, 17), 1.0, (8.0, 8.0))
+    assert (model.field_shape, model.stamp_shape, model.oversampling, model.centre) == (
+        (96, 128),
+        (17, 17),
+        1.0,
+        (8.0, 8.0),
+    )
     assert model.pixel_response_included is True
     assert model.positions.shape == (16, 2)
     assert (model.interpolation, model.outside, model.normalise) == ("bicubic", "nearest", "unit")
     assert model.mean.shape == (17, 17)
-    assert model.components.shape == (model.rank, 17, 17) and model.coefficients.shape == (16, model.rank)
+    assert model.components.shape == (model.rank, 17, 17) and model.coefficients.shape == (
+        16,
+        model.rank,
+    )
     flat = model.components.reshape(model.rank, -1)
     assert np.allclose(flat @ flat.T, np.eye(model.rank), atol=1e-10)
     report = model.fit_report()
-    assert report["rank"] == model.rank and report["max_error"] <= RANK and len(report["errors"]) == 16
+    assert (
+        report["rank"] == model.rank and report["max_error"] <= RANK and len(report["errors"]) == 16
+    )
     assert repr(model) == "<PsfModel: 16 samples, stamps 17 x 17, oversampling 1, field 96 x 128>"
     assert model.notes == () and model.sampling is None
 
 
 def test_a_basis_of_one_s_own(model):
     again = psfield.PsfModel.from_basis(
-        model.mean, model.components, model.coefficients, model.positions, field_shape=(96, 128), interpolation="bicubic"
+        model.mean,
+        model.components,
+        model.coefficients,
+        model.positions,
+        field_shape=(96, 128),
+        interpolation="bicubic",
     )
     assert np.array_equal(again.evaluate(17.5, 80.25), model.evaluate(17.5, 80.25))
     assert again.fit_report() is None
     with pytest.raises(ValueError, match="inner product"):
         psfield.PsfModel.from_basis(None, 2 * model.components, model.coefficients, model.positions)
     with pytest.raises(ValueError, match="coefficient"):
-        psfield.PsfModel.from_basis(None, model.components, model.coefficients[:, :1], model.positions)
+        psfield.PsfModel.from_basis(
+            None, model.components, model.coefficients[:, :1], model.positions
+        )
 
 
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: widening_model(rank=3, interpolation="delaunay", outside="extend", noise=1e-6, centring="none"),
-        lambda: widening_model(rank="error=0.01", oversampling=2.5, centre=(8.25, 7.5), pixel_response_included=False),
-        lambda: psfield.PsfModel.from_samples([gaussian_stamp(1.0)], [(3, 4)], stamp_interpolation="lanczos3", normalise="keep"),
-        lambda: psfield.PsfModel.from_basis(None, gaussian_stamp(1.0)[None] / np.linalg.norm(gaussian_stamp(1.0)), [[2.0]], [(3, 4)]),
+        lambda: widening_model(
+            rank=3, interpolation="delaunay", outside="extend", noise=1e-6, centring="none"
+        ),
+        lambda: widening_model(
+            rank="error=0.01", oversampling=2.5, centre=(8.25, 7.5), pixel_response_included=False
+        ),
+        lambda: psfield.PsfModel.from_samples(
+            [gaussian_stamp(1.0)], [(3, 4)], stamp_interpolation="lanczos3", normalise="keep"
+        ),
+        lambda: psfield.PsfModel.from_basis(
+            None, gaussian_stamp(1.0)[None] / np.linalg.norm(gaussian_stamp(1.0)), [[2.0]], [(3, 4)]
+        ),
     ],
 )
 def test_pickled_models_are_the_same(make):
@@ -113,7 +140,8 @@ class TestBadSamples:
             (good, [0, 1, 2], ValueError, "positions must be"),
             (good, np.zeros((3, 3)), ValueError, "of x and y"),
             (good, [(0, 0), (10, 0), (0, np.nan)], ValueError, "finite"),
-            (good[0], places, ValueError, r"\[sample, y, x\]"),
+            (good[0, 0], places, ValueError, r"\[sample, y, x\]"),
+            (good[0], places, ValueError, "one for each position"),
             (np.zeros((0, 17, 17)), np.zeros((0, 2)), ValueError, "stamps is empty"),
             (np.zeros((3, 17, 17)), places, ValueError, "flux"),
             (np.where(good > 0.01, np.nan, good), places, ValueError, "NaN|finite"),
@@ -146,14 +174,22 @@ class TestBadSamples:
             psfield.PsfModel.from_samples(self.good, self.places, **options).evaluate(0, 0)
 
     def test_other_types_of_numbers_are_taken(self):
-        expected = psfield.PsfModel.from_samples(self.good.astype(np.float32), self.places).evaluate(3, 3)
+        expected = psfield.PsfModel.from_samples(
+            self.good.astype(np.float32), self.places
+        ).evaluate(3, 3)
         for stamps in (
             self.good.astype(">f4"),
             np.asfortranarray(self.good.astype(np.float32)),
             self.good.astype(np.float32)[:, ::-1][:, ::-1],
         ):
-            for positions in (np.array(self.places, np.int16), np.array(self.places, ">f8"), {"x": [0, 10, 0], "y": [0, 0, 10]}):
-                assert np.array_equal(psfield.PsfModel.from_samples(stamps, positions).evaluate(3, 3), expected)
+            for positions in (
+                np.array(self.places, np.int16),
+                np.array(self.places, ">f8"),
+                {"x": [0, 10, 0], "y": [0, 0, 10]},
+            ):
+                assert np.array_equal(
+                    psfield.PsfModel.from_samples(stamps, positions).evaluate(3, 3), expected
+                )
 
 
 class TestFunctions:
@@ -165,7 +201,9 @@ class TestFunctions:
             return gaussian_stamp(1.5 + np.exp((x - 399) / 40))
 
         steps = []
-        model = psfield.PsfModel.from_function(draw, (300, 400), threshold=0.005, progress=lambda *step: steps.append(step))
+        model = psfield.PsfModel.from_function(
+            draw, (300, 400), threshold=0.005, progress=lambda *step: steps.append(step)
+        )
         assert model.sampling["outcome"] == "met" and model.sampling["worst"] <= 0.005
         assert model.sampling["samples"] == len(model.positions)
         right = np.mean(model.positions[:, 0] > 300)
@@ -176,14 +214,18 @@ class TestFunctions:
         assert model.field_shape == (300, 400)
 
     def test_a_regular_grid(self):
-        model = psfield.PsfModel.from_function(lambda x, y: gaussian_stamp(1.0 + x / 99), (80, 100), uniform=(3, 4))
+        model = psfield.PsfModel.from_function(
+            lambda x, y: gaussian_stamp(1.0 + x / 99), (80, 100), uniform=(3, 4)
+        )
         assert len(model.positions) == 12 and model.interpolation == "bicubic"
 
     def test_images_of_galsim_are_taken(self):
         class Image:
             array = gaussian_stamp(1.0)
 
-        assert psfield.PsfModel.from_function(lambda x, y: Image(), (10, 10)).evaluate(5, 5).shape == (17, 17)
+        assert psfield.PsfModel.from_function(lambda x, y: Image(), (10, 10)).evaluate(
+            5, 5
+        ).shape == (17, 17)
 
     def test_an_error_of_the_function_is_told(self):
         def draw(x, y):
@@ -220,7 +262,9 @@ class TestFunctions:
     )
     def test_settings(self, options, text):
         with pytest.raises(ValueError, match=text):
-            psfield.PsfModel.from_function(lambda x, y: gaussian_stamp(1.0 + x / 50 + (y / 70) ** 2), (100, 100), **options)
+            psfield.PsfModel.from_function(
+                lambda x, y: gaussian_stamp(1.0 + x / 50 + (y / 70) ** 2), (100, 100), **options
+            )
 
 
 class TestFiles:
@@ -238,9 +282,21 @@ class TestFiles:
 
     def test_psfex_and_libraries_come_back(self, model, tmp_path):
         model.write(tmp_path / "model.psf", format="psfex", degree=3)
-        assert relative_l2(psfield.PsfModel.read(tmp_path / "model.psf").evaluate(50, 50), model.evaluate(50, 50)) < 1e-2
+        assert (
+            relative_l2(
+                psfield.PsfModel.read(tmp_path / "model.psf").evaluate(50, 50),
+                model.evaluate(50, 50),
+            )
+            < 1e-2
+        )
         model.write(tmp_path / "library.fits", format="gridded", grid_shape=(15, 15))
-        assert relative_l2(psfield.PsfModel.read(tmp_path / "library.fits").evaluate(50, 50), model.evaluate(50, 50)) < 1e-2
+        assert (
+            relative_l2(
+                psfield.PsfModel.read(tmp_path / "library.fits").evaluate(50, 50),
+                model.evaluate(50, 50),
+            )
+            < 1e-2
+        )
         with pytest.raises(ValueError, match="format must be"):
             model.write(tmp_path / "x", format="fits")
         with pytest.raises(ValueError, match="degree"):

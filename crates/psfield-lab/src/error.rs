@@ -6,8 +6,8 @@ use thiserror::Error;
 
 use crate::plot::PlotError;
 
-/// Errors of measuring, comparing and showing simulations: those of the pipeline, and of what is
-/// done with its results.
+/// Errors of measuring, comparing and showing simulations: those of the pipeline, and those of the
+/// steps after it.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LabError {
@@ -19,7 +19,7 @@ pub enum LabError {
     Plot(#[from] PlotError),
     /// No star can be measured in a frame and its simulation.
     #[error(
-        "none of the {stars} stars could be measured in both frames in windows of {window} pixels: try another window (--window)"
+        "none of the {stars} stars could be measured in both frames in windows of {window} pixels: choose another window"
     )]
     NothingMeasured {
         /// Stars that became samples.
@@ -29,21 +29,21 @@ pub enum LabError {
     },
     /// Objects that would overlap.
     #[error(
-        "{across} x {across} objects do not fit onto a frame of {frame} pixels: neighbours must be {least_apart} pixels apart; ask for \
-         fewer objects or a larger frame"
+        "{across} x {across} objects do not fit into a frame of {frame} pixels, because neighbours must be {least_apart} pixels apart: ask \
+         for fewer objects or a larger frame"
     )]
     ObjectsTooClose {
         /// The frame.
         frame: FrameShape,
         /// Objects along each axis.
         across: usize,
-        /// Pixels that neighbours need.
+        /// Smallest distance of neighbours in pixels.
         least_apart: usize,
     },
-    /// A model and true PSFs on pixels that cannot be compared.
+    /// True PSFs and a model that differ in the pixel response, so that they cannot be compared.
     #[error(
-        "the true PSFs are without the response of a pixel and the model's are with it: they cannot be compared; sample the model from PSFs \
-         without it (PIXCONV)"
+        "the true PSFs lack the pixel response and those of the model include it, so they cannot be compared: sample the model from PSFs \
+         without the pixel response (PIXCONV)"
     )]
     TruthWithoutPixels,
 }

@@ -2,12 +2,12 @@
 //! figures and tables of the method's paper ([`report`]), the round trip from a frame to its
 //! simulation ([`RoundTrip`]), figures ([`plot`]) and pictures of images ([`preview`]).
 //!
-//! It stands on the library and knows nothing of the command line.
+//! It builds on the library and does not depend on the command line.
 //!
 //! # Features
-//! `gpu` (default): that of [`psfield`].
+//! `gpu` (default): the feature of that name of [`psfield`].
 
-/// A row of a table, and the names of its columns: those of its fields.
+/// Declares a row of a table, and the names of its columns, which are those of its fields.
 macro_rules! table_row {
     ($(#[$meta:meta])* $columns:ident $row:ident { $($field:ident: $type:ty,)+ }) => {
         #[doc = concat!("The columns of a table of [`", stringify!($row), "`]s.")]

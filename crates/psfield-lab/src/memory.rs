@@ -2,12 +2,12 @@
 
 use std::fs;
 
-/// The most bytes that this process has held, where the system tells.
+/// The largest number of bytes that this process has held, if the system tells.
 pub fn peak_memory_bytes() -> Option<u64> {
     kibibytes("/proc/self/status", "VmHWM:")
 }
 
-/// The bytes of memory that are free for use, where the system tells.
+/// The bytes of memory that are free for use, if the system tells.
 pub fn available_memory_bytes() -> Option<u64> {
     kibibytes("/proc/meminfo", "MemAvailable:")
 }
@@ -19,24 +19,25 @@ fn kibibytes(file: &str, key: &str) -> Option<u64> {
     Some(kibibytes * 1024)
 }
 
-/// Watches the memory of this process from one moment on, where the system tells (Linux).
+/// Watches the memory of this process from one moment on, if the system tells (Linux).
 ///
-/// Growth alone would say little: what earlier work gave back stays with the process and is used again.
+/// The growth of memory would say little: memory that earlier work has freed stays with the process
+/// and is used again.
 #[derive(Debug)]
 pub(super) struct PeakMemory {
     marked: bool,
 }
 
 impl PeakMemory {
-    /// From now on.
+    /// Starts watching.
     pub(super) fn start() -> Self {
-        // Sets the mark of the most memory held back to what is held now.
+        // Resets the recorded peak to the memory held now.
         Self {
             marked: fs::write("/proc/self/clear_refs", "5").is_ok(),
         }
     }
 
-    /// The most bytes held since then.
+    /// The largest number of bytes held since the start.
     pub(super) fn bytes(&self) -> Option<u64> {
         self.marked.then(peak_memory_bytes).flatten()
     }

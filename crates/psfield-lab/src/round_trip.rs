@@ -1,4 +1,5 @@
-//! From a frame to samples to a model to a simulated frame, and how its stars compare with those of the frame.
+//! From a frame to samples, to a model, to a simulated frame, and a comparison of its stars with
+//! those of the frame.
 
 use conv_core::StarPainter;
 use metrics::Summary;
@@ -15,16 +16,20 @@ use crate::LabError;
 
 /// The round trip of the method's paper (section 3.1).
 ///
-/// 1. PSF samples from the stars of the frame ([`StarSampling`]), and a model fitted to them.
-/// 2. Simulated frames: every source found, with its measured position and flux, drawn as a point source through the model, on the
-///    measured background, cut at the saturation level.
-/// 3. FWHM and ellipticity of the stars that became samples, measured alike in both: an elliptical Gaussian with background in a small
-///    window about the same pixel.
+/// 1. PSF samples are made from the stars of the frame ([`StarSampling`]), and a model is fitted to
+///    them.
+/// 2. Frames are simulated: every source found is drawn by the model as a point source, with its
+///    measured position and flux, on the measured background, and truncated at the saturation
+///    level.
+/// 3. FWHM and ellipticity of the stars that became samples are measured in the same way in both:
+///    with an elliptical Gaussian and a background, in a small window about the same pixel.
 ///
-/// Noise widens the distribution of what is measured, so each simulated frame gets noise as the frame has it: the measured background
-/// noise, and the photons of the stars where the gain is known. One frame of noise is one draw; the distribution compared with is that of
-/// [`realisations`](RoundTripOptions::realisations) of them. The stars compared are those that the model was made of: this judges the whole
-/// chain, not how well the PSF is known between the stars, which the leave-one-out errors of a fit tell.
+/// Noise widens the distribution of measured values. Each simulated frame therefore gets the noise
+/// of the frame: the measured background noise, and the photon noise of the stars if the gain is
+/// known. One frame of noise is a single draw, so the distribution is that of
+/// [`realisations`](RoundTripOptions::realisations) frames. The stars compared are those from which
+/// the model was made. This judges the whole chain, not the PSF between the stars, which the
+/// leave-one-out errors of a fit measure.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RoundTrip {
@@ -36,9 +41,9 @@ pub struct RoundTrip {
     pub singular_values: Vec<f64>,
     /// The first simulated frame.
     pub simulated: Image<f64>,
-    /// The frame less the first simulated frame.
+    /// The frame minus the first simulated frame.
     pub residual: Image<f64>,
-    /// Star by star.
+    /// One row per star.
     pub rows: Vec<RoundTripRow>,
     /// FWHM of the stars in all simulated frames.
     pub simulated_fwhm_px: Vec<f64>,
@@ -48,27 +53,27 @@ pub struct RoundTrip {
     pub report: RoundTripReport,
 }
 
-/// How a round trip is made.
+/// The settings of a round trip.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RoundTripOptions {
-    /// How stars are found and chosen.
+    /// Finds and selects stars.
     pub sampling: StarSampling,
-    /// How samples become a model.
+    /// Fits the model to the samples.
     pub fit: FitOptions,
-    /// Pixels along each side of the measuring window; by default four FWHM, at least 7.
+    /// Pixels along each side of the measuring window. Default: four FWHM, at least 7.
     pub window: Option<usize>,
-    /// Whether the simulated frames get noise.
+    /// True if the simulated frames get noise.
     pub noise: bool,
-    /// Electrons per unit of the frame, for the photons of the stars.
+    /// Electrons per unit of the frame, for the photon noise of the stars.
     pub gain: Option<f64>,
-    /// Simulated frames that are measured, at least 1; without noise one is enough.
+    /// Number of simulated frames that are measured, at least 1. Without noise it is always 1.
     pub realisations: u32,
     /// Seed of the noise.
     pub seed: u64,
 }
 
 impl RoundTripOptions {
-    /// Simulated frames unless told otherwise.
+    /// Default number of simulated frames.
     pub const DEFAULT_REALISATIONS: u32 = 8;
 }
 
@@ -183,7 +188,7 @@ fn shape(measurement: &Measurement) -> Option<(f64, f64)> {
     measurement.fwhm_px.zip(measurement.ellipticity)
 }
 
-/// The stars that became samples, in the order of the sources.
+/// The rows of the stars that became samples, in the order of the sources.
 fn rows(stars: &StarSamples, in_frame: &[Measurement], in_simulated: &[Measurement]) -> Vec<RoundTripRow> {
     let samples = stars.sources.iter().filter(|s| s.sample.is_some());
     samples
@@ -206,7 +211,8 @@ fn rows(stars: &StarSamples, in_frame: &[Measurement], in_simulated: &[Measureme
 }
 
 table_row! {
-    /// A star in the frame and in the first simulated frame, measured in the same way. An empty field is a measurement that failed.
+    /// A star in the frame and in the first simulated frame, measured in the same way. The field of
+    /// a failed measurement is empty.
     #[derive(Debug, Clone, PartialEq, Serialize)]
     #[non_exhaustive]
     #[allow(
@@ -229,17 +235,18 @@ table_row! {
     }
 }
 
-/// A quantity of the stars of the frame beside that of the simulated stars.
+/// A quantity of the stars in the frame and of the simulated stars.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Agreement {
-    /// In the frame, one value a star.
+    /// In the frame, one value per star.
     pub frame: Distribution,
     /// In all simulated frames together.
     pub simulated: Distribution,
-    /// Median of the simulated stars over that of the frame's.
+    /// Median of the simulated stars over the median of the stars in the frame.
     pub median_ratio: f64,
-    /// Mean absolute difference of a star in the first simulated frame from the same star in the frame: with the noise of both.
+    /// Mean absolute difference between a star in the first simulated frame and the star in the
+    /// frame. It includes the noise of both.
     pub mean_absolute_error: f64,
     /// Kolmogorov-Smirnov distance of the two distributions.
     pub ks_distance: f64,
@@ -274,7 +281,8 @@ impl Distribution {
 }
 
 impl Agreement {
-    /// `pairs`: a star in the frame and in the first simulated frame; `simulated`: the same stars in all simulated frames.
+    /// Compares `pairs` (a star in the frame and in the first simulated frame) and `simulated` (the
+    /// stars in all simulated frames). None if there are no values.
     pub(crate) fn of(pairs: &[(f64, f64)], simulated: &[f64]) -> Option<Self> {
         let frame: Vec<f64> = pairs.iter().map(|p| p.0).collect();
         let (of_frame, of_simulated) = (Distribution::of(&frame)?, Distribution::of(simulated)?);
@@ -295,15 +303,15 @@ impl Agreement {
 pub struct RoundTripReport {
     /// Stars that became PSF samples.
     pub stars: usize,
-    /// Those that could be measured in the frame and in the first simulated frame.
+    /// Stars that could be measured in the frame and in the first simulated frame.
     pub measured: usize,
     /// Point sources drawn into each simulated frame.
     pub drawn: usize,
-    /// Pixels along each side of the window that a Gaussian was fitted in.
+    /// Pixels along each side of the window in which a Gaussian was fitted.
     pub window_px: usize,
-    /// Simulated frames.
+    /// Number of simulated frames.
     pub realisations: u32,
-    /// Whether they have noise.
+    /// True if the simulated frames have noise.
     pub noise: bool,
     /// Components of the PSF model, the mean not counted.
     pub rank: usize,
@@ -311,12 +319,13 @@ pub struct RoundTripReport {
     pub fwhm_px: Agreement,
     /// Ellipticity `sqrt(1 - b^2 / a^2)` of the Gaussian fit.
     pub ellipticity: Agreement,
-    /// R.m.s. of the difference of frame and first simulated frame, in units of the background noise.
+    /// R.m.s. of the difference between the frame and the first simulated frame, in units of the
+    /// background noise.
     pub residual_over_noise: f64,
 }
 
-/// The frame that shows `light` `[y, x]`, with what the optics do not add: background, noise,
-/// saturation. Each realisation has noise of its own.
+/// Returns the frame that shows `light` `[y, x]`, with background, noise and saturation, which the
+/// optics do not add. Each realisation has its own noise.
 fn simulated_frame(
     light: &Array2<f64>,
     stars: &StarSamples,
@@ -348,7 +357,8 @@ fn simulated_frame(
     frame
 }
 
-/// The two-sample Kolmogorov-Smirnov distance: the largest difference of the two cumulative distributions; none where either is empty.
+/// The two-sample Kolmogorov-Smirnov distance: the largest difference of the two cumulative
+/// distributions. None if either is empty.
 fn kolmogorov_smirnov(a: &[f64], b: &[f64]) -> Option<f64> {
     if a.is_empty() || b.is_empty() {
         return None;
@@ -364,16 +374,16 @@ fn kolmogorov_smirnov(a: &[f64], b: &[f64]) -> Option<f64> {
     Some(distances.fold(0.0, f64::max))
 }
 
-/// The measuring window in FWHM, and at least so many pixels.
+/// Side of the measuring window in FWHM. The window has at least [`LEAST_WINDOW`] pixels.
 const WINDOW_FWHM: f64 = 4.0;
 const LEAST_WINDOW: usize = 7;
 
-/// Pixels along each side of the window in which a star is measured: an odd number.
+/// Pixels along each side of the window in which a star is measured, an odd number.
 pub(crate) fn measuring_window(fwhm_px: f64) -> usize {
     ((WINDOW_FWHM * fwhm_px).ceil() as usize | 1).max(LEAST_WINDOW)
 }
 
-/// Stars on a dark frame `[y, x]`, without noise.
+/// Draws stars on an empty frame `[y, x]`, without noise.
 pub(crate) fn drawn(
     model: &PsfModel,
     sources: &[PointSource],
@@ -385,7 +395,7 @@ pub(crate) fn drawn(
     Ok(light)
 }
 
-/// Every source with light on the frame, whether it became a sample or not.
+/// Returns every source with light on the frame. Sources that did not become samples are included.
 pub(crate) fn drawn_sources(stars: &StarSamples) -> Result<Vec<PointSource>, PsfieldError> {
     let field = stars.samples.positions().field();
     let mut sources = Vec::with_capacity(stars.sources.len());

@@ -1,9 +1,10 @@
-"""Simulations on Dask: scenes larger than one machine's memory, and data sets of many frames.
+"""Simulations on Dask: scenes larger than the memory of a machine, and data sets of many frames.
 
-`simulate` takes a scene that is a chunked Dask array and gives its image as one; `batch` makes many frames on the workers of a cluster,
-which write them to FITS files or to Zarr.
+`simulate` turns a scene that is a chunked Dask array into its image, also a chunked array. `batch`
+simulates many frames on the workers of a cluster, which write them to FITS files or to Zarr.
 
-It needs ``dask[array]``, and `batch` needs ``distributed``: ``pip install 'psfield[dask]'``. FITS files need astropy, Zarr needs zarr.
+The module needs ``dask[array]``, and `batch` needs ``distributed``: ``pip install
+'psfield[dask]'``. FITS files need astropy, Zarr needs zarr.
 """
 
 from psfield.dask._batch import batch

@@ -14,8 +14,8 @@ import dask
 import dask.system
 from dask.base import tokenize
 
-from psfield._arrays import shape_or_none
-from psfield._choices import whole, whole_or_none
+from psfield._arrays import Precision, shape_or_none
+from psfield._choices import integer, integer_or_none
 from psfield._defaults import DEFAULTS
 from psfield._errors import PsfieldWarning
 from psfield._model import PsfModel
@@ -36,7 +36,7 @@ def batch(
     model: PsfModel,
     output: str | os.PathLike[str] | None = None,
     tolerance: float = DEFAULTS.tolerance,
-    precision: Literal["f32", "f64"] = DEFAULTS.precision,
+    precision: Precision = DEFAULTS.precision,
     device: Literal["auto", "cpu", "gpu"] = "cpu",
     *,
     shape: tuple[int, int] | None = None,
@@ -54,45 +54,54 @@ def batch(
     oversample: int = DEFAULTS.oversample,
     stamp_size: int | None = None,
 ) -> list[JobResult]:
-    """Make many frames on the workers of a Dask cluster, which write them themselves.
+    """Simulate many frames on the workers of a Dask cluster, which write them to files.
 
-    The PSF is sent to each worker once, and a worker plans once for each shape of scenes. Frames are written as they are finished, each
-    whole or not at all. Jobs of a worker that is lost are run again on others; a job that fails does not stop the rest; and a second run
-    makes what the first left undone.
+    The PSF is sent to each worker once, and a worker makes one plan for each shape of scenes. Each
+    frame is written as soon as it is finished. No partial file is left if that fails. The jobs of a
+    lost worker run again on others, and a job that fails does not stop the rest. A second run makes
+    only the frames that are missing.
 
     Parameters
     ----------
     jobs : iterable of dict
-        The frames: see `Job`. It may be a generator: only a few jobs for each worker's thread are taken from it ahead of time. Scenes and
-        catalogues that are files, or functions that draw them, are read and called on the workers, which is better than sending arrays.
+        The frames: see `Job`. It may be a generator, from which only a few jobs per thread of the
+        workers are taken in advance. Prefer scenes and catalogues that are files or functions:
+        workers read and call them, and arrays need not be sent.
     model : PsfModel
         The PSF.
     output : path, optional
-        Where frames go. A name with ``{index}`` (from 0; ``{index:06d}`` with leading zeros) or ``{seed}``, such as
-        ``"frames/{index:06d}.fits"``, is one FITS file a frame. A name that ends in ``.zarr`` is one Zarr group: its array ``image`` is
-        ``[job, y, x]`` with one frame a chunk, and ``done`` says which frames are finished. Without it, each job names its own FITS file.
-        Relative names count from the client's working directory; workers and the client must see the same files.
+        Where frames are written. A name with ``{index}`` (from 0, ``{index:06d}`` with leading
+        zeros) or ``{seed}``, such as ``"frames/{index:06d}.fits"``, makes one FITS file per frame.
+        A name that ends in ``.zarr`` makes one Zarr group. Its array ``image`` is ``[job, y, x]``
+        with one frame per chunk, and ``done`` tells which frames are finished. Without ``output``
+        each job names its own FITS file. Relative names start at the working directory of the
+        client. The workers and the client must see the same files.
     tolerance, precision, device
         As for `PsfModel.plan`.
     shape : (int, int), optional
-        Rows and columns of the scenes: for jobs that are a catalogue alone, and for Zarr where the first job does not tell.
+        Rows and columns of the scenes. Needed for jobs with only a catalogue, and for Zarr if the
+        shape is not known from the first job.
     detector : psfield.detector.Detector, optional
-        What takes the images; each job then needs a seed. The result is its counts, with the pixels' ``flags`` beside them.
+        Detector that exposes the images. Each job then needs a seed. The output is the counts and
+        the ``flags`` of the pixels.
     keep : sequence of {'scene', 'truth'}
-        What else is written for each frame: the scene's pixels, the noise-free image. As extensions of the FITS file, or as arrays of the
-        Zarr group.
+        Additional output for each frame: the pixels of the scene, the image without noise. They are
+        extensions of the FITS file, or arrays of the Zarr group.
     overwrite : bool
-        Make and replace what is there. Otherwise finished frames are kept.
+        Make all frames and replace existing output. By default finished frames are kept.
     client : distributed.Client, optional
-        The cluster. Default: the current client; where there is none, one worker process for each core of this machine, with one thread.
+        The cluster. Default: the current client. If there is none, one worker process with one
+        thread for each core of this machine.
     retries : int
-        How often a job is tried again when its files cannot be read or written.
+        Number of times that a job runs again if its files cannot be read or written.
     threads : int, optional
-        Threads of psfield in each worker process. Default: as many as Dask gave the worker, or as ``RAYON_NUM_THREADS`` says there.
+        Threads of psfield in each worker process. Default: the number of threads that Dask gave the
+        worker, or ``RAYON_NUM_THREADS`` in its environment.
     progress : callable or tqdm bar, optional
-        ``progress(done, total)``; of a generator, the total is what has been taken from it so far.
+        ``progress(done, total)``. For a generator, the total is the number of jobs taken so far.
     frame, anchor, method, memory, oversample, stamp_size
-        As for `PsfModel.plan`. Each plan keeps up to ``memory`` bytes, and a worker keeps the four plans that it used last.
+        As for `PsfModel.plan`. Each plan keeps up to ``memory`` bytes, and a worker keeps the four
+        plans that it used last.
 
     Returns
     -------
@@ -102,21 +111,38 @@ def batch(
     Raises
     ------
     ValueError
-        Options that cannot be, or a Zarr group of other frames.
+        An argument is invalid, or the Zarr group holds other frames.
 
     Warns
     -----
     PsfieldWarning
-        Some jobs failed: the results say which and why.
+        Some jobs failed. The results say which and why.
 
     Notes
     -----
-    Without a client worker processes are started, which import the script that started them: it needs ``if __name__ == "__main__":``.
+    Without a client, worker processes are started that import the script that started them. The
+    script therefore needs ``if __name__ == "__main__":``.
 
-    Jobs that were on a worker each time that one was lost, more often than Dask's ``distributed.scheduler.allowed-failures`` (3), are run
-    by themselves at the end: the one that kills workers fails, and no other.
+    Dask gives up a job that was on a worker each time one was lost, more often than its setting
+    ``distributed.scheduler.allowed-failures`` (3). Such jobs run one at a time at the end, so that
+    only the job that kills workers fails.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import psfield
+    >>> import astropy, dask, distributed
+    >>> import psfield.dask
+    >>> model = psfield.PsfModel.from_samples([[0, 1, 0], [1, 4, 1], [0, 1, 0]], (0, 0))
+    >>> jobs = [{"scene": np.full((4, 6), brightness)} for brightness in (1.0, 2.0)]
+    >>> with distributed.Client(processes=False, dashboard_address=None) as client:
+    ...     results = psfield.dask.batch(
+    ...         jobs, model, "frame{index}.fits", client=client, overwrite=True
+    ...     )
+    >>> [result.status for result in results]
+    ['written', 'written']
     """
-    words = checked_for_workers(
+    settings = checked_for_workers(
         model,
         tolerance=tolerance,
         precision=precision,
@@ -129,37 +155,51 @@ def batch(
         stamp_size=stamp_size,
     )
     if isinstance(jobs, (str, bytes, Mapping)):
-        raise TypeError(f"jobs must be a list or another iterable of jobs, got {type(jobs).__name__}")
+        raise TypeError(
+            f"jobs must be a list or another iterable of jobs, got {type(jobs).__name__}"
+        )
     if isinstance(keep, str):
         raise TypeError(f"keep must be a list, as in ['scene'], got {keep!r}")
     if detector is not None and not isinstance(detector, Detector):
-        raise TypeError(f"detector must be a psfield.detector.Detector, got {type(detector).__name__}")
+        raise TypeError(
+            f"detector must be a psfield.detector.Detector, got {type(detector).__name__}"
+        )
     if unknown := set(keep) - {"scene", "truth"}:
         raise ValueError(f"keep may hold 'scene' and 'truth', got {min(unknown)!r}")
     if "truth" in keep and detector is None:
-        raise ValueError("keep: without a detector the image is the truth itself")
-    threads, retries = whole_or_none(threads, "threads", 1), whole(retries, "retries")
+        raise ValueError(
+            "keep: 'truth' needs a detector: without one the image itself is the truth"
+        )
+    threads, retries = integer_or_none(threads, "threads", 1), integer(retries, "retries")
     scenes = shape_or_none(shape, "shape")
     name = f"psfield-{uuid.uuid4().hex[:12]}"
     total = len(jobs) if isinstance(jobs, Sized) else None
     target: Files | ZarrGroup
     if output is not None and os.fspath(output).rstrip("/").endswith(".zarr"):
-        counted, frames = frames_of(jobs, scenes, words, detector, keep)
+        counted, frames = frames_of(jobs, scenes, settings, detector, keep)
         path = os.path.abspath(output)
-        settings = {
-            **{key: list(value) if isinstance(value, tuple) else value for key, value in words.items() if key not in ("device", "memory")},
+        recorded = {
+            **{
+                key: list(value) if isinstance(value, tuple) else value
+                for key, value in settings.items()
+                if key not in ("device", "memory")
+            },
             "model": tokenize(model),
             "detector": None if detector is None else tokenize(detector),
         }
         jobs = counted
-        target = ZarrGroup(ZarrLedger(path, len(counted), frames, settings, overwrite))
+        target = ZarrGroup(ZarrLedger(path, len(counted), frames, recorded, overwrite))
     else:
-        target = Files(FitsFiles(name, words), None if output is None else os.fspath(output), overwrite)
+        target = Files(
+            FitsFiles(name, settings), None if output is None else os.fspath(output), overwrite
+        )
 
     from psfield.dask._run import Run
     from psfield.dask._worker import BatchSettings, ModelOnWorker
 
-    shared = BatchSettings(name, pickle.dumps(model), words, scenes, detector, tuple(keep), target.writer, threads)
+    shared = BatchSettings(
+        name, pickle.dumps(model), settings, scenes, detector, tuple(keep), target.writer, threads
+    )
     with ExitStack() as stack:
         stack.callback(target.close)
         client = stack.enter_context(_client(client, total))
@@ -170,13 +210,14 @@ def batch(
     failed = [result for result in results if result.status == "failed"]
     if failed:
         first = f"job {failed[0].index}: {failed[0].error}"
-        warnings.warn(f"{len(failed)} of {len(results)} jobs failed, the first of them {first}", PsfieldWarning, stacklevel=2)
+        text = f"{len(failed)} of {len(results)} jobs failed, the first of them {first}"
+        warnings.warn(text, PsfieldWarning, stacklevel=2)
     return results
 
 
 @contextmanager
 def _client(client: Client | None, total: int | None) -> Iterator[Client]:
-    """Give the cluster that is to be used, or one of this machine."""
+    """Yield the given client, the current one, or a new one on this machine."""
     import distributed
 
     if client is None:
@@ -185,11 +226,13 @@ def _client(client: Client | None, total: int | None) -> Iterator[Client]:
         except ValueError:
             workers = min(dask.system.CPU_COUNT, total or dask.system.CPU_COUNT)
             with (
-                distributed.LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0") as cluster,
+                distributed.LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+                ) as cluster,
                 distributed.Client(cluster) as client,
             ):
                 yield client
             return
     if client.asynchronous:
-        raise ValueError("client must not be asynchronous")
+        raise ValueError("client must not be asynchronous: make it without asynchronous=True")
     yield client

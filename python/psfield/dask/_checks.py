@@ -1,4 +1,4 @@
-"""What is refused before any worker sees it."""
+"""Checks of arguments on the client, before any worker receives them."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from psfield._model import PsfModel
 from psfield._plan import checked
 
 
-def checked_for_workers(model: Any, **words: Any) -> dict[str, Any]:
-    """Return the arguments of the workers' plans by name; refuse early what these would refuse late."""
+def checked_for_workers(model: Any, **settings: Any) -> dict[str, Any]:
+    """Return the arguments of the plans by name. Refuse values that workers would refuse later."""
     if not isinstance(model, PsfModel):
         raise TypeError(f"model must be a PsfModel, got {type(model).__name__}")
-    found = checked(words)
+    found = checked(settings)
     if not 0 <= found["tolerance"] < 1:
-        raise ValueError(f"tolerance must be at least 0 and below 1, got {words['tolerance']}")
+        tolerance = settings["tolerance"]
+        raise ValueError(f"tolerance must be at least 0 and below 1, got {tolerance}")
     return found

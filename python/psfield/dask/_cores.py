@@ -1,4 +1,4 @@
-"""The cores that workers on one machine share."""
+"""Sharing of the cores of a machine between workers."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ from typing import Any
 
 from psfield._threads import set_threads
 
-#: The process that has been seen to.
-_seen_to: int | None = None
+#: The process whose threads have been set.
+_process: int | None = None
 
 
 def share_cores() -> None:
-    """Give this process as many of psfield's threads as Dask gave its worker, once; no effect outside a worker.
+    """Set the threads of psfield to the number that Dask gave the worker of this process.
 
-    ``RAYON_NUM_THREADS`` in the worker's environment, and workers that are threads of the client, are left as they are.
+    Only the first call in a process has an effect, and only in a worker. Nothing is changed if
+    ``RAYON_NUM_THREADS`` is set, or if the workers are threads of the client.
     """
-    if _seen_to == os.getpid():
+    if _process == os.getpid():
         return
-    # Dask's schedulers of one machine need no distributed.
+    # The schedulers of Dask for one machine do not import distributed.
     distributed = sys.modules.get("distributed")
     if distributed is None:
         return
@@ -31,9 +32,9 @@ def share_cores() -> None:
 
 
 def set_threads_of(worker: Any, count: int | None) -> None:
-    """Set the threads of a worker's process: so many, or as many as Dask gave it."""
-    global _seen_to
-    _seen_to = os.getpid()
+    """Set the threads of the process of a worker: ``count``, or as many as Dask gave it."""
+    global _process
+    _process = os.getpid()
     if worker.address.startswith("inproc://"):
         return
     if count is not None:

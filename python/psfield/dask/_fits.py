@@ -15,38 +15,44 @@ import numpy as np
 
 from psfield._native import __version__
 
-#: Cards that describe the pixels of the scene's file and not its content, or that this module writes.
+#: Keywords that are not copied from the scene: those of its storage, and those of this module.
 _OWN = re.compile(
-    r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|EXTNAME|EXTVER|EXTLEVEL|INHERIT|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX"
-    r"|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFANCH|PSFPREC|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
+    r"SIMPLE|XTENSION|BITPIX|NAXIS\d*|EXTEND|PCOUNT|GCOUNT|GROUPS|EXTNAME|EXTVER|EXTLEVEL|INHERIT"
+    r"|BSCALE|BZERO|BLANK|DATAMIN|DATAMAX|CHECKSUM|DATASUM|PSFIELD|PSFCMD|PSFTOL|PSFANCH|PSFPREC"
+    r"|PSFSEED|PSFMETH|PSFDEV|PSFRANK|PSFNORM|PSFJOB|PSFCHK."
 )
-#: Names of unfinished files: the output's, the batch, the machine and the process.
+#: Name of an unfinished file: the output, the batch, the machine and the process.
 _UNFINISHED = re.compile(r"\.(.+)\.psfield-[0-9a-f]{12}-.+-\d+")
 
 
 @dataclass(frozen=True)
 class FitsFiles:
-    """One file a frame: the image first, what is kept beside it in extensions named after it.
+    """One file per frame. The image is first, additional output is in extensions named after it.
 
-    ``mark`` is in the names of unfinished files of this batch.
+    ``mark`` is part of the names of the unfinished files of this batch.
     """
 
     mark: str
-    words: dict[str, Any]
+    settings: dict[str, Any]
 
-    def write(self, path: str, frames: Mapping[str, Any], job: Mapping[str, Any], header: Any) -> None:
-        """Write a file, which appears whole or not at all."""
+    def write(
+        self, path: str, frames: Mapping[str, Any], job: Mapping[str, Any], header: Any
+    ) -> None:
+        """Write a file. No partial file is left if that fails."""
         from astropy.io import fits
 
-        (_, image), *beside = frames.items()
-        hdus = fits.HDUList([fits.PrimaryHDU(image), *(fits.ImageHDU(array, name=name.upper()) for name, array in beside)])
+        (_, image), *others = frames.items()
+        extensions = (fits.ImageHDU(array, name=name.upper()) for name, array in others)
+        hdus = fits.HDUList([fits.PrimaryHDU(image), *extensions])
         for hdu in hdus:
             if hdu is hdus[0] or hdu.data.shape == np.shape(image):
                 self._carry(header, hdu.header)
         self._sign(hdus[0].header, job)
         folder, name = os.path.split(path)
         os.makedirs(folder, exist_ok=True)
-        unfinished = os.path.join(folder, f".{name}.{self.mark}-{socket.gethostname()}-{os.getpid()}")
+        unfinished = os.path.join(
+            folder, f".{name}.{self.mark}-{socket.gethostname()}-{os.getpid()}"
+        )
         try:
             with open(unfinished, "wb") as file:
                 hdus.writeto(file)
@@ -59,7 +65,7 @@ class FitsFiles:
             raise
 
     def remove_unfinished(self, outputs: Collection[str]) -> None:
-        """Remove what killed workers left behind of these outputs, in this batch and in those before."""
+        """Remove unfinished files of these outputs that killed workers left, in any batch."""
         for folder in {os.path.dirname(path) for path in outputs}:
             if not os.path.isdir(folder):
                 continue
@@ -70,25 +76,26 @@ class FitsFiles:
                     os.remove(os.path.join(folder, name))
 
     def _carry(self, scene: Any, header: Any) -> None:
-        """Take over the cards of the scene's file; its world coordinates count from the frame's first pixel."""
-        if scene is None or self.words["oversample"] > 1:
+        """Copy the cards of the scene, with world coordinates from the first pixel of the frame."""
+        if scene is None or self.settings["oversample"] > 1:
             return
         for card in scene.cards:
             if card.keyword and not _OWN.fullmatch(card.keyword):
                 header.append(card, end=True)
-        if self.words["frame"] is not None:
-            for axis, first in enumerate(self.words["frame"][:2], 1):
-                # Alternative coordinates have a letter.
+        if self.settings["frame"] is not None:
+            for axis, first in enumerate(self.settings["frame"][:2], 1):
+                # The keywords of alternative coordinates end in a letter.
                 for keyword in (f"CRPIX{axis}{letter}" for letter in ("", *ascii_uppercase)):
                     if keyword in header:
                         header[keyword] -= first
 
     def _sign(self, header: Any, job: Mapping[str, Any]) -> None:
-        """Say how the image was made."""
+        """Write how the image was made."""
         header["PSFIELD"] = (__version__, "version of psfield that made this image")
-        header["PSFANCH"] = (self.words["anchor"], "whose PSF applies: source or output pixel")
-        header["PSFPREC"] = (self.words["precision"], "working precision")
-        header["PSFTOL"] = (self.words["tolerance"], "relative L2 error allowed for any pixel's PSF")
+        header["PSFANCH"] = (self.settings["anchor"], "whose PSF applies: source or output pixel")
+        header["PSFPREC"] = (self.settings["precision"], "working precision")
+        allowed = "relative L2 error allowed for any pixel's PSF"
+        header["PSFTOL"] = (self.settings["tolerance"], allowed)
         if job.get("seed") is not None:
             header["PSFSEED"] = (int(job["seed"]), "seed of the scene and of the noise")
         with warnings.catch_warnings():

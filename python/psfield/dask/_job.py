@@ -1,39 +1,50 @@
-"""What a batch makes."""
+"""The jobs of a batch and their results."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypedDict, TypeGuard
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
 from psfield._arrays import plain
-from psfield._catalog import read_catalog
+from psfield._catalog import is_path
 
-#: Extensions of files that are read by astropy.
+#: Extensions of files that astropy reads.
 _FITS = (".fits", ".fit", ".fts", ".fits.gz", ".fit.gz", ".fits.fz")
 
 
 class Job(TypedDict, total=False):
-    """One frame of a batch; it needs a scene, a catalogue, or both.
+    """One frame of a batch: a dict with a scene, a catalogue, or both.
 
     Attributes
     ----------
     scene : array_like, path or callable
-        Flux in each pixel, ``[y, x]``; a FITS file (its first image) or an ``.npy`` file; or a function that draws it on the worker, called
-        with the job's seed, or with nothing where it has none.
+        Flux in each pixel, ``[y, x]``, or a FITS file (its first image) or an ``.npy`` file, or a
+        function that draws the scene on the worker. The function receives the seed of the job, or
+        no argument if the job has none.
     catalog : table, path or callable
-        Stars and galaxies, as for `Plan.simulate`; a file that `read_catalog` knows; or a function as for the scene.
+        Stars and galaxies, as for `Plan.simulate`, or a function as for the scene.
     seed : int
-        For functions and for the detector's noise.
+        Seed of the functions and of the noise of the detector.
     detector : psfield.detector.Detector
-        In place of the batch's.
+        Detector that replaces that of the batch.
     output : path
-        The FITS file, in place of the batch's template.
+        FITS file that replaces the template of the batch.
     header : mapping
         Cards for the FITS file: keyword to value, or to value and comment.
+
+    Examples
+    --------
+    >>> import dask
+    >>> from psfield.dask import Job
+    >>> def draw(seed):
+    ...     return {"x": [1.0], "y": [2.0], "flux": [100.0 * seed]}
+    >>> job = Job(catalog=draw, seed=3, header={"OBJECT": "test star"})
+    >>> job["seed"]
+    3
     """
 
     scene: Any
@@ -49,20 +60,27 @@ KEYS = frozenset(Job.__annotations__)
 
 @dataclass(frozen=True)
 class JobResult:
-    """What became of a job.
+    """The result of a job.
 
     Attributes
     ----------
     index : int
-        Its place among the jobs, from 0.
+        Index of the job, from 0.
     status : {'written', 'kept', 'failed'}
-        Whether its output was made now, was there before, or could not be made.
+        The output was made now, existed before, or could not be made.
     output : str
         The FITS file, or the Zarr group with the frame's index, as in ``frames.zarr[17]``.
     seconds : float
-        What it took on its worker.
+        Time that the job took on its worker.
     error : str or None
-        Why it failed.
+        Reason of the failure.
+
+    Examples
+    --------
+    >>> import dask
+    >>> from psfield.dask import JobResult
+    >>> JobResult(index=2, status="kept", output="frame2.fits").error is None
+    True
     """
 
     index: int
@@ -74,37 +92,33 @@ class JobResult:
 
 @dataclass(frozen=True)
 class Task:
-    """A job on its way."""
+    """A job that is waiting or running."""
 
     index: int
     job: Mapping[str, Any]
-    #: The file or frame that it makes.
+    #: The file or frame to write.
     output: str
-    #: How often it has failed by its files.
+    #: Number of failures to read or write its files.
     failures: int = 0
 
 
 def checked(job: Any, has_detector: bool) -> None:
-    """Refuse a job that cannot be made."""
+    """Refuse an invalid job."""
     if not isinstance(job, Mapping):
         raise TypeError(f"a job must be a dict, got {type(job).__name__}")
     if unknown := sorted(set(job) - KEYS):
-        raise ValueError(f"a job has no {unknown[0]!r}; it may have {', '.join(sorted(KEYS))}")
+        raise ValueError(f"a job has no key {unknown[0]!r}: its keys are {', '.join(sorted(KEYS))}")
     if job.get("scene") is None and job.get("catalog") is None:
-        raise ValueError("there is nothing to convolve: give the job a scene, a catalog, or both")
+        raise ValueError("there is nothing to simulate: give the job a scene, a catalog, or both")
     seed = job.get("seed")
     if seed is not None and (not isinstance(seed, (int, np.integer)) or seed < 0):
-        raise ValueError(f"seed must be a whole number from 0, got {seed!r}")
+        raise ValueError(f"seed must be an integer of at least 0, got {seed!r}")
     if seed is None and (has_detector or job.get("detector") is not None):
-        raise ValueError("a detector's noise needs a seed: give each job one of its own")
-
-
-def is_path(value: Any) -> TypeGuard[str | os.PathLike[str]]:
-    return isinstance(value, (str, os.PathLike))
+        raise ValueError("the noise of the detector needs a seed: give each job a different one")
 
 
 def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
-    """Return the pixels of a job's scene, if it has one, and the header of its file, if that has one."""
+    """Return the pixels of the scene and the header of its file. Either may be None."""
     scene = job.get("scene")
     if scene is None:
         return None, None
@@ -120,15 +134,13 @@ def scene_of(job: Mapping[str, Any]) -> tuple[Any, Any]:
 
 
 def catalog_of(job: Mapping[str, Any]) -> Any:
-    """Return the table of a job's sources, if it has one."""
+    """Return the catalogue of a job as a table or a path, or None."""
     catalog: Any = job.get("catalog")
-    if is_path(catalog):
-        return read_catalog(catalog)
     return _call(catalog, job) if callable(catalog) else catalog
 
 
 def shape_without_reading(job: Mapping[str, Any]) -> tuple[int, int] | None:
-    """Return the shape of a job's scene if it can be told without its pixels."""
+    """Return the shape of the scene of a job if it is known without reading the pixels."""
     scene = job.get("scene")
     if scene is None or (callable(scene) and not hasattr(scene, "shape")):
         return None
@@ -153,7 +165,7 @@ def _read(path: str) -> tuple[Any, Any]:
     if path.endswith(".npy"):
         return np.load(path), None
     if not path.endswith(_FITS):
-        raise ValueError(f"scene: {path}: is neither FITS ({', '.join(_FITS)}) nor .npy")
+        raise ValueError(f"scene: {path} must be a FITS file ({', '.join(_FITS)}) or an .npy file")
     from astropy.io import fits
 
     with fits.open(path, memmap=False) as hdus:
@@ -165,4 +177,4 @@ def _first_image(hdus: Any, path: str) -> Any:
     for hdu in hdus:
         if hdu.is_image and len(hdu.shape) == 2:
             return hdu
-    raise OSError(f"{path}: there is no image in it")
+    raise OSError(f"{path}: the file has no image")

@@ -1,4 +1,4 @@
-"""What a process keeps for the next of its tasks."""
+"""A cache for the tasks of one process."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class _Slot:
 
 
 class Kept(Generic[T]):
-    """The values that were used last, at most so many of them.
+    """The values used last, up to a largest number.
 
-    Several threads may ask at once: each value is made by one of them, while the others go on or, if they need the same, wait.
+    Several threads may ask at once. One thread makes a value, and threads that need it wait.
     """
 
     def __init__(self, most: int) -> None:
@@ -31,7 +31,7 @@ class Kept(Generic[T]):
         self._lock = threading.Lock()
 
     def get(self, key: Hashable, make: Callable[[], T]) -> T:
-        """Return the value of a key, made now unless it is there."""
+        """Return the value of a key. Make it if it is not in the cache."""
         with self._lock:
             slot = self._slots.setdefault(key, _Slot())
             self._slots.move_to_end(key)
@@ -45,7 +45,7 @@ class Kept(Generic[T]):
             return value
 
     def drop(self, belongs: Callable[[Any], bool]) -> None:
-        """Forget the values whose keys belong."""
+        """Remove the values whose keys satisfy the condition."""
         with self._lock:
             for key in [key for key in self._slots if belongs(key)]:
                 del self._slots[key]

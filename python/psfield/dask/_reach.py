@@ -1,4 +1,4 @@
-"""How far light is spread."""
+"""The distance over which a PSF spreads light."""
 
 from __future__ import annotations
 
@@ -11,16 +11,22 @@ Depth = tuple[int, int]
 
 
 def reach(model: PsfModel, oversample: int, stamp_size: int | None) -> tuple[Depth, Depth]:
-    """Return from how far below and above light reaches a pixel, in pixels of the scene: of rows, and of columns.
+    """Return the distances from which light reaches a pixel, along rows and along columns.
 
-    A stamp with offsets ``-left..right`` brings light to a pixel from ``right`` pixels below it to ``left`` pixels above: even stamps,
-    centred at ``n // 2``, reach less far to one side. One pixel is added for the half by which the centres of finer scenes are shifted.
+    They are in pixels of the scene, below and above the pixel. A stamp with offsets
+    ``-left..right`` brings light to a pixel from ``right`` pixels below it to ``left`` pixels
+    above. Even stamps, centred at ``n // 2``, therefore reach less far on one side. One pixel is
+    added because the centres of finer scenes are shifted by half a pixel.
     """
     (ny, nx), (cx, cy) = model.stamp_shape, model.centre
-    return _along(model, ny, cy, oversample, stamp_size), _along(model, nx, cx, oversample, stamp_size)
+    of_rows = _along(model, ny, cy, oversample, stamp_size)
+    return of_rows, _along(model, nx, cx, oversample, stamp_size)
 
 
-def _along(model: PsfModel, n: int, centre: float, oversample: int, stamp_size: int | None) -> Depth:
+def _along(
+    model: PsfModel, n: int, centre: float, oversample: int, stamp_size: int | None
+) -> Depth:
+    """Return the distances along one axis of a stamp of ``n`` pixels."""
     if stamp_size is not None:
         pixels = stamp_size * oversample
         left, right = pixels // 2, pixels - 1 - pixels // 2
@@ -28,5 +34,6 @@ def _along(model: PsfModel, n: int, centre: float, oversample: int, stamp_size: 
         # The response of a pixel widens a stamp by half a pixel on each side.
         margin = 0 if model.pixel_response_included else math.ceil(model.oversampling / 2)
         finer = oversample / model.oversampling
-        left, right = (math.floor(max(room + margin, 0.0) * finer) for room in (centre, n - 1 - centre))
+        rooms = (centre, n - 1 - centre)
+        left, right = (math.floor(max(room + margin, 0.0) * finer) for room in rooms)
     return right + 1, left + 1

@@ -1,4 +1,4 @@
-"""The jobs of a batch on their way."""
+"""The jobs of a batch on a cluster."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from psfield.dask._job import Job, JobResult, Task, checked
 from psfield.dask._targets import Files, ZarrGroup
 from psfield.dask._worker import BatchSettings, run_jobs
 
-#: What waits on the scheduler for each thread of the workers, so that none of them is idle, while scenes do not pile up.
+#: Parcels on the scheduler for each thread of the workers: enough that no thread is idle, few
+#: enough that scenes do not fill its memory.
 _WAITING = 4
-#: Seconds after which the workers are counted again: they come and go.
+#: Seconds between two counts of the workers, whose number may change.
 _BETWEEN_COUNTS = 2.0
-#: Small frames go together for so many seconds, as the scheduler needs some milliseconds for each parcel; and at most so many.
+#: Duration of a parcel of small frames in seconds, and its largest number of frames. The scheduler
+#: needs some milliseconds for each parcel.
 _PARCEL_SECONDS = 0.25
 _PARCEL_MOST = 64
 
@@ -44,10 +46,10 @@ class Run:
         self._progress = progress
         self._results: dict[int, JobResult] = {}
         self._running: dict[Any, tuple[Any, list[Task]]] = {}
-        #: Each goes by itself.
+        #: Jobs to run again, each in a parcel of its own.
         self._again: deque[Task] = deque()
-        #: One of those that were on a worker when it was lost too often. Each goes when nothing else does, so that only the one that kills
-        #: workers fails.
+        #: Jobs that were on lost workers too often. Each runs while no other does, so that only the
+        #: job that kills workers fails.
         self._suspects: deque[Task] = deque()
         self._alone = False
         self._taken = 0
@@ -57,7 +59,7 @@ class Run:
         self._counted_at = 0.0
 
     def all(self, jobs: Iterable[Job]) -> list[JobResult]:
-        """Run them to their end."""
+        """Run all jobs and return their results."""
         source = enumerate(jobs)
         finished = as_completed(loop=self._client.loop)
         try:
@@ -72,7 +74,7 @@ class Run:
         return [self._results[index] for index in sorted(self._results)]
 
     def _submit(self, source: Iterator[tuple[int, Any]], finished: Any) -> None:
-        """Hand jobs to the scheduler until enough of them wait."""
+        """Submit jobs to the scheduler until enough of them wait there."""
         while len(self._running) < self._room():
             tasks = [self._again.popleft()] if self._again else self._parcel(source)
             if not tasks:
@@ -81,16 +83,18 @@ class Run:
                 tasks, self._alone = [self._suspects.popleft()], True
             key = f"{self._settings.name}-{self._parcels}"
             self._parcels += 1
-            # Scenes that are arrays travel with their jobs: they must not be lost with a worker.
+            # Scenes that are arrays are sent with their jobs, so that no worker can lose them.
             with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 PB"}):
-                future = self._client.submit(run_jobs, self._settings.name, tasks, key=key, pure=False)
+                future = self._client.submit(
+                    run_jobs, self._settings.name, tasks, key=key, pure=False
+                )
             self._running[key] = (future, tasks)
             finished.add(future)
 
     def _parcel(self, source: Iterator[tuple[int, Any]]) -> list[Task]:
-        """Take jobs that go together; none where there are no more."""
+        """Take the jobs of the next parcel. It is empty if no jobs are left."""
         tasks: list[Task] = []
-        most = self._most_together()
+        most = self._parcel_size()
         for index, job in source:
             self._taken = index + 1
             output = ""
@@ -98,7 +102,8 @@ class Run:
                 checked(job, self._settings.detector is not None)
                 output = self._target.of(index, job)
             except (TypeError, ValueError) as error:
-                self._record(JobResult(index, "failed", output, error=f"{type(error).__name__}: {error}"))
+                text = f"{type(error).__name__}: {error}"
+                self._record(JobResult(index, "failed", output, error=text))
                 continue
             if self._target.is_done(index, output):
                 self._record(JobResult(index, "kept", output))
@@ -108,18 +113,20 @@ class Run:
                 break
         return tasks
 
-    def _most_together(self) -> int:
+    def _parcel_size(self) -> int:
+        """Return the largest number of jobs in a parcel."""
         if self._seconds is None:
             return 1
         most = min(int(_PARCEL_SECONDS / max(self._seconds, 1e-6)), _PARCEL_MOST)
         if self._total is not None:
-            # The last ones are shared by all threads.
+            # The last jobs are shared by all threads.
             most = min(most, (self._total - self._taken) // (2 * self._threads))
         return max(most, 1)
 
     def _room(self) -> int:
+        """Return the largest number of parcels on the scheduler."""
         if time.monotonic() - self._counted_at > _BETWEEN_COUNTS or not self._threads:
-            # None are there while a queue has not begun to run them.
+            # There may be no workers yet while a batch system starts them.
             self._threads = max(sum(self._client.nthreads().values()), 4)
             self._counted_at = time.monotonic()
         return _WAITING * self._threads
@@ -131,7 +138,8 @@ class Run:
                 if again and task.failures < self._retries:
                     self._again.append(replace(task, failures=task.failures + 1))
                     continue
-                self._seconds = result.seconds if self._seconds is None else 0.9 * self._seconds + 0.1 * result.seconds
+                last = result.seconds if self._seconds is None else self._seconds
+                self._seconds = 0.9 * last + 0.1 * result.seconds
                 self._record(result)
         elif not self._alone and not future.cancelled():
             self._suspects.extend(tasks)
@@ -144,12 +152,13 @@ class Run:
         if result.status == "written":
             self._target.note(result.index)
         if self._progress is not None:
-            self._progress(len(self._results), self._taken if self._total is None else self._total)
+            total = self._taken if self._total is None else self._total
+            self._progress(len(self._results), total)
 
 
 def _why(future: Any) -> str:
-    """Return why a parcel has no results."""
+    """Return the reason why a parcel has no results."""
     if future.cancelled():
-        return "the scheduler was lost, or the job was cancelled there"
+        return "the scheduler was lost, or it cancelled the job"
     error = future.exception()
     return f"{type(error).__name__}: {error}"

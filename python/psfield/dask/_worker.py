@@ -1,4 +1,4 @@
-"""Jobs on their workers."""
+"""The jobs of a batch on a worker."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _PLANS: Kept[Plan] = Kept(4)
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """What all jobs of a batch share."""
+    """The settings that all jobs of a batch share."""
 
     name: str
-    #: Pickled: it is made on a thread that works, not on the one that talks to the scheduler.
+    #: Pickled. It is loaded on a thread that runs jobs, because loading may take long.
     model: bytes
-    words: dict[str, Any]
-    #: Of scenes, where a job has a catalogue alone.
+    plan_settings: dict[str, Any]
+    #: Shape of the scenes, for jobs with only a catalogue.
     shape: tuple[int, int] | None
     detector: Any
     keep: tuple[str, ...]
@@ -43,19 +43,19 @@ class BatchSettings:
 
 
 class ModelOnWorker(WorkerPlugin):  # type: ignore[misc]
-    """Gives each worker what the jobs of a batch share, once; also those that come later, and those that come back."""
+    """Sends the settings of a batch to each worker once, also to workers that join later."""
 
     def __init__(self, settings: BatchSettings) -> None:
         self.settings = settings
         self.name = settings.name
 
     def setup(self, worker: Worker) -> None:
-        """Keep the batch."""
+        """Keep the settings of the batch."""
         set_threads_of(worker, self.settings.threads)
         _BATCHES[self.settings.name] = self.settings
 
     def teardown(self, worker: Worker) -> None:
-        """Forget the batch."""
+        """Remove the settings of the batch."""
         name = self.settings.name
         _BATCHES.pop(name, None)
         _MODELS.drop(lambda key: key == name)
@@ -63,29 +63,40 @@ class ModelOnWorker(WorkerPlugin):  # type: ignore[misc]
 
 
 def run_jobs(batch: str, tasks: Sequence[Task]) -> list[tuple[JobResult, bool]]:
-    """Make frames one after the other and write them; for each say whether it failed by its files and may be tried again."""
+    """Make frames one after the other and write them.
+
+    The second value of each result says whether the job failed to read or write files and may run
+    again.
+    """
     settings = _BATCHES[batch]
     return [_run(settings, task) for task in tasks]
 
 
 def _run(settings: BatchSettings, task: Task) -> tuple[JobResult, bool]:
-    begun = time.perf_counter()
+    start = time.perf_counter()
     try:
         _make(settings, task.index, task.job, task.output)
     except (Exception, SystemExit) as error:
-        # A function that exits would take its worker along, and those that the job is given to next.
+        # A function that exits would end its worker, and then the next worker that runs the job.
         text = f"{type(error).__name__}: {error}"
         again = isinstance(error, OSError) and not isinstance(error, FileNotFoundError)
-        return JobResult(task.index, "failed", task.output, time.perf_counter() - begun, text), again
-    return JobResult(task.index, "written", task.output, time.perf_counter() - begun), False
+        seconds = time.perf_counter() - start
+        return JobResult(task.index, "failed", task.output, seconds, text), again
+    return JobResult(task.index, "written", task.output, time.perf_counter() - start), False
 
 
 def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: str) -> None:
+    """Simulate the frame of a job and write it."""
     scene, header = scene_of(job)
     shape = settings.shape if scene is None else np.shape(scene)
     if shape is None:
-        raise ValueError("shape is not known: a job with a catalog alone needs batch(..., shape=(ny, nx))")
-    plan = _PLANS.get((settings.name, tuple(shape)), lambda: _model(settings).plan(tuple(shape), **settings.words))
+        raise ValueError(
+            "shape is not known: a job with only a catalog needs batch(..., shape=(ny, nx))"
+        )
+    plan = _PLANS.get(
+        (settings.name, tuple(shape)),
+        lambda: _model(settings).plan(tuple(shape), **settings.plan_settings),
+    )
     image = plan.simulate(scene, catalog_of(job))
     frames = {"image": image}
     detector = job.get("detector", settings.detector)
@@ -95,7 +106,8 @@ def _make(settings: BatchSettings, index: int, job: Mapping[str, Any], target: s
         if "truth" in settings.keep:
             frames["truth"] = image
     if "scene" in settings.keep:
-        frames["scene"] = np.zeros(plan.shape, plan.dtype) if scene is None else np.asarray(scene, plan.dtype)
+        light = np.zeros(plan.shape) if scene is None else scene
+        frames["scene"] = np.asarray(light, plan.dtype)
     if isinstance(settings.output, ZarrFrames):
         settings.output.write(index, frames)
     else:

@@ -184,7 +184,7 @@ fn what_takes_too_long_says_so() {
     let report = run.json();
     assert!(rows(&report, "direct").is_empty());
     let reason = report["skipped"][0]["reason"].as_str().unwrap();
-    assert!(reason.contains("262144 lit pixels"), "{reason}");
+    assert!(reason.contains("262144 pixels with light"), "{reason}");
 }
 
 #[test]

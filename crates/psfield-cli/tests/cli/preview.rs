@@ -78,7 +78,8 @@ fn values_are_where_they_belong() {
     );
     let run = desk.done("preview a.fits --stretch linear --range 0,10");
     assert!(
-        run.stdout.contains("linear from 0 to 10, 2 pixels without a value"),
+        run.stdout
+            .contains("linear from 0 to 10, 2 pixels without a value"),
         "{run:?}"
     );
     let (magenta, grey) = ([255, 0, 255], |v: u8| [v; 3]);

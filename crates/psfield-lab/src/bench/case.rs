@@ -1,4 +1,4 @@
-//! A model and the scene that a benchmark convolves with it, and how both are made.
+//! A model, the scene with which a benchmark convolves it, and functions that make both.
 
 use std::sync::Arc;
 
@@ -22,18 +22,20 @@ pub struct BenchCase<T> {
 }
 
 impl<T> BenchCase<T> {
-    /// A model, with stamps at the frame's pixels, and a scene.
+    /// Combines a model with stamps at the frame's pixels and a scene.
     pub fn new(record: PsfModelRecord, scene: Image<T>) -> Self {
         Self { record, scene }
     }
 }
 
-/// A scene in which every pixel is lit: exponential noise of mean 1 on a smooth background between 1 and 3.
+/// A scene in which every pixel has light: exponential noise of mean 1 on a smooth background
+/// between 1 and 3.
 ///
-/// Nothing in it is dark or sparse, so that no method gains by skipping. The same seed gives the same scene.
+/// No part of it is empty or sparse, so that no method gains by skipping pixels. A seed always
+/// gives the same scene.
 ///
 /// # Errors
-/// [`DataError`] never for a valid shape; it is the type's constructor that checks.
+/// [`DataError`] of the constructor of [`Image`], never for a valid shape.
 pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, DataError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let wave = |i: usize, n: usize| (WAVE * i as f64 / n as f64).sin();
@@ -52,11 +54,12 @@ pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, Data
 /// Radians of the background's wave over the frame.
 const WAVE: f64 = 7.0;
 
-/// The model with its samples' positions stretched to a frame: the outermost to pixel 0 and to the last pixel along each axis, so that the
-/// PSF varies over a frame of any size as over the whole field.
+/// Stretches the positions of a model's samples to a frame: the outermost ones to pixel 0 and to
+/// the last pixel along each axis. The PSF then varies over a frame of any size as over the whole
+/// field.
 ///
 /// # Errors
-/// [`DataError`] where positions that were apart fall together.
+/// [`DataError`] if different positions become equal.
 pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelRecord, DataError> {
     let positions = record.coefficients().positions().as_slice();
     let x = Stretch::new(positions.iter().map(|p| p.x()), frame.nx());
@@ -76,7 +79,7 @@ pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelR
     )
 }
 
-/// From the extent of the samples along an axis to that of the frame.
+/// Maps the extent of the samples along an axis to that of the frame.
 struct Stretch {
     low: f64,
     extent: f64,
@@ -97,7 +100,7 @@ impl Stretch {
 
     fn apply(&self, coordinate: f64) -> f64 {
         if self.extent > 0.0 {
-            // Rounding must not carry the last sample off the frame.
+            // Rounding must not move the last sample off the frame.
             ((coordinate - self.low) / self.extent * self.last).min(self.last)
         } else {
             self.last / 2.0
@@ -105,10 +108,10 @@ impl Stretch {
     }
 }
 
-/// The model with the same PSF everywhere: that of a position.
+/// A model that has the PSF of one position everywhere.
 ///
 /// # Errors
-/// [`PsfieldError::Field`] where the PSF has no value, [`PsfieldError::Data`] where it is dark.
+/// [`PsfieldError::Field`] if the PSF has no value there, [`PsfieldError::Data`] if it is zero.
 pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel, PsfieldError> {
     let psf = model.psf_at(position)?;
     let norm = psf.values().iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -118,7 +121,7 @@ pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel,
     let coefficient = SampleCoefficients::new(Array2::from_elem((1, 1), norm), at)?;
     let field = InterpolatedField::new(&coefficient, &Nearest, OutsidePolicy::Nearest)?;
     let shape = model.field_shape();
-    // Scaled already, if at all.
+    // The stamp is scaled already, if at all.
     Ok(PsfModel::new(
         &basis,
         Arc::new(field),
@@ -141,7 +144,8 @@ mod tests {
         assert!(pixels(1).iter().all(|&v| v >= 1.0));
         assert_eq!(pixels(1), pixels(1));
         assert_ne!(pixels(1), pixels(2));
-        // The mean of the noise is 1, that of the background near 2; 1200 pixels know it to a few percent.
+        // The mean is 1 for the noise and about 2 for the background. 1200 pixels measure it to a
+        // few percent.
         assert!((pixels(3).mean().unwrap() - 3.0).abs() < 0.3);
     }
 

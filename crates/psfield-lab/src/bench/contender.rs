@@ -1,4 +1,4 @@
-//! The methods that are measured, and each of them ready to run.
+//! The methods that are measured, and each of them planned and ready to run.
 
 use std::time::Instant;
 
@@ -14,15 +14,17 @@ use crate::bench::{BenchCase, BenchOptions, BenchRow};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Contender {
-    /// One PSF for the whole frame, that of its middle: a [`Plan`](conv_core::Plan) of a model whose field is constant. It has
-    /// a single mode and no coefficients, and is the fastest convolution with one PSF that there is here.
+    /// One PSF for the whole frame, that of its middle: a [`Plan`](conv_core::Plan) of a model with
+    /// a constant field. It has a single mode and no coefficients, and is the fastest convolution
+    /// with one PSF in psfield.
     Single,
-    /// The fast engine by transforms alone ([`Paths::Transforms`](conv_core::Paths::Transforms)).
+    /// The fast engine with transforms for all tiles
+    /// ([`Paths::Transforms`](conv_core::Paths::Transforms)).
     LowRank {
         /// The tolerance.
         tolerance: f64,
     },
-    /// The fast engine, each tile in the cheapest way.
+    /// The fast engine with the cheapest way for each tile.
     Auto {
         /// The tolerance.
         tolerance: f64,
@@ -32,9 +34,10 @@ pub enum Contender {
         /// Pixels along each side.
         size: usize,
     },
-    /// One whole-image convolution a component ([`BasisConvolution`](conv_core::BasisConvolution)).
+    /// One convolution of the whole image per component
+    /// ([`BasisConvolution`](conv_core::BasisConvolution)).
     Basis {
-        /// The components kept, at most; the error is that to the whole model.
+        /// The largest number of components kept. The error is relative to the whole model.
         rank: usize,
     },
     /// The double sum in f64 ([`Direct`](conv_core::Direct)).
@@ -54,7 +57,7 @@ impl Contender {
         }
     }
 
-    /// The setting, as `tolerance=1e-3`, `patch=64` or `rank=30`.
+    /// The setting, such as `tolerance=1e-3`, `patch=64` or `rank=30`.
     pub fn setting(self) -> Option<String> {
         match self {
             Self::Single | Self::Direct => None,
@@ -68,7 +71,7 @@ impl Contender {
         }
     }
 
-    /// The tolerance, of the methods that take one.
+    /// The tolerance, for the methods that take one.
     pub fn tolerance(self) -> Option<f64> {
         match self {
             Self::LowRank { tolerance } | Self::Auto { tolerance } => Some(tolerance),
@@ -77,23 +80,23 @@ impl Contender {
     }
 }
 
-/// A contender with all that does not depend on the light.
+/// A contender with everything that does not depend on the light.
 #[derive(Debug)]
-pub(super) struct Prepared<T: ConvReal> {
+pub(super) struct PlannedContender<T: ConvReal> {
     simulator: Simulator<T>,
-    /// All that is known before the first run.
+    /// The figures that are known before the first run.
     pub(super) row: BenchRow,
 }
 
-/// How long a run took.
+/// The time of a run.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RunTime {
     pub(super) seconds: f64,
-    /// In parts, on a GPU.
+    /// The parts of the time, on a GPU.
     pub(super) gpu: Option<GpuSeconds>,
 }
 
-impl<T: ConvReal> Prepared<T> {
+impl<T: ConvReal> PlannedContender<T> {
     pub(super) fn new(
         contender: Contender,
         case: &BenchCase<T>,
@@ -166,7 +169,8 @@ impl<T: ConvReal> Prepared<T> {
         Ok(Self { simulator, row })
     }
 
-    /// Makes the image in memory that is there, which is cleared off the clock, and returns how long that took.
+    /// Makes the image in an existing array, which is cleared before the clock starts, and returns
+    /// the time.
     pub(super) fn run(&self, scene: &Scene<'_, T>, image: &mut Array2<T>) -> Result<RunTime, PsfieldError> {
         image.fill(T::zero());
         let clock = Instant::now();

@@ -1,9 +1,10 @@
 //! Run time against measured error, for every method, in one run.
 //!
-//! A [`BenchCase`] is a model and a scene; [`run()`] plans each [`Contender`], runs all of them in turn (A B C, A B C, ...), so that a
-//! machine that slows down does so for all, and measures each image against the direct sum in double precision at random pixels:
-//! the same pixels and the same exact values for all. The unit of the ratios is one convolution with a single PSF
-//! ([`Contender::Single`]), which is always among the rows. [`BenchOptions::device`] puts the fast engine on a GPU.
+//! A [`BenchCase`] is a model and a scene. [`run()`] plans each [`Contender`] and runs all of them
+//! in turn (A B C, A B C, ...), so that a machine that slows down affects all of them. It compares
+//! each image with the direct sum in double precision at random pixels, with the same exact values
+//! for all. The unit of the ratios is one convolution with a single PSF ([`Contender::Single`]),
+//! which is always among the rows. [`BenchOptions::device`] chooses a GPU for the fast engine.
 //!
 //! ```
 //! use psfield_lab::bench::{BenchCase, BenchOptions, Contender, lit_scene, run, stretched};

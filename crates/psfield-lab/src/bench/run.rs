@@ -1,4 +1,4 @@
-//! All contenders in turn, and what is measured of them.
+//! Runs all contenders in turn and measures them.
 
 use conv_core::{ConvReal, Direct};
 use ndarray::Array2;
@@ -8,39 +8,42 @@ use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
-use crate::bench::contender::{Prepared, RunTime};
+use crate::bench::contender::{PlannedContender, RunTime};
 use crate::bench::{BenchCase, Contender};
 use crate::memory::PeakMemory;
 
-/// How often contenders run, where, and how their errors are measured.
+/// Settings of a benchmark: repetitions, device, and the measurement of errors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BenchOptions {
-    /// Whose PSF applies.
+    /// The anchor of the PSF.
     pub anchor: Anchor,
-    /// Timed turns of each contender, after a run that warms up; 0 counts as 1.
+    /// Timed turns of each contender, after a run that warms up. 0 counts as 1.
     pub repeat: usize,
-    /// Random pixels at which images are compared with the direct sum; 0 counts as 1.
+    /// Random pixels at which images are compared with the direct sum. 0 counts as 1.
     pub pixels: usize,
-    /// Chooses those pixels.
+    /// Seed for these pixels.
     pub seed: u64,
-    /// The direct sum takes part only where its products (lit pixels x stamp pixels x stamps of the model) are not more.
+    /// The direct sum is measured only if its products (lit pixels x stamp pixels x stamps of the
+    /// model) do not exceed this number.
     pub direct_products: f64,
-    /// Where [`Contender::LowRank`] and [`Contender::Auto`] run; the others, the single PSF among them, run on the processor.
+    /// The device of [`Contender::LowRank`] and [`Contender::Auto`]. The others, including the
+    /// single PSF, run on the processor.
     pub device: Device,
     /// The GPU: [`SimulateOptions::gpu_adapter`](psfield::SimulateOptions::gpu_adapter).
     pub gpu_adapter: Option<String>,
-    /// Bytes that a plan keeps there at most: [`SimulateOptions::gpu_memory`](psfield::SimulateOptions::gpu_memory).
+    /// Largest number of bytes that a plan keeps on the GPU:
+    /// [`SimulateOptions::gpu_memory`](psfield::SimulateOptions::gpu_memory).
     pub gpu_memory: Option<u64>,
 }
 
 impl BenchOptions {
-    /// Products of the direct sum that take a few seconds.
+    /// Number of products that takes the direct sum a few seconds.
     pub const DEFAULT_DIRECT_PRODUCTS: f64 = 2e9;
-    /// Timed turns of each contender.
+    /// Default number of timed turns of each contender.
     pub const DEFAULT_REPEAT: usize = 3;
-    /// Pixels compared.
+    /// Default number of pixels compared.
     pub const DEFAULT_PIXELS: usize = 400;
-    /// The seed.
+    /// Default seed.
     pub const DEFAULT_SEED: u64 = 1;
 }
 
@@ -59,7 +62,7 @@ impl Default for BenchOptions {
     }
 }
 
-/// One contender's figures.
+/// The figures of one contender.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BenchRow {
@@ -67,43 +70,44 @@ pub struct BenchRow {
     pub method: &'static str,
     /// [`Contender::setting`](crate::bench::Contender::setting).
     pub setting: Option<String>,
-    /// The tolerance asked for, of the methods that take one.
+    /// The requested tolerance, for the methods that take one.
     pub tolerance: Option<f64>,
     /// Columns and rows of the frame.
     pub size: [usize; 2],
     /// Samples of the PSF.
     pub samples: usize,
-    /// Components of the model that the contender convolves with, the mean not counted.
+    /// Components of the contender's model, the mean not counted.
     pub rank: usize,
     /// `f32` or `f64`.
     pub precision: &'static str,
-    /// Whose PSF applies.
+    /// The anchor of the PSF.
     pub anchor: Anchor,
-    /// Seconds to plan, once; none for methods that prepare nothing.
+    /// Seconds to plan, once. None for methods that prepare nothing.
     pub seconds_plan: Option<f64>,
     /// Seconds of the fastest run.
     pub seconds: f64,
     /// Median seconds of the runs.
     pub seconds_median: f64,
-    /// [`seconds`](Self::seconds) over those of the single PSF.
+    /// [`seconds`](Self::seconds) over the seconds of the single PSF.
     pub ratio_to_single: f64,
-    /// Relative L2 difference from the direct sum over the whole model, `|F - E| / |E|` over the pixels compared; none where those
-    /// are dark.
+    /// Relative L2 difference from the direct sum over the whole model, `|F - E| / |E|` over the
+    /// pixels compared. None if these are all zero.
     pub relative_l2: Option<f64>,
-    /// Convolutions a tile, in the mean; of the whole frame for `basis`; none for `direct`.
+    /// Mean number of convolutions per tile, for `basis` of the whole frame. None for `direct`.
     pub modes: Option<f64>,
-    /// Columns and rows of the largest tile, where there are tiles.
+    /// Columns and rows of the largest tile, if there are tiles.
     pub tile: Option<[usize; 2]>,
-    /// Columns and rows of a tile's transforms, where a plan chose them.
+    /// Columns and rows of a tile's transforms, if a plan chose them.
     pub transform: Option<[usize; 2]>,
-    /// Threads that shared the work.
+    /// Number of threads that shared the work.
     pub threads: usize,
-    /// The most memory that the process held from before the plan to the end of the first run, where the system tells (Linux): the plans
-    /// made before and what they left are in it, so that a method's own figure is that of a run without others.
+    /// The largest memory that the process held from before the plan to the end of the first run,
+    /// if the system tells (Linux). It includes plans made before and memory that they left, so
+    /// that only a run without other methods gives a method's own figure.
     pub peak_memory_bytes: Option<u64>,
-    /// The GPU that it ran on: name, kind and backend. None on the processor.
+    /// The GPU on which it ran: name, kind and backend. None on the processor.
     pub gpu: Option<String>,
-    /// Where the time of the fastest run went on the GPU.
+    /// The parts of the time of the fastest run on the GPU.
     pub gpu_seconds: Option<GpuSeconds>,
 }
 
@@ -119,40 +123,41 @@ pub struct Skipped {
     pub size: [usize; 2],
     /// Samples of the PSF.
     pub samples: usize,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
-/// What came of a case.
+/// The results of a case.
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct BenchOutcome {
-    /// The single PSF first, then the others in the order asked for.
+    /// The single PSF first, then the others in the requested order.
     pub rows: Vec<BenchRow>,
-    /// What did not run.
+    /// The contenders that did not run.
     pub skipped: Vec<Skipped>,
 }
 
-/// A contender and what was measured of it so far.
+/// A contender and its measurements so far.
 struct Entry<T: ConvReal> {
-    prepared: Prepared<T>,
-    runs_a_turn: usize,
+    contender: PlannedContender<T>,
+    runs_per_turn: usize,
     runs: Vec<RunTime>,
 }
 
-/// Work shorter than this runs more than once a turn, since a clock and a scheduler disturb it more.
+/// A run shorter than this is repeated within a turn, because clock and scheduler disturb it more.
 const TURN_SECONDS: f64 = 0.02;
 const MOST_RUNS: f64 = 20.0;
 
 /// Plans and runs every contender, and the single PSF first if it is not among them.
 ///
-/// A first run of each warms up, is measured against the direct sum and not timed; then all run in turn,
-/// [`BenchOptions::repeat`] times, in each turn as often as fits into 20 ms, but not more than 20 times. All plans are held at once.
-/// A plan's seconds are with what is handed to the GPU, without opening it where one was asked for.
+/// The first run of each warms up. It is compared with the direct sum and not timed. Then all run
+/// in turn, [`BenchOptions::repeat`] times. In each turn a contender runs as often as fits into 20
+/// ms, at most 20 times. All plans are held at once. The seconds of a plan include the transfer to
+/// the GPU, but not the opening of a requested GPU.
 ///
 /// # Errors
-/// [`PsfieldError`] when the frame is larger than the field of the PSF, the model's stamps do not suit an image, a
-/// convolution fails, or a GPU that was asked for cannot be used.
+/// [`PsfieldError`] if the frame is larger than the field of the PSF, if the model's stamps do not
+/// suit an image, if a convolution fails, or if a requested GPU cannot be used.
 pub fn run<T: ConvReal>(
     case: &BenchCase<T>,
     contenders: &[Contender],
@@ -196,7 +201,7 @@ pub fn run<T: ConvReal>(
         .collect();
     let (direct, light) = (Direct::new(options.anchor), (case.scene.pixels(), (0, 0)));
     let exact = direct.at_pixels(model, light, frame, frame.region(), &pixels, &NoProgress)?;
-    // `|F - E| / |E|` over the pixels; none where they are dark.
+    // `|F - E| / |E|` over the pixels. None if these are all zero.
     let relative_l2 = |image: &Array2<T>| {
         let (mut error, mut norm) = (0.0, 0.0);
         for (&(x, y), exact) in pixels.iter().zip(&exact) {
@@ -211,28 +216,28 @@ pub fn run<T: ConvReal>(
     let mut entries = Vec::with_capacity(chosen.len());
     for contender in chosen {
         let memory = PeakMemory::start();
-        let mut prepared = Prepared::new(contender, case, &psf, options)?;
-        let warm = prepared.run(&scene, &mut image)?;
+        let mut contender = PlannedContender::new(contender, case, &psf, options)?;
+        let warm = contender.run(&scene, &mut image)?;
         let runs = (TURN_SECONDS / warm.seconds.max(f64::MIN_POSITIVE)).clamp(1.0, MOST_RUNS);
-        prepared.row.relative_l2 = relative_l2(&image);
-        prepared.row.peak_memory_bytes = memory.bytes();
+        contender.row.relative_l2 = relative_l2(&image);
+        contender.row.peak_memory_bytes = memory.bytes();
         entries.push(Entry {
-            prepared,
-            runs_a_turn: runs as usize,
+            contender,
+            runs_per_turn: runs as usize,
             runs: Vec::new(),
         });
         progress.advance(1);
     }
     for _ in 0..repeat {
         for entry in &mut entries {
-            for _ in 0..entry.runs_a_turn {
-                entry.runs.push(entry.prepared.run(&scene, &mut image)?);
+            for _ in 0..entry.runs_per_turn {
+                entry.runs.push(entry.contender.run(&scene, &mut image)?);
             }
             progress.advance(1);
         }
     }
     for Entry {
-        prepared, mut runs, ..
+        contender, mut runs, ..
     } in entries
     {
         runs.sort_by(|a, b| a.seconds.total_cmp(&b.seconds));
@@ -243,13 +248,13 @@ pub fn run<T: ConvReal>(
             seconds_median: median(&runs.iter().map(|run| run.seconds).collect::<Vec<_>>()),
             ratio_to_single: runs[0].seconds / unit,
             gpu_seconds: runs[0].gpu,
-            ..prepared.row
+            ..contender.row
         });
     }
     Ok(outcome)
 }
 
-/// Why a contender cannot take part.
+/// Returns the reason why a contender cannot take part, if there is one.
 fn reason_to_skip<T: ConvReal>(
     contender: Contender,
     model: &PsfModel,
@@ -264,13 +269,13 @@ fn reason_to_skip<T: ConvReal>(
     let products = lit as f64 * stamp as f64 * stamps as f64;
     (products > options.direct_products).then(|| {
         format!(
-            "{lit} lit pixels x {stamp} stamp pixels x {stamps} stamps are {products:.1e} products, more than {:.1e}",
+            "{lit} pixels with light x {stamp} stamp pixels x {stamps} stamps are {products:.1e} products, more than {:.1e}",
             options.direct_products
         )
     })
 }
 
-/// Of ascending values.
+/// The median of ascending values.
 fn median(sorted: &[f64]) -> f64 {
     let half = sorted.len() / 2;
     if sorted.len().is_multiple_of(2) {

@@ -1,4 +1,4 @@
-//! Axes as all figures have them, and where numbers stand on them.
+//! The axes of all figures, and the positions of numbers along them.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ use psfield::readable;
 use crate::plot::canvas::Canvas;
 use crate::plot::figure::{Area, PlotError};
 
-/// Sizes of text, readable where a panel of 560 pixels takes half a page.
+/// Sizes of text, readable if a panel of 560 pixels takes half a page.
 pub(super) const TITLE: i32 = 17;
 pub(super) const TEXT: i32 = 15;
 pub(super) const SMALL: i32 = 12;
@@ -21,7 +21,7 @@ pub(super) const LABEL_ROOM_X: u32 = 50;
 pub(super) const LABEL_ROOM_Y: u32 = 84;
 pub(super) const MARGIN: u32 = 14;
 
-/// How plotters counts along an axis.
+/// An axis of plotters: its range and its numbers.
 pub(super) trait Counting: Ranged<ValueType = f64> + ValueFormatter<f64> {}
 impl<R: Ranged<ValueType = f64> + ValueFormatter<f64>> Counting for R {}
 
@@ -29,7 +29,7 @@ pub(super) type Chart<'a, 'b, X, Y> = ChartContext<'a, Canvas<'b>, Cartesian2d<X
 /// A chart with even steps along both axes.
 pub(super) type EvenChart<'a, 'b> = Chart<'a, 'b, RangedCoordf64, RangedCoordf64>;
 
-/// A chart with even steps that fills an area, and its axes.
+/// Makes a chart with even steps that fills an area, and draws its axes.
 pub(super) fn even_chart<'a, 'b>(
     area: &'a Area<'b>,
     [(x_name, x), (y_name, y)]: [(&str, Range<f64>); 2],
@@ -43,7 +43,7 @@ pub(super) fn even_chart<'a, 'b>(
     Ok(chart)
 }
 
-/// Grid, numbers and names of the axes.
+/// Draws the grid, the numbers and the names of the axes.
 pub(super) fn draw_axes<'a, 'b: 'a, X: Counting, Y: Counting>(
     chart: &mut Chart<'a, 'b, X, Y>,
     x_name: &str,
@@ -67,7 +67,7 @@ pub(super) fn draw_axes<'a, 'b: 'a, X: Counting, Y: Counting>(
     Ok(())
 }
 
-/// The key to the lines, over the plot.
+/// Draws the key to the lines, over the plot.
 pub(super) fn draw_key<'a, 'b: 'a, X: Counting, Y: Counting>(
     chart: &mut Chart<'a, 'b, X, Y>,
     at: SeriesLabelPosition,
@@ -87,15 +87,15 @@ pub(super) fn text_style(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&BLACK)
 }
 
-/// Room that a heading of so many lines takes.
+/// Returns the height of a heading.
 pub(super) fn title_room(title: &str) -> u32 {
     (MARGIN as usize + title.lines().count() * (TITLE as usize + 5)) as u32
 }
 
-/// Writes a heading over the plot that the area is for, and gives what is left of the area.
+/// Writes a heading over the plot, and returns the rest of the area.
 pub(super) fn under_title<'a>(area: &Area<'a>, title: &str) -> Result<Area<'a>, PlotError> {
     let (head, rest) = area.split_vertically(title_room(title));
-    // The middle of the plot, beside which are numbers.
+    // The middle of the plot, which has numbers on its left.
     let middle = (area.dim_in_pixel().0 + LABEL_ROOM_Y) as i32 / 2;
     let style = text_style(TITLE).pos(Pos::new(HPos::Center, VPos::Top));
     for (row, line) in title.lines().enumerate() {
@@ -105,14 +105,15 @@ pub(super) fn under_title<'a>(area: &Area<'a>, title: &str) -> Result<Area<'a>, 
     Ok(rest)
 }
 
-/// The number at a tick of an axis. What is 0 but for rounding is 0.
+/// Formats the number at a tick of an axis. A value that is 0 up to rounding is shown as 0.
 pub(super) fn number(value: f64, (low, high): (f64, f64)) -> String {
     const FIGURES: usize = 4;
     let is_rounding = value.abs() < 1e-9 * (high - low).abs() && low <= 0.0;
     readable(if is_rounding { 0.0 } else { value }, FIGURES)
 }
 
-/// The smallest and the largest of the finite values; none: infinite, the larger one first.
+/// Returns the smallest and the largest of the finite values. Without finite values: infinities,
+/// the larger one first.
 pub(super) fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let finite = values.filter(|v| v.is_finite());
     finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
@@ -120,7 +121,7 @@ pub(super) fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
     })
 }
 
-/// The range of some values with room at both ends.
+/// Returns the range of the values, with a margin at both ends.
 pub(super) fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = bounds(values);
     if low > high {
@@ -130,7 +131,7 @@ pub(super) fn extent(values: impl Iterator<Item = f64>) -> Range<f64> {
     low - room..high + room
 }
 
-/// The whole powers of ten about the positive values.
+/// Returns the range of whole powers of ten that holds the positive values.
 pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     let (low, high) = bounds(values.filter(|v| *v > 0.0));
     if low > high {
@@ -140,16 +141,16 @@ pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     10f64.powf(low)..10f64.powf(high.max(low + 1.0))
 }
 
-/// The most whole decades that are numbered.
+/// The largest number of decades that get a number.
 const DECADES: i32 = 7;
-/// Steps of an even axis, about.
+/// Approximate number of steps of an even axis.
 const STEPS: f64 = 5.0;
-/// Numbers of a stretched bar keep this part of its length apart.
+/// Smallest distance between the numbers of a stretched bar, as a fraction of its length.
 const APART: f64 = 0.09;
-/// Decades of a stretched bar that are looked at.
+/// Largest number of decades of a stretched bar that are considered.
 const MOST_DECADES: i32 = 40;
 
-/// Multiples of 1, 2 or 5 times a power of ten.
+/// Ticks at multiples of 1, 2 or 5 times a power of ten.
 pub(super) fn even_ticks(low: f64, high: f64) -> Vec<f64> {
     let span = high - low;
     if !(span > 0.0 && span.is_finite()) {
@@ -169,8 +170,9 @@ pub(super) fn even_ticks(low: f64, high: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Of a range above 0: whole decades, of many every second, third, ...; where there are fewer than two, 1, 2 and 5 within; and even
-/// steps in a range that has hardly any of these.
+/// Ticks of a range above 0. They are whole decades, of many decades only every second, third, and
+/// so on. If fewer than two decades fit, 1, 2 and 5 within them. If hardly any of these fit, even
+/// steps.
 pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     let low = low.max(f64::MIN_POSITIVE);
     let first = (low.log10() - ROUNDING).ceil() as i32;
@@ -190,14 +192,14 @@ pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     }
 }
 
-/// Of a bar from 0 to `high` that is linear up to `soft` and logarithmic above (`asinh(v / soft)`): 0 and 1, 2, 5 of each decade, as far as
-/// they are not too close.
+/// Ticks of a bar from 0 to `high` that is linear up to `soft` and logarithmic above (`asinh(v /
+/// soft)`): 0, and 1, 2, 5 of each decade, unless they are too close.
 pub(super) fn asinh_ticks(soft: f64, high: f64) -> Vec<f64> {
     let along = |v: f64| (v / soft).asinh() / (high / soft).asinh();
     let last = high.log10().floor() as i32;
     let first = ((soft / 10.0).log10().floor() as i32).max(last.saturating_sub(MOST_DECADES));
     let mut ticks = vec![0.0];
-    // Whole decades go first.
+    // Whole decades first.
     let mut candidates = one_two_five(first, last, 0.0, high);
     candidates.sort_by_key(|&v| (v.log10() - v.log10().round()).abs() > ROUNDING);
     for value in candidates {
@@ -209,7 +211,7 @@ pub(super) fn asinh_ticks(soft: f64, high: f64) -> Vec<f64> {
     ticks
 }
 
-/// Part of a step by which a tick may miss the end of its axis.
+/// Fraction of a step by which a tick may miss the end of its axis.
 const ROUNDING: f64 = 1e-9;
 
 fn one_two_five(first: i32, last: i32, low: f64, high: f64) -> Vec<f64> {
@@ -257,7 +259,7 @@ mod tests {
             ["1e-4", "0.001", "0.01", "0.1"]
         );
         assert_eq!(shown(&logarithmic_ticks(1e-30, 1e30)).len(), 7);
-        // Fewer than two.
+        // Fewer than two whole decades.
         assert_eq!(
             shown(&logarithmic_ticks(3e-12, 4e-11)),
             ["5e-12", "1e-11", "2e-11"]

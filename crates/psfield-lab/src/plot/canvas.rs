@@ -18,11 +18,12 @@ use crate::plot::figure::Overlay;
 /// PNG pixels along each side of a figure's pixel, for sharp print.
 pub(super) const PNG_SCALE: f32 = 2.0;
 
-/// The font of PNGs, which look the same on every machine.
+/// The font of PNGs, so that they are equal on every machine.
 static FONT: LazyLock<Face<'static>> =
     LazyLock::new(|| Face::parse(dejavu::sans::regular(), 0).expect("DejaVu Sans is a TrueType font"));
 
-/// Draws each shape twice: into an SVG, and into an image with [`PNG_SCALE`] times its pixels each way.
+/// Draws each shape twice: into an SVG, and into an image that has [`PNG_SCALE`] times its pixels
+/// along each axis.
 pub(super) struct Canvas<'a> {
     svg: SVGBackend<'a>,
     pixels: &'a mut Pixmap,
@@ -65,7 +66,7 @@ impl<'a> Canvas<'a> {
     }
 }
 
-/// Lays a picture over an image that was drawn with a canvas, its pixels as squares; and a grey line about it.
+/// Draws a picture over an image, with its pixels as squares, and a grey line around it.
 pub(super) fn lay_over(image: &mut Pixmap, overlay: &Overlay) {
     let rgba = DynamicImage::from(overlay.pixels.clone()).into_rgba8();
     let (columns, rows) = rgba.dimensions();
@@ -194,7 +195,7 @@ impl DrawingBackend for Canvas<'_> {
         self.svg.fill_polygon(points, style)
     }
 
-    /// Text stands where the SVG has it: its size and its offsets are those of plotters' SVG.
+    /// Draws text where the SVG has it, with the size and the offsets of plotters' SVG backend.
     fn draw_text<S: BackendTextStyle>(&mut self, text: &str, style: &S, at: BackendCoord) -> Drawn {
         let em = style.size() as f32 / 1.24;
         let unit = em / f32::from(FONT.units_per_em());
@@ -228,7 +229,8 @@ impl DrawingBackend for Canvas<'_> {
     }
 }
 
-/// The outlines of a text from (0, 0) on, and its width, in the font's units, y upwards.
+/// Returns the outlines of a text that starts at (0, 0), and its width, in the font's units with y
+/// upwards.
 fn outline(text: &str) -> (Option<Path>, f32) {
     let mut outline = Outline {
         path: PathBuilder::new(),
@@ -242,7 +244,7 @@ fn outline(text: &str) -> (Option<Path>, f32) {
     (outline.path.finish(), outline.left)
 }
 
-/// Glyphs side by side.
+/// The path of glyphs next to each other.
 struct Outline {
     path: PathBuilder,
     left: f32,

@@ -1,4 +1,4 @@
-//! Colours that most eyes can tell apart, and the bar that says which colour means what.
+//! Colours that colour-blind readers can tell apart, and the bar that explains them.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::plot::axes::{
 };
 use crate::plot::figure::{Area, Overlay, PlotError};
 
-/// Colours of lines, in this order (Okabe and Ito 2008).
+/// Colours of lines, in the order of use (Okabe and Ito 2008).
 pub const SERIES: [RGBColor; 6] = [
     RGBColor(0, 114, 178),
     RGBColor(213, 94, 0),
@@ -22,18 +22,19 @@ pub const SERIES: [RGBColor; 6] = [
     RGBColor(230, 159, 0),
 ];
 
-/// Colours of a value.
+/// A map from values to colours.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum ColourMap {
-    /// Dark blue to yellow, even steps of lightness: for values.
+    /// Dark blue to yellow in even steps of lightness, for values.
     Viridis,
-    /// Blue below, white in the middle, red above: for differences.
+    /// Blue below, white in the middle, red above, for differences.
     BlueWhiteRed,
-    /// Black to white: for images of the sky.
+    /// Black to white, for images of the sky.
     Grey,
 }
 
-/// `RdBu` with 9 classes (C. Brewer, colorbrewer2.org), from blue, its middle pure white, so that no difference looks like none.
+/// `RdBu` with 9 classes (C. Brewer, colorbrewer2.org), starting at blue. The middle is pure white,
+/// so that a difference of 0 is invisible.
 const BLUE_WHITE_RED: [[u8; 3]; 9] = [
     [33, 102, 172],
     [67, 147, 195],
@@ -47,7 +48,7 @@ const BLUE_WHITE_RED: [[u8; 3]; 9] = [
 ];
 
 impl ColourMap {
-    /// The colour of a value from 0 to 1; beyond, that of the nearer end.
+    /// Returns the colour of a value from 0 to 1. Values outside get the colour of the nearer end.
     pub(super) fn at(self, value: f64) -> [u8; 3] {
         let value = value.clamp(0.0, 1.0);
         match self {
@@ -68,37 +69,37 @@ fn between(stops: &[[u8; 3]], value: f64) -> [u8; 3] {
     })
 }
 
-/// Width of the area that a bar takes, its numbers and name included.
+/// Width of the area of a bar, including its numbers and its name.
 pub(super) const BAR_AREA: u32 = 150;
 const BAR: u32 = 18;
 const NUMBERS: u32 = 78;
 
-/// Which value gets which colour. Pictures and maps that are compared get the same.
+/// The colours of values. Pictures and maps that are compared have equal scales.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
     /// Grey from 0 to `high`: linear below `soft`, logarithmic above (`asinh(v / soft)`).
     Asinh {
-        /// Where the logarithm begins.
+        /// The value where the logarithm begins.
         soft: f64,
-        /// White.
+        /// The value shown white.
         high: f64,
     },
-    /// Blue, white, red from `-most` to `most`.
+    /// Blue, white, red from `-most` to `most`, linear.
     Difference {
-        /// The darkest colours.
+        /// The value with the darkest colours.
         most: f64,
     },
-    /// Viridis from `low` to `high`, both above 0, by the logarithm.
+    /// Viridis from `low` to `high`, both above 0, logarithmic.
     Logarithmic {
-        /// Dark blue.
+        /// The value shown dark blue.
         low: f64,
-        /// Yellow.
+        /// The value shown yellow.
         high: f64,
     },
 }
 
 impl Scale {
-    /// The values at the ends; those beyond have the colour of the nearer end.
+    /// The values at the ends. Values outside get the colour of the nearer end.
     fn range(self) -> (f64, f64) {
         match self {
             Self::Asinh { high, .. } => (0.0, high),
@@ -107,7 +108,7 @@ impl Scale {
         }
     }
 
-    /// Where a value lies along the bar, in any unit.
+    /// The position of a value along the bar, in any unit.
     fn along(self, value: f64) -> f64 {
         match self {
             Self::Asinh { soft, .. } => (value / soft).asinh(),
@@ -116,7 +117,7 @@ impl Scale {
         }
     }
 
-    /// Values that are numbered.
+    /// The values that get a number.
     fn ticks(self) -> Vec<f64> {
         match self {
             Self::Asinh { soft, high } => asinh_ticks(soft, high),
@@ -125,7 +126,7 @@ impl Scale {
         }
     }
 
-    /// The colour at a part of the bar's length, from 0 to 1.
+    /// The colour at a fraction of the bar's length, from 0 to 1.
     fn at(self, part: f64) -> [u8; 3] {
         match self {
             Self::Asinh { .. } => ColourMap::Grey.at(part),
@@ -140,15 +141,16 @@ impl Scale {
         self.at((self.along(value) - low) / (high - low).max(f64::MIN_POSITIVE))
     }
 
-    /// Draws the bar of a quantity, named with its unit, at the left of `area`, which is as high as
-    /// that of the plot beside it.
+    /// Draws the bar of a quantity at the left of `area`, which is as high as the area of the plot
+    /// next to it. `name` includes the unit.
     pub(super) fn draw_bar(self, name: &str, area: &Area<'_>) -> Result<Overlay, PlotError> {
         let (low, high) = self.range();
         let ticks = self.ticks();
         let places: Vec<f64> = ticks.iter().map(|&v| self.along(v)).collect();
         let shown = |place: &f64| {
             let tick = places.iter().position(|p| p == place);
-            // Apart from the tick, which would read as a point; SVG drops plain blanks.
+            // A no-break space keeps the number away from the tick, which looks like a point. SVG
+            // drops plain blanks.
             tick.map_or_else(String::new, |k| {
                 format!("\u{a0}{}", number(ticks[k], (low, high)))
             })
@@ -189,7 +191,7 @@ impl Scale {
     }
 }
 
-/// The length of a bar, with numbers at given places: plotters chooses its own on other axes.
+/// The axis of a bar, with numbers at given places. On other axes plotters chooses the places.
 struct Length {
     range: Range<f64>,
     places: Vec<f64>,

@@ -27,16 +27,16 @@ pub struct Curve {
     pub name: String,
     /// The points, in this order.
     pub points: Vec<(f64, f64)>,
-    /// In this colour of [`SERIES`](crate::plot::SERIES), counted round; none: by its place among
-    /// the curves.
+    /// The index of its colour in [`SERIES`](crate::plot::SERIES), modulo their number. None: its
+    /// place among the curves.
     pub colour: Option<usize>,
-    /// How every point is drawn, if it is.
+    /// The shape of every point, if points are drawn.
     pub marker: Option<Marker>,
-    /// Texts beside points, in the curve's colour.
+    /// Texts next to points, in the curve's colour.
     pub labels: Vec<((f64, f64), String)>,
 }
 
-/// The shape that a point is drawn as.
+/// The shape of a point.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Marker {
     /// A filled circle.
@@ -45,7 +45,7 @@ pub enum Marker {
     Triangle,
     /// A filled square.
     Square,
-    /// A filled square on its corner.
+    /// A filled square that stands on its corner.
     Diamond,
     /// Two crossing strokes.
     Cross,
@@ -63,7 +63,7 @@ impl Curve {
         }
     }
 
-    /// The part of the values that is below a value, as steps.
+    /// The cumulative distribution of values, as steps.
     pub fn distribution(name: &str, values: impl IntoIterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = values.into_iter().collect();
         sorted.sort_unstable_by(f64::total_cmp);
@@ -75,13 +75,13 @@ impl Curve {
         Self::new(name, points)
     }
 
-    /// Its colour, where it is the `place`-th curve of its plot.
+    /// Its colour as the `place`-th curve of its plot.
     fn colour_at(&self, place: usize) -> RGBColor {
         SERIES[self.colour.unwrap_or(place) % SERIES.len()]
     }
 }
 
-/// How an axis counts, and its name with the unit.
+/// The kind of an axis, and its name with the unit.
 #[derive(Debug, Clone)]
 pub struct Axis {
     pub(super) name: String,
@@ -89,7 +89,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// Even steps.
+    /// An axis with even steps.
     pub fn linear(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -97,7 +97,7 @@ impl Axis {
         }
     }
 
-    /// Powers of ten; values that are not above 0 are left out.
+    /// An axis with powers of ten. Values that are not above 0 are left out.
     pub fn logarithmic(name: &str) -> Self {
         Self {
             name: name.to_owned(),
@@ -113,19 +113,19 @@ impl Axis {
         }
     }
 
-    /// How far along the axis a value lies, from 0 to 1.
+    /// Returns the position of a value along the axis, from 0 to 1.
     pub(super) fn part(&self, value: f64, range: &Range<f64>) -> f64 {
         let scale = |v: f64| if self.logarithmic { v.log10() } else { v };
         (scale(value) - scale(range.start)) / (scale(range.end) - scale(range.start))
     }
 }
 
-/// A value that the reader should see.
+/// A value to which the reader's attention is drawn.
 #[derive(Debug, Clone)]
 pub enum Mark {
-    /// A line up the plot at x, with a text at its upper end.
+    /// A line at x from bottom to top, with a text at its upper end.
     Vertical(f64, String),
-    /// A line across the plot at y, with a text at its left end.
+    /// A line at y from left to right, with a text at its left end.
     Horizontal(f64, String),
     /// A dot.
     Point(f64, f64, String),
@@ -134,13 +134,13 @@ pub enum Mark {
 /// Lines over one pair of axes, with marks and a key.
 #[derive(Debug, Clone)]
 pub struct Curves {
-    /// The axis across.
+    /// The horizontal axis.
     pub x: Axis,
-    /// The axis up.
+    /// The vertical axis.
     pub y: Axis,
     /// The lines.
     pub curves: Vec<Curve>,
-    /// What is marked.
+    /// The marks.
     pub marks: Vec<Mark>,
 }
 
@@ -150,7 +150,7 @@ const MARK: RGBColor = RGBColor(90, 90, 90);
 const KEY_LINE: i32 = 14;
 
 impl Curves {
-    /// Draws them, with a key where there are several.
+    /// Draws the curves, with a key if there are several.
     ///
     /// # Errors
     /// [`PlotError`] when the drawing fails.
@@ -161,7 +161,7 @@ impl Curves {
         })
     }
 
-    /// Draws axes, curves and marks, and the key where one is asked for.
+    /// Draws axes, curves and marks, and a key if one is requested.
     fn draw_in(&self, area: &Area<'_>, key: bool) -> Result<(), PlotError> {
         let points = || self.curves.iter().flat_map(|c| c.points.iter());
         let marked_x = self.marks.iter().filter_map(|mark| match mark {
@@ -233,7 +233,7 @@ impl Curves {
             let mut lower = 0;
             let (line, at, text, h, v) = match mark {
                 Mark::Vertical(at, text) => {
-                    // On the side with more room.
+                    // The text is on the side with more room.
                     let right = self.x.part(*at, x) > 0.6;
                     let h = if right { HPos::Right } else { HPos::Left };
                     ([(*at, y.start), (*at, y.end)], (*at, y.end), text, h, VPos::Top)
@@ -243,7 +243,7 @@ impl Curves {
                     (line, line[0], text, HPos::Left, VPos::Bottom)
                 }
                 Mark::Point(px, py, text) => {
-                    // Points near each other would write over each other's names.
+                    // The names of points near each other would overlap.
                     lower = points_so_far * 2 * (TEXT + 5);
                     points_so_far += 1;
                     let at = (*px, *py);
@@ -265,7 +265,7 @@ impl Curves {
     }
 }
 
-/// A marker in pixels about a point.
+/// Draws a marker about a point. Its size is in pixels.
 fn draw_marker<C: CoordTranslate>(
     area: &DrawingArea<Canvas<'_>, C>,
     marker: Marker,
@@ -283,14 +283,15 @@ fn draw_marker<C: CoordTranslate>(
     Ok(())
 }
 
-/// Width and height of a panel: two side by side stay readable at a page's width.
+/// Width and height of a panel. Two next to each other stay readable at the width of a page.
 const PANEL: (u32, u32) = (560, 440);
-/// Height of the strip with the key.
+/// Height of the strip that holds the key.
 const KEY: u32 = 44;
-/// Pixels between two names of the key.
+/// Width of a name in the key, in pixels.
 const NAME_WIDTH: i32 = 118;
 
-/// Plots with headings, two in a row, with one key above for all: curves of one name should have one colour and one marker.
+/// Draws plots with headings, two in a row, below one key for all of them. Curves of one name
+/// should have one colour and one marker.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.
@@ -309,7 +310,7 @@ pub fn curve_panels(panels: &[(String, Curves)]) -> Result<Figure, PlotError> {
     })
 }
 
-/// The first curve of each name, with its place in its panel.
+/// Returns the first curve of each name, with its place in its panel.
 fn names(panels: &[(String, Curves)]) -> Vec<(usize, &Curve)> {
     let mut found: Vec<(usize, &Curve)> = Vec::new();
     for (place, curve) in panels.iter().flat_map(|(_, c)| c.curves.iter().enumerate()) {
@@ -333,8 +334,8 @@ fn draw_names(area: &Area<'_>, names: &[(usize, &Curve)]) -> Result<(), PlotErro
         if let Some(marker) = curve.marker {
             draw_marker(area, marker, (x, y), colour)?;
         }
-        let beside = (x + KEY_LINE + 6, y);
-        area.draw(&Text::new(curve.name.clone(), beside, style.clone()))?;
+        let right_of_line = (x + KEY_LINE + 6, y);
+        area.draw(&Text::new(curve.name.clone(), right_of_line, style.clone()))?;
     }
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! A figure: SVG and PNG.
+//! A figure as SVG and PNG.
 
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
@@ -11,17 +11,17 @@ use tiny_skia::Pixmap;
 
 use crate::plot::canvas::{Canvas, PNG_SCALE, lay_over};
 
-/// Where a figure's parts are drawn.
+/// The area in which parts of a figure are drawn.
 pub(super) type Area<'a> = DrawingArea<Canvas<'a>, Shift>;
 
-/// Why there is no figure.
+/// The error of a figure that could not be made.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum PlotError {
     /// The drawing failed.
     #[error("a figure could not be drawn: {0}")]
     Drawing(#[from] DrawingAreaErrorKind<std::io::Error>),
-    /// There is no memory for so many pixels.
+    /// There is not enough memory for the pixels.
     #[error("a figure of {width} x {height} pixels is too large for a PNG")]
     TooLarge {
         /// Columns.
@@ -34,7 +34,7 @@ pub enum PlotError {
     Encoding(#[from] ImageError),
 }
 
-/// A figure as SVG and as pixels. Text is `sans-serif`, the background white.
+/// A figure as SVG and as pixels. Text is `sans-serif`, and the background is white.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
     svg: String,
@@ -53,7 +53,8 @@ pub(super) struct Overlay {
 }
 
 impl Figure {
-    /// A figure of `width` x `height` pixels. What `draw` returns is laid over it.
+    /// Draws a figure of `width` x `height` pixels. The overlays that `draw` returns are drawn over
+    /// it.
     pub(super) fn draw(
         size: (u32, u32),
         draw: impl FnOnce(&Area<'_>) -> Result<Vec<Overlay>, PlotError>,
@@ -87,10 +88,10 @@ impl Figure {
         self.size
     }
 
-    /// The figure as PNG, with twice the pixels each way.
+    /// Returns the figure as PNG, with twice the pixels along each axis.
     ///
     /// # Errors
-    /// [`PlotError`] when there is not enough memory.
+    /// [`PlotError`] if there is not enough memory.
     pub fn png(&self) -> Result<Vec<u8>, PlotError> {
         let (width, height) = (self.pixels.width(), self.pixels.height());
         let mut png = Vec::new();
@@ -98,14 +99,14 @@ impl Figure {
         Ok(png)
     }
 
-    /// The SVG as a `data:` address, for pages that hold all they show.
+    /// Returns the SVG as a `data:` address, for self-contained pages.
     pub fn data_uri(&self) -> String {
         format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(&self.svg))
     }
 }
 
 impl Overlay {
-    /// Over the inner part of a chart.
+    /// A picture over the inner part of a chart.
     pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<Canvas<'_>, C>, pixels: RgbImage) -> Self {
         let (x, y) = plot.get_pixel_range();
         Self {

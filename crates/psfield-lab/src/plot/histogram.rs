@@ -1,4 +1,4 @@
-//! Counts in bins of one width, and histograms that are compared.
+//! Counts in bins of equal width, and histograms that are compared.
 
 use plotters::chart::SeriesLabelPosition;
 use plotters::prelude::{AreaSeries, LineSeries, PathElement};
@@ -9,19 +9,21 @@ use crate::plot::axes::{bounds, draw_key, even_chart};
 use crate::plot::colours::SERIES;
 use crate::plot::figure::{Figure, PlotError};
 
-/// Counts of values in bins of one width. A value on an edge counts in the bin above, the upper end in the last bin.
+/// Counts of values in bins of equal width. A value on an edge counts in the bin above it, and the
+/// upper end counts in the last bin.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Histogram {
     low: f64,
     high: f64,
-    /// How many values are in each bin.
+    /// Number of values in each bin.
     pub counts: Vec<usize>,
-    /// How many values are in none.
+    /// Number of values in no bin.
     pub outside: usize,
 }
 
 impl Histogram {
-    /// Counts `values` in `bins` bins (at least one) from `low` to `high`; what is not finite or lies outside is counted apart.
+    /// Counts `values` in `bins` bins (at least one) from `low` to `high`. Values that are outside
+    /// or not finite are counted separately.
     pub fn new(values: impl IntoIterator<Item = f64>, (low, high): (f64, f64), bins: usize) -> Self {
         let bins = bins.max(1);
         let mut histogram = Self {
@@ -41,7 +43,7 @@ impl Histogram {
         histogram
     }
 
-    /// Histograms of several lists over their common range, with the same bins.
+    /// Makes histograms of several lists over their common range, with equal bins.
     pub fn of_all<const N: usize>(lists: [&[f64]; N], bins: usize) -> [Self; N] {
         let (low, high) = bounds(lists.iter().flat_map(|list| list.iter().copied()));
         let range = if low < high {
@@ -59,24 +61,24 @@ impl Histogram {
         (self.low, self.high)
     }
 
-    /// The lower edge of a bin; of one past the last, the upper end.
+    /// The lower edge of a bin. For the index after the last bin: the upper end.
     pub fn edge(&self, bin: usize) -> f64 {
         self.low + (self.high - self.low) * bin as f64 / self.counts.len() as f64
     }
 }
 
-/// Histograms over one pair of axes, with the same bins.
+/// Histograms over one pair of axes, with equal bins.
 #[derive(Debug, Clone)]
 pub struct HistogramPanel<'a> {
     /// The quantity, with its unit.
     pub quantity: &'a str,
-    /// Name and counts of each.
+    /// Name and counts of each histogram.
     pub histograms: Vec<(&'a str, &'a Histogram)>,
 }
 
 const PANEL: (u32, u32) = (560, 420);
 
-/// Panels side by side, two in a row.
+/// Draws panels, two in a row.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.
@@ -92,14 +94,12 @@ pub fn histograms(panels: &[HistogramPanel<'_>]) -> Result<Figure, PlotError> {
                 continue;
             };
             let (low, high) = first.range();
-            let axes = [
-                (panel.quantity, low..high),
-                ("objects in a bin", 0.0..most * 1.08),
-            ];
+            let axes = [(panel.quantity, low..high), ("objects per bin", 0.0..most * 1.08)];
             let mut chart = even_chart(&area, axes)?;
             for (n, ((name, histogram), colour)) in panel.histograms.iter().zip(SERIES).enumerate() {
                 let steps = outline(histogram);
-                // The first is filled, the others are lines, so that equal histograms both show.
+                // The first histogram is filled and the others are lines, so that equal ones are
+                // all visible.
                 if n == 0 {
                     chart.draw_series(AreaSeries::new(steps.clone(), 0.0, colour.mix(0.3)))?;
                 }
@@ -119,7 +119,7 @@ pub fn histograms(panels: &[HistogramPanel<'_>]) -> Result<Figure, PlotError> {
     })
 }
 
-/// The corners of a histogram.
+/// The corners of a histogram's outline.
 fn outline(histogram: &Histogram) -> Vec<(f64, f64)> {
     let mut corners = vec![(histogram.range().0, 0.0)];
     for (bin, &count) in histogram.counts.iter().enumerate() {

@@ -11,7 +11,7 @@ use crate::plot::figure::{Figure, Overlay, PlotError};
 
 const PANEL: u32 = 560;
 
-/// Positions over the field, panels side by side, each with a heading.
+/// Draws positions over the field in panels next to each other, each with a heading.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.
@@ -27,10 +27,10 @@ pub fn positions_figure(panels: &[(String, &[Position])], frame: FrameShape) -> 
     let count = panels.len().max(1);
     Figure::draw((PANEL * count as u32, head + height), |root| {
         for ((title, positions), area) in panels.iter().zip(root.split_evenly((1, count))) {
-            // Room for the dots on the edge.
+            // Room for dots on the edges.
             let axes = [
-                ("x, pixels", -0.02 * nx..1.02 * nx),
-                ("y, pixels", -0.02 * ny..1.02 * ny),
+                ("x (pixels)", -0.02 * nx..1.02 * nx),
+                ("y (pixels)", -0.02 * ny..1.02 * ny),
             ];
             let area = under_title(&area, title)?;
             let mut chart = even_chart(&area, axes)?;
@@ -46,24 +46,25 @@ pub fn positions_figure(panels: &[(String, &[Position])], frame: FrameShape) -> 
     })
 }
 
-/// A value at every position of a field, as colours. Maps of differences are white at 0.
+/// A value at every position of a field, shown as colours. Differences of 0 are white.
 #[derive(Debug, Clone)]
 pub struct FieldMap<'a> {
-    /// Heading.
+    /// The heading.
     pub title: &'a str,
-    /// The quantity, with its unit, beside the bar.
+    /// The quantity with its unit, shown next to the bar.
     pub quantity: &'a str,
     /// The field.
     pub frame: FrameShape,
-    /// Positions and values; an object without a value is left out.
+    /// Positions and values. A position without a value is grey.
     pub values: &'a [(Position, Option<f64>)],
-    /// Columns of a grid, where the positions are one, ordered by y, then x; none: dots.
+    /// Number of columns if the positions are a grid, ordered by y, then x. None: values are shown
+    /// as dots.
     pub grid_columns: Option<usize>,
     /// The colours.
     pub scale: Scale,
 }
 
-/// Two stand side by side on a report's page.
+/// Width of a map. Two fit next to each other on the page of a report.
 const WIDTH: u32 = 550;
 const MISSING: RGBColor = RGBColor(128, 128, 128);
 
@@ -80,7 +81,7 @@ impl FieldMap<'_> {
             let (left, right) = root.split_horizontally(WIDTH - BAR_AREA);
             let left = under_title(&left, self.title)?;
             let (_, right) = right.split_vertically(title_room(self.title));
-            let axes = [("x, pixels", -0.5..nx - 0.5), ("y, pixels", -0.5..ny - 0.5)];
+            let axes = [("x (pixels)", -0.5..nx - 0.5), ("y (pixels)", -0.5..ny - 0.5)];
             let mut chart = even_chart(&left, axes)?;
             let mut overlays = Vec::new();
             if let Some(columns) = self.grid_columns.filter(|&c| c > 0) {
@@ -96,7 +97,7 @@ impl FieldMap<'_> {
                     });
                     Circle::new((at.x(), at.y()), radius, colour.filled())
                 }))?;
-                // White dots would not be seen on white.
+                // White dots would be invisible on white.
                 chart.draw_series(
                     self.values
                         .iter()
@@ -108,7 +109,7 @@ impl FieldMap<'_> {
         })
     }
 
-    /// One pixel a value, the first row at the bottom.
+    /// Returns a picture with one pixel per value, the first row at the bottom.
     fn cells(&self, columns: usize) -> RgbImage {
         let rows = self.values.len().div_ceil(columns);
         RgbImage::from_fn(columns as u32, rows as u32, |x, y| {
@@ -124,7 +125,7 @@ mod tests {
     use super::*;
     use crate::plot::colours::ColourMap;
 
-    /// Values of a grid of 2 x 2.
+    /// Values on a grid of 2 x 2.
     fn placed(values: [f64; 4]) -> Vec<(Position, Option<f64>)> {
         let places = (0..4).map(|k| Position::of_pixel(k % 2, k / 2));
         places.zip(values.map(Some)).collect()

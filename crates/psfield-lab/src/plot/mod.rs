@@ -1,7 +1,8 @@
-//! Figures: each is drawn once, as SVG and as PNG.
+//! Figures. Each is drawn once, as SVG and as PNG.
 //!
-//! Every figure of psfield has its colours, its axes and its way to a file from here. Colours: Okabe and Ito (2008) for lines, viridis
-//! for values, blue-white-red (ColorBrewer's RdBu) for differences; all three stay apart for colour-blind eyes and in grey.
+//! All figures of psfield share the colours, axes and file formats of this module. Colours: Okabe
+//! and Ito (2008) for lines, viridis for values, blue-white-red (ColorBrewer's RdBu) for
+//! differences. Colour-blind readers can tell the colours of each apart.
 
 mod axes;
 mod canvas;

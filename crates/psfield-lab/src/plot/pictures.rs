@@ -1,4 +1,4 @@
-//! Images side by side, each with its colours explained.
+//! Images next to each other, each with a bar that explains its colours.
 
 use std::ops::Range;
 
@@ -9,12 +9,13 @@ use crate::plot::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, even_chart, title_ro
 use crate::plot::colours::{BAR_AREA, Scale};
 use crate::plot::figure::{Area, Figure, Overlay, PlotError};
 
-/// What the axes of a picture count.
+/// The units along the axes of a picture.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PictureAxes<'a> {
     /// Pixels of the image.
     Pixels,
-    /// Something else: name, with the unit, and the values at the outer edges of the first and the last pixel; x, then y.
+    /// Other units: the name with the unit, and the values at the outer edges of the first and the
+    /// last pixel, for x, then y.
     Of([(&'a str, Range<f64>); 2]),
 }
 
@@ -27,20 +28,20 @@ pub struct Picture<'a> {
     pub pixels: ArrayView2<'a, f64>,
     /// Its colours.
     pub scale: Scale,
-    /// What the colours mean, with the unit.
+    /// The quantity shown by the colours, with its unit.
     pub quantity: &'a str,
-    /// What its axes count.
+    /// The units along its axes.
     pub axes: PictureAxes<'a>,
 }
 
-/// Width of a picture that stands alone: in a PNG, an image of 1024 columns has a pixel of the picture for each of its own.
+/// Width of a single picture. An image of 1024 columns then has one PNG pixel per image pixel.
 const ALONE: u32 = 512;
-/// Width of each of several.
+/// Width of each of several pictures.
 const BESIDE: u32 = 298;
-/// What stands about a picture, across.
+/// Width of the axes, margins and bar around a picture.
 const ABOUT: u32 = LABEL_ROOM_Y + 2 * MARGIN + BAR_AREA;
 
-/// Draws pictures, two in a row. Row 0 is at the bottom, as FITS viewers show it.
+/// Draws pictures, two in a row. Row 0 is at the bottom, as in FITS viewers.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.
@@ -73,8 +74,8 @@ impl Picture<'_> {
         let (ny, nx) = self.pixels.dim();
         let axes = match &self.axes {
             PictureAxes::Pixels => [
-                ("x, pixels", -0.5..nx as f64 - 0.5),
-                ("y, pixels", -0.5..ny as f64 - 0.5),
+                ("x (pixels)", -0.5..nx as f64 - 0.5),
+                ("y (pixels)", -0.5..ny as f64 - 0.5),
             ],
             PictureAxes::Of(axes) => axes.clone(),
         };
@@ -122,7 +123,7 @@ mod tests {
             axes: PictureAxes::Of([("x, mm", 0.0..20.0), ("y, mm", 0.0..10.0)]),
         }])
         .unwrap();
-        // Half of what PNGs have.
+        // Half of the pixels of the PNG.
         assert!(figure.svg().contains("width=\"512\" height=\"256\""));
         for text in ["x, mm", "y, mm", "two rows", "of heading"] {
             assert!(figure.svg().contains(text), "{text}");

@@ -1,26 +1,27 @@
-//! An image at fewer pixels.
+//! An image with fewer pixels.
 
 use ndarray::{Array2, ArrayView2};
 use psf_io::{ImageReader, IoError};
 
-/// Rows of a file read at once, at least.
+/// Smallest number of rows read from a file at once.
 const BAND: usize = 64;
 
-/// An image by means over squares of pixels, so that it is at most so large.
+/// An image of the means of square bins of pixels, which is limited in size.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BinnedImage {
     pixels: Array2<f64>,
-    /// Pixels of the image along the side of a square.
+    /// Pixels of the image along the side of a bin.
     pub factor: usize,
     /// Pixels of the image that are NaN or infinite.
     pub undefined_pixels: usize,
 }
 
 impl BinnedImage {
-    /// An image `[y, x]` in squares as small as a `max_size` of pixels along the longer axis allows, 1 at least. The squares begin at
-    /// pixel 0; those at the far edges may hold fewer pixels.
+    /// Bins an image `[y, x]`. The bins are the smallest, at least one pixel, for which the longer
+    /// axis has at most `max_size` bins. The first bin starts at pixel 0. Bins at the far edges may
+    /// hold fewer pixels.
     ///
-    /// A square is the mean of its finite pixels, and NaN where there are none.
+    /// A bin is the mean of its finite pixels, or NaN if there are none.
     ///
     /// ```
     /// use psfield_lab::preview::BinnedImage;
@@ -35,10 +36,10 @@ impl BinnedImage {
         squares.means()
     }
 
-    /// The same of an image in a file, read by bands: it may be larger than memory.
+    /// Bins an image in a file. It is read in bands, and may be larger than memory.
     ///
     /// # Errors
-    /// Those of the reader.
+    /// The errors of the reader.
     pub fn read(reader: &mut ImageReader, max_size: usize) -> Result<Self, IoError> {
         let (ny, nx) = (reader.shape().ny(), reader.shape().nx());
         let mut squares = Squares::new((ny, nx), max_size);
@@ -55,7 +56,7 @@ impl BinnedImage {
     }
 }
 
-/// Sums over the squares while rows come.
+/// Sums over the bins while rows are read.
 struct Squares {
     factor: usize,
     sums: Array2<f64>,
@@ -77,7 +78,7 @@ impl Squares {
         }
     }
 
-    /// The next rows.
+    /// Adds the next rows.
     fn add(&mut self, rows: ArrayView2<'_, f64>) {
         for row in rows.outer_iter() {
             let y = self.rows / self.factor;
@@ -96,7 +97,7 @@ impl Squares {
 
     fn means(self) -> BinnedImage {
         let mut pixels = self.sums;
-        // 0 / 0 is NaN.
+        // 0 / 0 gives NaN.
         pixels.zip_mut_with(&self.counts, |sum, &count| *sum /= f64::from(count));
         BinnedImage {
             pixels,

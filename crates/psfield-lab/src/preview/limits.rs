@@ -1,4 +1,4 @@
-//! The values at the ends of the scale, and how they follow from the pixels.
+//! The values at the ends of the scale, and the rules that choose them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,7 +9,8 @@ use serde::Serialize;
 
 use crate::preview::PreviewError;
 
-/// The value shown darkest and the one shown brightest: finite, the first below the second. What lies beyond is shown as the limit.
+/// The values shown darkest and brightest: finite, the first below the second. Values outside are
+/// shown as the nearer limit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Limits {
     low: f64,
@@ -17,7 +18,7 @@ pub struct Limits {
 }
 
 impl Limits {
-    /// Checked limits.
+    /// Checks and returns limits.
     ///
     /// # Errors
     /// [`PreviewError::Range`] unless both are finite and `low` is below `high`.
@@ -29,7 +30,7 @@ impl Limits {
         }
     }
 
-    /// `(value - low) / (high - low)`, cut to 0 and 1; NaN for NaN.
+    /// `(value - low) / (high - low)`, clamped to 0 and 1. NaN for NaN.
     ///
     /// ```
     /// use psfield_lab::preview::Limits;
@@ -49,10 +50,10 @@ impl Limits {
     }
 }
 
-/// Figures of a value that is shown to a reader.
+/// Number of figures of values shown to a reader.
 pub(super) const FIGURES: usize = 6;
 
-/// `LO to HI`, to six figures.
+/// `LO to HI`, with six figures.
 impl fmt::Display for Limits {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [low, high] = [self.low, self.high].map(|limit| readable(limit, FIGURES));
@@ -76,7 +77,7 @@ fn two_numbers(text: &str) -> Result<[f64; 2], PreviewError> {
     }
 }
 
-/// Two percentiles: 0 to 100, the first below the second.
+/// Two percentiles from 0 to 100, the first below the second.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Percentiles {
     low: f64,
@@ -84,7 +85,7 @@ pub struct Percentiles {
 }
 
 impl Percentiles {
-    /// Checked percentiles.
+    /// Checks and returns percentiles.
     ///
     /// # Errors
     /// [`PreviewError::Percentiles`] unless 0 <= `low` < `high` <= 100.
@@ -105,24 +106,26 @@ impl FromStr for Percentiles {
     }
 }
 
-/// A rule for the limits. Only finite pixels count.
+/// A rule that chooses limits. Only finite pixels count.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum LimitRule {
-    /// Percentiles of the pixels, linear between neighbours: astropy's `AsymmetricPercentileInterval`.
+    /// Percentiles of the pixels, linear between neighbours: astropy's
+    /// `AsymmetricPercentileInterval`.
     Percentile(Percentiles),
-    /// These limits.
+    /// The given limits.
     Range(Limits),
-    /// The median and a range about it from the slope of the sorted values, outliers left out: astropy's `ZScaleInterval`, as IRAF and ds9
-    /// have it, with 1000 pixels and a contrast of 0.25.
+    /// The median and a range about it from the slope of the sorted values, without outliers:
+    /// astropy's `ZScaleInterval`, as in IRAF and ds9, with 1000 pixels and a contrast of 0.25.
     ZScale,
 }
 
 impl LimitRule {
-    /// The limits for an image `[y, x]`.
+    /// Returns the limits for an image `[y, x]`.
     ///
     /// # Errors
-    /// [`PreviewError::NoFinitePixel`]; [`PreviewError::Constant`] and [`PreviewError::EqualLimits`] where the rule gives no range.
+    /// [`PreviewError::NoFinitePixel`]. [`PreviewError::Constant`] and
+    /// [`PreviewError::EqualLimits`] if the rule gives no range.
     pub fn limits(self, image: ArrayView2<'_, f64>) -> Result<Limits, PreviewError> {
         if let Self::Range(limits) = self {
             return Ok(limits);
@@ -159,7 +162,7 @@ impl LimitRule {
     }
 }
 
-/// Linear between the sorted values, as `numpy.percentile` has it.
+/// Linear between the sorted values, as in `numpy.percentile`.
 fn percentile(sorted: &[f64], percent: f64) -> f64 {
     let last = sorted.len() - 1;
     let place = percent / 100.0 * last as f64;
@@ -168,24 +171,26 @@ fn percentile(sorted: &[f64], percent: f64) -> f64 {
     low + (high - low) * (place - below as f64)
 }
 
-/// Pixels looked at.
+/// Number of pixels sampled.
 const SAMPLES: usize = 1000;
-/// The slope is divided by it.
+/// The slope is divided by this contrast.
 const CONTRAST: f64 = 0.25;
-/// At least this part of the pixels, and this many, must follow the line.
+/// At least this fraction of the pixels, and this number, must follow the line.
 const KEPT_PART: f64 = 0.5;
 const KEPT_LEAST: usize = 5;
-/// Pixels farther from the line than so many standard deviations are left out, ...
+/// Pixels farther from the line than this number of standard deviations are rejected, ...
 const REJECTION: f64 = 2.5;
-/// ... in so many rounds, ...
+/// ... in this number of rounds, ...
 const ROUNDS: usize = 5;
-/// ... with this part of all pixels about them.
+/// ... together with this fraction of all pixels around them.
 const GROWTH: f64 = 0.01;
 
-/// Limits for finite values, one at least: IRAF's zscale in the form of astropy's `ZScaleInterval` with its defaults.
+/// Limits for finite values, at least one: IRAF's zscale in the form of astropy's `ZScaleInterval`
+/// with its defaults.
 ///
-/// A line is fitted to the sorted samples against their rank; `slope` is that of the samples which follow it. The limits are
-/// `median - (centre - 1) slope / contrast` and `median + (n - centre) slope / contrast`, within the lowest and the highest sample.
+/// A line is fitted to the sorted samples against their rank, and `slope` is that of the samples
+/// that follow it. The limits are `median - (centre - 1) slope / contrast` and `median + (n -
+/// centre) slope / contrast`, within the lowest and the highest sample.
 fn zscale(values: &[f64]) -> (f64, f64) {
     let stride = (values.len() / SAMPLES).max(1);
     let mut samples: Vec<f64> = values.iter().copied().step_by(stride).take(SAMPLES).collect();
@@ -205,7 +210,7 @@ fn zscale(values: &[f64]) -> (f64, f64) {
     )
 }
 
-/// The slope, unless fewer than `least` samples follow a line.
+/// Returns the slope, unless fewer than `least` samples follow a line.
 fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
     let n = samples.len();
     let growth = ((n as f64 * GROWTH) as usize).max(1);
@@ -216,7 +221,7 @@ fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
         if kept >= kept_before || kept < least {
             break;
         }
-        // The least-squares line through the values that count, against their rank.
+        // The least-squares line through the values that are not rejected, against their rank.
         let ranked = samples.iter().enumerate().zip(&rejected);
         let counting: Vec<(f64, f64)> = ranked
             .filter(|&(_, &rejected)| !rejected)
@@ -231,7 +236,7 @@ fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
         });
         let line = above / below;
         let residual = |rank: f64, value: f64| value - value_mean - line * (rank - rank_mean);
-        // The mean of the residuals is zero, as of any such fit.
+        // The mean of the residuals is zero for any such fit.
         let squares: f64 = counting.iter().map(|p| residual(p.0, p.1).powi(2)).sum();
         let threshold = REJECTION * (squares / count).sqrt();
         for (rank, (&value, rejected)) in samples.iter().zip(&mut rejected).enumerate() {
@@ -245,7 +250,7 @@ fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
     slope.filter(|_| kept >= least)
 }
 
-/// Rejects the neighbours of what is rejected: `numpy.convolve(rejected, ones(width), "same")`.
+/// Rejects the neighbours of rejected values: `numpy.convolve(rejected, ones(width), "same")`.
 fn grown(rejected: &[bool], width: usize) -> Vec<bool> {
     (0..rejected.len())
         .map(|i| {
@@ -291,10 +296,11 @@ mod tests {
         assert!(tiny.fraction(f64::NAN).is_nan());
     }
 
-    /// Limits are compared with figures of 12 digits.
+    /// Limits are compared with reference values of 12 digits.
     const DIGITS: f64 = 1e-11;
 
-    /// Values without a pattern, the same in every language: `(7919 i mod 1009)^2 / 1000`, with NaN and infinity among them.
+    /// Values without a pattern, equal in every language: `(7919 i mod 1009)^2 / 1000`, with a NaN
+    /// and an infinity.
     fn pixels() -> Array2<f64> {
         let mut image = Array2::from_shape_fn((37, 53), |(y, x)| {
             let value = (7919 * (53 * y + x) % 1009) as f64;
@@ -310,9 +316,15 @@ mod tests {
         assert!(near(limits.low, low) && near(limits.high, high), "{limits:?}");
     }
 
-    // from astropy.visualization import AsymmetricPercentileInterval, ZScaleInterval; import numpy as np    (astropy 8.0.2)
-    // a = ((7919*np.arange(37*53)) % 1009).astype(float)**2/1000; a = a.reshape(37, 53); a[3, 4] = np.nan; a[5, 6] = np.inf
-    // AsymmetricPercentileInterval(2.5, 97).get_limits(a); ZScaleInterval().get_limits(a)
+    // From astropy 8.0.2:
+    // ```python
+    // from astropy.visualization import AsymmetricPercentileInterval, ZScaleInterval
+    // a = ((7919 * np.arange(37 * 53)) % 1009).astype(float)**2 / 1000
+    // a = a.reshape(37, 53)
+    // a[3, 4], a[5, 6] = np.nan, np.inf
+    // AsymmetricPercentileInterval(2.5, 97).get_limits(a)
+    // ZScaleInterval().get_limits(a)
+    // ```
     #[test]
     fn limits_are_those_of_astropy() {
         let rule = LimitRule::Percentile("2.5,97".parse().unwrap());
@@ -320,8 +332,14 @@ mod tests {
         agree(LimitRule::ZScale.limits(pixels().view()).unwrap(), 0.0, 1016.064);
     }
 
-    // The same with stars and dead pixels, i = np.arange(4000): a = 100 + (7919*i % 1009)/100; a[::37] += (i[::37] % 511)**2/10; a[5::41] = 0
+    // From astropy 8.0.2, with stars and dead pixels:
+    // ```python
+    // i = np.arange(4000)
+    // a = 100 + (7919 * i % 1009) / 100
+    // a[::37] += (i[::37] % 511)**2 / 10
+    // a[5::41] = 0
     // ZScaleInterval().get_limits(a.reshape(50, 80))
+    // ```
     #[test]
     fn zscale_leaves_stars_and_dead_pixels_out() {
         let image = Array2::from_shape_fn((50, 80), |(y, x)| {

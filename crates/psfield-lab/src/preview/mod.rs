@@ -1,13 +1,14 @@
-//! Pictures of images, as [`psfield preview`](crate) writes them: which values are shown, how bright, in which colours.
+//! Pictures of images, as [`psfield preview`](crate) writes them: limits, brightness and colours.
 //!
-//! The steps are types of their own, so that pictures which are compared can share them:
+//! The steps are separate types, so that pictures that are compared can share them:
 //!
-//! 1. [`BinnedImage`]: at most so many pixels, by means; what is not a number stays apart.
-//! 2. [`LimitRule`] gives [`Limits`]: the value at the dark end of the scale and that at the bright end.
-//! 3. [`Stretch`] and [`Colormap`]: from a value between the limits to a colour.
-//! 4. [`Picture`]: all of it, and its PNG.
+//! 1. [`BinnedImage`]: reduces the image to a maximal size by means. Undefined pixels stay marked.
+//! 2. [`LimitRule`] gives [`Limits`]: the values at the dark and at the bright end of the scale.
+//! 3. [`Stretch`] and [`Colormap`]: turn a value between the limits into a colour.
+//! 4. [`Picture`]: combines all of it, and gives the PNG.
 //!
-//! The formulas are those of `astropy.visualization`. Arrays are `[y, x]`; pictures have row 0 at the bottom, as FITS viewers show it.
+//! The formulas are those of `astropy.visualization`. Arrays are `[y, x]`. Pictures have row 0 at
+//! the bottom, as in FITS viewers.
 //!
 //! ```
 //! use ndarray::Array2;
@@ -35,19 +36,21 @@ pub use binned_image::BinnedImage;
 pub use limits::{LimitRule, Limits, Percentiles};
 pub use picture::{Colormap, Picture, Stretch};
 
-/// Why there is no picture.
+/// The error of a picture that could not be made.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum PreviewError {
-    /// Limits that are no range.
-    #[error("the limits {low} and {high} are no range: two finite numbers are needed, the lower one first")]
+    /// Limits that are not a range.
+    #[error(
+        "the limits {low} and {high} are not a range: two finite numbers are needed, the lower one first"
+    )]
     Range {
         /// The value at the dark end.
         low: f64,
         /// The value at the bright end.
         high: f64,
     },
-    /// Percentiles that are none.
+    /// Percentiles that are out of range or not ascending.
     #[error("the percentiles {low} and {high} are not two numbers from 0 to 100, the lower one first")]
     Percentiles {
         /// The lower percentile.
@@ -58,30 +61,30 @@ pub enum PreviewError {
     /// A text that is not two numbers.
     #[error("two numbers LO,HI are needed, as in 0.5,99.5")]
     NotTwoNumbers,
-    /// A name that is none of those known.
-    #[error("{got:?} is none of {known}")]
+    /// A name that is not known.
+    #[error("{got:?} is not one of {known}")]
     Name {
-        /// The names there are.
+        /// The known names.
         known: &'static str,
-        /// What was given.
+        /// The given name.
         got: String,
     },
-    /// An image in which nothing is a number.
+    /// An image without any finite pixel.
     #[error("none of the {pixels} pixels is a finite number: there is nothing to show")]
     NoFinitePixel {
         /// Pixels of the image.
         pixels: usize,
     },
     /// An image of one value.
-    #[error("every pixel is {}: there is no contrast to show; give limits about it (--range)", readable(*value, FIGURES))]
+    #[error("every pixel is {}, so there is no contrast to show: give limits around this value", readable(*value, FIGURES))]
     Constant {
         /// The value.
         value: f64,
     },
-    /// Limits that a rule finds equal, though the image has contrast.
+    /// Limits that a rule finds equal although the image has contrast.
     #[error(
-        "{rule} puts both limits at {}, while the pixels go from {} to {}: most of them are that value; take wider percentiles \
-         (--percentile 0,100) or give limits (--range)",
+        "{rule} puts both limits at {} while the pixels range from {} to {}, because most pixels have that value: give wider \
+         percentiles, or limits",
         readable(*value, FIGURES),
         readable(*lowest, FIGURES),
         readable(*highest, FIGURES)
@@ -103,7 +106,7 @@ pub enum PreviewError {
         nx: usize,
         /// Rows.
         ny: usize,
-        /// The most pixels along an axis.
+        /// The largest number of pixels along an axis.
         limit: usize,
     },
 }

@@ -8,20 +8,21 @@ use ndarray::ArrayView2;
 
 use crate::preview::{Limits, PreviewError};
 
-/// The most pixels along an axis: those of a picture of 1 GB in grey.
+/// The largest number of pixels along an axis: a grey picture of this size has 1 GB.
 const LARGEST: usize = 32_768;
 
-/// A picture of 8 bits a channel, with row 0 of the image at the bottom. It is grey where the colour map is and every pixel has a value,
-/// else in colours.
+/// A picture of 8 bits per channel, with row 0 of the image at the bottom. It is grey if the colour
+/// map is grey and every pixel has a value, else coloured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Picture(DynamicImage);
 
 impl Picture {
-    /// The picture of an image `[y, x]`: `colormap(stretch(limits(value)))` of each pixel. NaN and infinities have no value and get the
-    /// colour map's [`undefined_colour`](Colormap::undefined_colour).
+    /// Makes the picture of an image `[y, x]`: `colormap(stretch(limits(value)))` of each pixel.
+    /// NaN and infinities have no value. They get the
+    /// [`undefined_colour`](Colormap::undefined_colour) of the colour map.
     ///
     /// # Errors
-    /// [`PreviewError::Size`] for an image without pixels or of more than 32768 along an axis.
+    /// [`PreviewError::Size`] for an image without pixels or with more than 32768 along an axis.
     pub fn new(
         image: ArrayView2<'_, f64>,
         limits: Limits,
@@ -63,12 +64,12 @@ impl Picture {
         self.0.height() as usize
     }
 
-    /// Whether it has a grey channel alone.
+    /// Returns whether the picture has only a grey channel.
     pub fn is_grey(&self) -> bool {
         self.0.as_luma8().is_some()
     }
 
-    /// Red, green and blue of the pixel that shows `[y, x]` of the image; none outside.
+    /// Red, green and blue of the pixel that shows `[y, x]` of the image. None outside the image.
     pub fn colour_at(&self, [y, x]: [usize; 2]) -> Option<[u8; 3]> {
         let row = self.height().checked_sub(1 + y)?;
         match &self.0 {
@@ -78,7 +79,7 @@ impl Picture {
         }
     }
 
-    /// The bytes of a PNG file. The same picture gives the same bytes.
+    /// Returns the bytes of a PNG file. Equal pictures give equal bytes.
     pub fn png(&self) -> Vec<u8> {
         let mut bytes = Cursor::new(Vec::new());
         self.0
@@ -88,7 +89,7 @@ impl Picture {
     }
 }
 
-/// How bright a value is between the limits. All are those of `astropy.visualization`, with its parameters.
+/// The brightness of a value between the limits, as in `astropy.visualization` with its parameters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stretch {
@@ -106,7 +107,7 @@ impl Stretch {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Linear, Self::Sqrt, Self::Log, Self::Asinh];
 
-    /// Its name, which it is parsed from.
+    /// Its name, from which it can be parsed.
     pub fn name(self) -> &'static str {
         match self {
             Self::Linear => "linear",
@@ -116,7 +117,7 @@ impl Stretch {
         }
     }
 
-    /// The brightness, 0 to 1, at a fraction of the range, 0 to 1. NaN stays NaN.
+    /// The brightness (0 to 1) at a fraction (0 to 1) of the range. NaN stays NaN.
     pub fn brightness(self, fraction: f64) -> f64 {
         const LOG: f64 = 1000.0;
         const ASINH: f64 = 0.1;
@@ -136,7 +137,8 @@ impl FromStr for Stretch {
     }
 }
 
-/// Colours from dark to bright that also colour-blind people can tell apart: lightness grows all along. matplotlib's, beside grey.
+/// Colours from dark to bright, with lightness that always increases, so that colour-blind readers
+/// can tell them apart. Grey, and colour maps of matplotlib.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Colormap {
@@ -144,7 +146,7 @@ pub enum Colormap {
     Grey,
     /// Violet, green, yellow.
     Viridis,
-    /// Blue, grey, yellow: the same for most colour-blind people as for others.
+    /// Blue, grey, yellow: looks alike to most colour-blind and to other readers.
     Cividis,
     /// Black, red, pale yellow.
     Inferno,
@@ -165,7 +167,7 @@ impl Colormap {
         Self::Plasma,
     ];
 
-    /// Its name, which it is parsed from.
+    /// Its name, from which it can be parsed.
     pub fn name(self) -> &'static str {
         match self {
             Self::Grey => "grey",
@@ -177,7 +179,8 @@ impl Colormap {
         }
     }
 
-    /// Red, green and blue of a brightness from 0 to 1; what is not a number has the [`undefined_colour`](Self::undefined_colour).
+    /// Red, green and blue of a brightness from 0 to 1. NaN gets the
+    /// [`undefined_colour`](Self::undefined_colour).
     pub fn colour(self, brightness: f64) -> [u8; 3] {
         let gradient = match self {
             _ if brightness.is_nan() => return self.undefined_colour(),
@@ -191,7 +194,8 @@ impl Colormap {
         gradient.eval_continuous(brightness.clamp(0.0, 1.0)).into_array()
     }
 
-    /// The colour of pixels without a value, which is none of the map's: magenta where the map has no pink, else cyan.
+    /// The colour of pixels without a value, which does not occur in the map: magenta if the map
+    /// has no pink, else cyan.
     pub fn undefined_colour(self) -> [u8; 3] {
         match self {
             Self::Grey | Self::Viridis | Self::Cividis => [255, 0, 255],
@@ -208,7 +212,7 @@ impl FromStr for Colormap {
     }
 }
 
-/// The one of this name.
+/// Returns the value of this name.
 fn named<T: Copy, const N: usize>(
     text: &str,
     all: [T; N],
@@ -270,11 +274,15 @@ mod tests {
         assert!(matches!(refused, Err(PreviewError::Size { nx: 3, ny: 0, .. })));
     }
 
-    /// Brightnesses are compared with figures of 12 digits.
+    /// Brightness is compared with reference values of 12 digits.
     const DIGITS: f64 = 1e-11;
 
-    // from astropy.visualization import *; x = np.array([0.0, 0.01, 0.3, 1.0])    (astropy 8.0.2)
+    // From astropy 8.0.2:
+    // ```python
+    // from astropy.visualization import *
+    // x = np.array([0.0, 0.01, 0.3, 1.0])
     // for s in LinearStretch(), SqrtStretch(), LogStretch(), AsinhStretch(): print(s(x))
+    // ```
     #[test]
     fn stretches_are_those_of_astropy() {
         for (stretch, expected) in [
@@ -295,7 +303,8 @@ mod tests {
         assert!("power".parse::<Stretch>().is_err());
     }
 
-    /// Colours nearer than this in red, green and blue together could be taken for one another; two greys of a step of 28 % are as far.
+    /// Colours closer than this distance in red, green and blue could be confused. Two greys that
+    /// differ by 28 % are as far apart.
     const APART: f64 = 120.0;
 
     fn distance(a: [u8; 3], b: [u8; 3]) -> f64 {

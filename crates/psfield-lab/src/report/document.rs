@@ -1,4 +1,4 @@
-//! A report: sections of text, tables and figures, and the page that shows them.
+//! A report: sections of text, tables and figures, and the HTML page that shows them.
 
 use std::fmt::Write;
 
@@ -11,11 +11,11 @@ use crate::plot::Figure;
 pub struct Document {
     /// The heading.
     pub title: String,
-    /// What made it.
+    /// The program that made it.
     pub software: Software,
-    /// What went in: name and value.
+    /// The inputs: name and value.
     pub inputs: Vec<(&'static str, String)>,
-    /// What it says, in order.
+    /// The sections, in order.
     pub sections: Vec<Section>,
 }
 
@@ -35,7 +35,7 @@ pub struct Section {
 /// A table of texts.
 #[derive(Debug, Clone, Default)]
 pub struct Table {
-    /// What it shows.
+    /// The text above the table.
     pub caption: String,
     /// Names of the columns.
     pub columns: Vec<String>,
@@ -43,19 +43,20 @@ pub struct Table {
     pub rows: Vec<Vec<String>>,
 }
 
-/// A figure with the name of its files and what it shows.
+/// A figure with its caption and the name of its files.
 #[derive(Debug, Clone)]
 pub struct NamedFigure {
-    /// The files' name, without the ending.
+    /// The name of the files, without extension.
     pub name: &'static str,
-    /// What it shows.
+    /// The text below the figure.
     pub caption: String,
     /// The figure.
     pub figure: Figure,
 }
 
 impl Document {
-    /// One HTML page that holds all it shows and needs nothing else: light and dark as the reader's system is, made for print as well.
+    /// Returns a self-contained HTML page. It follows the light or dark setting of the reader's
+    /// system, and suits printing.
     pub fn to_html(&self) -> String {
         let title = escaped(&self.title);
         let mut page = format!(
@@ -66,7 +67,7 @@ impl Document {
         let software = &self.software;
         let _ = writeln!(
             page,
-            "<p>psfield {}, {}, {} threads. Made by <code>{}</code></p>",
+            "<p>psfield {}, {}, {} threads. Command: <code>{}</code></p>",
             escaped(software.psfield),
             escaped(&software.machine),
             software.threads,
@@ -91,7 +92,7 @@ impl Document {
 }
 
 impl Section {
-    /// A section with a heading, a paragraph if there is one, and figures.
+    /// A section with a heading, a paragraph if one is given, and figures.
     pub(super) fn new(title: &str, text: Option<String>, figures: Vec<NamedFigure>) -> Self {
         Self {
             title: title.to_owned(),
@@ -113,7 +114,8 @@ impl Table {
     }
 }
 
-/// A number of a table or a sentence: three decimals, or two figures and an exponent where it is small or large; a dash for none.
+/// Formats a number of a table or a sentence: three decimals, or two figures and an exponent if it
+/// is small or large. None is a dash.
 pub(crate) fn short(value: Option<f64>) -> String {
     match value {
         None => "-".to_owned(),

@@ -1,4 +1,4 @@
-//! Errors of all objects together, and whether they meet their targets.
+//! Errors of all objects together, and their targets.
 
 use metrics::Summary;
 use ndarray::Array2;
@@ -12,9 +12,9 @@ use crate::report::{Histogram, ObjectRow};
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Evaluation {
-    /// What they say together.
+    /// The errors of all objects.
     pub summary: ErrorSummary,
-    /// Of the differences of ellipticity, absolute.
+    /// Absolute differences of ellipticity.
     pub ellipticity_differences: Histogram,
     /// FWHM along rows in pixels: true, simulated.
     pub fwhm_rows_px: [Histogram; 2],
@@ -22,13 +22,13 @@ pub struct Evaluation {
     pub fwhm_columns_px: [Histogram; 2],
     /// MAE over the mean.
     pub mae_over_mean: Histogram,
-    /// One row an object.
+    /// One row per object.
     #[serde(skip)]
     pub rows: Vec<ObjectRow>,
-    /// The field, where it is known.
+    /// The field, if it is known.
     #[serde(skip)]
     pub frame: Option<FrameShape>,
-    /// Columns of the grid that the objects form, if they do.
+    /// Number of columns if the objects form a grid.
     #[serde(skip)]
     pub grid_columns: Option<usize>,
 }
@@ -52,7 +52,7 @@ impl Evaluation {
         Self::of_rows(rows, frame, grid_columns)
     }
 
-    /// Of rows that are at hand.
+    /// Evaluates rows that are measured already.
     pub fn of_rows(rows: Vec<ObjectRow>, frame: Option<FrameShape>, grid_columns: Option<usize>) -> Self {
         let values = |of: fn(&ObjectRow) -> Option<f64>| rows.iter().filter_map(of).collect::<Vec<f64>>();
         let from_zero = |values: Vec<f64>| {
@@ -75,21 +75,22 @@ impl Evaluation {
     }
 }
 
-/// The differences of simulated from true objects.
+/// The differences between simulated and true objects.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ErrorSummary {
-    /// Objects.
+    /// Number of objects.
     pub objects: usize,
-    /// Those that could not be measured in both images; they count in none of the differences of shape.
+    /// Objects that could not be measured in both images. They count in none of the differences of
+    /// shape.
     pub failed: usize,
-    /// Of `e = sqrt(1 - b^2 / a^2)`.
+    /// Differences of `e = sqrt(1 - b^2 / a^2)`.
     pub ellipticity: Option<Spread>,
-    /// Of the distortion's `e1`.
+    /// Differences of `e1` of the distortion.
     pub e1: Option<Spread>,
-    /// Of the distortion's `e2`.
+    /// Differences of `e2` of the distortion.
     pub e2: Option<Spread>,
-    /// Of the FWHM, in pixels.
+    /// Differences of FWHM in pixels.
     pub fwhm_px: Option<Spread>,
     /// Mean absolute error over the window's mean.
     pub mae_over_mean: Option<Spread>,
@@ -102,7 +103,7 @@ pub struct ErrorSummary {
 }
 
 impl ErrorSummary {
-    /// Of some objects.
+    /// Summarises some objects.
     pub fn of(rows: &[ObjectRow]) -> Self {
         let spread = |of: fn(&ObjectRow) -> Option<f64>| Spread::of(rows.iter().filter_map(of));
         Self {
@@ -123,22 +124,22 @@ impl ErrorSummary {
     }
 }
 
-/// How large the absolute values of some differences are.
+/// The distribution of the absolute values of some differences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Spread {
-    /// Half of them are below.
+    /// Half of the values are below.
     pub median: f64,
-    /// 90 % of them are below.
+    /// 90 % of the values are below.
     pub q90: f64,
-    /// The largest.
+    /// The largest value.
     pub largest: f64,
-    /// Their mean.
+    /// The mean value.
     pub mean: f64,
 }
 
 impl Spread {
-    /// Of the absolute values; none where there are no values, or one is not finite.
+    /// Returns the spread of the absolute values. None if there are no values or one is not finite.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Option<Self> {
         let summary = Summary::of(values.into_iter().map(f64::abs)).ok()?;
         Some(Self {
@@ -150,25 +151,27 @@ impl Spread {
     }
 }
 
-/// A limit and what was measured.
+/// A limit and the measured value.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Target {
-    /// The quantity.
+    /// The name of the quantity.
     pub what: String,
-    /// It should be below this.
+    /// The measured value should be below this limit.
     pub limit: f64,
-    /// What it is; none where nothing could be measured.
+    /// The measured value. None if nothing could be measured.
     pub measured: Option<f64>,
-    /// Whether it is below, and every object could be measured: those that could not would count for nothing else.
+    /// True if the value is below the limit and every object could be measured. Objects that could
+    /// not be measured would otherwise be ignored.
     pub met: bool,
 }
 
-/// 90 % of the differences of ellipticity (the paper: 0.0901), the largest of them, and MAE over the mean.
+/// Limits of 90 % of the differences of ellipticity (in the paper 0.0901), of the largest of them,
+/// and of MAE over the mean.
 const ELLIPTICITY_Q90: f64 = 1e-3;
 const ELLIPTICITY_LARGEST: f64 = 5e-3;
 const MAE_OVER_MEAN: f64 = 2e-4;
-/// What the paper reports for the first.
+/// The paper's value for the first.
 pub(super) const PAPER_ELLIPTICITY_Q90: f64 = 0.0901;
 
 impl Target {

@@ -1,10 +1,13 @@
-//! How far simulated objects are from the truth: the figures and tables of the method's paper, made anew.
+//! Errors of simulated objects against the truth: the figures and tables of the method's paper,
+//! remade.
 //!
-//! [`Reproduction`] does it for psfield's own survey telescope, whose optics give the true PSF at any position; [`Validation`] for a
-//! given model and given PSFs or a frame with stars. Both give an [`Evaluation`] of objects, each measured twice in the same way, and a
-//! [`Document`]: sections, tables and figures, from which one self-contained HTML page is made.
+//! [`Reproduction`] measures psfield's own survey telescope, whose optics give the true PSF at any
+//! position. [`Validation`] compares a given model with given PSFs or with a frame with stars. Both
+//! give an [`Evaluation`] of objects, each measured twice in the same way, and a [`Document`]:
+//! sections, tables and figures, from which one self-contained HTML page is made.
 //!
-//! Measures of an object (an elliptical Gaussian without background, fitted to the same window of both images):
+//! Measures of an object (an elliptical Gaussian without background, fitted to the same window of
+//! both images):
 //!
 //! | measure | definition |
 //! |---|---|
@@ -12,7 +15,7 @@
 //! | `e1`, `e2` | distortion, `(a^2 - b^2) / (a^2 + b^2)` times `cos 2 phi`, `sin 2 phi` |
 //! | FWHM | `2 sqrt(2 ln 2)` times the geometric mean of the two sigmas, in pixels |
 //! | FWHM along rows, columns | the same of the Gaussian summed along the other axis: `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
-//! | MAE, MSE | means of `abs(F - T)` and `(F - T)^2` over the window; MAE / mean divides by the mean of `T` |
+//! | FWHM along rows, columns | FWHM of the Gaussian summed along the other axis: `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
 
 mod document;
 mod evaluation;

@@ -1,4 +1,5 @@
-//! Errors of models with fewer samples, fewer components or other interpolators, without the engine.
+//! Errors of models with fewer samples, fewer components or other interpolators, without the
+//! engine.
 
 use psf_optics::Telescope;
 use psf_sample::{SamplingMethod, UniformSampling};
@@ -13,7 +14,7 @@ use crate::report::object_figures::error_table;
 use crate::report::scenes::Scenes;
 use crate::report::{ErrorSummary, ObjectRow};
 
-/// A model against the truth, by the exact sum: no engine takes part.
+/// Errors of a model by the exact sum, without the engine.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ModelRow {
@@ -23,7 +24,7 @@ pub struct ModelRow {
     pub rank: usize,
     /// Largest truncation error over the samples, relative L2.
     pub truncation_error: f64,
-    /// How far its PSFs are from the true ones.
+    /// Errors of its PSFs.
     pub summary: ErrorSummary,
 }
 
@@ -50,7 +51,7 @@ impl ModelRow {
         Ok(rows)
     }
 
-    /// A model, and its first components alone: half as many, a quarter, and so on.
+    /// Truncates a model to half of its components, a quarter, and so on, and measures each.
     ///
     /// # Errors
     /// [`LabError`] of the model.
@@ -92,7 +93,7 @@ impl ModelRow {
     }
 }
 
-/// Of a model's PSFs at the objects, by the exact sum over its components, beside the true ones.
+/// Errors of a model's PSFs at the objects, by the exact sum over its components.
 fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
     let objects = scenes.positions.par_iter().zip(&scenes.star_truth);
     let rows = objects.map(|(&at, truth)| {
@@ -102,27 +103,27 @@ fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
     Ok(ErrorSummary::of(&rows.collect::<Result<Vec<_>, LabError>>()?))
 }
 
-/// Samples along each axis below which a field is not worth showing.
+/// Smallest number of samples along each axis that is shown.
 const FEWEST_ACROSS: usize = 5;
-/// Components below which a basis is not worth showing.
+/// Smallest number of components that is shown.
 const FEWEST_COMPONENTS: usize = 3;
 
-/// The model's PSFs, by the exact sum over its components, against the true ones, with one of the interpolators.
+/// Errors of the model's PSFs, by the exact sum over its components, with one of the interpolators.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct InterpolationRow {
     /// The interpolator.
     pub interpolation: Interpolation,
-    /// Whether it is the one that the images were made with.
+    /// True if the images were made with this interpolator.
     pub in_use: bool,
-    /// How far its PSFs are from the true ones.
+    /// Errors of its PSFs.
     pub summary: ErrorSummary,
 }
 
 impl InterpolationRow {
-    /// Measures the same components and coefficients with an interpolator.
+    /// Measures the record's components and coefficients with another interpolator.
     ///
-    /// # Errors
+    /// The errors of the interpolator, of the model and of its field.
     /// Those of the interpolator, of the model and its field.
     pub(super) fn measure(
         record: &PsfModelRecord,

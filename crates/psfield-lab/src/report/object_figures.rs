@@ -1,4 +1,4 @@
-//! Figures of objects, simulated and true.
+//! Figures of simulated and true objects.
 
 use psf_types::{FrameShape, Position};
 
@@ -7,14 +7,15 @@ use super::{ErrorSummary, Evaluation, ObjectRow, Spread, Target};
 use crate::plot::{Axis, Curve, Curves, FieldMap, HistogramPanel, Mark, PlotError, Scale, histograms};
 use crate::report::document::short;
 
-/// Part of the values that the colours of a map tell apart; the rest has the colour of the nearer end.
+/// Fraction of the values that the colours of a map distinguish. The others get the colour of the
+/// nearer end.
 const SHOWN_PART: f64 = 0.99;
 
-/// Differences of ellipticity and FWHM as histograms.
+/// Draws FWHM and differences of ellipticity as histograms.
 pub(super) fn shape_histograms(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
     let [rows, columns] = [
-        ("FWHM along rows, pixels", &of.fwhm_rows_px),
-        ("FWHM along columns, pixels", &of.fwhm_columns_px),
+        ("FWHM along rows (pixels)", &of.fwhm_rows_px),
+        ("FWHM along columns (pixels)", &of.fwhm_columns_px),
     ]
     .map(|(quantity, [truth, simulated])| HistogramPanel {
         quantity,
@@ -24,8 +25,8 @@ pub(super) fn shape_histograms(of: &Evaluation) -> Result<Vec<NamedFigure>, Plot
         NamedFigure {
             name: "fwhm",
             caption: format!(
-                "FWHM of {} objects along rows and along columns, true (filled) and simulated (line). Where the line follows the edge of the \
-                 filled area the two agree.",
+                "FWHM of {} objects along rows and along columns, true (filled) and simulated (line). The line follows the edge of the filled \
+                 area where both agree.",
                 of.summary.objects
             ),
             figure: histograms(&[rows, columns])?,
@@ -48,7 +49,7 @@ pub(super) fn shape_histograms(of: &Evaluation) -> Result<Vec<NamedFigure>, Plot
     ])
 }
 
-/// Cumulative distributions, each kind of object a line.
+/// Draws cumulative distributions, one line for each kind of object.
 pub(super) fn distributions(
     kinds: &[(&str, &Evaluation)],
     paper_q90: Option<f64>,
@@ -78,7 +79,7 @@ pub(super) fn distributions(
     let drawn = |x: &str, curves, marks| {
         Curves {
             x: Axis::logarithmic(x),
-            y: Axis::linear("part of the objects below"),
+            y: Axis::linear("cumulative fraction of objects"),
             curves,
             marks,
         }
@@ -87,7 +88,7 @@ pub(super) fn distributions(
     Ok(vec![
         NamedFigure {
             name: "ellipticity-distribution",
-            caption: "Distribution of the absolute differences of ellipticity; the lines mark 90 % of the objects (first kind)."
+            caption: "Cumulative distribution of the absolute differences of ellipticity. The lines mark 90 % of the objects of the first kind."
                 .to_owned(),
             figure: drawn(
                 "|e simulated - e true|",
@@ -97,13 +98,13 @@ pub(super) fn distributions(
         },
         NamedFigure {
             name: "mae-distribution",
-            caption: "Distribution of the mean absolute error of each object's window over the window's mean.".to_owned(),
+            caption: "Cumulative distribution of the mean absolute error in the window of each object, divided by the mean of the window.".to_owned(),
             figure: drawn("MAE / mean", curves(|r| r.mae_over_mean), q90(|s| s.mae_over_mean))?,
         },
     ])
 }
 
-/// Maps over the field: MSE, differences of e1 and of e2 (with one scale).
+/// Draws maps over the field: MSE, and the differences of e1 and e2 on one scale.
 pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
     let Some(frame) = of.frame.or_else(|| frame_about(&of.rows)) else {
         return Ok(Vec::new());
@@ -136,28 +137,29 @@ pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
         .figure()
     };
     let differences = Scale::Difference { most };
-    let saturated = "the 1 % of the values of both maps that are beyond the bar have the colours of its ends";
+    let saturated =
+        "The 1 % of the values of both maps outside the range of the bar have the colours of its ends";
     Ok(vec![
         NamedFigure {
             name: "mse-map",
-            caption: "Mean squared error of each object's window over the field; the 1 % of the values below the bar and the 1 % above it have \
-                      the colours of its ends."
+            caption: "Mean squared error in the window of each object, over the field. The 1 % of the values below the range of the bar and the \
+                      1 % above it have the colours of its ends."
                 .to_owned(),
             figure: map(
                 "mean squared error",
-                "MSE, squared flux a pixel",
+                "MSE (squared flux per pixel)",
                 &mse,
                 Scale::Logarithmic { low, high },
             )?,
         },
         NamedFigure {
             name: "e1-map",
-            caption: format!("Differences of e1 (distortion), simulated less true, on the scale of e2; {saturated}."),
+            caption: format!("Simulated minus true e1 (distortion), on the scale of e2. {saturated}."),
             figure: map("difference of e1", "e1 difference", &e1, differences)?,
         },
         NamedFigure {
             name: "e2-map",
-            caption: format!("Differences of e2, on the scale of e1; {saturated}."),
+            caption: format!("Simulated minus true e2 (distortion), on the scale of e1. {saturated}."),
             figure: map("difference of e2", "e2 difference", &e2, differences)?,
         },
     ])
@@ -169,15 +171,15 @@ const ERROR_COLUMNS: [&str; 10] = [
     "e: largest",
     "e1: 90 %",
     "e2: 90 %",
-    "FWHM: 90 %, px",
-    "FWHM: largest, px",
+    "FWHM (px): 90 %",
+    "FWHM (px): largest",
     "MAE/mean: median",
     "MAE/mean: 90 %",
     "MAE/mean: largest",
     "failed",
 ];
 
-/// The figures of a summary for a table.
+/// The cells of a summary in a table.
 fn error_cells(summary: &ErrorSummary) -> [String; 10] {
     let cell = |spread: Option<Spread>, of: fn(Spread) -> f64| short(spread.map(of));
     [
@@ -194,7 +196,7 @@ fn error_cells(summary: &ErrorSummary) -> [String; 10] {
     ]
 }
 
-/// A table of errors: the caller's first columns and cells, then those of a summary.
+/// Makes a table of errors: the caller's first columns and cells, then the cells of a summary.
 pub(super) fn error_table<'a>(
     caption: &str,
     first: &[&str],
@@ -210,9 +212,9 @@ pub(super) fn error_table<'a>(
     }
 }
 
-/// What should hold, and whether it does.
+/// Makes a table of targets, with the measured values.
 pub(super) fn target_table(caption: &str, targets: &[Target]) -> Table {
-    let mut table = Table::new(caption, &["quantity", "should be below", "measured", "met"]);
+    let mut table = Table::new(caption, &["quantity", "target: below", "measured", "met"]);
     for target in targets {
         table.rows.push(vec![
             target.what.clone(),
@@ -228,7 +230,7 @@ fn quantile(values: impl Iterator<Item = f64>, q: f64) -> Option<f64> {
     metrics::Summary::of(values).ok()?.quantile(q).ok()
 }
 
-/// A frame that holds all objects, where none is known.
+/// A frame that holds all objects, if none is known.
 fn frame_about(rows: &[ObjectRow]) -> Option<FrameShape> {
     let side = |of: fn(&ObjectRow) -> f64| {
         let largest = rows.iter().map(of).fold(0.0, f64::max);

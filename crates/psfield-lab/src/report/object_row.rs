@@ -6,8 +6,8 @@ use psf_types::Position;
 use serde::Serialize;
 
 table_row! {
-    /// An object measured in a simulated image and in the true one, in the same window and in the same way. An empty field is a measurement
-    /// that failed; `note` says why.
+    /// An object measured in the same way and in the same window of a simulated image and of the
+    /// true one. The field of a failed measurement is empty, and `note` says why.
     #[derive(Debug, Clone, PartialEq, Default, Serialize)]
     #[non_exhaustive]
     #[allow(
@@ -39,7 +39,7 @@ table_row! {
 }
 
 impl ObjectRow {
-    /// Measures both images, windows `[y, x]` of equal shape about the object.
+    /// Measures both images, windows `[y, x]` of equal shape around the object.
     pub fn measure(at: Position, simulated: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Self {
         let mut notes = Vec::new();
         let mut fit = |image: ArrayView2<'_, f64>, which: &str| {
@@ -81,27 +81,27 @@ impl ObjectRow {
         }
     }
 
-    /// Where the object lies.
+    /// The position of the object.
     pub fn position(&self) -> Option<Position> {
         Position::new(self.x, self.y).ok()
     }
 
-    /// Simulated less true ellipticity.
+    /// Simulated minus true ellipticity.
     pub fn ellipticity_difference(&self) -> Option<f64> {
         Some(self.ellipticity? - self.ellipticity_true?)
     }
 
-    /// Simulated less true `e1`.
+    /// Simulated minus true `e1`.
     pub fn e1_difference(&self) -> Option<f64> {
         Some(self.e1? - self.e1_true?)
     }
 
-    /// Simulated less true `e2`.
+    /// Simulated minus true `e2`.
     pub fn e2_difference(&self) -> Option<f64> {
         Some(self.e2? - self.e2_true?)
     }
 
-    /// Simulated less true FWHM, in pixels.
+    /// Simulated minus true FWHM in pixels.
     pub fn fwhm_difference_px(&self) -> Option<f64> {
         Some(self.fwhm_px? - self.fwhm_px_true?)
     }

@@ -1,4 +1,4 @@
-//! The method beside patches of constant PSF.
+//! Comparison of the method with patches of constant PSF.
 
 use conv_core::{ConvolutionMethod, Direct, PlanOptions};
 use metrics::Comparison;
@@ -16,15 +16,16 @@ use psfield::{Device, Method, Psf, Scene, model_of};
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct PatchComparison {
-    /// What was measured, one outcome a size.
+    /// One outcome per size.
     pub sizes: Vec<BenchOutcome>,
 }
 
 impl PatchComparison {
-    /// Measures patches and the fast engine on lit images, over each of which the PSF varies as over the whole field.
+    /// Measures patches and the fast engine on images in which every pixel has light. Over each
+    /// image the PSF varies as over the whole field.
     ///
     /// # Errors
-    /// Those of [`run`].
+    /// The errors of [`run`].
     pub(super) fn measure(
         record: &PsfModelRecord,
         sizes: &[usize],
@@ -56,11 +57,11 @@ impl PatchComparison {
     }
 }
 
-/// A large galaxy by the fast engine, by patches and by the direct sum.
+/// A large galaxy, convolved by the fast engine, by patches and by the direct sum.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct GalaxyComparison {
-    /// Pixels along each side of the image, over which the PSF varies as over the whole field.
+    /// Pixels along each side of the image. The PSF varies over it as over the whole field.
     pub side: usize,
     /// Pixels along each side of a patch.
     pub patch: usize,
@@ -68,29 +69,30 @@ pub struct GalaxyComparison {
     pub patch_relative_l2: f64,
     /// Largest error of the patches over the peak.
     pub patch_max_over_peak: f64,
-    /// Relative L2 error of the fast engine, by transforms alone at its default tolerance.
+    /// Relative L2 error of the fast engine, with transforms for all tiles, at its default
+    /// tolerance.
     pub lowrank_relative_l2: f64,
     /// Its largest error over the peak.
     pub lowrank_max_over_peak: f64,
-    /// The galaxy as it is.
+    /// The galaxy before the convolution.
     #[serde(skip)]
     pub original: Array2<f64>,
-    /// By the fast engine.
+    /// The result of the fast engine.
     #[serde(skip)]
     pub lowrank: Array2<f64>,
-    /// By patches.
+    /// The result of patches.
     #[serde(skip)]
     pub patches: Array2<f64>,
-    /// By the direct sum.
+    /// The result of the direct sum.
     #[serde(skip)]
     pub exact: Array2<f64>,
 }
 
-/// Half-light radius over the image's side.
+/// Half-light radius over the side of the image.
 const GALAXY_SIZE: f64 = 0.12;
 
 impl GalaxyComparison {
-    /// Images a galaxy that fills the frame in all three ways.
+    /// Convolves a galaxy that fills the frame in all three ways.
     ///
     /// # Errors
     /// [`PsfieldError::Convolution`](psfield::PsfieldError::Convolution).

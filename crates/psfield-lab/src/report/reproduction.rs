@@ -1,4 +1,4 @@
-//! The paper's figures, remade.
+//! Measures the figures of the method's paper anew.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -18,11 +18,12 @@ use crate::report::{
     ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow, PatchComparison, Target,
 };
 
-/// Everything that the paper shows, measured on psfield's own survey telescope.
+/// All results of the paper, measured on psfield's own survey telescope.
 ///
-/// The optics ([`Telescope::survey_2m`]) are sampled on a regular grid, a model is fitted with the default settings, and objects are drawn
-/// on the whole frame by transforms alone: stars as single lit pixels, and small galaxies. Each is compared with its true image, computed
-/// from the optics at its own position; the model has no part in the truth.
+/// The optics ([`Telescope::survey_2m`]) are sampled on a regular grid, and a model is fitted with
+/// the default settings. Objects are drawn on the whole frame with transforms for all tiles: stars
+/// as single pixels with light, and small galaxies. Each is compared with its true image, computed
+/// from the optics at its own position. The truth does not depend on the model.
 ///
 /// ```no_run
 /// use psfield::psf_types::NoProgress;
@@ -48,23 +49,23 @@ pub struct Reproduction {
     pub objects: usize,
     /// The galaxies: half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
     pub galaxy: [f64; 4],
-    /// The tolerance of the figures: the default.
+    /// The tolerance of the figures, which is the default.
     pub tolerance: f64,
     /// The basis.
     pub basis: BasisFigures,
-    /// Samples of the non-uniform sampling shown, and its threshold (relative L2 of the interpolation).
+    /// Number of samples of the non-uniform sampling that is shown.
     pub adaptive_samples: usize,
-    /// Its threshold.
+    /// Its threshold (relative L2 of the interpolation).
     pub adaptive_threshold: f64,
-    /// What should hold at the default tolerance, and whether it does.
+    /// The targets at the default tolerance.
     pub targets: Vec<Target>,
     /// Errors at several tolerances, by kind of object.
     pub tolerances: Vec<ToleranceRow>,
-    /// Errors of the model alone, by interpolator.
+    /// Errors of the model without the engine, by interpolator.
     pub interpolations: Vec<InterpolationRow>,
     /// Errors of models with fewer samples.
     pub fewer_samples: Vec<ModelRow>,
-    /// The same of all samples with fewer components.
+    /// Errors of models with all samples and fewer components.
     pub fewer_components: Vec<ModelRow>,
     /// Stars at the default tolerance.
     pub stars: Evaluation,
@@ -74,17 +75,17 @@ pub struct Reproduction {
     pub table_1: PatchComparison,
     /// A large galaxy, with the seams of patches.
     pub large_galaxy: GalaxyComparison,
-    /// Seconds in all.
+    /// Total seconds.
     pub seconds: f64,
-    /// Where the uniform samples lie.
+    /// Positions of the uniform samples.
     #[serde(skip)]
     pub sample_positions: Vec<Position>,
-    /// Where the non-uniform samples lie.
+    /// Positions of the non-uniform samples.
     #[serde(skip)]
     pub adaptive_positions: Vec<Position>,
 }
 
-/// What the decomposition of the samples says.
+/// Results of the decomposition of the samples.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BasisFigures {
@@ -94,7 +95,8 @@ pub struct BasisFigures {
     pub elbow: Option<usize>,
     /// Largest truncation error over the samples, relative L2.
     pub max_error: f64,
-    /// Median leave-one-out error of the samples, relative L2: the interpolation over twice the distance of the samples.
+    /// Median leave-one-out error of the samples, relative L2. It is the error of interpolating
+    /// over twice the distance of the samples.
     pub leave_one_out_median: Option<f64>,
     /// The interpolator.
     pub interpolation: Interpolation,
@@ -104,11 +106,11 @@ pub struct BasisFigures {
     pub cumulative_weights: Vec<f64>,
 }
 
-/// What is drawn.
+/// A kind of object.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ObjectKind {
-    /// A single lit pixel.
+    /// A single pixel with light.
     Point,
     /// A small galaxy.
     Extended,
@@ -120,26 +122,26 @@ pub enum ObjectKind {
 pub struct ToleranceRow {
     /// The engine's tolerance.
     pub tolerance: f64,
-    /// What was drawn.
+    /// The kind of object.
     pub kind: ObjectKind,
-    /// How far it is from the truth.
+    /// The errors.
     pub summary: ErrorSummary,
-    /// Seconds of the image of the whole frame.
+    /// Seconds for the image of the whole frame.
     pub seconds: f64,
 }
 
-/// The highest degree of the polynomial that is shown beside the default interpolation.
+/// The highest degree of the polynomial that is compared with the default interpolation.
 const MAX_DEGREE: usize = 16;
-/// Samples for each term of the polynomial, so that they determine it well.
-const SAMPLES_A_TERM: usize = 4;
-/// Patches of the large galaxy over its side.
+/// Samples per term of the polynomial, so that they determine it well.
+const SAMPLES_PER_TERM: usize = 4;
+/// Number of patches along each side of the large galaxy.
 const PATCHES_ACROSS: usize = 8;
 
 impl Reproduction {
     /// Measures everything.
     ///
     /// # Errors
-    /// [`LabError`] of any stage; [`LabError::ObjectsTooClose`] when a small frame has no room for
+    /// [`LabError`] of any stage. [`LabError::ObjectsTooClose`] if a small frame has no room for
     /// the objects.
     pub fn run(options: &ReproductionOptions, progress: &dyn Progress) -> Result<Self, LabError> {
         let start = Instant::now();
@@ -243,14 +245,14 @@ impl Reproduction {
     }
 }
 
-/// The polynomial that so many samples determine well.
+/// Returns the polynomial that this number of samples determines well.
 fn polynomial_of(samples: usize) -> Interpolation {
-    let determined = |degree: &usize| (degree + 1) * (degree + 2) / 2 * SAMPLES_A_TERM <= samples;
+    let determined = |degree: &usize| (degree + 1) * (degree + 2) / 2 * SAMPLES_PER_TERM <= samples;
     let degree = (1..=MAX_DEGREE).rev().find(determined).unwrap_or(0);
     Interpolation::Polynomial { degree }
 }
 
-/// The survey telescope on a frame of another size: the field of view shrinks to it with all its aberrations.
+/// The survey telescope with another size of the frame. Its field of view keeps all aberrations.
 fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, LabError> {
     let telescope = Telescope::survey_2m();
     let Some(frame) = frame else { return Ok(telescope) };
@@ -268,34 +270,37 @@ fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Posi
     Ok(sampling.samples.positions().as_slice().to_vec())
 }
 
-/// Sizes of a [`Reproduction`](crate::report::Reproduction). Smaller ones run the same code on
-/// less.
+/// Sizes of a [`Reproduction`](crate::report::Reproduction). Smaller sizes run the same code on
+/// less data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReproductionOptions {
-    /// The frame, over which the optics vary in the same way whatever its size; none: the telescope's own.
+    /// The frame, over which the optics vary in the same way at any size. None: the telescope's
+    /// own.
     pub frame: Option<FrameShape>,
     /// PSF samples along each axis.
     pub samples_across: usize,
     /// Objects along each axis.
     pub objects_across: usize,
-    /// Tolerances of the fast engine; the default one is added where it is missing.
+    /// Tolerances of the fast engine. The default tolerance is added if it is missing.
     pub tolerances: Vec<f64>,
-    /// Sides of the images of Table 1.
+    /// Sides of the images of Table 1, in pixels.
     pub image_sides: Vec<usize>,
-    /// Sides of patches.
+    /// Sides of the patches, in pixels.
     pub patches: Vec<usize>,
-    /// Timed runs in Table 1.
+    /// Number of timed runs in Table 1.
     pub repeat: usize,
-    /// Side of the image of the large galaxy.
+    /// Side of the image of the large galaxy, in pixels.
     pub galaxy_side: usize,
-    /// Interpolation error (relative L2) down to which the non-uniform sampling goes that is shown beside the uniform one.
+    /// Interpolation error (relative L2) of the non-uniform sampling that is shown next to the
+    /// uniform one.
     pub adaptive_threshold: f64,
-    /// Chooses the light of Table 1 and the pixels compared.
+    /// Seed for the light of Table 1 and for the pixels compared.
     pub seed: u64,
 }
 
 impl ReproductionOptions {
-    /// The paper's: 71 x 71 = 5041 samples, 54 x 54 = 2916 objects, the telescope's own frame.
+    /// The sizes of the paper: 71 x 71 = 5041 samples, 54 x 54 = 2916 objects, the telescope's own
+    /// frame.
     pub fn full() -> Self {
         Self {
             frame: None,
@@ -311,7 +316,8 @@ impl ReproductionOptions {
         }
     }
 
-    /// The same on a frame of a quarter the side, with a quarter of the samples and a ninth of the objects.
+    /// Smaller sizes: a frame with a quarter of the side, a quarter of the samples and a ninth of
+    /// the objects.
     pub fn quick() -> Self {
         Self {
             frame: FrameShape::new(2308, 2304).ok(),

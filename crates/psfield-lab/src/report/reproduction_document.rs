@@ -12,7 +12,7 @@ use crate::report::object_figures::{distributions, error_table, maps, shape_hist
 use crate::report::{ModelRow, ObjectKind, Reproduction, Software};
 
 impl Reproduction {
-    /// The report, with all figures drawn.
+    /// Makes the report, with all figures.
     ///
     /// # Errors
     /// [`PlotError`] when a figure cannot be drawn.
@@ -64,12 +64,12 @@ impl Reproduction {
 
     fn accuracy_section(&self) -> Section {
         let targets = target_table(
-            "Targets, at the default tolerance. The paper reports 0.0901 for 90 % of its differences of ellipticity.",
+            "Targets at the default tolerance. The paper reports 0.0901 for 90 % of its differences of ellipticity.",
             &self.targets,
         );
         let tolerances = error_table(
-            "Objects drawn by transforms alone at several tolerances, against the optics' own images. Absolute differences.",
-            &["objects", "tolerance", "seconds a frame"],
+            "Absolute differences of objects drawn at several tolerances (transforms for all tiles) from the true images of the optics.",
+            &["objects", "tolerance", "seconds per frame"],
             self.tolerances.iter().map(|row| {
                 let kind = match row.kind {
                     ObjectKind::Point => "stars",
@@ -80,7 +80,7 @@ impl Reproduction {
             }),
         );
         let interpolations = error_table(
-            "The model's PSFs by the exact sum, without the engine, with other interpolators of the same coefficients.",
+            "Absolute differences of the model's PSFs by the exact sum, without the engine, with other interpolators of the same coefficients.",
             &["interpolation"],
             self.interpolations.iter().map(|row| {
                 let in_use = if row.in_use { " (in use)" } else { "" };
@@ -88,26 +88,28 @@ impl Reproduction {
             }),
         );
         let mut tables = vec![targets, tolerances, interpolations];
-        // Of few samples there are no fewer.
+        // A small number of samples cannot be reduced further.
         if !self.fewer_samples.is_empty() {
             tables.push(ModelRow::table(
-                "Models of fewer samples on regular grids, default settings, by the exact sum.",
+                "Models with fewer samples on regular grids, with default settings, by the exact sum.",
                 &self.fewer_samples,
             ));
         }
         tables.push(ModelRow::table(
-            "The model with fewer components, by the exact sum.",
+            "Models with fewer components, by the exact sum.",
             &self.fewer_components,
         ));
         Section {
             title: "Accuracy".to_owned(),
             paragraphs: vec![
-                "Each object is measured twice in the same window by a Gaussian fit: in the image that the fast engine made, and in the true \
-                 image, for which the optics were evaluated at the object's own position. The error has three parts: the samples and the \
-                 interpolation between them, the components left out (at most 1e-4, relative L2, at a sample), and the engine's tolerance. \
-                 Where a row of the first table hardly differs from the next, the engine is no longer the largest of them; the second table \
-                 shows what remains without it: bilinear and natural neighbour interpolation leave the curvature of the PSF between samples, which \
-                 cubics follow, and a polynomial over the whole field (--interpolation polynomial=D) where optics are as smooth as these."
+                "Each object is measured twice in the same window by a Gaussian fit: in the image made by the fast engine, and in the true \
+                 image, for which the optics are evaluated at the object's own position. The error has three parts: the samples and the \
+                 interpolation between them, the components left out (at most 1e-4, relative L2, at a sample), and the engine's tolerance."
+                    .to_owned(),
+                "If two neighbouring rows of the table of tolerances hardly differ, the engine is no longer the largest part. The table of \
+                 interpolators shows the error that remains without the engine. Bilinear and natural neighbour interpolation miss the \
+                 curvature of the PSF between samples. Cubic interpolation follows it, and so does a polynomial over the whole field \
+                 (--interpolation polynomial=D) if the optics are as smooth as these."
                     .to_owned(),
             ],
             tables,
@@ -141,15 +143,15 @@ impl Reproduction {
         }
         .figure()?;
         let text = format!(
-            "{} components are kept; no sample is off by more than {} (relative L2) for the others. Samples predicted from their \
-             neighbours alone, at twice the distance between samples, are off by {} in the median.",
+            "{} components are kept. The others change no sample by more than {} (relative L2). Samples predicted from their neighbours, at \
+             twice the distance between samples, have a median error of {} (relative L2).",
             self.basis.rank,
             short(Some(self.basis.max_error)),
             short(self.basis.leave_one_out_median),
         );
         let figure = NamedFigure {
             name: "singular-values",
-            caption: "Cumulative weight of the singular values, sum of the first k over the sum of all, with the elbow.".to_owned(),
+            caption: "Cumulative weight of the singular values: the sum of the first k over the sum of all. The elbow is marked.".to_owned(),
             figure,
         };
         Ok(Section::new("Singular values", Some(text), vec![figure]))
@@ -169,8 +171,8 @@ impl Reproduction {
         let figure = NamedFigure {
             name: "sampling",
             caption: format!(
-                "Where the PSF is sampled: the regular grid of this report, and psfield's non-uniform sampling, refined until interpolation \
-                 between samples is within {} (relative L2).",
+                "Positions at which the PSF is sampled: the regular grid of this report, and psfield's non-uniform sampling, which is refined \
+                 until the error of interpolation between samples is below {} (relative L2).",
                 short(Some(self.adaptive_threshold))
             ),
             figure: positions_figure(&panels, self.frame)?,
@@ -185,14 +187,14 @@ impl Reproduction {
             Some(PAPER_ELLIPTICITY_Q90),
         )?);
         let text = format!(
-            "The histograms are of the {} stars, at the default tolerance.",
+            "The histograms show the {} stars at the default tolerance.",
             self.objects
         );
         Ok(Section::new("FWHM, ellipticity, MAE", Some(text), figures))
     }
 
     fn map_section(&self) -> Result<Section, PlotError> {
-        let text = "Stars of unit flux, at the default tolerance.".to_owned();
+        let text = "Stars of unit flux at the default tolerance.".to_owned();
         Ok(Section::new("Over the field", Some(text), maps(&self.stars)?))
     }
 
@@ -215,19 +217,24 @@ impl Reproduction {
         let difference = |image| Scale::Difference { most: most(image) };
         let (same, own) = (difference(&of_patches), difference(&of_lowrank));
         let patches = format!("patches of {} pixels", galaxy.patch);
-        let patches_off = format!("patches less exact, {} pixels", galaxy.patch);
-        let (flux, percent) = ("flux a pixel", "% of the peak");
+        let patches_off = format!("patches of {} pixels - exact", galaxy.patch);
+        let (flux, percent) = ("flux per pixel", "% of the peak");
         let figure = pictures(&[
-            panel("original", &galaxy.original, sky, flux),
-            panel("psfield, transforms alone", &galaxy.lowrank, sky, flux),
+            panel("input galaxy", &galaxy.original, sky, flux),
+            panel("psfield, transforms", &galaxy.lowrank, sky, flux),
             panel(patches.as_str(), &galaxy.patches, sky, flux),
             panel(patches_off.as_str(), &of_patches, same, percent),
-            panel("psfield less exact, the same colours", &of_lowrank, same, percent),
-            panel("psfield less exact, its own colours", &of_lowrank, own, percent),
+            panel(
+                "psfield - exact (scale of the patches)",
+                &of_lowrank,
+                same,
+                percent,
+            ),
+            panel("psfield - exact (own colour scale)", &of_lowrank, own, percent),
         ])?;
         let text = format!(
-            "A galaxy over {0} x {0} pixels, over which the PSF varies as over the whole field. Against the direct sum in double precision, \
-             patches are off by {1} of the peak at most (relative L2 {2}), psfield by {3} ({4}).",
+            "A galaxy on {0} x {0} pixels, over which the PSF varies as over the whole field. The largest error against the direct sum in \
+             double precision is {1} of the peak for patches (relative L2 {2}) and {3} for psfield ({4}).",
             galaxy.side,
             short(Some(galaxy.patch_max_over_peak)),
             short(Some(galaxy.patch_relative_l2)),
@@ -236,8 +243,8 @@ impl Reproduction {
         );
         let figure = NamedFigure {
             name: "galaxy",
-            caption: "The galaxy before and after, and the differences from the direct sum: patches leave seams where one PSF gives way to \
-                      the next. In the same colours psfield's differences are too small to be seen."
+            caption: "The galaxy before and after the convolution, and the differences from the direct sum. Patches leave seams where the PSF \
+                      changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen."
                 .to_owned(),
             figure,
         };
@@ -246,8 +253,8 @@ impl Reproduction {
 
     fn table_1_section(&self) -> Section {
         let mut table = Table::new(
-            "Seconds are those of the fastest run; the ratio is to one convolution with a single PSF in the same run. Errors are relative L2 \
-             against the direct sum in double precision at random pixels.",
+            "Seconds are those of the fastest run. The ratio compares with one convolution with a single PSF in the same run. Errors are \
+             relative L2 differences from the direct sum in double precision at random pixels.",
             &["image", "method", "setting", "seconds", "ratio", "error"],
         );
         for row in self.table_1.sizes.iter().flat_map(|outcome| &outcome.rows) {
@@ -263,9 +270,10 @@ impl Reproduction {
         Section {
             title: "Table 1: patches and psfield".to_owned(),
             paragraphs: vec![
-                "Every pixel is lit, and the PSF varies over each image as over the whole field. The method single uses one PSF for the whole image: the \
-                 fastest, and wrong; patch one for each patch; lowrank is psfield by transforms alone. The time of patches holds that of making their PSFs from the components; psfield's plan, made once for a model and a \
-                 frame, is not in its time."
+                "Every pixel has light, and the PSF varies over each image as over the whole field. The method single uses one PSF for the \
+                 whole image, which is fastest and wrong. The method patch uses one PSF per patch. The method lowrank is psfield with \
+                 transforms for all tiles. The time of patches includes making their PSFs from the components. The time of psfield does \
+                 not include its plan, which is made once for a model and a frame."
                     .to_owned(),
             ],
             tables: vec![table],

@@ -1,4 +1,4 @@
-//! Stars and galaxies over the frame, drawn by the engine and true.
+//! Stars and galaxies over the frame, as the engine draws them and as they truly are.
 
 use std::time::Instant;
 
@@ -12,10 +12,10 @@ use crate::report::{Evaluation, ObjectKind, ToleranceRow};
 
 /// Half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
 pub(super) const GALAXY: [f64; 4] = [3.0, 1.0, 0.7, 30.0];
-/// Pixels along each side of a galaxy's light; truth and scene hold the same light.
+/// Pixels along each side of a galaxy's light. Truth and scene have the same light.
 const GALAXY_SIDE: usize = 32;
 
-/// Objects and what they truly look like.
+/// Objects and their true images.
 #[derive(Debug)]
 pub(super) struct Scenes {
     frame: FrameShape,
@@ -28,7 +28,7 @@ pub(super) struct Scenes {
 }
 
 impl Scenes {
-    /// A grid of `across` by `across` objects and the telescope's own images of each.
+    /// Makes a grid of `across` by `across` objects, and the telescope's own image of each.
     ///
     /// # Errors
     /// [`LabError::ObjectsTooClose`], [`PsfieldError::Source`](psfield::PsfieldError::Source).
@@ -56,8 +56,9 @@ impl Scenes {
         })
     }
 
-    /// Stars and galaxies drawn at a tolerance and measured, with a row for each: scenes of the two
-    /// kinds, imaged with one plan in single precision by transforms alone.
+    /// Draws stars and galaxies at a tolerance, measures them, and adds a row for each kind. The
+    /// scenes of both kinds are convolved with one plan in single precision, with transforms for
+    /// all tiles.
     ///
     /// # Errors
     /// [`PsfieldError::Convolution`](psfield::PsfieldError::Convolution).
@@ -76,7 +77,7 @@ impl Scenes {
         simulator.prepare(&Scene::dark(), true, &NoProgress)?;
         let (grid, frame) = (model.grid(), Some(self.frame));
         let centre = grid.whole_centre().unwrap_or((grid.nx() / 2, grid.ny() / 2));
-        // A window of the stamps' size about each object.
+        // A window of the size of a stamp around each object.
         let window = |image: ArrayView2<'_, f32>, &(x, y): &(usize, usize)| {
             let (x0, y0) = (x - centre.0, y - centre.1);
             let window = image.slice(s![y0..y0 + grid.ny(), x0..x0 + grid.nx()]);
@@ -105,7 +106,8 @@ impl Scenes {
     }
 }
 
-/// A galaxy of unit flux on its pixels; what lies beyond is left out of scene and truth alike.
+/// The light of a galaxy of unit flux on its pixels. Light outside is left out of both scene and
+/// truth.
 fn galaxy_light() -> Result<Array2<f64>, LabError> {
     let [radius, index, axis_ratio, angle] = GALAXY;
     let profile = SersicProfile::new(radius, index, axis_ratio, angle)?;
@@ -120,11 +122,12 @@ fn galaxy_light() -> Result<Array2<f64>, LabError> {
     Ok(light / sum)
 }
 
-/// Pixels of a grid of `across` by `across` objects, ordered by y, then x, at least `margin` pixels from the frame's edges.
+/// Pixels of a grid of `across` by `across` objects, ordered by y, then x, and at least `margin`
+/// pixels from the frame's edges.
 ///
 /// # Errors
-/// [`LabError::ObjectsTooClose`] when two of them would be closer than `least_apart` pixels along
-/// an axis.
+/// [`LabError::ObjectsTooClose`] if two of them would be closer than `least_apart` pixels along an
+/// axis.
 fn object_pixels(
     frame: FrameShape,
     across: usize,
@@ -153,22 +156,24 @@ fn object_pixels(
         .collect())
 }
 
-/// Where the PSF is drawn about an object, in halves of the galaxy's side: between these nine positions it is a polynomial of degree 2 in x
-/// and in y, whose error is far below what is measured (the nodes are some 10 pixels apart, samples some 100).
+/// Positions around an object at which the PSF is drawn, in halves of the galaxy's side. Between
+/// these nine positions the PSF is a polynomial of degree 2 in x and in y. Its error is far below
+/// the measured differences, because the nodes are some 10 pixels apart and samples some 100.
 const NODES: [f64; 3] = [-1.0, 0.0, 1.0];
 
 /// The PSF at a position, scaled to unit flux, as drawn by its source.
 ///
 /// # Errors
-/// [`PsfieldError::Source`](psfield::PsfieldError::Source) where it cannot be drawn.
+/// [`PsfieldError::Source`](psfield::PsfieldError::Source) if it cannot be drawn.
 fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f64>, LabError> {
     let stamp = source.draw(at)?;
     let flux = stamp.flux();
     Ok(stamp.into_values() / flux)
 }
 
-/// The image of `galaxy` `[y, x]`, whose pixel `n / 2` along each axis is at `(x, y)`, in a window as large as the PSF's stamps and
-/// centred as they are: each pixel of the galaxy with the PSF of its own position.
+/// The image of `galaxy` `[y, x]`, whose pixel `n / 2` along each axis is at `(x, y)`. The window
+/// has the size and the centre of the PSF's stamps. Each pixel of the galaxy has the PSF of its own
+/// position.
 ///
 /// # Errors
 /// [`PsfieldError::Source`](psfield::PsfieldError::Source).
@@ -224,7 +229,7 @@ fn lagrange(t: f64) -> [f64; 3] {
     [0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)]
 }
 
-/// The parts of a window and of a stamp of `n` pixels, moved by `shift`, that lie over each other.
+/// The overlapping parts of a window and of a stamp of `n` pixels that is moved by `shift`.
 fn overlap(shift: i64, n: usize) -> ((usize, usize), (usize, usize)) {
     let moved = shift.unsigned_abs().min(n as u64) as usize;
     if shift >= 0 {
@@ -234,7 +239,7 @@ fn overlap(shift: i64, n: usize) -> ((usize, usize), (usize, usize)) {
     }
 }
 
-/// The same light about every pixel, its pixel `n / 2` along each axis on it.
+/// Adds `light` at every pixel, with its own pixel `n / 2` along each axis on that pixel.
 fn scattered(frame: FrameShape, pixels: &[(usize, usize)], light: ArrayView2<'_, f64>) -> Array2<f32> {
     let (rows, columns) = light.dim();
     let mut scene = Array2::zeros((frame.ny(), frame.nx()));
@@ -265,7 +270,7 @@ mod tests {
         assert!(object_pixels(frame, 2, 200, 90).is_err());
     }
 
-    /// A PSF whose part `x^2 / 1e4 + y / 1e3` of the light lies one pixel to the right.
+    /// A PSF with the fraction `x^2 / 1e4 + y / 1e3` of its light one pixel to the right.
     #[derive(Debug)]
     struct Leaning;
     fn part(x: f64, y: f64) -> f64 {
@@ -297,7 +302,7 @@ mod tests {
             expected[[8 + j - 2, 9 + i - 2]] += light * part(x, y);
         }
         let largest = (&window - &expected).iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        // Rounding alone: the PSF is of degree 2 in x and in y.
+        // Only rounding, because the PSF is of degree 2 in x and in y.
         assert!(largest < 1e-12, "{largest}");
     }
 }

@@ -1,4 +1,4 @@
-//! A given model against given PSFs, and the report of it.
+//! Comparison of a given model with given PSFs, and its report.
 
 use conv_core::StampInterpolator;
 use ndarray::{Array2, s};
@@ -15,25 +15,25 @@ use crate::report::object_figures::{distributions, error_table, maps, shape_hist
 use crate::report::{Evaluation, Software, Target};
 use crate::round_trip::{drawn, drawn_sources, measuring_window};
 
-/// How far a model is from PSFs that are known.
+/// The errors of a model against known PSFs.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Validation {
-    /// What the model is compared with.
+    /// The kind of truth.
     pub truth: ValidationTruth,
     /// Pixels along each side of the window that is compared.
     pub window: [usize; 2],
-    /// Pixels of the window for each pixel of the frame; lengths are in pixels of the window.
+    /// Pixels of the window per pixel of the frame. Lengths are in pixels of the window.
     pub oversampling: f64,
     /// Components of the model, the mean not counted.
     pub rank: usize,
-    /// The targets for PSFs without noise, and whether they are met; none for a frame.
+    /// The targets for PSFs without noise. Empty for a frame.
     pub targets: Vec<Target>,
     /// The PSFs.
     pub objects: Evaluation,
 }
 
-/// What a model is compared with.
+/// The truth with which a model is compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ValidationTruth {
@@ -44,12 +44,12 @@ pub enum ValidationTruth {
 }
 
 impl Validation {
-    /// Compares the model's PSFs, by the exact sum over its components, with the samples at their positions and on their pixels. Both hold
-    /// unit flux where the model's do.
+    /// Compares the model's PSFs, by the exact sum over its components, with the samples at their
+    /// positions and on their pixels. Both are scaled to unit flux if the PSFs of the model are.
     ///
     /// # Errors
-    /// [`PsfieldError::OutsideField`] for a sample off the model's field, [`PsfieldError::Field`] where the model has no value,
-    /// [`LabError::TruthWithoutPixels`].
+    /// [`PsfieldError::OutsideField`] for a sample outside the model's field,
+    /// [`PsfieldError::Field`] if the model has no value there, [`LabError::TruthWithoutPixels`].
     pub fn of_samples(model: &PsfModel, truth: &PsfSamples) -> Result<Self, LabError> {
         let grid = truth.grid();
         if model.grid().pixel_response_included() && !grid.pixel_response_included() {
@@ -67,7 +67,8 @@ impl Validation {
                 } else {
                     StampInterpolator::new(psf.values(), model.grid()).resample((0.0, 0.0), grid)
                 };
-                // The same part of the light in both, where one grid reaches further than the other.
+                // Both hold the same part of the light, even if one grid reaches further than the
+                // other.
                 let flux = if unit { grid.flux_of_sum(stamp.sum()) } else { 1.0 };
                 Ok(stamp / flux)
             })
@@ -90,14 +91,14 @@ impl Validation {
         })
     }
 
-    /// Compares a frame with the stars that the model draws: all sources found, at their measured positions and fluxes, without noise; the
-    /// frame less its background. Measured in windows about the stars that are good enough to be samples. The differences hold the frame's
-    /// noise and the errors of the measured positions.
+    /// Compares a frame minus its background with stars drawn by the model: all sources found, at
+    /// their measured positions and fluxes, without noise. The windows measured are those around
+    /// the stars that are good enough to be samples. The differences include the noise of the frame
+    /// and the errors of the measured positions.
     ///
     /// # Errors
-    /// [`PsfieldError::Stars`] when the frame has no such stars, [`LabError::NothingMeasured`] when
-    /// none can be measured in both,
-    /// and the errors of drawing.
+    /// [`PsfieldError::Stars`] if the frame has no such stars, [`LabError::NothingMeasured`] if
+    /// none can be measured in both, and the errors of drawing.
     pub fn of_frame(
         model: &PsfModel,
         frame: &Image<f64>,
@@ -150,7 +151,7 @@ impl Validation {
 }
 
 impl Validation {
-    /// The report, with all figures drawn. `inputs` are names and values of what was compared.
+    /// Makes the report, with all figures. `inputs` are names and values of the compared files.
     ///
     /// # Errors
     /// [`PlotError`] when a figure cannot be drawn.
@@ -162,22 +163,22 @@ impl Validation {
         let (name, text) = match self.truth {
             ValidationTruth::Samples => (
                 "PSFs",
-                "Each PSF is measured twice in the same way, by a Gaussian fit: as the model gives it at that position, and as it was given. \
-                 No image is made: what the engine adds is bounded by its tolerance.",
+                "Each PSF is measured twice in the same way, by a Gaussian fit: as given by the model at that position, and as given in the \
+                 truth. No image is simulated: the error of the engine is bounded by its tolerance.",
             ),
             ValidationTruth::Frame => (
                 "stars",
-                "Each star is measured twice in the same window, by a Gaussian fit: in the frame less its background, and as the model draws it \
-                 at the measured position with the measured flux, without noise. The differences hold the noise of the frame.",
+                "Each star is measured twice in the same window, by a Gaussian fit: in the frame minus its background, and as drawn by the \
+                 model at the measured position with the measured flux, without noise. The differences include the noise of the frame.",
             ),
         };
         inputs.push(("objects", format!("{} {name}", self.objects.summary.objects)));
         let ([nx, ny], finer) = (self.window, self.oversampling);
-        let window = format!("{nx} x {ny} pixels, {finer} for each pixel of the frame");
+        let window = format!("{nx} x {ny} pixels, {finer} per pixel of the frame");
         inputs.push(("window", window));
         inputs.push(("model", format!("{} components", self.rank)));
         let errors = error_table(
-            "Absolute differences of the model from the truth.",
+            "Absolute differences between the model and the truth.",
             &["objects"],
             [(vec![name.to_owned()], &self.objects.summary)],
         );

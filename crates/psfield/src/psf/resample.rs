@@ -77,7 +77,7 @@ impl Psf {
         let own = grid_with_pixel_response(self.grid())?;
         let target = match size {
             None => native_grid(own.with_oversampling(own.oversampling() / s)?)?,
-            Some(n) => StampGrid::new(n * finer, n * finer)?,
+            Some(n) => StampGrid::new(n.saturating_mul(finer), n.saturating_mul(finer))?,
         };
         let target = target
             .with_pixel_response_included(true)

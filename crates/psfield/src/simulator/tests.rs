@@ -329,7 +329,9 @@ fn settings_that_a_method_or_a_model_cannot_follow_are_refused() {
 #[test]
 fn preparation_counts_the_seconds_of_this_call() {
     let simulator = built::<f64>((40, 30), SimulateOptions::default()).unwrap();
-    let scene = Scene::new(ramp(40, 30)).unwrap().with_stars(vec![star(5.0, 2.0, 7.0)]);
+    let scene = Scene::new(ramp(40, 30))
+        .unwrap()
+        .with_stars(vec![star(5.0, 2.0, 7.0)]);
     let first = simulator.prepare(&scene, false, &NoProgress).unwrap();
     assert!(first.plan_seconds > 0.0);
     let second = simulator.prepare(&scene, false, &NoProgress).unwrap();
