@@ -123,8 +123,8 @@ pub struct InterpolationRow {
 impl InterpolationRow {
     /// Measures the record's components and coefficients with another interpolator.
     ///
+    /// # Errors
     /// The errors of the interpolator, of the model and of its field.
-    /// Those of the interpolator, of the model and its field.
     pub(super) fn measure(
         record: &PsfModelRecord,
         interpolation: Interpolation,
