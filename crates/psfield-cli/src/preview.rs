@@ -15,7 +15,6 @@ use super::UsageError;
 use super::context::{Context, object};
 
 /// Show a FITS image as a PNG picture
-/// Show a FITS image as a PNG picture
 ///
 /// Shows any image that psfield reads, or one plane of a cube, plain or compressed (.gz, .fz). y
 /// points upwards as in ds9: row 0 is at the bottom.
