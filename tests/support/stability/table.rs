@@ -72,10 +72,10 @@ fn of_section(section: &Section) -> (String, Vec<String>) {
         text.push('\n');
     }
     if !notes.0.is_empty() {
-        text.push('\n');
+        text += "\n| note | text |\n| --- | --- |\n";
     }
     for (n, note) in notes.0.iter().enumerate() {
-        writeln!(text, "{}. {note}", n + 1).expect("a string takes everything");
+        writeln!(text, "| {} | {note} |", n + 1).expect("a string takes everything");
     }
     (text, failures)
 }
