@@ -219,8 +219,9 @@ pub(super) fn section() -> Section {
     cases.extend(wings());
     Section {
         title: "Stamps",
-        story: "As for scenes, on frames of 48 x 40 pixels with patches of one pixel, each of which has its own\n\
-            PSF. Their limit is five times larger, since a pixel is the sum of hundreds of patches.\n\n\
+        story: "Measured as for scenes, on frames of 48 x 40 pixels with patches of one pixel, each of which has\n\
+            its own PSF. The limit for patches is five times larger, since a pixel is the sum of hundreds of\n\
+            patches.\n\n\
             The last rows judge the wings of one star, 1e-10 of its core, divided by the wings. Transforms\n\
             spread their noise of 1e-16 (f64) and 1e-7 (f32) of the core over them. The direct sum, and `auto`,\n\
             which draws a single star, leave each pixel its own relative precision, as far as the model's modes\n\

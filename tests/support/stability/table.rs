@@ -14,7 +14,7 @@ const HEAD: &str = "# Numerical stability\n\n\
     ```sh\n\
     cargo run --release -p integration-tests --bin stability > STABILITY.md\n\
     ```\n\n\
-    The same cases are tests: `cargo test --release -p integration-tests --test stability`. With\n\
+    Tests run these cases: `cargo test --release -p integration-tests --test stability`. With\n\
     `-- --check STABILITY.md` the program compares rows, limits and messages with this page (measured\n\
     figures differ between machines). No image holds NaN, and nothing panics. A refused input gives the\n\
     message below the table.\n";
