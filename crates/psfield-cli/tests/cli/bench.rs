@@ -103,7 +103,7 @@ fn every_method_has_its_row_and_its_error() {
     assert!(plot.starts_with("<svg"));
     for text in [
         "measured relative L2 error",
-        "run time, seconds",
+        "run time (s)",
         "96 x 96 pixels",
         "lowrank",
         "patch",

@@ -151,7 +151,7 @@ fn what_cannot_be_shown_is_said() {
         ("flat.fits", 1, ["flat.fits", "every pixel is 7.5"]),
         ("flat.fits --zscale", 1, ["flat.fits", "every pixel is 7.5"]),
         ("star.fits", 1, ["0.5 and 99.8", "from 0 to 9"]),
-        ("scene.fits --range 3,3", 2, ["--range", "no range"]),
+        ("scene.fits --range 3,3", 2, ["--range", "not a range"]),
         ("scene.fits --range 3", 2, ["--range", "LO,HI"]),
         ("scene.fits --range nan,3", 2, ["--range", "finite"]),
         ("scene.fits --percentile 50,101", 2, ["--percentile", "0 to 100"]),
