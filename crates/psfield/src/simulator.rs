@@ -1,5 +1,6 @@
 //! A PSF, a frame and settings, ready to make images.
 
+mod both_precisions;
 mod check;
 mod geometry;
 mod stream;
@@ -166,6 +167,7 @@ impl SimulatorBuilder {
         self.build_by(method)
     }
 
+    #[inline(never)]
     fn build_by<T: ConvReal>(
         self,
         method: Option<Box<dyn ConvolutionMethod<T>>>,
@@ -357,6 +359,7 @@ impl<T: ConvReal> Simulator<T> {
     /// # Errors
     /// [`PsfieldError`]: shapes that do not fit, light where there is no PSF, a flux that `T` does not hold, and
     /// [`ConvError::Cancelled`], after which the image is left half done.
+    #[inline(never)]
     pub fn simulate_into(
         &self,
         scene: &Scene<'_, T>,
@@ -387,6 +390,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`PsfieldError::Convolution`] for an image of another shape; [`PsfieldError::AdjointNeedsPlan`].
+    #[inline(never)]
     pub fn adjoint(
         &self,
         image: &ImageView<'_, T>,
@@ -418,6 +422,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`ConvError::RegionOutsideFrame`] or [`ConvError::Cancelled`]; [`PsfieldError::RegionNeedsPlan`].
+    #[inline(never)]
     pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
         let options = SimulateOptions {
             region: Some(region),
@@ -463,6 +468,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`PsfieldError`] when a fit or a plan fails, or a GPU that was asked for cannot be used.
+    #[inline(never)]
     pub fn prepare(
         &self,
         scene: &Scene<'_, T>,
@@ -598,6 +604,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// What convolves the extended light of a scene.
+    #[inline(never)]
     fn convolver(
         &self,
         scene: &Scene<'_, T>,
@@ -632,6 +639,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Extended light as a convolver takes it.
+    #[inline(never)]
     fn light<'a>(
         &self,
         scene: &'a Scene<'_, T>,
@@ -710,6 +718,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Adds stars to a region of the frame.
+    #[inline(never)]
     fn draw_stars_into(
         &self,
         sources: &[PointSource],
