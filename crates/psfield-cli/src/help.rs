@@ -28,17 +28,15 @@ fn groups(command: &Command) -> String {
     let is_grouped = |name: &str| GROUPS.iter().any(|(_, names)| names.contains(&name));
     let names = command.get_subcommands().map(Command::get_name);
     let others: Vec<&str> = names.filter(|name| !is_grouped(name)).collect();
-    let mut text = String::new();
-    for (heading, names) in GROUPS.into_iter().chain([(OTHERS, others.as_slice())]) {
-        text += &format!("{heading}:\n");
-        for name in names {
-            let found = command.find_subcommand(name);
-            let about = found.and_then(Command::get_about).map(ToString::to_string);
-            text += &format!("  {name:10} {}\n", about.unwrap_or_default());
-        }
-        text.push('\n');
-    }
-    text
+    let line = |name: &&str| {
+        let found = command.find_subcommand(name);
+        let about = found.and_then(Command::get_about).map(ToString::to_string);
+        format!("  {name:10} {}\n", about.unwrap_or_default())
+    };
+    let all = GROUPS.into_iter().chain([(OTHERS, others.as_slice())]);
+    let texts =
+        all.map(|(heading, names)| format!("{heading}:\n{}\n", names.iter().map(line).collect::<String>()));
+    texts.collect()
 }
 
 /// Wraps the long texts of a command, its options and its subcommands. (The parser does so only
