@@ -82,13 +82,7 @@ fn two_detectors() -> Result<(), Failed> {
     let path = file("stdpsf/STDPSF_ACSWFC_F814W_mock.fits");
     match Psf::open_with(path, &PsfFileOptions::default(), &FitChoices::default()) {
         Err(PsfieldError::Io(error)) => {
-            let source = std::error::Error::source(&error).map(ToString::to_string);
-            ensure(
-                source
-                    .as_ref()
-                    .is_some_and(|text| text.contains("--psf-detector")),
-                || format!("{error}: {source:?}"),
-            )
+            ensure(error.setting() == Some("detector"), || error.to_string())
         }
         other => Err(format!("{other:?}").into()),
     }

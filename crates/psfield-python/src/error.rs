@@ -3,7 +3,7 @@
 use std::error::Error;
 
 use psfield::PsfieldError;
-use psfield::psf_io::IoError;
+use psfield::psf_io::IoErrorKind;
 use pyo3::exceptions::{
     PyException, PyFileExistsError, PyFileNotFoundError, PyOSError, PyPermissionError, PyValueError,
 };
@@ -49,8 +49,8 @@ impl From<Failure> for PyErr {
         let text = psfield::error_text(&*error);
         let text = argument.map_or_else(|| text.clone(), |argument| format!("{argument}: {text}"));
         let raised = match &*error {
-            PsfieldError::Io(IoError::Exists { .. }) => PyFileExistsError::new_err(text),
-            PsfieldError::Io(IoError::MissingDirectory { .. }) => PyFileNotFoundError::new_err(text),
+            PsfieldError::Io(error) if error.kind() == IoErrorKind::Exists => PyFileExistsError::new_err(text),
+            PsfieldError::Io(error) if error.kind() == IoErrorKind::NotFound => PyFileNotFoundError::new_err(text),
             error if error.is_of_gpu() => PyOSError::new_err(text),
             error => match (kind_of(error), error) {
                 (Some(std::io::ErrorKind::NotFound), _) => PyFileNotFoundError::new_err(text),

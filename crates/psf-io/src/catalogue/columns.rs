@@ -124,7 +124,7 @@ impl CatalogColumns {
             if self.is_in(names, role) {
                 Ok((role, self.column(role).to_owned()))
             } else {
-                Err(missing_column(path, names, self.column(role)))
+                Err(missing_column(path, names, self.column(role)).with_setting("columns"))
             }
         };
         let columns = roles.iter().map(needed).collect::<Result<_, _>>()?;
@@ -288,6 +288,7 @@ impl CatalogOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Place;
 
     fn names(text: &str) -> Vec<String> {
         text.split_whitespace().map(str::to_owned).collect()
@@ -351,9 +352,11 @@ mod tests {
     fn missing_columns_are_named() {
         let missing = |columns: &str, table: &str| {
             let columns: CatalogColumns = columns.parse().unwrap_or_default();
-            match columns.sources(Path::new("a.csv"), &names(table)) {
-                Err(IoError::MissingColumn { column, .. }) => column,
-                other => panic!("{other:?}"),
+            let error = columns.sources(Path::new("a.csv"), &names(table)).unwrap_err();
+            assert_eq!(error.setting(), Some("columns"));
+            match error.place() {
+                Some(Place::Column(column)) => column.clone(),
+                _ => panic!("{error:?}"),
             }
         };
         assert_eq!(missing("", "x flux"), "y");

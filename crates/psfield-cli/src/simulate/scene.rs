@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
 use psf_io::{
-    Catalog, CatalogColumns, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
+    Catalog, CatalogColumns, CatalogOptions, HduChoice, HeaderCards, ImageReader, SkyCoordinates,
 };
 use psf_types::FrameShape;
 use psfield::{PsfieldError, Scene, SimulateOptions, Simulator};
@@ -202,7 +202,7 @@ impl SceneArgs {
         };
         match (psf_io::read_catalog_with(path, &options), unusable) {
             // An unusable header matters only now, when the catalogue needs it.
-            (Err(error @ IoError::NoWorldCoordinates { .. }), Some(why)) if !header.is_empty() => {
+            (Err(error), Some(why)) if error.setting() == Some("sky") && !header.is_empty() => {
                 let file = self.scene.as_ref().or(self.wcs.as_ref());
                 let file = file.map_or_else(String::new, |file| format!("{}: ", file.display()));
                 Err(anyhow::anyhow!("{file}{why}").context(error))

@@ -11,10 +11,8 @@ use crate::fits::columns::Table;
 use crate::fits::hdu::{Hdu, HduChoice, HduKind};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{cards, in_single_precision, write_cards, write_fits};
-use crate::fits::structure::FitsStructure;
+use crate::fits::structure::{FitsStructure, PSF};
 
-/// The option of the command line that chooses an extension, for error messages.
-const OPTION: &str = "--psf-extension N|NAME";
 /// The text between the letter of a coordinate and `_IMAGE`: the methods by which SExtractor
 /// measures a position.
 const POSITION_KINDS: [&str; 5] = ["", "WIN", "PSF", "PEAK", "MODEL"];
@@ -39,10 +37,10 @@ fn holds_psf(hdu: &Hdu) -> bool {
 /// `extension` chooses one of several models in the file, which holds one per image extension.
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] for several models without a choice, [`IoError::NoSuchHdu`] for a
-/// choice that is none of them, [`IoError::Keyword`] and [`IoError::MissingKeyword`] for an
-/// unsupported polynomial (see the [layout](super)), [`IoError::Content`] for a column of another
-/// format, [`IoError::Value`] for NaN, and the errors of any FITS file.
+/// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for several models without a choice, or
+/// for a choice that is none of them, [`Header`](crate::IoErrorKind::Header) for an unsupported
+/// polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column of
+/// another format, [`Data`](crate::IoErrorKind::Data) for NaN, and the errors of any FITS file.
 pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Result<PsfexModel, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -86,9 +84,9 @@ fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Re
     let is_meant = |hdu: &Hdu| holds_psf(hdu) && extension.is_none_or(|choice| choice.matches(hdu));
     match extension {
         Some(choice) if !structure.hdus.iter().any(is_meant) => {
-            Err(structure.no_such(choice, WHAT, holds_psf))
+            Err(structure.no_such(choice, PSF, WHAT, holds_psf))
         }
-        _ => structure.only(WHAT, OPTION, is_meant),
+        _ => structure.only(WHAT, PSF, is_meant),
     }
 }
 
@@ -236,8 +234,8 @@ fn folds_to(text: &str, expected: &[usize]) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Limit`](crate::IoErrorKind::Limit) for a value beyond single precision, and the
+/// errors of [`write_image`](crate::write_image).
 pub fn write_psfex(
     path: impl AsRef<Path>,
     model: &PsfexModel,
