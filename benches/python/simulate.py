@@ -1,9 +1,10 @@
-"""Time `Plan.simulate` beside the Rust library's call, in turns.
+"""Time `Plan.simulate` and the same call of the Rust library, in turns.
 
 Usage: python benches/python/simulate.py MODEL.fits [SIZE] [TOLERANCE] [ROUNDS]
 
-Build first: cargo build --release -p psfield --example time_simulation, and install the package. MODEL.fits as `psfield fit` writes it,
-over a field of at least SIZE x SIZE. Prints the median of the rounds' ratios, and the peak memory of this process beside what it must hold.
+First install the package and run ``cargo build --release -p psfield --example time_simulation``.
+MODEL.fits is a model of ``psfield fit`` over a field of at least SIZE x SIZE pixels. The program
+prints the median ratio of the times, the peak memory of this process and the memory it needs.
 """
 
 from __future__ import annotations
@@ -55,16 +56,15 @@ def main() -> None:
         whole.append(mine / whole_call)
         execution.append(mine / without_check)
         print(
-            f"Python {mine:.4f} s, Rust {whole_call:.4f} s, without the check of the scene {without_check:.4f} s"
+            f"Python {mine:.4f} s, Rust {whole_call:.4f} s,"
+            f" Rust without the check of the scene {without_check:.4f} s"
         )
-    print(
-        f"Python over Rust: {statistics.median(whole):.3f}; over the execution alone: {statistics.median(execution):.3f}"
-    )
+    print(f"Python over Rust: {statistics.median(whole):.3f}")
+    print(f"Python over Rust without the check: {statistics.median(execution):.3f}")
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     arrays = 2 * scene.nbytes / 2**20
-    print(
-        f"peak memory {peak:.0f} MiB; scene and image {arrays:.0f} MiB, plan {plan.summary['kept_bytes'] / 2**20:.0f} MiB"
-    )
+    kept = plan.summary["kept_bytes"] / 2**20
+    print(f"peak memory {peak:.0f} MiB, scene and image {arrays:.0f} MiB, plan {kept:.0f} MiB")
 
 
 if __name__ == "__main__":

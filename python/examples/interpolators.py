@@ -1,11 +1,13 @@
-"""Swapping the interpolator: the same samples, carried over the field in different ways, against the truth between them.
+"""Compare interpolators: errors of the PSF between the same samples, for each interpolator.
 
     python interpolators.py [FOLDER]
 
-Needs NumPy alone. Writes ``errors.csv`` to FOLDER (default: ``output/interpolators`` beside this file).
+Needs only NumPy. Writes ``errors.csv`` to FOLDER (default: ``output/interpolators`` next to this
+file).
 
-The PSF is that of a telescope with known optics, so that the truth is known everywhere. It is sampled once at random positions, as by
-the stars of a frame, and once on a grid, as by a program; two thirds of a wave of aberrations at the corners make it vary a lot.
+The PSF is that of a telescope with known optics, so that the truth is known everywhere. It is
+sampled at random positions, like those of stars, and on a grid. Aberrations of two thirds of a wave
+at the corners make it vary strongly.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import psfield
 
 SHAPE = (1024, 1024)
 SAMPLES, TESTS, SEED = 100, 200, 11
-#: Those that take samples anywhere, and those that need a grid.
+#: Interpolators for samples at any positions, and all of them, including those that need a grid.
 ANYWHERE = [
     "delaunay",
     "natural-neighbour",
@@ -35,7 +37,10 @@ ON_A_GRID = [*ANYWHERE, "bilinear", "bicubic"]
 
 
 def stamp(x: float, y: float) -> NDArray[np.float64]:
-    """Draw the PSF at a position: coma grows with the distance from the middle of the frame, astigmatism with its square."""
+    """Draw the PSF at a position.
+
+    Coma grows with the distance from the middle of the frame, astigmatism with its square.
+    """
     v, u = np.mgrid[-32:32, -32:32] / 10.0
     aperture = (np.hypot(u, v) <= 1) & (np.hypot(u, v) > 0.3)
     fx, fy = (x - 511.5) / 511.5, (y - 511.5) / 511.5
@@ -49,7 +54,7 @@ def stamp(x: float, y: float) -> NDArray[np.float64]:
 def errors(
     positions: NDArray[np.float64], method: str, tests: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], float]:
-    """Return relative errors at new positions, and the error that the model predicts without knowing the truth (median)."""
+    """Return the errors at the test positions, and the median error that the fit predicts."""
     model = psfield.PsfModel.from_samples(
         [stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, interpolation=method
     )
@@ -61,11 +66,11 @@ def errors(
 
 
 def main(folder: Path) -> None:
-    """Run the example; files go to a folder."""
+    """Run the example and write its files to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(SEED)
     ny, nx = SHAPE
-    # The corners are sampled too: what lies outside the area of the samples could not be interpolated.
+    # The corners are sampled too, because positions outside the samples cannot be interpolated.
     corners = [(0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1)]
     scattered = np.concatenate([corners, rng.uniform(0, nx - 1, (SAMPLES - 4, 2))])
     side = round(SAMPLES**0.5)

@@ -1,10 +1,11 @@
-"""A PSFEx file and a SExtractor catalogue: the frame that they describe.
+"""Simulate the frame described by a PSFEx file and a SExtractor catalogue.
 
     python psfex_and_catalog.py [FOLDER]
 
-Needs astropy. So that it runs by itself it makes the two files first, ``stars.psf`` and ``stars.cat`` in FOLDER (default:
-``output/psfex_and_catalog`` beside this file): begin with your own at `simulate`. Writes ``image.fits``, the counts of a CCD, and
-``truth.fits``, what they are without noise.
+Needs astropy. The example first makes the two files, ``stars.psf`` and ``stars.cat`` in FOLDER
+(default: ``output/psfex_and_catalog`` next to this file). If you have such files, start at
+`simulate`. It writes ``image.fits``, the counts of a CCD, and ``truth.fits``, the image without
+noise.
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ import psfield
 from psfield.detector import Detector
 
 SHAPE = (1000, 800)
-#: The magnitude of a source of flux 1 (counts, electrons: what the image is to be in).
+#: The magnitude of a source of flux 1, in the unit of the image.
 ZERO_POINT = 25.0
 SEED = 3
 
 
 def make_psfex_file(path: Path) -> None:
-    """Write a PSFEx model: a Moffat profile whose width varies over the frame as a polynomial of degree 2."""
+    """Write a PSFEx model: a Moffat profile with a width that is a polynomial of degree 2."""
     oversampling = 2
     dy, dx = np.mgrid[-25:26, -25:26] / oversampling
 
@@ -44,7 +45,7 @@ def make_psfex_file(path: Path) -> None:
 
 
 def make_catalogue(path: Path) -> None:
-    """Write stars as SExtractor does with ``CATALOG_TYPE FITS_LDAC``: its positions count pixels from 1."""
+    """Write stars like SExtractor with ``CATALOG_TYPE FITS_LDAC``. The first pixel is 1."""
     rng = np.random.default_rng(SEED)
     count = 400
     objects = fits.BinTableHDU.from_columns(
@@ -66,13 +67,14 @@ def make_catalogue(path: Path) -> None:
 def simulate(
     psf: Path, catalogue: Path
 ) -> tuple[psfield.PsfModel, dict[str, NDArray[np.float64]], NDArray[np.float32]]:
-    """Return model, stars and image of two files."""
-    # Planes and polynomial are taken as they are; between the pixels PSFEx is interpolated by Lanczos-3, as in GalSim.
+    """Return the model, the stars and the image of two files."""
+    # The planes and the polynomial are used as stored. Between the pixels of the stamps PSFEx
+    # models are interpolated by Lanczos-3, as in GalSim.
     model = psfield.PsfModel.read(psf)
     for note in model.notes:
         print(note)
 
-    # Which columns mean what; positions become 0-based, magnitudes fluxes.
+    # The role of each column. Positions become 0-based and magnitudes become fluxes.
     stars = psfield.read_catalog(
         catalogue, columns="x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO", one_based=True, zero_point=ZERO_POINT
     )
@@ -80,7 +82,7 @@ def simulate(
 
 
 def main(folder: Path) -> None:
-    """Run the example; files go to a folder."""
+    """Run the example and write its files to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     psf, catalogue = folder / "stars.psf", folder / "stars.cat"
     make_psfex_file(psf)
@@ -90,7 +92,7 @@ def main(folder: Path) -> None:
     header = fits.Header([("MAGZERO", ZERO_POINT, "magnitude of flux 1")])
     fits.writeto(folder / "truth.fits", image, header, overwrite=True)
 
-    # Photon noise, sky and read noise in electrons, and 16 bits. The same seed gives the same frame.
+    # Sky and read noise are in electrons. Equal seeds give equal frames.
     ccd = Detector(
         photon_noise=True,
         sky_e=200,
@@ -103,24 +105,25 @@ def main(folder: Path) -> None:
     exposure = ccd.expose(image, seed=SEED)
     counts = exposure.counts.astype(np.uint16)
     fits.writeto(folder / "image.fits", counts, header, overwrite=True)
-    print(
-        f"counts from {counts.min()} to {counts.max()}, {exposure.report['saturated_pixels']} pixels saturated"
-    )
+    saturated = exposure.report["saturated_pixels"]
+    print(f"counts from {counts.min()} to {counts.max()}, {saturated} pixels saturated")
 
-    # What photometry finds: the light within 10 pixels of stars that stand alone, against their magnitudes.
+    # Photometry: the light within 10 pixels of isolated stars, compared with their magnitudes.
     apart = np.hypot(*(np.subtract.outer(stars[axis], stars[axis]) for axis in "xy"))
     np.fill_diagonal(apart, np.inf)
-    alone = np.flatnonzero(apart.min(axis=1) > 25)
+    isolated = np.flatnonzero(apart.min(axis=1) > 25)
     y, x = np.indices(SHAPE)
     measured = [
-        image[np.hypot(x - stars["x"][i], y - stars["y"][i]) < 10].sum(dtype=float) for i in alone
+        image[np.hypot(x - stars["x"][i], y - stars["y"][i]) < 10].sum(dtype=float)
+        for i in isolated
     ]
-    faint = -2.5 * np.log10(np.array(measured) / stars["flux"][alone])
+    faint = -2.5 * np.log10(np.array(measured) / stars["flux"][isolated])
     print(
-        f"{len(stars['x'])} stars, {len(alone)} of them alone: within 10 pixels they are {np.median(faint):.3f} mag fainter than in all"
+        f"{len(stars['x'])} stars, {len(isolated)} of them isolated: within 10 pixels they are"
+        f" {np.median(faint):.3f} mag fainter than in total"
     )
 
-    # The PSF that a star has depends on where it is.
+    # The PSF of a star depends on its position.
     for at in [(400, 500), (0, 0), (799, 999)]:
         peak = model.evaluate(*at, pixels="frame").max()
         print(f"brightest pixel of a star at {at}: {100 * peak:.2f} % of its light")

@@ -1,8 +1,9 @@
-"""Quick start: a PSF that varies over the field, stars and galaxies, and an image that is checked against the exact sum.
+"""Quick start: a PSF that varies over the field, stars and galaxies, an image and its check.
 
     python quick_start.py [FOLDER]
 
-Needs NumPy alone. Writes ``psf.fits`` (the model) and ``image.npy`` to FOLDER (default: ``output/quick_start`` beside this file).
+Needs only NumPy. Writes ``psf.fits`` (the model) and ``image.npy`` to FOLDER (default:
+``output/quick_start`` next to this file).
 """
 
 from __future__ import annotations
@@ -17,15 +18,18 @@ import psfield
 
 #: Rows and columns of the frame.
 SHAPE = (512, 768)
-#: Stamp pixels per frame pixel: stars that lie between pixels need a PSF that is sampled more finely than the frame.
+#: Stamp pixels per frame pixel. Stars between pixels need a PSF that is sampled more finely.
 OVERSAMPLING = 2
-#: Pixels of the scene along each side of one of the frame: galaxies need pixels this fine, or these blur them.
+#: Scene pixels along each side of a frame pixel. Coarser pixels would blur the galaxies.
 FINER = 4
 SEED = 1
 
 
 def stamp(x: float, y: float) -> NDArray[np.float64]:
-    """Draw the PSF at a position: an elliptical Gaussian, sharp and round in the middle, wide and drawn out at the corners."""
+    """Draw the PSF at a position.
+
+    It is a Gaussian, narrow and round in the middle of the frame, wide and long at the corners.
+    """
     ny, nx = SHAPE
     u, v = (x - nx / 2) / (nx / 2), (y - ny / 2) / (nx / 2)
     r = np.hypot(u, v)
@@ -36,12 +40,13 @@ def stamp(x: float, y: float) -> NDArray[np.float64]:
 
 
 def main(folder: Path) -> None:
-    """Run the example; files go to a folder."""
+    """Run the example and write its files to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     ny, nx = SHAPE
 
-    # 1. The model: stamps at positions, from which the PSF everywhere else is interpolated. Arrays are [y, x], positions (x, y), and an
-    #    integer is the centre of a pixel, counted from 0. Every PSF is scaled to unit flux unless you say normalise="keep".
+    # 1. The model: stamps at positions, between which the PSF is interpolated. Arrays are [y, x].
+    #    Positions are (x, y), counted from 0, and an integer is the centre of a pixel. Every PSF is
+    #    scaled to unit flux, unless you give normalise="keep".
     positions = [(x, y) for y in np.linspace(0, ny - 1, 7) for x in np.linspace(0, nx - 1, 9)]
     model = psfield.PsfModel.from_samples(
         [stamp(x, y) for x, y in positions], positions, field_shape=SHAPE, oversampling=OVERSAMPLING
@@ -50,16 +55,19 @@ def main(folder: Path) -> None:
     print(model)
     predicted = report["leave_one_out"]["median"]
     print(
-        f"{model.rank} components; samples reproduced to {report['max_error']:.1e}, predicted by the others to {predicted:.1e}"
+        f"{model.rank} components, error of the samples {report['max_error']:.1e}, error of their"
+        f" prediction from the others {predicted:.1e}"
     )
     model.write(folder / "psf.fits", overwrite=True)
 
-    # 2. The plan: everything that does not depend on the light. The tolerance bounds the error that the engine adds to any single PSF.
+    # 2. The plan: everything that does not depend on the light. The tolerance bounds the error that
+    #    the engine adds to any single PSF.
     plan = model.plan((FINER * ny, FINER * nx), tolerance=1e-4, oversample=FINER)
     print(plan.describe())
 
-    # 3. Light: an image (here a faint nebula), a catalogue, or both. With half-light radii "re" sources are galaxies; re = 0 is a star.
-    #    The image has the scene's fine pixels, a catalogue counts in pixels of the frame.
+    # 3. Light: an image (here a faint nebula), a catalogue, or both. Sources with a half-light
+    #    radius "re" are galaxies, and re = 0 means a star. The image has the fine pixels of the
+    #    scene, but a catalogue counts in pixels of the frame.
     rng = np.random.default_rng(SEED)
     y, x = (np.mgrid[: FINER * ny, : FINER * nx] - (FINER - 1) / 2) / FINER
     nebula = 5 / FINER**2 * np.exp(-0.5 * (((x - 300) / 60) ** 2 + ((y - 200) / 40) ** 2))
@@ -76,18 +84,16 @@ def main(folder: Path) -> None:
         "angle": rng.uniform(0, 180, count),
     }
 
-    # 4. The image, as often as you like with the same plan.
+    # 4. The image. A plan can simulate any number of scenes.
     image = plan.simulate(nebula, catalog)
     np.save(folder / "image.npy", image)
-    print(
-        f"flux of the scene {nebula.sum() + catalog['flux'].sum():.1f}, of the image {image.sum(dtype=float):.1f}"
-    )
+    light = nebula.sum() + catalog["flux"].sum()
+    print(f"flux of the scene {light:.1f}, of the image {image.sum(dtype=float):.1f}")
 
-    # 5. The image against the direct sum in double precision, at 500 random pixels.
+    # 5. Compare the image with the direct sum in double precision at 500 random pixels.
     check = plan.spot_check(nebula, catalog, image=image, pixels=500)
-    print(
-        f"relative error at {check.pixels} pixels: {check.relative_rms:.1e} ({'as promised' if check.passed else 'more than promised'})"
-    )
+    verdict = "as promised" if check.passed else "more than promised"
+    print(f"relative error at {check.pixels} pixels: {check.relative_rms:.1e} ({verdict})")
 
 
 if __name__ == "__main__":

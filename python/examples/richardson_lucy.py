@@ -2,11 +2,13 @@
 
     python richardson_lucy.py [FOLDER]
 
-Needs astropy. Writes ``deconvolved.fits`` (the image, and beside it the truth and the result as extensions) and, where matplotlib is
-installed, ``deconvolved.png`` to FOLDER (default: ``output/richardson_lucy`` beside this file).
+Needs astropy. Writes ``deconvolved.fits`` (the image, with the result and the truth in extensions)
+to FOLDER (default: ``output/richardson_lucy`` next to this file). If matplotlib is installed, it
+also writes ``deconvolved.png``.
 
-For an image ``d`` and the operator ``A`` that blurs scenes, each iteration is ``f <- f * A^T(d / A f) / A^T 1`` (Richardson 1972, Lucy
-1974). ``A`` is ``plan.simulate``, ``A^T`` is ``plan.adjoint``.
+For an image ``d`` and the operator ``A`` that blurs scenes, each iteration is
+``f <- f * A^T(d / A f) / A^T 1`` (Richardson 1972, Lucy 1974). ``A`` is ``plan.simulate`` and
+``A^T`` is ``plan.adjoint``.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ Image = NDArray[np.float64]
 
 
 def telescope() -> psfield.PsfModel:
-    """Return a PSF with astigmatism and coma that grow from the middle of the frame: at the corners stars fall apart."""
+    """Return a PSF with coma and astigmatism that grow from the middle of the frame."""
     v, u = np.mgrid[-32:32, -32:32] / 12.0
     aperture = (np.hypot(u, v) <= 1) & (np.hypot(u, v) > 0.3)
 
@@ -101,27 +103,26 @@ def plot(path: Path, panels: dict[str, Image]) -> None:
 
 
 def main(folder: Path) -> None:
-    """Run the example; files go to a folder."""
+    """Run the example and write its files to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     model, truth = telescope(), scene()
     plan = model.plan(SHAPE, tolerance=1e-6, precision="f64")
 
-    # (A f) . g = f . (A^T g), whatever f and g: otherwise the iteration would go astray.
+    # (A f) . g = f . (A^T g) must hold for all f and g. Otherwise the iteration may diverge.
     rng = np.random.default_rng(SEED)
     f, g = rng.normal(size=SHAPE), rng.normal(size=SHAPE)
     forth, back = np.vdot(plan.simulate(f), g), np.vdot(f, plan.adjoint(g))
-    print(f"the adjoint is one to {abs(forth - back) / abs(forth):.0e}")
+    print(f"the adjoint is exact to {abs(forth - back) / abs(forth):.0e}")
 
-    # Photons are counted.
+    # Photon noise.
     image = rng.poisson(plan.simulate(truth)).astype(float)
     result, errors = richardson_lucy(plan, image, truth)
     print("iteration  relative error")
     print(*(f"{i + 1:9}  {error:.4f}" for i, error in enumerate(errors)), sep="\n")
-    print(
-        f"the error fell in every one of {ITERATIONS} iterations: {all(a > b for a, b in itertools.pairwise(errors))}"
-    )
+    falls = all(a > b for a, b in itertools.pairwise(errors))
+    print(f"the error fell in each of {ITERATIONS} iterations: {falls}")
 
-    # The same with the PSF in the middle of the frame alone, as programs do that know one PSF.
+    # For comparison: deconvolution with a single PSF, that of the middle of the frame.
     single = psfield.PsfModel.from_samples(
         [model.evaluate(127.5, 127.5)], [(0, 0)], pixel_response_included=False
     )

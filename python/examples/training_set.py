@@ -1,9 +1,10 @@
-"""A training set: 1000 pairs of a sharp frame and the same as the telescope sees it, for a network that deconvolves.
+"""Make a training set for a network: 1000 pairs of a sharp frame and its blurred image.
 
     python training_set.py [FOLDER]
 
-Needs NumPy alone. Writes ``sharp.npy`` and ``blurred.npy``, arrays ``[pair, y, x]`` of single precision, to FOLDER (default:
-``output/training_set`` beside this file). Read them with ``numpy.load(path, mmap_mode="r")``.
+Needs only NumPy. Writes ``sharp.npy`` and ``blurred.npy``, arrays ``[pair, y, x]`` in single
+precision, to FOLDER (default: ``output/training_set`` next to this file). Read them with
+``numpy.load(path, mmap_mode="r")``.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ SEED = 2024
 
 
 def telescope() -> psfield.PsfModel:
-    """Return a PSF that is sharp in one corner of the frame and has coma and astigmatism in the other."""
+    """Return a PSF that is sharp in one corner of the frame and aberrated in the opposite one."""
     v, u = np.mgrid[-32:32, -32:32] / 12.0
     aperture = (np.hypot(u, v) <= 1) & (np.hypot(u, v) > 0.3)
 
@@ -38,13 +39,13 @@ def telescope() -> psfield.PsfModel:
             0.15 * field**2 * (u**2 - v**2),
         )
         pupil = np.fft.fft2(aperture * np.exp(2j * np.pi * (coma + astigmatism)))
-        # The middle of a transform with 64 pixels is pixel 32: the default centre of a stamp.
+        # The middle of a transform of 64 pixels is pixel 32, the default centre of a stamp.
         return np.fft.fftshift(np.abs(pupil) ** 2)
 
     positions = [
         (x, y) for y in np.linspace(0, SHAPE[0] - 1, 5) for x in np.linspace(0, SHAPE[1] - 1, 5)
     ]
-    # The stamps are the telescope's alone: psfield puts in the blur of the camera's pixels.
+    # The stamps do not include the pixel response of the camera. Psfield applies it.
     return psfield.PsfModel.from_samples(
         [stamp(x, y) for x, y in positions],
         positions,
@@ -54,10 +55,10 @@ def telescope() -> psfield.PsfModel:
 
 
 def main(folder: Path) -> None:
-    """Run the example; files go to a folder."""
+    """Run the example and write its files to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
 
-    # Plans are made once. A PSF of one pixel draws galaxies as they are without a telescope.
+    # Plans are made once. A PSF of one pixel draws galaxies without any blur.
     began = time.perf_counter()
     plan = telescope().plan(SHAPE, tolerance=1e-3)
     drawing = psfield.PsfModel.from_samples([[[1.0]]], [(0, 0)]).plan(SHAPE)
@@ -67,7 +68,7 @@ def main(folder: Path) -> None:
     blurred = open_memmap(folder / "blurred.npy", "w+", np.float32, (PAIRS, *SHAPE))
 
     def draw(pair: int) -> None:
-        # A generator for each pair: the set does not depend on who draws which.
+        # One generator per pair, so that the set does not depend on the order of the threads.
         rng = np.random.default_rng([SEED, pair])
         galaxies = {
             "x": rng.uniform(-0.5, SHAPE[1] - 0.5, GALAXIES),
@@ -83,11 +84,11 @@ def main(folder: Path) -> None:
         np.add.at(sharp[pair], at, 10 ** rng.uniform(2, 4.5, STARS))
 
     def blur(pair: int) -> None:
-        # From file to file, without a copy.
+        # Reads from one file and writes to the other, without a copy.
         plan.simulate(sharp[pair], out=blurred[pair])
 
-    # Frames this small are not worth sharing between threads: let each thread make frames of its own. psfield works without the
-    # interpreter's lock, so these threads run at the same time.
+    # Frames this small are too small for several threads. Each thread makes its own frames. Psfield
+    # releases the lock of the interpreter, so that the threads run at the same time.
     psfield.set_threads(1)
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
@@ -98,7 +99,8 @@ def main(folder: Path) -> None:
             seconds = time.perf_counter() - began
             size, speed = f"{SHAPE[1]} x {SHAPE[0]} pixels", PAIRS / seconds
             print(
-                f"{PAIRS} frames of {size} {stage} in {seconds:.2f} s: {speed:.0f} a second on {workers} threads"
+                f"{PAIRS} frames of {size} {stage} in {seconds:.2f} s: {speed:.0f} per second on"
+                f" {workers} threads"
             )
     sharp.flush()
     blurred.flush()

@@ -349,7 +349,7 @@ class PsfModel:
             Largest relative error at which the refinement stops: the error of interpolating between
             neighbouring samples, or the difference of neighbouring samples.
         criterion : {'interpolation', 'neighbours'}
-            Which of the two errors is compared with ``threshold``.
+            The error that is compared with ``threshold``.
         measure : {'l2', 'l1'}
             Norm in which PSFs are compared.
         start : (int, int)
@@ -579,7 +579,7 @@ class PsfModel:
 
     @property
     def pixel_response_included(self) -> bool:
-        """Whether the stamps include the response of a frame pixel.
+        """True if the stamps include the response of a frame pixel.
 
         Examples
         --------
@@ -681,7 +681,7 @@ class PsfModel:
 
     @property
     def normalise(self) -> str:
-        """Whether PSFs are scaled to unit flux ('unit') or not ('keep').
+        """Scaling of the PSFs: to unit flux ('unit'), or none ('keep').
 
         Examples
         --------

@@ -48,7 +48,7 @@ class SpotCheck:
     limit : float or None
         Largest ``relative_rms`` that passes the check.
     passed : bool or None
-        Whether ``relative_rms`` is within the limit.
+        True if ``relative_rms`` is within the limit.
 
     Examples
     --------

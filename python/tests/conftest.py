@@ -1,4 +1,4 @@
-"""What the tests share."""
+"""Helpers and fixtures that the tests share."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def widening_model(
 
 
 def direct_sum(model: psfield.PsfModel, scene: np.ndarray) -> np.ndarray:
-    """Return the image of a scene as the definition has it: every lit pixel spreads with the PSF of its own position."""
+    """Return the image of a scene by definition: each pixel spreads with its own PSF."""
     ny, nx = scene.shape
     size_y, size_x = model.stamp_shape
     cx, cy = (int(c) for c in model.centre)
@@ -70,20 +70,21 @@ def scene() -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def outside_data() -> Path:
-    """The data of other software, where they are."""
+    """The folder with data of other software. Skip the test if it is missing."""
     folder = Path(os.environ.get("PSFIELD_DATA", ROOT.parent / "shared" / "data"))
     if not folder.is_dir():
-        pytest.skip(f"the data of other software are not there ({folder})")
+        pytest.skip(f"the data of other software are missing ({folder})")
     return folder
 
 
 @pytest.fixture(scope="session")
 def command() -> str:
-    """The command line ``psfield``, built from the same sources."""
+    """The command ``psfield``, built from the same sources."""
     named = os.environ.get("PSFIELD_COMMAND")
     for candidate in (named, ROOT / "target" / "release" / "psfield", shutil.which("psfield")):
         if candidate and Path(candidate).is_file():
             return str(candidate)
     pytest.skip(
-        "the command psfield is not built (cargo build --release -p psfield-cli, or name it in PSFIELD_COMMAND)"
+        "the command psfield is not built: run cargo build --release -p psfield-cli, or set"
+        " PSFIELD_COMMAND to its path"
     )

@@ -1,4 +1,4 @@
-"""Arguments that cannot be: the error names the argument and says what it should be."""
+"""Invalid arguments: the error names the argument and the values that it accepts."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_spot_checks(model, scene, options, error, text):
         ({"noise": "0.1"}, TypeError, "noise must be a number"),
         ({"interpolation": 3}, TypeError, "interpolation must be a string, got 3"),
         ({"normalise": True}, TypeError, "normalise must be a string, got True"),
-        # A text that says no would be taken for yes.
+        # bool("no") is True.
         (
             {"pixel_response_included": "no"},
             TypeError,
@@ -125,7 +125,7 @@ def test_threads(count, error):
 def test_columns_that_differ_in_case_alone(model):
     plan = model.plan((96, 128), 1e-3)
     expected = plan.simulate(catalog={"x": [40.0], "y": [30.0], "flux": [1.0]})
-    # That of the very name is meant.
+    # The column with exactly the right name is used.
     for table in (
         {"X": [41.0], "x": [40.0], "y": [30.0], "flux": [1.0]},
         {"x": [40.0], "X": [41.0], "y": [30.0], "flux": [1.0]},
@@ -136,7 +136,7 @@ def test_columns_that_differ_in_case_alone(model):
 
 
 class TestUnits:
-    """What no unit makes right by itself is refused."""
+    """Units that cannot be converted are refused."""
 
     def test_magnitudes_do_not_add_up(self, model, scene):
         units = pytest.importorskip("astropy.units")
@@ -180,7 +180,7 @@ class TestMetrics:
             ({"size": 2.5}, TypeError, "size must be an integer"),
             ({"size": 3, "about": 3}, TypeError, "about must be (column, row)"),
             ({"size": 3, "about": (-1, 2)}, ValueError, "about: column must be at least 0"),
-            # It was silently the whole stamp.
+            # Without a size the window would be the whole stamp.
             ({"about": (3, 3)}, ValueError, "give its size too"),
         ],
     )
@@ -213,7 +213,7 @@ def test_detectors(tmp_path):
 
 
 def test_rows_of_out_that_share_memory(model, scene):
-    # Several threads would write to the same bytes; as for any function of NumPy, what is left there is up to the order.
+    # Several threads must not write to the same bytes. The row written last wins, as in NumPy.
     plan = model.plan(scene.shape, 1e-3)
     memory = np.zeros(scene.size, np.float32)
     out = np.lib.stride_tricks.as_strided(memory, scene.shape, (4, 4))

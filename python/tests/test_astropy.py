@@ -71,7 +71,7 @@ def test_parts_of_a_frame_have_their_own_place(model, scene, sky, words, first):
 def test_finer_scenes_have_coarser_images(model, sky):
     ccd = nddata.CCDData(np.ones((96, 128)), unit="adu", wcs=sky)
     image = model.plan((96, 128), 1e-3, oversample=2).simulate(ccd)
-    # Pixel (0, 0) of the image is the middle of four.
+    # Pixel (0, 0) of the image is centred between four pixels of the scene.
     assert np.allclose(image.wcs.all_pix2world([[0.0, 0.0]], 0), sky.all_pix2world([[0.5, 0.5]], 0))
 
 

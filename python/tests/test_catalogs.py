@@ -8,7 +8,7 @@ from conftest import gaussian_stamp
 
 import psfield
 
-#: Where the blur of galaxies by the frame's pixels does not matter.
+#: For tests in which the blur of galaxies by the pixels of the frame does not matter.
 blurred_galaxies = pytest.mark.filterwarnings(
     r"ignore:\d+ galaxies are blurred:psfield.PsfieldWarning"
 )
@@ -16,7 +16,7 @@ blurred_galaxies = pytest.mark.filterwarnings(
 
 @pytest.fixture(scope="module")
 def plan():
-    """A plan whose stars are drawn from stamps of four pixels a frame pixel."""
+    """A plan with stamps of four pixels per frame pixel."""
     stamps = [16 * gaussian_stamp(s, 65) for s in (5.0, 6.0, 5.5, 6.5)]
     model = psfield.PsfModel.from_samples(
         stamps, [(0, 0), (79, 0), (0, 59), (79, 59)], oversampling=4
@@ -63,9 +63,11 @@ def test_galaxies_have_their_flux_and_shape(plan):
     y, x = np.mgrid[:60, :80]
     disc = image.copy()
     disc[40:, :20] = 0.0
-    assert image.sum() == pytest.approx(1010.0, rel=0.02)  # The disc's wings end off the frame.
+    assert image.sum() == pytest.approx(
+        1010.0, rel=0.02
+    )  # The wings of the disc extend beyond the frame.
     dx, dy = x - 40.0, y - 30.0
-    # Longest 30 degrees from +x towards +y.
+    # The major axis is 30 degrees from +x towards +y.
     angle = 0.5 * np.arctan2(2 * (disc * dx * dy).sum(), (disc * (dx**2 - dy**2)).sum())
     assert np.degrees(angle) == pytest.approx(30.0, abs=1.0)
 
@@ -179,7 +181,7 @@ def test_galaxies_on_coarse_pixels_are_warned_of(plan):
     for radius in (0.4, 5.0):
         with pytest.warns(
             psfield.PsfieldWarning,
-            match="1 galaxies are blurred a second time .* oversample=4 or more draws them",
+            match="1 galaxies are blurred a second time .* oversample=4 or more",
         ):
             plan.simulate(catalog=galaxy(radius))
     finer = plan.model.plan((240, 320), oversample=4)

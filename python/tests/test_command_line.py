@@ -1,4 +1,4 @@
-"""The same bytes as the command line."""
+"""Python gives the same bytes and errors as the command line."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ import psfield
 
 fits = pytest.importorskip("astropy.io.fits")
 
-CATALOG = "x,y,flux,re,n,q,angle\n40.3,30.6,1000,4,1,0.5,30\n10.25,50.5,10,,,,\n-3,20,500,5,2,0.9,0\n130.5,90,77,,,,\n"
+CATALOG = (
+    "x,y,flux,re,n,q,angle\n40.3,30.6,1000,4,1,0.5,30\n10.25,50.5,10,,,,\n-3,20,500,5,2,0.9,0\n"
+    "130.5,90,77,,,,\n"
+)
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A scene, a catalogue, samples of four pixels a frame pixel, and a model of the frame's own."""
+    """A scene, a catalogue, samples of four pixels per frame pixel, and a model of one."""
     folder = tmp_path_factory.mktemp("files")
     rng = np.random.default_rng(11)
     light = rng.random((96, 128)).astype(np.float32)

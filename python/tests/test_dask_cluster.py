@@ -20,7 +20,7 @@ fits = pytest.importorskip("astropy.io.fits")
 
 import psfield.dask  # noqa: E402
 
-#: Relative L2 in f32: chunks meet other neighbours in the same transforms.
+#: Relative L2 error in f32: chunks share transforms with different neighbours.
 ROUNDING = 1e-6
 SHAPE = (48, 64)
 
@@ -45,7 +45,7 @@ def expected_of(model: psfield.PsfModel, seed: int, **words) -> np.ndarray:
 
 
 def _count_models() -> None:
-    """On a worker: count the models that are unpickled."""
+    """Count the models that a worker unpickles."""
     from psfield import _model
 
     again = _model._again
@@ -244,7 +244,7 @@ def test_zarr(client, model, tmp_path) -> None:
     assert group["image"].chunks == (1, *SHAPE)
     assert group["image"].dtype == np.float32
     assert group["done"][:].tolist() == [True] * 3
-    # One more frame, and one that got lost.
+    # One more frame, and one that was lost.
     done = zarr.open_group(path, mode="r+")["done"]
     done[1] = False
     results = psfield.dask.batch(jobs, model, path, client=client, shape=SHAPE, keep=["scene"])
@@ -353,13 +353,13 @@ def test_a_detector_of_one_job(client, model, tmp_path) -> None:
 
 @pytest.mark.parametrize("kind", ["fits", "zarr"])
 def test_a_killed_worker_loses_no_job(client, model, tmp_path, kind) -> None:
-    """Half of the jobs are done when a worker's process is killed with what it works on."""
+    """The process of a worker is killed when half of the jobs are done."""
     if kind == "zarr":
         zarr = pytest.importorskip("zarr")
     count = 24
 
     def slow(seed: int) -> np.ndarray:
-        # So that both workers are in the middle of a job.
+        # Wait until both workers run a job.
         time.sleep(0.05)
         return draw(seed)
 
@@ -394,7 +394,7 @@ def test_a_killed_worker_loses_no_job(client, model, tmp_path, kind) -> None:
         images = list(group["image"][:])
     for seed, image in enumerate(images):
         np.testing.assert_array_equal(image, expected_of(model, seed))
-    # The nanny starts another process, which the next batch uses.
+    # The nanny starts a new process, which the next batch uses.
     client.wait_for_workers(2, timeout=30)
 
 
@@ -439,7 +439,7 @@ def test_unfinished_files_of_killed_workers_go(tmp_path) -> None:
 
 
 def test_a_cluster_of_its_own(model, tmp_path) -> None:
-    """There is no client: one is made, and goes."""
+    """Without a client, one is made and closed."""
     results = psfield.dask.batch([{"scene": draw(1)}], model, tmp_path / "{index}.fits")
     assert results[0].error is None
     np.testing.assert_array_equal(fits.getdata(results[0].output), expected_of(model, 1))

@@ -1,4 +1,4 @@
-"""The page on clusters says what works."""
+"""The snippets of the page on clusters run."""
 
 from __future__ import annotations
 

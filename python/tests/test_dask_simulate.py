@@ -13,13 +13,13 @@ da = pytest.importorskip("dask.array")
 import psfield.dask  # noqa: E402
 from psfield.dask import _region, _simulate  # noqa: E402
 
-#: Relative L2: chunks meet other neighbours in the same transforms, which changes rounding alone.
+#: Relative L2 error: chunks share transforms with other neighbours, which changes only rounding.
 ROUNDING = {"f32": 1e-6, "f64": 1e-14}
 SHAPE = (120, 150)
 
 
 def stamp(sigma: float, ratio: float, shape: tuple[int, int], lean: float = 0.0) -> np.ndarray:
-    """A Gaussian that leans to one side, about ``n // 2``."""
+    """A skewed Gaussian about ``n // 2``."""
     ny, nx = shape
     y, x = np.mgrid[:ny, :nx] - np.reshape([ny // 2, nx // 2], (2, 1, 1)).astype(float)
     values = np.exp(-(x**2 + (y * ratio) ** 2) / (2 * sigma**2)) * (1 + lean * np.tanh(x + y))
@@ -105,7 +105,7 @@ def test_stamps_of_another_size(model, scene, stamp_size) -> None:
 
 
 def test_light_that_is_left_out_shows(model, scene, monkeypatch) -> None:
-    """Chunks that do not get all the light that they need are an error, not an image with seams."""
+    """Missing light around a chunk is an error. It would give an image with seams."""
     monkeypatch.setattr(_simulate, "reach", lambda *_: ((3, 3), (3, 3)))
     image = psfield.dask.simulate(da.from_array(scene, chunks=(40, 50)), model)
     with pytest.raises(RuntimeError, match="the image needs the light"):
@@ -225,7 +225,7 @@ def test_pixels_that_cannot_be(model, scene) -> None:
     image = psfield.dask.simulate(da.from_array(bad, chunks=(40, 50)), model)
     with pytest.raises(ValueError, match="is NaN"):
         image.compute()
-    # A chunk that this pixel does not reach.
+    # A chunk that the light of this pixel does not reach.
     assert np.isfinite(image[:30, 80:].compute()).all()
     masked = np.ma.masked_less(scene, 0.5)
     with pytest.raises(ValueError, match="masked: fill them"):

@@ -1,4 +1,4 @@
-"""The examples, as users run them, and the snippets of the documents."""
+"""The example programs, and the snippets of the documents."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EXAMPLES = ROOT / "python" / "examples"
 
 
 def run(name: str, folder: Path) -> str:
-    """Run an example as a program, and return what it prints; it has nothing to complain about."""
+    """Run an example as a program and return its output. It must not print errors."""
     sources = os.pathsep.join(
         [str(Path(psfield.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     )
@@ -40,7 +40,7 @@ def run(name: str, folder: Path) -> str:
 
 
 def number(pattern: str, text: str) -> float:
-    """Return the number that a line says."""
+    """Return the number in the output at the place of ``#`` in the pattern."""
     found = re.search(pattern.replace("#", r"([-+.0-9e]+)"), text)
     assert found, f"{pattern!r} is not in\n{text}"
     return float(found[1])
@@ -56,10 +56,10 @@ def test_quick_start(tmp_path):
     text = run("quick_start", tmp_path)
     image = np.load(tmp_path / "image.npy")
     assert image.shape == (512, 768) and image.dtype == np.float32
-    # The engine's tolerance is 1e-4.
+    # The tolerance of the plan is 1e-4.
     assert number("relative error at 500 pixels: #", text) < 1e-4 and "as promised" in text
     light, seen = number("flux of the scene #", text), number("of the image #", text)
-    # A little leaves the frame through its edges.
+    # A little light leaves the frame through its edges.
     assert 0.995 < seen / light < 1.0 and seen == pytest.approx(image.sum(dtype=float), abs=0.1)
     assert psfield.PsfModel.read(tmp_path / "psf.fits").field_shape == (512, 768)
 
@@ -69,12 +69,12 @@ def test_roman_from_galsim(tmp_path):
     fits = pytest.importorskip("astropy.io.fits")
     text = run("roman_from_galsim", tmp_path)
     assert "threshold met" in text and number("# samples", text) < 200
-    # What interpolation between 4 x 4 oversampled pixels, and between positions, may cost.
+    # The error of interpolation between 4 x 4 oversampled pixels and between positions.
     assert number("# at most", text) < 3e-3
     image = fits.getdata(tmp_path / "image.fits")
     assert image.shape == (4088, 4088) and np.isfinite(image).all() and image.max() > 1e5
     model = psfield.PsfModel.read(tmp_path / "roman_psf.fits")
-    # Part of a Roman star's light falls beyond 32 x 32 pixels.
+    # Part of the light of a star of Roman falls beyond 32 x 32 pixels.
     assert 0.9 < model.evaluate(2000.0, 2000.0, pixels="frame").sum() < 0.99
 
 
@@ -89,9 +89,9 @@ def test_psfex_and_catalog(tmp_path):
         x, y = objects["X_IMAGE"][brightest] - 1, objects["Y_IMAGE"][brightest] - 1
     truth, counts = fits.getdata(tmp_path / "truth.fits"), fits.getdata(tmp_path / "image.fits")
     assert truth.shape == counts.shape == (1000, 800)
-    # A little leaves the frame through its edges.
+    # A little light leaves the frame through its edges.
     assert truth.sum(dtype=float) == pytest.approx(flux.sum(), rel=1e-3)
-    # The brightest star is where the catalogue has it, which counts from 1.
+    # The brightest star is at its position in the catalogue, which counts from 1.
     row, column = round(y), round(x)
     around = truth[row - 3 : row + 4, column - 3 : column + 4]
     dy, dx = np.mgrid[-3:4, -3:4]
@@ -99,14 +99,14 @@ def test_psfex_and_catalog(tmp_path):
     assert np.sum(dy * around) / np.sum(around) == pytest.approx(y - row, abs=0.3)
     # Bias and sky, 300 + 200 / 1.5, under most pixels.
     assert np.median(counts) == pytest.approx(433, abs=2)
-    # An aperture of 10 pixels misses a little of a Moffat profile.
+    # An aperture of 10 pixels misses a little light of a Moffat profile.
     assert 0 < number(r"they are # mag fainter", text) < 0.1
     assert len({*re.findall(r"star at .*: (\S+) %", text)}) == 3
 
 
 def test_training_set(tmp_path):
     text = run("training_set", tmp_path)
-    assert number("blurred in .*: # a second", text) > 20
+    assert number("blurred in .*: # per second", text) > 20
     sharp, blurred = (
         np.load(tmp_path / f"{name}.npy", mmap_mode="r") for name in ("sharp", "blurred")
     )
@@ -123,7 +123,7 @@ def test_training_set(tmp_path):
 def test_richardson_lucy(tmp_path):
     fits = pytest.importorskip("astropy.io.fits")
     text = run("richardson_lucy", tmp_path)
-    assert number("adjoint is one to #", text) < 1e-12
+    assert number("adjoint is exact to #", text) < 1e-12
     errors = [float(error) for error in re.findall(r"^ +\d+  (\d\.\d+)$", text, re.MULTILINE)]
     assert len(errors) == 20 and all(a > b for a, b in itertools.pairwise(errors))
     assert number("error ends at #", text) > 1.1 * errors[-1]
@@ -145,16 +145,20 @@ def test_interpolators(tmp_path):
         assert median[samples, "natural-neighbour"] < median[samples, "nearest"] / 2
         assert median[samples, "delaunay"] < median[samples, "nearest"] / 2
     assert median["grid", "bicubic"] < median["grid", "bilinear"] / 2
-    # Left-out samples lie farther from the rest than positions between samples do: an upper estimate.
+    # A sample that is left out is farther from the others than the test positions are from them.
+    # The prediction is therefore an upper estimate.
     assert all(float(row["leave_one_out"]) > 0.5 * median[key] for key, row in rows.items())
 
 
-#: What a block is left out for, with all that follow it in its section, where it is not installed.
+#: A block that imports one of these, and the blocks after it, are skipped if it is not installed.
 OPTIONAL = ("astropy", "galsim", "photutils", "regularizepsf", "scipy", "tqdm")
 
 
 def sections(document: str) -> list[tuple[str, list[tuple[int, str]]]]:
-    """Return the sections of a document: title, and blocks of Python, each with the number of its first line."""
+    """Return the sections of a document: the title and the blocks of Python.
+
+    Each block has the number of its first line.
+    """
     text = (ROOT / "docs" / document).read_text(encoding="utf-8")
     made: list[tuple[str, list[tuple[int, str]]]] = [("", [])]
     for found in re.finditer(
@@ -168,12 +172,12 @@ def sections(document: str) -> list[tuple[str, list[tuple[int, str]]]]:
 
 
 def available(module: str) -> bool:
-    """Whether a module can be imported."""
+    """Return whether a module can be imported."""
     return importlib.util.find_spec(module) is not None
 
 
 def execute(blocks: list[tuple[int, str]], document: str, names: dict[str, Any]) -> None:
-    """Run blocks one after the other, as a reader would; lines are numbered as in the document."""
+    """Run blocks one after the other. Lines are numbered as in the document."""
     for line, block in blocks:
         for module in OPTIONAL:
             if re.search(rf"^(from|import) {module}\b", block, re.MULTILINE) and not available(
@@ -196,7 +200,7 @@ def test_the_page_of_the_package(tmp_path, monkeypatch):
 
 
 def coming_from(section: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Run the blocks of a section, and return what they have made."""
+    """Run the blocks of a section and return their variables."""
     monkeypatch.chdir(folder)
     blocks = dict(sections("coming_from.md"))
     names: dict[str, Any] = {}
@@ -211,11 +215,12 @@ def over_peak(ours: np.ndarray, theirs: np.ndarray) -> float:
 
 def test_coming_from_galsim(tmp_path, monkeypatch):
     names = coming_from("GalSim", tmp_path, monkeypatch)
-    # Interpolation between a dozen positions and between pixels of a third; GalSim's stars end at 64 pixels, psfield's at 63.
+    # The error of interpolation between a dozen positions and between thirds of a pixel. The stars
+    # of GalSim have 64 pixels, those of psfield 63.
     assert over_peak(names["ours"], names["theirs"].array) < 1e-3
-    # The blur of pixels of a quarter, and what GalSim's transforms leave out.
+    # The blur by quarters of a pixel, and the truncation of GalSim's transforms.
     assert over_peak(names["our_galaxy"], names["their_galaxy"]) < 2e-3
-    # The first pixel is 1 there and 0 here: a star shifted by one pixel would be seen.
+    # The first pixel is 1 in GalSim and 0 in psfield. A shift by one pixel must be detected.
     assert over_peak(names["ours"], np.roll(names["theirs"].array, 1, axis=1)) > 0.1
 
 
@@ -228,7 +233,7 @@ def test_coming_from_photutils(tmp_path, monkeypatch):
 def test_coming_from_regularizepsf(tmp_path, monkeypatch):
     names = coming_from("regularizepsf", tmp_path, monkeypatch)
     ours, theirs, exact = (names[name] for name in ("ours", "theirs", "exact"))
-    # Interpolation of the PSF between 5 x 5 positions; and what the page says of patches.
+    # The error of interpolation between 5 x 5 positions, and that of patches stated on the page.
     assert np.linalg.norm(ours - exact) < 1e-3 * np.linalg.norm(exact)
     assert 2e-3 < np.linalg.norm(theirs - exact) / np.linalg.norm(exact) < 2e-2
 

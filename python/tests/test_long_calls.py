@@ -48,7 +48,7 @@ def test_an_exception_in_progress_stops_the_work(long_plan, large_scene):
 
     with pytest.raises(RuntimeError, match="enough"):
         long_plan.simulate(large_scene, progress=stop)
-    # The plan is as good as before.
+    # The plan can still be used.
     assert long_plan.simulate(large_scene)[2000, 2000] == pytest.approx(1.0, rel=1e-9)
 
 
@@ -66,7 +66,7 @@ def test_other_threads_run_meanwhile(long_plan, large_scene):
     took = time.monotonic() - began
     done.set()
     other.join()
-    # Held back, it would not have ticked at all.
+    # A call that held the interpreter would allow no ticks.
     assert len([t for t in ticks if began < t < began + took]) > 0.1 * took / 0.005
 
 
@@ -116,7 +116,7 @@ INTERRUPTED = """
     whole = time.monotonic() - began
     def galaxies(count):
         place = np.linspace(100, 3900, count)
-        return {{"x": place, "y": place, "flux": place, "re": 3 + 0 * place, "n": 1 + 0 * place, "q": 1e-3 + 0 * place}}
+        return {{"x": place, "y": place, "flux": place, "re": 3.0, "n": 1.0, "q": 1e-3}}
     plan.simulate(catalog=galaxies(1))
     def draw(x, y):
         time.sleep(0.01)
@@ -147,14 +147,14 @@ def test_ctrl_c_stops_the_work():
         [name, "stopped"] for name in ("simulate", "galaxies", "adjoint", "sample")
     ], ran.stderr
     for name, _, seconds, whole in lines:
-        # Long before the end of even one call of a hundred, or of a hundred of the galaxies.
+        # Long before the end of one of a hundred calls, or of a hundred galaxies.
         assert float(seconds) < 0.3 + 2.0 + float(whole), name
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_forked_processes_have_threads_of_their_own(model, scene):
-    # As a data loader of a network does: the parent has used its threads, then forks.
+    # A data loader does this: the parent uses its threads and then forks.
     plan = model.plan(scene.shape, 1e-3)
     expected = plan.simulate(scene)
     with multiprocessing.get_context("fork").Pool(2) as pool:
@@ -185,7 +185,7 @@ ALL_AT_ONCE = """
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_first_sources_may_come_to_many_threads_at_once(threads):
-    # A thread that plans and is given the next call, which waits for its plan, would wait for ever.
+    # A thread that makes a plan and picks up a call that waits for this plan would never end.
     program = textwrap.dedent(ALL_AT_ONCE).format(
         tests=str(ROOT / "python" / "tests"), threads=threads
     )
@@ -214,7 +214,8 @@ NESTED = """
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_functions_of_the_caller_may_use_psfield(threads):
-    # Were they called by the threads that do the work, the work that they ask for would wait for them.
+    # If threads of the pool called the functions, work started by the functions would wait for
+    # these threads.
     program = textwrap.dedent(NESTED).format(tests=str(ROOT / "python" / "tests"), threads=threads)
     ran = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False

@@ -1,4 +1,4 @@
-"""Memory of calls: no copies beside what the caller gave and gets."""
+"""Memory of calls: no copies except the arrays of the caller and the result."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-#: Planes of the tiles in work, for each thread, and what the allocator keeps.
+#: Planes of the tiles in progress on each thread, and memory that the allocator keeps.
 WORK = 48 << 20
 
 PROGRAM = """
@@ -21,7 +21,8 @@ PROGRAM = """
     import psfield
 
     def field(name):
-        return next(int(line.split()[1]) << 10 for line in open("/proc/self/status") if line.startswith(name))
+        lines = open("/proc/self/status")
+        return next(int(line.split()[1]) << 10 for line in lines if line.startswith(name))
 
     shape = (6000, 6000)
     scene = np.ones(shape, np.float32)

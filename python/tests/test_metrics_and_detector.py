@@ -15,7 +15,7 @@ FWHM = 2 * np.sqrt(2 * np.log(2))
 
 
 class TestMetrics:
-    """Of stamps whose size and shape are known."""
+    """Measurements of stamps whose size and shape are known."""
 
     stamp = gaussian_stamp(2.0, 41, shift=(0.3, -0.2), q=1.5)
 

@@ -1,4 +1,4 @@
-"""Models: how they are made, what they know, how they are kept."""
+"""Models: constructors, properties and files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from conftest import gaussian_stamp, relative_l2, widening_model
 
 import psfield
 
-#: Of a stamp that comes back from its components: rounding, and what the rank leaves out (auto: 1e-4).
+#: Error of a stamp that is rebuilt from the components kept by the automatic rank.
 RANK = 1e-4
 ROUNDING = 1e-12
 
@@ -38,7 +38,7 @@ def test_evaluate_draws_stars_at_their_phase():
     drawn = model.evaluate(10.25, 20.0, pixels="frame", sub_pixel=True, size=13)
     assert (
         relative_l2(drawn, gaussian_stamp(1.5, 13, shift=(0.25, 0.0))) < 1e-3
-    )  # The cubic spline's own error.
+    )  # The error of the cubic spline.
     with pytest.raises(ValueError, match="sub-pixel"):
         model.evaluate(10.25, 20.0, sub_pixel=True)
     with pytest.raises(ValueError, match="pixels must be stamp or frame"):
@@ -127,7 +127,7 @@ def test_pickled_models_are_the_same(make):
 
 
 class TestBadSamples:
-    """Samples that cannot be."""
+    """Invalid samples."""
 
     good = np.stack([gaussian_stamp(1.0)] * 3)
     places = [(0, 0), (10, 0), (0, 10)]
@@ -197,7 +197,7 @@ class TestFunctions:
 
     def test_samples_lie_where_the_psf_varies(self):
         def draw(x, y):
-            # It widens at the right alone.
+            # It widens only at the right.
             return gaussian_stamp(1.5 + np.exp((x - 399) / 40))
 
         steps = []

@@ -46,7 +46,7 @@ def test_scipy_solves_with_it():
     found = linalg.lsqr(plan.linear_operator(), image.ravel(), atol=0, btol=0, iter_lim=200)[
         0
     ].reshape(truth.shape)
-    # The residual of a well solved system; the truth itself lies beyond what the PSF lets through.
+    # The residual of the solution. The truth has details that the PSF removes.
     assert relative_l2(plan.simulate(found), image) < 1e-2
     assert relative_l2(found, truth) < relative_l2(image, truth)
 

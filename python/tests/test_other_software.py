@@ -1,4 +1,4 @@
-"""The same PSFs as photutils and GalSim have them."""
+"""Comparisons with photutils, GalSim and files of other software."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ import psfield
 OF_PEAK = 1e-6
 #: GalSim's Lanczos kernel comes from a table.
 LANCZOS = 1e-4
-#: GalSim is itself good to 1e-3 of the peak on these stars; photutils' spline, cut the same way, reaches 8.6e-4.
+#: The error of GalSim on these stars is 1e-3 of the peak. The spline of photutils, cut to the same
+#: size, reaches 8.6e-4.
 STARS = 1.0e-3
 MODEL = "psfex/DECam_00154912_12.psf"
 
@@ -30,7 +31,7 @@ def photutils_model(across=4, size=65, oversampling=4):
     """Return a gridded model of photutils whose PSF widens and moves over 200 x 300 pixels."""
     psf, nddata = pytest.importorskip("photutils.psf"), pytest.importorskip("astropy.nddata")
     places = [(x, y) for y in np.linspace(0, 199, across) for x in np.linspace(0, 299, across + 1)]
-    # Faint at their edges, as libraries are: there the splines' ends differ.
+    # The stamps are faint at their edges, like those of libraries. The splines differ there.
     stamps = [
         oversampling**2 * gaussian_stamp((1.2 + x / 1000) * oversampling, size, (y / 100, -x / 200))
         for x, y in places
@@ -93,7 +94,7 @@ class TestPhotutils:
 
 
 class TestGalsim:
-    """GalSim, where it is at hand."""
+    """GalSim, if it is installed."""
 
     def test_psfex_models_written_here(self, model, tmp_path):
         galsim, des = pytest.importorskip("galsim"), pytest.importorskip("galsim.des")
@@ -101,7 +102,7 @@ class TestGalsim:
         read = psfield.PsfModel.read(tmp_path / "model.psf")
         theirs = des.DES_PSFEx(str(tmp_path / "model.psf"))
         for x, y in [(0, 0), (60.5, 30.25), (127, 95)]:
-            # Of GalSim, 1-based.
+            # Positions of GalSim are 1-based.
             drawn = (
                 theirs.getPSF(galsim.PositionD(x + 1, y + 1))
                 .drawImage(nx=17, ny=17, scale=1.0, method="no_pixel")
@@ -125,7 +126,7 @@ class TestGalsim:
 
 
 class TestOutsideData:
-    """Files and truth by other software."""
+    """Files and true images made by other software."""
 
     def test_a_library_as_photutils_reads_it(self, outside_data):
         psf = pytest.importorskip("photutils.psf")
@@ -178,7 +179,7 @@ class TestOutsideData:
             )
             scene = fits.getdata(outside_data / "strong/scene512.fits")
             truth = fits.getdata(outside_data / f"strong/scene512_{anchor}.fits").astype(float)
-            # As FITS has it: another order of bytes.
+            # The byte order of FITS.
             assert not scene.dtype.isnative
             assert (
                 relative_l2(model.plan(scene.shape, 0.0, anchor=anchor).simulate(scene), truth)

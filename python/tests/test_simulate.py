@@ -10,7 +10,7 @@ from conftest import direct_sum, gaussian_stamp, relative_l2, widening_model
 
 import psfield
 
-#: Rounding of transforms, on images of PSFs without zeros.
+#: Rounding of transforms, for images of PSFs without zeros.
 ROUNDING = {"f32": 1e-6, "f64": 1e-13}
 
 
@@ -32,7 +32,7 @@ def test_the_paper_s_anchoring_gathers(model):
     scene = np.zeros((96, 128))
     scene[40, 100] = 1.0
     image = model.plan(scene.shape, 0.0, "f64", anchor="output").simulate(scene)
-    # Pixel (97, 41) gathers with its own PSF.
+    # Pixel (97, 41) gathers light with its own PSF.
     own = model.evaluate(97, 41)
     assert image[41, 97] == pytest.approx(own[8 + 1, 8 - 3], rel=1e-12)
     assert abs(image[41, 97] - model.evaluate(100, 40)[9, 5]) > 1e-5
@@ -43,7 +43,7 @@ def test_a_frame_sees_light_from_around_it(model):
     scene[3, 60] = 10.0
     image = model.plan(scene.shape, 0.0, "f64", frame=(10, 5, 120, 80)).simulate(scene)
     assert image.shape == (80, 120)
-    # Two rows below the frame's first, whose PSF is that of (50, -2), nearest (50, 0).
+    # Two rows below the first of the frame. The PSF at (50, -2) is that of the nearest (50, 0).
     expected = 10.0 * model.evaluate(50, 0)[8 + 2, 8]
     assert image[0, 50] == pytest.approx(expected, rel=1e-9)
 
@@ -79,7 +79,7 @@ def plan(model):
 
 
 class TestArrays:
-    """Every layout gives the same image; nothing that cannot be is taken."""
+    """Every memory layout gives the same image. Invalid scenes are refused."""
 
     @pytest.mark.parametrize(
         "layout",
@@ -208,7 +208,7 @@ class TestArrays:
 
 
 class TestSettings:
-    """Plans that cannot be."""
+    """Settings of plans."""
 
     @pytest.mark.parametrize(
         ("settings", "error", "text"),
@@ -270,7 +270,7 @@ def test_spot_checks_tell_right_from_wrong(model, scene):
 
 def test_a_psf_without_pixel_response_gets_it_once():
     sigma, size = 6.0, 65
-    # The same Gaussian averaged over frame pixels of four stamp pixels.
+    # The Gaussian, averaged over frame pixels of four stamp pixels.
     edges = (np.arange(size)[:, None] - 32 + [-2.0, 2.0]) / (math.sqrt(2) * sigma)
     along = np.diff([[math.erf(v) for v in pair] for pair in edges])[:, 0] / 2
     places = [(20, 20)]
@@ -281,7 +281,7 @@ def test_a_psf_without_pixel_response_gets_it_once():
     assert bare.pixel_response_included is False and full.pixel_response_included is True
     star = {"x": [20.25], "y": [20.0], "flux": [1.0]}
     with_it, included = (m.plan((40, 40), 0.0, "f64").simulate(catalog=star) for m in (bare, full))
-    # Without it the star would be narrower by percents.
+    # Without the pixel response the star would be narrower by percents.
     assert relative_l2(with_it, included) < 1e-3
     sharp = psfield.PsfModel.from_samples([gaussian_stamp(sigma, size)], places, oversampling=4)
     assert relative_l2(sharp.plan((40, 40), 0.0, "f64").simulate(catalog=star), included) > 0.02

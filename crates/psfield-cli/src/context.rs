@@ -7,6 +7,7 @@ use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use psf_io::{Card, IoError, Precision};
 use psf_types::{Progress, PsfSamples};
+use psfield_lab::LabError;
 use serde::Serialize;
 
 /// A wrong combination of arguments: exit status 2.
@@ -33,6 +34,14 @@ pub(crate) use object;
 /// The message of an error with its causes, in one line.
 pub(crate) fn told(error: &anyhow::Error) -> String {
     psfield::error_text(error.as_ref())
+}
+
+/// Adds the option that helps to an error of measuring stars.
+pub(crate) fn with_window_hint(error: LabError) -> anyhow::Error {
+    match error {
+        LabError::NothingMeasured { .. } => anyhow::anyhow!("{error} (--window)"),
+        other => other.into(),
+    }
 }
 
 /// The output settings of a command.

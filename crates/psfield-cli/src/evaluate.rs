@@ -24,7 +24,7 @@ pub(crate) struct EvaluateArgs {
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
-    /// Pixels of the stamps
+    /// Pixel grid of the stamps
     #[arg(long, default_value = "model", value_enum)]
     grid: Grid,
     /// Cut or pad to N x N pixels around the centre

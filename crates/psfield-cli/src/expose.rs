@@ -113,7 +113,8 @@ const OPTIONS: [(&str, &str); 3] = [
     ("exposure_s", "--exposure"),
 ];
 
-/// Refuses a detector without any effect if `alone`, and warns if there is no photon noise.
+/// Refuses a detector without any effect, if it is `alone` (without a mask). Warns if there is no
+/// photon noise.
 
 pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context) -> anyhow::Result<()> {
     if detector.is_perfect() && alone {

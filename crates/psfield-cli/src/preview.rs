@@ -7,12 +7,13 @@ use anyhow::Context as _;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use psf_io::{HduChoice, ImageReader, IoErrorKind};
 use psfield::check_outputs;
-use psfield_lab::preview::{BinnedImage, Colormap, LimitRule, Limits, Percentiles, Picture, Stretch};
+use psfield_lab::preview::{
+    BinnedImage, Colormap, LimitRule, Limits, Percentiles, Picture, PreviewError, Stretch,
+};
 
 use super::UsageError;
 use super::context::{Context, object};
 
-/// Show a FITS image as a PNG picture
 /// Show a FITS image as a PNG picture
 ///
 /// Shows any image that psfield reads, or one plane of a cube, plain or compressed (.gz, .fz). y
@@ -94,7 +95,11 @@ impl PreviewArgs {
             BinnedImage::read(&mut reader, self.max_size as usize)?
         };
         let named = || format!("{} cannot be shown", self.image.display());
-        let limits = self.rule().limits(image.pixels()).with_context(named)?;
+        let limits = self
+            .rule()
+            .limits(image.pixels())
+            .map_err(with_option)
+            .with_context(named)?;
         let picture =
             Picture::new(image.pixels(), limits, self.stretch, self.colormap).with_context(named)?;
         psf_io::write_bytes(&output, &picture.png(), self.overwrite)?;
@@ -131,6 +136,15 @@ impl PreviewArgs {
             None if self.zscale => LimitRule::ZScale,
             None => LimitRule::Percentile(self.percentile),
         }
+    }
+}
+
+/// Adds the options that help to an error of limits.
+fn with_option(error: PreviewError) -> anyhow::Error {
+    match error {
+        PreviewError::Constant { .. } => anyhow::anyhow!("{error} (--range)"),
+        PreviewError::EqualLimits { .. } => anyhow::anyhow!("{error} (--percentile 0,100 or --range)"),
+        other => other.into(),
     }
 }
 

@@ -21,9 +21,9 @@ pub(crate) const FIT_HEADING: &str = "Fit options (for models only --outside and
 pub(crate) struct FitArgs {
     /// Components to keep: auto, elbow, full, a number, energy=F or error=E [default: auto]
     ///
-    /// auto: at least up to the elbow of the singular values, and more until the fit error is 1e-4,
-    /// but no components below the noise.
-    /// energy=F: enough for the fraction F of the squared singular values, as in energy=0.999.
+    /// auto: at least up to the elbow of the singular values, more until the fit error is
+    /// 1e-4, but no components below the noise.
+    /// energy=F: enough for the fraction F of the squared singular values (energy=0.999).
     /// error=E: enough for the relative L2 fit error E, as in error=1e-3.
     /// Default for STPSF and STDPSF: full.
     #[arg(long, value_name = "RANK", hide_short_help = true, verbatim_doc_comment)]
@@ -38,8 +38,8 @@ pub(crate) struct FitArgs {
     noise: Option<f64>,
     /// Interpolation of the coefficients over the field [default: auto]
     ///
-    /// auto, delaunay, natural-neighbour, idw, idw=POWER (inverse distance weighting), bilinear,
-    /// bicubic, polynomial=D or nearest.
+    /// auto, delaunay, natural-neighbour, idw, idw=POWER (inverse distance weighting),
+    /// bilinear, bicubic, polynomial=D or nearest.
     /// auto: bicubic on a regular grid, else natural-neighbour.
     /// Default for STPSF and STDPSF: bilinear.
     #[arg(long, value_name = "METHOD", hide_short_help = true, verbatim_doc_comment)]

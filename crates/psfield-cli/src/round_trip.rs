@@ -9,7 +9,7 @@ use psf_types::Image;
 use psfield_lab::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
 use psfield_lab::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions};
 
-use super::context::{Context, object, signature, write_samples};
+use super::context::{Context, object, signature, with_window_hint, write_samples};
 use super::report_folder;
 use super::sample::{warn_of, write_coverage};
 use super::star_args::StarArgs;
@@ -83,8 +83,9 @@ impl RoundTripArgs {
             seed: self.seed,
         };
         report_folder::check(&self.report, &FILES, self.overwrite)?;
-        let trip =
-            RoundTrip::run(&frame, &options).with_context(|| format!("in {}", self.frame.display()))?;
+        let trip = RoundTrip::run(&frame, &options)
+            .map_err(with_window_hint)
+            .with_context(|| format!("in {}", self.frame.display()))?;
         let report = object! {
             frame: &self.frame,
             folder: &self.report,

@@ -8,7 +8,7 @@ use psfield::Psf;
 use psfield_lab::report::{Software, Validation};
 
 use super::UsageError;
-use super::context::{Context, command_text};
+use super::context::{Context, command_text, with_window_hint};
 use super::report_folder::ReportFolder;
 use super::reproduce::targets_text;
 use super::star_args::StarArgs;
@@ -49,6 +49,7 @@ impl ValidateArgs {
             FileKind::Image => {
                 let (frame, _, sampling) = StarArgs::default().open(&self.truth, None)?;
                 Validation::of_frame(model, &frame, &sampling, self.window.map(usize::from))
+                    .map_err(with_window_hint)
                     .with_context(of_truth)?
             }
             _ => match Psf::open(&self.truth)?.samples() {

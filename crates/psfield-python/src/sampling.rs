@@ -97,7 +97,13 @@ pub(crate) fn sample_function(
     let Sampling { samples, report } = match sampled {
         Ok(sampling) => sampling,
         Err(SampleError::CapReached(cap)) => {
-            return Err(invalid(format!("{cap} (max_samples, threshold)")));
+            return Err(invalid(format!(
+                "threshold={} is not met with max_samples={}: the next refinement needs {} samples. \
+                 Raise max_samples or threshold",
+                sampling.threshold,
+                cap.cap(),
+                cap.wanted()
+            )));
         }
         Err(error) => return Err(Failure::from(PsfieldError::from(error)).into()),
     };

@@ -137,7 +137,7 @@ pub(super) fn section() -> Section {
     cases.push(refused("two samples at one place", "share the position", || {
         samples(&[(1.0, 2.0), (1.0, 2.0)], (5, 5), |_| gaussian((5, 5), 0.5, 0.0)).map(|_| 0.0)
     }));
-    cases.push(refused("K above what the samples span", "span only", || {
+    cases.push(refused("K above the rank of the samples", "span only", || {
         with_rank(30, Centring::Mean)
     }));
     cases.push(refused(
@@ -147,10 +147,13 @@ pub(super) fn section() -> Section {
     ));
     Section {
         title: "Bases",
-        story: "All components of each kind of samples, in f64 (models are always in f64): the largest relative L2 error of the model's PSFs at the \
-            samples, of the components' inner products, of the PSFs' flux, and by how many components the basis found differs from what the \
-            samples were made of. **A limit that remains:** where singular values fall steeply (by 1e-12 within a dozen, as those of wide, smooth stamps \
-            do), the singular vectors that the decomposition gives miss up to 5e-12 of a PSF, not 1e-15: far below any error of sampling.",
+        story: "All components of each kind of samples, in f64 (models are always in f64). The columns are the\n\
+            largest relative L2 error of the model's PSFs at the samples, of the components' inner products, of\n\
+            the PSFs' flux, and the difference between the number of components found and the number from which\n\
+            the samples were made.\n\n\
+            **A remaining limit:** where singular values fall steeply (by 1e-12 within a dozen, as for wide,\n\
+            smooth stamps), the singular vectors of the decomposition miss up to 5e-12 of a PSF, not 1e-15.\n\
+            This is far below any error of sampling.",
         columns: &["PSFs at the samples", "inner products", "flux", "components"],
         cases,
     }

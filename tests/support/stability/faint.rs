@@ -1,4 +1,4 @@
-//! Faint light beside bright.
+//! Faint light next to bright light.
 
 use ndarray::Array2;
 use psfield::Method;
@@ -53,12 +53,12 @@ pub(super) fn section() -> Section {
     let noise = [1e-15 * CONTRAST, 1e-6 * CONTRAST];
     let rows: [Row; 2] = [
         (
-            "beside five stars of 1e12",
+            "next to five stars of 1e12",
             texture_and_stars,
             [noise, [FAINT; 2]],
         ),
         (
-            "beside a disc of 200 pixels of 1e12",
+            "next to a disc of 200 pixels of 1e12",
             texture_and_disc,
             [noise, noise],
         ),
@@ -95,13 +95,15 @@ pub(super) fn section() -> Section {
         })
         .collect();
     Section {
-        title: "Faint light beside bright",
-        story: "The largest difference where no bright light reaches, over the peak of the light there. **A limit that remains:** a transform \
-            spreads rounding noise of the brightest light in it over all of its pixels, 1e-7 of it in f32 and 1e-16 in f64, so that transforms \
-            alone (`basis`, `patch`, `lowrank`) cannot hold a range of 1e12 in f32. `auto` draws single bright pixels apart and holds it beside \
-            stars. Bright *extended* light would have to be drawn apart as well, which costs ordinary galaxies many times their transform, \
-            since nothing tells their own wings from faint light that matters: there f32 is good to 1e-6 of the brightest light nearby, \
-            below its photon noise up to 1e12 electrons; whoever needs more takes `--precision f64` or `--method direct`.",
+        title: "Faint light next to bright light",
+        story: "The largest difference where no bright light reaches, divided by the peak of the light there.\n\n\
+            **A remaining limit:** a transform spreads rounding noise of its brightest light over all of its\n\
+            pixels, 1e-7 of that light in f32 and 1e-16 in f64. Transforms only (`basis`, `patch`, `lowrank`)\n\
+            therefore cannot hold a range of 1e12 in f32. `auto` draws single bright pixels apart and holds\n\
+            this range next to stars. Bright *extended* light would have to be drawn apart as well. That costs\n\
+            ordinary galaxies many times their transform, since nothing distinguishes their own wings from\n\
+            faint light that matters. There f32 is good to 1e-6 of the brightest light nearby. This is below\n\
+            its photon noise up to 1e12 electrons. For more, use `--precision f64` or `--method direct`.",
         columns: COLUMNS,
         cases,
     }

@@ -213,10 +213,12 @@ fn rows(cells: fn(Interpolation, &Positions) -> Vec<Cell>) -> Vec<Case> {
 pub(super) fn section() -> Section {
     Section {
         title: "Interpolators",
-        story: "Fields in f64 (there are no others). *Constant*: by how much a constant is missed anywhere, also 1e3 pixels outside the samples. \
-            *Linear*: by how much a linear function of 0 to 1 over the samples is missed within their convex hull; the limit holds the rounding of coordinates over the samples' extent. *At samples*: by how much \
-            random values of -1 to 1 are missed at the samples. *Beyond*: by how much the field leaves -1 to 1; cubics (`bicubic`, and `auto` on a grid) have negative weights, whose bound is \
-            13/8 in each coordinate, so 1.64 here.",
+        story: "Fields are always in f64. *Constant*: the error for a constant anywhere, also 1e3 pixels outside\n\
+            the samples. *Linear*: the error for a linear function of 0 to 1 over the samples, within their\n\
+            convex hull. Its limit includes the rounding of coordinates over the samples' extent. *At samples*:\n\
+            the error for random values of -1 to 1 at the samples. *Beyond*: the distance by which the field\n\
+            leaves -1 to 1. Cubics (`bicubic`, and `auto` on a grid) have negative weights, whose bound is 13/8\n\
+            in each coordinate, so 1.64 here.",
         columns: &["constant", "linear", "at samples", "beyond"],
         cases: rows(field_cells),
     }
@@ -248,9 +250,11 @@ fn image_cells(choice: Interpolation, of: &Positions) -> Vec<Cell> {
 pub(super) fn image_section() -> Section {
     Section {
         title: "Images through every interpolator",
-        story: "The largest difference from the direct sum in f64 over its peak: the largest of `basis`, `patch` with patches of one pixel, `lowrank` \
-            and `auto`, in both anchorings, on a frame of 48 x 40 pixels that begins at the origin, with stamps of 9 x 9 and all K. Ten times \
-            the limit of scenes: the weights of an interpolator, which may be terms of a polynomial, add their rounding.",
+        story: "The largest difference from the direct sum in f64, divided by its peak: the largest of `basis`,\n\
+            `patch` with patches of one pixel, `lowrank` and `auto`, in both anchorings. The frame has 48 x 40\n\
+            pixels and begins at the origin, the stamps have 9 x 9 pixels, and all K are used. The limit is ten\n\
+            times that of scenes: the weights of an interpolator, which may be terms of a polynomial, add their\n\
+            rounding.",
         columns: &["f64", "f32"],
         cases: rows(image_cells),
     }

@@ -100,20 +100,20 @@ pub(super) fn section() -> Section {
     let mut noise = random(3);
     let mut cases: Vec<Case> = [
         plain("uneven light near 1", uneven()),
-        scaled("the same times 1e-30", uneven(), |_| 1e-30),
-        scaled("the same times 1e-15", uneven(), |_| 1e-15),
-        scaled("the same times 1e15", uneven(), |_| 1e15),
-        scaled("the same times 1e30", uneven(), |_| 1e30),
-        scaled("the same times 1e-300 (f32: 1e-37)", uneven(), |p| match p {
+        scaled("uneven light times 1e-30", uneven(), |_| 1e-30),
+        scaled("uneven light times 1e-15", uneven(), |_| 1e-15),
+        scaled("uneven light times 1e15", uneven(), |_| 1e15),
+        scaled("uneven light times 1e30", uneven(), |_| 1e30),
+        scaled("uneven light times 1e-300 (f32: 1e-37)", uneven(), |p| match p {
             Precision::F64 => 1e-300,
             Precision::F32 => 1e-37,
         }),
-        scaled("the same times 1e306 (f32: 1e36)", uneven(), |p| match p {
+        scaled("uneven light times 1e306 (f32: 1e36)", uneven(), |p| match p {
             Precision::F64 => 1e306,
             Precision::F32 => 1e36,
         }),
         scaled(
-            "the same among the subnormal numbers: times 1e-312 (f32: 1e-40)",
+            "uneven light among the subnormal numbers: times 1e-312 (f32: 1e-40)",
             uneven(),
             |p| match p {
                 Precision::F64 => 1e-312,
@@ -122,13 +122,13 @@ pub(super) fn section() -> Section {
         ),
         scaled("all equal, 1e30", of(|_, _| 1.0), |_| 1e30),
         plain("all equal, 1", of(|_, _| 1.0)),
-        plain("darkness", of(|_, _| 0.0)),
+        plain("no light", of(|_, _| 0.0)),
         plain(
             "one lit pixel",
             of(|x, y| f64::from(u8::from((x, y) == (50, 41)))),
         ),
         plain(
-            "lit corners alone",
+            "only the corners lit",
             of(|x, y| f64::from(u8::from(x % 95 == 0 && y % 79 == 0))),
         ),
         plain("checkerboard of 0 and 1", of(|x, y| ((x + y) % 2) as f64)),
@@ -163,12 +163,16 @@ pub(super) fn section() -> Section {
     cases.extend(overflow());
     Section {
         title: "Scenes",
-        story: "The largest difference from the direct sum in f64 over its peak; the larger one of both anchorings. The frame is 96 x 80 pixels \
-            with stamps of 15 x 15, K = 24 of 25 samples, bilinear; for patches a PSF that is constant in each patch and jumps between them \
-            (30 samples, nearest), so that patches of 16 pixels are exact. f64 must keep 1e-12, f32 2e-6: rounding of some hundred \
-            transforms, products and additions to a pixel; five times that where the checkerboard of -1 and 1 cancels all but its edge. Among subnormal numbers a result is a whole number of quanta (1.4e-45, 4.9e-324), and every addition to a \
-            pixel rounds to one: 64 of them are allowed on top. Light beyond 2^80 or below 2^-80 (f64: 2^900) is multiplied by a power of two \
-            before transforms and back after them.",
+        story: "The largest difference from the direct sum in f64, divided by its peak, for the worse of the two\n\
+            anchorings. The frame has 96 x 80 pixels. The stamps have 15 x 15 pixels, K = 24 of 25 samples,\n\
+            bilinear. For patches the PSF is constant in each patch and jumps between them (30 samples,\n\
+            nearest), so that patches of 16 pixels are exact.\n\n\
+            f64 must keep 1e-12, f32 2e-6. This is the rounding of some hundred transforms, products and\n\
+            additions per pixel. The limit is five times larger for the checkerboard of -1 and 1, which cancels\n\
+            except at its edge. Among subnormal numbers a result is an integer number of quanta (1.4e-45,\n\
+            4.9e-324), and every addition to a pixel rounds to one: 64 of them are allowed on top. Light beyond\n\
+            2^80 or below 2^-80 (f64: 2^900) is multiplied by a power of two before transforms and divided by\n\
+            it after them.",
         columns: COLUMNS,
         cases,
     }

@@ -84,7 +84,7 @@ pub(crate) fn kinds() -> Vec<Kind> {
             Some(0),
         ),
         kind(
-            "identical but for 1e-12",
+            "identical except for 1e-12",
             || on_grid((SIDE, SIDE), |j| blend(1e-12 * j as f64)),
             Some(1),
         ),
@@ -104,7 +104,7 @@ pub(crate) fn kinds() -> Vec<Kind> {
             Some(25),
         )),
         kind(
-            "cores of one pixel beside wide ones",
+            "cores of one pixel next to wide ones",
             || {
                 on_grid((SIDE, SIDE), |j| {
                     let mut stamp = Array2::zeros((SIDE, SIDE));
@@ -219,10 +219,13 @@ pub(super) fn section() -> Section {
     cases.extend(wings());
     Section {
         title: "Stamps",
-        story: "As for scenes, on frames of 48 x 40 pixels with patches of one pixel, each of which has its own PSF; five times the limit for those, since a pixel is the sum of hundreds of patches. The last rows are of the wings \
-            of one star, 1e-10 of its core, over themselves: transforms spread their noise of 1e-16 (f64) and 1e-7 (f32) of the core over them, \
-            while the direct sum and `auto`, which draws a single star, leave each pixel its own relative precision as far as the model's \
-            modes, which are good to the rounding of the core, hold it.",
+        story: "Measured as for scenes, on frames of 48 x 40 pixels with patches of one pixel, each of which has\n\
+            its own PSF. The limit for patches is five times larger, since a pixel is the sum of hundreds of\n\
+            patches.\n\n\
+            The last rows judge the wings of one star, 1e-10 of its core, divided by the wings. Transforms\n\
+            spread their noise of 1e-16 (f64) and 1e-7 (f32) of the core over them. The direct sum, and `auto`,\n\
+            which draws a single star, leave each pixel its own relative precision, as far as the model's modes\n\
+            hold it. These are good to the rounding of the core.",
         columns: COLUMNS,
         cases,
     }

@@ -9,11 +9,15 @@ use super::{Section, sections};
 const AT_MOST: &str = " ≤ ";
 
 const HEAD: &str = "# Numerical stability\n\n\
-    What extreme inputs do, measured: each figure stands before the limit that it must keep. Made by\n\n    \
-    cargo run --release -p integration-tests --bin stability > STABILITY.md\n\n\
-    and the same cases are tests: `cargo test --release -p integration-tests --test stability`. With `-- --check STABILITY.md` the program \
-    compares rows, limits and messages with this page instead (measured figures differ from machine to machine). No image holds NaN, \
-    nothing panics, and what is refused is refused with the words below the table.\n";
+    This page lists what psfield does with extreme inputs. Each measured figure stands before the limit\n\
+    that it must keep. This command makes the page:\n\n\
+    ```sh\n\
+    cargo run --release -p integration-tests --bin stability > STABILITY.md\n\
+    ```\n\n\
+    Tests run these cases: `cargo test --release -p integration-tests --test stability`. With\n\
+    `-- --check STABILITY.md` the program compares rows, limits and messages with this page (measured\n\
+    figures differ between machines). No image holds NaN, and nothing panics. A refused input gives the\n\
+    message below the table.\n";
 
 /// Reasons and messages under a table, each once.
 #[derive(Default)]
@@ -68,10 +72,10 @@ fn of_section(section: &Section) -> (String, Vec<String>) {
         text.push('\n');
     }
     if !notes.0.is_empty() {
-        text.push('\n');
+        text += "\n| note | text |\n| --- | --- |\n";
     }
     for (n, note) in notes.0.iter().enumerate() {
-        writeln!(text, "{}. {note}", n + 1).expect("a string takes everything");
+        writeln!(text, "| {} | {note} |", n + 1).expect("a string takes everything");
     }
     (text, failures)
 }

@@ -192,7 +192,7 @@ fn curves(rows: &[BenchRow]) -> Curves {
         .collect();
     Curves {
         x: Axis::logarithmic("measured relative L2 error"),
-        y: Axis::logarithmic("run time (seconds, fastest run)"),
+        y: Axis::logarithmic("run time (s), fastest run"),
         curves,
         marks,
     }

@@ -125,10 +125,13 @@ impl Output {
         let stretch = Scale::Asinh { soft: SOFT, high };
         let sharp = sky.sharp().mapv(f64::from);
         let flux = "flux per pixel";
-        self.figure("scene.png", &alone("input scene", sharp.view(), stretch, flux)?)?;
+        self.figure(
+            "scene.png",
+            &single_picture("input scene", sharp.view(), stretch, flux)?,
+        )?;
         self.figure(
             "image.png",
-            &alone("simulated image", image.view(), stretch, flux)?,
+            &single_picture("simulated image", image.view(), stretch, flux)?,
         )?;
         let difference = by_patches.pixels().mapv(f64::from) - &image;
         let most = Summary::of(difference.iter().map(|v| v.abs()))?.quantile(0.995)?;
@@ -136,11 +139,19 @@ impl Output {
             most: most.max(f64::MIN_POSITIVE),
         };
         let title = "image with one PSF per patch - image by psfield";
-        self.figure("patch_error.png", &alone(title, difference.view(), scale, flux)?)
+        self.figure(
+            "patch_error.png",
+            &single_picture(title, difference.view(), scale, flux)?,
+        )
     }
 }
 
-fn alone(title: &str, pixels: ArrayView2<'_, f64>, scale: Scale, quantity: &str) -> anyhow::Result<Figure> {
+fn single_picture(
+    title: &str,
+    pixels: ArrayView2<'_, f64>,
+    scale: Scale,
+    quantity: &str,
+) -> anyhow::Result<Figure> {
     Ok(pictures(&[Picture {
         title,
         pixels,

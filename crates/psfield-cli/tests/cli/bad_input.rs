@@ -8,7 +8,7 @@ const BLOCK: usize = 2880;
 const CARD: usize = 80;
 const DOUBLE: usize = 8;
 
-/// Where the data begin of the HDU that begins at `start`.
+/// Returns the first byte of the data of the HDU that begins at `start`.
 fn data_of(bytes: &[u8], start: usize) -> usize {
     let cards = bytes[start..].chunks(CARD);
     let end = cards
@@ -32,7 +32,7 @@ fn get(bytes: &[u8], at: usize) -> f64 {
     f64::from_be_bytes(bytes[at..at + DOUBLE].try_into().unwrap())
 }
 
-/// All commands that read samples refuse `bad.fits`.
+/// Checks that all commands that read samples refuse `bad.fits`.
 fn bad_samples(needles: &[&str], spoil: impl FnOnce(&mut Vec<u8>)) {
     let desk = Desk::new();
     let mut bytes = desk.bytes("samples.fits");

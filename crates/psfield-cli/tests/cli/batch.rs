@@ -5,7 +5,8 @@ use serde_json::Value;
 
 use crate::desk::{Desk, Run, assert_keys, samples};
 
-/// Two PSFs, scenes with and without stars, both precisions, streaming, a part of the scene, a detector.
+/// Jobs with two PSFs, with and without stars, in both precisions, streamed, with a part of the
+/// scene, and with a detector.
 const NIGHT: &str = r#"
     [defaults]
     psf = "samples.fits"
@@ -51,7 +52,7 @@ const NIGHT: &str = r#"
     one-based = false
 "#;
 
-/// The same by hand.
+/// The options of the same jobs for single runs of `simulate`.
 const BY_HAND: [(&str, &str); 6] = [
     ("plain", "scene.fits --psf samples.fits"),
     (
@@ -85,7 +86,7 @@ fn night() -> Desk {
     desk
 }
 
-/// The lines of JSON.
+/// The lines of JSON on standard output.
 fn lines(run: &Run) -> Vec<Value> {
     let parse = |line: &str| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {run:?}"));
     run.stdout.lines().map(parse).collect()
@@ -136,7 +137,7 @@ fn a_batch_gives_what_its_jobs_give_alone() {
             desk.image("alone.fits") == desk.image(&format!("{name}.fits")),
             "{name}"
         );
-        // What BITPIX says is the same as well.
+        // BITPIX is equal too.
         let start = |file: &str| desk.bytes(file)[80..160].to_vec();
         assert_eq!(start("alone.fits"), start(&format!("{name}.fits")), "{name}");
     }
@@ -186,7 +187,7 @@ fn jobs_of_one_kind_are_prepared_once() {
         assert!(said[0]["report"]["seconds"][stage].as_f64().unwrap() > 0.0);
         assert_eq!(said[1]["report"]["seconds"][stage], 0.0);
     }
-    // Another PSF between them, and no room for two.
+    // A job with another PSF is between them, and only one PSF is kept.
     desk.write_samples("other.fits", &samples(4, 1));
     desk.write(
         "mixed.csv",
@@ -209,7 +210,7 @@ fn a_batch_goes_on_where_it_stopped() {
     assert_eq!(column(&said, "status"), ["skipped"; 6]);
     assert!(desk.content() == whole);
 
-    // Of a job with several files, all must be there.
+    // All files of a job must exist.
     std::fs::remove_file(desk.path("raw.fits")).unwrap();
     std::fs::remove_file(desk.path("part.fits")).unwrap();
     let said = lines(&desk.done("batch night.toml"));
@@ -250,7 +251,7 @@ fn what_other_options_made_is_not_taken_as_done() {
     );
     assert!(desk.content() == before);
 
-    // Results of other programs, and files that are no images.
+    // Results of other programs, and files that are not images.
     desk.write("jobs.csv", "output\nscene2.fits\nnotes.fits\nnew.fits\n");
     desk.done("simulate scene.fits --psf samples.fits -o scene2.fits");
     desk.write("notes.fits", "not an image");
@@ -301,7 +302,7 @@ fn a_failed_job_does_not_stop_the_rest() {
     );
     assert!(!run.stderr.contains("panicked"));
 
-    // Quiet: failures alone, unless JSON is asked for.
+    // With --quiet only failures, unless --json is given.
     let quiet = desk.run("batch jobs.csv --set psf=samples.fits -q");
     assert_eq!(column(&lines(&quiet), "status"), ["failed"; 3]);
     let all = desk.run("batch jobs.csv --set psf=samples.fits -q --json");
@@ -321,12 +322,12 @@ fn paths_count_from_the_folder_of_the_file() {
         "night/jobs.csv",
         "\u{feff}scene, output\n# the first\nfield.fits, out.fits\n",
     );
-    // That of the command line counts from where it is typed.
+    // A path on the command line refers to the working directory.
     desk.done("batch night/jobs.csv --set psf=samples.fits");
     desk.done("simulate scene.fits --psf samples.fits -o alone.fits");
     assert!(desk.image("night/out.fits") == desk.image("alone.fits"));
 
-    // A moved batch is still done.
+    // A batch that is moved is still complete.
     std::fs::rename(desk.path("night"), desk.path("moved")).unwrap();
     let said = lines(&desk.done("batch moved/jobs.csv --set psf=samples.fits"));
     assert_eq!(column(&said, "status"), ["skipped"]);
@@ -349,10 +350,10 @@ fn images_say_which_command_repeats_them() {
         text(&desk, "out.fits", "PSFJOB").map(|digest| digest.len()),
         Some(16)
     );
-    // What is made from it is no result of that job.
+    // A file made from it is not a result of that job.
     desk.done("simulate out.fits --psf samples.fits -o next.fits");
     assert_eq!(text(&desk, "next.fits", "PSFJOB"), None);
-    // The printed command does the same.
+    // The recorded command gives the same image.
     let pixels = desk.image("out.fits");
     desk.done(&format!(
         "{} --overwrite -- scene.fits",
@@ -512,10 +513,11 @@ fn the_help_shows_jobs_files() {
     }
 }
 
-/// `tests/compatibility/v0.1.0` holds the list, its inputs, and what psfield 0.1.0 made of them.
+/// `tests/compatibility/v0.1.0` holds the jobs, their inputs, and the results of psfield 0.1.0.
 #[test]
 fn a_job_list_of_0_1_0_gives_the_images_of_0_1_0() {
-    /// Rounding of sums over 1089 stamp pixels in f64, and of one more decomposition of the samples.
+    /// Rounding of sums over 1089 stamp pixels in f64, and of another decomposition of the
+    /// samples.
     const ROUNDING: f64 = 1e-9;
     let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/compatibility/v0.1.0");
     let desk = Desk::empty();
@@ -539,7 +541,7 @@ fn a_job_list_of_0_1_0_gives_the_images_of_0_1_0() {
         let largest = (&made - &expected).fold(0.0, |m: f64, d| m.max(d.abs()));
         assert!(largest < ROUNDING * peak, "{name}: {largest:e} of {peak:e}");
     }
-    // Rounding of the image may move a count across a step of the converter, never by two.
+    // Rounding of the image may change a count by one step of the converter, but never by two.
     let counts = &desk.image("expected_counts.fits") - &expected("expected_counts.fits");
     assert!(counts.iter().all(|d| d.abs() <= 1.0));
     assert!(counts.iter().filter(|&&d| d != 0.0).count() < 8);

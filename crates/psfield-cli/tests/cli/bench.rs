@@ -7,7 +7,7 @@ use crate::desk::{Desk, NX, NY, assert_keys};
 /// Small enough for a test: seconds.
 const SMALL: &str =
     "bench --sizes 96 --grids 3 --patches 16,48 --ranks 2,5 --repeat 2 --pixels 60 --threads 2";
-/// What rounding in single precision adds to the error of a tolerance.
+/// Rounding in single precision, in addition to the tolerance.
 const ROUNDING_F32: f64 = 1e-6;
 const KEYS: [&str; 20] = [
     "method",
@@ -86,10 +86,10 @@ fn every_method_has_its_row_and_its_error() {
             found.windows(2).all(|pair| pair[1] <= pair[0] + ROUNDING_F32),
             "{found:?}"
         );
-        // It is the tolerance that does it.
+        // The error is that of the tolerance.
         assert!(found[0] > 10.0 * found[3], "{method}: {found:?}");
     }
-    // A single PSF, large patches and few components are wrong, each more than its better.
+    // A single PSF, large patches and few components have errors, which decrease in each list.
     let (single, patch, basis) = (
         errors(&report, "single"),
         errors(&report, "patch"),
@@ -103,7 +103,7 @@ fn every_method_has_its_row_and_its_error() {
     assert!(plot.starts_with("<svg"));
     for text in [
         "measured relative L2 error",
-        "run time, seconds",
+        "run time (s)",
         "96 x 96 pixels",
         "lowrank",
         "patch",
@@ -152,10 +152,10 @@ fn a_scene_and_a_psf_of_the_callers() {
         (&0.001.into(), &8.into())
     );
     assert!(errors(&report, "lowrank")[0] < 1e-3);
-    // The unit is there whatever is asked for.
+    // The single PSF is always measured.
     assert_eq!(rows(&report, "single").len(), 1);
 
-    // A model does as well, cut to fewer components.
+    // A model file works too, truncated to fewer components.
     desk.done("fit samples.fits -o model.fits --rank full");
     let cut = desk
         .done("bench --psf model.fits --rank 2 --scene scene.fits --methods basis --repeat 1 --json")

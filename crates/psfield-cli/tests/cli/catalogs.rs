@@ -8,12 +8,12 @@ use crate::desk::{Desk, NX, NY, difference, points, samples};
 
 /// Rounding of f64.
 const DOUBLE: f64 = 1e-11;
-/// Two images that differ by more than this are not the same.
+/// Two images that differ by more than this are not equal.
 const VISIBLE: f64 = 1e-3;
 
 const SHAPE: &str = "--shape 61,51";
 
-/// Stars through samples that are fine enough to place them between pixels.
+/// Stars drawn with samples that are fine enough to place them between pixels.
 fn desk() -> Desk {
     let desk = Desk::new();
     desk.write_samples("fine.fits", &samples(3, 3));
@@ -99,7 +99,8 @@ fn catalogues_that_do_not_suit() {
     );
 }
 
-/// Galaxies are light in pixels before the PSF: alone, on a scene, streamed, and in finer pixels.
+/// Galaxies are light in pixels before the PSF: without a scene, on a scene, streamed, and in finer
+/// pixels.
 #[test]
 fn galaxies_are_convolved() {
     let desk = desk();
@@ -118,7 +119,7 @@ fn galaxies_are_convolved() {
     );
     let alone = desk.image("g.fits");
     assert!((alone.sum() - 150.0).abs() < 0.5);
-    // Wider than the star beside it, and long along the angle.
+    // Wider than the star next to it, and elongated along the angle.
     let around = |x: usize, y: usize| alone[[y, x]];
     assert!(
         around(34, 27) > 1.5 * around(34, 23),
@@ -168,7 +169,7 @@ fn sky_coordinates_and_headers() {
         let image = Image::new(pixels).unwrap();
         psf_io::write_image(desk.path(name), &image, &HeaderCards::new(), cards, true).unwrap();
     };
-    // One-based pixel (31, 31) is (30, 30) from 0; a step in declination moves up.
+    // One-based pixel (31, 31) is (30, 30) from 0. A step in declination moves up.
     write("wcs.fits", points(&[]), &cards(31.0, 1e-4));
     desk.write("sky.csv", "ra,dec,flux\n150,2.0005,10\n150,2,20\n330,-2,5\n");
     desk.write("pixels.csv", "x,y,flux\n30,35,10\n30,30,20\n");
@@ -185,7 +186,7 @@ fn sky_coordinates_and_headers() {
     };
     assert_eq!(number("dark.fits", "CRPIX1"), 31.0);
 
-    // Twice as fine: the same place on the sky.
+    // Twice as fine, at the same position on the sky.
     write(
         "fine_wcs.fits",
         Array2::zeros((2 * NY, 2 * NX)),
@@ -202,7 +203,8 @@ fn sky_coordinates_and_headers() {
         (number("binned.fits", "CRPIX1"), number("binned.fits", "CD2_2")),
         (29.0, 1e-4)
     );
-    // The field begins at the frame's first pixel, so the PSF is a little another; the places are the same.
+    // The field begins at the frame's first pixel, so that the PSF differs slightly. The positions
+    // are equal.
     let brightest = |image: &Array2<f64>| {
         image
             .indexed_iter()
@@ -211,7 +213,7 @@ fn sky_coordinates_and_headers() {
     };
     assert_eq!(brightest(&image), brightest(&cut));
 
-    // What the frame shows is what the whole shows there, with a PSF that does not vary.
+    // With a constant PSF, the frame equals that part of the whole image.
     desk.done("simulate wcs.fits --psf fine.fits -o no_sky.fits");
     write("none.fits", points(&[]), &[]);
     desk.refused(
@@ -221,7 +223,7 @@ fn sky_coordinates_and_headers() {
     );
 }
 
-/// A finer scene against stars at the centres of its pixels; streamed and checked.
+/// A finer scene against stars at the centres of its pixels. It is streamed and checked too.
 #[test]
 fn finer_scenes() {
     let desk = desk();
@@ -252,7 +254,7 @@ fn finer_scenes() {
     );
 }
 
-/// Stars are cut as GalSim and photutils cut them: so many pixels about the one that each lies on.
+/// Stars are cut as in GalSim and photutils: to N pixels around the one on which the star lies.
 #[test]
 fn stars_are_cut_to_the_stamp_size() {
     let desk = desk();
@@ -275,7 +277,7 @@ fn stars_are_cut_to_the_stamp_size() {
     assert!(difference(&desk.image("direct.fits"), &cut) < DOUBLE);
 }
 
-/// The scene in an extension is chosen, not guessed; its primary header's cards come along.
+/// The extension of the scene is chosen, not guessed. The cards of the primary header are copied.
 #[test]
 fn scenes_in_extensions() {
     let desk = desk();
@@ -296,7 +298,7 @@ fn scenes_in_extensions() {
     );
 }
 
-/// An empty primary HDU and two images of the desk's field, SCI with one lit pixel.
+/// An empty primary HDU and two images of the desk's field, SCI with light in one pixel.
 fn mef() -> Vec<u8> {
     let header = |cards: &[String]| {
         let mut bytes: Vec<u8> = cards
@@ -335,7 +337,7 @@ fn mef() -> Vec<u8> {
     file
 }
 
-/// What a detector counts, with the truth beside it; the same as by `expose`.
+/// The counts of a detector and the truth are those of `expose`.
 #[test]
 fn a_detector_behind_the_image() {
     let desk = desk();
@@ -364,7 +366,7 @@ fn a_detector_behind_the_image() {
     assert!((2.0..8.0).contains(&noise), "{noise}");
     desk.done(&format!("{simulate} --detector ccd.toml --seed 6 -o other.fits"));
     assert_ne!(desk.image("raw.fits"), desk.image("other.fits"));
-    // Kept beside the image unless told otherwise.
+    // By default the truth is written next to the image.
     assert_eq!(desk.image("other_truth.fits"), truth);
     desk.done(&format!("{simulate} --detector ccd.toml --no-truth -o bare.fits"));
     assert!(!desk.path("bare_truth.fits").exists());
@@ -386,11 +388,12 @@ fn a_detector_behind_the_image() {
     );
 }
 
-/// Galaxies at the edge and off the frame: what comes in is what a wider frame shows there; streamed and finer too.
+/// Galaxies at the edge of the frame and outside contribute the light that a wider frame shows
+/// there. They are tested streamed and in finer pixels too.
 #[test]
 fn galaxies_beyond_the_edge_shine_in() {
     let desk = desk();
-    // The same PSF everywhere, so that the place of the frame does not matter.
+    // The PSF is constant, so that the position of the frame does not matter.
     desk.write_samples("one.fits", &crate::desk::samples_at(&[(30.0, 25.0)], 3));
     let rows = [(0.0, 20.0), (-4.0, 30.5), (60.5, 50.0), (30.0, -6.25)];
     let table = |dx: f64| {
@@ -416,7 +419,7 @@ fn galaxies_beyond_the_edge_shine_in() {
         let largest = difference(&desk.image("image.fits"), &expected);
         assert!(largest < 1e-9, "{scene} {options}: {largest}");
     }
-    // The header's pixels are those of the frame, not of what was put around the scene.
+    // The header refers to pixels of the frame, not to those of the margin added to the scene.
     let place = desk.header("image.fits").get("CRPIX1").and_then(Card::value);
     assert_eq!(place, Some(20.5.into()));
     desk.done(&format!(
@@ -426,7 +429,8 @@ fn galaxies_beyond_the_edge_shine_in() {
     assert!(difference(&desk.image("cut.fits"), &cut) < 1e-9);
 }
 
-/// Galaxies are blurred by the pixels on which they are drawn: said, and mended by finer pixels.
+/// Galaxies are blurred by the pixels on which they are drawn. A warning says so, and finer pixels
+/// avoid it.
 #[test]
 fn small_galaxies_need_finer_pixels() {
     let desk = desk();

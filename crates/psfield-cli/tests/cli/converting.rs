@@ -19,7 +19,7 @@ fn largest(a: ndarray::ArrayView3<'_, f64>, b: ndarray::ArrayView3<'_, f64>) -> 
     a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / peak
 }
 
-/// A model of degree 2 over the field; its planes have no unit flux.
+/// A model of degree 2 over the field. Its planes do not have unit flux.
 fn psfex(size: usize, sampling: f64) -> PsfexModel {
     let axis = |name, n| PsfexAxis::new(name, (n - 1) as f64 / 2.0, (n - 1) as f64).unwrap();
     let polynomial = PsfexPolynomial::new(axis("X_IMAGE", NX), axis("Y_IMAGE", NY), 2).unwrap();
@@ -87,7 +87,7 @@ fn samples_become_a_psfex_model_and_come_back() {
         );
     }
     assert!((desk.samples("back.fits").flux(3) - 1.0).abs() < SINGLE);
-    // What is exact: a polynomial of enough terms for the samples.
+    // Exact: a polynomial with enough terms for the samples.
     let text = desk.run("convert samples.fits -o exact.psf --to psfex=0").stdout;
     assert!(
         text.contains("1 polynomial terms") && text.contains("largest error"),
@@ -129,7 +129,7 @@ fn a_psfex_model_keeps_its_planes() {
         assert!((total / part.iter().map(|v| v.abs()).sum::<f64>() - 1.0).abs() < 1e-12);
         assert_eq!(again.degree(), 2);
     }
-    // One degree more: the same PSFs, more planes.
+    // One degree more gives equal PSFs and more planes.
     desk.done("convert odd.psf -o cubic.psf --to psfex=3");
     let (cubic, model) = (read_psfex(desk.path("cubic.psf"), None).unwrap(), psfex(15, 0.5));
     assert_eq!(cubic.planes().dim().0, 10);
@@ -153,7 +153,7 @@ fn a_psfex_model_serves_every_command() {
     desk.done("evaluate field.psf --at at.csv -o unit.fits");
     let unit = desk.samples("unit.fits");
     assert!((0..3).all(|j| (unit.flux(j) - 1.0).abs() < SINGLE) && (raw.flux(0) - 1.0).abs() > 1e-3);
-    // The polynomial goes on, unless it is told not to.
+    // By default the polynomial extends outside the field.
     desk.refused(
         "evaluate field.psf --at at.csv -o out.fits --outside error",
         1,
@@ -262,7 +262,7 @@ fn plain_stamps_need_a_word() {
     );
     let constant = desk.samples("constant.fits");
     assert_eq!(constant.stamp(0), constant.stamp(1));
-    // Written by psfield, it says its oversampling itself.
+    // A file written by psfield holds its oversampling.
     desk.refused(
         "evaluate cube.fits --at at.csv -o out.fits",
         1,
@@ -317,7 +317,7 @@ fn even_stamps_tell_their_centre() {
 fn of_several_images_one_must_be_chosen() {
     let desk = Desk::new();
     desk.write("at.csv", "x,y\n3,4\n");
-    // What WebbPSF writes for one place: the same PSF at several samplings.
+    // A file of WebbPSF for one position: one PSF at several samplings.
     put_stamps(&desk, "first.fits", 1);
     desk.write_image("second.fits", Array2::from_elem((9, 9), 1.0));
     let mut bytes = desk.bytes("second.fits");
@@ -450,9 +450,9 @@ fn conversions_that_cannot_be() {
     ] {
         desk.refused(command, 1, &["another name"]);
     }
-    // The samples are fitted where they are wanted elsewhere.
+    // At other positions the samples are fitted.
     desk.done("convert samples.fits -o elsewhere.fits --to gridded --rank 3 --grid 3,3");
-    // One stamp and no field: no grid.
+    // A single stamp without a field has no grid.
     put_stamps(&desk, "stamp.fits", 1);
     desk.refused(
         "convert stamp.fits -o out.fits --to gridded --psf-oversampling 1",

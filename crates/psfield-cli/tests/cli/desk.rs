@@ -16,10 +16,10 @@ pub(crate) const NY: usize = 51;
 /// Columns and rows of a stamp at the frame's pixels.
 pub(crate) const STAMP: usize = 15;
 
-/// A temporary folder; file names are relative to it.
+/// A temporary folder, to which file names are relative.
 pub(crate) struct Desk(TempDir);
 
-/// What a run said.
+/// The output of a run.
 #[derive(Debug)]
 pub(crate) struct Run {
     pub(crate) code: Option<i32>,
@@ -36,7 +36,7 @@ impl Run {
         }
     }
 
-    /// The object of `--json`, alone on standard output.
+    /// The object of `--json`, which must be all of standard output.
     pub(crate) fn json(&self) -> Value {
         serde_json::from_str(&self.stdout).unwrap_or_else(|e| panic!("{e} in {self:?}"))
     }
@@ -47,7 +47,7 @@ impl Desk {
         Self(tempfile::tempdir().unwrap())
     }
 
-    /// With `samples.fits` (3 x 3) and `scene.fits`.
+    /// A folder with `samples.fits` (3 x 3) and `scene.fits`.
     pub(crate) fn new() -> Self {
         let desk = Self::empty();
         desk.write_samples("samples.fits", &samples(3, 1));
@@ -109,7 +109,7 @@ impl Desk {
             .collect()
     }
 
-    /// Runs a line of a shell in the folder, in which `$PSFIELD` is the program.
+    /// Runs a shell command in the folder. `$PSFIELD` is the program.
     pub(crate) fn shell(&self, line: &str) -> Run {
         Run::of(self.shell_command(line).output().unwrap())
     }
@@ -141,7 +141,7 @@ impl Desk {
         found
     }
 
-    /// Runs `psfield` with arguments that blanks separate.
+    /// Runs `psfield` with arguments separated by blanks.
     pub(crate) fn run(&self, arguments: &str) -> Run {
         let output = Command::new(env!("CARGO_BIN_EXE_psfield"))
             .args(arguments.split_whitespace())
@@ -151,7 +151,7 @@ impl Desk {
         Run::of(output)
     }
 
-    /// Runs `psfield`, which must do its work and have nothing to complain of.
+    /// Runs `psfield`, which must succeed without any warning.
     pub(crate) fn done(&self, arguments: &str) -> Run {
         let run = self.run(arguments);
         assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
@@ -159,7 +159,7 @@ impl Desk {
         run
     }
 
-    /// The same where it looks for GPUs, whose drivers may have something to say on standard error.
+    /// Runs `psfield`, which must succeed. Drivers of GPUs may write to standard error.
     pub(crate) fn done_with_drivers(&self, arguments: &str) -> Run {
         let run = self.run(arguments);
         assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
@@ -167,7 +167,8 @@ impl Desk {
         run
     }
 
-    /// Runs `psfield`, which must do its work with a warning that holds `needle`, and without it under `-q`.
+    /// Runs `psfield`, which must succeed with a warning that contains `needle`, and without it
+    /// under `-q`.
     pub(crate) fn warned(&self, arguments: &str, needle: &str) {
         let run = self.run(arguments);
         assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
@@ -178,7 +179,8 @@ impl Desk {
         self.done(&format!("{arguments} --overwrite -q"));
     }
 
-    /// Runs `psfield`, which must do its work and say nothing but notes, one of which holds each of `needles`; nothing under `-q`.
+    /// Runs `psfield`, which must succeed and print only notes. Each of `needles` must be in one of
+    /// them. Under `-q` it must print nothing.
     pub(crate) fn noted(&self, arguments: &str, needles: &[&str]) -> Run {
         let run = self.run(arguments);
         assert_eq!(run.code, Some(0), "psfield {arguments}: {run:?}");
@@ -195,8 +197,8 @@ impl Desk {
         run
     }
 
-    /// Runs `psfield`, which must end with this status, say each of `needles` on standard error, nothing on standard output, and leave
-    /// the folder as it was.
+    /// Runs `psfield`, which must end with this status, print each of `needles` on standard error
+    /// and nothing on standard output, and leave the folder as it was.
     pub(crate) fn refused(&self, arguments: &str, code: i32, needles: &[&str]) {
         let before = self.content();
         let run = self.run(arguments);
@@ -219,7 +221,7 @@ impl Desk {
     }
 }
 
-/// A Gaussian of widths that change over the field, at the pixels of a stamp; not of unit sum.
+/// A Gaussian at the pixels of a stamp. Its widths change over the field, and its sum is not 1.
 pub(crate) fn psf(position: Position, x: f64, y: f64) -> f64 {
     let (u, v) = (position.x() / NX as f64, position.y() / NY as f64);
     let (sigma_x, sigma_y) = (1.2 + 0.5 * u + 0.2 * v * v, 1.3 + 0.4 * v - 0.2 * u * v);
@@ -260,7 +262,7 @@ pub(crate) fn scene() -> Array2<f64> {
     })
 }
 
-/// A scene of lit pixels `(x, y, flux)`.
+/// A scene with light in the pixels `(x, y, flux)`.
 pub(crate) fn points(lit: &[(usize, usize, f64)]) -> Array2<f64> {
     let mut pixels = Array2::zeros((NY, NX));
     for &(x, y, flux) in lit {
@@ -277,7 +279,7 @@ pub(crate) fn difference(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
     a.iter().zip(b).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / peak
 }
 
-/// Whether an object has all these keys.
+/// Checks that an object has all these keys.
 pub(crate) fn assert_keys(object: &Value, keys: &[&str]) {
     for key in keys {
         assert!(object.get(key).is_some(), "no {key} in {object}");

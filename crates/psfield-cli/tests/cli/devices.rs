@@ -1,4 +1,5 @@
-//! `--device` and `psfield devices`: what holds whether there is a GPU or not. What needs one is in `tests/gpu`.
+//! `--device` and `psfield devices`, with and without a GPU. Tests that need one are in
+//! `tests/gpu`.
 
 use psfield::psf_io::{Card, CardValue};
 use serde_json::Value;
@@ -26,7 +27,7 @@ fn devices_are_listed_or_it_is_said_that_there_are_none() {
     desk.refused("devices all", 2, &["all"]);
 }
 
-/// `device` of the report of a run.
+/// The `device` in the report of a run.
 fn device(desk: &Desk, options: &str) -> Value {
     let run = desk.run(&format!("{TO} {options} --overwrite --json"));
     assert_eq!(run.code, Some(0), "{run:?}");

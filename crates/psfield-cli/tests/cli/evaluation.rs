@@ -55,12 +55,12 @@ fn positions_between_samples_are_interpolated() {
     let mean = (&corner(0) + &corner(1) + corner(3) + corner(4)) / 4.0;
     let found = desk.samples("stamp.fits");
     assert!(largest(found.stamps().index_axis_move(Axis(0), 0), mean.view()) <= DOUBLE);
-    // Nearest is another interpolator: the comparison can fail.
+    // With another interpolator the comparison fails.
     desk.done("evaluate samples.fits --at at.csv -o nearest.fits --rank full --interpolation nearest");
     let nearest = desk.samples("nearest.fits");
     assert!(largest(nearest.stamps().index_axis_move(Axis(0), 0), mean.view()) > 1e-4);
-    // On a grid of 3 x 3, the default is parabolas in x and y. Half way to the second line it is the mean of their values at 2/5 and
-    // 3/5 of the way: (12, 16, -3) / 25 and (7, 21, -3) / 25.
+    // On a grid of 3 x 3, the default is parabolas in x and y. Half way to the second line it is
+    // the mean of their values at 2/5 and 3/5 of the way: (12, 16, -3) / 25 and (7, 21, -3) / 25.
     desk.done("evaluate samples.fits --at at.csv -o default.fits --rank full --precision f64");
     let weights = [0.38, 0.74, -0.12];
     let mut parabolas = Array2::<f64>::zeros(mean.dim());
@@ -90,7 +90,7 @@ fn native_grid_sizes_and_phases() {
         };
         (of(|(_, x)| x), of(|(y, _)| y), sum)
     };
-    // A pixel's thousandth: the stamps are well sampled.
+    // A thousandth of a pixel, because the stamps are well sampled.
     let near = |(x, y, sum): (f64, f64, f64), at: (f64, f64), flux: f64| {
         assert!((x - at.0).abs() < 1e-3 && (y - at.1).abs() < 1e-3, "{x} {y}");
         assert!((sum / flux - 1.0).abs() < 1e-3, "{sum}");
@@ -159,7 +159,7 @@ fn compare_measures_differences() {
         desk.done("compare truth.fits truth.fits --json").json()["relative_l2"],
         0.0
     );
-    // A dark reference has no peak and no norm.
+    // A reference of zeros has no peak and no norm.
     desk.write_image("dark.fits", points(&[]));
     let found = desk.done("compare truth.fits dark.fits --json").json();
     assert!(found["relative_l2"].is_null() && found["max_over_peak"].is_null());

@@ -89,7 +89,7 @@ fn a_whole_detector_from_a_file() {
     let raw = desk.image("raw.fits");
     assert!(raw.iter().all(|v| v.fract() == 0.0 && (0.0..65536.0).contains(v)));
     assert!(desk.bytes("raw.fits")[80..].starts_with(b"BITPIX  =                   16"));
-    // Cards of the input, what readers of raw frames look for, and the settings.
+    // Cards of the input, cards for readers of raw frames, and the settings.
     assert_eq!(text(&desk, "raw.fits", "TELESCOP"), "Small One");
     for (keyword, value) in [
         ("GAIN", 1.5),
@@ -129,7 +129,7 @@ fn a_whole_detector_from_a_file() {
         assert_eq!(Some(count(bit)), report[key].as_u64(), "{key}");
         assert!(count(bit) > 0, "{key}");
     }
-    // Good pixels are off the truth by their noise.
+    // Good pixels differ from the truth by their noise.
     let (mut chi, mut good) = (0.0, 0.0);
     for ((at, count), quality) in raw.indexed_iter().zip(&quality) {
         if *quality == 0.0 {
@@ -246,7 +246,7 @@ fn photons_alone() {
     let photons = desk.image("photons.fits");
     assert!(photons.iter().all(|n| *n >= 0.0 && n.fract() == 0.0));
     assert_eq!(desk.image("truth.fits"), desk.image("scene.fits"));
-    // The same photons as those of a detector with nothing else.
+    // Its photons are those of a detector without other effects.
     desk.done("expose scene.fits --photon-noise --seed 3 -o same.fits --precision f64");
     assert_eq!(desk.image("same.fits"), photons);
 }
@@ -266,7 +266,7 @@ fn masks_of_bad_pixels() {
         (0.0, 0.0, 10.0, 10.0)
     );
     assert_eq!((quality[[4, 3]], quality[[6, 5]], quality.sum()), (1.0, 4.0, 5.0));
-    // What came out is a mask.
+    // The written flags are a mask.
     desk.done(&format!(
         "expose flat.fits --mask quality.fits -o again.fits {}",
         "--sky 10 -q"
@@ -305,7 +305,7 @@ fn what_is_left_out_is_said() {
     ] {
         assert!(text.contains(needle), "{text}");
     }
-    // A frame that was exposed before lends no levels to its next exposure.
+    // Levels of an earlier exposure are not copied to the next one.
     desk.done("expose scene.fits --photon-noise --read-noise 3 --full-well 90 -o first.fits");
     desk.done("expose first.fits --photon-noise -o second.fits");
     assert!(desk.header("second.fits").get("SATURATE").is_none());
@@ -395,7 +395,7 @@ fn bad_detectors_and_files() {
         1,
         &["no directory none"],
     );
-    // Nothing is written over an input or over another output, whatever was said.
+    // No input and no other output is ever overwritten, even with --overwrite.
     let photons = "expose scene.fits --photons-only --overwrite";
     desk.refused(
         &format!("{photons} -o scene.fits"),

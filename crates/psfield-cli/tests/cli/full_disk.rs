@@ -1,4 +1,4 @@
-//! A disk that takes no more: the output is named with the reason, the old file stays, nothing else does.
+//! A full disk: the error names the output and the reason, and only the old file remains.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -7,10 +7,10 @@ use psfield::psf_io;
 
 use crate::desk::{Desk, scene};
 
-/// What stands where outputs go.
+/// The content of the files that outputs would replace.
 const OLD: &str = "what was there before";
 
-/// Every command that writes, one output each; `$LIMIT` is put before the program.
+/// Every command that writes, with one output each. `$LIMIT` is put before the program.
 const COMMANDS: [&str; 9] = [
     "simulate scene.fits --psf samples.fits -o OUT --overwrite",
     "simulate scene.fits --psf samples.fits -o OUT --overwrite --stream",
@@ -56,7 +56,7 @@ fn files_that_may_not_grow() {
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// None where it may not be made: that is for the administrator.
+    /// None if it may not be made, which needs the rights of an administrator.
     fn new(folder: PathBuf, size: &str) -> Option<Self> {
         std::fs::create_dir(&folder).unwrap();
         let mounted = Command::new("mount")
@@ -79,7 +79,8 @@ impl Drop for SmallDisk {
 #[test]
 fn a_disk_that_fills_up() {
     let desk = desk();
-    // An image of half a disk stands there, and another does not fit beside it. (61 x 51 in f64 are 24.9 kB, with headers 28.8 kB.)
+    // An image of half a disk stands there, and another does not fit beside it. (61 x 51 in f64 are
+    // 24.9 kB, with headers 28.8 kB.)
     let Some(disk) = SmallDisk::new(desk.path("disk"), "44k") else {
         eprintln!("skipped: a disk for the test needs the rights to mount one");
         return;
@@ -135,7 +136,7 @@ fn a_log_has_whole_lines() {
         serde_json::from_str::<serde_json::Value>(line).unwrap();
     }
     if cfg!(unix) {
-        // A line fits into what is left, or is not there at all.
+        // A line fits into the space left, or nothing of it is written.
         desk.write("log.jsonl", "\n".repeat(1000));
         let run = desk.shell(&format!("ulimit -f 1; exec \"$PSFIELD\" {batch}"));
         assert_eq!(run.code, Some(1), "{run:?}");

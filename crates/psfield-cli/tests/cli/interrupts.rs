@@ -1,4 +1,4 @@
-//! Ctrl-C and other signals in the middle of a run: the old file stays, nothing else does, and the next run works.
+//! Ctrl-C and other signals during a run: only the old file remains, and the next run works.
 
 use std::path::PathBuf;
 use std::process::{Child, Stdio};
@@ -12,11 +12,11 @@ use crate::desk::{Desk, Run};
 
 /// A frame that takes a second or more to simulate: 72 MB.
 const SIDE: usize = 3000;
-/// What must be in the temporary file when the signal comes: more than headers, less than the frame.
+/// Bytes of the temporary file at which the signal is sent: more than headers, less than the frame.
 const BEGUN: u64 = 1 << 20;
-/// Runs until one is stopped in time.
+/// Number of runs until one is stopped in time.
 const ATTEMPTS: usize = 50;
-/// Longer than any run here takes.
+/// Longer than any run of these tests.
 const PATIENCE: Duration = Duration::from_secs(300);
 const OLD: &str = "what was there before";
 const SIMULATE: &str = "simulate scene.fits --psf samples.fits --stream --spot-check 0 --threads 1 --precision f64 -o out.fits --overwrite";
@@ -43,7 +43,8 @@ fn desk() -> Desk {
     desk
 }
 
-/// Starts a run by a line of a shell, and stops it (SIGSTOP) when its output is partly written. A run that ends before is started again.
+/// Starts a run by a shell command, and stops it (SIGSTOP) when its output is partly written. A run
+/// that ends before is started again.
 fn begun(desk: &Desk, line: &str) -> Child {
     let before = desk.path("out.fits").exists().then(|| desk.bytes("out.fits"));
     for _ in 0..ATTEMPTS {
@@ -82,12 +83,12 @@ fn stopped_while_writing(desk: &Desk, child: &mut Child) -> bool {
     if !send("STOP", child) {
         return false;
     }
-    // It stops a moment after.
+    // It stops a moment later.
     std::thread::sleep(Duration::from_millis(50));
     child.try_wait().unwrap().is_none() && length().is_some()
 }
 
-/// Whether the process was still there.
+/// Returns whether the process still existed.
 fn send(signal: &str, child: &Child) -> bool {
     let sent = std::process::Command::new("sh")
         .args(["-c", &format!("kill -{signal} {} 2> /dev/null", child.id())])
@@ -95,7 +96,7 @@ fn send(signal: &str, child: &Child) -> bool {
     sent.unwrap().success()
 }
 
-/// Whether a signal, by its number, is ignored by this process, as under `nohup`.
+/// Returns whether this process ignores the signal of this number, as under `nohup`.
 fn is_ignored_here(signal: i32) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
@@ -140,14 +141,14 @@ fn signals_leave_the_old_file_and_nothing_else() {
     );
     assert!(!desk.path("out.fits").exists());
 
-    // What is killed cannot remove its file; the next run of the same output does.
+    // A killed process cannot remove its file. The next run with this output does.
     desk.write("out.fits", OLD);
     let run = run_until("KILL", &desk);
     assert_eq!(run.code, None, "{run:?}");
     assert_eq!(desk.bytes("out.fits"), OLD.as_bytes());
     let left = desk.temporaries();
     assert_eq!(left.len(), 1);
-    // Another output's run leaves it alone.
+    // A run with another output does not touch it.
     desk.done("preview scene.fits -o scene.png -q --max-size 100");
     assert_eq!(desk.temporaries(), left);
     desk.done(&format!("{SIMULATE} -q"));
@@ -159,7 +160,8 @@ fn signals_leave_the_old_file_and_nothing_else() {
 fn runs_of_one_output_leave_each_other_alone() {
     let desk = desk();
     let first = begun(&desk, &format!("exec \"$PSFIELD\" {SIMULATE}"));
-    // The temporary file of a run that goes on is no leftover; it is stopped, so that it does not end before the other.
+    // The temporary file of a running process is kept. That process is stopped, so that it does not
+    // end before the other one.
     let left = desk.temporaries();
     desk.done("preview scene.fits -o out.fits --overwrite -q --max-size 100");
     assert_eq!(left.len(), 1);
@@ -171,7 +173,7 @@ fn runs_of_one_output_leave_each_other_alone() {
     assert_eq!(desk.temporaries(), Vec::<PathBuf>::new());
 }
 
-/// As `nohup` does, and scripts for what they start in the background.
+/// Signals are ignored by `nohup`, and by scripts for background processes.
 #[test]
 fn signals_that_are_to_be_ignored_are() {
     let desk = desk();

@@ -1,4 +1,4 @@
-//! The library does what the command line does, byte for byte.
+//! The library gives the files of the command line, byte for byte.
 
 use ndarray::Array2;
 use psfield::conv_core::ConvReal;
@@ -12,7 +12,7 @@ use psfield::{
 
 use crate::desk::{Desk, NX, NY, STAMP, samples};
 
-/// What `simulate` is asked for.
+/// The options of `simulate`.
 struct Asked {
     scene: bool,
     catalog: bool,
@@ -35,7 +35,7 @@ const PLAIN: Asked = Asked {
     spot_check: 0,
 };
 
-/// A tolerance that leaves the plan something to decide.
+/// A tolerance at which the plan has a choice.
 const TOLERANCE: f64 = 1e-3;
 const SEED: u64 = 7;
 
@@ -77,7 +77,7 @@ impl Asked {
         words.join(" ")
     }
 
-    /// The same by the library. `command` is what is noted.
+    /// Runs the library with these options. `command` is written to the header.
     fn done_by_library<T: ConvReal>(&self, desk: &Desk, output: &str, command: &str) {
         let psf = Psf::open(desk.path("samples.fits")).unwrap();
         let options = SimulateOptions {
@@ -127,14 +127,15 @@ impl Asked {
 fn the_library_writes_the_bytes_of_simulate() {
     fn compare<T: ConvReal>(asked: &Asked) {
         let desk = Desk::new();
-        // A star between pixels, one off the frame, and galaxies, one of which reaches in from outside.
+        // A star between pixels, a star off the frame, and galaxies, one of them outside with light
+        // on the frame.
         desk.write(
             "sources.csv",
             "x,y,flux,re,n,q,angle\n20.3,15.8,50,,,,\n-2,10,90,,,,\n33,28,200,3,1.5,0.6,30\n-3,30,300,4,1,0.8,10\n",
         );
         let arguments = asked.arguments::<T>("by_command.fits");
         desk.done(&arguments);
-        // Neither is the number of threads noted, nor that it was done quietly.
+        // The number of threads and `--quiet` are not written to the header.
         let noted = format!("psfield {}", arguments.replace(" -q", ""));
         asked.done_by_library::<T>(&desk, "by_library.fits", &noted);
         assert!(
@@ -200,7 +201,7 @@ fn a_fit_that_is_not_resampled_serves_in_place_of_its_samples() {
         let simulator = psf.simulator(shape).options(options).build().unwrap();
         simulator.simulate(&scene).unwrap().into_pixels()
     };
-    // Components are left out, so that resampling before and after a fit differ.
+    // The fit is truncated, so that resampling before and after it differ.
     let fit_options = FitOptions {
         rank: RankSelection::Fixed(2),
         ..FitOptions::default()
@@ -226,7 +227,7 @@ fn a_fit_that_is_not_resampled_serves_in_place_of_its_samples() {
         let case = format!("{fineness} {oversample} {size:?} {of_image} {of_stars}");
         assert_eq!(images[0] == images[1], !resampled, "{case}");
     }
-    // The response is put into stamps without it, for stars too.
+    // The response is added to stamps without it, for stars too.
     let without = samples(3, 1);
     let grid = without.grid().with_pixel_response_included(false);
     let without = PsfSamples::new(without.stamps().to_owned(), without.positions().clone(), grid);

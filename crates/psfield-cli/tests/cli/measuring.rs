@@ -6,7 +6,8 @@ use crate::desk::{Desk, points};
 
 /// FWHM of a Gaussian over its sigma.
 const FWHM: f64 = 2.354_820_045;
-/// The PSF is a Gaussian at pixel centres, so the fit recovers it up to where it stops and the stamp's edge cuts.
+/// The PSF is a Gaussian at pixel centres. The fit recovers it except for its own stopping rule and
+/// the cut at the stamp's edge.
 const FIT: f64 = 1e-4;
 
 const HEADER: &str = "x,y,flux,x_centroid,y_centroid,fwhm_px,fwhm_major_px,fwhm_minor_px,angle_rad,ellipticity,e1,e2,g1,g2,sigma_px,note";
@@ -91,7 +92,7 @@ fn positions_of_an_image() {
 fn what_fails_is_empty_and_says_why() {
     let desk = Desk::new();
     desk.write_image("stars.fits", points(&[(15, 20, 100.0)]));
-    // The direct sum leaves the sky exactly dark.
+    // The direct sum leaves the sky exactly 0.
     desk.done("simulate stars.fits --psf samples.fits -o image.fits --method direct");
     desk.write("at.csv", "x,y\n15,20\n45,35\n400,3\n");
     let report = desk
@@ -125,7 +126,7 @@ fn what_fails_is_empty_and_says_why() {
 #[test]
 fn cubes_without_positions_and_single_stamps() {
     let desk = Desk::new();
-    // The cube alone: the primary HDU ends where the table's begins.
+    // Only the cube: the primary HDU ends where that of the table begins.
     let bytes = desk.bytes("samples.fits");
     let table = bytes.windows(8).position(|w| w == b"XTENSION").unwrap();
     desk.write("cube.fits", &bytes[..table]);

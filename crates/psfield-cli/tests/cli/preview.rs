@@ -22,7 +22,7 @@ fn fits(cards: &[&str], data: impl IntoIterator<Item = u8>) -> Vec<u8> {
     bytes
 }
 
-/// Numbers as FITS has them, of 3 columns.
+/// A FITS image of floats with 3 columns.
 fn of_floats(values: &[f32]) -> Vec<u8> {
     let rows = format!("NAXIS2  = {}", values.len() / 3);
     let cards = [
@@ -101,10 +101,10 @@ fn values_are_where_they_belong() {
     let picture = png(&desk, "b.png");
     let pixels: Vec<[u8; 3]> = picture.as_rgb8().unwrap().pixels().map(|p| p.0).collect();
     assert_eq!(pixels, [grey(0), magenta, grey(255)]);
-    // Tiny limits are read without rows of zeros.
+    // Tiny limits are shown without rows of zeros.
     let run = desk.done("preview a.fits --range -6.795561e-16,10 -o e.png");
     assert!(run.stdout.contains("from -6.79556e-16 to 10,"), "{run:?}");
-    // A negative limit is no option.
+    // A negative limit is not read as an option.
     desk.done("preview a.fits --range -1.5,10 -o c.png");
     desk.done("preview a.fits --range=-1.5,-1 -o d.png");
 }
@@ -151,7 +151,7 @@ fn what_cannot_be_shown_is_said() {
         ("flat.fits", 1, ["flat.fits", "every pixel is 7.5"]),
         ("flat.fits --zscale", 1, ["flat.fits", "every pixel is 7.5"]),
         ("star.fits", 1, ["0.5 and 99.8", "from 0 to 9"]),
-        ("scene.fits --range 3,3", 2, ["--range", "no range"]),
+        ("scene.fits --range 3,3", 2, ["--range", "not a range"]),
         ("scene.fits --range 3", 2, ["--range", "LO,HI"]),
         ("scene.fits --range nan,3", 2, ["--range", "finite"]),
         ("scene.fits --percentile 50,101", 2, ["--percentile", "0 to 100"]),
@@ -169,7 +169,7 @@ fn what_cannot_be_shown_is_said() {
         desk.refused(&format!("preview {arguments} -o no.png"), code, &needles);
     }
     desk.refused("preview scene.fits -o scene.jpg", 2, &["scene.jpg", ".png"]);
-    // One value everywhere has a picture where the limits are given.
+    // An image of one value has a picture if limits are given.
     desk.done("preview flat.fits --range 0,10");
     desk.done("preview star.fits --percentile 0,100");
 }

@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::desk::Desk;
 
-/// A frame, samples and objects as small as they can be; every stage runs.
+/// The smallest possible frame, samples and objects. Every stage runs.
 const TINY: &str = "reproduce --report out --quick --frame 420,420 --samples 8 --objects 3 --image-side 96 --galaxy-side 96 \
                     --adaptive-threshold 0.2 --json";
 
@@ -41,7 +41,7 @@ fn cell(value: f64) -> String {
     }
 }
 
-/// The page and the JSON say the same.
+/// Checks that page and JSON have equal numbers.
 fn check_numbers(desk: &Desk, folder: &str, summaries: &[&str]) {
     let page = String::from_utf8(desk.bytes(&format!("{folder}/report.html"))).unwrap();
     let report: Value = serde_json::from_slice(&desk.bytes(&format!("{folder}/report.json"))).unwrap();
@@ -70,7 +70,7 @@ fn check_numbers(desk: &Desk, folder: &str, summaries: &[&str]) {
     }
 }
 
-/// The page holds all it shows.
+/// Checks that the page is self-contained.
 fn check_page(desk: &Desk, name: &str) {
     let page = String::from_utf8(desk.bytes(name)).unwrap();
     assert!(page.starts_with("<!DOCTYPE html>") && page.trim_end().ends_with("</html>"));
@@ -92,7 +92,7 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
         assert_eq!(number(report, "/samples"), 64.0);
         assert_eq!(number(report, "/objects"), 9.0);
         assert_eq!(number(report, "/stars/summary/objects"), 9.0);
-        // Four each: of stars, of galaxies, and of the three interpolators that are not in use.
+        // Four for stars and four for galaxies.
         assert_eq!(report["targets"].as_array().unwrap().len(), 8);
         // Two kinds at four tolerances.
         assert_eq!(report["tolerances"].as_array().unwrap().len(), 8);
@@ -115,11 +115,12 @@ fn a_tiny_reproduction_has_every_figure_and_number() {
             .contains("survey-2m")
     );
 
-    // Seams of patches are far above what the engine adds.
+    // Seams of patches are far larger than the engine's error.
     let patches = number(&written, "/large_galaxy/patch_relative_l2");
     let ours = number(&written, "/large_galaxy/lowrank_relative_l2");
     assert!(patches > 1e-3 && ours < 1e-4, "{patches} {ours}");
-    // Samples far apart: the interpolation dominates at fine tolerances, the engine at the coarsest one.
+    // The samples are far apart, so that interpolation dominates the error at fine tolerances, and
+    // the engine at the coarsest one.
     let star_errors: Vec<f64> = (0..8)
         .step_by(2)
         .map(|row| number(&written, &format!("/tolerances/{row}/summary/relative_l2/mean")))
@@ -162,7 +163,7 @@ fn a_model_is_validated_by_the_samples_that_it_came_from_and_by_others() {
     let same = run.json();
     assert_eq!(same["truth"], "samples");
     assert_eq!(number(&same, "/objects/summary/objects"), 9.0);
-    // Files hold samples in single precision; the model returns them at their own positions.
+    // Files hold samples in single precision. The model returns them at their own positions.
     assert!(number(&same, "/objects/summary/mae_over_mean/largest") < 1e-5);
     assert!(number(&same, "/objects/summary/ellipticity/largest") < 1e-3);
     check_page(&desk, "same/report.html");
@@ -193,7 +194,7 @@ fn a_report_folder_is_there_when_the_report_is() {
     desk.refused("roundtrip missing.fits --report trip", 1, &["missing.fits"]);
     assert!(!desk.path("trip").exists());
 
-    // What stands in the way is said before the files are looked at.
+    // Files in the way are reported before the inputs are read.
     desk.refused(
         "validate missing.fits --truth missing.fits --report samples.fits/report",
         1,
@@ -214,12 +215,14 @@ fn a_report_folder_is_there_when_the_report_is() {
 const SIDE: usize = 192;
 /// Stars along each side of it.
 const STARS: usize = 5;
-/// A star of a signal-to-noise ratio of 150 has its FWHM of 3 pixels to 0.02 pixels; 90 % of 25 are within twice that: measured 0.017, and 0.26 for 8 % more width.
+/// A star with a signal-to-noise ratio of 150 has its FWHM of 3 pixels to 0.02 pixels. 90 % of 25
+/// are within twice that: measured 0.017, and 0.26 for 8 % more width.
 const NOISE_OF_FWHM_PX: f64 = 0.06;
-/// Noise and what fits of Gaussians to it leave, over the mean of the window: measured 0.047; 8 % more width gives 0.13.
+/// Noise over the mean of the window: measured 0.047. A width larger by 8 % gives 0.13.
 const NOISE_OF_MAE: f64 = 0.08;
 
-/// Gaussians three times as fine as the frame, wider to the right and upwards; all `scale` times as wide.
+/// Gaussians three times as fine as the frame, wider to the right and upwards, with all widths
+/// multiplied by `scale`.
 fn widening_psf(scale: f64) -> PsfSamples {
     const FINE: usize = 3;
     const STAMP: usize = 25 * FINE;

@@ -148,8 +148,8 @@ fn demo_writes_all_that_it_lists_and_protects_it() {
     let written: Value = serde_json::from_slice(&desk.bytes("demo/report.json")).unwrap();
     assert_eq!(written, report);
 
-    // The figures are those of a simulation that works.
-    // Images and stars within the default tolerance.
+    // The figures are plausible.
+    // Images and stars are within the default tolerance.
     assert!(report["spot_check"]["relative_rms"].as_f64().unwrap() < 1e-4);
     assert!(report["model_error_max"].as_f64().unwrap() < 0.02);
     assert_eq!(
@@ -171,7 +171,7 @@ fn demo_writes_all_that_it_lists_and_protects_it() {
         );
     }
 
-    // Its files are those that the other commands read: they repeat its image.
+    // The other commands read its files, and give its image.
     desk.done("simulate demo/scene.fits --catalog demo/stars.csv --psf demo/model.fits -o again.fits");
     let compared = desk.done("compare again.fits demo/image.fits --json").json();
     assert_eq!(compared["max_abs"], 0.0);
@@ -181,7 +181,7 @@ fn demo_writes_all_that_it_lists_and_protects_it() {
         1,
         &["demo/telescope.toml", "exists", "--overwrite"],
     );
-    // Even if only the last one is in the way.
+    // Nothing is written even if only the last file is in the way.
     for name in listed.iter().filter(|name| *name != "report.json") {
         std::fs::remove_file(desk.path(&format!("demo/{name}"))).unwrap();
     }

@@ -9,7 +9,7 @@ use crate::desk::{Desk, NX, NY, STAMP, assert_keys, difference, points};
 const SINGLE: f64 = 1e-6;
 /// Rounding of f64 transforms and of a model file in doubles.
 const DOUBLE: f64 = 1e-12;
-/// Two computations that differ by more than this are not the same.
+/// Two results that differ by more than this are not equal.
 const VISIBLE: f64 = 1e-3;
 
 const TO: &str = "simulate scene.fits --psf samples.fits --precision f64";
@@ -132,7 +132,8 @@ fn frame_cuts_the_image_and_moves_its_origin() {
         other => panic!("{key}: {other:?}"),
     };
     assert_eq!((real("CRPIX1"), real("CRPIX2")), (15.5, 23.0));
-    // The PSF's field begins at the frame's first pixel, so a point at its middle has the middle sample.
+    // The PSF's field begins at the frame's first pixel, so a point in its middle has the middle
+    // sample.
     desk.write_image("point.fits", points(&[(35, 32, 1.0)]));
     desk.done("simulate point.fits --psf samples.fits --precision f64 --rank full --tolerance 0 --frame 5,7,56,44 -o point_out.fits");
     let stamp = middle_sample(&desk);
@@ -235,7 +236,7 @@ fn the_report_counts_what_was_done() {
         .done("simulate scene.fits --psf samples.fits -o patches.fits --method patch=40 --spot-check 200 --json")
         .json();
     assert!(report["spot_check"]["max_over_peak"].as_f64().unwrap() > VISIBLE);
-    // They promise nothing.
+    // They promise no accuracy.
     assert!(report["spot_check"]["passed"].is_null());
 }
 

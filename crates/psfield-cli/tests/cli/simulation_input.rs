@@ -10,7 +10,7 @@ const DOUBLE: f64 = 1e-12;
 const RESAMPLING: f64 = 1e-3;
 
 const OPTIONS: &str = "--precision f64 --rank full";
-/// The same, of the fast engine without a tolerance.
+/// Rounding in the fast engine with a tolerance of 0.
 const EXACT: &str = "--precision f64 --rank full --tolerance 0";
 
 fn centroid(image: &Array2<f64>) -> (f64, f64) {
@@ -42,7 +42,7 @@ fn stars_on_pixels_are_lit_pixels() {
     let (stars, lit) = (desk.image("stars_out.fits"), desk.image("lit_out.fits"));
     assert!(difference(&stars, &lit) <= DOUBLE);
 
-    // A scene and a catalogue are the sum of both.
+    // A scene with a catalogue gives the sum of both.
     for method in ["basis", "direct", "patch=1"] {
         let common = format!("--psf samples.fits {OPTIONS} --method {method}");
         desk.done(&format!("simulate scene.fits {common} -o scene_{method}.fits"));
@@ -70,7 +70,7 @@ fn oversampled_samples_serve_scene_and_catalogue() {
     ));
     let (star, lit) = (desk.image("star_out.fits"), desk.image("lit_out.fits"));
     assert!(difference(&star, &lit) <= RESAMPLING);
-    // The same PSF drawn at the frame's pixels.
+    // The PSF drawn at the frame's pixels.
     desk.done(&format!(
         "simulate lit.fits --psf samples.fits {EXACT} -o coarse_out.fits"
     ));
@@ -129,7 +129,7 @@ fn stamp_size_cuts_and_pads() {
     let padded = simulate("--stamp-size 21", "padded.fits");
     for ((y, x), &value) in cut.indexed_iter() {
         let inside = x.abs_diff(30) <= 3 && y.abs_diff(25) <= 3;
-        // What the basis leaves outside is rounding.
+        // The basis leaves only rounding.
         assert!(
             if inside {
                 value > 1e-4

@@ -6,10 +6,11 @@ use psfield::psf_io;
 use crate::desk::{Desk, assert_keys};
 
 const SIDE: usize = 192;
-/// A centroid at signal-to-noise 100 and more.
+/// Error of a centroid at a signal-to-noise ratio of 100 and more.
 const PLACE_PX: f64 = 0.05;
 
-/// Stars of a FWHM of 2.8 pixels at known places on a noisy background, bright enough to be measured well.
+/// Stars with a FWHM of 2.8 pixels at known positions on a noisy background, bright enough to be
+/// measured well.
 fn stars() -> Vec<(f64, f64, f64)> {
     (0..25usize)
         .map(|k| {
@@ -27,7 +28,7 @@ fn stars() -> Vec<(f64, f64, f64)> {
 fn desk() -> Desk {
     let desk = Desk::empty();
     let sigma2 = 1.2f64 * 1.2;
-    // The sum of several remainders is nearly normal and the same everywhere.
+    // The sum of several remainders is nearly normal, and equal on every machine.
     let noise = |x: usize, y: usize| {
         let sum: usize = [7919, 104_729, 1_299_709, 15_485_863]
             .iter()
@@ -105,7 +106,7 @@ fn a_round_trip_reports_and_protects_its_files() {
         &["exists", "--overwrite"],
     );
 
-    // The same seed, the same bytes, whatever the threads.
+    // Equal seeds give equal bytes, with any number of threads.
     let before = desk.bytes("trip/stars.csv");
     desk.run(&format!("{trip} --overwrite --threads 1"));
     assert_eq!(desk.bytes("trip/stars.csv"), before);
@@ -147,7 +148,7 @@ fn options_of_the_other_input_and_frames_without_stars() {
     desk.refused("sample flat.fits -o out.fits", 1, &["flat.fits", "noise"]);
 }
 
-/// An image file as an extension of this name, with these cards.
+/// The image of a file as an extension with this name and these cards.
 fn as_extension(image: &[u8], name: &str, cards: &[String]) -> Vec<u8> {
     let end = (0..1000)
         .find(|k| image[80 * k..].starts_with(b"END     "))

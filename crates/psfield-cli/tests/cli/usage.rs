@@ -1,4 +1,5 @@
-//! Bad usage: exit status 2, a message that names the option, and nothing written; and data that options do not suit.
+//! Bad usage: exit status 2, a message that names the option, and nothing written. Also options
+//! that do not suit the data.
 
 use crate::desk::{Desk, samples_at};
 
@@ -124,7 +125,7 @@ fn fit_options_are_for_samples() {
             );
         }
     }
-    // What acts on a model as well: (0, 0) lies within the field, where the policies agree.
+    // Options that apply to a model too. (0, 0) lies within the field, where the policies agree.
     for option in ["--outside extend", "--normalise keep"] {
         desk.done(&format!(
             "simulate scene.fits --psf model.fits -o {}.fits {option}",

@@ -1,4 +1,5 @@
-//! GPUs that are lost and whose memory is full, by a driver that says so (`faulty_driver.c`): an error or the right image, never a wrong one.
+//! GPUs that are lost or whose memory is full, simulated by a driver (`faulty_driver.c`): the
+//! result is an error or the right image, never a wrong one.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -6,7 +7,7 @@ use std::process::Command;
 use crate::desk::{Desk, difference};
 use crate::trials::{ROUNDING, TO};
 
-/// The loader of Vulkan, if it can be stood in for here: on Linux with a C compiler.
+/// The loader of Vulkan, if it can be replaced here: on Linux with a C compiler.
 pub(crate) fn loader() -> Option<PathBuf> {
     let compiler = Command::new("cc").arg("--version").output().ok()?;
     let listed = ["ldconfig", "/sbin/ldconfig"]
@@ -29,9 +30,10 @@ fn compile(into: &Path) {
     assert!(status.success(), "cc {source}");
 }
 
-/// Runs with the first, second, third ... call of a kind failing, until it is not reached any more; how often there was an error.
+/// Runs with the first, second, third ... call of a kind failing, until that call is not reached.
+/// Returns the number of errors.
 fn errors(desk: &Desk, loader: &Path, fault: &str, needle: &str) -> usize {
-    /// More calls than a run makes.
+    /// A larger number of calls than any run makes.
     const MOST: usize = 60;
     let library = desk.path("libvulkan.so.1");
     let folder = library.parent().unwrap().display();
@@ -69,6 +71,6 @@ pub(crate) fn told() {
     desk.done(&format!("{TO} --device cpu -o right.fits"));
     assert!(errors(&desk, &loader, "wait", "was lost") > 0);
     assert!(errors(&desk, &loader, "submit", "was lost") > 0);
-    // Where less can be kept there need not be an error.
+    // If less memory can be used, there may be no error.
     assert!(errors(&desk, &loader, "allocation", "memory") > 0);
 }

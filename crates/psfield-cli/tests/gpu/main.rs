@@ -1,6 +1,7 @@
 //! The command line on a GPU.
 //!
-//! Where there is no adapter these tests show as ignored; with `PSFIELD_REQUIRE_GPU` set they fail instead. A driver that runs shaders on the processor (lavapipe) is enough.
+//! Without an adapter these tests show as ignored. With `PSFIELD_REQUIRE_GPU` set they fail
+//! instead. A driver that runs shaders on the processor (lavapipe) is enough.
 
 #[allow(dead_code, reason = "what the tests of the command line share")]
 #[path = "../cli/desk.rs"]
@@ -61,7 +62,7 @@ fn main() {
         let kind = if ignored { "no GPU" } else { "" };
         trial.with_kind(kind).with_ignored_flag(ignored)
     });
-    // Where drivers cannot be hidden from a process, it cannot be seen what happens without.
+    // If drivers cannot be hidden from a process, the case without drivers cannot be tested.
     let bare = trials::no_adapter_when_hidden();
     if !bare {
         eprintln!(

@@ -10,9 +10,9 @@ use serde_json::Value;
 
 use crate::desk::{Desk, Run, assert_keys, difference};
 
-/// The same plan, rounded in f32 by other hardware; relative to the peak.
+/// Rounding of a plan in f32 by different hardware, relative to the peak.
 pub(crate) const ROUNDING: f64 = 1e-5;
-/// Two computations that differ by more than this are not the same.
+/// Two results that differ by more than this are not equal.
 const VISIBLE: f64 = 1e-3;
 
 pub(crate) const TO: &str = "simulate scene.fits --psf samples.fits";
@@ -153,7 +153,7 @@ pub(crate) fn batch() {
         .map(|line| serde_json::from_str(line).unwrap())
         .collect();
     let reused: Vec<&Value> = lines.iter().map(|line| &line["reused"]).collect();
-    // The plan on the GPU is not that of the processor.
+    // The plan on the GPU differs from that of the processor.
     assert_eq!(reused, [false, true, false]);
     for (name, adapter) in [("a", preferred()), ("b", preferred()), ("c", "CPU".into())] {
         assert_eq!(text(&desk, &format!("{name}.fits"), "PSFDEV"), Some(adapter));
@@ -231,7 +231,8 @@ pub(crate) fn bench() {
 /// Half the width of a stamp.
 const HALF: usize = 15;
 
-/// A simulator to rounding for frames of `size` x `size` pixels under Gaussians that widen to the right.
+/// A simulator limited only by rounding, for frames of `size` x `size` pixels and Gaussians that
+/// widen to the right.
 fn simulator<T: ConvReal>(size: usize, options: SimulateOptions) -> Simulator<T> {
     let last = (size - 1) as f64;
     let corners = [(0.0, 0.0), (last, 0.0), (0.0, last), (last, last)];
@@ -258,11 +259,11 @@ pub(crate) fn double() {
     assert!(error.is_of_gpu() && error.to_string().contains("f32"), "{error}");
 }
 
-/// Pixels along each side of a frame that is worth a look at GPUs.
+/// Pixels along each side of a frame for which `auto` considers GPUs.
 const LARGE: usize = 4096;
 
 pub(crate) fn auto() {
-    // Predictions count the threads.
+    // Predictions depend on the number of threads.
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     let light = Array2::zeros((LARGE, LARGE));
     let scene = Scene::<f32>::new(light).unwrap();
@@ -291,7 +292,7 @@ pub(crate) fn auto() {
         };
         assert_eq!(placement, Placement::Cpu { reason });
     }
-    // A name that nothing answers to is a fallback that says so.
+    // With an unknown name `auto` uses the CPU and says so.
     let unknown = SimulateOptions {
         gpu_adapter: Some("voodoo-2".into()),
         ..SimulateOptions::default()
@@ -305,7 +306,7 @@ pub(crate) fn auto() {
     assert!(placement.to_string().contains("voodoo-2"), "{placement}");
 }
 
-/// What keeps the loaders of Vulkan and EGL from finding drivers.
+/// Environment that hides drivers from the loaders of Vulkan and EGL.
 const HIDDEN: &str = "VK_DRIVER_FILES=/nonexistent VK_ICD_FILENAMES=/nonexistent __EGL_VENDOR_LIBRARY_FILENAMES=/nonexistent \
      EGL_PLATFORM=none $PSFIELD";
 

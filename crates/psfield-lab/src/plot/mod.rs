@@ -2,7 +2,7 @@
 //!
 //! All figures of psfield share the colours, axes and file formats of this module. Colours: Okabe
 //! and Ito (2008) for lines, viridis for values, blue-white-red (ColorBrewer's RdBu) for
-//! differences. Colour-blind readers can tell the colours of each apart.
+//! differences. The colours of each stay distinct for colour-blind readers and in grey.
 
 mod axes;
 mod canvas;
