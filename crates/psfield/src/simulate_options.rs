@@ -74,7 +74,7 @@ impl SimulateOptions {
     /// The options of the engine; none for methods without a plan.
     ///
     /// # Errors
-    /// [`PsfieldError::Convolution`] for a tolerance that is none.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range.
     pub fn plan_options(&self) -> Result<Option<PlanOptions>, PsfieldError> {
         let options = PlanOptions::new(self.tolerance)?
             .with_anchor(self.anchor)
@@ -118,7 +118,10 @@ impl FromStr for Device {
             "auto" => Ok(Self::Auto),
             "cpu" => Ok(Self::Cpu),
             "gpu" => Ok(Self::Gpu),
-            _ => Err(PsfieldError::BadDevice { got: text.to_owned() }),
+            _ => Err(PsfieldError::of_setting(
+                "device",
+                format!("device must be auto, cpu or gpu, got {text}"),
+            )),
         }
     }
 }
@@ -148,10 +151,16 @@ impl Method {
         matches!(self, Self::Auto | Self::LowRank)
     }
 
+    pub(crate) fn refused(got: impl std::fmt::Display) -> PsfieldError {
+        let message =
+            format!("the method must be auto, lowrank, basis, patch=N (N at least 1) or direct, got {got}");
+        PsfieldError::of_setting("method", message)
+    }
+
     /// The method, where it has no plan.
     ///
     /// # Errors
-    /// [`PsfieldError::Convolution`] for a patch of no size.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a patch of no size.
     pub(crate) fn without_plan<T: ConvReal>(
         self,
         anchor: Anchor,
@@ -181,7 +190,6 @@ impl std::fmt::Display for Method {
 impl FromStr for Method {
     type Err = PsfieldError;
     fn from_str(text: &str) -> Result<Self, PsfieldError> {
-        let refused = || PsfieldError::BadMethod { got: text.to_owned() };
         match (text, text.strip_prefix("patch=")) {
             ("auto", _) => Ok(Self::Auto),
             ("lowrank", _) => Ok(Self::LowRank),
@@ -189,9 +197,9 @@ impl FromStr for Method {
             ("direct", _) => Ok(Self::Direct),
             (_, Some(size)) => match size.parse() {
                 Ok(size) if size > 0 => Ok(Self::Patch(size)),
-                _ => Err(refused()),
+                _ => Err(Self::refused(text)),
             },
-            _ => Err(refused()),
+            _ => Err(Self::refused(text)),
         }
     }
 }
