@@ -24,6 +24,8 @@ class Defaults(NamedTuple):
     oversampling: float
     pixel_response_included: bool
     stamp_interpolation: Literal["cubic-spline", "lanczos3"]
+    criterion: Literal["interpolation", "neighbours"]
+    measure: Literal["l2", "l1"]
     threshold: float
     start: tuple[int, int]
     max_samples: int

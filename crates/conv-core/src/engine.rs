@@ -231,7 +231,8 @@ impl<T: ConvReal> Engine<T> {
 
     /// Applies the operator to some rows of blocks, on the engine's device. `light` and `output`
     /// come with the index of their first row.
-    fn run(
+    #[inline(never)]
+    pub(crate) fn run(
         &self,
         rows: Range<usize>,
         (light, first_light): (ArrayView2<'_, T>, usize),

@@ -56,6 +56,7 @@
     reason = "code inside `Isa::vectorized` must be inlined, otherwise it is compiled for the baseline instruction set"
 )]
 
+mod both_precisions;
 mod cpu;
 mod engine;
 mod error;

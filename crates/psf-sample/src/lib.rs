@@ -37,6 +37,7 @@ mod adaptive;
 mod criteria;
 mod draws;
 mod mesh;
+mod options;
 mod sampling;
 
 pub use adaptive::AdaptiveSampling;
@@ -45,4 +46,5 @@ pub use criteria::{
     RefinementCriterion,
 };
 pub use draws::{ShiftAugmentation, ShiftedStamps, UniformSampling};
+pub use options::{Criterion, SamplingOptions};
 pub use sampling::{CapReached, SampleError, Sampling, SamplingMethod, SamplingOutcome, SamplingReport};

@@ -140,12 +140,13 @@ impl SampleError {
         if is_sound {
             Ok(())
         } else {
-            Err(Self::Setting {
-                name,
-                allowed,
-                got: got.to_string(),
-            })
+            Err(Self::refused(name, allowed, got))
         }
+    }
+
+    pub(crate) fn refused(name: &'static str, allowed: &'static str, got: impl std::fmt::Display) -> Self {
+        let got = got.to_string();
+        Self::Setting { name, allowed, got }
     }
 }
 

@@ -133,8 +133,11 @@ impl ConvertArgs {
             context.note(&format!("{}: {note}", self.output.display()));
         }
         notes.extend(written.notes);
-        let (planes, what, grid, max_error) =
-            (written.planes, target.planes(), written.grid, written.max_error);
+        let mut max_error = written.max_error;
+        if let (Target::PsfModel, Some(fit)) = (target, psf.fit()?) {
+            max_error = Some(fit.report()?.max_error);
+        }
+        let (planes, what, grid) = (written.planes, target.planes(), written.grid);
         let (nx, ny) = (grid.nx(), grid.ny());
         let report = object! {
             output: self.output,

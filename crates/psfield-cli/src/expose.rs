@@ -115,7 +115,6 @@ const OPTIONS: [(&str, &str); 3] = [
 
 /// Refuses a detector without any effect, if it is `alone` (without a mask). Warns if there is no
 /// photon noise.
-
 pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context) -> anyhow::Result<()> {
     if detector.is_perfect() && alone {
         return Err(UsageError(

@@ -40,7 +40,7 @@ use context::{Context, UsageError, told};
 /// Exit status: 0 done, 1 failed, 2 bad usage, 128 + N stopped by signal N (130 after Ctrl-C). A
 /// run that is stopped leaves its outputs as they were before.
 #[derive(Debug, Parser)]
-#[command(name = "psfield", version, max_term_width = 110)]
+#[command(name = "psfield", version, max_term_width = 100)]
 struct Cli {
     #[command(subcommand)]
     command: Command,

@@ -2,16 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use anyhow::Context as _;
 use ndarray::{Axis, stack};
 use psf_io::{Card, FileKind, IoErrorKind};
 use psf_optics::Telescope;
-use psf_sample::{
-    AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion,
-    SampleError, Sampling, SamplingMethod, SamplingOutcome, UniformSampling,
-};
+use psf_sample::{DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome};
 use psf_stars::{CoverageMap, SOURCE_COLUMNS, StarSamples};
 use psf_types::PsfSource;
 
@@ -99,7 +95,7 @@ struct TelescopeArgs {
     /// Use a built-in telescope instead of a file
     #[arg(long, value_enum, conflicts_with = "input")]
     preset: Option<Preset>,
-    /// Quantity that must stay below the threshold [default: neighbours]
+    /// Quantity that must stay below the threshold [default: interpolation]
     #[arg(long, value_enum)]
     criterion: Option<Criterion>,
     /// Norm in which PSFs are compared [default: l2]
@@ -145,10 +141,10 @@ impl Preset {
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
 enum Criterion {
-    /// Difference of neighbouring samples
-    Neighbours,
     /// Error of interpolating between samples
     Interpolation,
+    /// Difference of neighbouring samples, as in the paper (needs many more samples)
+    Neighbours,
 }
 
 #[derive(Debug, Clone, Copy, clap::ValueEnum)]
@@ -178,7 +174,7 @@ impl TelescopeArgs {
             (Some(path), _) => Telescope::from_toml_file(path)?,
             (None, preset) => preset.unwrap_or(Preset::Survey2m).telescope(),
         };
-        let threshold = asked.threshold.unwrap_or(NeighbourDifference::DEFAULT_THRESHOLD);
+        let threshold = asked.threshold.unwrap_or(SamplingOptions::default().threshold);
         let sampling = self.draw(&telescope, threshold, context)?;
         write_samples(&asked.output, &sampling.samples, asked.overwrite)?;
         let found = &sampling.report;
@@ -226,35 +222,40 @@ impl TelescopeArgs {
     }
 
     fn draw(&self, telescope: &Telescope, threshold: f64, context: &Context) -> anyhow::Result<Sampling> {
-        let measure = match self.measure {
-            Some(Measure::L1) => DifferenceMeasure::L1,
-            Some(Measure::L2) | None => DifferenceMeasure::L2,
+        let defaults = SamplingOptions::default();
+        let options = SamplingOptions {
+            criterion: match self.criterion {
+                Some(Criterion::Interpolation) => psf_sample::Criterion::Interpolation,
+                Some(Criterion::Neighbours) => psf_sample::Criterion::Neighbours,
+                None => defaults.criterion,
+            },
+            measure: match self.measure {
+                Some(Measure::L1) => DifferenceMeasure::L1,
+                Some(Measure::L2) => DifferenceMeasure::L2,
+                None => defaults.measure,
+            },
+            threshold,
+            start: self.start.map_or(defaults.start, |Pair(nx, ny)| (nx, ny)),
+            max_samples: self.max_samples.unwrap_or(defaults.max_samples),
+            uniform: self.uniform.map(|Pair(nx, ny)| (nx, ny)),
         };
-        let bar = context.bar("sampling");
-        if let Some(Pair(nx, ny)) = self.uniform {
+        let ((nx, ny), max) = (options.start, options.max_samples);
+        if let Some((nx, ny)) = options.uniform {
             psfield::check_stack(nx.saturating_mul(ny), telescope.grid())
                 .map_err(|e| UsageError(format!("--uniform: {e}")))?;
-            return Ok(UniformSampling::new(nx, ny)?
-                .with_measure(measure)
-                .sample(telescope, &bar)?);
-        }
-        let criterion: Arc<dyn RefinementCriterion> = match self.criterion {
-            Some(Criterion::Neighbours) | None => Arc::new(NeighbourDifference::new(threshold, measure)?),
-            Some(Criterion::Interpolation) => Arc::new(InterpolationError::new(threshold, measure)?),
-        };
-        let Pair(nx, ny) = self.start.unwrap_or(Pair(5, 5));
-        let max_samples = self.max_samples.unwrap_or(AdaptiveSampling::DEFAULT_MAX_SAMPLES);
-        let sampling = AdaptiveSampling::new(criterion)
-            .with_start(nx, ny)
-            .map_err(|e| UsageError(format!("--start: {e}")))?
-            .with_max_samples(max_samples);
-        if max_samples < nx * ny {
-            let (max, start) = (max_samples, nx * ny);
+        } else if max < nx.saturating_mul(ny) {
+            let start = nx.saturating_mul(ny);
             let what = format!(
                 "--max-samples {max} is less than the {start} samples of the starting grid (--start {nx},{ny})"
             );
             return Err(UsageError(what).into());
         }
+        let refused = |e: SampleError| match options.uniform {
+            Some(_) => anyhow::Error::from(e),
+            None => UsageError(format!("--start: {e}")).into(),
+        };
+        let sampling = options.method().map_err(refused)?;
+        let bar = context.bar("sampling");
         match sampling.sample(telescope, &bar) {
             Err(SampleError::CapReached(cap)) if self.accept_cap => Ok(cap.into_sampling()),
             Err(SampleError::CapReached(cap)) => Err(anyhow::anyhow!(

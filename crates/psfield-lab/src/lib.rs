@@ -5,7 +5,7 @@
 //! It builds on the library and does not depend on the command line.
 //!
 //! # Features
-//! `gpu` (default): the feature of that name of [`psfield`].
+//! `gpu` (off by default): enables the feature `gpu` of [`psfield`].
 
 /// Declares a row of a table, and the names of its columns, which are those of its fields.
 macro_rules! table_row {

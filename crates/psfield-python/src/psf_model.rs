@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyArray3, PyReadonlyArray1, PyReadonlyArray2, PyReadonlyArray3,
 };
-use psfield::convert::{SamplesAt, to_gridded, to_psfex, to_samples};
+use psfield::convert::{PsfFormat, SamplesAt, to_gridded};
 use psfield::psf_basis::PixelNoise;
-use psfield::psf_io::{self, Precision};
+use psfield::psf_io::Precision;
 use psfield::psf_types::{
     FrameShape, PsfBasis, PsfModelRecord, PsfSamples, SampleCoefficients, SamplePositions,
 };
@@ -306,40 +306,26 @@ const COMMAND: &str = "psfield for Python";
 impl WriteSettings {
     /// Writes the file. Returns notes for the user, in sentences.
     fn write(&self, path: &Path, psf: &Psf) -> PyResult<Vec<String>> {
-        let (cards, at) = (provenance_cards(COMMAND), samples_at(self.at));
-        let written = || -> Result<Option<Vec<String>>, PsfieldError> {
-            Ok(Some(match self.format.as_str() {
-                "psf-model" => {
-                    let singular_values = psf.fit()?.map_or(&[][..], Fit::singular_values);
-                    psf_io::write_model(path, psf.record()?, singular_values, &cards, self.overwrite)?;
-                    Vec::new()
-                }
-                "psf-samples" => {
-                    let precision = if self.double {
-                        Precision::Double
-                    } else {
-                        Precision::Single
-                    };
-                    psf_io::write_samples(path, &to_samples(psf, &at)?, &cards, precision, self.overwrite)?;
-                    Vec::new()
-                }
-                "psfex" => {
-                    let converted = to_psfex(psf, self.degree)?;
-                    psf_io::write_psfex(path, &converted.model, &cards, self.overwrite)?;
-                    converted.notes
-                }
-                "gridded" => {
-                    let converted = to_gridded(psf, &at)?;
-                    psf_io::write_gridded(path, &converted.samples, &cards, self.overwrite)?;
-                    converted.notes
-                }
-                _ => return Ok(None),
-            }))
+        let at = samples_at(self.at);
+        let format = match self.format.as_str() {
+            "psf-model" => PsfFormat::Model,
+            "psf-samples" => PsfFormat::Samples {
+                at,
+                precision: if self.double {
+                    Precision::Double
+                } else {
+                    Precision::Single
+                },
+            },
+            "psfex" => PsfFormat::Psfex { degree: self.degree },
+            "gridded" => PsfFormat::Gridded { at },
+            other => {
+                let known = "psf-model, psf-samples, psfex or gridded";
+                return Err(invalid(format!("format must be {known}, got {other}")));
+            }
         };
-        written().map_err(Failure::from)?.ok_or_else(|| {
-            let known = "psf-model, psf-samples, psfex or gridded";
-            invalid(format!("format must be {known}, got {}", self.format))
-        })
+        let written = psf.write(path, &format, &provenance_cards(COMMAND), self.overwrite);
+        Ok(written.map_err(Failure::from)?.notes)
     }
 }
 

@@ -1,13 +1,10 @@
 //! Sampling of a PSF that a Python function draws.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Mutex, PoisonError};
 
 use ndarray::ArrayViewMut2;
 use numpy::PyReadonlyArray2;
-use psfield::psf_sample::{
-    AdaptiveSampling, DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion,
-    SampleError, Sampling, SamplingMethod, SamplingOutcome, UniformSampling,
-};
+use psfield::psf_sample::{SampleError, Sampling, SamplingOptions, SamplingOutcome};
 use psfield::psf_types::{FrameShape, Position, Progress, PsfSource, SourceError, StampGrid};
 use psfield::{FitOptions, Psf, PsfieldError};
 use pyo3::prelude::*;
@@ -33,34 +30,16 @@ pub(crate) struct SamplingSettings {
 }
 
 impl SamplingSettings {
-    fn method(&self) -> PyResult<Box<dyn SamplingMethod>> {
-        let measure = match self.measure.as_str() {
-            "l1" => DifferenceMeasure::L1,
-            "l2" => DifferenceMeasure::L2,
-            other => return Err(invalid(format!("measure must be l1 or l2, got {other}"))),
-        };
-        if let Some((ny, nx)) = self.uniform {
-            let uniform = UniformSampling::new(nx, ny).map_err(Failure::from)?;
-            return Ok(Box::new(uniform.with_measure(measure)));
-        }
-        let criterion: Arc<dyn RefinementCriterion> = match self.criterion.as_str() {
-            "neighbours" => {
-                Arc::new(NeighbourDifference::new(self.threshold, measure).map_err(Failure::from)?)
-            }
-            "interpolation" => {
-                Arc::new(InterpolationError::new(self.threshold, measure).map_err(Failure::from)?)
-            }
-            other => {
-                return Err(invalid(format!(
-                    "criterion must be neighbours or interpolation, got {other}"
-                )));
-            }
-        };
+    fn options(&self) -> PyResult<SamplingOptions> {
         let (ny, nx) = self.start;
-        let adaptive = AdaptiveSampling::new(criterion)
-            .with_start(nx, ny)
-            .map_err(Failure::from)?;
-        Ok(Box::new(adaptive.with_max_samples(self.max_samples)))
+        Ok(SamplingOptions {
+            criterion: self.criterion.parse().map_err(Failure::from)?,
+            measure: self.measure.parse().map_err(Failure::from)?,
+            threshold: self.threshold,
+            start: (nx, ny),
+            max_samples: self.max_samples,
+            uniform: self.uniform.map(|(ny, nx)| (nx, ny)),
+        })
     }
 }
 
@@ -77,7 +56,8 @@ pub(crate) fn sample_function(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(PsfModel, Bound<'_, PyDict>)> {
     let (grid, field) = (grid.grid(stamp_shape)?, frame_shape(field)?);
-    let (method, options) = (sampling.method()?, fit.choices()?.or(FitOptions::default()));
+    let method = sampling.options()?.method().map_err(Failure::from)?;
+    let options = fit.choices()?.or(FitOptions::default());
     if let Some((ny, nx)) = sampling.uniform {
         psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }

@@ -3,7 +3,7 @@
 use std::str::FromStr;
 
 use psfield::psf_basis::PixelNoise;
-use psfield::psf_sample::{AdaptiveSampling, NeighbourDifference};
+use psfield::psf_sample::SamplingOptions;
 use psfield::psf_types::{FrameShape, PixelRegion, Position, Real, StampGrid};
 use psfield::{FitChoices, FitOptions, PsfFileOptions, PsfieldError, SimulateOptions};
 use pyo3::prelude::*;
@@ -145,6 +145,7 @@ pub(crate) fn positions(x: &[f64], y: &[f64]) -> PyResult<Vec<Position>> {
 /// The defaults of the library by the names of the arguments in Python.
 pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let (simulation, fit) = (SimulateOptions::default(), FitOptions::default());
+    let sampling = SamplingOptions::default();
     let grid = StampGrid::new(1, 1).map_err(Failure::from)?;
     let values = PyDict::new(py);
     values.set_item("tolerance", simulation.tolerance)?;
@@ -160,8 +161,10 @@ pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     values.set_item("oversampling", grid.oversampling())?;
     values.set_item("pixel_response_included", grid.pixel_response_included())?;
     values.set_item("stamp_interpolation", grid.interpolation().to_string())?;
-    values.set_item("threshold", NeighbourDifference::DEFAULT_THRESHOLD)?;
-    values.set_item("start", [AdaptiveSampling::DEFAULT_START; 2])?;
-    values.set_item("max_samples", AdaptiveSampling::DEFAULT_MAX_SAMPLES)?;
+    values.set_item("criterion", sampling.criterion.to_string())?;
+    values.set_item("measure", sampling.measure.to_string())?;
+    values.set_item("threshold", sampling.threshold)?;
+    values.set_item("start", (sampling.start.1, sampling.start.0))?;
+    values.set_item("max_samples", sampling.max_samples)?;
     Ok(values)
 }

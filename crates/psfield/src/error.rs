@@ -25,10 +25,7 @@ use psf_types::{Cancelled, DataError};
 /// assert_eq!((error.kind(), error.setting()), (ErrorKind::Setting, Some("method")));
 /// ```
 #[derive(Debug)]
-pub struct PsfieldError(Box<Parts>);
-
-#[derive(Debug)]
-struct Parts {
+pub struct PsfieldError {
     kind: ErrorKind,
     message: String,
     setting: Option<&'static str>,
@@ -71,12 +68,12 @@ pub enum ErrorKind {
 
 impl PsfieldError {
     pub(crate) fn new(kind: ErrorKind, message: impl Into<String>) -> Self {
-        Self(Box::new(Parts {
+        Self {
             kind,
             message: message.into(),
             setting: None,
             source: None,
-        }))
+        }
     }
 
     /// An error that the setting of this name mends.
@@ -84,14 +81,14 @@ impl PsfieldError {
         Self::new(ErrorKind::Setting, message).with_setting(setting)
     }
 
-    pub(crate) fn with_setting(mut self, setting: &'static str) -> Self {
-        self.0.setting = Some(setting);
-        self
+    pub(crate) fn with_setting(self, setting: impl Into<Option<&'static str>>) -> Self {
+        let setting = setting.into();
+        Self { setting, ..self }
     }
 
-    pub(crate) fn because(mut self, source: impl Into<Box<dyn Error + Send + Sync>>) -> Self {
-        self.0.source = Some(source.into());
-        self
+    pub(crate) fn because(self, source: impl Error + Send + Sync + 'static) -> Self {
+        let source: Option<Box<dyn Error + Send + Sync>> = Some(Box::new(source));
+        Self { source, ..self }
     }
 
     /// The error for an operation that only methods with a plan offer.
@@ -101,29 +98,20 @@ impl PsfieldError {
     }
 
     /// The error of a stage, with its own text.
-    fn of_stage(
-        kind: ErrorKind,
-        setting: Option<&'static str>,
-        error: impl Error + Send + Sync + 'static,
-    ) -> Self {
-        Self(Box::new(Parts {
-            kind,
-            message: error.to_string(),
-            setting,
-            source: Some(Box::new(error)),
-        }))
+    fn of_stage(kind: ErrorKind, error: impl Error + Send + Sync + 'static) -> Self {
+        Self::new(kind, error.to_string()).because(error)
     }
 
     /// The kind of the problem.
     pub fn kind(&self) -> ErrorKind {
-        self.0.kind
+        self.kind
     }
 
     /// The name of the setting that mends the problem, as this library spells it: a field such as
     /// [`SimulateOptions::frame`](crate::SimulateOptions::frame), or an argument such as
     /// `overwrite`. `hdu` and `table` stand for the choice of an image and of a table.
     pub fn setting(&self) -> Option<&'static str> {
-        self.0.setting
+        self.setting
     }
 
     /// The first cause of this type: the error of a stage, or what caused it.
@@ -134,13 +122,13 @@ impl PsfieldError {
 
 impl fmt::Display for PsfieldError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0.message)
+        f.write_str(&self.message)
     }
 }
 
 impl Error for PsfieldError {
     fn source(&self) -> Option<&(dyn Error + 'static)> {
-        let source = self.0.source.as_deref()?;
+        let source = self.source.as_deref()?;
         Some(source)
     }
 }
@@ -150,7 +138,7 @@ macro_rules! of_stages {
     ($($error:ty => $kind:ident),+ $(,)?) => {$(
         impl From<$error> for PsfieldError {
             fn from(error: $error) -> Self {
-                Self::of_stage(ErrorKind::$kind, None, error)
+                Self::of_stage(ErrorKind::$kind, error)
             }
         }
     )+};
@@ -176,13 +164,14 @@ impl From<DataError> for PsfieldError {
             DataError::Setting { .. } => ErrorKind::Setting,
             _ => ErrorKind::Data,
         };
-        Self::of_stage(kind, None, error)
+        Self::of_stage(kind, error)
     }
 }
 
 impl From<psf_io::IoError> for PsfieldError {
     fn from(error: psf_io::IoError) -> Self {
-        Self::of_stage(ErrorKind::Io, error.setting(), error)
+        let setting = error.setting();
+        Self::of_stage(ErrorKind::Io, error).with_setting(setting)
     }
 }
 
@@ -198,7 +187,7 @@ impl From<ConvError> for PsfieldError {
             ConvError::Gpu(_) => (ErrorKind::Gpu, None),
             _ => (ErrorKind::Convolution, None),
         };
-        Self::of_stage(kind, setting, error)
+        Self::of_stage(kind, error).with_setting(setting)
     }
 }
 

@@ -47,8 +47,8 @@
 //! ```
 //!
 //! # Features
-//! `gpu` (default): plans can be executed on any GPU that Vulkan, Metal, DirectX 12 or OpenGL drives ([`Device`]). Without it everything runs on the
-//! processor, and no GPU library is compiled.
+//! `gpu` (off by default): plans can run on any GPU that Vulkan, Metal, DirectX 12 or OpenGL drives
+//! ([`Device`]). Without it everything runs on the processor, and no GPU library is compiled.
 
 pub mod convert;
 mod device;

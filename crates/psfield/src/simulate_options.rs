@@ -5,7 +5,7 @@ use std::str::FromStr;
 use conv_core::{
     BasisConvolution, ConvReal, ConvolutionMethod, Direct, PatchConvolution, Paths, PlanOptions,
 };
-use psf_types::{Anchor, PixelRegion};
+use psf_types::{Anchor, PixelRegion, named};
 
 use crate::PsfieldError;
 
@@ -101,30 +101,7 @@ pub enum Device {
     Gpu,
 }
 
-impl std::fmt::Display for Device {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Auto => "auto",
-            Self::Cpu => "cpu",
-            Self::Gpu => "gpu",
-        })
-    }
-}
-
-impl FromStr for Device {
-    type Err = PsfieldError;
-    fn from_str(text: &str) -> Result<Self, PsfieldError> {
-        match text {
-            "auto" => Ok(Self::Auto),
-            "cpu" => Ok(Self::Cpu),
-            "gpu" => Ok(Self::Gpu),
-            _ => Err(PsfieldError::of_setting(
-                "device",
-                format!("device must be auto, cpu or gpu, got {text}"),
-            )),
-        }
-    }
-}
+named!(Device, "device", "auto, cpu or gpu", "auto" => Auto, "cpu" => Cpu, "gpu" => Gpu);
 
 /// How a scene is convolved. Written as `auto`, `lowrank`, `basis`, `patch=N` or `direct`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -190,16 +167,13 @@ impl std::fmt::Display for Method {
 impl FromStr for Method {
     type Err = PsfieldError;
     fn from_str(text: &str) -> Result<Self, PsfieldError> {
-        match (text, text.strip_prefix("patch=")) {
-            ("auto", _) => Ok(Self::Auto),
-            ("lowrank", _) => Ok(Self::LowRank),
-            ("basis", _) => Ok(Self::Basis),
-            ("direct", _) => Ok(Self::Direct),
-            (_, Some(size)) => match size.parse() {
-                Ok(size) if size > 0 => Ok(Self::Patch(size)),
-                _ => Err(Self::refused(text)),
-            },
-            _ => Err(Self::refused(text)),
+        let size = || text.strip_prefix("patch=")?.parse().ok().filter(|&size| size > 0);
+        match text {
+            "auto" => Ok(Self::Auto),
+            "lowrank" => Ok(Self::LowRank),
+            "basis" => Ok(Self::Basis),
+            "direct" => Ok(Self::Direct),
+            _ => size().map(Self::Patch).ok_or_else(|| Self::refused(text)),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! A PSF, a frame and settings, ready to make images.
 
+mod both_precisions;
 mod check;
 mod geometry;
 mod stream;
@@ -167,6 +168,7 @@ impl SimulatorBuilder {
         self.build_by(method)
     }
 
+    #[inline(never)]
     fn build_by<T: ConvReal>(
         self,
         method: Option<Box<dyn ConvolutionMethod<T>>>,
@@ -356,6 +358,7 @@ impl<T: ConvReal> Simulator<T> {
     /// # Errors
     /// [`PsfieldError`]: shapes that do not fit, light where there is no PSF, a flux that `T` does not hold, and
     /// [`ErrorKind::Cancelled`], after which the image is left half done.
+    #[inline(never)]
     pub fn simulate_into(
         &self,
         scene: &Scene<'_, T>,
@@ -386,6 +389,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a method without a plan.
+    #[inline(never)]
     pub fn adjoint(
         &self,
         image: &ImageView<'_, T>,
@@ -420,6 +424,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan, [`ErrorKind::Cancelled`].
+    #[inline(never)]
     pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
         let options = SimulateOptions {
             region: Some(region),
@@ -468,6 +473,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`PsfieldError`] when a fit or a plan fails, or a GPU that was asked for cannot be used.
+    #[inline(never)]
     pub fn prepare(
         &self,
         scene: &Scene<'_, T>,
@@ -604,6 +610,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// What convolves the extended light of a scene.
+    #[inline(never)]
     fn convolver(
         &self,
         scene: &Scene<'_, T>,
@@ -638,6 +645,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Extended light as a convolver takes it.
+    #[inline(never)]
     fn light<'a>(
         &self,
         scene: &'a Scene<'_, T>,
@@ -716,6 +724,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Adds stars to a region of the frame.
+    #[inline(never)]
     fn draw_stars_into(
         &self,
         sources: &[PointSource],

@@ -142,6 +142,7 @@ impl<T: ConvReal> Plan<T> {
     /// # Errors
     /// [`ConvError`] as for [`Self::new`], [`ConvError::RegionOutsideFrame`] or
     /// [`ConvError::Cancelled`].
+    #[inline(never)]
     pub fn for_region(
         model: &PsfModel,
         shape: FrameShape,
@@ -165,7 +166,8 @@ impl<T: ConvReal> Plan<T> {
         Self::of_whole(&self.model, whole, region, self.options, progress)
     }
 
-    fn of_whole(
+    #[inline(never)]
+    pub(crate) fn of_whole(
         model: &PsfModel,
         whole: Arc<WholeFrame>,
         region: PixelRegion,

@@ -107,6 +107,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for BasisConvolution {
         self.anchor
     }
 
+    #[inline(never)]
     fn convolve(
         &self,
         model: &PsfModel,

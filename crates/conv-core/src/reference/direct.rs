@@ -38,6 +38,7 @@ impl Direct {
     ///
     /// # Errors
     /// [`ConvError`] as for [`ConvolutionMethod::convolve`], and [`ConvError::PixelOutsideFrame`].
+    #[inline(never)]
     pub fn at_pixels<T: ConvReal>(
         &self,
         model: &PsfModel,
@@ -244,6 +245,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for Direct {
         self.anchor
     }
 
+    #[inline(never)]
     fn convolve(
         &self,
         model: &PsfModel,

@@ -55,6 +55,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
         self.anchor
     }
 
+    #[inline(never)]
     fn convolve(
         &self,
         model: &PsfModel,

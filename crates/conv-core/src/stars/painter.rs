@@ -130,6 +130,7 @@ impl<'a> StarPainter<'a> {
     ///
     /// # Panics
     /// If `image` does not have the region's shape.
+    #[inline(never)]
     pub fn draw_into<S: ConvReal>(
         &self,
         sources: &[PointSource],

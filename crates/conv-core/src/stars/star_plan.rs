@@ -107,6 +107,7 @@ impl<T: ConvReal> StarPlan<T> {
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
+    #[inline(never)]
     pub fn new(model: &PsfModel, options: PlanOptions, size: Option<usize>) -> Result<Self, ConvError> {
         let painter = StarPainter::new(
             model,
@@ -155,6 +156,7 @@ impl<T: ConvReal> StarPlan<T> {
     /// [`ConvError`] if the PSF has no value at a star that reaches the region, and
     /// [`ConvError::FrameShape`] for an image of another shape than the region. After
     /// [`ConvError::Cancelled`] the image may hold some of the stars.
+    #[inline(never)]
     pub fn draw_into(
         &self,
         stars: &[PointSource],

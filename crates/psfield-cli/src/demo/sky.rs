@@ -1,7 +1,7 @@
 //! The scene of the demonstration: galaxies on pixels, and stars between pixel centres.
 
 use ndarray::Array2;
-use psf_types::{FrameShape, Image, PointSource, Position};
+use psf_types::{FrameShape, Image, PointSource, Position, SersicProfile, SersicSource};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -19,29 +19,24 @@ impl Sky {
     pub(super) fn new(frame: FrameShape, seed: u64) -> anyhow::Result<Self> {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let (nx, ny) = (frame.nx() as f64, frame.ny() as f64);
-        let mut image = Array2::zeros((frame.ny(), frame.nx()));
-        let large = Galaxy {
-            x: 0.72 * nx,
-            y: 0.66 * ny,
-            flux: 2e6,
-            re_px: 32.0,
-            index: 1.2,
-            axis_ratio: 0.45,
-            angle_rad: 0.6,
+        let galaxy = |(x, y), flux, re_px, index, axis_ratio, angle_deg| -> anyhow::Result<_> {
+            let profile = SersicProfile::new(re_px, index, axis_ratio, angle_deg)?;
+            Ok(SersicSource::new(Position::new(x, y)?, flux, profile)?)
         };
-        large.add_to(&mut image);
+        let mut galaxies = vec![galaxy((0.72 * nx, 0.66 * ny), 2e6, 32.0, 1.2, 0.45, 34.0)?];
         for _ in 0..GALAXIES {
-            let galaxy = Galaxy {
-                x: rng.random_range(-0.5..nx - 0.5),
-                y: rng.random_range(-0.5..ny - 0.5),
-                flux: power_law(&mut rng, 1.2, 2e3, 4e5),
-                re_px: power_law(&mut rng, 2.0, 1.5, 9.0),
-                index: rng.random_range(0.8..3.5),
-                axis_ratio: rng.random_range(0.25..1.0),
-                angle_rad: rng.random_range(0.0..std::f64::consts::PI),
-            };
-            galaxy.add_to(&mut image);
+            let at = (rng.random_range(-0.5..nx - 0.5), rng.random_range(-0.5..ny - 0.5));
+            galaxies.push(galaxy(
+                at,
+                power_law(&mut rng, 1.2, 2e3, 4e5),
+                power_law(&mut rng, 2.0, 1.5, 9.0),
+                rng.random_range(0.8..3.5),
+                rng.random_range(0.25..1.0),
+                rng.random_range(0.0..180.0),
+            )?);
         }
+        let mut image = Array2::zeros((frame.ny(), frame.nx()));
+        sersic::add_galaxies(image.view_mut(), (0, 0), &galaxies);
         // Sources just outside the frame still contribute light.
         let margin = 16.0;
         let stars = (0..STARS)
@@ -73,61 +68,6 @@ impl Sky {
             }
         }
         pixels
-    }
-}
-
-/// A galaxy with a Sersic profile, `I(r) ~ exp(-b_n ((r / r_e)^(1/n) - 1))` on ellipses (Sersic
-/// 1963), truncated at 6 `r_e`.
-#[derive(Debug, Clone, Copy)]
-struct Galaxy {
-    x: f64,
-    y: f64,
-    flux: f64,
-    /// Half-light radius along the major axis (pixels).
-    re_px: f64,
-    index: f64,
-    axis_ratio: f64,
-    angle_rad: f64,
-}
-
-/// Samples per pixel along each axis, because of the profile's cusp.
-const SUBPIXELS: usize = 5;
-const CUT: f64 = 6.0;
-
-impl Galaxy {
-    /// Adds the galaxy's light. It is normalised to `flux` before the part outside the image is
-    /// dropped.
-    fn add_to(self, image: &mut Array2<f32>) {
-        let (ny, nx) = image.dim();
-        let reach = (CUT * self.re_px).ceil();
-        let (x0, y0) = ((self.x - reach).floor(), (self.y - reach).floor());
-        let side = (2.0 * reach) as usize + 2;
-        let (sin, cos) = self.angle_rad.sin_cos();
-        // First terms of Ciotti and Bertin 1999.
-        let b = 2.0 * self.index - 1.0 / 3.0 + 4.0 / (405.0 * self.index);
-        let profile = |dx: f64, dy: f64| {
-            let (u, v) = (dx * cos + dy * sin, (dy * cos - dx * sin) / self.axis_ratio);
-            let r = u.hypot(v) / self.re_px;
-            if r < CUT {
-                (-b * (r.powf(1.0 / self.index) - 1.0)).exp()
-            } else {
-                0.0
-            }
-        };
-        let offset = |k: usize| (k as f64 + 0.5) / SUBPIXELS as f64 - 0.5;
-        let values = Array2::from_shape_fn((side, side), |(j, i)| {
-            let (dx, dy) = (x0 + i as f64 - self.x, y0 + j as f64 - self.y);
-            let samples = (0..SUBPIXELS * SUBPIXELS)
-                .map(|k| profile(dx + offset(k % SUBPIXELS), dy + offset(k / SUBPIXELS)));
-            samples.sum::<f64>()
-        });
-        let scale = self.flux / values.sum();
-        for ((j, i), value) in values.indexed_iter() {
-            let (x, y) = (x0 as i64 + i as i64, y0 as i64 + j as i64);
-            if (0..nx as i64).contains(&x) && (0..ny as i64).contains(&y) {
-                image[[y as usize, x as usize]] += (value * scale) as f32;
-            }
-        }
     }
 }
 

@@ -3,17 +3,19 @@
 use std::io;
 use std::sync::LazyLock;
 
-use image::DynamicImage;
+use base64::Engine;
+use base64::prelude::BASE64_STANDARD;
+use image::codecs::png::PngEncoder;
+use image::{DynamicImage, ImageError, RgbImage};
 use plotters::backend::DrawingBackend;
-use plotters::prelude::SVGBackend;
+use plotters::coord::CoordTranslate;
+use plotters::prelude::{DrawingArea, SVGBackend};
 use plotters_backend::text_anchor::{HPos, VPos};
 use plotters_backend::{
     BackendColor, BackendCoord, BackendStyle, BackendTextStyle, DrawingErrorKind, FontTransform,
 };
 use tiny_skia::{FillRule, IntSize, Paint, Path, PathBuilder, Pixmap, PixmapPaint, Rect, Stroke, Transform};
 use ttf_parser::{Face, OutlineBuilder};
-
-use crate::plot::figure::Overlay;
 
 /// PNG pixels along each side of a figure's pixel, for sharp print.
 pub(super) const PNG_SCALE: f32 = 2.0;
@@ -63,36 +65,6 @@ impl<'a> Canvas<'a> {
         } else {
             self.stroke(path, style);
         }
-    }
-}
-
-/// Draws a picture over an image, with its pixels as squares, and a grey line around it.
-pub(super) fn lay_over(image: &mut Pixmap, overlay: &Overlay) {
-    let rgba = DynamicImage::from(overlay.pixels.clone()).into_rgba8();
-    let (columns, rows) = rgba.dimensions();
-    let Some(picture) =
-        IntSize::from_wh(columns, rows).and_then(|size| Pixmap::from_vec(rgba.into_raw(), size))
-    else {
-        return;
-    };
-    let (left, top) = (overlay.left as f32, overlay.top as f32);
-    let (width, height) = (overlay.width as f32, overlay.height as f32);
-    let transform = scaled()
-        .pre_translate(left, top)
-        .pre_scale(width / columns as f32, height / rows as f32);
-    image.draw_pixmap(0, 0, picture.as_ref(), &PixmapPaint::default(), transform, None);
-    if let Some(edge) = Rect::from_xywh(left, top, width, height) {
-        let grey = paint(BackendColor {
-            rgb: (128, 128, 128),
-            alpha: 1.0,
-        });
-        image.stroke_path(
-            &PathBuilder::from_rect(edge),
-            &grey,
-            &Stroke::default(),
-            scaled(),
-            None,
-        );
     }
 }
 
@@ -226,6 +198,73 @@ impl DrawingBackend for Canvas<'_> {
             .pre_scale(unit, -unit);
         self.fill(outline, style.color(), transform);
         self.svg.draw_text(text, style, at)
+    }
+}
+
+/// A picture laid over a figure, in the figure's pixels.
+#[derive(Debug)]
+pub(super) struct Overlay {
+    pub(super) left: i32,
+    pub(super) top: i32,
+    pub(super) width: u32,
+    pub(super) height: u32,
+    pub(super) pixels: RgbImage,
+}
+
+impl Overlay {
+    /// A picture over the inner part of a chart.
+    pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<Canvas<'_>, C>, pixels: RgbImage) -> Self {
+        let (x, y) = plot.get_pixel_range();
+        Self {
+            left: x.start,
+            top: y.start,
+            width: (x.end - x.start) as u32,
+            height: (y.end - y.start) as u32,
+            pixels,
+        }
+    }
+
+    pub(super) fn element(&self) -> Result<String, ImageError> {
+        let mut png = Vec::new();
+        self.pixels.write_with_encoder(PngEncoder::new(&mut png))?;
+        let (left, top, width, height) = (self.left, self.top, self.width, self.height);
+        let place = format!("x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\"");
+        Ok(format!(
+            "<image {place} preserveAspectRatio=\"none\" image-rendering=\"optimizeSpeed\" \
+             href=\"data:image/png;base64,{}\"/>\n\
+             <rect {place} fill=\"none\" stroke=\"#808080\"/>\n",
+            BASE64_STANDARD.encode(&png),
+        ))
+    }
+
+    /// Draws a picture over an image, with its pixels as squares, and a grey line around it.
+    pub(super) fn lay_over(&self, image: &mut Pixmap) {
+        let rgba = DynamicImage::from(self.pixels.clone()).into_rgba8();
+        let (columns, rows) = rgba.dimensions();
+        let Some(picture) =
+            IntSize::from_wh(columns, rows).and_then(|size| Pixmap::from_vec(rgba.into_raw(), size))
+        else {
+            return;
+        };
+        let (left, top) = (self.left as f32, self.top as f32);
+        let (width, height) = (self.width as f32, self.height as f32);
+        let transform = scaled()
+            .pre_translate(left, top)
+            .pre_scale(width / columns as f32, height / rows as f32);
+        image.draw_pixmap(0, 0, picture.as_ref(), &PixmapPaint::default(), transform, None);
+        if let Some(edge) = Rect::from_xywh(left, top, width, height) {
+            let grey = paint(BackendColor {
+                rgb: (128, 128, 128),
+                alpha: 1.0,
+            });
+            image.stroke_path(
+                &PathBuilder::from_rect(edge),
+                &grey,
+                &Stroke::default(),
+                scaled(),
+                None,
+            );
+        }
     }
 }
 

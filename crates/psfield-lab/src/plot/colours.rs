@@ -10,7 +10,8 @@ use plotters::style::RGBColor;
 use crate::plot::axes::{
     LABEL_ROOM_X, MARGIN, TEXT, TITLE, asinh_ticks, even_ticks, logarithmic_ticks, number,
 };
-use crate::plot::figure::{Area, Overlay, PlotError};
+use crate::plot::canvas::Overlay;
+use crate::plot::figure::{Area, PlotError};
 
 /// Colours of lines, in the order of use (Okabe and Ito 2008).
 pub const SERIES: [RGBColor; 6] = [

@@ -3,13 +3,13 @@
 use base64::Engine;
 use base64::prelude::BASE64_STANDARD;
 use image::codecs::png::PngEncoder;
-use image::{ExtendedColorType, ImageEncoder, ImageError, RgbImage};
-use plotters::coord::{CoordTranslate, Shift};
+use image::{ExtendedColorType, ImageEncoder, ImageError};
+use plotters::coord::Shift;
 use plotters::prelude::{DrawingArea, DrawingAreaErrorKind, IntoDrawingArea, WHITE};
 use thiserror::Error;
 use tiny_skia::Pixmap;
 
-use crate::plot::canvas::{Canvas, PNG_SCALE, lay_over};
+use crate::plot::canvas::{Canvas, Overlay, PNG_SCALE};
 
 /// The area in which parts of a figure are drawn.
 pub(super) type Area<'a> = DrawingArea<Canvas<'a>, Shift>;
@@ -42,16 +42,6 @@ pub struct Figure {
     size: (u32, u32),
 }
 
-/// A picture laid over a figure, in the figure's pixels.
-#[derive(Debug)]
-pub(super) struct Overlay {
-    pub(super) left: i32,
-    pub(super) top: i32,
-    pub(super) width: u32,
-    pub(super) height: u32,
-    pub(super) pixels: RgbImage,
-}
-
 impl Figure {
     /// Draws a figure of `width` x `height` pixels. The overlays that `draw` returns are drawn over
     /// it.
@@ -72,7 +62,7 @@ impl Figure {
         let mut images = String::new();
         for overlay in overlays {
             images.push_str(&overlay.element()?);
-            lay_over(&mut pixels, &overlay);
+            overlay.lay_over(&mut pixels);
         }
         svg.insert_str(end, &images);
         Ok(Self { svg, pixels, size })
@@ -105,37 +95,10 @@ impl Figure {
     }
 }
 
-impl Overlay {
-    /// A picture over the inner part of a chart.
-    pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<Canvas<'_>, C>, pixels: RgbImage) -> Self {
-        let (x, y) = plot.get_pixel_range();
-        Self {
-            left: x.start,
-            top: y.start,
-            width: (x.end - x.start) as u32,
-            height: (y.end - y.start) as u32,
-            pixels,
-        }
-    }
-
-    fn element(&self) -> Result<String, PlotError> {
-        let mut png = Vec::new();
-        self.pixels.write_with_encoder(PngEncoder::new(&mut png))?;
-        let (left, top, width, height) = (self.left, self.top, self.width, self.height);
-        let place = format!("x=\"{left}\" y=\"{top}\" width=\"{width}\" height=\"{height}\"");
-        Ok(format!(
-            "<image {place} preserveAspectRatio=\"none\" image-rendering=\"optimizeSpeed\" \
-             href=\"data:image/png;base64,{}\"/>\n\
-             <rect {place} fill=\"none\" stroke=\"#808080\"/>\n",
-            BASE64_STANDARD.encode(&png),
-        ))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::Rgb;
+    use image::{Rgb, RgbImage};
     use plotters::prelude::{IntoFont, Text};
 
     #[test]

@@ -6,8 +6,9 @@ use plotters::style::{BLACK, Color};
 use psf_types::{FrameShape, Position};
 
 use crate::plot::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, even_chart, title_room, under_title};
+use crate::plot::canvas::Overlay;
 use crate::plot::colours::{BAR_AREA, Scale};
-use crate::plot::figure::{Figure, Overlay, PlotError};
+use crate::plot::figure::{Figure, PlotError};
 
 const PANEL: u32 = 560;
 

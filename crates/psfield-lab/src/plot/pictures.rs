@@ -6,8 +6,9 @@ use image::{Rgb, RgbImage};
 use ndarray::ArrayView2;
 
 use crate::plot::axes::{LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, even_chart, title_room, under_title};
+use crate::plot::canvas::Overlay;
 use crate::plot::colours::{BAR_AREA, Scale};
-use crate::plot::figure::{Area, Figure, Overlay, PlotError};
+use crate::plot::figure::{Area, Figure, PlotError};
 
 /// The units along the axes of a picture.
 #[derive(Debug, Clone, PartialEq)]

@@ -41,7 +41,8 @@ pub struct Written {
     pub planes: usize,
     /// Their pixel grid.
     pub grid: StampGrid,
-    /// The largest relative L2 error over the samples of the source. None: nothing was fitted.
+    /// The largest relative L2 error of a polynomial or a grid. None: nothing was fitted for the
+    /// file.
     pub max_error: Option<f64>,
     /// Notes on what the file cannot hold, in plain sentences.
     pub notes: Vec<String>,
@@ -67,17 +68,11 @@ impl Psf {
                 (samples.len(), samples.grid(), None, Vec::new())
             }
             PsfFormat::Model => {
-                let (record, fit) = (self.record()?, self.fit()?);
-                let report = fit.map(Fit::report).transpose()?;
-                let singular_values = fit.map_or(&[][..], Fit::singular_values);
+                let record = self.record()?;
+                let singular_values = self.fit()?.map_or(&[][..], Fit::singular_values);
                 psf_io::write_model(path, record, singular_values, cards, overwrite)?;
                 let basis = record.basis();
-                (
-                    basis.rank(),
-                    basis.grid(),
-                    report.map(|r| r.max_error),
-                    Vec::new(),
-                )
+                (basis.rank(), basis.grid(), None, Vec::new())
             }
             PsfFormat::Psfex { degree } => {
                 let converted = to_psfex(self, *degree)?;

@@ -63,6 +63,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// As [`simulate_into`](Self::simulate_into).
+    #[inline(never)]
     pub fn exact_at(
         &self,
         scene: &Scene<'_, T>,

@@ -1,0 +1,34 @@
+//! The work in both precisions, compiled in this crate.
+//!
+//! Rust compiles a generic function again in every crate that calls it, unless the function is
+//! never inlined and its own crate has compiled it for the same types. The loops for all
+//! instruction sets take half a minute each time, so they are compiled here for `f32` and `f64`.
+
+use std::hint::black_box;
+
+use crate::{
+    BasisConvolution, ConvReal, ConvolutionMethod, Direct, Engine, PatchConvolution, Plan, StarPainter,
+    StarPlan,
+};
+
+/// Uses every function that carries `#[inline(never)]` for this reason.
+fn of<T: ConvReal>() {
+    black_box(Engine::<T>::run as fn(_, _, _, _, _, _) -> _);
+    black_box(Plan::<T>::for_region as fn(_, _, _, _, _, _) -> _);
+    black_box(Plan::<T>::of_whole as fn(_, _, _, _, _) -> _);
+    black_box(StarPlan::<T>::new as fn(_, _, _) -> _);
+    black_box(StarPlan::<T>::draw_into as fn(_, _, _, _, _, _) -> _);
+    black_box(StarPainter::draw_into::<T> as fn(_, _, _, _, _) -> _);
+    black_box(Direct::at_pixels::<T> as fn(_, _, _, _, _, _, _) -> _);
+    black_box(<Direct as ConvolutionMethod<T>>::convolve as fn(_, _, _, _, _) -> _);
+    black_box(<PatchConvolution as ConvolutionMethod<T>>::convolve as fn(_, _, _, _, _) -> _);
+    black_box(<BasisConvolution as ConvolutionMethod<T>>::convolve as fn(_, _, _, _, _) -> _);
+}
+
+fn of_both() {
+    of::<f32>();
+    of::<f64>();
+}
+
+#[used]
+static COMPILED: fn() = of_both;

@@ -1,0 +1,25 @@
+//! Simulators in both precisions, compiled in this crate, as conv-core does with its engine.
+
+use std::hint::black_box;
+
+use conv_core::ConvReal;
+
+use super::{Simulator, SimulatorBuilder};
+
+/// Uses every function that carries `#[inline(never)]` for this reason.
+fn of<T: ConvReal>() {
+    black_box(SimulatorBuilder::build_by::<T> as fn(_, _) -> _);
+    black_box(Simulator::<T>::simulate_into as fn(_, _, _, _) -> _);
+    black_box(Simulator::<T>::adjoint as fn(_, _, _) -> _);
+    black_box(Simulator::<T>::for_region as fn(_, _, _) -> _);
+    black_box(Simulator::<T>::prepare as fn(_, _, _, _) -> _);
+    black_box(Simulator::<T>::exact_at as fn(_, _, _, _) -> _);
+}
+
+fn of_both() {
+    of::<f32>();
+    of::<f64>();
+}
+
+#[used]
+static COMPILED: fn() = of_both;
