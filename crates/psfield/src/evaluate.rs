@@ -90,13 +90,11 @@ pub fn evaluate(
     positions: Vec<Position>,
     options: EvaluateOptions,
 ) -> Result<PsfSamples, PsfieldError> {
+    const NONE: &str = "there are no positions: at least one is needed";
     check(model, &positions, options)?;
     let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
         // These become stamps of a file, not samples.
-        DataError::NoSamples => {
-            PsfieldError::new(ErrorKind::Data, "there are no positions: at least one is needed")
-                .because(error)
-        }
+        DataError::NoSamples => PsfieldError::new(ErrorKind::Data, NONE).because(error),
         DataError::DuplicatePosition {
             first,
             second,

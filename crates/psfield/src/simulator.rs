@@ -271,6 +271,13 @@ struct Convolver<T: ConvReal> {
     seconds: f64,
 }
 
+impl<T: ConvReal> Convolver<T> {
+    /// The engine, which an operation needs. `what` names the operation for the error.
+    fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
+        self.engine.as_ref().ok_or_else(|| PsfieldError::needs_plan(what))
+    }
+}
+
 /// How stars are drawn.
 #[derive(Debug)]
 struct Stars<T: ConvReal> {
@@ -400,10 +407,7 @@ impl<T: ConvReal> Simulator<T> {
             return Err(ConvError::FrameShape { expected, got }.into());
         }
         let convolver = self.convolver(&Scene::dark(), progress)?;
-        let engine = convolver
-            .engine
-            .as_ref()
-            .ok_or_else(|| PsfieldError::needs_plan("the adjoint can be computed"))?;
+        let engine = convolver.engine_for("the adjoint can be computed")?;
         let shape = if self.geometry.is_whole() {
             self.geometry.shape
         } else {
@@ -432,10 +436,7 @@ impl<T: ConvReal> Simulator<T> {
         };
         let geometry = Geometry::new(self.geometry.shape, &options)?;
         let chosen = self.convolver(&Scene::dark(), progress)?;
-        let engine = chosen
-            .engine
-            .as_ref()
-            .ok_or_else(|| PsfieldError::needs_plan(REGION))?;
+        let engine = chosen.engine_for(REGION)?;
         let clock = Instant::now();
         let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
         let (engine, placement) = device::place(plan, &options)?;

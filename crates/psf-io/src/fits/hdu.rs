@@ -267,16 +267,6 @@ impl Hdu {
         self.optional(keyword, "T or F")
     }
 
-    /// A number that must be present.
-    pub(crate) fn required_real(
-        &self,
-        keyword: &'static str,
-        expected: &'static str,
-    ) -> Result<f64, IoError> {
-        self.optional_real(keyword)?
-            .ok_or_else(|| self.missing_keyword(keyword, expected))
-    }
-
     /// A number above 0 that must be present.
     pub(crate) fn required_length(
         &self,

@@ -27,10 +27,7 @@ impl<T: ConvReal> Simulator<T> {
     {
         self.check_sources(scene, true)?;
         let convolver = self.convolver(scene, progress)?;
-        let engine = convolver
-            .engine
-            .as_ref()
-            .ok_or_else(|| PsfieldError::needs_plan("rows can be streamed"))?;
+        let engine = convolver.engine_for("rows can be streamed")?;
         let mut rows = SceneRows::new(self, scene, rows, progress)?;
         engine.stream(&mut rows, progress)
     }

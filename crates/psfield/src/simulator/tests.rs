@@ -159,6 +159,10 @@ fn owned_and_borrowed_images_give_the_same_light() {
     }
 }
 
+fn of(error: &PsfieldError) -> (ErrorKind, Option<&'static str>) {
+    (error.kind(), error.setting())
+}
+
 #[test]
 fn what_does_not_fit_is_refused() {
     let frame = |x0, y0, nx, ny| SimulateOptions {
@@ -175,17 +179,11 @@ fn what_does_not_fit_is_refused() {
     assert!(built::<f32>((20, 15), frame(0, 0, 10, 7)).is_ok());
     for options in [frame(0, 0, 10, 8), frame(-1, 0, 2, 2)] {
         let error = refused(options);
-        assert_eq!(
-            (error.kind(), error.setting()),
-            (ErrorKind::Setting, Some("frame"))
-        );
+        assert_eq!(of(&error), (ErrorKind::Setting, Some("frame")));
         assert!(error.cause::<DataError>().is_some());
     }
     let error = refused(frame(i64::MAX, 0, 2, 2));
-    assert_eq!(
-        (error.kind(), error.setting()),
-        (ErrorKind::Setting, Some("frame"))
-    );
+    assert_eq!(of(&error), (ErrorKind::Setting, Some("frame")));
     assert!(error.to_string().contains("lies off any scene"), "{error}");
 
     let single = built::<f32>((20, 15), frame(0, 0, 10, 7)).unwrap();
@@ -195,10 +193,7 @@ fn what_does_not_fit_is_refused() {
     let error = single
         .simulate(&Scene::dark().with_stars(&bright[..]))
         .unwrap_err();
-    assert_eq!(
-        (error.kind(), error.setting()),
-        (ErrorKind::Data, Some("precision"))
-    );
+    assert_eq!(of(&error), (ErrorKind::Data, Some("precision")));
     assert!(error.to_string().starts_with("a flux of 1e39 is"), "{error}");
     // Padding is not counted beyond any memory.
     assert!(matches!(
@@ -238,10 +233,7 @@ fn a_frame_must_lie_in_the_scene() {
     assert!(framed(2, 1, 8, 7).is_ok());
     for (x0, y0, nx, ny) in [(-1, 0, 4, 4), (3, 0, 8, 4), (0, 2, 4, 7), (0, 0, 1 << 40, 1)] {
         let error = framed(x0, y0, nx, ny).unwrap_err();
-        assert_eq!(
-            (error.kind(), error.setting()),
-            (ErrorKind::Setting, Some("frame"))
-        );
+        assert_eq!(of(&error), (ErrorKind::Setting, Some("frame")));
         assert!(matches!(error.cause(), Some(DataError::FrameOutsideScene { .. })));
     }
 }
@@ -264,20 +256,14 @@ fn sizes_are_checked_before_memory_is_taken() {
     // No memory is taken for the image either.
     let simulator = built::<f32>((1 << 40, 1 << 10), finer(1)).unwrap();
     let error = simulator.simulate(&Scene::dark()).unwrap_err();
-    assert_eq!(
-        (error.kind(), error.setting()),
-        (ErrorKind::TooLarge, Some("shape"))
-    );
+    assert_eq!(of(&error), (ErrorKind::TooLarge, Some("shape")));
     for (nx, ny) in [(0, 5), (5, 0), (0, usize::MAX), (usize::MAX, 3)] {
         let error = built::<f32>((nx, ny), finer(2)).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Data, "{error:?}");
     }
     for s in [0, SimulateOptions::MAX_OVERSAMPLE + 1] {
         let error = built::<f32>((5, 5), finer(s)).unwrap_err();
-        assert_eq!(
-            (error.kind(), error.setting()),
-            (ErrorKind::Setting, Some("oversample"))
-        );
+        assert_eq!(of(&error), (ErrorKind::Setting, Some("oversample")));
     }
 }
 

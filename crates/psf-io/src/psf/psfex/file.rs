@@ -57,7 +57,7 @@ pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Resu
     check_dimensions(hdu, &table, shape)?;
     let values = table.read(COLUMN, values_per_row)?;
     let planes = Array3::from_shape_vec(shape, values).expect("as many values as the axes say");
-    let sampling = hdu.required_real("PSF_SAMP", SAMPLING)?;
+    let sampling = hdu.required::<f64>("PSF_SAMP", SAMPLING)?;
     if sampling <= 0.0 {
         return Err(hdu.keyword_error("PSF_SAMP", SAMPLING));
     }
@@ -140,7 +140,7 @@ const Y_KEYWORDS: AxisKeywords = (
 
 /// Reads a coordinate, which is 1-based in the file.
 fn axis(path: &Path, hdu: &Hdu, keywords: &AxisKeywords) -> Result<PsfexAxis, IoError> {
-    const OFFSET: &str = "the offset of a coordinate in pixels";
+    const OFFSET: &str = "the offset of a coordinate in pixels, a number";
     const SCALE: &str = "the scale of a coordinate in pixels, a number other than 0";
     let &([name_keyword, zero_keyword, scale_keyword], letter, expected) = keywords;
     let name = hdu.required::<String>(name_keyword, expected)?;
@@ -151,8 +151,8 @@ fn axis(path: &Path, hdu: &Hdu, keywords: &AxisKeywords) -> Result<PsfexAxis, Io
     if !kind.is_some_and(|kind| POSITION_KINDS.contains(&kind)) {
         return Err(hdu.keyword_error(name_keyword, expected));
     }
-    let zero = hdu.required_real(zero_keyword, OFFSET)?;
-    let scale = hdu.required_real(scale_keyword, SCALE)?;
+    let zero = hdu.required::<f64>(zero_keyword, OFFSET)?;
+    let scale = hdu.required::<f64>(scale_keyword, SCALE)?;
     if scale == 0.0 {
         return Err(hdu.keyword_error(scale_keyword, SCALE));
     }
