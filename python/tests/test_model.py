@@ -312,7 +312,7 @@ class TestFiles:
         with pytest.raises(FileNotFoundError, match="there is no directory"):
             model.write(tmp_path / "nowhere" / "model.fits")
         model.write(tmp_path / "model.fits")
-        with pytest.raises(ValueError, match="--psf-detector is for STDPSF"):
+        with pytest.raises(ValueError, match=r"detector applies to STDPSF .* \(detector=\)"):
             psfield.PsfModel.read(tmp_path / "model.fits", detector=1)
         with pytest.raises(ValueError, match="fit options"):
             psfield.PsfModel.read(tmp_path / "model.fits", rank=3)

@@ -24,7 +24,7 @@
 //!
 //! # Bad files
 //! A reader reads and checks the whole file, or the rows that are asked for. If anything is wrong,
-//! it returns an [`IoError`] that names the file, the HDU or row, and what to do. Headers are
+//! it returns an [`IoError`] that names the file, the place in it, and what to do. Headers are
 //! checked against the length of the file before memory is allocated for the data. No content of a
 //! file makes this crate panic. Nothing is repaired silently: a NaN pixel is an error.
 //!
@@ -62,7 +62,7 @@ pub use catalogue::sky_coordinates::SkyCoordinates;
 pub use catalogue::table_file::{read_columns, write_csv};
 pub use catalogue::world_header::WorldCoordinatesError;
 pub use catalogue::{Catalog, read_catalog, read_catalog_with, read_positions, read_positions_with};
-pub use error::{CardError, IoError, LibraryError, Row};
+pub use error::{CardError, IoError, IoErrorKind, Place, Row};
 pub use fits::card::{Card, CardValue};
 pub use fits::hdu::HduChoice;
 pub use fits::header_cards::HeaderCards;

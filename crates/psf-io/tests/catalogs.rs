@@ -3,10 +3,10 @@
 mod support;
 
 use psf_io::{
-    Card, Catalog, CatalogOptions, HeaderCards, IoError, Row, SkyCoordinates, read_catalog_with,
-    read_columns, read_positions_with,
+    Card, Catalog, CatalogOptions, HeaderCards, IoError, IoErrorKind, Place, Row, SkyCoordinates,
+    read_catalog_with, read_columns, read_positions_with,
 };
-use support::{SIMPLE, Scratch, chain, f32s, f64s, i16s, i32s, image, names, table};
+use support::{SIMPLE, Scratch, assert_error, chain, f32s, f64s, i16s, i32s, image, names, table};
 
 fn options(columns: &str) -> CatalogOptions {
     CatalogOptions::new().with_columns(columns.parse().unwrap())
@@ -80,22 +80,15 @@ fn sextractor_catalogues_are_read_in_both_forms() {
 fn magnitudes_need_a_zero_point() {
     let text = "x,y,mag\n1,2,20\n1,2,27.5\n";
     let error = read(text, &CatalogOptions::new()).unwrap_err();
-    assert!(
-        matches!(&error, IoError::Request { problem, .. } if problem.starts_with("the column \"mag\" holds magnitudes")),
-        "{error}"
-    );
-    assert!(error.to_string().contains("--zero-point"));
+    assert_eq!(error.setting(), Some("zero_point"));
+    assert_setting(Err::<(), _>(error), "the column \"mag\" holds magnitudes");
     let with = CatalogOptions::new().with_zero_point(25.0).unwrap();
     let stars = read(text, &with).unwrap().into_parts().0;
     assert!((stars[0].flux() - 100.0).abs() < 1e-10 && (stars[1].flux() - 0.1).abs() < 1e-13);
     assert!(CatalogOptions::new().with_zero_point(f64::NAN).is_err());
     // Fluxes do not use a zero point, and the reader does not guess which column is meant.
     for text in ["x,y,flux\n1,2,20\n", "x,y,mag,flux\n1,2,20,7\n"] {
-        let error = read(text, &with).unwrap_err();
-        assert!(
-            matches!(&error, IoError::Request { problem, .. } if problem.starts_with("the column \"flux\" holds fluxes")),
-            "{error}"
-        );
+        assert_setting(read(text, &with), "the column \"flux\" holds fluxes");
     }
     let chosen = with.clone().with_columns("mag=mag".parse().unwrap());
     let star = read("x,y,mag,flux\n1,2,20,7\n", &chosen).unwrap().stars()[0];
@@ -113,11 +106,10 @@ fn magnitudes_need_a_zero_point() {
 #[test]
 fn sky_coordinates_are_not_counted_from_one() {
     let options = CatalogOptions::new().with_sky(sky()).with_one_based(true);
-    let error = read("ra,dec,flux\n150,2,3\n", &options).unwrap_err();
-    assert!(
-        matches!(&error, IoError::Request { problem, .. } if problem.starts_with("the columns \"ra\" and \"dec\" are sky coordinates, for which --one-based")),
-        "{error}"
-    );
+    let result = read("ra,dec,flux\n150,2,3\n", &options);
+    assert_eq!(result.as_ref().unwrap_err().setting(), Some("one_based"));
+    let part = "the columns \"ra\" and \"dec\" are sky coordinates, which are not counted from 1";
+    assert_setting(result, part);
 }
 
 #[test]
@@ -145,10 +137,11 @@ fn rows_without_a_profile_are_stars() {
     let round = read("x y flux r sersic\n1 2 3 4 1\n", &options("re=r,n=sersic")).unwrap();
     let profile = round.galaxies()[0].profile();
     assert_eq!((profile.axis_ratio(), profile.angle_deg()), (1.0, 0.0));
-    let error = read("x,y,flux,re\n1,2,3,4\n", &CatalogOptions::new()).unwrap_err();
-    assert!(
-        matches!(&error, IoError::MissingColumn { column, .. } if column == "n"),
-        "{error}"
+    let result = read("x,y,flux,re\n1,2,3,4\n", &CatalogOptions::new());
+    assert_error(
+        result,
+        IoErrorKind::Table,
+        "column \"n\": there is no such column",
     );
 }
 
@@ -156,10 +149,10 @@ fn rows_without_a_profile_are_stars() {
 fn bad_rows_are_named_or_counted() {
     let head = "x,y,flux,re,n,q,angle\n1,2,3,4,1,1,0\n";
     let cases = [
-        ("nan,2,3,4,1,1,0", "x is"),
-        ("1,,3,4,1,1,0", "y is"),
-        ("1,2,,4,1,1,0", "flux is"),
-        ("1,2,inf,4,1,1,0", "flux is"),
+        ("nan,2,3,4,1,1,0", "column \"x\": a finite number is needed"),
+        ("1,,3,4,1,1,0", "column \"y\": a finite number is needed"),
+        ("1,2,,4,1,1,0", "column \"flux\": a finite number is needed"),
+        ("1,2,inf,4,1,1,0", "column \"flux\": a finite number is needed"),
         ("1,2,3,-4,1,1,0", "re must be"),
         ("1,2,3,4,,1,0", "n must be"),
         ("1,2,3,4,nan,1,0", "n must be"),
@@ -188,13 +181,12 @@ fn bad_rows_are_named_or_counted() {
     }
     // Text that is not a number makes a broken table, not an invalid source.
     let text = format!("{head}1,2,3px,4,1,1,0\n");
-    assert!(matches!(
-        read(&text, &CatalogOptions::new().with_invalid_skipped(true)),
-        Err(IoError::Value {
-            row: Row::Line(3),
-            ..
-        })
-    ));
+    let result = read(&text, &CatalogOptions::new().with_invalid_skipped(true));
+    assert_error(
+        result,
+        IoErrorKind::Data,
+        "line 3, column \"flux\": a finite number",
+    );
 }
 
 #[test]
@@ -209,10 +201,9 @@ fn undefined_values_of_fits_tables_name_row_and_column() {
         &i16s(&[1, 2, 3, 4, -9, 6]),
     )]);
     let path = scratch.put("a.fits", &bytes);
-    match read_catalog_with(&path, &CatalogOptions::new()) {
-        Err(IoError::Value { row, column, .. }) => assert_eq!((row, column.as_str()), (Row::Index(1), "y")),
-        other => panic!("{other:?}"),
-    }
+    let error = read_catalog_with(&path, &CatalogOptions::new()).unwrap_err();
+    let (row, column) = (Row::Index(1), "y".to_owned());
+    assert_eq!(error.place(), Some(&Place::Value { row, column }));
     let skipping = CatalogOptions::new().with_invalid_skipped(true);
     assert_eq!(read_catalog_with(&path, &skipping).unwrap().invalid_rows(), 1);
     assert!(
@@ -234,18 +225,22 @@ fn one_of_several_tables_must_be_chosen() {
         )
     };
     let path = scratch.put("a.fits", &fits(&[objects("CHIP1", 1.0), objects("CHIP2", 9.0)]));
-    let error = read_catalog_with(&path, &CatalogOptions::new()).unwrap_err();
-    assert!(
-        matches!(&error, IoError::SeveralHdus { found, .. } if found[1].contains("\"CHIP2\" (1 rows)")),
-        "{error}"
-    );
+    let result = read_catalog_with(&path, &CatalogOptions::new());
+    assert_eq!(result.as_ref().unwrap_err().setting(), Some("table"));
+    assert_setting(result, "\"CHIP2\" (1 rows): choose one");
     let of =
         |choice: &str| read_catalog_with(&path, &CatalogOptions::new().with_table(choice.parse().unwrap()));
     assert_eq!(of("chip2").unwrap().stars()[0].position().x(), 9.0);
     assert_eq!(of("1").unwrap().stars()[0].position().x(), 1.0);
     for choice in ["0", "3", "CHIP3"] {
-        assert!(matches!(of(choice), Err(IoError::NoSuchHdu { .. })), "{choice}");
+        assert_setting(of(choice), &format!("HDU {choice} is none of the binary tables"));
     }
+}
+
+/// Asserts that a setting is needed, wrong or without effect.
+#[track_caller]
+fn assert_setting<T>(result: Result<T, IoError>, part: &str) {
+    assert_error(result, IoErrorKind::Setting, part);
 }
 
 /// A frame with 0.1 arcseconds per pixel around (150, 2) degrees.
@@ -269,10 +264,11 @@ fn sky() -> SkyCoordinates {
 #[test]
 fn sky_coordinates_go_through_the_frames_world_coordinates() {
     let text = "ra,dec,flux\n150,2,3\n330,-2,1\n150,2.001,4\n";
-    let error = read(text, &CatalogOptions::new()).unwrap_err();
-    assert!(
-        matches!(&error, IoError::NoWorldCoordinates { ra, .. } if ra == "ra"),
-        "{error}"
+    let result = read(text, &CatalogOptions::new());
+    assert_eq!(result.as_ref().unwrap_err().setting(), Some("sky"));
+    assert_setting(
+        result,
+        "\"ra\" and \"dec\" are sky coordinates, and no world coordinates",
     );
     let options = CatalogOptions::new().with_sky(sky());
     let catalog = read(text, &options).unwrap();
@@ -284,11 +280,11 @@ fn sky_coordinates_go_through_the_frames_world_coordinates() {
     );
     let scratch = Scratch::new();
     let path = scratch.put("a.csv", text.as_bytes());
-    assert!(matches!(
+    assert_error(
         read_positions_with(&path, &options),
-        Err(IoError::Request { problem, .. })
-            if problem.starts_with("line 3 is a position on the sky outside the projection")
-    ));
+        IoErrorKind::Data,
+        ": line 3: the position on the sky is outside the projection",
+    );
     let error = read("ra,dec,flux\n1,91,3\n", &options).unwrap_err();
     assert!(chain(&error).contains("declination"), "{error}");
 }

@@ -7,14 +7,14 @@ use std::path::Path;
 
 use ndarray::{Array3, s};
 use psf_io::{
-    Card, CardValue, FileKind, HduChoice, IoError, PlaneOrder, StampCubeOptions, detect, detect_hdu,
-    read_cube, read_header, read_stamp_cube, read_stamp_header, read_stdpsf, read_stdpsf_hdu, read_stpsf,
-    read_stpsf_hdu, write_gridded,
+    Card, CardValue, FileKind, HduChoice, IoError, IoErrorKind, PlaneOrder, StampCubeOptions, detect,
+    detect_hdu, read_cube, read_header, read_stamp_cube, read_stamp_header, read_stdpsf, read_stdpsf_hdu,
+    read_stpsf, read_stpsf_hdu, write_gridded,
 };
 use psf_types::{Position, PsfSamples, SamplePositions, StampGrid, StampInterpolation};
 use support::libraries::{stdpsf, stpsf};
 use support::mutations::{assert_refused, cut, huge_sizes, not_finite, wrong_types};
-use support::{IMAGE, SIMPLE, Scratch, chain, f32s, image};
+use support::{IMAGE, SIMPLE, Scratch, assert_error, chain, f32s, image};
 
 /// Rounding of bilinear sums of a few terms in double precision.
 const ROUNDING: f64 = 1e-13;
@@ -134,10 +134,11 @@ fn cards_of_the_source_do_not_tell_the_order_of_the_planes() {
     assert_eq!((corner.x(), corner.y()), (10.0, 0.0));
     assert_eq!(back.samples().stamps()[[1, 0, 0]], value(10.0, 0.0));
     assert_eq!(read_header(&path).unwrap().get("FILTER"), Some(&cards[3]));
-    assert!(matches!(
+    assert_error(
         write_gridded(&path, &samples, &[], false),
-        Err(IoError::Exists { .. })
-    ));
+        IoErrorKind::Exists,
+        "exists",
+    );
     write_gridded(&path, &samples, &[], true).unwrap();
 }
 
@@ -207,8 +208,8 @@ fn plain_stamps_need_positions_unless_there_is_one() {
     assert!(!grid.pixel_response_included());
 
     let two = scratch.put("two.fits", &image(SIMPLE, -32, &[4, 4, 2], &[], &f32s(&values)));
-    let error = chain(&read_stamp_cube(&two, &StampCubeOptions::default()).unwrap_err());
-    assert!(error.contains("--psf-positions"), "{error}");
+    let error = read_stamp_cube(&two, &StampCubeOptions::default()).unwrap_err();
+    assert_eq!(error.setting(), Some("positions"), "{error}");
     let at = |count: i64| {
         let positions = (0..count).map(|i| Position::of_pixel(i, 0)).collect();
         read_stamp_cube(&two, &StampCubeOptions::default().with_positions(positions))
@@ -237,11 +238,12 @@ fn of_several_images_one_must_be_chosen() {
     let files = one_hdu.map(|bytes| [bytes, second.clone()].concat());
     let several = |result: Result<(), IoError>| {
         let error = result.unwrap_err();
-        assert!(
-            matches!(&error, IoError::SeveralHdus { found, .. } if found.len() == 2),
-            "{error}"
+        assert_eq!(error.setting(), Some("extension"), "{error}");
+        assert_error(
+            Err::<(), _>(error),
+            IoErrorKind::Setting,
+            "the file has 2 images, in the HDUs 0 (",
         );
-        assert!(error.to_string().contains("--psf-extension"), "{error}");
     };
     let [cubes, grids, libraries] = [0, 1, 2].map(|i| scratch.put(&format!("{i}.fits"), &files[i]));
     let choice = |number| HduChoice::Number(number);
@@ -268,10 +270,12 @@ fn of_several_images_one_must_be_chosen() {
             .len(),
         6
     );
-    assert!(matches!(
-        read_stpsf_hdu(&grids, Some(&choice(2)), PlaneOrder::Auto),
-        Err(IoError::NoSuchHdu { .. })
-    ));
+    let error = read_stpsf_hdu(&grids, Some(&choice(2)), PlaneOrder::Auto).unwrap_err();
+    assert_eq!(error.setting(), Some("extension"));
+    assert!(
+        error.to_string().contains("HDU 2 is none of the images"),
+        "{error}"
+    );
 }
 
 #[test]

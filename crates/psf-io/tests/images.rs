@@ -4,10 +4,10 @@ mod support;
 
 use ndarray::{Array2, array};
 use psf_io::{
-    Card, HduChoice, HeaderCards, IoError, read_cards, read_cube, read_header, read_header_hdu, read_image,
-    read_image_hdu,
+    Card, HduChoice, HeaderCards, IoError, IoErrorKind, Place, read_cards, read_cube, read_header,
+    read_header_hdu, read_image, read_image_hdu,
 };
-use support::{IMAGE, SIMPLE, Scratch, chain, f32s, f64s, hdu, i16s, i32s, i64s, image, names};
+use support::{IMAGE, SIMPLE, Scratch, assert_error, chain, f32s, f64s, hdu, i16s, i32s, i64s, image, names};
 
 fn pixels(path: &std::path::Path) -> Result<Array2<f64>, IoError> {
     read_image::<f64>(path).map(|read| read.into_parts().0.into_pixels())
@@ -109,15 +109,15 @@ fn one_of_several_images_must_be_chosen() {
     let scratch = Scratch::new();
     let path = scratch.put("a.fits", &mosaic(&[]));
     let error = pixels(&path).unwrap_err();
-    assert!(
-        matches!(&error, IoError::SeveralHdus { found, .. } if found.len() == 3),
-        "{error}"
+    assert_eq!(
+        (error.kind(), error.setting()),
+        (IoErrorKind::Setting, Some("hdu"))
     );
     let text = error.to_string();
     assert!(
-        text.contains("2 \"SCI\" (2 x 1)")
-            && text.contains("4 \"sci\",2 (2 x 1)")
-            && text.contains("--extension"),
+        text.contains("the file has 3 images")
+            && text.contains("2 \"SCI\" (2 x 1)")
+            && text.contains("4 \"sci\",2 (2 x 1)"),
         "{text}"
     );
     let of = |choice: &str| {
@@ -136,14 +136,10 @@ fn one_of_several_images_must_be_chosen() {
     }
     for choice in ["0", "1", "5", "WHT", "SCI,3", "MASK,2"] {
         let error = of(choice).unwrap_err();
-        assert!(
-            matches!(&error, IoError::NoSuchHdu { found, .. } if found.len() == 3),
-            "{error}"
-        );
-        assert!(
-            names(&error, &path) && error.to_string().contains("\"MASK\""),
-            "{error}"
-        );
+        assert!(names(&error, &path), "{error}");
+        let part = format!("HDU {choice} is none of the images with pixels in the file");
+        assert_error(of(choice), IoErrorKind::Setting, &part);
+        assert_error(of(choice), IoErrorKind::Setting, "\"MASK\"");
     }
 }
 
@@ -184,16 +180,15 @@ fn a_header_needs_no_pixels() {
     // The image is preferred to headers without pixels, unless one of them is chosen.
     let all = [primary, frame, pixels].concat();
     assert!(!has("c.fits", &all, None, "CTYPE1") && has("c.fits", &all, Some("1"), "CTYPE1"));
-    let error = read_cards(scratch.path("c.fits"), Some(&"3".parse().unwrap())).unwrap_err();
-    assert!(
-        matches!(&error, IoError::NoSuchHdu { found, .. } if found.len() == 3),
-        "{error}"
+    let result = read_cards(scratch.path("c.fits"), Some(&"3".parse().unwrap()));
+    assert_error(
+        result,
+        IoErrorKind::Setting,
+        "HDU 3 is none of the images or headers",
     );
     let two = [&all[..], &image(IMAGE, 8, &[2, 2], &[], &[0; 4])].concat();
-    assert!(matches!(
-        read_cards(scratch.put("d.fits", &two), None),
-        Err(IoError::SeveralHdus { .. })
-    ));
+    let result = read_cards(scratch.put("d.fits", &two), None);
+    assert_error(result, IoErrorKind::Setting, "the file has 2 images");
 }
 
 #[test]
@@ -201,27 +196,26 @@ fn what_is_not_an_image_is_refused_with_a_reason() {
     let scratch = Scratch::new();
     let cube = scratch.put("cube.fits", &image(SIMPLE, 8, &[2, 1, 3], &[], &[0; 6]));
     let error = pixels(&cube).unwrap_err();
-    assert!(
-        matches!(&error, IoError::Axes { got, .. } if *got == [3, 1, 2]),
-        "{error}"
-    );
     assert!(names(&error, &cube) && error.to_string().contains("cube"));
+    assert_error(pixels(&cube), IoErrorKind::Axes, "HDU 0: the axes are [3, 1, 2] ");
     assert_eq!(read_cube::<f32>(&cube).unwrap().dim(), (3, 1, 2));
 
     let spectrum = scratch.put("line.fits", &image(SIMPLE, 8, &[5], &[], &[0; 5]));
-    assert!(matches!(pixels(&spectrum), Err(IoError::Axes { .. })));
+    assert_error(pixels(&spectrum), IoErrorKind::Axes, "the axes are [5] ");
     let empty = scratch.put("empty.fits", &image(SIMPLE, 8, &[], &[], &[]));
-    assert!(matches!(pixels(&empty), Err(IoError::MissingHdu { .. })));
+    assert_error(pixels(&empty), IoErrorKind::Format, "no image with pixels");
     let text = scratch.put("text.fits", b"x,y\n1,2\n");
-    assert!(matches!(pixels(&text), Err(IoError::NotFits { .. })));
+    assert_error(pixels(&text), IoErrorKind::Format, "not a FITS file");
     let zipped = scratch.put("zip.fits", b"BZh91AY and so on");
     assert!(chain(&pixels(&zipped).unwrap_err()).contains("bunzip2"));
     let missing = scratch.path("none.fits");
-    assert!(names(&pixels(&missing).unwrap_err(), &missing));
-    assert!(matches!(
+    let error = pixels(&missing).unwrap_err();
+    assert!(names(&error, &missing) && error.kind() == IoErrorKind::NotFound);
+    assert_error(
         pixels(missing.parent().unwrap()),
-        Err(IoError::NotAFile { .. })
-    ));
+        IoErrorKind::Format,
+        "not a regular file",
+    );
 }
 
 #[test]
@@ -230,14 +224,14 @@ fn undefined_pixels_are_counted_and_located() {
     let values = [0.0, 1.0, f64::INFINITY, 3.0, f64::NAN, 5.0];
     for (bitpix, data) in [(-64, f64s(&values)), (-32, f32s(&values.map(|v| v as f32)))] {
         let path = scratch.put("a.fits", &image(SIMPLE, bitpix, &[2, 3], &[], &data));
-        match pixels(&path) {
-            Err(IoError::NonFinitePixels {
-                index, count, value, ..
-            }) => {
-                assert_eq!((index, count, value), (vec![1, 0], 2, f64::INFINITY));
-            }
-            other => panic!("{other:?}"),
-        }
+        let (hdu, index) = (0, vec![1, 0]);
+        let error = pixels(&path).unwrap_err();
+        assert_eq!(error.place(), Some(&Place::Pixel { hdu, index }));
+        assert_error(
+            pixels(&path),
+            IoErrorKind::Data,
+            "the pixel is inf, the first of 2 that are NaN",
+        );
     }
     let blank = image(
         SIMPLE,
@@ -247,8 +241,10 @@ fn undefined_pixels_are_counted_and_located() {
         &i16s(&[5, -1, 7]),
     );
     let blank = scratch.put("b.fits", &blank);
-    assert!(
-        matches!(pixels(&blank), Err(IoError::NonFinitePixels { index, count: 1, .. }) if index == [0, 1])
+    assert_error(
+        pixels(&blank),
+        IoErrorKind::Data,
+        "pixel [0, 1] (0-based, x last): the pixel is NaN, the first of 1 that",
     );
 }
 
@@ -256,13 +252,13 @@ fn undefined_pixels_are_counted_and_located() {
 fn values_beyond_single_precision_are_refused() {
     let scratch = Scratch::new();
     let path = scratch.put("a.fits", &image(SIMPLE, -64, &[2, 1], &[], &f64s(&[1.0, 1e300])));
-    assert!(matches!(read_image::<f32>(&path), Err(IoError::Overflow { .. })));
+    assert_error(read_image::<f32>(&path), IoErrorKind::Limit, "single precision");
     assert_eq!(pixels(&path).unwrap()[[0, 1]], 1e300);
     let path = scratch.put(
         "b.fits",
         &image(SIMPLE, 16, &[2, 1], &["BSCALE  = 1E300"], &i16s(&[0, 2])),
     );
-    assert!(matches!(read_image::<f32>(&path), Err(IoError::Overflow { .. })));
+    assert_error(read_image::<f32>(&path), IoErrorKind::Limit, "single precision");
     assert_eq!(pixels(&path).unwrap()[[0, 1]], 2e300);
 }
 
@@ -280,10 +276,8 @@ fn headers_that_break_the_standard_are_refused() {
     for (cards, keyword) in cases {
         let path = scratch.put("a.fits", &hdu(cards, &[]));
         let error = pixels(&path).unwrap_err();
-        assert!(
-            matches!(&error, IoError::Header { keyword: k, .. } if k == keyword),
-            "{error}"
-        );
+        let (hdu, keyword) = (0, (*keyword).to_owned());
+        assert_eq!(error.place(), Some(&Place::Keyword { hdu, keyword }), "{error}");
     }
 }
 
@@ -300,20 +294,13 @@ fn forged_sizes_are_refused_before_memory_is_taken() {
         let path = scratch.put("a.fits", &image(SIMPLE, -64, axes, &[], &[0; 100]));
         let error = pixels(&path).unwrap_err();
         assert!(
-            matches!(error, IoError::Truncated { .. } | IoError::Header { .. }),
+            matches!(error.kind(), IoErrorKind::Damaged | IoErrorKind::Header),
             "{error}"
         );
     }
     let path = scratch.put("a.fits", &image(SIMPLE, -32, &[1000, 1000], &[], &[0; 100]));
-    match pixels(&path) {
-        Err(IoError::Truncated {
-            hdu: 0,
-            needed,
-            length,
-            ..
-        }) => {
-            assert_eq!((needed, length), (2880 * 1390, 2 * 2880));
-        }
-        other => panic!("{other:?}"),
-    }
+    let (needed, length) = (2880 * 1390, 2 * 2880);
+    let cut =
+        format!("HDU 0: the file is cut short: at least {needed} bytes are needed, there are {length}.");
+    assert_error(pixels(&path), IoErrorKind::Damaged, &cut);
 }

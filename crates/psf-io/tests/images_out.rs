@@ -3,7 +3,7 @@
 mod support;
 
 use ndarray::{Array2, array};
-use psf_io::{Card, CardValue, HeaderCards, IoError, read_header, read_image, write_image};
+use psf_io::{Card, CardValue, HeaderCards, IoErrorKind, read_header, read_image, write_image};
 use psf_types::Image;
 use support::{SIMPLE, Scratch, chain, image};
 
@@ -139,7 +139,10 @@ fn names_are_taken_literally() {
         assert!(path.is_file(), "{name}");
         assert_eq!(read_image::<f32>(&path).unwrap().image(), &image, "{name}");
         let error = write_image(&path, &image, &HeaderCards::new(), &[], false).unwrap_err();
-        assert!(matches!(error, IoError::Exists { .. }) && error.to_string().contains("--overwrite"));
+        assert_eq!(
+            (error.kind(), error.setting()),
+            (IoErrorKind::Exists, Some("overwrite"))
+        );
         write_image(&path, &image, &HeaderCards::new(), &[], true).unwrap();
     }
 }

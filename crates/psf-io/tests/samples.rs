@@ -2,10 +2,14 @@
 
 mod support;
 
+use std::error::Error;
+
 use ndarray::Array3;
-use psf_io::{Card, FileKind, IoError, Precision, detect, read_header, read_samples, write_samples};
+use psf_io::{
+    Card, FileKind, IoError, IoErrorKind, Place, Precision, detect, read_header, read_samples, write_samples,
+};
 use psf_types::{DataError, FrameShape, Position, PsfSamples, SamplePositions, StampGrid};
-use support::{IMAGE, SIMPLE, Scratch, chain, f32s, f64s, i16s, image, names, table};
+use support::{IMAGE, SIMPLE, Scratch, assert_error, chain, f32s, f64s, i16s, image, names, table};
 
 /// Samples whose numbers need every bit.
 fn samples() -> PsfSamples {
@@ -67,7 +71,8 @@ fn single_precision_rounds_stamps_alone() {
     );
     let path = scratch.path("huge.fits");
     let error = write_samples(&path, &huge.unwrap(), &[], Precision::Single, false);
-    assert!(matches!(error, Err(IoError::Overflow { .. })) && !path.exists());
+    assert_error(error, IoErrorKind::Limit, "single precision");
+    assert!(!path.exists());
 }
 
 /// A file of two 2 x 2 stamps, of which any part can be replaced.
@@ -177,10 +182,10 @@ fn an_image_is_a_single_sample() {
 
 /// The data error that caused the failure.
 fn cause(result: Result<PsfSamples, IoError>) -> DataError {
-    match result {
-        Err(IoError::Data { source, .. }) => source,
-        other => panic!("{other:?}"),
-    }
+    let error = result.unwrap_err();
+    assert_eq!(error.kind(), IoErrorKind::Data, "{error}");
+    let cause = error.source().and_then(|source| source.downcast_ref());
+    DataError::clone(cause.unwrap_or_else(|| panic!("{error:?}")))
 }
 
 #[test]
@@ -251,13 +256,13 @@ fn undefined_values_are_located() {
         values: &values,
         ..File::default()
     };
-    assert!(matches!(file.read(&scratch), Err(IoError::NonFinitePixels { index, .. }) if index == [1, 1, 0]));
+    assert_error(file.read(&scratch), IoErrorKind::Data, "HDU 0, pixel [1, 1, 0] (");
     let file = File {
         bytes: f64s(&[1.0, 2.0, 3.0, f64::NAN]),
         ..File::default()
     };
     let error = chain(&file.read(&scratch).unwrap_err());
-    assert!(error.contains("row 1 (0-based): Y"), "{error}");
+    assert!(error.contains("row 1 (0-based), column \"Y\""), "{error}");
 }
 
 #[test]
@@ -275,11 +280,8 @@ fn keywords_of_the_wrong_type_and_missing_parts_are_named() {
             ..File::default()
         };
         let error = file.read(&scratch).unwrap_err();
-        let named = match &error {
-            IoError::Keyword { keyword, .. } | IoError::MissingKeyword { keyword, .. } => *keyword,
-            _ => panic!("{error}"),
-        };
-        assert_eq!(named, keyword, "{error}");
+        let (hdu, keyword) = (0, keyword.to_owned());
+        assert_eq!(error.place(), Some(&Place::Keyword { hdu, keyword }), "{error}");
     }
     let no_table = scratch.put("cube.fits", &image(SIMPLE, -32, &[2, 2, 2], &[], &f32s(&STAMPS)));
     assert!(
@@ -289,20 +291,20 @@ fn keywords_of_the_wrong_type_and_missing_parts_are_named() {
             .contains("POSITIONS")
     );
     assert_eq!(detect(&no_table).unwrap(), FileKind::Cube);
-    let column = |columns| File {
-        columns,
-        ..File::default()
-    };
-    assert!(matches!(
-        column(&[("X", "D"), ("YY", "D")]).read(&scratch),
-        Err(IoError::MissingColumn { column, .. }) if column == "Y"
-    ));
-    assert!(matches!(
-        column(&[("X", "D"), ("Y", "8A")]).read(&scratch),
-        Err(IoError::Content { problem, .. }) if problem.contains("has the format")
-    ));
-    assert!(matches!(
-        column(&[("X", "D"), ("Y", "E")]).read(&scratch),
-        Err(IoError::Header { .. })
-    ));
+    for (second, kind, part) in [
+        (
+            ("YY", "D"),
+            IoErrorKind::Table,
+            "column \"Y\": there is no such column",
+        ),
+        (("Y", "8A"), IoErrorKind::Table, "has the format"),
+        (("Y", "E"), IoErrorKind::Header, "the columns do not add up"),
+    ] {
+        let columns = [("X", "D"), second];
+        let file = File {
+            columns: &columns,
+            ..File::default()
+        };
+        assert_error(file.read(&scratch), kind, part);
+    }
 }

@@ -138,9 +138,11 @@ fn one_wavelength_needs_no_choice_and_several_do() {
     ]
     .concat();
     assert_eq!(read(&one, &options()).unwrap().wavelength_um(), 0.8);
-    let error = chain(&read(&scopesim(), &options()).unwrap_err());
+    let error = read(&scopesim(), &options()).unwrap_err();
+    assert_eq!(error.setting(), Some("wavelength_um"));
+    let error = chain(&error);
     assert!(
-        error.contains("[1.5, 2.25]") && error.contains("--psf-wavelength"),
+        error.contains("[1.5, 2.25]") && error.contains("choose one"),
         "{error}"
     );
 }

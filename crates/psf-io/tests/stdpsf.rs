@@ -79,8 +79,10 @@ fn detectors_are_cut_out_and_their_positions_are_their_own() {
 #[test]
 fn several_detectors_want_a_choice() {
     for detector in [None, Some(0), Some(9)] {
-        let error = chain(&read(&stdpsf(20, 10), detector).unwrap_err());
-        for part in ["1 (A1)", "8 (B4)", "--psf-detector"] {
+        let error = read(&stdpsf(20, 10), detector).unwrap_err();
+        assert_eq!(error.setting(), Some("detector"));
+        let error = chain(&error);
+        for part in ["1 (A1)", "8 (B4)", "choose one"] {
             assert!(error.contains(part), "{error}");
         }
     }

@@ -98,8 +98,8 @@ fn the_writer_or_the_caller_decides_the_order_of_the_planes() {
         AS_CARDS
     );
     assert_eq!(order(&dated("'2023-12-11'"), PlaneOrder::Auto).0, SORTED);
-    let error = chain(&read(&dated("'last week'"), PlaneOrder::Auto).unwrap_err());
-    assert!(error.contains("--psf-order"), "{error}");
+    let error = read(&dated("'last week'"), PlaneOrder::Auto).unwrap_err();
+    assert_eq!(error.setting(), Some("plane_order"), "{error}");
     assert!(read(&dated("'last week'"), PlaneOrder::Sorted).is_ok());
 }
 

@@ -7,7 +7,7 @@ use std::io::Write;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use psf_io::{IoError, read_image};
+use psf_io::{IoError, IoErrorKind, Place, read_image};
 use support::mutations::{assert_refused, replaced, with_value};
 use support::{IMAGE, SIMPLE, Scratch, f64s, hdu, i16s, i32s, image, table};
 
@@ -77,7 +77,8 @@ fn values(bytes: &[u8]) -> Result<Vec<f64>, IoError> {
 }
 
 fn is_a_broken_tile(bytes: &[u8], which: usize) -> bool {
-    matches!(values(bytes), Err(IoError::Tile { hdu: 1, tile, .. }) if tile == which)
+    let place = Place::Tile { hdu: 1, tile: which };
+    values(bytes).is_err_and(|error| error.kind() == IoErrorKind::Damaged && error.place() == Some(&place))
 }
 
 /// A list of `PLIO_1` with four pixels of value 5.

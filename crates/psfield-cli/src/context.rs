@@ -7,6 +7,7 @@ use anyhow::Context as _;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use psf_io::{Card, IoError, Precision};
 use psf_types::{Progress, PsfSamples};
+use psfield::PsfieldError;
 use psfield_lab::LabError;
 use serde::Serialize;
 
@@ -31,9 +32,38 @@ macro_rules! object {
 }
 pub(crate) use object;
 
-/// The message of an error with its causes, in one line.
+/// The message of an error with its causes, in one line, and the option that mends it.
 pub(crate) fn told(error: &anyhow::Error) -> String {
-    psfield::error_text(error.as_ref())
+    let setting = error.chain().find_map(|cause| {
+        let of_pipeline = || cause.downcast_ref().and_then(PsfieldError::setting);
+        of_pipeline().or_else(|| cause.downcast_ref().and_then(IoError::setting))
+    });
+    with_option(psfield::error_text(error.as_ref()), setting)
+}
+
+/// A message of the library, and the option for the setting that it names.
+pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -> String {
+    match setting.and_then(option_of) {
+        Some(option) => format!("{text} (option {option})"),
+        None => text.to_string(),
+    }
+}
+
+/// The option for a setting of the library.
+fn option_of(setting: &str) -> Option<String> {
+    Some(match setting {
+        // World coordinates come from a scene or from a file, and regions from no option.
+        "sky" | "region" => return None,
+        "hdu" | "table" => "--extension".to_owned(),
+        "plane_order" => "--psf-order".to_owned(),
+        "wavelength_um" => "--psf-wavelength".to_owned(),
+        "pixel_scale_arcsec" => "--pixel-scale".to_owned(),
+        "extension" | "detector" | "positions" | "oversampling" | "centre" => format!("--psf-{setting}"),
+        "pixel_response_included" => "--pixel-response".to_owned(),
+        "at" => "--grid".to_owned(),
+        "degree" => "--to psfex=DEGREE".to_owned(),
+        _ => format!("--{}", setting.replace('_', "-")),
+    })
 }
 
 /// Adds the option that helps to an error of measuring stars.

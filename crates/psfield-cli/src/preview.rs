@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use psf_io::{HduChoice, ImageReader};
+use psf_io::{HduChoice, ImageReader, IoErrorKind};
 use psfield::check_outputs;
 use psfield_lab::preview::{
     BinnedImage, Colormap, LimitRule, Limits, Percentiles, Picture, PreviewError, Stretch,
@@ -82,13 +82,13 @@ impl PreviewArgs {
             Some(plane) => ImageReader::open_plane(&self.image, self.extension.as_ref(), plane),
             None => ImageReader::open_hdu(&self.image, self.extension.as_ref()),
         }
-        .map_err(|error| match error {
-            psf_io::IoError::Axes { got, .. } if self.plane.is_none() && got.len() == 3 => anyhow::anyhow!(
-                "{} is a cube of {} planes: choose one with --plane N, counted from 0",
-                self.image.display(),
-                got[0]
-            ),
-            other => other.into(),
+        .map_err(|error| {
+            let is_cube = || ImageReader::open_plane(&self.image, self.extension.as_ref(), 0).is_ok();
+            if error.kind() == IoErrorKind::Axes && self.plane.is_none() && is_cube() {
+                anyhow::anyhow!("{error}. This is a cube: choose a plane with --plane N, counted from 0")
+            } else {
+                error.into()
+            }
         })?;
         let image = {
             let _spinner = context.spinner("reading");

@@ -6,10 +6,10 @@ use std::str::FromStr;
 use psf_basis::{Centring, PixelNoise, RankSelection};
 use psf_io::{HduChoice, PlaneOrder};
 use psf_types::{Interpolation, Normalisation, OutsidePolicy, Position};
-use psfield::{FitChoices, FitOptions, Psf, PsfFileOptions, PsfieldError};
+use psfield::{ErrorKind, FitChoices, FitOptions, Psf, PsfFileOptions, PsfieldError};
 
 use crate::UsageError;
-use crate::context::Context;
+use crate::context::{Context, with_option};
 use crate::values::{above_zero, at_least_zero, number, numbers};
 
 /// The heading of the fit options in helps.
@@ -104,11 +104,9 @@ impl PsfArgs {
 
 /// Turns errors about options that do not suit the file into usage errors.
 fn as_usage(error: PsfieldError) -> anyhow::Error {
-    match error {
-        PsfieldError::ForeignOption { .. } | PsfieldError::FitOfModel { .. } => {
-            UsageError(error.to_string()).into()
-        }
-        other => other.into(),
+    match error.kind() {
+        ErrorKind::Setting => UsageError(with_option(&error, error.setting())).into(),
+        _ => error.into(),
     }
 }
 

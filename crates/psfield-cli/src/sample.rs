@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use ndarray::{Axis, stack};
-use psf_io::{Card, FileKind};
+use psf_io::{Card, FileKind, IoErrorKind};
 use psf_optics::Telescope;
 use psf_sample::{DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome};
 use psf_stars::{CoverageMap, SOURCE_COLUMNS, StarSamples};
@@ -67,7 +67,8 @@ fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     match psf_io::detect(path) {
         Ok(FileKind::Image) => Ok(true),
         // The reader of telescope files reports files that cannot be read.
-        Ok(FileKind::NotFits) | Err(psf_io::IoError::Read { .. }) => Ok(false),
+        Ok(FileKind::NotFits) => Ok(false),
+        Err(error) if matches!(error.kind(), IoErrorKind::NotFound | IoErrorKind::Read) => Ok(false),
         Ok(_) if chosen => Ok(true),
         Ok(kind) => anyhow::bail!(
             "{} is {kind}: a frame is a single image [y, x] with stars",

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use psf_io::{Card, CardValue, HduChoice, HeaderCards, IoError};
+use psf_io::{Card, CardValue, HduChoice, HeaderCards, Place};
 use psf_stars::{
     BackgroundMesh, Camera, Detection, Registration, RegistrationMethod, Selection, StarError, StarSampling,
 };
@@ -94,11 +94,11 @@ impl StarArgs {
     ) -> anyhow::Result<(Image<f64>, HeaderCards, StarSampling)> {
         let read = psf_io::read_image_hdu::<f64>(path, self.extension.as_ref());
         let (frame, header) = read
-            .map_err(|error| match error {
-                IoError::NonFinitePixels { .. } => anyhow::Error::new(error).context(
+            .map_err(|error| match error.place() {
+                Some(Place::Pixel { .. }) => anyhow::Error::new(error).context(
                     "give bad pixels a value at or above the saturation level (SATURATE, --saturation): stars that contain one are then left out",
                 ),
-                other => other.into(),
+                _ => error.into(),
             })?
             .into_parts();
         let in_header = match header.get("SATURATE").and_then(Card::value) {

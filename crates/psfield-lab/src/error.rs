@@ -12,8 +12,8 @@ use crate::plot::PlotError;
 #[non_exhaustive]
 pub enum LabError {
     /// The pipeline failed.
-    #[error(transparent)]
-    Pipeline(PsfieldError),
+    #[error("{0}")]
+    Pipeline(#[source] PsfieldError),
     /// A figure that could not be drawn.
     #[error(transparent)]
     Plot(#[from] PlotError),

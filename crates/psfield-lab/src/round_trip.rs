@@ -95,7 +95,7 @@ impl RoundTrip {
     /// Runs the round trip on a frame.
     ///
     /// # Errors
-    /// [`PsfieldError::Stars`](psfield::PsfieldError::Stars) when the frame gives no samples,
+    /// [`ErrorKind::Stars`](psfield::ErrorKind::Stars) when the frame gives no samples,
     /// [`LabError::NothingMeasured`] when no star can be measured in both
     /// frames, and the errors of fitting and drawing.
     pub fn run(frame: &Image<f64>, options: &RoundTripOptions) -> Result<Self, LabError> {

@@ -1,9 +1,9 @@
 //! Errors of the library as exceptions of Python.
 
-use std::error::Error;
+use std::io::ErrorKind;
 
 use psfield::PsfieldError;
-use psfield::psf_io::IoError;
+use psfield::psf_io::{IoError, IoErrorKind};
 use pyo3::exceptions::{
     PyException, PyFileExistsError, PyFileNotFoundError, PyOSError, PyPermissionError, PyValueError,
 };
@@ -39,25 +39,26 @@ impl Failure {
 impl From<Failure> for PyErr {
     /// `OSError` if the cause is a file or a device, else `ValueError`. The text is the library's.
     fn from(Failure { error, argument }: Failure) -> Self {
-        let cause = cause_of::<PyErr>(&*error);
+        let cause = error.cause::<PyErr>();
         let clone = |cause: &PyErr| Python::attach(|py| cause.clone_ref(py));
         let asks_for_an_end = |cause: &&PyErr| Python::attach(|py| !cause.is_instance_of::<PyException>(py));
         if let Some(end) = cause.filter(asks_for_an_end) {
             // KeyboardInterrupt and SystemExit pass through as they are.
             return clone(end);
         }
-        let text = psfield::error_text(&*error);
+        let text = with_argument(psfield::error_text(&*error), error.setting());
         let text = argument.map_or_else(|| text.clone(), |argument| format!("{argument}: {text}"));
-        let raised = match &*error {
-            PsfieldError::Io(IoError::Exists { .. }) => PyFileExistsError::new_err(text),
-            PsfieldError::Io(IoError::MissingDirectory { .. }) => PyFileNotFoundError::new_err(text),
-            error if error.is_of_gpu() => PyOSError::new_err(text),
-            error => match (kind_of(error), error) {
-                (Some(std::io::ErrorKind::NotFound), _) => PyFileNotFoundError::new_err(text),
-                (Some(std::io::ErrorKind::PermissionDenied), _) => PyPermissionError::new_err(text),
-                (Some(_), _) | (None, PsfieldError::Io(_)) => PyOSError::new_err(text),
-                (None, _) => PyValueError::new_err(text),
-            },
+        let of_file = error.cause().map(IoError::kind);
+        let raised = match (error.kind(), of_file, error.cause().map(std::io::Error::kind)) {
+            (_, Some(IoErrorKind::Exists), _) => PyFileExistsError::new_err(text),
+            (_, Some(IoErrorKind::NotFound), _) | (.., Some(ErrorKind::NotFound)) => {
+                PyFileNotFoundError::new_err(text)
+            }
+            (.., Some(ErrorKind::PermissionDenied)) => PyPermissionError::new_err(text),
+            (psfield::ErrorKind::Gpu | psfield::ErrorKind::Io, ..) | (.., Some(_)) => {
+                PyOSError::new_err(text)
+            }
+            _ => PyValueError::new_err(text),
         };
         // An exception raised by a function of the caller.
         if let Some(cause) = cause {
@@ -67,14 +68,17 @@ impl From<Failure> for PyErr {
     }
 }
 
-/// The kind of the first error of the operating system among the causes.
-fn kind_of(error: &PsfieldError) -> Option<std::io::ErrorKind> {
-    cause_of::<std::io::Error>(error).map(std::io::Error::kind)
-}
-
-/// The first cause of this type.
-fn cause_of<'a, E: Error + 'static>(error: &'a (dyn Error + 'static)) -> Option<&'a E> {
-    std::iter::successors(error.source(), |&cause| cause.source()).find_map(|cause| cause.downcast_ref())
+/// A message of the library, and the argument of Python for the setting that it names.
+pub(crate) fn with_argument(text: String, setting: Option<&str>) -> String {
+    let argument = match setting {
+        None => return text,
+        Some("hdu") => "wcs_extension",
+        Some("sky") => "wcs",
+        Some("grid") => "pixels",
+        Some("normalisation") => "normalise",
+        Some(same) => same,
+    };
+    format!("{text} ({argument}=)")
 }
 
 /// A `ValueError` for an argument.

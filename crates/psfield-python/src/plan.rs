@@ -14,7 +14,7 @@ use pyo3::types::PyDict;
 use rayon::ThreadPool;
 
 use crate::catalog::{SourceColumns, Sources};
-use crate::error::{Failure, invalid};
+use crate::error::{Failure, invalid, with_argument};
 use crate::psf_model::PsfModel;
 use crate::settings::{parsed, region};
 use crate::threads::{self, Watch, pool};
@@ -192,7 +192,8 @@ impl Plan {
             })?;
             let (image, warnings) = made?;
             let image = image.map(|image| image.into_pyarray(py).into_any());
-            Ok((image, warnings.iter().map(text_of).collect()))
+            let text = |w: &SimulationWarning| with_argument(w.to_string(), w.setting());
+            Ok((image, warnings.iter().map(text).collect()))
         })
     }
 
@@ -344,9 +345,4 @@ fn writable<'py, T: Element>(array: &Bound<'py, PyAny>) -> PyResult<PyReadwriteA
 
 fn sources_of(columns: Option<SourceColumns<'_>>) -> PyResult<Sources> {
     columns.map_or_else(|| Ok(Sources::default()), |columns| columns.sources())
-}
-
-/// The text of a warning. It names the argument of Python where the library names an option.
-fn text_of(warning: &SimulationWarning) -> String {
-    warning.to_string().replace("--oversample 4", "oversample=4")
 }

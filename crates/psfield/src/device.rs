@@ -41,10 +41,16 @@ pub(crate) fn place<T: ConvReal>(
 /// Fails: this build has no support of GPUs.
 ///
 /// # Errors
-/// [`PsfieldError::NoGpuSupport`].
+/// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu).
 #[cfg(not(feature = "gpu"))]
 pub fn open_gpu(_adapter: Option<&str>) -> Result<String, PsfieldError> {
-    Err(PsfieldError::NoGpuSupport)
+    Err(no_gpu_support())
+}
+
+#[cfg(not(feature = "gpu"))]
+fn no_gpu_support() -> PsfieldError {
+    const NO_SUPPORT: &str = "this psfield was built without support of GPUs: build it with its feature gpu (cargo build --features gpu)";
+    PsfieldError::new(crate::ErrorKind::Gpu, NO_SUPPORT)
 }
 
 /// Does nothing: this build has no support of GPUs.
@@ -56,7 +62,7 @@ fn place_on_gpu<T: ConvReal>(
     _plan: Plan<T>,
     _options: &SimulateOptions,
 ) -> Result<(Engine<T>, Placement), PsfieldError> {
-    Err(PsfieldError::NoGpuSupport)
+    Err(no_gpu_support())
 }
 
 #[cfg(not(feature = "gpu"))]

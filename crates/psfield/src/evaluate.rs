@@ -2,10 +2,10 @@
 
 use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
 use ndarray::{Array2, Array3};
-use psf_types::{DataError, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
+use psf_types::{DataError, FrameShape, Position, PsfModel, PsfSamples, SamplePositions, StampGrid};
 use rayon::prelude::*;
 
-use crate::{Psf, PsfieldError, check_stack};
+use crate::{ErrorKind, Psf, PsfieldError, check_stack};
 
 /// The pixels on which PSFs are given.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -35,18 +35,35 @@ pub struct EvaluateOptions {
 /// Whether all positions lie on the model's field, where it has one.
 ///
 /// # Errors
-/// [`PsfieldError::OutsideField`] for the first that does not.
+/// [`ErrorKind::Field`] for the first that does not.
 pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), PsfieldError> {
     if let Some(field) = model.field_shape()
         && let Some(index) = positions.iter().position(|&p| !field.contains(p))
     {
-        return Err(PsfieldError::OutsideField {
-            index,
-            position: positions[index],
-            field,
-        });
+        let message = format!(
+            "position {index} (0-based) at {} lies outside the field of {field} pixels over which the PSF is known",
+            positions[index]
+        );
+        return Err(PsfieldError::new(ErrorKind::Field, message));
     }
     Ok(())
+}
+
+/// Checks that a frame is not larger than the field over which a PSF is known, if the field is known.
+///
+/// # Errors
+/// [`ErrorKind::Field`].
+pub fn check_frame_on_field(frame: FrameShape, field: Option<FrameShape>) -> Result<(), PsfieldError> {
+    match field {
+        Some(field) if frame.nx() > field.nx() || frame.ny() > field.ny() => {
+            let message = format!(
+                "the frame is {frame} pixels, but the PSF is known over a field of {field} pixels: cut the scene to the \
+                 field with a frame. Light of the scene beyond it still contributes"
+            );
+            Err(PsfieldError::new(ErrorKind::Field, message).with_setting("frame"))
+        }
+        _ => Ok(()),
+    }
 }
 
 impl Psf {
@@ -66,26 +83,26 @@ impl Psf {
 /// The PSFs of a model at positions, as samples.
 ///
 /// # Errors
-/// Those of [`evaluate_stamps`]; [`PsfieldError::NoPositions`], [`PsfieldError::DuplicatePositions`]; [`PsfieldError::Data`] for a PSF
-/// without positive flux.
+/// Those of [`evaluate_stamps`]; [`ErrorKind::Data`] for no positions, two equal ones, or a PSF without positive
+/// flux.
 pub fn evaluate(
     model: &PsfModel,
     positions: Vec<Position>,
     options: EvaluateOptions,
 ) -> Result<PsfSamples, PsfieldError> {
+    const NONE: &str = "there are no positions: at least one is needed";
     check(model, &positions, options)?;
     let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
-        // As stamps to be written, not as samples.
-        DataError::NoSamples => PsfieldError::NoPositions,
+        // These become stamps of a file, not samples.
+        DataError::NoSamples => PsfieldError::new(ErrorKind::Data, NONE).because(error),
         DataError::DuplicatePosition {
             first,
             second,
             position,
-        } => PsfieldError::DuplicatePositions {
-            first,
-            second,
-            position,
-        },
+        } => {
+            let message = format!("positions {first} and {second} (0-based) are both {position}: remove one");
+            PsfieldError::new(ErrorKind::Data, message).because(error)
+        }
         other => other.into(),
     })?;
     let (stamps, grid) = stamps_at(model, positions.as_slice(), options)?;
@@ -99,8 +116,8 @@ pub fn evaluate(
 /// draws it.
 ///
 /// # Errors
-/// [`PsfieldError::OutsideField`] for a position off the model's field, [`PsfieldError::Field`] where the model has no value,
-/// [`PsfieldError::SubPixelNeedsNative`], [`PsfieldError::TooLarge`] for more stamps than are meant.
+/// [`ErrorKind::Field`] for a position off the model's field or where the model has no value, [`ErrorKind::Setting`] for
+/// sub-pixel phases on another grid than the native one, [`ErrorKind::TooLarge`] for more stamps than are meant.
 ///
 /// ```no_run
 /// use psfield::psf_types::Position;
@@ -123,7 +140,8 @@ pub fn evaluate_stamps(
 
 fn check(model: &PsfModel, positions: &[Position], options: EvaluateOptions) -> Result<(), PsfieldError> {
     if options.sub_pixel && options.grid != OutputGrid::Native {
-        return Err(PsfieldError::SubPixelNeedsNative);
+        const NATIVE: &str = "sub-pixel phases need the frame's own pixels: choose the native grid";
+        return Err(PsfieldError::of_setting("grid", NATIVE));
     }
     check_on_field(model, positions)
 }

@@ -6,7 +6,7 @@ use detector::{BadPixelMask, Detector, Exposure, ExposureReport};
 use psf_io::{Card, CardError, HeaderCards, IntegerKind};
 use psf_types::{Image, Real};
 
-use crate::{PsfieldError, check_outputs};
+use crate::{ErrorKind, PsfieldError, check_outputs};
 
 /// Keywords of [`exposure_cards`] that an input must not lend to its exposure.
 const KEYWORDS: [&str; 24] = [
@@ -101,13 +101,13 @@ impl ExposureFiles {
 /// Reads a mask of bad pixels: an image of sums of [`PixelFlags`](detector::PixelFlags), 0 for good pixels.
 ///
 /// # Errors
-/// Those of [`read_image`](psf_io::read_image); [`PsfieldError::Mask`] for other values.
+/// Those of [`read_image`](psf_io::read_image); [`ErrorKind::Detector`] for other values.
 pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, PsfieldError> {
     let path = path.as_ref();
     let image = psf_io::read_image::<f32>(path)?;
-    BadPixelMask::new(image.image().pixels()).map_err(|source| PsfieldError::Mask {
-        path: path.to_owned(),
-        source,
+    BadPixelMask::new(image.image().pixels()).map_err(|source| {
+        let message = format!("{}: this is not a mask of bad pixels", path.display());
+        PsfieldError::new(ErrorKind::Detector, message).because(source)
     })
 }
 

@@ -132,7 +132,7 @@ pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldErro
 /// Under [`Normalisation::Unit`] the training stamps are scaled to unit flux as the samples are.
 ///
 /// # Errors
-/// As [`fit()`], and [`PsfieldError::Basis`] for training stamps of another shape than the samples'.
+/// As [`fit()`], and [`ErrorKind::Fit`](crate::ErrorKind::Fit) for training stamps of another shape than the samples'.
 pub fn fit_trained(
     samples: PsfSamples,
     mut training: Array3<f64>,
@@ -268,7 +268,7 @@ impl Fit {
     /// Measures the leave-one-out errors and puts all figures together.
     ///
     /// # Errors
-    /// [`PsfieldError::Interpolation`] when the interpolator cannot serve these samples.
+    /// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the interpolator cannot serve these samples.
     pub fn report(&self) -> Result<FitReport, PsfieldError> {
         let record = &self.record;
         let interpolation = coeff_field::interpolation(record.interpolation())?;

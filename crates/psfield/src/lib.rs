@@ -74,8 +74,10 @@ pub use {
 pub use device::{
     CpuReason, GpuSeconds, Placement, PredictedSeconds, WORTH_A_LOOK_SECONDS, forget_gpus, open_gpu,
 };
-pub use error::{PsfieldError, error_text};
-pub use evaluate::{EvaluateOptions, OutputGrid, check_on_field, evaluate, evaluate_stamps};
+pub use error::{ErrorKind, PsfieldError, error_text};
+pub use evaluate::{
+    EvaluateOptions, OutputGrid, check_frame_on_field, check_on_field, evaluate, evaluate_stamps,
+};
 pub use exposure_files::{ExposureFiles, exposure_cards, read_bad_pixel_mask};
 pub use fit::{Fit, FitOptions, FitReport, LeaveOneOutReport, fit, fit_trained, fit_with, model_of};
 pub use image_cards::{JOB_KEYWORD, provenance_cards};

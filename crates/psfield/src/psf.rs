@@ -14,7 +14,7 @@ use psf_types::{
 };
 
 use crate::fit::{Fit, fit, model_of};
-use crate::{FitOptions, PsfieldError};
+use crate::{ErrorKind, FitOptions, PsfieldError};
 
 pub use format_records::record_of_psfex;
 pub use open::{FitChoices, PsfFileOptions};
@@ -101,7 +101,7 @@ impl Psf {
     /// pixel), with the frame's own pixels, centred at index `n / 2`, and the default [`FitOptions`].
     ///
     /// # Errors
-    /// [`PsfieldError::Data`] for stamps or positions that make no [`PsfSamples`].
+    /// [`ErrorKind::Data`] for stamps or positions that make no [`PsfSamples`].
     pub fn from_samples(stamps: ArrayView3<'_, f64>, positions: &[(f64, f64)]) -> Result<Self, PsfieldError> {
         let (_, ny, nx) = stamps.dim();
         let positions = positions.iter().map(|&(x, y)| Position::new(x, y));
@@ -113,7 +113,7 @@ impl Psf {
     /// A PSF that can be drawn at any position, sampled over its field.
     ///
     /// # Errors
-    /// [`PsfieldError::Sampling`].
+    /// [`ErrorKind::Sampling`].
     pub fn from_source(
         source: &dyn PsfSource,
         method: &dyn SamplingMethod,
@@ -196,16 +196,15 @@ impl Psf {
     /// The model as a file stores it: the fit of the samples, or the stored model.
     ///
     /// # Errors
-    /// As [`fit()`]; [`PsfieldError::Unholdable`] for a model with a coefficient field of the caller's own.
+    /// As [`fit()`]; [`ErrorKind::Format`] for a model with a coefficient field of the caller's own.
     pub fn record(&self) -> Result<&PsfModelRecord, PsfieldError> {
         match &self.0.origin {
             Origin::Record(record) => Ok(record),
             Origin::Samples(..) => Ok(self.fit()?.expect("samples have a fit").record()),
-            Origin::Model(..) => Err(PsfieldError::Unholdable {
-                format: "a PSF model",
-                what: "a coefficient field of the caller's own",
-                remedy: "sample it first",
-            }),
+            Origin::Model(..) => {
+                const OWN_FIELD: &str = "a PSF model file cannot hold a coefficient field of the caller's own: sample the PSF first";
+                Err(PsfieldError::new(ErrorKind::Format, OWN_FIELD))
+            }
         }
     }
 
@@ -235,18 +234,19 @@ const MAX_STACK_BYTES: usize = 16 << 30;
 /// Refuses stacks of stamps that are larger than any that are meant.
 ///
 /// # Errors
-/// [`PsfieldError::TooLarge`].
+/// [`ErrorKind::TooLarge`].
 pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
     let bytes = stamps
         .saturating_mul(grid.pixel_count())
         .saturating_mul(size_of::<f64>());
     if bytes > MAX_STACK_BYTES {
-        return Err(PsfieldError::TooLarge {
-            stamps,
-            nx: grid.nx(),
-            ny: grid.ny(),
-            limit: MAX_STACK_BYTES,
-        });
+        let message = format!(
+            "{stamps} stamps of {} x {} pixels would fill more than {} GiB: ask for fewer or smaller ones",
+            grid.nx(),
+            grid.ny(),
+            MAX_STACK_BYTES >> 30
+        );
+        return Err(PsfieldError::new(ErrorKind::TooLarge, message));
     }
     Ok(())
 }

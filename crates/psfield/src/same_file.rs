@@ -2,21 +2,23 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::PsfieldError;
+use crate::{ErrorKind, PsfieldError};
 
 /// Whether all outputs of a run can be written, as far as can be told before the work is done.
 ///
 /// # Errors
-/// [`PsfieldError::SameFile`] when two outputs are one file, or one is among `inputs`, which are never replaced, whatever `overwrite`
+/// [`ErrorKind::Setting`] when two outputs are one file, or one is among `inputs`, which are never replaced, whatever `overwrite`
 /// says; and those of [`check_output`](psf_io::check_output).
 pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Result<(), PsfieldError> {
     let mut taken: Vec<PathBuf> = inputs.iter().map(|path| resolved(path)).collect();
     for path in outputs {
         let place = resolved(path);
         if taken.contains(&place) {
-            return Err(PsfieldError::SameFile {
-                path: path.to_path_buf(),
-            });
+            let message = format!(
+                "{} would be written over another file of this run: choose another name",
+                path.display()
+            );
+            return Err(PsfieldError::new(ErrorKind::Setting, message));
         }
         psf_io::check_output(path, overwrite)?;
         taken.push(place);

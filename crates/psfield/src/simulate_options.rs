@@ -5,7 +5,7 @@ use std::str::FromStr;
 use conv_core::{
     BasisConvolution, ConvReal, ConvolutionMethod, Direct, PatchConvolution, Paths, PlanOptions,
 };
-use psf_types::{Anchor, PixelRegion};
+use psf_types::{Anchor, PixelRegion, named};
 
 use crate::PsfieldError;
 
@@ -74,7 +74,7 @@ impl SimulateOptions {
     /// The options of the engine; none for methods without a plan.
     ///
     /// # Errors
-    /// [`PsfieldError::Convolution`] for a tolerance that is none.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range.
     pub fn plan_options(&self) -> Result<Option<PlanOptions>, PsfieldError> {
         let options = PlanOptions::new(self.tolerance)?
             .with_anchor(self.anchor)
@@ -101,27 +101,7 @@ pub enum Device {
     Gpu,
 }
 
-impl std::fmt::Display for Device {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Auto => "auto",
-            Self::Cpu => "cpu",
-            Self::Gpu => "gpu",
-        })
-    }
-}
-
-impl FromStr for Device {
-    type Err = PsfieldError;
-    fn from_str(text: &str) -> Result<Self, PsfieldError> {
-        match text {
-            "auto" => Ok(Self::Auto),
-            "cpu" => Ok(Self::Cpu),
-            "gpu" => Ok(Self::Gpu),
-            _ => Err(PsfieldError::BadDevice { got: text.to_owned() }),
-        }
-    }
-}
+named!(Device, "device", "auto, cpu or gpu", "auto" => Auto, "cpu" => Cpu, "gpu" => Gpu);
 
 /// How a scene is convolved. Written as `auto`, `lowrank`, `basis`, `patch=N` or `direct`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -148,10 +128,16 @@ impl Method {
         matches!(self, Self::Auto | Self::LowRank)
     }
 
+    pub(crate) fn refused(got: impl std::fmt::Display) -> PsfieldError {
+        let message =
+            format!("the method must be auto, lowrank, basis, patch=N (N at least 1) or direct, got {got}");
+        PsfieldError::of_setting("method", message)
+    }
+
     /// The method, where it has no plan.
     ///
     /// # Errors
-    /// [`PsfieldError::Convolution`] for a patch of no size.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a patch of no size.
     pub(crate) fn without_plan<T: ConvReal>(
         self,
         anchor: Anchor,
@@ -181,17 +167,13 @@ impl std::fmt::Display for Method {
 impl FromStr for Method {
     type Err = PsfieldError;
     fn from_str(text: &str) -> Result<Self, PsfieldError> {
-        let refused = || PsfieldError::BadMethod { got: text.to_owned() };
-        match (text, text.strip_prefix("patch=")) {
-            ("auto", _) => Ok(Self::Auto),
-            ("lowrank", _) => Ok(Self::LowRank),
-            ("basis", _) => Ok(Self::Basis),
-            ("direct", _) => Ok(Self::Direct),
-            (_, Some(size)) => match size.parse() {
-                Ok(size) if size > 0 => Ok(Self::Patch(size)),
-                _ => Err(refused()),
-            },
-            _ => Err(refused()),
+        let size = || text.strip_prefix("patch=")?.parse().ok().filter(|&size| size > 0);
+        match text {
+            "auto" => Ok(Self::Auto),
+            "lowrank" => Ok(Self::LowRank),
+            "basis" => Ok(Self::Basis),
+            "direct" => Ok(Self::Direct),
+            _ => size().map(Self::Patch).ok_or_else(|| Self::refused(text)),
         }
     }
 }

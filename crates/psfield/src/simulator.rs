@@ -23,7 +23,10 @@ use psf_types::{
 
 use crate::device::{self, CpuReason, GpuSeconds, Placement};
 use crate::psf::get_or_make;
-use crate::{Device, Method, Psf, PsfieldError, Scene, SimulateOptions};
+use crate::{Device, ErrorKind, Method, Psf, PsfieldError, Scene, SimulateOptions, check_frame_on_field};
+
+/// The operation that a region of the frame needs, for an error.
+const REGION: &str = "a region of the frame can be computed";
 
 use geometry::Geometry;
 
@@ -159,9 +162,7 @@ impl SimulatorBuilder {
     /// frame that reaches beyond the scene or the field of the PSF, a region beyond the frame.
     pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
         if self.options.method == Method::Own {
-            return Err(PsfieldError::BadMethod {
-                got: Method::Own.to_string(),
-            });
+            return Err(Method::refused(Method::Own));
         }
         let method = self.options.method.without_plan(self.options.anchor)?;
         self.build_by(method)
@@ -176,20 +177,18 @@ impl SimulatorBuilder {
         options.plan_options()?;
         let geometry = Geometry::new(FrameShape::new(shape.1, shape.0)?, &options)?;
         if method.is_some() && !geometry.is_whole() {
-            return Err(PsfieldError::RegionNeedsPlan);
+            return Err(PsfieldError::needs_plan(REGION));
         }
         if method.is_some() && options.device == Device::Gpu {
-            return Err(PsfieldError::GpuNeedsPlan);
+            const ON_GPU: &str =
+                "only the methods auto and lowrank run on a GPU: choose one of them, or the device cpu";
+            return Err(PsfieldError::of_setting("device", ON_GPU));
         }
         if options.stamp_size == Some(0) {
             FrameShape::new(0, 0)?;
         }
         let frame = geometry.frame.shape();
-        if let Some(field) = psf.positions().field()
-            && (frame.nx() > field.nx() || frame.ny() > field.ny())
-        {
-            return Err(PsfieldError::FrameBeyondField { frame, field });
-        }
+        check_frame_on_field(frame, psf.positions().field())?;
         Ok(Simulator {
             shared: Arc::new(Shared {
                 psf,
@@ -270,6 +269,13 @@ struct Convolver<T: ConvReal> {
     placement: Placement,
     padding: usize,
     seconds: f64,
+}
+
+impl<T: ConvReal> Convolver<T> {
+    /// The engine, which an operation needs. `what` names the operation for the error.
+    fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
+        self.engine.as_ref().ok_or_else(|| PsfieldError::needs_plan(what))
+    }
 }
 
 /// How stars are drawn.
@@ -358,7 +364,7 @@ impl<T: ConvReal> Simulator<T> {
     ///
     /// # Errors
     /// [`PsfieldError`]: shapes that do not fit, light where there is no PSF, a flux that `T` does not hold, and
-    /// [`ConvError::Cancelled`], after which the image is left half done.
+    /// [`ErrorKind::Cancelled`], after which the image is left half done.
     #[inline(never)]
     pub fn simulate_into(
         &self,
@@ -389,7 +395,7 @@ impl<T: ConvReal> Simulator<T> {
     /// is made, of the part that reaches it ([`light_region`](Self::light_region)).
     ///
     /// # Errors
-    /// [`PsfieldError::Convolution`] for an image of another shape; [`PsfieldError::AdjointNeedsPlan`].
+    /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a method without a plan.
     #[inline(never)]
     pub fn adjoint(
         &self,
@@ -401,7 +407,7 @@ impl<T: ConvReal> Simulator<T> {
             return Err(ConvError::FrameShape { expected, got }.into());
         }
         let convolver = self.convolver(&Scene::dark(), progress)?;
-        let engine = convolver.engine.as_ref().ok_or(PsfieldError::AdjointNeedsPlan)?;
+        let engine = convolver.engine_for("the adjoint can be computed")?;
         let shape = if self.geometry.is_whole() {
             self.geometry.shape
         } else {
@@ -421,7 +427,7 @@ impl<T: ConvReal> Simulator<T> {
     /// chosen for this one and the stars' plan that it has: much sooner made than one that has to choose.
     ///
     /// # Errors
-    /// [`ConvError::RegionOutsideFrame`] or [`ConvError::Cancelled`]; [`PsfieldError::RegionNeedsPlan`].
+    /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan, [`ErrorKind::Cancelled`].
     #[inline(never)]
     pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
         let options = SimulateOptions {
@@ -430,7 +436,7 @@ impl<T: ConvReal> Simulator<T> {
         };
         let geometry = Geometry::new(self.geometry.shape, &options)?;
         let chosen = self.convolver(&Scene::dark(), progress)?;
-        let engine = chosen.engine.as_ref().ok_or(PsfieldError::RegionNeedsPlan)?;
+        let engine = chosen.engine_for(REGION)?;
         let clock = Instant::now();
         let plan = engine.plan().for_other_region(geometry.fine(region)?, progress)?;
         let (engine, placement) = device::place(plan, &options)?;
@@ -545,14 +551,15 @@ impl<T: ConvReal> Simulator<T> {
         let stars = scene.stars().iter().map(|star| star.flux());
         let mut fluxes = stars.chain(scene.galaxies().iter().map(|galaxy| galaxy.flux()));
         if let Some(flux) = fluxes.find(|&flux| !T::nearest(flux).as_f64().is_finite()) {
-            return Err(PsfieldError::FluxBeyondPrecision { flux });
+            let message =
+                format!("a flux of {flux:e} is beyond single precision: use double precision (f64)");
+            return Err(PsfieldError::new(ErrorKind::Data, message).with_setting("precision"));
         }
         let (shape, s) = (self.geometry.shape, self.geometry.oversample);
         if !rows && scene.image().is_none() && shape.pixel_count() > Self::MAX_PIXELS {
-            return Err(PsfieldError::SceneTooLarge {
-                nx: shape.nx() / s,
-                ny: shape.ny() / s,
-            });
+            let (nx, ny) = (shape.nx() / s, shape.ny() / s);
+            let message = format!("a scene of {nx} x {ny} pixels without an image is too large");
+            return Err(PsfieldError::new(ErrorKind::TooLarge, message).with_setting("shape"));
         }
         Ok(())
     }

@@ -7,7 +7,8 @@ use psfield::psf_types::{
     PixelRegion, PointSource, Position, Progress, PsfSamples, Real, SamplePositions, StampGrid,
 };
 use psfield::{
-    Device, FitOptions, Method, Psf, PsfieldError, Scene, SimulateOptions, Simulator, SimulatorBuilder,
+    Device, ErrorKind, FitOptions, Method, Psf, PsfieldError, Scene, SimulateOptions, Simulator,
+    SimulatorBuilder,
 };
 
 /// Columns and rows of the frame, in its own pixels: primes.
@@ -287,9 +288,13 @@ fn every_call_can_be_stopped_and_errors_say_what_fits() {
     let stars_alone = Scene::dark().with_stars(&stars[..]);
     let simulator = build(options.clone());
     simulator.prepare(&scene, false, &NoProgress).unwrap();
-    let stopped = |result: Result<(), PsfieldError>| match result {
-        Err(PsfieldError::Convolution(ConvError::Cancelled(_))) => {}
-        other => panic!("{other:?}"),
+    let stopped = |result: Result<(), PsfieldError>| {
+        let error = result.unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Cancelled);
+        assert!(
+            matches!(error.cause(), Some(ConvError::Cancelled(_))),
+            "{error:?}"
+        );
     };
     let mut image = Array2::zeros((FRAME.1, FRAME.0));
     let part = region(3, 4, 5, 6);
@@ -319,12 +324,10 @@ fn every_call_can_be_stopped_and_errors_say_what_fits() {
     );
     let mut wide = Array2::zeros((FRAME.1, FRAME.0 + 1));
     let refused = simulator.simulate_into(&scene, wide.view_mut(), &NoProgress);
+    let error = refused.unwrap_err();
     assert!(
-        matches!(
-            refused,
-            Err(PsfieldError::Convolution(ConvError::FrameShape { .. }))
-        ),
-        "{refused:?}"
+        matches!(error.cause(), Some(ConvError::FrameShape { .. })),
+        "{error:?}"
     );
 }
 
@@ -336,33 +339,29 @@ fn methods_without_a_plan_say_what_they_cannot_do() {
     };
     let builder = builder(Interpolation::Bilinear, 1);
     let part = of_region(&options, region(3, 4, 5, 6));
+    let assert_needs_plan = |error: PsfieldError, what: &str| {
+        assert_eq!(
+            (error.kind(), error.setting()),
+            (ErrorKind::Setting, Some("method"))
+        );
+        let start = format!("{what} only by the methods auto and lowrank");
+        assert!(error.to_string().starts_with(&start), "{error}");
+    };
     let refused = builder.clone().options(part).build::<f64>();
-    assert!(
-        matches!(refused, Err(PsfieldError::RegionNeedsPlan)),
-        "{refused:?}"
-    );
+    assert_needs_plan(refused.unwrap_err(), "a region of the frame can be computed");
 
     let simulator: Simulator<f64> = builder.options(options).build().unwrap();
     let refused = simulator.for_region(region(3, 4, 5, 6), &NoProgress);
-    assert!(
-        matches!(refused, Err(PsfieldError::RegionNeedsPlan)),
-        "{refused:?}"
-    );
+    assert_needs_plan(refused.unwrap_err(), "a region of the frame can be computed");
     let seen = Image::zeros(simulator.image_shape());
     let refused = simulator.adjoint(&seen.view(), &NoProgress);
-    assert!(
-        matches!(refused, Err(PsfieldError::AdjointNeedsPlan)),
-        "{refused:?}"
-    );
+    assert_needs_plan(refused.unwrap_err(), "the adjoint can be computed");
     let light = light::<f64>(1);
     let mut rows = Rows {
         light: light.pixels(),
         written: Vec::new(),
     };
     let refused = simulator.stream(&Scene::dark(), &mut rows, &NoProgress);
-    assert!(
-        matches!(refused, Err(PsfieldError::StreamNeedsPlan)),
-        "{refused:?}"
-    );
+    assert_needs_plan(refused.unwrap_err(), "rows can be streamed");
     assert!(rows.written.is_empty());
 }

@@ -288,6 +288,7 @@ impl CatalogOptions {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Place;
 
     fn names(text: &str) -> Vec<String> {
         text.split_whitespace().map(str::to_owned).collect()
@@ -351,9 +352,10 @@ mod tests {
     fn missing_columns_are_named() {
         let missing = |columns: &str, table: &str| {
             let columns: CatalogColumns = columns.parse().unwrap_or_default();
-            match columns.sources(Path::new("a.csv"), &names(table)) {
-                Err(IoError::MissingColumn { column, .. }) => column,
-                other => panic!("{other:?}"),
+            let error = columns.sources(Path::new("a.csv"), &names(table)).unwrap_err();
+            match error.place() {
+                Some(Place::Column(column)) => column.clone(),
+                _ => panic!("{error:?}"),
             }
         };
         assert_eq!(missing("", "x flux"), "y");

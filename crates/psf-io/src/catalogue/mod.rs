@@ -33,8 +33,8 @@ use std::path::Path;
 
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
-use crate::error::{IoError, invalid, request};
-use crate::fits::columns::{Gaps, NumberColumns, Table, positions};
+use crate::error::{IoError, IoErrorKind, Place, invalid};
+use crate::fits::columns::{Gaps, NumberColumns, Table, bad_value, positions};
 use crate::fits::structure::FitsStructure;
 use columns::{CatalogColumns, CatalogOptions, Picked, Role};
 use table_file::{TableFile, read_columns};
@@ -59,8 +59,8 @@ pub(crate) mod world_header;
 /// ```
 ///
 /// # Errors
-/// [`IoError::MissingColumn`], [`IoError::Value`] with the row and column of a value that is not a
-/// finite number, and the errors of any FITS or CSV file.
+/// [`IoErrorKind::Table`] for a missing column, [`IoErrorKind::Data`] with the row and column of a
+/// value that is not a finite number, and the errors of any FITS or CSV file.
 pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError> {
     let path = path.as_ref();
     let [x, y, flux] = read_columns(path, ["x", "y", "flux"])?;
@@ -142,15 +142,12 @@ impl Catalog {
 /// ```
 ///
 /// # Errors
-/// - [`IoError::MissingColumn`] for a required column that does not exist
-/// - [`IoError::Value`] with the row and column of a position or brightness that is missing or not
-///   finite
-/// - [`IoError::Source`] with the row of a galaxy whose parameters are out of range
-/// - [`IoError::Request`] for magnitudes without a zero point, a zero point without magnitudes, and
-///   sky coordinates counted from 1
-/// - [`IoError::NoWorldCoordinates`] for sky coordinates without
-///   [`with_sky`](CatalogOptions::with_sky)
-/// - [`IoError::SeveralHdus`] if several tables of a FITS file have the columns
+/// - [`IoErrorKind::Table`] for a required column that does not exist
+/// - [`IoErrorKind::Data`] with the row and column of a position or brightness that is missing or
+///   not finite, and with the row of a galaxy whose parameters are out of range
+/// - [`IoErrorKind::Setting`] for magnitudes without a zero point, a zero point without magnitudes,
+///   sky coordinates counted from 1, sky coordinates without
+///   [`with_sky`](CatalogOptions::with_sky), and several tables of a FITS file that have the columns
 /// - the errors of any FITS or text table
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;
@@ -169,7 +166,7 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 ///
 /// # Errors
 /// The errors of [`read_catalog_with`]. An invalid row is always an error, even if the options
-/// allow it. So is a position outside the projection ([`IoError::Request`]).
+/// allow it. So is a position outside the projection.
 pub fn read_positions_with(
     path: impl AsRef<Path>,
     options: &CatalogOptions,
@@ -177,11 +174,9 @@ pub fn read_positions_with(
     let rows = Rows::read(path.as_ref(), options, "x, y", CatalogColumns::positions)?;
     let position = |row| {
         rows.position(row)?.ok_or_else(|| {
-            let problem = format!(
-                "{} is a position on the sky outside the projection of the frame: remove the row",
-                rows.numbers.place(row)
-            );
-            request(rows.path, problem)
+            const OUTSIDE: &str =
+                "the position on the sky is outside the projection of the frame: remove the row";
+            IoError::new(rows.path, IoErrorKind::Data, OUTSIDE).at(Place::Row(rows.numbers.place(row)))
         })
     };
     (0..rows.numbers.rows).map(position).collect()
@@ -287,29 +282,27 @@ impl<'a> Rows<'a> {
         if value.is_finite() {
             return Ok(value);
         }
-        Err(IoError::Value {
-            path: self.path.to_owned(),
-            row: self.numbers.place(row),
-            column: self.columns.name(role).cloned().unwrap_or_default(),
-            got: if value.is_nan() {
-                "missing or NaN".to_owned()
-            } else {
-                value.to_string()
-            },
-        })
+        let column = self.columns.name(role).map_or("", String::as_str);
+        let got = if value.is_nan() {
+            "missing or NaN".to_owned()
+        } else {
+            value.to_string()
+        };
+        Err(bad_value(self.path, self.numbers.place(row), column, &got))
     }
 
     fn invalid(&self, row: usize, source: DataError) -> IoError {
-        IoError::Source {
-            path: self.path.to_owned(),
-            row: self.numbers.place(row),
-            source,
-        }
+        IoError::new(self.path, IoErrorKind::Data, "this is not a valid source")
+            .at(Place::Row(self.numbers.place(row)))
+            .because(source)
     }
 }
 
 /// Checks that the options fit the columns.
 fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Result<(), IoError> {
+    let refused = |setting, problem: String| {
+        Err(IoError::new(path, IoErrorKind::Setting, problem).with_setting(setting))
+    };
     match (
         columns.name(Role::Flux),
         columns.name(Role::Mag),
@@ -317,16 +310,16 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
     ) {
         (Some(flux), _, Some(_)) => {
             let problem = format!(
-                "the column {flux:?} holds fluxes, for which --zero-point has no meaning: leave it out, or name the column of \
-                 magnitudes with --columns mag=COLUMN"
+                "the column {flux:?} holds fluxes, for which a zero point has no meaning: leave it out, or name the column \
+                 of magnitudes (mag)"
             );
-            return Err(request(path, problem));
+            return refused("zero_point", problem);
         }
         (_, Some(magnitude), None) => {
             let problem = format!(
-                "the column {magnitude:?} holds magnitudes: give the magnitude of flux 1 with --zero-point"
+                "the column {magnitude:?} holds magnitudes: give the zero point, the magnitude of flux 1"
             );
-            return Err(request(path, problem));
+            return refused("zero_point", problem);
         }
         _ => {}
     }
@@ -335,17 +328,17 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
     };
     if options.one_based {
         let problem = format!(
-            "the columns {ra:?} and {dec:?} are sky coordinates, for which --one-based has no meaning: leave it out, or name \
-             columns of pixels with --columns x=COLUMN,y=COLUMN"
+            "the columns {ra:?} and {dec:?} are sky coordinates, which are not counted from 1: leave that out, or name \
+             columns of pixels (x and y)"
         );
-        return Err(request(path, problem));
+        return refused("one_based", problem);
     }
     if options.sky.is_none() {
-        return Err(IoError::NoWorldCoordinates {
-            path: path.to_owned(),
-            ra: ra.clone(),
-            dec: dec.clone(),
-        });
+        let problem = format!(
+            "the columns {ra:?} and {dec:?} are sky coordinates, and no world coordinates of the frame are given: give a \
+             scene whose header has them, or positions in pixels"
+        );
+        return refused("sky", problem);
     }
     Ok(())
 }

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use serde::Serialize;
 
-use crate::catalogue::text_table::TextTable;
-use crate::error::{IoError, unwritable};
+use crate::catalogue::text_table::{NOT_CSV, TextTable};
+use crate::error::{IoError, IoErrorKind, unwritable};
 use crate::fits::columns::{Gaps, NumberColumns, Table, missing_column};
 use crate::fits::hdu::HduChoice;
-use crate::fits::structure::{EXTENSION_OPTION, FitsStructure, is_fits};
+use crate::fits::structure::{self, FitsStructure, is_fits};
 use crate::output::write_atomically;
 
 /// A file of one or more tables.
@@ -70,7 +70,7 @@ impl TableFile {
         }
         if taken.len() > 1 {
             let hdus = taken.iter().map(|&(hdu, ..)| hdu);
-            return Err(structure.several("tables with the needed columns", EXTENSION_OPTION, hdus));
+            return Err(structure.several("tables with the needed columns", structure::TABLE, hdus));
         }
         match (taken.pop(), refused) {
             (Some((_, result, table)), _) => Ok((result, AnyTable::Fits(table))),
@@ -133,8 +133,8 @@ pub fn read_columns<const N: usize>(
 /// ```
 ///
 /// # Errors
-/// [`IoError::Csv`] if a row does not have one field per column, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`] or [`IoError::Write`].
+/// [`IoErrorKind::Table`] if a row does not have one field per column, [`IoErrorKind::Exists`]
+/// unless `overwrite`, [`IoErrorKind::NotFound`] without the directory, or [`IoErrorKind::Write`].
 pub fn write_csv<R: Serialize>(
     path: impl AsRef<Path>,
     columns: &[&str],
@@ -146,10 +146,7 @@ pub fn write_csv<R: Serialize>(
         if source.is_io_error() {
             return unwritable(path)(source.into());
         }
-        IoError::Csv {
-            path: path.to_owned(),
-            source,
-        }
+        IoError::new(path, IoErrorKind::Table, NOT_CSV).because(source)
     };
     write_atomically(path, overwrite, |temporary| {
         let mut writer = csv::WriterBuilder::new()
@@ -173,7 +170,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.csv");
         let failed = write_csv(&path, &["a", "b"], [(1, 2, 3)], false);
-        assert!(matches!(failed, Err(IoError::Csv { .. })));
+        assert_eq!(failed.unwrap_err().kind(), IoErrorKind::Table);
         assert!(!path.exists());
         write_csv(&path, &["a", "b"], std::iter::empty::<(f64, f64)>(), false).unwrap();
         assert_eq!(std::fs::read_to_string(&path).unwrap(), "a,b\n");

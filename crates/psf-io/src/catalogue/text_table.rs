@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
-use crate::error::{IoError, Row, content, unreadable};
-use crate::fits::columns::{Gaps, NumberColumns, find, shown};
+use crate::error::{IoError, IoErrorKind, Place, Row, unreadable};
+use crate::fits::columns::{Gaps, NumberColumns, bad_value, find, shown};
 
+pub(super) const NOT_CSV: &str = "not a well-formed CSV table";
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// A text table in memory with named columns.
@@ -81,12 +82,8 @@ impl TextTable {
         let mut rows = Vec::new();
         self.for_each_row(|line, fields| {
             for ((column, &place), name) in columns.iter_mut().zip(&places).zip(names) {
-                column.push(number(fields[place], gaps).ok_or_else(|| IoError::Value {
-                    path: self.path.clone(),
-                    row: Row::Line(line),
-                    column: (*name).to_owned(),
-                    got: shown(fields[place]),
-                })?);
+                let bad = || bad_value(&self.path, Row::Line(line), name, &shown(fields[place]));
+                column.push(number(fields[place], gaps).ok_or_else(bad)?);
             }
             rows.push(line);
             Ok(())
@@ -111,11 +108,8 @@ impl TextTable {
                 return function(line, fields);
             }
             let (expected, got) = (self.names.len(), fields.len());
-            let problem = format!(
-                "{} has {got} fields, but there are {expected} column names",
-                Row::Line(line)
-            );
-            Err(content(&self.path, problem))
+            let problem = format!("the row has {got} fields, but there are {expected} column names");
+            Err(IoError::new(&self.path, IoErrorKind::Table, problem).at(Place::Row(Row::Line(line))))
         };
         let Separator::Byte(separator) = self.separator else {
             for (number, start, end) in lines(rows) {
@@ -134,10 +128,8 @@ impl TextTable {
             .trim(Trim::All)
             .from_reader(rows);
         let mut record = ByteRecord::new();
-        let failed = |source| IoError::Csv {
-            path: self.path.clone(),
-            source,
-        };
+        let failed =
+            |source: csv::Error| IoError::new(&self.path, IoErrorKind::Table, NOT_CSV).because(source);
         while reader.read_byte_record(&mut record).map_err(failed)? {
             let fields: Vec<&[u8]> = record.iter().collect();
             on_row(line_of(rows, record.position()) + skipped, &fields)?;
@@ -274,9 +266,15 @@ mod tests {
             .map(|columns| columns.values)
     }
 
+    fn value_at(line: u64, column: &str) -> Place {
+        let (row, column) = (Row::Line(line), column.to_owned());
+        Place::Value { row, column }
+    }
+
     fn assert_row_length(text: &str, line: u64, expected: usize, got: usize) {
         let error = read(text.as_bytes()).unwrap_err();
-        let problem = format!(": line {line} has {got} fields, but there are {expected} column names");
+        let problem =
+            format!(": line {line}: the row has {got} fields, but there are {expected} column names");
         assert!(error.to_string().ends_with(&problem), "{text}: {error}");
     }
 
@@ -298,14 +296,9 @@ mod tests {
             ("-inf", "-inf"),
         ] {
             let text = format!("# a comment\nx,y\n1,2\n\n# another\n# and more\n3,{bad}\n");
-            match read(text.as_bytes()) {
-                Err(IoError::Value {
-                    row, column, got: g, ..
-                }) => {
-                    assert_eq!((row, column.as_str(), g.as_str()), (Row::Line(7), "y", got));
-                }
-                other => panic!("{other:?}"),
-            }
+            let error = read(text.as_bytes()).unwrap_err();
+            assert_eq!(error.place(), Some(&value_at(7, "y")));
+            assert!(error.to_string().ends_with(&format!("got {got:?}")), "{error}");
         }
         let error = read(b"# two stars\n1,2\n").unwrap_err();
         assert!(error.to_string().contains("\"1\", \"2\""), "{error}");
@@ -313,10 +306,11 @@ mod tests {
         assert!(
             error
                 .to_string()
-                .contains("the column \"x\" exists more than once"),
+                .contains("column \"x\": the column exists more than once"),
             "{error}"
         );
-        assert!(matches!(read(b""), Err(IoError::MissingColumn { .. })));
+        let error = read(b"").unwrap_err();
+        assert_eq!(error.place(), Some(&Place::Column("x".to_owned())));
     }
 
     #[test]
@@ -362,17 +356,16 @@ mod tests {
         ] {
             assert_row_length(text, line, expected, length);
         }
-        match read(b"# x y\n1 2\n3 a\n") {
-            Err(IoError::Value { row, got, .. }) => assert_eq!((row, got.as_str()), (Row::Line(3), "a")),
-            other => panic!("{other:?}"),
-        }
+        let error = read(b"# x y\n1 2\n3 a\n").unwrap_err();
+        assert_eq!(error.place(), Some(&value_at(3, "y")));
+        assert!(error.to_string().ends_with("got \"a\""), "{error}");
     }
 
     #[test]
     fn columns_without_a_name_are_not_listed() {
         let error = read(b"# 1 A\n# 9 B\n1 2 3 4 5 6 7 8 9\n").unwrap_err();
         assert!(
-            matches!(&error, IoError::MissingColumn { found, .. } if *found == ["\"A\"", "\"B\""]),
+            error.to_string().ends_with("The columns are \"A\", \"B\""),
             "{error}"
         );
         assert_eq!(read(b"# 1 X\n# 2 Y\n").unwrap(), [[0.0; 0]; 2]);
@@ -388,9 +381,10 @@ mod tests {
         assert!(read.values[1][0].is_nan() && read.values[0][1].is_nan() && read.values[0][2].is_infinite());
         std::fs::write(file.path(), "x,y\n1,2px\n").unwrap();
         let table = TextTable::open(file.path()).unwrap();
-        assert!(matches!(
-            table.read(&["x", "y"], Gaps::Kept),
-            Err(IoError::Value { .. })
-        ));
+        let error = table.read(&["x", "y"], Gaps::Kept).unwrap_err();
+        assert_eq!(
+            (error.kind(), error.place()),
+            (IoErrorKind::Data, Some(&value_at(2, "y")))
+        );
     }
 }

@@ -80,6 +80,14 @@ impl Card {
         Self { records }
     }
 
+    /// The value for an error message, or the whole card if it has no value.
+    pub(crate) fn shown(&self) -> String {
+        match self.value() {
+            Some(value) => value.to_string(),
+            None => self.to_string().trim_end().to_owned(),
+        }
+    }
+
     pub(crate) fn from_record(record: Record) -> Self {
         Self {
             records: vec![record],

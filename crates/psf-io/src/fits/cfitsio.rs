@@ -18,9 +18,10 @@ use std::ptr::{self, NonNull};
 use fitsio::sys;
 use psf_types::Real;
 
-use crate::error::{IoError, request, unreadable};
+use crate::error::{IoError, IoErrorKind, unreadable, unwritable};
 use crate::fits::card::{RECORD, Record};
 use crate::fits::hdu::FitsSource;
+use crate::fits::image::beyond_single;
 
 /// The length of the longest file name, without the closing NUL.
 const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;
@@ -89,6 +90,11 @@ impl Fits {
         Ok(fits)
     }
 
+    /// The path for error messages.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Flushes all buffers and closes the file.
     pub(crate) fn close(mut self) -> Result<(), IoError> {
         let path = std::mem::take(&mut self.path);
@@ -131,9 +137,7 @@ impl Fits {
         if status == NUM_OVERFLOW && size_of::<T>() == size_of::<f32>() {
             // SAFETY: clears the message stack. CFITSIO protects it by a lock.
             unsafe { sys::ffcmsg() };
-            return Err(IoError::Overflow {
-                path: self.path.clone(),
-            });
+            return Err(beyond_single(&self.path));
         }
         self.check(status, "reading pixels")
     }
@@ -325,7 +329,6 @@ fn failure(path: &Path, doing: &'static str, status: c_int, writes: bool) -> IoE
     // CFITSIO does not keep the system's reason. It returns at once when the C library fails, so
     // `errno` still holds the reason. This line must be the first of the function.
     let system = std::io::Error::last_os_error();
-    let path = path.to_owned();
     let mut buffer = [0 as c_char; sys::FLEN_ERRMSG as usize];
     const { assert!(sys::FLEN_STATUS <= sys::FLEN_ERRMSG) };
     // SAFETY: the buffer is longer than any status text (30 characters and NUL).
@@ -333,17 +336,17 @@ fn failure(path: &Path, doing: &'static str, status: c_int, writes: bool) -> IoE
     let mut text = text_of(&buffer);
     // SAFETY: the buffer is as long as any message (80 characters and NUL).
     while unsafe { sys::ffgmsg(buffer.as_mut_ptr()) } != 0 {
-        text = text + "; " + &text_of(&buffer);
+        text = text + ", " + &text_of(&buffer);
     }
     if writes && SYSTEM_FAILURES.contains(&status) && system.raw_os_error().is_some_and(|code| code != 0) {
-        return IoError::Write { path, source: system };
+        return unwritable(path)(system);
     }
-    IoError::Cfitsio {
-        path,
-        doing,
-        status,
-        text,
-    }
+    let kind = if writes {
+        IoErrorKind::Write
+    } else {
+        IoErrorKind::Read
+    };
+    IoError::new(path, kind, format!("{doing}: CFITSIO status {status}: {text}"))
 }
 
 /// The text before the first NUL.
@@ -369,7 +372,7 @@ fn c_name(at: &Path, path: &Path) -> Result<CString, IoError> {
         let problem = format!(
             "CFITSIO accepts file names of at most {NAME_LIMIT} bytes, including directories and without NUL: use a shorter name"
         );
-        request(path, problem)
+        IoError::new(path, IoErrorKind::Limit, problem)
     };
     let absolute = std::path::absolute(at).map_err(unreadable(path))?;
     let bytes = absolute.into_os_string().into_encoded_bytes();

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use psf_types::Position;
 
-use crate::error::{IoError, Row, content, invalid};
+use crate::error::{IoError, IoErrorKind, Place, Row, invalid};
 use crate::fits::cfitsio::Fits;
 use crate::fits::hdu::Hdu;
 
@@ -66,10 +66,10 @@ impl<'a> Table<'a> {
         let column = self.column(name)?;
         if !b"BIJKED".contains(&column.code) || column.repeat != repeat {
             let problem = format!(
-                "HDU {}: the column {:?} has the format {}, but {repeat} number(s) per row are needed (such as {repeat}D)",
-                self.hdu.index, column.name, column.form
+                "the column {:?} has the format {}, but {repeat} number(s) per row are needed (such as {repeat}D)",
+                column.name, column.form
             );
-            return Err(content(self.hdu.path(), problem));
+            return Err(self.hdu.error(IoErrorKind::Table, problem));
         }
         let mut values = vec![0.0; self.rows * repeat];
         let mut fits = Fits::open(&self.hdu.source)?;
@@ -82,12 +82,10 @@ impl<'a> Table<'a> {
         let refused = |value: &f64| gaps == Gaps::Refused && !value.is_finite();
         match values.iter().position(refused) {
             None => Ok(values),
-            Some(flat) => Err(IoError::Value {
-                path: self.hdu.path().to_owned(),
-                row: Row::Index(flat / repeat),
-                column: column.name.clone(),
-                got: values[flat].to_string(),
-            }),
+            Some(flat) => {
+                let (row, got) = (Row::Index(flat / repeat), values[flat].to_string());
+                Err(bad_value(self.hdu.path(), row, &column.name, &got))
+            }
         }
     }
 }
@@ -182,10 +180,10 @@ pub(crate) fn find<'a>(
     match (found.next(), found.next()) {
         (Some((place, _)), None) => Ok(place),
         (None, _) => Err(missing_column(path, names, name)),
-        (Some(_), Some(_)) => Err(content(
-            path,
-            format!("the column {name:?} exists more than once: rename or remove one"),
-        )),
+        (Some(_), Some(_)) => {
+            const TWICE: &str = "the column exists more than once: rename or remove one";
+            Err(IoError::new(path, IoErrorKind::Table, TWICE).at(Place::Column(name.to_owned())))
+        }
     }
 }
 
@@ -195,11 +193,20 @@ pub(crate) fn missing_column<'a>(
     names: impl IntoIterator<Item = &'a String>,
     name: &str,
 ) -> IoError {
-    IoError::MissingColumn {
-        path: path.to_owned(),
-        column: name.to_owned(),
-        found: listed(names),
-    }
+    let found = listed(names).join(", ");
+    let message = format!("there is no such column. The columns are {found}");
+    IoError::new(path, IoErrorKind::Table, message).at(Place::Column(name.to_owned()))
+}
+
+/// The error for a value of a table that is not a finite number.
+pub(crate) fn bad_value(path: &Path, row: Row, column: &str, got: &str) -> IoError {
+    let column = column.to_owned();
+    IoError::new(
+        path,
+        IoErrorKind::Data,
+        format!("a finite number is needed, got {got:?}"),
+    )
+    .at(Place::Value { row, column })
 }
 
 /// Names for an error message: the first ones that are not empty.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use psf_types::DataError;
 
-use crate::error::{IoError, invalid};
+use crate::error::{IoError, IoErrorKind, Place, invalid};
 use crate::fits::card::{Card, CardValue, FromValue};
 use crate::fits::header_cards::{HeaderCards, TILED_NAME};
 use crate::output::temporary::Temporary;
@@ -165,13 +165,16 @@ impl Hdu {
         }
     }
 
-    pub(crate) fn header_error(&self, keyword: &str, problem: &'static str) -> IoError {
-        IoError::Header {
-            path: self.path().to_owned(),
-            hdu: self.index,
-            keyword: keyword.to_owned(),
-            problem,
-        }
+    /// An error about this HDU.
+    pub(crate) fn error(&self, kind: IoErrorKind, message: impl Into<String>) -> IoError {
+        IoError::new(self.path(), kind, message).at(Place::Hdu(self.index))
+    }
+
+    /// An error about a keyword of this HDU.
+    pub(crate) fn header_error(&self, keyword: &str, message: impl Into<String>) -> IoError {
+        let (hdu, keyword) = (self.index, keyword.to_owned());
+        self.error(IoErrorKind::Header, message)
+            .at(Place::Keyword { hdu, keyword })
     }
 
     /// Returns an error about this keyword unless `sound`.
@@ -205,27 +208,19 @@ impl Hdu {
     }
 
     pub(crate) fn axes_error(&self, expected: &'static str) -> IoError {
-        IoError::Axes {
-            path: self.path().to_owned(),
-            hdu: self.index,
-            expected,
-            got: self.shape(),
-        }
+        let got = self.shape();
+        let message = format!("the axes are {got:?} (in array order, x last), but {expected} is needed");
+        self.error(IoErrorKind::Axes, message)
     }
 
-    pub(crate) fn keyword_error(&self, keyword: &'static str, expected: &'static str) -> IoError {
-        let card = self.header.get(keyword);
-        let got = match card.and_then(Card::value) {
-            Some(value) => value.to_string(),
-            None => card.map_or_else(String::new, |card| card.to_string().trim_end().to_owned()),
-        };
-        IoError::Keyword {
-            path: self.path().to_owned(),
-            hdu: self.index,
-            keyword,
-            expected,
-            got,
-        }
+    pub(crate) fn keyword_error(&self, keyword: &str, expected: &str) -> IoError {
+        let got = self.header.get(keyword).map_or_else(String::new, Card::shown);
+        self.wrong_value(keyword, expected, &got)
+    }
+
+    /// The error for a keyword with a wrong value.
+    pub(crate) fn wrong_value(&self, keyword: &str, expected: &str, got: &str) -> IoError {
+        self.header_error(keyword, format!("must be {expected}, got {got}"))
     }
 
     /// The value of a keyword, if the keyword exists and its value has this type.
@@ -272,16 +267,6 @@ impl Hdu {
         self.optional(keyword, "T or F")
     }
 
-    /// A number that must be present.
-    pub(crate) fn required_real(
-        &self,
-        keyword: &'static str,
-        expected: &'static str,
-    ) -> Result<f64, IoError> {
-        self.optional_real(keyword)?
-            .ok_or_else(|| self.missing_keyword(keyword, expected))
-    }
-
     /// A number above 0 that must be present.
     pub(crate) fn required_length(
         &self,
@@ -315,13 +300,8 @@ impl Hdu {
             .ok_or_else(|| self.missing_keyword(keyword, expected))
     }
 
-    pub(crate) fn missing_keyword(&self, keyword: &'static str, expected: &'static str) -> IoError {
-        IoError::MissingKeyword {
-            path: self.path().to_owned(),
-            hdu: self.index,
-            keyword,
-            expected,
-        }
+    pub(crate) fn missing_keyword(&self, keyword: &str, expected: &str) -> IoError {
+        self.header_error(keyword, format!("the keyword is missing ({expected})"))
     }
 }
 

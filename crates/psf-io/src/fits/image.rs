@@ -27,12 +27,12 @@
 //! ```
 
 use std::ops::Range;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use ndarray::{Array1, Array2, Array3, ArrayViewMut2};
 use psf_types::{FrameShape, Image, Real};
 
-use crate::error::{IoError, invalid, request};
+use crate::error::{IoError, IoErrorKind, Place, invalid};
 use crate::fits::cfitsio::Fits;
 use crate::fits::hdu::{Hdu, HduChoice};
 use crate::fits::header_cards::HeaderCards;
@@ -79,9 +79,9 @@ pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoErr
 /// image.
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] with a list where a choice is needed, [`IoError::NoSuchHdu`],
-/// [`IoError::Axes`] for a cube, [`IoError::NonFinitePixels`], [`IoError::Overflow`] if a value of
-/// a double-precision file is too large for f32, and the errors of any FITS file.
+/// [`IoErrorKind::Setting`] with a list where a choice is needed or wrong, [`IoErrorKind::Axes`]
+/// for a cube, [`IoErrorKind::Data`] for a pixel that is not finite, [`IoErrorKind::Limit`] if a
+/// value of a double-precision file is too large for f32, and the errors of any FITS file.
 pub fn read_image_hdu<T: Real>(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -108,7 +108,7 @@ pub fn read_cube<T: Real>(path: impl AsRef<Path>) -> Result<Array3<T>, IoError> 
 /// Reads the chosen image as a stack `[plane, y, x]`.
 ///
 /// # Errors
-/// The errors of [`read_image_hdu`], and [`IoError::Axes`] for more than three axes.
+/// The errors of [`read_image_hdu`], and [`IoErrorKind::Axes`] for more than three axes.
 pub fn read_cube_hdu<T: Real>(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -157,8 +157,8 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 /// ```
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] where a choice among images with pixels is needed,
-/// [`IoError::NoSuchHdu`] for a choice that is not an image, and the errors of any FITS file.
+/// [`IoErrorKind::Setting`] where a choice among images with pixels is needed or the choice is not
+/// an image, and the errors of any FITS file.
 pub fn read_cards(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
     Ok(structure.cards(structure.header_of_frame(choice)?))
@@ -185,7 +185,21 @@ pub(crate) fn stack_shape(hdu: &Hdu, expected: &'static str) -> Result<(usize, u
 /// The error for a band of rows whose width differs from that of the image.
 pub(crate) fn band_width(path: &Path, expected: usize, got: usize) -> IoError {
     let problem = format!("a band of rows must be as wide as the image, {expected} columns, got {got}");
-    request(path, problem)
+    IoError::new(path, IoErrorKind::Request, problem)
+}
+
+/// The error for rows that an image of `ny` rows does not have.
+pub(crate) fn bad_rows(path: &Path, rows: &Range<usize>, ny: usize) -> IoError {
+    let (first, end) = (rows.start, rows.end);
+    let problem =
+        format!("rows {first} to {end} (not included, 0-based) are not all in an image of {ny} rows");
+    IoError::new(path, IoErrorKind::Request, problem)
+}
+
+/// The error for a value that single precision cannot hold.
+pub(crate) fn beyond_single(path: &Path) -> IoError {
+    const BEYOND: &str = "a value is beyond the range of single precision: use double precision";
+    IoError::new(path, IoErrorKind::Limit, BEYOND)
 }
 
 /// An open image that is read one band of rows at a time, so that it may be larger than memory.
@@ -234,8 +248,8 @@ impl ImageReader {
     /// read.
     ///
     /// # Errors
-    /// [`IoError::SeveralHdus`] with a list where a choice is needed, [`IoError::NoSuchHdu`],
-    /// [`IoError::Axes`] for a cube, and the errors of any FITS file.
+    /// [`IoErrorKind::Setting`] with a list where a choice is needed or wrong,
+    /// [`IoErrorKind::Axes`] for a cube, and the errors of any FITS file.
     pub fn open_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<Self, IoError> {
         Self::open_part(path.as_ref(), choice, |hdu| match squeezed(hdu)[..] {
             [ny, nx] => Ok((0, ny, nx)),
@@ -246,8 +260,8 @@ impl ImageReader {
     /// Opens one plane, counted from 0, of a cube `[plane, y, x]`. An image is a cube of one plane.
     ///
     /// # Errors
-    /// The errors of [`open_hdu`](Self::open_hdu), [`IoError::Axes`] for more than three axes, and
-    /// [`IoError::Request`] for a plane that the cube does not have.
+    /// The errors of [`open_hdu`](Self::open_hdu), [`IoErrorKind::Axes`] for more than three axes,
+    /// and [`IoErrorKind::Request`] for a plane that the cube does not have.
     pub fn open_plane(
         path: impl AsRef<Path>,
         choice: Option<&HduChoice>,
@@ -258,7 +272,7 @@ impl ImageReader {
             if plane >= planes {
                 let problem =
                     format!("there is no plane {plane}: the image has {planes} planes, counted from 0");
-                return Err(request(hdu.path(), problem));
+                return Err(hdu.error(IoErrorKind::Request, problem));
             }
             Ok((plane * ny * nx, ny, nx))
         })
@@ -309,10 +323,10 @@ impl ImageReader {
     /// error the contents of `band` are undefined.
     ///
     /// # Errors
-    /// [`IoError::Rows`] for rows that the image does not have, [`IoError::Request`] for a band of
-    /// another width, [`IoError::NonFinitePixels`] with the first such pixel of the image and the
-    /// number of them in these rows, [`IoError::Overflow`] if a value of a double-precision file is
-    /// too large for f32, and the errors of CFITSIO.
+    /// [`IoErrorKind::Request`] for rows that the image does not have or a band of another width,
+    /// [`IoErrorKind::Data`] with the first pixel of the image that is not finite and the number of
+    /// them in these rows, [`IoErrorKind::Limit`] if a value of a double-precision file is too large
+    /// for f32, and the errors of CFITSIO.
     pub fn read_rows_into<T: Real>(
         &mut self,
         first_row: usize,
@@ -321,7 +335,7 @@ impl ImageReader {
         let (ny, nx) = band.dim();
         self.check_rows(&(first_row..first_row.saturating_add(ny)))?;
         if nx != self.shape.nx() {
-            return Err(band_width(&self.pixels.path, self.shape.nx(), nx));
+            return Err(band_width(self.pixels.fits.path(), self.shape.nx(), nx));
         }
         let first = self.origin + first_row * nx;
         let clean = match band.as_slice_mut() {
@@ -340,7 +354,7 @@ impl ImageReader {
     /// pixels without testing each of them.
     ///
     /// # Errors
-    /// [`IoError::Rows`] for rows that the image does not have, and the errors of CFITSIO.
+    /// [`IoErrorKind::Request`] for rows that the image does not have, and the errors of CFITSIO.
     pub fn read_rows_with_undefined(&mut self, rows: Range<usize>) -> Result<Array2<f64>, IoError> {
         self.check_rows(&rows)?;
         let mut band = Array2::zeros((rows.len(), self.shape.nx()));
@@ -372,11 +386,7 @@ impl ImageReader {
         if rows.start <= rows.end && rows.end <= self.shape.ny() {
             return Ok(());
         }
-        Err(IoError::Rows {
-            path: self.pixels.path.clone(),
-            rows: rows.clone(),
-            ny: self.shape.ny(),
-        })
+        Err(bad_rows(self.pixels.fits.path(), rows, self.shape.ny()))
     }
 }
 
@@ -387,7 +397,6 @@ const CHUNK: usize = 4096;
 #[derive(Debug)]
 struct Pixels {
     fits: Fits,
-    path: PathBuf,
     hdu: usize,
     /// In array order, x last.
     shape: Vec<usize>,
@@ -404,7 +413,6 @@ impl Pixels {
         fits.move_to(hdu.index)?;
         Ok(Self {
             fits,
-            path: hdu.path().to_owned(),
             hdu: hdu.index,
             shape: hdu.shape(),
             // For floats CFITSIO must not search undefined values, because it would set subnormal
@@ -425,17 +433,15 @@ impl Pixels {
     /// The error for pixels that are not all finite in the requested type.
     fn defect(&mut self, first: usize, count: usize) -> IoError {
         match self.non_finite(first, count) {
-            Ok(Some((flat, value, count))) => IoError::NonFinitePixels {
-                path: self.path.clone(),
-                hdu: self.hdu,
-                index: self.index(flat),
-                value,
-                count,
-            },
+            Ok(Some((flat, value, count))) => {
+                let problem = format!(
+                    "the pixel is {value}, the first of {count} that are NaN, infinite or BLANK: replace them by numbers"
+                );
+                let (hdu, index) = (self.hdu, self.index(flat));
+                IoError::new(self.fits.path(), IoErrorKind::Data, problem).at(Place::Pixel { hdu, index })
+            }
             // A value that is infinite in single precision may be finite in the file.
-            Ok(None) => IoError::Overflow {
-                path: self.path.clone(),
-            },
+            Ok(None) => beyond_single(self.fits.path()),
             Err(error) => error,
         }
     }

@@ -1,16 +1,16 @@
 //! Writing images: at once, by bands of rows, as whole numbers, and cubes.
 
 use std::marker::PhantomData;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use ndarray::{ArrayView1, ArrayView2, ArrayView3};
 use psf_types::{DataError, FrameShape, Image, Quantity, Real};
 
-use crate::error::{IoError, bad_card, invalid, request, unwritable};
+use crate::error::{IoError, IoErrorKind, bad_card, invalid, unwritable};
 use crate::fits::card::{Card, CardValue, Record};
 use crate::fits::cfitsio::Fits;
 use crate::fits::header_cards::HeaderCards;
-use crate::fits::image::band_width;
+use crate::fits::image::{bad_rows, band_width, beyond_single};
 use crate::output::PendingFile;
 
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.
@@ -35,8 +35,8 @@ use crate::output::PendingFile;
 /// ```
 ///
 /// # Errors
-/// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or an error of the file
-/// system or of CFITSIO.
+/// [`IoErrorKind::Exists`] unless `overwrite`, [`IoErrorKind::NotFound`] without the directory, or
+/// an error of the file system or of CFITSIO.
 pub fn write_image<T: Real>(
     path: impl AsRef<Path>,
     image: &Image<T>,
@@ -77,7 +77,6 @@ pub fn write_image<T: Real>(
 #[derive(Debug)]
 pub struct ImageWriter<T> {
     file: NewFits,
-    path: PathBuf,
     shape: FrameShape,
     /// The cards as they are in the file.
     cards: HeaderCards,
@@ -90,8 +89,8 @@ impl<T: Real> ImageWriter<T> {
     /// [`write_image`](crate::write_image).
     ///
     /// # Errors
-    /// [`IoError::Exists`] unless `overwrite`, [`IoError::MissingDirectory`], or an error of the
-    /// file system or of CFITSIO.
+    /// [`IoErrorKind::Exists`] unless `overwrite`, [`IoErrorKind::NotFound`] without the directory,
+    /// or an error of the file system or of CFITSIO.
     pub fn create(
         path: impl AsRef<Path>,
         shape: FrameShape,
@@ -128,7 +127,6 @@ impl<T: Real> ImageWriter<T> {
         }
         Ok(Self {
             file,
-            path: path.to_owned(),
             shape,
             cards,
             rows_written: 0,
@@ -150,17 +148,16 @@ impl<T: Real> ImageWriter<T> {
     /// or its shape leaves the file as it was, and another band may be written in its place.
     ///
     /// # Errors
-    /// [`IoError::Rows`] for more rows than the image has, [`IoError::Request`] for a band of
-    /// another width, [`IoError::Data`] with [`DataError::NonFinite`] for the first pixel `[y, x]`,
-    /// counted in the whole image, that is NaN or infinite, or an error of the file system or of
-    /// CFITSIO.
+    /// [`IoErrorKind::Request`] for more rows than the image has or a band of another width,
+    /// [`IoErrorKind::Data`] with [`DataError::NonFinite`] for the first pixel `[y, x]`, counted in
+    /// the whole image, that is NaN or infinite, or an error of the file system or of CFITSIO.
     pub fn write_rows(&mut self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
         let clean = |row: ArrayView1<'_, T>| row.fold(true, |clean, value| clean & value.is_finite());
         self.check_shape(rows)?;
         if !rows.rows().into_iter().all(clean) {
             let bad = rows.indexed_iter().find(|(_, value)| !value.is_finite());
             let ((y, x), value) = bad.expect("one was found");
-            return Err(invalid(&self.path)(DataError::NonFinite {
+            return Err(invalid(self.file.fits.path())(DataError::NonFinite {
                 quantity: Quantity::Pixel,
                 index: vec![self.rows_written + y, x],
                 value: value.as_f64(),
@@ -192,14 +189,11 @@ impl<T: Real> ImageWriter<T> {
         let (count, width) = rows.dim();
         let (nx, ny) = (self.shape.nx(), self.shape.ny());
         if width != nx {
-            return Err(band_width(&self.path, nx, width));
+            return Err(band_width(self.file.fits.path(), nx, width));
         }
         if count > ny - self.rows_written {
-            return Err(IoError::Rows {
-                path: self.path.clone(),
-                rows: self.rows_written..self.rows_written.saturating_add(count),
-                ny,
-            });
+            let rows = self.rows_written..self.rows_written.saturating_add(count);
+            return Err(bad_rows(self.file.fits.path(), &rows, ny));
         }
         Ok(())
     }
@@ -207,8 +201,8 @@ impl<T: Real> ImageWriter<T> {
     /// Completes the file and gives it its final name.
     ///
     /// # Errors
-    /// [`IoError::Request`] unless all rows were written, [`IoError::Exists`] if a file that may
-    /// not be replaced has appeared at the path, or an error of the file system or of CFITSIO.
+    /// [`IoErrorKind::Request`] unless all rows were written, [`IoErrorKind::Exists`] if a file that
+    /// may not be replaced has appeared at the path, or an error of the file system or of CFITSIO.
     /// After an error the unfinished file is removed.
     pub fn finish(self) -> Result<(), IoError> {
         self.finish_with(&[])
@@ -229,7 +223,7 @@ impl<T: Real> ImageWriter<T> {
             let (expected, got) = (self.shape.ny(), self.rows_written);
             let problem =
                 format!("the image has {expected} rows, only {got} were written: write the rest first");
-            return Err(request(&self.path, problem));
+            return Err(IoError::new(self.file.fits.path(), IoErrorKind::Request, problem));
         }
         let cards = self.cards.with(added);
         let (old, new) = (records(&self.cards), records(&cards));
@@ -326,9 +320,7 @@ pub(crate) fn in_single_precision<'a>(
     if values.iter().all(|v| v.is_finite()) {
         return Ok(values);
     }
-    Err(IoError::Overflow {
-        path: path.to_owned(),
-    })
+    Err(beyond_single(path))
 }
 
 /// Makes cards from keywords, values and comments.
@@ -398,8 +390,8 @@ impl IntegerKind {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Request`] for the first value that is not a whole number in the range of `kind`, else
-/// the errors of [`write_image`](crate::write_image).
+/// [`IoErrorKind::Request`] for the first value that is not a whole number in the range of `kind`,
+/// else the errors of [`write_image`](crate::write_image).
 pub fn write_integers<V: Copy + Into<f64>>(
     path: impl AsRef<Path>,
     pixels: ArrayView2<'_, V>,
@@ -426,7 +418,7 @@ pub fn write_integers<V: Copy + Into<f64>>(
                     "the pixel {:?} ([y, x]) is {value}, but it must be a whole number from {lowest} to {highest}",
                     [y, x]
                 );
-                return Err(request(path, problem));
+                return Err(IoError::new(path, IoErrorKind::Request, problem));
             }
             row.push(value as i32);
         }
@@ -449,8 +441,9 @@ pub fn write_integers<V: Copy + Into<f64>>(
 /// ```
 ///
 /// # Errors
-/// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Limit`] for a value beyond single precision, [`IoErrorKind::Exists`] unless
+/// `overwrite`, [`IoErrorKind::NotFound`] without the directory, or an error of the file system or
+/// of CFITSIO.
 pub fn write_cube(
     path: impl AsRef<Path>,
     cube: ArrayView3<'_, f64>,

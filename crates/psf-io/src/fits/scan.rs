@@ -6,7 +6,7 @@ use std::path::Path;
 
 use flate2::read::MultiGzDecoder;
 
-use crate::error::{IoError, unreadable};
+use crate::error::{IoError, IoErrorKind, Place, unreadable};
 use crate::fits::card::{RECORD, Record};
 use crate::fits::hdu::{BLOCK, FitsSource, Hdu};
 use crate::fits::header_cards::HeaderCards;
@@ -46,12 +46,11 @@ impl<'a> HeaderRecords<'a> {
         if self.blocks < HEADER_BLOCK_LIMIT {
             return Ok(false);
         }
-        Err(IoError::Header {
-            path: self.path.to_owned(),
+        let place = Place::Keyword {
             hdu: self.hdu,
             keyword: "END".to_owned(),
-            problem: "the header does not end",
-        })
+        };
+        Err(IoError::new(self.path, IoErrorKind::Header, "the header does not end").at(place))
     }
 
     /// Makes the HDU of this header.
@@ -136,12 +135,10 @@ impl<'a> Scanner<'a> {
 
 /// The error for an HDU in a file that ends too early, after `length` bytes.
 fn truncated(path: &Path, hdu: usize, needed: u64, length: u64) -> IoError {
-    IoError::Truncated {
-        path: path.to_owned(),
-        hdu,
-        needed,
-        length,
-    }
+    let message = format!(
+        "the file is cut short: at least {needed} bytes are needed, there are {length}. Fetch or write it again"
+    );
+    IoError::new(path, IoErrorKind::Damaged, message).at(Place::Hdu(hdu))
 }
 
 /// The first bytes of every gzip file.
@@ -166,9 +163,10 @@ pub(crate) fn first_bytes(path: &Path, count: usize) -> Result<Vec<u8>, IoError>
 /// that is too large, or too short for its headers, is refused before it fills the disk.
 pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
     let source = FitsSource::new(path, None);
-    let failed = |source| IoError::Unpacking {
-        path: path.to_owned(),
-        source,
+    let failed = |source| {
+        const UNPACKING: &str =
+            "cannot unpack to the folder for temporary files: set TMPDIR to one with room";
+        IoError::new(path, IoErrorKind::Write, UNPACKING).because(source)
     };
     let mut unpacker = Unpacker::open(path)?;
     let mut entries = entries();
@@ -253,11 +251,11 @@ impl<'a> Unpacker<'a> {
                 Ok(length) => filled += length,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(source) => {
-                    return Err(IoError::Gzip {
-                        path: self.path.to_owned(),
-                        at: self.done + filled as u64,
-                        source,
-                    });
+                    let message = format!(
+                        "the gzip data are damaged or cut short after {} bytes of the FITS file: fetch or write it again",
+                        self.done + filled as u64
+                    );
+                    return Err(IoError::new(self.path, IoErrorKind::Damaged, message).because(source));
                 }
             }
         }
@@ -279,10 +277,10 @@ impl<'a> Unpacker<'a> {
         if bytes <= allowed {
             return Ok(());
         }
-        Err(IoError::UnpacksTooLarge {
-            path: self.path.to_owned(),
-            length: self.length,
-            allowed,
-        })
+        let message = format!(
+            "{} bytes of gzip data would unpack to more than {allowed}: if this is right, run gunzip first",
+            self.length
+        );
+        Err(IoError::new(self.path, IoErrorKind::Limit, message))
     }
 }

@@ -5,20 +5,26 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use crate::error::{IoError, content, unreadable};
+use crate::error::{IoError, IoErrorKind, Place, unreadable};
 use crate::fits::hdu::{FitsSource, Hdu, HduChoice, HduKind};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::scan::{self, GZIP, Scanner};
 
-/// The option of the command line that chooses an HDU, for error messages.
-pub(crate) const EXTENSION_OPTION: &str = "--extension N|NAME";
+/// The settings that choose an HDU, for errors: an image, a table, or a PSF.
+const IMAGE: &str = "hdu";
+pub(crate) const TABLE: &str = "table";
+pub(crate) const PSF: &str = "extension";
+pub(crate) const NOT_A_FILE: &str = "this is not a regular file";
 const MAGIC: &[u8] = b"SIMPLE  =";
 /// The first bytes of files whose compression is not supported, and what to do.
 const COMPRESSED: &[(&[u8], &str)] = &[
-    (b"BZh", "compressed by bzip2: run bunzip2 first"),
-    (b"\x1f\x9d", "compressed by compress: run uncompress first"),
-    (b"\xfd7zXZ", "compressed by xz: run unxz first"),
-    (b"PK\x03\x04", "a zip archive: run unzip first"),
+    (b"BZh", "the file is compressed by bzip2: run bunzip2 first"),
+    (
+        b"\x1f\x9d",
+        "the file is compressed by compress: run uncompress first",
+    ),
+    (b"\xfd7zXZ", "the file is compressed by xz: run unxz first"),
+    (b"PK\x03\x04", "the file is a zip archive: run unzip first"),
 ];
 
 /// The HDUs of a file. Their data are known to be complete.
@@ -34,9 +40,8 @@ impl FitsStructure {
     /// opened through it.
     pub(crate) fn scan(path: &Path) -> Result<Self, IoError> {
         if !is_fits(path)? {
-            return Err(IoError::NotFits {
-                path: path.to_owned(),
-            });
+            const NOT_FITS: &str = "this is not a FITS file (a FITS file starts with \"SIMPLE  =\")";
+            return Err(IoError::new(path, IoErrorKind::Format, NOT_FITS));
         }
         let is_packed = start_of(path)?.starts_with(GZIP);
         let copy = is_packed.then(|| scan::unpack(path)).transpose()?;
@@ -72,31 +77,32 @@ impl FitsStructure {
         self.table(name).ok_or_else(|| self.missing(what))
     }
 
-    /// The chosen HDU, which `fits` must accept.
+    /// The chosen HDU, which `fits` must accept. `setting` names the choice.
     fn chosen(
         &self,
         choice: &HduChoice,
-        what: &'static str,
+        setting: &'static str,
+        what: &str,
         fits: impl Fn(&Hdu) -> bool,
     ) -> Result<&Hdu, IoError> {
         match self.hdus.iter().find(|hdu| choice.matches(hdu)) {
             Some(hdu) if fits(hdu) => Ok(hdu),
-            _ => Err(self.no_such(choice, what, fits)),
+            _ => Err(self.no_such(choice, setting, what, fits)),
         }
     }
 
-    /// The only HDU that `fits` accepts. If there are several, the error says that `option` chooses
+    /// The only HDU that `fits` accepts. If there are several, the error says that `setting` chooses
     /// one.
     pub(crate) fn only(
         &self,
-        what: &'static str,
-        option: &'static str,
+        what: &str,
+        setting: &'static str,
         fits: impl Fn(&Hdu) -> bool,
     ) -> Result<&Hdu, IoError> {
         let found: Vec<&Hdu> = self.hdus.iter().filter(|hdu| fits(hdu)).collect();
         match found[..] {
             [hdu] => Ok(hdu),
-            _ => Err(self.several(what, option, found.into_iter())),
+            _ => Err(self.several(what, setting, found.into_iter())),
         }
     }
 
@@ -105,11 +111,11 @@ impl FitsStructure {
     /// weights, so a choice is required.
     pub(crate) fn image(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
         if let Some(choice) = choice {
-            return self.chosen(choice, "images with pixels", Hdu::has_pixels);
+            return self.chosen(choice, IMAGE, "images with pixels", Hdu::has_pixels);
         }
         match self.first_image()? {
             first if first.index == 0 => Ok(first),
-            _ => self.only("images", EXTENSION_OPTION, Hdu::has_pixels),
+            _ => self.only("images", IMAGE, Hdu::has_pixels),
         }
     }
 
@@ -119,7 +125,7 @@ impl FitsStructure {
     pub(crate) fn header_of_frame(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
         let is_image = |hdu: &Hdu| hdu.kind == HduKind::Image;
         if let Some(choice) = choice {
-            return self.chosen(choice, "images or headers of images", is_image);
+            return self.chosen(choice, IMAGE, "images or headers of images", is_image);
         }
         if self.first_image().is_ok() {
             return self.image(None);
@@ -143,7 +149,9 @@ impl FitsStructure {
         let mut meant = self.hdus.iter().filter(|hdu| choice.matches(hdu)).take(1);
         match meant.find(|hdu| hdu.is_ascii_table()) {
             Some(hdu) => Err(self.ascii_table(hdu)),
-            None => self.chosen(choice, "binary tables", |hdu| hdu.kind == HduKind::BinaryTable),
+            None => self.chosen(choice, TABLE, "binary tables", |hdu| {
+                hdu.kind == HduKind::BinaryTable
+            }),
         }
     }
 
@@ -156,52 +164,44 @@ impl FitsStructure {
     }
 
     fn ascii_table(&self, hdu: &Hdu) -> IoError {
-        let problem = format!(
-            "HDU {} is an ASCII table (XTENSION = 'TABLE'), which is not supported: write it as a binary table or as CSV, as astropy's \
-             Table.read(FILE).write(OTHER) does",
-            hdu.index
-        );
-        content(&self.path, problem)
+        const ASCII: &str = "this is an ASCII table (XTENSION = 'TABLE'), which is not supported: write it as a binary table or \
+                             as CSV, as astropy's Table.read(FILE).write(OTHER) does";
+        IoError::new(&self.path, IoErrorKind::Format, ASCII).at(Place::Hdu(hdu.index))
     }
 
     /// The error for a choice that `fits` does not accept.
     pub(crate) fn no_such(
         &self,
         choice: &HduChoice,
-        what: &'static str,
+        setting: &'static str,
+        what: &str,
         fits: impl Fn(&Hdu) -> bool,
     ) -> IoError {
-        let fitting = self.hdus.iter().filter(|hdu| fits(hdu));
-        IoError::NoSuchHdu {
-            path: self.path.clone(),
-            wanted: choice.to_string(),
-            what,
-            found: fitting.map(Hdu::described).collect(),
-        }
+        let found = list(self.hdus.iter().filter(|hdu| fits(hdu)));
+        let message =
+            format!("HDU {choice} is none of the {what} in the file, which are in the HDUs {found}");
+        IoError::new(&self.path, IoErrorKind::Setting, message).with_setting(setting)
     }
 
     /// The chosen image of PSF stamps. Without a choice it is the only image with pixels.
     pub(crate) fn stamps(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
-        if choice.is_some() {
-            return self.image(choice);
+        if let Some(choice) = choice {
+            return self.chosen(choice, PSF, "images with pixels", Hdu::has_pixels);
         }
         self.first_image()?;
-        self.only("images", "--psf-extension N|NAME", Hdu::has_pixels)
+        self.only("images", PSF, Hdu::has_pixels)
     }
 
-    /// The error for several HDUs, of which `option` must choose one.
+    /// The error for several HDUs, of which `setting` must choose one.
     pub(crate) fn several<'a>(
         &self,
-        what: &'static str,
-        option: &'static str,
-        hdus: impl Iterator<Item = &'a Hdu>,
+        what: &str,
+        setting: &'static str,
+        hdus: impl ExactSizeIterator<Item = &'a Hdu>,
     ) -> IoError {
-        IoError::SeveralHdus {
-            path: self.path.clone(),
-            what,
-            option,
-            found: hdus.map(Hdu::described).collect(),
-        }
+        let (count, found) = (hdus.len(), list(hdus));
+        let message = format!("the file has {count} {what}, in the HDUs {found}: choose one");
+        IoError::new(&self.path, IoErrorKind::Setting, message).with_setting(setting)
     }
 
     /// All binary tables.
@@ -210,19 +210,22 @@ impl FitsStructure {
     }
 
     pub(crate) fn missing(&self, what: &str) -> IoError {
-        IoError::MissingHdu {
-            path: self.path.clone(),
-            what: what.to_owned(),
-        }
+        IoError::new(&self.path, IoErrorKind::Format, format!("the file has no {what}"))
     }
+}
+
+/// Number and name of each HDU.
+fn list<'a>(hdus: impl Iterator<Item = &'a Hdu>) -> String {
+    hdus.map(Hdu::described).collect::<Vec<_>>().join(", ")
 }
 
 /// Returns whether the first bytes are those of a FITS file, which may be compressed by gzip. A
 /// file with another compression is an error.
 pub(crate) fn is_fits(path: &Path) -> Result<bool, IoError> {
     let start = start_of(path)?;
+    let format = |problem| Err(IoError::new(path, IoErrorKind::Format, problem));
     if let Some(&(_, problem)) = COMPRESSED.iter().find(|(bytes, _)| start.starts_with(bytes)) {
-        return Err(content(path, problem));
+        return format(problem);
     }
     if !start.starts_with(GZIP) {
         return Ok(start == MAGIC);
@@ -230,19 +233,14 @@ pub(crate) fn is_fits(path: &Path) -> Result<bool, IoError> {
     if scan::first_bytes(path, MAGIC.len())? == MAGIC {
         return Ok(true);
     }
-    Err(content(
-        path,
-        "a gzip file that does not hold a FITS file: run gunzip first",
-    ))
+    format("the gzip file does not hold a FITS file: run gunzip first")
 }
 
 /// The first bytes of a file, as many as [`MAGIC`] has.
 fn start_of(path: &Path) -> Result<Vec<u8>, IoError> {
     let failed = unreadable(path);
     if !std::fs::metadata(path).map_err(failed)?.is_file() {
-        return Err(IoError::NotAFile {
-            path: path.to_owned(),
-        });
+        return Err(IoError::new(path, IoErrorKind::Format, NOT_A_FILE));
     }
     let mut start = Vec::with_capacity(MAGIC.len());
     let file = File::open(path).map_err(failed)?;

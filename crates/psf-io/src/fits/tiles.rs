@@ -7,7 +7,7 @@ use std::io::{self, BufReader, Read, Seek};
 
 use flate2::bufread::GzDecoder;
 
-use crate::error::{IoError, unreadable};
+use crate::error::{IoError, IoErrorKind, Place, unreadable};
 use crate::fits::columns::{Column, columns};
 use crate::fits::hdu::{Hdu, HduKind};
 use crate::fits::tile_codes::{Rice, is_sound_plio};
@@ -276,11 +276,11 @@ impl<'a> Tiles<'a> {
     }
 
     fn broken(&self, tile: usize) -> IoError {
-        IoError::Tile {
-            path: self.hdu.path().to_owned(),
-            hdu: self.hdu.index,
-            tile,
-        }
+        const DAMAGED: &str = "the tile of the compressed image is damaged: fetch or write it again";
+        let hdu = self.hdu.index;
+        self.hdu
+            .error(IoErrorKind::Damaged, DAMAGED)
+            .at(Place::Tile { hdu, tile })
     }
 }
 

@@ -8,7 +8,8 @@ use std::path::{Path, PathBuf};
 
 use temporary::{Temporary, directory_of, entries};
 
-use crate::error::{IoError, unwritable};
+use crate::error::{IoError, IoErrorKind, unwritable};
+use crate::fits::structure::NOT_A_FILE;
 
 /// Writes a file under a temporary name in its own directory and renames it when it is complete.
 ///
@@ -26,14 +27,17 @@ use crate::error::{IoError, unwritable};
 /// # let directory = tempfile::tempdir()?;
 /// # let path = directory.path().join("note.json");
 /// psf_io::write_atomically(&path, false, |temporary| {
-///     std::fs::write(temporary, "{}").map_err(|source| psf_io::IoError::Write { path: path.clone(), source })
+///     std::fs::write(temporary, "{}").map_err(|source| {
+///         psf_io::IoError::new(&path, psf_io::IoErrorKind::Write, "cannot write the note").because(source)
+///     })
 /// })?;
-/// assert!(psf_io::write_atomically(&path, false, |_| Ok::<(), psf_io::IoError>(())).is_err()); // it exists
+/// let exists = psf_io::write_text(&path, "{}", false).unwrap_err();
+/// assert_eq!(exists.kind(), psf_io::IoErrorKind::Exists);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 ///
 /// # Errors
-/// The errors of [`check_output`], [`IoError::Write`], and any error that `write` returns.
+/// The errors of [`check_output`], [`IoErrorKind::Write`], and any error that `write` returns.
 pub fn write_atomically<R, E: From<IoError>>(
     path: impl AsRef<Path>,
     overwrite: bool,
@@ -70,35 +74,39 @@ pub fn write_bytes(path: impl AsRef<Path>, content: &[u8], overwrite: bool) -> R
 /// may still fail later, for example because the disk is full.
 ///
 /// # Errors
-/// [`IoError::MissingDirectory`], [`IoError::NotAFile`], [`IoError::Exists`] or [`IoError::Write`].
+/// [`IoErrorKind::NotFound`] without the directory, [`IoErrorKind::Format`] if the path is not that
+/// of a regular file, [`IoErrorKind::Exists`] or [`IoErrorKind::Write`].
 pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoError> {
     checked_target(path.as_ref(), overwrite).map(drop)
 }
 
 /// The file that is replaced in the end: `path`, or the target of a symbolic link.
 pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, IoError> {
-    let owned = || path.to_owned();
+    let not_a_file = || Err(IoError::new(path, IoErrorKind::Format, NOT_A_FILE));
     if path.file_name().is_none() {
-        return Err(IoError::NotAFile { path: owned() });
+        return not_a_file();
     }
     let directory = directory_of(path);
     if !directory.is_dir() {
-        return Err(IoError::MissingDirectory {
-            path: owned(),
-            directory: directory.to_owned(),
-        });
+        let message = format!("there is no directory {}: create it first", directory.display());
+        return Err(IoError::new(path, IoErrorKind::NotFound, message));
     }
     match fs::metadata(path) {
-        Ok(found) if !found.is_file() => Err(IoError::NotAFile { path: owned() }),
-        Ok(_) if !overwrite => Err(IoError::Exists { path: owned() }),
+        Ok(found) if !found.is_file() => not_a_file(),
+        Ok(_) if !overwrite => Err(exists(path)),
         Ok(_) => fs::canonicalize(path).map_err(unwritable(path)),
         // A link whose target does not exist counts as an existing file.
         Err(e) if e.kind() == ErrorKind::NotFound && fs::symlink_metadata(path).is_ok() && !overwrite => {
-            Err(IoError::Exists { path: owned() })
+            Err(exists(path))
         }
-        Err(e) if e.kind() == ErrorKind::NotFound => Ok(owned()),
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(path.to_owned()),
         Err(source) => Err(unwritable(path)(source)),
     }
+}
+
+fn exists(path: &Path) -> IoError {
+    const EXISTS: &str = "the file exists: choose another name, or allow it to be replaced";
+    IoError::new(path, IoErrorKind::Exists, EXISTS).with_setting("overwrite")
 }
 
 /// An output under a temporary name in its own directory. [`commit`](Self::commit) renames it, and
@@ -177,7 +185,7 @@ impl PendingFile {
                 sync_directory(directory_of(&target));
                 Ok(())
             }
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => Err(IoError::Exists { path }),
+            Err(e) if e.kind() == ErrorKind::AlreadyExists => Err(exists(&path)),
             Err(e) => Err(unwritable(&path)(e)),
         }
     }
@@ -209,7 +217,7 @@ mod tests {
         let failed = write_atomically(&path, true, |at| {
             assert_eq!((at.extension(), at.parent()), (path.extension(), path.parent()));
             fs::write(at, "half").unwrap();
-            Err::<(), _>(IoError::NotFits { path: path.clone() })
+            Err::<(), _>(IoError::new(&path, IoErrorKind::Format, "half"))
         });
         assert!(failed.is_err());
         assert_eq!(fs::read_to_string(&path).unwrap(), "old");
@@ -237,7 +245,7 @@ mod tests {
             fs::create_dir(&path).unwrap();
             Ok::<(), IoError>(())
         });
-        assert!(matches!(failed, Err(IoError::Write { .. })));
+        assert_eq!(failed.unwrap_err().kind(), IoErrorKind::Write);
         assert_eq!(fs::read_dir(directory.path()).unwrap().count(), 1);
     }
 
@@ -246,7 +254,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a");
         put(&path, "1", false).unwrap();
-        assert!(matches!(put(&path, "2", false), Err(IoError::Exists { .. })));
+        assert_eq!(put(&path, "2", false).unwrap_err().kind(), IoErrorKind::Exists);
         put(&path, "3", true).unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "3");
         // One that appears while the work is done is kept as well.
@@ -255,7 +263,7 @@ mod tests {
             fs::write(&late, "theirs").unwrap();
             Ok::<(), IoError>(())
         });
-        assert!(matches!(result, Err(IoError::Exists { .. })));
+        assert_eq!(result.unwrap_err().kind(), IoErrorKind::Exists);
         assert_eq!(fs::read_to_string(&late).unwrap(), "theirs");
     }
 
@@ -263,20 +271,14 @@ mod tests {
     fn places_that_cannot_hold_a_file_are_named() {
         let directory = tempfile::tempdir().unwrap();
         let missing = directory.path().join("none").join("a.fits");
-        match put(&missing, "", false) {
-            Err(IoError::MissingDirectory { directory: named, .. }) => {
-                assert_eq!(Some(&*named), missing.parent());
-            }
-            other => panic!("{other:?}"),
+        let error = put(&missing, "", false).unwrap_err();
+        assert_eq!(error.kind(), IoErrorKind::NotFound);
+        let named = format!("there is no directory {}:", missing.parent().unwrap().display());
+        assert!(error.to_string().contains(&named), "{error}");
+        for bad in [directory.path(), Path::new("/")] {
+            let error = put(bad, "", true).unwrap_err();
+            assert!(error.to_string().ends_with(NOT_A_FILE), "{error}");
         }
-        assert!(matches!(
-            put(directory.path(), "", true),
-            Err(IoError::NotAFile { .. })
-        ));
-        assert!(matches!(
-            put(Path::new("/"), "", true),
-            Err(IoError::NotAFile { .. })
-        ));
         assert!(check_output("Cargo.toml", false).is_err());
         assert!(check_output("not-there", false).is_ok());
     }
@@ -297,9 +299,7 @@ mod tests {
         put(&link, "through", true).unwrap();
         assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
         assert_eq!(fs::read_to_string(&ours).unwrap(), "through");
-        assert!(matches!(
-            put(Path::new("/dev/null"), "", true),
-            Err(IoError::NotAFile { .. })
-        ));
+        let error = put(Path::new("/dev/null"), "", true).unwrap_err();
+        assert!(error.to_string().ends_with(NOT_A_FILE), "{error}");
     }
 }

@@ -76,8 +76,7 @@ const TESTS: &[Test] = &[
 /// error.
 ///
 /// # Errors
-/// [`IoError::Read`], [`IoError::NotAFile`], [`IoError::Truncated`], [`IoError::Content`] or
-/// [`IoError::Header`].
+/// The errors of any FITS file.
 pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
     detect_hdu(path, None)
 }
@@ -86,8 +85,8 @@ pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
 /// an image or a cube.
 ///
 /// # Errors
-/// The errors of [`detect`], and [`IoError::NoSuchHdu`] if the file only holds images and the
-/// choice is none of them.
+/// The errors of [`detect`], and [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) if the file
+/// only holds images and the choice is none of them.
 pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<FileKind, IoError> {
     let path = path.as_ref();
     if !is_fits(path)? {

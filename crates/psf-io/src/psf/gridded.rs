@@ -6,7 +6,7 @@ use std::path::Path;
 use ndarray::{Array3, Axis};
 use psf_types::{DataError, Position, PsfSamples, SamplePositions, StampGrid};
 
-use crate::error::{IoError, invalid, unsuitable};
+use crate::error::{IoError, IoErrorKind, invalid};
 use crate::fits::card::{Card, FromValue};
 use crate::fits::hdu::Hdu;
 use crate::fits::image::stack_shape;
@@ -105,7 +105,7 @@ pub(crate) fn check_flux(
         if !(flux > 0.0 && flux.is_finite()) {
             let plane = plane(sample);
             let problem = format!("plane {plane} has flux {flux}: a PSF must have positive flux");
-            return Err(unsuitable(path, problem));
+            return Err(IoError::new(path, IoErrorKind::Data, problem));
         }
     }
     Ok(())
@@ -196,34 +196,23 @@ impl<'a> LibraryCards<'a> {
     }
 
     pub(crate) fn missing(&self, keyword: &str, expected: &str) -> IoError {
-        let problem = format!("HDU {} has no card {keyword} ({expected})", self.hdu.index);
-        unsuitable(self.hdu.path(), problem)
+        self.hdu.missing_keyword(keyword, expected)
     }
 
     /// The error for a card with a wrong value.
     pub(crate) fn bad(&self, keyword: &str, expected: &str, card: &Card) -> IoError {
-        let got = match card.value() {
-            Some(value) => value.to_string(),
-            None => card.to_string().trim_end().to_owned(),
-        };
-        self.bad_value(keyword, expected, got)
+        self.hdu.wrong_value(keyword, expected, &card.shown())
     }
 
-    pub(crate) fn bad_value(&self, keyword: &str, expected: &str, got: String) -> IoError {
-        self.refused(&format!("card {keyword} must be {expected}, got {got}"))
-    }
-
-    /// The error for an HDU with this problem.
-    pub(crate) fn refused(&self, problem: &str) -> IoError {
-        unsuitable(self.hdu.path(), format!("HDU {}: {problem}", self.hdu.index))
+    pub(crate) fn bad_value(&self, keyword: &str, expected: &str, got: impl ToString) -> IoError {
+        self.hdu.wrong_value(keyword, expected, &got.to_string())
     }
 
     /// The error for a number of planes that differs from the number in the cards.
     pub(crate) fn plane_count(&self, planes: usize, cards: &str, stated: &str) -> IoError {
         let problem = format!(
-            "HDU {} holds {planes} planes, but {cards} says {stated}: the file is damaged or of another format",
-            self.hdu.index
+            "there are {planes} planes, but {cards} says {stated}: the file is damaged or of another format"
         );
-        unsuitable(self.hdu.path(), problem)
+        self.hdu.error(IoErrorKind::Data, problem)
     }
 }

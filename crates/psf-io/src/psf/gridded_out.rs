@@ -5,7 +5,7 @@ use std::path::Path;
 use ndarray::Array2;
 use psf_types::{Position, PsfSamples, StampGrid, StampInterpolation};
 
-use crate::error::{IoError, bad_card, unsuitable};
+use crate::error::{IoError, IoErrorKind, bad_card};
 use crate::fits::card::{Card, padded, text_records};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{cards, write_fits, write_image_header};
@@ -49,11 +49,11 @@ const MIN_SIZE: usize = 4;
 /// ```
 ///
 /// # Errors
-/// [`IoError::Library`] for samples that the layout or its readers cannot hold: they are not on a
-/// grid, or the oversampling is not a whole number. It is also returned for stamps that are not
+/// [`IoErrorKind::Request`] for samples that the layout or its readers cannot hold: they are not on
+/// a grid, or the oversampling is not a whole number. It is also returned for stamps that are not
 /// centred in their middle, lack the pixel response, are not interpolated by the cubic spline, or
-/// are smaller than 4 x 4. Other errors are [`IoError::Exists`] unless `overwrite`,
-/// [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
+/// are smaller than 4 x 4. Other errors are [`IoErrorKind::Exists`] unless `overwrite`,
+/// [`IoErrorKind::NotFound`] without the directory, or an error of the file system or of CFITSIO.
 pub fn write_gridded(
     path: impl AsRef<Path>,
     samples: &PsfSamples,
@@ -61,7 +61,7 @@ pub fn write_gridded(
     overwrite: bool,
 ) -> Result<usize, IoError> {
     let path = path.as_ref();
-    let refused = |problem| unsuitable(path, problem);
+    let refused = |problem: String| IoError::new(path, IoErrorKind::Request, problem);
     let oversampling = check(samples.grid()).map_err(refused)?;
     let square = SquareGrid::of(samples).map_err(refused)?;
     let planes = square.planes();

@@ -38,9 +38,9 @@ use std::path::Path;
 use ndarray::{Array2, Axis, s};
 use psf_types::{PsfBasis, PsfModelRecord, SampleCoefficients, SamplePositions};
 
-use crate::error::{IoError, Row, content, invalid};
+use crate::error::{IoError, IoErrorKind, Row, invalid};
 use crate::fits::card::{Card, CardValue};
-use crate::fits::columns::Table;
+use crate::fits::columns::{Table, bad_value};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image::{read_stack, stack_shape};
 use crate::fits::image_out::{cards, write_fits, write_image_hdu};
@@ -100,8 +100,8 @@ pub fn read_model(path: impl AsRef<Path>) -> Result<PsfModelRecord, IoError> {
 /// Reads a PSF model with its singular values and header.
 ///
 /// # Errors
-/// [`IoError::Content`] for a newer version of the layout, [`IoError::MissingKeyword`],
-/// [`IoError::MissingHdu`], [`IoError::Data`] for a basis that is not orthonormal or for counts
+/// [`IoErrorKind::Format`] for a newer version of the layout or a missing table,
+/// [`IoErrorKind::Header`], [`IoErrorKind::Data`] for a basis that is not orthonormal or for counts
 /// that disagree, and the errors of any FITS file.
 pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let path = path.as_ref();
@@ -115,7 +115,7 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
         let problem = format!(
             "this is a psf-model file of version {version}, but only versions 1 to {MODEL_VERSION} can be read: update psfield"
         );
-        return Err(content(path, problem));
+        return Err(IoError::new(path, IoErrorKind::Format, problem));
     }
     let shape = stack_shape(hdu, "a cube of the mean and the basis stamps [plane, y, x]")?;
     let centred = hdu.optional_logical("CENTRED")?.unwrap_or(false);
@@ -165,8 +165,9 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 /// cards of the layout.
 ///
 /// # Errors
-/// [`IoError::Value`] for a singular value that is not finite, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Data`] for a singular value that is not finite, [`IoErrorKind::Exists`] unless
+/// `overwrite`, [`IoErrorKind::NotFound`] without the directory, or an error of the file system or
+/// of CFITSIO.
 pub fn write_model(
     path: impl AsRef<Path>,
     record: &PsfModelRecord,
@@ -176,12 +177,8 @@ pub fn write_model(
 ) -> Result<(), IoError> {
     let path = path.as_ref();
     if let Some(row) = singular_values.iter().position(|s| !s.is_finite()) {
-        return Err(IoError::Value {
-            path: path.to_owned(),
-            row: Row::Index(row),
-            column: "S (singular values)".to_owned(),
-            got: singular_values[row].to_string(),
-        });
+        let got = singular_values[row].to_string();
+        return Err(bad_value(path, Row::Index(row), "S (singular values)", &got));
     }
     let (basis, coefficients) = (record.basis(), record.coefficients());
     let (grid, positions, rank) = (basis.grid(), coefficients.positions(), basis.rank());

@@ -73,8 +73,8 @@ pub(crate) fn is_samples(structure: &FitsStructure) -> bool {
 /// Reads PSF samples in the [`psf-samples` layout](self).
 ///
 /// # Errors
-/// [`IoError::Data`] for samples that break a rule of the layout, [`IoError::NonFinitePixels`],
-/// [`IoError::MissingHdu`], [`IoError::Keyword`], and the errors of any FITS file.
+/// [`IoErrorKind::Data`](crate::IoErrorKind::Data) for samples that break a rule of the layout,
+/// and the errors of any FITS file.
 pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -110,8 +110,8 @@ pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Limit`](crate::IoErrorKind::Limit) for a value beyond single precision, and the
+/// errors of [`write_image`](crate::write_image).
 pub fn write_samples(
     path: impl AsRef<Path>,
     samples: &PsfSamples,

@@ -31,7 +31,7 @@ use std::path::Path;
 use ndarray::Axis;
 use psf_types::{DataError, Position, PsfSamples, SamplePositions};
 
-use crate::error::{IoError, invalid, unsuitable};
+use crate::error::{IoError, IoErrorKind, invalid};
 use crate::fits::columns::Table;
 use crate::fits::hdu::{Hdu, HduKind};
 use crate::fits::image::{read_stack, squeezed};
@@ -111,12 +111,13 @@ fn near_whole(ratio: f64) -> f64 {
 /// ```
 ///
 /// # Errors
-/// - [`IoError::Library`] with the card that is missing or malformed
-/// - [`IoError::Library`] for several wavelengths without a choice, a layer number in the map that
-///   does not exist, or a layer without flux
-/// - [`IoError::MissingHdu`] or [`IoError::Axes`] if the map or the PSFs are missing or have the
+/// - [`IoErrorKind::Header`] with the keyword that is missing or malformed
+/// - [`IoErrorKind::Setting`] for several wavelengths without a choice
+/// - [`IoErrorKind::Data`] for a layer number in the map that does not exist, or a layer without
+///   flux
+/// - [`IoErrorKind::Format`] or [`IoErrorKind::Axes`] if the map or the PSFs are missing or have the
 ///   wrong axes
-/// - [`IoError::NonFinitePixels`], and the errors of any FITS file
+/// - the errors of any FITS file
 pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Result<ScopesimPsf, IoError> {
     const MAP: &str = "the number of the HDU with the map of layers, counted from 0";
     const DATA: &str = "the number of the first HDU with PSFs, counted from 0";
@@ -280,10 +281,10 @@ impl<'a> Kernels<'a> {
                 .expect("there are several"),
             (None, several) => {
                 let wavelengths_um: Vec<f64> = several.iter().map(|(wavelength, _)| *wavelength).collect();
-                let problem = format!(
-                    "there are PSFs for the wavelengths {wavelengths_um:?} micrometres: choose one with --psf-wavelength"
-                );
-                return Err(unsuitable(&structure.path, problem));
+                let problem =
+                    format!("there are PSFs for the wavelengths {wavelengths_um:?} micrometres: choose one");
+                let error = IoError::new(&structure.path, IoErrorKind::Setting, problem);
+                return Err(error.with_setting("wavelength_um"));
             }
         };
         let &(wavelength_um, hdu) = chosen;
@@ -308,7 +309,7 @@ fn wavelength(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     if wavelength > 0.0 {
         return Ok(wavelength);
     }
-    Err(cards.bad_value("WAVE0", EXPECTED, wavelength.to_string()))
+    Err(cards.bad_value("WAVE0", EXPECTED, wavelength))
 }
 
 /// Size of a PSF pixel in arcseconds. The pixel must be square.
@@ -316,7 +317,7 @@ fn pixel_arcsec(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     const EXPECTED: &str = "the size of a PSF pixel, a number other than 0";
     let size = cards.required_number("CDELT1", EXPECTED)?.abs() * arcsec_in_unit(cards, "CUNIT1")?;
     if !(size > 0.0 && size.is_finite()) {
-        return Err(cards.bad_value("CDELT1", EXPECTED, size.to_string()));
+        return Err(cards.bad_value("CDELT1", EXPECTED, size));
     }
     if let Some(other) = cards.number("CDELT2", EXPECTED)? {
         let unit = if cards.has("CUNIT2") { "CUNIT2" } else { "CUNIT1" };
@@ -325,7 +326,7 @@ fn pixel_arcsec(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
             return Err(cards.bad_value(
                 "CDELT2",
                 "as large as CDELT1, because PSF pixels must be square",
-                other.to_string(),
+                other,
             ));
         }
     }
@@ -389,12 +390,11 @@ impl LayerMap {
                 return Ok(value as usize);
             }
             let problem = format!(
-                "HDU {}: the map has layer {value} at {:?} (0-based, x last), but only the layers 0 to {} exist",
-                hdu.index,
+                "the map has layer {value} at {:?} (0-based, x last), but only the layers 0 to {} exist",
                 place(i),
                 layer_count.saturating_sub(1)
             );
-            Err(unsuitable(hdu.path(), problem))
+            Err(hdu.error(IoErrorKind::Data, problem))
         };
         let layers = values.iter().enumerate().map(layer).collect::<Result<_, _>>()?;
         Ok(Self {
@@ -427,7 +427,7 @@ impl MapAxis {
             if let Some(value) = cards.number(&keyword, ROTATED)?
                 && value != 0.0
             {
-                return Err(cards.bad_value(&keyword, ROTATED, value.to_string()));
+                return Err(cards.bad_value(&keyword, ROTATED, value));
             }
         }
         let unit = arcsec_in_unit(cards, &format!("CUNIT{axis}"))?;
@@ -440,7 +440,7 @@ impl MapAxis {
         };
         let step_arcsec = cards.required_number(&keyword, STEP)? * factor * unit;
         if step_arcsec == 0.0 || !step_arcsec.is_finite() {
-            return Err(cards.bad_value(&keyword, STEP, step_arcsec.to_string()));
+            return Err(cards.bad_value(&keyword, STEP, step_arcsec));
         }
         let value = cards.number(&format!("CRVAL{axis}"), VALUE)?.unwrap_or(0.0) * unit;
         Ok(Self {

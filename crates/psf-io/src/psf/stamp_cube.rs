@@ -4,7 +4,7 @@ use std::path::Path;
 
 use psf_types::{DataError, Position, PsfSamples, SamplePositions};
 
-use crate::error::{IoError, invalid, unsuitable};
+use crate::error::{IoError, IoErrorKind, invalid};
 use crate::fits::hdu::HduChoice;
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image::read_stack;
@@ -94,11 +94,11 @@ impl StampCubeOptions {
 /// ```
 ///
 /// # Errors
-/// - [`IoError::SeveralHdus`] if several images have pixels and none is chosen
-/// - [`IoError::Library`] for several planes without positions
-/// - [`IoError::Data`] if there is not one position per plane, two positions are equal, a stamp has
-///   no flux, or oversampling or centre are out of range
-/// - [`IoError::Axes`], [`IoError::NonFinitePixels`], and the errors of any FITS file
+/// - [`IoErrorKind::Setting`] if several images have pixels and none is chosen, or for several
+///   planes without positions
+/// - [`IoErrorKind::Data`] if there is not one position per plane, two positions are equal, a stamp
+///   has no flux, or oversampling or centre are out of range
+/// - [`IoErrorKind::Axes`], and the errors of any FITS file
 pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Result<PsfSamples, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -113,10 +113,10 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
         None if shape.0 == 1 => vec![Position::of_pixel(0, 0)],
         None => {
             let problem = format!(
-                "there are {} stamps without positions: give one for each with --psf-positions",
+                "there are {} stamps without positions: give one for each",
                 shape.0
             );
-            return Err(unsuitable(path, problem));
+            return Err(hdu.error(IoErrorKind::Setting, problem).with_setting("positions"));
         }
     };
     let positions = SamplePositions::new(positions, field(hdu)?).map_err(invalid(path))?;
@@ -136,8 +136,8 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
 /// Reads the header cards of the image that [`read_stamp_cube`] reads.
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`], [`IoError::NoSuchHdu`], and the errors of any FITS file. The pixels
-/// are not read.
+/// [`IoErrorKind::Setting`] for a choice that is needed or wrong, and the errors of any FITS file.
+/// The pixels are not read.
 pub fn read_stamp_header(
     path: impl AsRef<Path>,
     extension: Option<&HduChoice>,

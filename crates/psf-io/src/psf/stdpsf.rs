@@ -37,7 +37,7 @@ use std::path::Path;
 use ndarray::{Array3, ArrayView2, ArrayView3, Axis};
 use psf_types::Position;
 
-use crate::error::{IoError, invalid, unsuitable};
+use crate::error::{IoError, IoErrorKind, invalid};
 use crate::fits::hdu::HduChoice;
 use crate::fits::image::read_stack;
 use crate::fits::structure::FitsStructure;
@@ -68,11 +68,13 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// - [`IoError::SeveralHdus`] if several images have pixels
-/// - [`IoError::Library`] with the card that is missing or malformed
-/// - [`IoError::Library`] if the number of planes differs from that of the grid, two lines of the
-///   grid are equal, a plane has no flux, or one of several detectors must be chosen
-/// - [`IoError::NonFinitePixels`], and the errors of any FITS file
+/// - [`IoErrorKind::Setting`] if several images have pixels, or if one of several detectors must be
+///   chosen
+/// - [`IoErrorKind::Header`] with the keyword that is missing or malformed, or for two lines of the
+///   grid that are equal
+/// - [`IoErrorKind::Data`] if the number of planes differs from that of the grid, or a plane has no
+///   flux
+/// - the errors of any FITS file
 pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<GriddedPsf, IoError> {
     read_stdpsf_hdu(path, None, detector)
 }
@@ -80,7 +82,7 @@ pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<Gr
 /// Reads the library in the chosen HDU.
 ///
 /// # Errors
-/// The errors of [`read_stdpsf`] and [`IoError::NoSuchHdu`].
+/// The errors of [`read_stdpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image.
 pub fn read_stdpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -101,7 +103,7 @@ pub fn read_stdpsf_hdu(
     let layout = Layout::of_grid(columns, rows);
     let chosen = layout
         .choose(detector)
-        .map_err(|problem| unsuitable(path, problem))?;
+        .map_err(|problem| IoError::new(path, IoErrorKind::Setting, problem).with_setting("detector"))?;
     let block = layout.block(chosen, columns, rows);
     let x = read_lines(cards, "IPSFX", columns, block.columns.clone())?;
     let y = read_lines(cards, "JPSFY", rows, block.rows.clone())?;
@@ -224,7 +226,7 @@ impl Layout {
         let detectors: Vec<String> = (0..self.len()).map(named).collect();
         let none = detector.map_or_else(String::new, |n| format!("there is no detector {n}: "));
         Err(format!(
-            "{none}the file holds the detectors {}: choose one with --psf-detector",
+            "{none}the file holds the detectors {}: choose one",
             detectors.join(", ")
         ))
     }
@@ -267,17 +269,13 @@ fn read_lines(
         single(cards, stem, count)?
     };
     if let Some((_, keyword)) = lines.iter().find(|(value, _)| *value == FILLER) {
-        return Err(cards.bad_value(
-            keyword,
-            "a position, since the grid has as many lines",
-            FILLER.to_string(),
-        ));
+        return Err(cards.bad_value(keyword, "a position, since the grid has as many lines", FILLER));
     }
     let lines: Vec<(f64, String)> = lines.drain(wanted).collect();
     for (i, (value, second)) in lines.iter().enumerate() {
         if let Some((_, first)) = lines[..i].iter().find(|(earlier, _)| earlier == value) {
             let problem = format!("{first} and {second} are both {value}: grid positions must differ");
-            return Err(cards.refused(&problem));
+            return Err(cards.hdu.error(IoErrorKind::Header, problem));
         }
     }
     Ok(lines.into_iter().map(|(value, _)| value).collect())
@@ -437,7 +435,7 @@ mod tests {
         assert!(Layout::of_grid(6, 6).choose(Some(0)).is_err());
         let error = Layout::of_grid(6, 6).choose(None).unwrap_err();
         assert!(
-            error.contains("1 (PC), 2 (WF2), 3 (WF3), 4 (WF4)") && error.contains("--psf-detector"),
+            error.contains("1 (PC), 2 (WF2), 3 (WF3), 4 (WF4)") && error.contains("choose one"),
             "{error}"
         );
     }

@@ -38,7 +38,7 @@ use std::path::Path;
 
 use psf_types::{Position, named};
 
-use crate::error::{IoError, invalid};
+use crate::error::{IoError, IoErrorKind, invalid};
 use crate::fits::card::{Card, FromValue};
 use crate::fits::hdu::HduChoice;
 use crate::fits::image::read_stack;
@@ -73,12 +73,12 @@ pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// - [`IoError::SeveralHdus`] if several images have pixels
-/// - [`IoError::Library`] with the card that is missing, malformed or repeated
-/// - [`IoError::Library`] if the number of planes differs from that in the cards, a plane has no
-///   flux, or [`PlaneOrder::Auto`] cannot find the order
-/// - [`IoError::Data`] for two planes at one position
-/// - [`IoError::NonFinitePixels`], and the errors of any FITS file
+/// - [`IoErrorKind::Setting`] if several images have pixels, or if [`PlaneOrder::Auto`] cannot find
+///   the order
+/// - [`IoErrorKind::Header`] with the keyword that is missing, malformed or repeated
+/// - [`IoErrorKind::Data`] if the number of planes differs from that in the cards, a plane has no
+///   flux, or two planes are at one position
+/// - the errors of any FITS file
 pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPsf, IoError> {
     read_stpsf_hdu(path, None, order)
 }
@@ -86,7 +86,7 @@ pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPs
 /// Reads the library in the chosen HDU.
 ///
 /// # Errors
-/// The errors of [`read_stpsf`] and [`IoError::NoSuchHdu`].
+/// The errors of [`read_stpsf`], and [`IoErrorKind::Setting`] for a choice that is not an image.
 pub fn read_stpsf_hdu(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -137,8 +137,8 @@ fn positions(cards: &LibraryCards<'_>, planes: usize) -> Result<Vec<Position>, I
             return Err(cards.plane_count(planes, "a card", &keyword));
         };
         if place.is_some() {
-            let problem = format!("card {keyword} exists more than once: remove the wrong one");
-            return Err(cards.refused(&problem));
+            const TWICE: &str = "the card exists more than once: remove the wrong one";
+            return Err(cards.hdu.header_error(&keyword, TWICE));
         }
         let text = card.value().and_then(String::from_value);
         let (y, x) = text
@@ -184,7 +184,7 @@ fn oversampling(cards: &LibraryCards<'_>, nx: usize) -> Result<usize, IoError> {
             cards.bad_value(
                 "DET_SAMP",
                 "equal to OVERSAMP (if they differ, one of them times FOVPIXEL must be the width of the stamps)",
-                stamps.to_string(),
+                stamps,
             )
         })
 }
@@ -229,10 +229,12 @@ fn assign(
     }
     let (order, reason) = match order {
         PlaneOrder::Auto => by_writer(cards)?.ok_or_else(|| {
-            cards.refused(
-                "the order of the planes is unknown, since neither VERSION nor DATE shows which writer made the file: choose with \
-                 --psf-order cards or --psf-order sorted",
-            )
+            const UNKNOWN: &str = "the order of the planes is unknown, since neither VERSION nor DATE shows which writer \
+                                   made the file: choose cards or sorted";
+            cards
+                .hdu
+                .error(IoErrorKind::Setting, UNKNOWN)
+                .with_setting("plane_order")
         })?,
         chosen => (chosen, "as requested".to_owned()),
     };

@@ -6,6 +6,8 @@ pub(crate) mod mutations;
 
 use std::path::{Path, PathBuf};
 
+use psf_io::{IoError, IoErrorKind};
+
 /// A directory for the files of one test.
 pub(crate) struct Scratch(tempfile::TempDir);
 
@@ -118,7 +120,17 @@ pub(crate) fn chain(error: &dyn std::error::Error) -> String {
     text
 }
 
+/// Asserts the kind of an error, and that its text or that of a cause contains a part.
+#[track_caller]
+pub(crate) fn assert_error<T>(result: Result<T, IoError>, kind: IoErrorKind, part: &str) {
+    let error = result.map(drop).unwrap_err();
+    assert!(
+        error.kind() == kind && chain(&error).contains(part),
+        "{kind:?}, {part}: {error:?}"
+    );
+}
+
 /// Returns whether the text of an error names the file.
-pub(crate) fn names(error: &psf_io::IoError, path: &Path) -> bool {
+pub(crate) fn names(error: &IoError, path: &Path) -> bool {
     error.path() == path && error.to_string().contains(&*path.to_string_lossy())
 }

@@ -11,11 +11,11 @@ use std::path::PathBuf;
 use conv_core::{ConvReal, PlanSummary};
 use psf_io::Card;
 use psf_types::Anchor;
-use psfield::{JOB_KEYWORD, Method, Preparation, PsfieldError, SimulateOptions, Simulator};
+use psfield::{ErrorKind, JOB_KEYWORD, Method, Preparation, PsfieldError, SimulateOptions, Simulator};
 use psfield_lab::{available_memory_bytes, peak_memory_bytes};
 
 use crate::UsageError;
-use crate::context::{Context, signature, signature_of, told};
+use crate::context::{Context, signature, signature_of, told, with_option};
 use crate::devices::DeviceArgs;
 use crate::psf_args::PsfArgs;
 use crate::simulate::exposure_args::ExposureArgs;
@@ -197,10 +197,8 @@ impl SimulateArgs {
             Precision::F64 => self.simulate_in::<f64>(simulators, context),
         };
         simulated.map_err(|error| {
-            let of_gpu = error
-                .downcast_ref::<PsfieldError>()
-                .is_some_and(PsfieldError::is_of_gpu);
-            if of_gpu {
+            let kind = error.downcast_ref().map(PsfieldError::kind);
+            if kind == Some(ErrorKind::Gpu) {
                 simulators.forget_gpus();
                 anyhow::anyhow!("{} (--device cpu needs no GPU)", told(&error))
             } else {
@@ -283,7 +281,7 @@ impl SimulateArgs {
         let kind = (&read.scene, rows.is_some());
         let made = self.prepare(&simulator, kind, simulators, &mut seconds, context)?;
         for warning in simulator.warnings(&read.scene) {
-            context.warn(&warning.to_string());
+            context.warn(&with_option(warning, warning.setting()));
         }
         let (ready, streamed) = ((&*simulator, &made), rows.is_some());
         let outcome = match rows {
@@ -318,18 +316,14 @@ impl SimulateArgs {
 
     /// Turns an error about an option into a usage error, and names the file in other errors.
     fn told_of(&self, error: PsfieldError) -> anyhow::Error {
-        match (&error, &self.scene.catalog) {
-            // These messages begin with the name of the option.
-            (PsfieldError::FrameOffScene { .. } | PsfieldError::FrameOffAnyScene { .. }, _) => {
-                UsageError(format!("--{error}")).into()
-            }
-            (PsfieldError::FluxBeyondPrecision { .. }, Some(path)) => {
+        match (error.kind(), error.setting(), &self.scene.catalog) {
+            (ErrorKind::Setting, Some("frame"), _) => UsageError(with_option(&error, error.setting())).into(),
+            (_, Some("precision"), Some(path)) => {
                 anyhow::Error::new(error).context(path.display().to_string())
             }
-            (
-                PsfieldError::UnevenScene { .. } | PsfieldError::Convolution(_) | PsfieldError::NoGpuSupport,
-                _,
-            ) => error.into(),
+            (ErrorKind::Setting | ErrorKind::Convolution | ErrorKind::Cancelled | ErrorKind::Gpu, ..) => {
+                error.into()
+            }
             _ => anyhow::Error::new(error).context(format!("with the PSF of {}", self.psf.display())),
         }
     }

@@ -3,11 +3,9 @@
 use std::path::{Path, PathBuf};
 
 use conv_core::ConvReal;
-use psf_io::{
-    Catalog, CatalogColumns, CatalogOptions, HduChoice, HeaderCards, ImageReader, IoError, SkyCoordinates,
-};
+use psf_io::{Catalog, CatalogColumns, CatalogOptions, HduChoice, HeaderCards, ImageReader, SkyCoordinates};
 use psf_types::FrameShape;
-use psfield::{PsfieldError, Scene, SimulateOptions, Simulator};
+use psfield::{Scene, SimulateOptions, Simulator};
 
 use crate::UsageError;
 use crate::values::{Frame, Pair, number};
@@ -177,9 +175,7 @@ impl SceneArgs {
         let s = self.finer();
         let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
         if pixels.is_none_or(|pixels| pixels > Simulator::<T>::MAX_PIXELS) {
-            // The message begins with the name of the option.
-            let error = PsfieldError::SceneTooLarge { nx, ny };
-            return Err(UsageError(format!("--{error}")).into());
+            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many")).into());
         }
         Ok(FrameShape::new(nx * s, ny * s)?)
     }
@@ -202,7 +198,7 @@ impl SceneArgs {
         };
         match (psf_io::read_catalog_with(path, &options), unusable) {
             // An unusable header matters only now, when the catalogue needs it.
-            (Err(error @ IoError::NoWorldCoordinates { .. }), Some(why)) if !header.is_empty() => {
+            (Err(error), Some(why)) if error.setting() == Some("sky") && !header.is_empty() => {
                 let file = self.scene.as_ref().or(self.wcs.as_ref());
                 let file = file.map_or_else(String::new, |file| format!("{}: ", file.display()));
                 Err(anyhow::anyhow!("{file}{why}").context(error))

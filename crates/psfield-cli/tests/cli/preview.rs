@@ -119,7 +119,7 @@ fn planes_and_compressed_files() {
     let grey = picture.as_luma8().unwrap();
     assert_eq!((grey.get_pixel(0, 4)[0], grey.get_pixel(6, 0)[0]), (0, 255));
     for (arguments, needles) in [
-        ("cube.fits", ["cube of 3 planes", "--plane"]),
+        ("cube.fits", ["the axes are [3, ", "--plane"]),
         ("cube.fits --plane 3", ["no plane 3", "has 3"]),
         ("cube.fits --plane 0", ["every pixel is 4", "--range"]),
         ("cube.fits --plane 1 --extension 2", ["cube.fits", "HDU 2"]),

@@ -256,7 +256,10 @@ pub(crate) fn double() {
     };
     let simulator = simulator::<f64>(40, options);
     let error = simulator.prepare(&Scene::dark(), true, &NoProgress).unwrap_err();
-    assert!(error.is_of_gpu() && error.to_string().contains("f32"), "{error}");
+    assert!(
+        error.kind() == psfield::ErrorKind::Gpu && error.to_string().contains("f32"),
+        "{error}"
+    );
 }
 
 /// Pixels along each side of a frame for which `auto` considers GPUs.

@@ -111,7 +111,8 @@ impl Stretch {
 /// A model that has the PSF of one position everywhere.
 ///
 /// # Errors
-/// [`PsfieldError::Field`] if the PSF has no value there, [`PsfieldError::Data`] if it is zero.
+/// [`ErrorKind::Field`](psfield::ErrorKind::Field) if the PSF has no value there,
+/// [`ErrorKind::Data`](psfield::ErrorKind::Data) if it is zero.
 pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel, PsfieldError> {
     let psf = model.psf_at(position)?;
     let norm = psf.values().iter().map(|v| v * v).sum::<f64>().sqrt();

@@ -3,7 +3,7 @@
 use conv_core::{ConvReal, Direct};
 use ndarray::Array2;
 use psf_types::{Anchor, Image, NoProgress, Progress, PsfModel};
-use psfield::{Device, GpuSeconds, Psf, PsfieldError, Scene, model_of, open_gpu};
+use psfield::{Device, GpuSeconds, Psf, PsfieldError, Scene, check_frame_on_field, model_of, open_gpu};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -171,11 +171,7 @@ pub fn run<T: ConvReal>(
     let model = psf.model()?;
     let scene = Scene::from(&case.scene);
     let frame = case.scene.shape();
-    if let Some(field) = model.field_shape()
-        && (frame.nx() > field.nx() || frame.ny() > field.ny())
-    {
-        return Err(PsfieldError::FrameBeyondField { frame, field });
-    }
+    check_frame_on_field(frame, model.field_shape())?;
     let size = [frame.nx(), frame.ny()];
     let samples = case.record.coefficients().positions().len();
     let mut outcome = BenchOutcome::default();

@@ -95,7 +95,7 @@ impl GalaxyComparison {
     /// Convolves a galaxy that fills the frame in all three ways.
     ///
     /// # Errors
-    /// [`PsfieldError::Convolution`](psfield::PsfieldError::Convolution).
+    /// [`ErrorKind::Convolution`](psfield::ErrorKind::Convolution).
     pub(super) fn measure(record: &PsfModelRecord, side: usize, patch: usize) -> Result<Self, LabError> {
         let frame = FrameShape::new(side, side)?;
         let model = model_of(stretched(record, frame)?)?;

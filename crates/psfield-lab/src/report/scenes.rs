@@ -31,7 +31,7 @@ impl Scenes {
     /// Makes a grid of `across` by `across` objects, and the telescope's own image of each.
     ///
     /// # Errors
-    /// [`LabError::ObjectsTooClose`], [`PsfieldError::Source`](psfield::PsfieldError::Source).
+    /// [`LabError::ObjectsTooClose`], [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling).
     pub(super) fn new(telescope: &dyn PsfSource, across: usize) -> Result<Self, LabError> {
         let (frame, grid) = (telescope.field(), telescope.grid());
         let margin = grid.nx().max(grid.ny());
@@ -61,7 +61,7 @@ impl Scenes {
     /// all tiles.
     ///
     /// # Errors
-    /// [`PsfieldError::Convolution`](psfield::PsfieldError::Convolution).
+    /// [`ErrorKind::Convolution`](psfield::ErrorKind::Convolution).
     pub(super) fn drawn(
         &self,
         model: &PsfModel,
@@ -164,7 +164,7 @@ const NODES: [f64; 3] = [-1.0, 0.0, 1.0];
 /// The PSF at a position, scaled to unit flux, as drawn by its source.
 ///
 /// # Errors
-/// [`PsfieldError::Source`](psfield::PsfieldError::Source) if it cannot be drawn.
+/// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if it cannot be drawn.
 fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f64>, LabError> {
     let stamp = source.draw(at)?;
     let flux = stamp.flux();
@@ -176,7 +176,7 @@ fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f64>, LabErro
 /// position.
 ///
 /// # Errors
-/// [`PsfieldError::Source`](psfield::PsfieldError::Source).
+/// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling).
 fn true_galaxy(
     source: &dyn PsfSource,
     (x, y): (usize, usize),

@@ -4,7 +4,7 @@ use conv_core::StampInterpolator;
 use ndarray::{Array2, s};
 use psf_stars::StarSampling;
 use psf_types::{Image, Normalisation, Position, PsfModel, PsfSamples};
-use psfield::{PsfieldError, check_on_field};
+use psfield::{check_frame_on_field, check_on_field};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -48,8 +48,8 @@ impl Validation {
     /// positions and on their pixels. Both are scaled to unit flux if the PSFs of the model are.
     ///
     /// # Errors
-    /// [`PsfieldError::OutsideField`] for a sample outside the model's field,
-    /// [`PsfieldError::Field`] if the model has no value there, [`LabError::TruthWithoutPixels`].
+    /// [`ErrorKind::Field`](psfield::ErrorKind::Field) for a sample outside the model's field or if
+    /// the model has no value there, [`LabError::TruthWithoutPixels`].
     pub fn of_samples(model: &PsfModel, truth: &PsfSamples) -> Result<Self, LabError> {
         let grid = truth.grid();
         if model.grid().pixel_response_included() && !grid.pixel_response_included() {
@@ -97,8 +97,8 @@ impl Validation {
     /// and the errors of the measured positions.
     ///
     /// # Errors
-    /// [`PsfieldError::Stars`] if the frame has no such stars, [`LabError::NothingMeasured`] if
-    /// none can be measured in both, and the errors of drawing.
+    /// [`ErrorKind::Stars`](psfield::ErrorKind::Stars) if the frame has no such stars,
+    /// [`LabError::NothingMeasured`] if none can be measured in both, and the errors of drawing.
     pub fn of_frame(
         model: &PsfModel,
         frame: &Image<f64>,
@@ -106,11 +106,7 @@ impl Validation {
         window: Option<usize>,
     ) -> Result<Self, LabError> {
         let shape = frame.shape();
-        if let Some(field) = model.field_shape()
-            && (shape.nx() > field.nx() || shape.ny() > field.ny())
-        {
-            return Err(PsfieldError::FrameBeyondField { frame: shape, field }.into());
-        }
+        check_frame_on_field(shape, model.field_shape())?;
         let stars = sampling.run(frame)?;
         let window = window
             .unwrap_or_else(|| measuring_window(stars.fwhm_px))

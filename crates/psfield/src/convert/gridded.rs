@@ -5,7 +5,7 @@ use ndarray::{Array2, Zip};
 use psf_types::{Interpolation, Position, PsfSamples, StampGrid, StampInterpolation};
 
 use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
-use crate::{Psf, PsfieldError};
+use crate::{ErrorKind, Psf, PsfieldError};
 
 const FORMAT: &str = "a gridded library";
 /// Fewest nodes each way of a grid that is chosen here.
@@ -32,7 +32,7 @@ pub struct GriddedConversion {
 /// next whole one.
 ///
 /// # Errors
-/// [`PsfieldError::Unholdable`] for positions that form no grid or stamps centred between pixels, and the errors of
+/// [`ErrorKind::Format`] for positions that form no grid or stamps centred between pixels, and the errors of
 /// [`to_samples`].
 pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, PsfieldError> {
     let mut notes = Vec::new();
@@ -48,11 +48,10 @@ pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, Psfiel
     };
     let samples = to_samples(psf, &nodes)?;
     if !is_grid(&samples) {
-        return Err(PsfieldError::Unholdable {
-            format: FORMAT,
-            what: "positions that form no regular grid of at least 2 x 2",
-            remedy: "choose a grid with --grid NX,NY",
-        });
+        let message = format!(
+            "{FORMAT} cannot hold positions that are not a regular grid of at least 2 x 2: choose a grid"
+        );
+        return Err(PsfieldError::new(ErrorKind::Format, message).with_setting("at"));
     }
     let max_error = if interpolation_of(psf) == Interpolation::Bilinear && nodes == SamplesAt::Own {
         None
@@ -255,9 +254,7 @@ mod tests {
         let made = to_gridded(&scattered, &SamplesAt::Own).unwrap();
         assert_eq!(made.samples.len(), NODES * NODES);
         let own = scattered.positions().as_slice().to_vec();
-        assert!(matches!(
-            to_gridded(&scattered, &SamplesAt::Positions(own)),
-            Err(PsfieldError::Unholdable { .. })
-        ));
+        let error = to_gridded(&scattered, &SamplesAt::Positions(own)).unwrap_err();
+        assert_eq!((error.kind(), error.setting()), (ErrorKind::Format, Some("at")));
     }
 }

@@ -1,7 +1,7 @@
 //! A PSF in another form: samples at other positions, a PSFEx model, a gridded library.
 //!
 //! What a form cannot hold is an error
-//! ([`PsfieldError::Unholdable`](crate::PsfieldError::Unholdable)) or, where the PSFs stay what
+//! ([`ErrorKind::Format`](crate::ErrorKind::Format)) or, where the PSFs stay what
 //! they are, a note.
 
 mod gridded;

@@ -9,7 +9,7 @@ use psf_types::{
 };
 
 use super::samples::{SamplesAt, bounds, to_samples, with_centre_in_the_middle};
-use crate::{EvaluateOptions, Psf, PsfieldError, evaluate, model_of};
+use crate::{ErrorKind, EvaluateOptions, Psf, PsfieldError, evaluate, model_of};
 
 const FORMAT: &str = "a PSFEx file";
 /// The names of the coordinates.
@@ -41,20 +41,24 @@ pub struct PsfexConversion {
 /// GalSim agree on the centre.
 ///
 /// # Errors
-/// [`PsfieldError::DegreeNeeded`] when there is no degree, [`PsfieldError::PolynomialUndetermined`] when the samples are too
-/// few for it, [`PsfieldError::Unholdable`] for stamps without the pixel response or centred between pixels.
+/// [`ErrorKind::Setting`] when there is no degree, [`ErrorKind::Fit`] when the samples are too few for it,
+/// [`ErrorKind::Format`] for stamps without the pixel response or centred between pixels.
 pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
     let own_degree = match psf.stored().map(PsfModelRecord::interpolation) {
         Some(Interpolation::Polynomial { degree }) => Some(degree),
         _ => None,
     };
-    let degree = degree.or(own_degree).ok_or(PsfieldError::DegreeNeeded)?;
+    let degree = degree.or(own_degree).ok_or_else(|| {
+        const NEEDED: &str =
+            "the source is not a polynomial whose degree could be taken: choose a total degree in x and y, 0 to 10";
+        PsfieldError::of_setting("degree", NEEDED)
+    })?;
     if !psf.grid().pixel_response_included() {
-        return Err(PsfieldError::Unholdable {
-            format: FORMAT,
-            what: "stamps without the pixel response, which PSFEx's are meant to include",
-            remedy: "if it is in them, say so with --pixel-response included",
-        });
+        let message = format!(
+            "{FORMAT} cannot hold stamps without the pixel response, which those of PSFEx are meant to include: if the \
+             response is in the stamps, declare it"
+        );
+        return Err(PsfieldError::new(ErrorKind::Format, message).with_setting("pixel_response_included"));
     }
     if let Some(model) = psf.psfex().filter(|model| model.degree() == degree) {
         return Ok(PsfexConversion {
@@ -99,7 +103,7 @@ fn notes(psf: &Psf) -> Vec<String> {
     }
     if normalisation == Normalisation::Keep {
         notes.push(
-            "readers of PSFEx models scale PSFs to unit flux; psfield takes them as they are with --normalise keep"
+            "readers of PSFEx models scale PSFs to unit flux, and so does psfield unless the normalisation is keep"
                 .to_owned(),
         );
     }
@@ -145,13 +149,15 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     let polynomial = PsfexPolynomial::new(axis(X, x)?, axis(Y, y)?, degree)?;
     let terms = PsfexPolynomial::term_count(degree);
     let (count, ny, nx) = samples.stamps().dim();
-    let undetermined = PsfieldError::PolynomialUndetermined {
-        degree,
-        terms,
-        samples: count,
+    let undetermined = || {
+        let message = format!(
+            "a polynomial of degree {degree} in x and y has {terms} terms, which {count} samples at these positions do \
+             not determine: choose a lower degree"
+        );
+        PsfieldError::new(ErrorKind::Fit, message).with_setting("degree")
     };
     if count < terms {
-        return Err(undetermined);
+        return Err(undetermined());
     }
     let rows = samples.positions().as_slice().iter();
     let mut design = DMatrix::from_row_iterator(count, terms, rows.flat_map(|&p| polynomial.terms(p)));
@@ -159,7 +165,7 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     // open from what is merely small.
     let norms: Vec<f64> = design.column_iter().map(|column| column.norm()).collect();
     if norms.contains(&0.0) {
-        return Err(undetermined);
+        return Err(undetermined());
     }
     for (mut column, norm) in design.column_iter_mut().zip(&norms) {
         column /= *norm;
@@ -167,7 +173,7 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     let svd = design.svd(true, true);
     let limit = DEGENERATE * svd.singular_values.max();
     if svd.singular_values.iter().any(|&value| value <= limit) {
-        return Err(undetermined);
+        return Err(undetermined());
     }
     let stamps = samples.stamps();
     let stamps = DMatrix::from_row_slice(count, ny * nx, stamps.as_slice().expect("samples are row-major"));
@@ -296,23 +302,23 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_refused() {
-        assert!(matches!(
-            to_psfex(&input(samples(3, 9)), None),
-            Err(PsfieldError::DegreeNeeded)
-        ));
+        let error = |psf: &Psf, degree| {
+            let error = to_psfex(psf, degree).unwrap_err();
+            (error.kind(), error.setting())
+        };
+        let input_of = |across| input(samples(across, 9));
+        assert_eq!(error(&input_of(3), None), (ErrorKind::Setting, Some("degree")));
         for (across, degree) in [(2, 2), (3, 3), (1, 1)] {
-            assert!(matches!(
-                to_psfex(&input(samples(across, 9)), Some(degree)),
-                Err(PsfieldError::PolynomialUndetermined { .. })
-            ));
+            assert_eq!(
+                error(&input_of(across), Some(degree)),
+                (ErrorKind::Fit, Some("degree"))
+            );
         }
         assert!(to_psfex(&input(samples(15, 5)), Some(11)).is_err());
         let samples = samples(3, 9);
         let grid = samples.grid().with_pixel_response_included(false);
         let bare = PsfSamples::new(samples.stamps().to_owned(), samples.positions().clone(), grid).unwrap();
-        assert!(matches!(
-            to_psfex(&input(bare), Some(1)),
-            Err(PsfieldError::Unholdable { .. })
-        ));
+        let expected = (ErrorKind::Format, Some("pixel_response_included"));
+        assert_eq!(error(&input(bare), Some(1)), expected);
     }
 }

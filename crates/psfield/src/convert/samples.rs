@@ -3,7 +3,7 @@
 use ndarray::{Array3, s};
 use psf_types::{Normalisation, Position, PsfSamples, StampGrid};
 
-use crate::{EvaluateOptions, Psf, PsfieldError, check_stack};
+use crate::{ErrorKind, EvaluateOptions, Psf, PsfieldError, check_stack};
 
 /// Where a PSF is evaluated.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -28,7 +28,7 @@ pub enum SamplesAt {
 /// where their options say so), everything else through the model.
 ///
 /// # Errors
-/// [`PsfieldError::NoExtent`] for a grid over a PSF that is known at a single position, and those of the fit and of
+/// [`ErrorKind::Format`] for a grid over a PSF that is known at a single position, and those of the fit and of
 /// [`evaluate`].
 pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError> {
     let positions = match (at, psf.samples()) {
@@ -55,7 +55,9 @@ fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, Psfi
         None => bounds(known.as_slice()),
     };
     if (nx > 1 && x.0 == x.1) || (ny > 1 && y.0 == y.1) {
-        return Err(PsfieldError::NoExtent);
+        const NO_AREA: &str = "the PSF is known along a line or at a point, and its file does not state the field: a grid \
+                               needs an area. Give positions";
+        return Err(PsfieldError::new(ErrorKind::Format, NO_AREA));
     }
     let (columns, rows) = (evenly(x, nx), evenly(y, ny));
     rows.iter()
@@ -89,18 +91,17 @@ fn evenly((low, high): (f64, f64), count: usize) -> Vec<f64> {
 /// convention about the centre (`n / 2`, `(n - 1) / 2`) means the same pixel there.
 ///
 /// # Errors
-/// [`PsfieldError::Unholdable`] where the centre lies between pixels.
+/// [`ErrorKind::Format`] where the centre lies between pixels.
 pub(super) fn with_centre_in_the_middle(
     samples: PsfSamples,
-    format: &'static str,
+    format: &str,
 ) -> Result<PsfSamples, PsfieldError> {
     let grid = samples.grid();
     let Some((cx, cy)) = grid.whole_centre() else {
-        return Err(PsfieldError::Unholdable {
-            format,
-            what: "stamps whose centre lies between pixels",
-            remedy: "evaluate them on other pixels first (psfield evaluate --grid native)",
-        });
+        let message = format!(
+            "{format} cannot hold stamps whose centre lies between pixels: evaluate the PSF on the native grid first"
+        );
+        return Err(PsfieldError::new(ErrorKind::Format, message));
     };
     let reach = |centre: usize, n: usize| centre.max(n - 1 - centre);
     let (rx, ry) = (reach(cx, grid.nx()), reach(cy, grid.ny()));
@@ -145,9 +146,12 @@ mod tests {
             assert_eq!(wide.grid().whole_centre(), Some((nx / 2, ny / 2)));
         }
         let between = StampGrid::new(4, 4).unwrap().with_centre(1.5, 1.5).unwrap();
-        assert!(matches!(
-            with_centre_in_the_middle(samples(between), "it"),
-            Err(PsfieldError::Unholdable { .. })
-        ));
+        let error = with_centre_in_the_middle(samples(between), "it").unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Format);
+        assert!(
+            error
+                .to_string()
+                .starts_with("it cannot hold stamps whose centre")
+        );
     }
 }

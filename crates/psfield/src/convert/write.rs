@@ -52,7 +52,7 @@ impl Psf {
     /// Writes a PSF file, with `cards` added to its header.
     ///
     /// # Errors
-    /// [`PsfieldError::Io`], and those of [`to_samples`], [`to_psfex`], [`to_gridded`] and of the fit.
+    /// [`ErrorKind::Io`](crate::ErrorKind::Io), and those of [`to_samples`], [`to_psfex`], [`to_gridded`] and of the fit.
     pub fn write(
         &self,
         path: impl AsRef<Path>,

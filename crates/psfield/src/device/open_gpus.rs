@@ -45,8 +45,8 @@ fn open_gpus() -> MutexGuard<'static, OpenGpus> {
 /// returns its name, kind and backend.
 ///
 /// # Errors
-/// [`PsfieldError::Convolution`] with what the GPU's driver says, where there is none, or none of that name;
-/// [`PsfieldError::NoGpuSupport`] in a build without the feature `gpu`.
+/// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu) with the message of the GPU's driver, if there is no GPU or none of that
+/// name, and in a build without the feature `gpu`.
 pub fn open_gpu(adapter: Option<&str>) -> Result<String, PsfieldError> {
     let gpu = opened(adapter).map_err(ConvError::Gpu)?;
     Ok(gpu.adapter().to_string())

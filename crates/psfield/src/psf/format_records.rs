@@ -8,7 +8,7 @@ use psf_types::{
     SamplePositions,
 };
 
-use crate::{FitOptions, PsfieldError, fit};
+use crate::{ErrorKind, FitOptions, PsfieldError, fit};
 
 /// A PSFEx model as a basis and polynomial coefficient fields: the same PSFs to rounding, nothing is fitted anew.
 ///
@@ -18,7 +18,7 @@ use crate::{FitOptions, PsfieldError, fit};
 /// record says that every PSF is scaled to it ([`Normalisation::Unit`]).
 ///
 /// # Errors
-/// [`PsfieldError::DarkNode`] when the PSF has no positive flux somewhere in the area it was fitted to.
+/// [`ErrorKind::Data`] when the PSF has no positive flux somewhere in the area it was fitted to.
 pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldError> {
     let nodes = model.nodes()?;
     let mut stamps = Array3::zeros((nodes.len(), model.grid().ny(), model.grid().nx()));
@@ -26,7 +26,10 @@ pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldErro
         let psf = model.psf_at(position)?;
         let flux = psf.flux();
         if !(flux > 0.0 && flux.is_finite()) {
-            return Err(PsfieldError::DarkNode { position, flux });
+            let message = format!(
+                "the PSF at {position} has flux {flux}: a model needs positive flux over the whole area to which it was fitted"
+            );
+            return Err(PsfieldError::new(ErrorKind::Data, message));
         }
         stamp.assign(&psf.values());
     }
@@ -155,9 +158,8 @@ mod tests {
         let psfex = model(1, 2000.0);
         let dark = psfex.planes().mapv(|v| -v);
         let dark = PsfexModel::new(dark, 0.7, psfex.polynomial().cloned()).unwrap();
-        assert!(matches!(
-            record_of_psfex(&dark),
-            Err(PsfieldError::DarkNode { .. })
-        ));
+        let error = record_of_psfex(&dark).unwrap_err();
+        assert_eq!(error.kind(), ErrorKind::Data);
+        assert!(error.to_string().contains("has flux -"), "{error}");
     }
 }

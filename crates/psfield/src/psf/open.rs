@@ -11,7 +11,7 @@ use psf_types::{
 
 use super::format_records::{record_of_psfex, record_of_scopesim};
 use super::{Origin, Psf, SourceFile};
-use crate::{FitOptions, PsfieldError};
+use crate::{ErrorKind, FitOptions, PsfieldError};
 
 /// What a PSF file does not say of itself, or leaves to be chosen. Each option is of some formats; to give one to a file of
 /// another format is an error.
@@ -40,70 +40,45 @@ pub struct PsfFileOptions {
 }
 
 impl PsfFileOptions {
-    /// The first option given that a format does not know, and the formats that do.
+    /// The first field given that does not apply to a format, and the formats to which it applies.
     pub(crate) fn unknown_to(&self, kind: FileKind) -> Option<(&'static str, &'static str)> {
         use FileKind::{Cube, Image, Psfex, Scopesim, Stdpsf, Stpsf};
         const SCOPESIM: &str = "field-varying PSFs of ScopeSim";
-        let table: [(bool, &[FileKind], &str, &str); 9] = [
-            (
-                self.extension.is_some(),
-                &[Psfex, Stpsf, Stdpsf, Cube, Image],
-                "--psf-extension",
-                "PSFEx models, STPSF and STDPSF libraries, and plain stamps",
-            ),
-            (
-                self.detector.is_some(),
-                &[Stdpsf],
-                "--psf-detector",
-                "STDPSF libraries",
-            ),
+        const CHOSEN: &str = "PSFEx models, STPSF and STDPSF libraries, and plain stamps";
+        const PLAIN: &str = "cubes and single stamps without a table POSITIONS";
+        const CUBES: &str = "cubes without positions";
+        const SEVERAL: &[FileKind] = &[Psfex, Stpsf, Stdpsf, Cube, Image];
+        let stamps = &[Cube, Image][..];
+        let table = [
+            (self.extension.is_some(), SEVERAL, "extension", CHOSEN),
+            (self.detector.is_some(), &[Stdpsf], "detector", "STDPSF libraries"),
             (
                 self.plane_order.is_some(),
                 &[Stpsf],
-                "--psf-order",
+                "plane_order",
                 "STPSF libraries",
             ),
             (
                 self.wavelength_um.is_some(),
                 &[Scopesim],
-                "--psf-wavelength",
+                "wavelength_um",
                 SCOPESIM,
             ),
             (
                 self.pixel_scale_arcsec.is_some(),
                 &[Scopesim],
-                "--pixel-scale",
+                "pixel_scale_arcsec",
                 SCOPESIM,
             ),
-            (
-                self.field_centre.is_some(),
-                &[Scopesim],
-                "--field-centre",
-                SCOPESIM,
-            ),
-            (
-                self.positions.is_some(),
-                &[Cube],
-                "--psf-positions",
-                "cubes without positions",
-            ),
-            (
-                self.centre.is_some(),
-                &[Cube, Image],
-                "--psf-centre",
-                "cubes and single stamps without a table POSITIONS",
-            ),
-            (
-                self.oversampling.is_some(),
-                &[Cube, Image],
-                "--psf-oversampling",
-                "cubes and single stamps without a table POSITIONS",
-            ),
+            (self.field_centre.is_some(), &[Scopesim], "field_centre", SCOPESIM),
+            (self.positions.is_some(), &[Cube], "positions", CUBES),
+            (self.centre.is_some(), stamps, "centre", PLAIN),
+            (self.oversampling.is_some(), stamps, "oversampling", PLAIN),
         ];
-        table
+        let mut foreign = table
             .into_iter()
-            .find(|(given, kinds, ..)| *given && !kinds.contains(&kind))
-            .map(|(_, _, option, formats)| (option, formats))
+            .filter(|(given, kinds, ..)| *given && !kinds.contains(&kind));
+        foreign.next().map(|(_, _, setting, formats)| (setting, formats))
     }
 }
 
@@ -147,7 +122,20 @@ impl FitChoices {
 
     /// Whether something is chosen that only a fit can follow, not a model that is ready.
     pub fn needs_fit(&self) -> bool {
-        self.rank.is_some() || self.centring.is_some() || self.noise.is_some() || self.interpolation.is_some()
+        self.first_of_fit().is_some()
+    }
+
+    /// The first choice that only a fit can follow.
+    fn first_of_fit(&self) -> Option<&'static str> {
+        let given = [
+            (self.rank.is_some(), "rank"),
+            (self.centring.is_some(), "centring"),
+            (self.noise.is_some(), "noise"),
+            (self.interpolation.is_some(), "interpolation"),
+        ];
+        given
+            .into_iter()
+            .find_map(|(given, setting)| given.then_some(setting))
     }
 }
 
@@ -200,9 +188,8 @@ impl Psf {
     /// ```
     ///
     /// # Errors
-    /// [`PsfieldError::ForeignOption`] for an option that the format does not know, [`PsfieldError::FitOfModel`] for a choice
-    /// that a model leaves no room for, [`PsfieldError::MissingChoice`] for a choice that is needed, and
-    /// [`PsfieldError::Io`] when the file holds no PSF or is damaged.
+    /// [`ErrorKind::Setting`] for a setting that does not apply to the format, or a choice of a fit for a model,
+    /// [`ErrorKind::Format`] for a choice that is needed, and [`ErrorKind::Io`] when the file holds no PSF or is damaged.
     pub fn open_with(
         path: impl AsRef<Path>,
         file: &PsfFileOptions,
@@ -215,19 +202,23 @@ impl Psf {
                 let defaults = defaults(kind, samples.positions());
                 Origin::Samples(samples, choices.or(defaults))
             }
-            Origin::Record(_) if choices.needs_fit() => {
-                return Err(PsfieldError::FitOfModel {
-                    path: path.to_owned(),
-                    kind,
-                });
+            Origin::Record(record) => {
+                if let Some(setting) = choices.first_of_fit() {
+                    let message = format!(
+                        "{}: this file holds {kind}, which is not fitted: leave the setting {setting} out, or give the \
+                         samples. Of the fit options, only outside and normalisation apply to a model",
+                        path.display()
+                    );
+                    return Err(PsfieldError::of_setting(setting, message));
+                }
+                Origin::Record(PsfModelRecord::new(
+                    record.basis().clone(),
+                    record.coefficients().clone(),
+                    record.interpolation(),
+                    choices.outside.unwrap_or(record.outside()),
+                    choices.normalisation.unwrap_or(record.normalisation()),
+                )?)
             }
-            Origin::Record(record) => Origin::Record(PsfModelRecord::new(
-                record.basis().clone(),
-                record.coefficients().clone(),
-                record.interpolation(),
-                choices.outside.unwrap_or(record.outside()),
-                choices.normalisation.unwrap_or(record.normalisation()),
-            )?),
             model @ Origin::Model(..) => model,
         };
         Ok(Self::with_source(origin, source))
@@ -258,13 +249,12 @@ fn defaults(kind: FileKind, positions: &SamplePositions) -> FitOptions {
 fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceFile), PsfieldError> {
     let choice = file.extension.as_ref();
     let kind = psf_io::detect_hdu(path, choice)?;
-    if let Some((option, formats)) = file.unknown_to(kind) {
-        return Err(PsfieldError::ForeignOption {
-            path: path.to_owned(),
-            kind,
-            option,
-            formats,
-        });
+    if let Some((setting, formats)) = file.unknown_to(kind) {
+        let message = format!(
+            "{}: the setting {setting} applies to {formats}, but this file holds {kind}: leave it out",
+            path.display()
+        );
+        return Err(PsfieldError::of_setting(setting, message));
     }
     let of_library = |library: psf_io::GriddedPsf| {
         let notes = library.notes().to_vec();
@@ -305,29 +295,20 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
     Ok((origin, kind, source))
 }
 
-fn missing(path: &Path, kind: FileKind, what: &'static str, option: &'static str) -> PsfieldError {
-    PsfieldError::MissingChoice {
-        path: path.to_owned(),
-        kind,
-        what,
-        option,
-    }
+fn missing(path: &Path, kind: FileKind, setting: &'static str, what: &str) -> PsfieldError {
+    let message = format!("{}: this is {kind}, {what}", path.display());
+    PsfieldError::new(ErrorKind::Format, message).with_setting(setting)
 }
 
 fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOptions, PsfieldError> {
-    let lacks = |what, option| missing(path, FileKind::Scopesim, what, option);
-    let scale = file.pixel_scale_arcsec.ok_or_else(|| {
-        lacks(
-            "a word on the frame's pixels",
-            "--pixel-scale ARCSEC (the size of a frame pixel)",
-        )
-    })?;
-    let centre = file.field_centre.ok_or_else(|| {
-        lacks(
-            "a word on where its field lies on the frame",
-            "--field-centre X,Y (the centre of the field in 0-based pixels)",
-        )
-    })?;
+    const SCALE: &str = "which does not state the size of a frame pixel: give it in arcseconds";
+    const CENTRE: &str = "which does not state where its field lies on the frame: give the centre of the field (x, y) in \
+                          0-based pixels";
+    let lacks = |setting, what| missing(path, FileKind::Scopesim, setting, what);
+    let scale = file
+        .pixel_scale_arcsec
+        .ok_or_else(|| lacks("pixel_scale_arcsec", SCALE))?;
+    let centre = file.field_centre.ok_or_else(|| lacks("field_centre", CENTRE))?;
     let options = ScopesimOptions::new(scale, centre)?;
     Ok(match file.wavelength_um {
         Some(wavelength) => options.with_wavelength_um(wavelength)?,
@@ -340,12 +321,10 @@ fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, 
     // An image may as well be a scene that was given by mistake: someone must say that it is a PSF.
     let header = psf_io::read_stamp_header(path, file.extension.as_ref())?;
     if file.oversampling.is_none() && header.get("OVERSAMP").is_none() {
-        return Err(missing(
-            path,
-            kind,
-            "a table POSITIONS, as PSF samples have, nor a word on how fine its stamps are",
-            "--psf-oversampling S to take it as PSF stamps (S stamp pixels per frame pixel; 1 for the frame's own pixels)",
-        ));
+        const PLAIN: &str = "without a table POSITIONS, as PSF samples have, and without the sampling of its stamps. To \
+                             read it as PSF stamps, give the oversampling: stamp pixels per frame pixel, 1 for the \
+                             frame's own pixels";
+        return Err(missing(path, kind, "oversampling", PLAIN));
     }
     let mut options = StampCubeOptions::default();
     if let Some(positions) = &file.positions {
@@ -366,7 +345,8 @@ fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, 
     let says_centre = file.centre.is_some() || ["CENX", "CENY"].iter().all(|card| header.get(card).is_some());
     if !says_centre && (grid.nx() % 2 == 0 || grid.ny() % 2 == 0) {
         notes.push(format!(
-            "stamps of {} x {} pixels have no middle pixel: ({}, {}) is taken as their centre (0-based; --psf-centre X,Y for another)",
+            "stamps of {} x {} pixels have no middle pixel: ({}, {}) is taken as their centre (0-based). The setting \
+             centre chooses another",
             grid.nx(),
             grid.ny(),
             grid.centre_x(),

@@ -7,7 +7,7 @@ use psf_types::{
 };
 
 use super::{Origin, Psf, check_stack};
-use crate::PsfieldError;
+use crate::{ErrorKind, PsfieldError};
 
 impl Psf {
     /// This PSF with stamps at the frame's own pixels, centred on one, as images need them, the pixel response in them;
@@ -15,9 +15,9 @@ impl Psf {
     /// stays as it is.
     ///
     /// # Errors
-    /// [`PsfieldError::ModelNotResampled`] for a model with a coefficient field of the caller's own.
+    /// [`ErrorKind::Setting`] for a model with a coefficient field of the caller's own.
     /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux or the stamps would fill more memory than
-    /// [`PsfieldError::TooLarge`] allows.
+    /// [`check_stack`](crate::check_stack) allows.
     pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
         let target = self.native_target(size)?;
         if target == self.grid() {
@@ -29,7 +29,7 @@ impl Psf {
     /// Whether [`native`](Self::native) only picks pixels of the stamps, so that nothing is interpolated.
     ///
     /// # Errors
-    /// [`PsfieldError::Data`] when `size` is 0.
+    /// [`ErrorKind::Data`] when `size` is 0.
     pub fn native_is_exact(&self, size: Option<usize>) -> Result<bool, PsfieldError> {
         let grid = self.grid();
         let picks = grid.whole_centre().is_some()
@@ -132,7 +132,12 @@ impl Psf {
                     record.normalisation(),
                 )?))
             }
-            Origin::Model(..) => Err(PsfieldError::ModelNotResampled),
+            Origin::Model(..) => {
+                const OWN_FIELD: &str = "the stamps of a model with a coefficient field of your own cannot be resampled: \
+                                         give stamps at the frame's pixels, without oversample and stamp_size, or sample \
+                                         the model first";
+                Err(PsfieldError::new(ErrorKind::Setting, OWN_FIELD))
+            }
         }
     }
 }

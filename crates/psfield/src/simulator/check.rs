@@ -163,7 +163,7 @@ impl<T: ConvReal> Simulator<T> {
     /// [`prepare`](Self::prepare).
     ///
     /// # Errors
-    /// [`PsfieldError::Data`] for a stamp size of 0.
+    /// [`ErrorKind::Data`](crate::ErrorKind::Data) for a stamp size of 0.
     pub fn psf_warning(
         &self,
         scene: &Scene<'_, T>,
@@ -213,6 +213,13 @@ pub enum SimulationWarning {
     },
 }
 
+impl SimulationWarning {
+    /// The field of [`SimulateOptions`](crate::SimulateOptions) that mends it, if one does.
+    pub fn setting(&self) -> Option<&'static str> {
+        matches!(self, Self::BlurredGalaxies { .. }).then_some("oversample")
+    }
+}
+
 impl fmt::Display for SimulationWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -227,8 +234,8 @@ impl fmt::Display for SimulationWarning {
             Self::BlurredGalaxies { count } => write!(
                 f,
                 "{count} galaxies are blurred a second time by the scene pixels on which they are drawn (by 3 % of their peak in the \
-                 median, more where they are small). The spot check does not see that. Draw them on finer pixels: --oversample 4 or \
-                 more, and at least {RESOLVED_PX} scene pixels per half-light radius"
+                 median, more where they are small). The spot check does not see that. Draw them on finer pixels: at least \
+                 {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per half-light radius"
             ),
         }
     }

@@ -29,10 +29,11 @@ impl Geometry {
     pub(super) fn new(shape: FrameShape, options: &SimulateOptions) -> Result<Self, PsfieldError> {
         let s = options.oversample;
         if !(1..=SimulateOptions::MAX_OVERSAMPLE).contains(&s) {
-            return Err(PsfieldError::Oversample {
-                got: s,
-                most: SimulateOptions::MAX_OVERSAMPLE,
-            });
+            let message = format!(
+                "a scene may have 1 to {} pixels along each side of a frame pixel, got {s}",
+                SimulateOptions::MAX_OVERSAMPLE
+            );
+            return Err(PsfieldError::of_setting("oversample", message));
         }
         let (nx, ny) = (shape.nx(), shape.ny());
         let frame = match options.frame {
@@ -41,7 +42,13 @@ impl Geometry {
                 frame
             }
             None if nx.is_multiple_of(s) && ny.is_multiple_of(s) => FrameShape::new(nx / s, ny / s)?.region(),
-            None => return Err(PsfieldError::UnevenScene { shape, oversample: s }),
+            None => {
+                let message = format!(
+                    "the scene is {shape} pixels, which is not a multiple of {s} pixels along each side of a frame pixel: \
+                     cut the scene, or choose a part of it with a frame"
+                );
+                return Err(PsfieldError::of_setting("oversample", message));
+            }
         };
         let whole = frame.shape();
         let region = options.region.unwrap_or(whole.region());
@@ -162,18 +169,21 @@ fn check_frame(shape: FrameShape, oversample: usize, frame: PixelRegion) -> Resu
     let (nx, ny) = (frame.shape().nx(), frame.shape().ny());
     let place = |v: i64| v.checked_mul(oversample as i64);
     let length = |n: usize| n.checked_mul(oversample);
-    let fine = match (place(frame.x0()), place(frame.y0()), length(nx), length(ny)) {
-        (Some(x0), Some(y0), Some(nx), Some(ny)) => PixelRegion::new(x0, y0, FrameShape::new(nx, ny)?),
-        _ => return Err(PsfieldError::FrameOffAnyScene { frame }),
+    let fine = (place(frame.x0()), place(frame.y0()), length(nx), length(ny));
+    let (Some(x0), Some(y0), Some(nx), Some(ny)) = fine else {
+        let (x0, y0) = (frame.x0(), frame.y0());
+        let message = format!("the frame of {nx} x {ny} pixels at ({x0}, {y0}) lies off any scene");
+        return Err(PsfieldError::of_setting("frame", message));
     };
+    let fine = PixelRegion::new(x0, y0, FrameShape::new(nx, ny)?);
     if shape.region().contains(fine) {
         return Ok(());
     }
-    let source = DataError::FrameOutsideScene {
+    let outside = DataError::FrameOutsideScene {
         x0: fine.x0(),
         y0: fine.y0(),
         shape: fine.shape(),
         scene: shape,
     };
-    Err(PsfieldError::FrameOffScene { source })
+    Err(PsfieldError::of_setting("frame", outside.to_string()).because(outside))
 }

@@ -15,7 +15,7 @@ impl<T: ConvReal> Simulator<T> {
     /// at. The pixels are the same bytes as those of [`simulate`](Self::simulate).
     ///
     /// # Errors
-    /// Those of the stream and of [`simulate_into`](Self::simulate_into); [`PsfieldError::StreamNeedsPlan`].
+    /// Those of the stream and of [`simulate_into`](Self::simulate_into); [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a method without a plan.
     pub fn stream<R: RowStream<T>>(
         &self,
         scene: &Scene<'_, T>,
@@ -27,7 +27,7 @@ impl<T: ConvReal> Simulator<T> {
     {
         self.check_sources(scene, true)?;
         let convolver = self.convolver(scene, progress)?;
-        let engine = convolver.engine.as_ref().ok_or(PsfieldError::StreamNeedsPlan)?;
+        let engine = convolver.engine_for("rows can be streamed")?;
         let mut rows = SceneRows::new(self, scene, rows, progress)?;
         engine.stream(&mut rows, progress)
     }

@@ -11,10 +11,8 @@ use crate::fits::columns::Table;
 use crate::fits::hdu::{Hdu, HduChoice, HduKind};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{cards, in_single_precision, write_cards, write_fits};
-use crate::fits::structure::FitsStructure;
+use crate::fits::structure::{FitsStructure, PSF};
 
-/// The option of the command line that chooses an extension, for error messages.
-const OPTION: &str = "--psf-extension N|NAME";
 /// The text between the letter of a coordinate and `_IMAGE`: the methods by which SExtractor
 /// measures a position.
 const POSITION_KINDS: [&str; 5] = ["", "WIN", "PSF", "PEAK", "MODEL"];
@@ -39,10 +37,10 @@ fn holds_psf(hdu: &Hdu) -> bool {
 /// `extension` chooses one of several models in the file, which holds one per image extension.
 ///
 /// # Errors
-/// [`IoError::SeveralHdus`] for several models without a choice, [`IoError::NoSuchHdu`] for a
-/// choice that is none of them, [`IoError::Keyword`] and [`IoError::MissingKeyword`] for an
-/// unsupported polynomial (see the [layout](super)), [`IoError::Content`] for a column of another
-/// format, [`IoError::Value`] for NaN, and the errors of any FITS file.
+/// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for several models without a choice, or
+/// for a choice that is none of them, [`Header`](crate::IoErrorKind::Header) for an unsupported
+/// polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column of
+/// another format, [`Data`](crate::IoErrorKind::Data) for NaN, and the errors of any FITS file.
 pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Result<PsfexModel, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -59,7 +57,7 @@ pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Resu
     check_dimensions(hdu, &table, shape)?;
     let values = table.read(COLUMN, values_per_row)?;
     let planes = Array3::from_shape_vec(shape, values).expect("as many values as the axes say");
-    let sampling = hdu.required_real("PSF_SAMP", SAMPLING)?;
+    let sampling = hdu.required::<f64>("PSF_SAMP", SAMPLING)?;
     if sampling <= 0.0 {
         return Err(hdu.keyword_error("PSF_SAMP", SAMPLING));
     }
@@ -86,9 +84,9 @@ fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Re
     let is_meant = |hdu: &Hdu| holds_psf(hdu) && extension.is_none_or(|choice| choice.matches(hdu));
     match extension {
         Some(choice) if !structure.hdus.iter().any(is_meant) => {
-            Err(structure.no_such(choice, WHAT, holds_psf))
+            Err(structure.no_such(choice, PSF, WHAT, holds_psf))
         }
-        _ => structure.only(WHAT, OPTION, is_meant),
+        _ => structure.only(WHAT, PSF, is_meant),
     }
 }
 
@@ -142,7 +140,7 @@ const Y_KEYWORDS: AxisKeywords = (
 
 /// Reads a coordinate, which is 1-based in the file.
 fn axis(path: &Path, hdu: &Hdu, keywords: &AxisKeywords) -> Result<PsfexAxis, IoError> {
-    const OFFSET: &str = "the offset of a coordinate in pixels";
+    const OFFSET: &str = "the offset of a coordinate in pixels, a number";
     const SCALE: &str = "the scale of a coordinate in pixels, a number other than 0";
     let &([name_keyword, zero_keyword, scale_keyword], letter, expected) = keywords;
     let name = hdu.required::<String>(name_keyword, expected)?;
@@ -153,8 +151,8 @@ fn axis(path: &Path, hdu: &Hdu, keywords: &AxisKeywords) -> Result<PsfexAxis, Io
     if !kind.is_some_and(|kind| POSITION_KINDS.contains(&kind)) {
         return Err(hdu.keyword_error(name_keyword, expected));
     }
-    let zero = hdu.required_real(zero_keyword, OFFSET)?;
-    let scale = hdu.required_real(scale_keyword, SCALE)?;
+    let zero = hdu.required::<f64>(zero_keyword, OFFSET)?;
+    let scale = hdu.required::<f64>(scale_keyword, SCALE)?;
     if scale == 0.0 {
         return Err(hdu.keyword_error(scale_keyword, SCALE));
     }
@@ -236,8 +234,8 @@ fn folds_to(text: &str, expected: &[usize]) -> bool {
 /// ```
 ///
 /// # Errors
-/// [`IoError::Overflow`] for a value beyond single precision, [`IoError::Exists`] unless
-/// `overwrite`, [`IoError::MissingDirectory`], or an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Limit`](crate::IoErrorKind::Limit) for a value beyond single precision, and the
+/// errors of [`write_image`](crate::write_image).
 pub fn write_psfex(
     path: impl AsRef<Path>,
     model: &PsfexModel,
