@@ -22,8 +22,8 @@ const ROUNDING: f64 = 1e-13;
 const ENGINE_F64: f64 = 1e-12;
 /// The limit [`ENGINE_F64`] in single precision.
 const ENGINE_F32: f64 = 1e-6;
-/// The limit in double precision with the rounding of interpolation weights, which may be terms of a
-/// polynomial.
+/// The limit in double precision, plus the rounding of interpolation weights (for instance the
+/// terms of a polynomial).
 const ENGINE_INTERPOLATED: f64 = 1e-11;
 
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];

@@ -11,8 +11,8 @@ use psfield::{
 
 const FRAME: usize = 40;
 
-/// Gaussians that widen and move over the field, `s` samples per frame pixel. With `response` they are
-/// averaged over a frame pixel.
+/// Gaussians that widen and move over the field, `s` samples per frame pixel. With `response` they
+/// are averaged over a frame pixel.
 fn sampled(s: usize, response: bool) -> Psf {
     let n = 24 * s + 1;
     let grid = StampGrid::new(n, n)
