@@ -20,7 +20,7 @@ fn main() {
             python().display()
         );
         eprintln!(
-            "other software: {} does not import galsim and photutils; its tests are skipped and show as ignored",
+            "other software: {} does not import galsim and photutils. Its tests are skipped and show as ignored",
             python().display()
         );
     }

@@ -118,7 +118,7 @@ fn stamps_of(psf: &Path, kind: FileKind, positions: &[(f64, f64)], output: &Path
     };
     let opened = Psf::open_with(psf, &PsfFileOptions::default(), &choices)?;
     if opened.kind() != Some(kind) {
-        return Err(format!("{:?} was found", opened.kind()).into());
+        return Err(format!("the file is detected as {:?}", opened.kind()).into());
     }
     let positions: Result<Vec<Position>, _> = positions.iter().map(|&(x, y)| Position::new(x, y)).collect();
     let stamps = evaluate(opened.model()?, positions?, EvaluateOptions::default())?;

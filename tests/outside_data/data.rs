@@ -1,4 +1,4 @@
-//! Where the data is and what is in it.
+//! The folder of the data and the readers of its files.
 
 use std::path::{Path, PathBuf};
 
@@ -6,7 +6,7 @@ use libtest_mimic::{Failed, Trial};
 use psfield::psf_types::{FrameShape, Image, Interpolation, Normalisation, PsfModel, PsfSamples, Real};
 use psfield::{FitOptions, Psf, psf_io};
 
-/// Where the data should be.
+/// The folder where the tests expect the data.
 pub(crate) fn expected() -> PathBuf {
     std::env::var_os("PSFIELD_DATA").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"),
@@ -14,12 +14,12 @@ pub(crate) fn expected() -> PathBuf {
     )
 }
 
-/// Whether someone said where the data is.
+/// Returns whether `PSFIELD_DATA` is set.
 pub(crate) fn asked_for() -> bool {
     std::env::var_os("PSFIELD_DATA").is_some()
 }
 
-/// Where the data is, if it is.
+/// The folder of the data, if the data is there.
 pub(crate) fn folder() -> Option<PathBuf> {
     Some(expected()).filter(|folder| folder.join("roman/samples1024.fits").is_file())
 }
@@ -28,17 +28,17 @@ pub(crate) fn file(name: &str) -> PathBuf {
     expected().join(name)
 }
 
-/// A named test of a case.
+/// A named test.
 pub(crate) fn trial(name: String, test: impl FnOnce() -> Result<(), Failed> + Send + 'static) -> Trial {
     Trial::test(name, test)
 }
 
-/// Fails with a text that holds the figures.
+/// Fails with the message of `says` unless the condition holds.
 pub(crate) fn ensure(holds: bool, says: impl FnOnce() -> String) -> Result<(), Failed> {
     if holds { Ok(()) } else { Err(says().into()) }
 }
 
-/// A pixel `(x, y)` and the truth there.
+/// A pixel `(x, y)` and its true value.
 pub(crate) type ExactPixel = ((usize, usize), f64);
 
 /// One of the two simulated fields.
@@ -87,7 +87,7 @@ impl Field {
         Ok(psf_io::read_image::<f64>(self.path(&name))?.into_parts().0)
     }
 
-    /// Exact values of the truth at pixels.
+    /// Exact values of the truth at some pixels.
     pub(crate) fn exact(self, anchor: &str) -> Result<Vec<ExactPixel>, Failed> {
         let name = format!("scene{}_{anchor}_f64.csv", self.size);
         let [y, x, value] = psf_io::read_columns(self.path(&name), ["y", "x", "value"])?;
@@ -104,7 +104,7 @@ impl Field {
         Ok(values)
     }
 
-    /// The samples as they are, bilinear between them: what the truths were made with.
+    /// The unscaled samples with bilinear interpolation. The truths were made from these.
     pub(crate) fn psf(self, options: FitOptions) -> Result<Psf, Failed> {
         let options = FitOptions {
             interpolation: Interpolation::Bilinear,

@@ -1,4 +1,4 @@
-//! Real files of every kind through the one door, with the defaults of their formats.
+//! `Psf::open` reads real files of every kind with the defaults of their formats.
 
 use libtest_mimic::{Failed, Trial};
 use psfield::psf_basis::RankSelection;
@@ -31,16 +31,16 @@ pub(crate) fn trials() -> Vec<Trial> {
     ]
     .into_iter()
     .map(|(folder, name, which, options)| {
-        trial(format!("one door: {name}{which}"), move || {
+        trial(format!("Psf::open: {name}{which}"), move || {
             library(folder, name, which, &options)
         })
     })
     .collect();
-    trials.push(trial("one door: two detectors".into(), two_detectors));
+    trials.push(trial("Psf::open: two detectors".into(), two_detectors));
     trials
 }
 
-/// A library is opened as it is, every component kept, and tells how it was read.
+/// A library is opened without scaling and with every component, and notes say how it was read.
 fn library(folder: &'static str, name: &str, which: &str, options: &PsfFileOptions) -> Result<(), Failed> {
     let path = file(&format!("{folder}/{name}.fits"));
     let opened = Psf::open_with(path, options, &FitChoices::default())?;
@@ -50,7 +50,7 @@ fn library(folder: &'static str, name: &str, which: &str, options: &PsfFileOptio
         FileKind::Stdpsf
     };
     ensure(opened.kind() == Some(kind), || {
-        format!("{:?} was found", opened.kind())
+        format!("the file is detected as {:?}", opened.kind())
     })?;
     let Some((samples, fit)) = opened.samples() else {
         return Err("a library holds samples".into());
@@ -66,15 +66,15 @@ fn library(folder: &'static str, name: &str, which: &str, options: &PsfFileOptio
     };
     ensure(
         options == &PsfFileOptions::default() || opened.notes().iter().any(|note| note.contains(says)),
-        || format!("no word on the {says}: {:?}", opened.notes()),
+        || format!("no note mentions the {says}: {:?}", opened.notes()),
     )?;
     let truth_name = format!("{name}{which}");
     let truth = Truth::open(folder, if folder == "stpsf" { name } else { &truth_name })?;
     truth.check_own_grid(samples, &truth_name)?;
-    // With the options that the format brings, not those of the comparison.
+    // With the defaults of the format, not with the options of the comparison.
     let error = truth.own_grid_error_of(opened.model()?, &truth_name)?;
     ensure(error <= 1e-6, || {
-        format!("{error:e} with the format's own options")
+        format!("error of {error:e} with the format's own options")
     })
 }
 

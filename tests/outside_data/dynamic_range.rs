@@ -1,4 +1,4 @@
-//! Faint light beside bright, in single precision.
+//! Faint light next to bright light, in single precision.
 
 use integration_tests::{convolve, direct_at};
 use libtest_mimic::{Failed, Trial};
@@ -11,17 +11,18 @@ use rand_chacha::ChaCha8Rng;
 use crate::data::{ExactPixel, STRONG, ensure, trial};
 use crate::simulation::{ANCHORS, FULL};
 
-/// Relative L2 of the faint pixels.
+/// Largest relative L2 error of the faint pixels.
 const FAINT: f64 = 1e-5;
-/// Faint pixels are compared down to this part of their peak.
+/// Only pixels above this fraction of the faint light's peak are compared.
 const DOWN_TO: f64 = 1e-3;
-/// The engine in double precision against the double sum, relative to the peak of the faint light.
+/// Error of the engine in double precision against the double sum, relative to the peak of the
+/// faint light.
 const EXACT: f64 = 1e-12;
 /// Rounding of the transforms in single precision, relative to the peak of the whole image.
 const NOISE: f64 = 1e-6;
-/// What transforms alone leave of the faint light beside a star of 1e8: nothing.
+/// Smallest relative error with only transforms: next to a star of 1e8 they lose the faint light.
 const DROWNED: f64 = 1e-2;
-/// Galaxies of flux 1.
+/// Number of galaxies, each of flux 1.
 const GALAXIES: usize = 60;
 const SPOT_CHECKS: usize = 200;
 
@@ -30,14 +31,14 @@ type Bright = Vec<(usize, usize, f32)>;
 
 pub(crate) fn trials() -> Vec<Trial> {
     vec![
-        trial("strong: galaxies beside a star of 1e8".to_owned(), || {
+        trial("strong: galaxies next to a star of 1e8".to_owned(), || {
             let star = vec![(301, 222, 1e8)];
             beside("a star", &star, Some(FAINT))
         }),
-        trial("strong: galaxies beside 20 stars up to 1e8".to_owned(), || {
+        trial("strong: galaxies next to 20 stars up to 1e8".to_owned(), || {
             beside("20 stars", &stars(), Some(FAINT))
         }),
-        trial("strong: galaxies beside a bright galaxy".to_owned(), || {
+        trial("strong: galaxies next to a bright galaxy".to_owned(), || {
             beside("a bright galaxy", &bright_galaxy(), None)
         }),
     ]
@@ -53,7 +54,7 @@ fn stars() -> Bright {
         .collect()
 }
 
-/// 200 pixels of 1e7: the disc around a pixel.
+/// 200 pixels of 1e7: a disc around a pixel.
 fn bright_galaxy() -> Bright {
     let mut pixels: Vec<(usize, usize)> = (0..41 * 41).map(|n| (n % 41, n / 41)).collect();
     pixels.sort_by_key(|&(x, y)| x.abs_diff(20).pow(2) + y.abs_diff(20).pow(2));
@@ -82,8 +83,8 @@ fn options(anchor: Anchor, paths: Paths) -> Result<PlanOptions, Failed> {
     Ok(PlanOptions::new(0.0)?.with_anchor(anchor).with_paths(paths))
 }
 
-/// The image of the faint light alone in double precision, which is the truth wherever no stamp of a bright pixel reaches;
-/// checked on the double sum of all light.
+/// The image of only the faint light, in double precision. This is the truth wherever no stamp of a
+/// bright pixel reaches. The double sum of all light checks it at some pixels.
 fn truth(
     model: &PsfModel,
     all: &Array2<f32>,
@@ -125,18 +126,18 @@ fn truth(
         .zip(&some)
         .fold(0.0_f64, |m, (sum, (_, value))| m.max((sum - value).abs()));
     ensure(off <= EXACT * peak, || {
-        format!("the truth is off by {:.3e} of the faint peak", off / peak)
+        format!("the error of the truth is {:.3e} of the faint peak", off / peak)
     })?;
     Ok(pixels)
 }
 
-/// What an image in single precision makes of the faint pixels.
+/// Errors of the faint pixels in an image in single precision.
 struct FaintPixels {
-    /// Relative L2.
+    /// Relative L2 error.
     error: f64,
     /// The largest difference over the peak of the whole image.
     noise: f64,
-    /// The part of them that is off by more than a thousandth of its value.
+    /// The fraction of faint pixels with a relative error above one thousandth.
     spoilt: f64,
 }
 
@@ -172,8 +173,8 @@ fn beside(name: &str, bright: &Bright, limit: Option<f64>) -> Result<(), Failed>
         };
         let (cheapest, transforms) = (by(Paths::Cheapest)?, by(Paths::Transforms)?);
         println!(
-            "strong, {anchored}-anchored, beside {name}: {} faint pixels, relative L2 {:.1e}, largest difference over the \
-             image's peak {:.1e}, {:.1}% off by 1e-3 or more; by transforms alone {:.1e}, {:.1e}, {:.1}%",
+            "strong, {anchored}-anchored, next to {name}: {} faint pixels, relative L2 {:.1e}, largest difference over the \
+             image's peak {:.1e}, {:.1}% wrong by 1e-3 or more. With transforms only: {:.1e}, {:.1e}, {:.1}%",
             truth.len(),
             cheapest.error,
             cheapest.noise,
@@ -194,7 +195,7 @@ fn beside(name: &str, bright: &Bright, limit: Option<f64>) -> Result<(), Failed>
             })?;
             ensure(transforms.error > DROWNED, || {
                 format!(
-                    "{anchored}: transforms alone are off by {:.3e} only: this tests nothing",
+                    "{anchored}: the relative error of transforms is only {:.3e}, so this test proves nothing",
                     transforms.error
                 )
             })?;

@@ -11,11 +11,11 @@ use crate::data::{STRONG, ensure, trial};
 use crate::simulation::FULL;
 
 const TOLERANCES: [f64; 7] = [0.5, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0];
-/// Sums of a few hundred thousand pixels in double precision.
+/// Rounding of sums of a few hundred thousand pixels in double precision.
 const DOUBLE: f64 = 1e-13;
-/// The rounding of every pixel in single precision; most of it averages out.
+/// Rounding of every pixel in single precision. Most of it averages out.
 const SINGLE: f64 = 1e-6;
-/// Nothing leaves the frame when the border is dark by more than half a stamp.
+/// Dark border in pixels, more than half a stamp, so that no light leaves the frame.
 const MARGIN: usize = 33;
 
 pub(crate) fn trials() -> Vec<Trial> {

@@ -1,4 +1,5 @@
-//! Stars of real frames against the lists of sep and photutils, and frames simulated from their own stars.
+//! Stars of real frames against the source lists of sep and photutils, and against frames simulated
+//! from the stars.
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::{Array2, ArrayView2};
@@ -10,19 +11,20 @@ use psfield_lab::{RoundTrip, RoundTripOptions};
 
 use crate::data::{ensure, file, trial};
 
-/// A source is the same in two lists within this distance, pixels.
+/// Sources in two lists within this distance are equal, in pixels.
 const SAME_PX: f64 = 0.5;
-/// Sources with a neighbour closer than this are not asked for, pixels.
+/// Sources with a neighbour closer than this are not required, in pixels.
 const LONELY_PX: f64 = 8.0;
-/// Brighter peaks, as parts of the frame's largest value, may be saturated.
+/// Peaks brighter than this fraction of the frame's largest value may be saturated.
 const UNSATURATED: f64 = 0.95;
-/// The part of the sources asked for that must be found.
+/// The fraction of the required sources that must be found.
 const FOUND: f64 = 0.95;
-/// Medians of the FWHM in a frame and in its simulation agree within this part.
+/// Largest relative difference between the median FWHM of a frame and of its simulation.
 const MEDIAN: f64 = 0.03;
-/// Kolmogorov-Smirnov distance of the two distributions of the FWHM.
+/// Largest Kolmogorov-Smirnov distance between the two distributions of the FWHM.
 const KS: f64 = 0.1;
-/// The same of the ellipticity; the 26 stars of the other frame scatter more than that from draw to draw.
+/// Largest distance for the ellipticity. The 26 stars of the other frame scatter by more than this
+/// between draws.
 const KS_ELLIPTICITY: (&str, f64) = (FRAMES[0], 0.1);
 
 const FRAMES: [&str; 2] = ["tetra3_Alt60_Azi135", "sep_ngc_256"];
@@ -30,7 +32,7 @@ const FRAMES: [&str; 2] = ["tetra3_Alt60_Azi135", "sep_ngc_256"];
 pub(crate) fn trials() -> Vec<Trial> {
     let agreed = FRAMES.into_iter().map(|name| {
         trial(
-            format!("{name}: sources that sep and photutils agree on"),
+            format!("{name}: sources in both lists, sep's and photutils'"),
             move || agreed_sources(name),
         )
     });
@@ -40,15 +42,11 @@ pub(crate) fn trials() -> Vec<Trial> {
             move || round_trip(name),
         )
     });
-    let scene = trial(
-        "m51_512: an extended scene gives its stars".to_owned(),
-        extended_scene,
-    );
+    let scene = trial("m51_512: stars in an extended scene".to_owned(), extended_scene);
     let controls = FRAMES.into_iter().map(|name| {
-        trial(
-            format!("{name}: a PSF that is too wide does not pass for the frame's"),
-            move || widened(name),
-        )
+        trial(format!("{name}: a PSF that is too wide is noticed"), move || {
+            widened(name)
+        })
     });
     agreed.chain(trips).chain(controls).chain([scene]).collect()
 }
@@ -59,7 +57,7 @@ fn frame(name: &str) -> Result<Image<f64>, Failed> {
         .0)
 }
 
-/// Several seeds, lest a lucky one decides.
+/// Several seeds, so that a lucky one does not decide.
 fn round_trip(name: &str) -> Result<(), Failed> {
     let frame = frame(name)?;
     for seed in 1..=3 {
@@ -96,7 +94,7 @@ fn round_trip(name: &str) -> Result<(), Failed> {
     Ok(())
 }
 
-/// The stars drawn with PSFs so many times as wide have another median.
+/// Stars drawn with widened PSFs must have a different median.
 const WIDENED: f64 = 1.08;
 
 fn widened(name: &str) -> Result<(), Failed> {
@@ -143,7 +141,7 @@ fn widened(name: &str) -> Result<(), Failed> {
     )
 }
 
-/// Its nebulae and clusters are not taken for stars.
+/// Nebulae and clusters of M51 are not taken for stars.
 fn extended_scene() -> Result<(), Failed> {
     let found = StarSampling::default().run(&frame("m51_512")?)?;
     let broad = found
@@ -157,7 +155,7 @@ fn extended_scene() -> Result<(), Failed> {
         found.sources.len(),
         found.fwhm_px
     );
-    // The isolated bright stars of the frame have 2.56 to 2.65 pixels.
+    // The isolated bright stars of the frame have a FWHM of 2.56 to 2.65 pixels.
     ensure((2.5..2.7).contains(&found.fwhm_px), || {
         format!("FWHM {}", found.fwhm_px)
     })?;
@@ -230,7 +228,7 @@ fn agreed_sources(name: &str) -> Result<(), Failed> {
         found.samples.len()
     );
     ensure(asked.len() >= 20, || {
-        format!("only {} sources are agreed on", asked.len())
+        format!("the lists agree on only {} sources", asked.len())
     })?;
     ensure(hits as f64 >= FOUND * asked.len() as f64, || {
         let missed: Vec<_> = asked

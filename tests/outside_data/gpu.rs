@@ -1,5 +1,5 @@
-//! The fast engine on a GPU: against the truth, against the CPU, and pixel by pixel. A driver that runs shaders on the processor will do; where there
-//! is none these tests show as ignored.
+//! The fast engine on a GPU: against the truth, against the CPU, and pixel by pixel. A driver that
+//! runs shaders on the processor is sufficient. Without any driver, these tests show as ignored.
 
 use std::sync::OnceLock;
 
@@ -18,13 +18,13 @@ use crate::tolerance::{MORE, ROUNDING_F32};
 const TOLERANCES: [f64; 4] = [1e-1, 1e-3, 1e-5, 0.0];
 /// Rounding in single precision, as on the CPU.
 const SINGLE: f64 = 1e-6;
-/// Two devices that round in different orders.
+/// Difference between two devices that round in different orders.
 const PARITY: f64 = 3e-6;
-/// Of these the tolerances at which single pixels are looked at: modes are left out, or none.
+/// The tolerances at which single pixels are tested: one truncates modes, the other keeps all.
 const OF_PIXELS: [f64; 2] = [1e-3, 0.0];
 const PIXELS: usize = 300;
 
-/// The GPU that tests share, or why there is none.
+/// The GPU that all tests share, or the reason why there is none.
 fn gpu() -> &'static Result<GpuDevice, GpuError> {
     static GPU: OnceLock<Result<GpuDevice, GpuError>> = OnceLock::new();
     GPU.get_or_init(|| GpuDevice::new(None))

@@ -1,4 +1,4 @@
-//! What the tests of gridded PSF libraries share: their PSFs against those of photutils.
+//! Shared parts of the tests of gridded PSF libraries: comparison with the PSFs of photutils.
 
 use libtest_mimic::Failed;
 use psfield::metrics::Comparison;
@@ -8,11 +8,13 @@ use psfield::{EvaluateOptions, FitOptions, OutputGrid, evaluate, fit, psf_io};
 
 use crate::data::{ensure, file};
 
-/// Truths are single precision (6e-8 of a value); the peaks of two stamps may differ by a factor of a few.
+/// Truths are in single precision (6e-8 of a value). The peaks of two stamps may differ by a factor
+/// of a few.
 const OWN_GRID: f64 = 1e-6;
-/// Both draw the same spline; what is left is single precision of the truths, relative to faint wings.
+/// Both evaluate one kind of spline. The difference is the truths' single precision, relative to
+/// faint wings.
 const NATIVE: f64 = 1e-4;
-/// Planes in the wrong places differ by more than this, a thousand times the tolerance.
+/// Planes in wrong places differ by more than this, a thousand times the tolerance.
 const WRONG: f64 = 1e-3;
 
 /// Positions at which photutils evaluated a library.
@@ -23,7 +25,7 @@ pub(crate) struct Truth {
 }
 
 impl Truth {
-    /// `name` is that of the files, without folder, `truth_` and what they hold.
+    /// Opens the truth `name`: the part of the file names between `truth_` and `_positions`.
     pub(crate) fn open(folder: &'static str, name: &str) -> Result<Self, Failed> {
         let path = file(&format!("{folder}/truth_{name}_positions.csv"));
         let [x, y, own] = psf_io::read_columns(path, ["x0", "y0", "in_epsf4x"])?;
@@ -35,12 +37,12 @@ impl Truth {
         })
     }
 
-    /// Largest error over peak on the library's own grid.
+    /// The largest error over the peak on the library's own grid.
     pub(crate) fn own_grid_error(&self, samples: &PsfSamples, name: &str) -> Result<f64, Failed> {
         self.own_grid_error_of(&model(samples)?, name)
     }
 
-    /// The same of a model.
+    /// [`own_grid_error`](Self::own_grid_error) for a model.
     pub(crate) fn own_grid_error_of(&self, model: &PsfModel, name: &str) -> Result<f64, Failed> {
         let truth = psf_io::read_cube::<f64>(file(&format!("{}/truth_{name}_epsf4x.fits", self.folder)))?;
         let marked = self
@@ -55,7 +57,7 @@ impl Truth {
         Ok(errors?.into_iter().fold(0.0, f64::max))
     }
 
-    /// The own grid within the tolerance.
+    /// Checks that the error on the own grid is within the tolerance.
     pub(crate) fn check_own_grid(&self, samples: &PsfSamples, name: &str) -> Result<(), Failed> {
         let error = self.own_grid_error(samples, name)?;
         println!("{name}: own grid: largest error / peak {error:.2e}");
@@ -64,15 +66,17 @@ impl Truth {
         })
     }
 
-    /// The own grid is far from the truth: the comparison notices planes in the wrong places.
+    /// Checks that the own grid is far from the truth: the comparison notices planes in wrong
+    /// places.
     pub(crate) fn check_own_grid_differs(&self, samples: &PsfSamples, name: &str) -> Result<(), Failed> {
         let error = self.own_grid_error(samples, name)?;
         ensure(error >= WRONG, || {
-            format!("{name}: {error:e} of peak, at least {WRONG:e} is expected of planes in wrong places")
+            format!("{name}: {error:e} of peak, at least {WRONG:e} is expected for planes in wrong places")
         })
     }
 
-    /// At the detector's pixels, at each position's own phase, 21 x 21 pixels: the largest relative L2 error.
+    /// Checks the largest relative L2 error on 21 x 21 detector pixels, at each position's own
+    /// phase.
     pub(crate) fn check_native(&self, samples: &PsfSamples, name: &str) -> Result<(), Failed> {
         let truth = psf_io::read_cube::<f64>(file(&format!("{}/truth_{name}_native21.fits", self.folder)))?;
         let options = EvaluateOptions {
@@ -91,7 +95,7 @@ impl Truth {
     }
 }
 
-/// The samples as photutils' `GriddedPSFModel` takes them: as they are, bilinear, the nearest outside.
+/// The samples as photutils' `GriddedPSFModel` uses them: unscaled, bilinear, the nearest outside.
 fn model(samples: &PsfSamples) -> Result<PsfModel, Failed> {
     let options = FitOptions {
         rank: RankSelection::Full,

@@ -1,4 +1,4 @@
-//! The fast engine is a linear operator, and its transpose belongs to it.
+//! The fast engine is a linear operator, and its adjoint is the transpose of that operator.
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
@@ -9,7 +9,7 @@ use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 use crate::responses::{lit_everywhere, norm};
 use crate::simulation::{ANCHORS, FULL};
 
-/// Rounding of the transforms, relative to the norms of what is added.
+/// Rounding of the transforms, relative to the norms of the summands.
 const LINEAR: f64 = 1e-12;
 /// Rounding of two scalar products of a million terms, relative to their value.
 const TRANSPOSE: f64 = 1e-12;
@@ -30,7 +30,8 @@ pub(crate) fn trials() -> Vec<Trial> {
 fn linear(field: Field, anchor: Anchor) -> Result<(), Failed> {
     let model = field.model(FULL)?;
     let frame = field.frame()?;
-    // Light everywhere, and stars and galaxies in the dark: what is cheapest is not the same for the two and for their sum.
+    // Light everywhere, and stars and galaxies on a dark sky. The cheapest path differs for the two
+    // scenes and for their sum.
     let f: Array2<f64> = lit_everywhere(frame.nx(), frame.ny(), 5);
     let g = field.scene::<f64>()?.into_pixels();
     let (a, b) = (2.5, -0.75);

@@ -10,11 +10,12 @@ use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 use crate::simulation::{ANCHORS, FULL};
 
 const TOLERANCES: [f64; 6] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6];
-/// The truth is stored in single precision, which costs 2e-8.
+/// The truth is stored in single precision, which adds an error of 2e-8.
 const STORED: f64 = 1e-7;
-/// Rounding in single precision: transforms of a few thousand values, and sums over the modes of a tile.
+/// Rounding in single precision: transforms of a few thousand values, and sums over the modes of a
+/// tile.
 const SINGLE: f64 = 1e-6;
-/// Rounding in double precision, of the norm of the pixels compared and of the peak.
+/// Rounding in double precision, relative to the norm of the compared pixels and to the peak.
 const EXACT: f64 = 1e-12;
 
 pub(crate) fn trials() -> Vec<Trial> {

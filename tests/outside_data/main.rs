@@ -1,7 +1,8 @@
-//! The pipeline against truth that other software computed, on data that is not part of the project.
+//! The pipeline against truth that other software computed, on data that is not part of the
+//! project.
 //!
-//! The data is looked for in `../shared/data` beside the checkout, or in the folder that `PSFIELD_DATA` names. Where it is not
-//! there, these tests show as ignored.
+//! The tests look for the data in `../shared/data` next to the checkout, or in the folder that
+//! `PSFIELD_DATA` names. Without the data, these tests show as ignored.
 
 mod data;
 mod doors;
@@ -36,7 +37,7 @@ fn main() {
             data::expected().display()
         );
         eprintln!(
-            "outside data: not found ({}); its tests are skipped and show as ignored",
+            "outside data: not found ({}). Its tests are skipped and show as ignored",
             data::expected().display()
         );
     }

@@ -5,11 +5,11 @@ use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
 
 use crate::data::{ROMAN, STRONG, ensure, trial};
 
-/// Size, relative, and shear.
+/// Largest relative error of the size, and largest error of the shear.
 const MOMENTS: f64 = 1e-4;
-/// Centroids of adaptive moments, pixels.
+/// Largest error of the centroids of adaptive moments, in pixels.
 const CENTROID_PX: f64 = 1e-3;
-/// Widths and centres of Gaussian fits, pixels.
+/// Largest error of the widths and centres of Gaussian fits, in pixels.
 const FIT_PX: f64 = 1e-4;
 
 pub(crate) fn trials() -> Vec<Trial> {

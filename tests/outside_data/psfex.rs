@@ -11,7 +11,7 @@ use crate::data::{ensure, file, trial};
 
 /// The truth is stored in single precision.
 const STORED: f64 = 1e-6;
-/// GalSim's table of the Lanczos kernel.
+/// The error of GalSim's table of the Lanczos kernel.
 const LANCZOS: f64 = 1e-4;
 
 const MODEL: &str = "psfex/DECam_00154912_12.psf";
@@ -43,7 +43,7 @@ fn opened(normalisation: Normalisation) -> Result<Psf, Failed> {
     };
     let opened = Psf::open_with(file(MODEL), &PsfFileOptions::default(), &choices)?;
     ensure(opened.kind() == Some(FileKind::Psfex), || {
-        format!("{:?} was found", opened.kind())
+        format!("the file is detected as {:?}", opened.kind())
     })?;
     Ok(opened)
 }
@@ -69,14 +69,14 @@ fn own_grid() -> Result<(), Failed> {
     let error = max_over_peak(&stamps, &truth)?;
     println!("psfex, own grid: largest error / peak {error:.2e}");
     ensure(error <= STORED, || format!("{error:e}, at most {STORED:e}"))?;
-    // 1-based positions taken for 0-based ones would show.
+    // The test would notice 1-based positions taken for 0-based ones.
     let shifted = positions
         .iter()
         .map(|p| Position::new(p.x() + 1.0, p.y() + 1.0))
         .collect::<Result<_, _>>()?;
     let wrong = max_over_peak(&evaluate(model, shifted, EvaluateOptions::default())?, &truth)?;
     ensure(wrong > STORED, || {
-        format!("a pixel's shift changes {wrong:e} only")
+        format!("a shift of one pixel changes only {wrong:e}")
     })
 }
 
@@ -127,7 +127,7 @@ fn through_samples() -> Result<(), Failed> {
     same_planes(&converted.model, "through 5 x 4 samples")
 }
 
-/// The planes agree with the file's to single precision, relative to the peak of the first.
+/// The planes agree with the file's in single precision, relative to the peak of the first plane.
 fn same_planes(model: &psf_io::PsfexModel, how: &str) -> Result<(), Failed> {
     let original = psf_io::read_psfex(file(MODEL), None)?;
     ensure(model.planes().dim() == original.planes().dim(), || {

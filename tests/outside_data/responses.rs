@@ -1,4 +1,5 @@
-//! What single pixels see of an operator: its columns (source-anchored) or its rows (output-anchored), with light everywhere.
+//! Responses of an operator to single pixels, with light everywhere: its columns (source-anchored)
+//! or its rows (output-anchored).
 
 use libtest_mimic::Failed;
 use ndarray::{Array2, ArrayView2};
@@ -13,24 +14,24 @@ struct Probe {
     psf: Array2<f64>,
 }
 
-/// Random pixels with their exact PSFs, in batches whose stamps do not overlap: the operator is linear, so that the responses
-/// of a batch come out of one execution.
+/// Random pixels with their exact PSFs, in batches whose stamps do not overlap. The operator is
+/// linear, so one execution measures all responses of a batch.
 pub(crate) struct Probes {
     batches: Vec<Vec<Probe>>,
     centre: (usize, usize),
     anchor: Anchor,
 }
 
-/// What was measured of some pixels' responses.
+/// Errors of the responses of some pixels.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct ResponseErrors {
     /// The largest `||response - psf|| / ||psf||`.
     pub(crate) largest: f64,
-    /// The mean of the same.
+    /// The mean of `||response - psf|| / ||psf||`.
     pub(crate) mean: f64,
-    /// How many exceed the limit.
+    /// The number of responses that exceed the limit.
     pub(crate) violations: usize,
-    /// The largest response where no stamp reaches, over that to all the light of a pixel.
+    /// The largest response outside all stamps, divided by the light added to a pixel.
     pub(crate) stray: f64,
 }
 
@@ -38,7 +39,7 @@ pub(crate) struct ResponseErrors {
 const ATTEMPTS: usize = 400;
 
 impl Probes {
-    /// `count` pixels of a frame, drawn evenly.
+    /// `count` pixels of a frame, from a uniform distribution.
     pub(crate) fn random(
         model: &PsfModel,
         (nx, ny): (usize, usize),
@@ -75,7 +76,7 @@ impl Probes {
         })
     }
 
-    /// The first few, one to a batch.
+    /// The first `count` pixels, one per batch.
     pub(crate) fn one_by_one(self, count: usize) -> Self {
         let batches = self.batches.into_iter().flatten().take(count);
         Self {
@@ -84,8 +85,8 @@ impl Probes {
         }
     }
 
-    /// `F(f + more at a pixel) - F(f)` over `more` against the exact PSF of the pixel, with `F` the operator of the engine, or its
-    /// transpose where it is output-anchored.
+    /// Compares `(F(f + more at a pixel) - F(f)) / more` with the exact PSF of the pixel. `F` is
+    /// the operator of the engine, or its transpose if it is output-anchored.
     pub(crate) fn measure<T: ConvReal>(
         &self,
         engine: &Engine<T>,
@@ -105,7 +106,7 @@ impl Probes {
             let mut response = after.mapv(T::as_f64) - before.mapv(T::as_f64);
             for probe in batch {
                 let at = [probe.pixel.1, probe.pixel.0];
-                // Not quite `more` where the precision does not hold the sum.
+                // This differs from `more` if the precision cannot hold the sum.
                 let added = lit[at].as_f64() - light[at].as_f64();
                 let error = self.take_out(probe, added, &mut response);
                 found.largest = found.largest.max(error);
@@ -130,7 +131,8 @@ impl Probes {
         Ok(image)
     }
 
-    /// The error of a pixel's response relative to its whole PSF; darkens the pixels that belong to it.
+    /// The error of a pixel's response relative to its whole PSF. Sets the pixels of that response
+    /// to zero.
     fn take_out(&self, probe: &Probe, added: f64, response: &mut Array2<f64>) -> f64 {
         let (ny, nx) = response.dim();
         let mut error = 0.0;

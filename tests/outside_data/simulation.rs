@@ -1,4 +1,4 @@
-//! Images of real PSFs and real galaxies against the two truths.
+//! Images of real PSFs and real galaxies against the two truths, one for each anchoring.
 
 use libtest_mimic::{Failed, Trial};
 use psfield::conv_core::{BasisConvolution, ConvReal};
@@ -12,13 +12,13 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::data::{Field, ROMAN, STRONG, ensure, trial};
 
-/// The truth is stored in single precision, which costs 2e-8.
+/// The truth is stored in single precision, which adds an error of 2e-8.
 const DOUBLE: f64 = 1e-7;
-/// Single precision: rounding of the transforms of a few hundred components adds up to a few 1e-7.
+/// In single precision, the transforms of a few hundred components round to a few 1e-7 in total.
 const SINGLE: f64 = 1e-6;
-/// Sums of a few thousand products in double precision, relative to the peak.
+/// Rounding of sums of a few thousand products in double precision, relative to the peak.
 const EXACT: f64 = 1e-12;
-/// The figures of the uncentred truncations have two digits.
+/// The quoted errors of the uncentred truncations have two digits.
 const QUOTED: f64 = 0.1;
 
 /// The two anchorings and the names of their truths.
@@ -48,13 +48,10 @@ pub(crate) fn trials() -> Vec<Trial> {
         }
     }
     trials.push(trial(
-        "strong: the wrong anchoring is told apart".to_owned(),
+        "strong: the wrong anchoring is noticed".to_owned(),
         wrong_anchoring,
     ));
-    trials.push(trial(
-        "strong: unit flux is what these stamps hold".to_owned(),
-        unit_flux,
-    ));
+    trials.push(trial("strong: these stamps have unit flux".to_owned(), unit_flux));
     for (field, rank, quoted) in [(ROMAN, 6, 4.6e-5), (STRONG, 20, 2.0e-4)] {
         let name = format!("{}: {rank} uncentred components", field.name);
         trials.push(trial(name, move || uncentred(field, rank, quoted)));
@@ -64,7 +61,7 @@ pub(crate) fn trials() -> Vec<Trial> {
     trials
 }
 
-/// By whole-image convolutions.
+/// Convolves by whole-image transforms.
 fn simulator<T: ConvReal>(psf: &Psf, shape: FrameShape, anchor: Anchor) -> Result<Simulator<T>, Failed> {
     let simulator = psf.simulator((shape.ny(), shape.nx()));
     Ok(simulator.method(Method::Basis).anchor(anchor).build()?)
@@ -103,7 +100,8 @@ fn direct(field: Field, anchor: Anchor, truth: &str) -> Result<(), Failed> {
         .zip(&some)
         .fold(0.0f64, |m, (v, (_, t))| m.max((v - t).abs()))
         / peak;
-    // Most of these pixels are far fainter than the peak; their own norm is the sharper scale.
+    // Most of these pixels are far fainter than the peak, so the norm of their values is a stricter
+    // scale.
     let norm = |values: &mut dyn Iterator<Item = f64>| values.map(|v| v * v).sum::<f64>().sqrt();
     let own = norm(&mut values.iter().zip(&some).map(|(v, (_, t))| v - t))
         / norm(&mut some.iter().map(|(_, t)| *t));
@@ -121,13 +119,13 @@ fn wrong_anchoring() -> Result<(), Failed> {
         let error = relative_l2::<f64>(STRONG, &STRONG.psf(FULL)?, anchor, truth)?;
         println!("strong {anchor} against {truth}: relative L2 {error:.3e}");
         ensure(error > 1e-3, || {
-            format!("{anchor} passes for {truth}: {error:.3e}")
+            format!("the comparison does not tell {anchor} from {truth}: {error:.3e}")
         })?;
     }
     Ok(())
 }
 
-/// The default normalisation changes nothing for stamps that hold unit flux already.
+/// The default normalisation does not change stamps that already have unit flux.
 fn unit_flux() -> Result<(), Failed> {
     let options = FitOptions {
         normalisation: Normalisation::Unit,
@@ -155,7 +153,7 @@ fn uncentred(field: Field, rank: usize, quoted: f64) -> Result<(), Failed> {
 
 fn total_flux() -> Result<(), Failed> {
     let mut scene = STRONG.scene::<f64>()?.into_pixels();
-    // Nothing leaves the frame when the border is dark by more than half a stamp.
+    // No light leaves the frame if the border is dark over more than half a stamp.
     let (ny, nx) = scene.dim();
     for ((y, x), value) in scene.indexed_iter_mut() {
         if y < 33 || x < 33 || y >= ny - 33 || x >= nx - 33 {

@@ -1,4 +1,4 @@
-//! Stars between pixels, from an oversampled ePSF, against GalSim's.
+//! Stars between pixels, drawn from an oversampled ePSF, against GalSim's.
 
 use std::time::Instant;
 
@@ -12,12 +12,13 @@ use rand_chacha::ChaCha8Rng;
 
 use crate::data::{ensure, file, trial};
 
-/// GalSim is itself good to 1e-3 of the peak here; photutils' bicubic spline, cut the same way, reaches 8.6e-4.
+/// GalSim itself is accurate to 1e-3 of the peak here. photutils' bicubic spline, cut to the same
+/// pixels, reaches 8.6e-4.
 const STARS_L2: f64 = 1.0e-3;
-/// A star between pixels costs at most this many times what one on a pixel does, of the same field as its instrument samples it
-/// (64 x 64 pixels).
+/// Largest ratio of the time for a star between pixels to that for a star on a pixel. The latter
+/// uses the same field sampled at the instrument's pixels (64 x 64).
 const TIMES_ONE_PIXEL: f64 = 2.0;
-/// The stars of a frame of the method's paper.
+/// The number of stars in a frame of the method's paper.
 const STARS: usize = 2916;
 /// The truth holds 25 x 25 pixels of each star.
 const SIZE: usize = 25;
@@ -28,7 +29,7 @@ const NATIVE: &str = "roman/samples1024.fits";
 pub(crate) fn trials() -> Vec<Trial> {
     vec![
         trial("stars_as_galsim_draws_them".into(), as_galsim),
-        // Timings are for an idle machine: `-- --ignored stars_between_pixels_in_time --nocapture`.
+        // Timings need an idle machine: `-- --ignored stars_between_pixels_in_time --nocapture`.
         trial("stars_between_pixels_in_time".into(), in_time).with_ignored_flag(true),
     ]
 }
@@ -71,7 +72,8 @@ fn as_galsim() -> Result<(), Failed> {
     Ok(())
 }
 
-/// Planned beforehand, image in memory: as many stars on pixels of a scene, as pixels and as sources between pixels.
+/// Compares the times of [`STARS`] stars on pixels and between pixels, with a ready plan and the
+/// image in memory. Stars on pixels use the native stamps and the oversampled ePSF.
 fn in_time() -> Result<(), Failed> {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let last = FRAME as f64 - 1.0;

@@ -7,7 +7,7 @@ use psfield::psf_types::Position;
 use crate::data::{ensure, file, trial};
 use crate::libraries::Truth;
 
-/// File, detector, whether there is a truth at the detector's pixels.
+/// File, detector, and whether there is a truth at the detector's pixels.
 const CASES: [(&str, Option<usize>, bool); 4] = [
     ("PSFSTD_WFC3IR_F160W", None, true),
     ("STDPSF_ACSWFC_F814W_mock", Some(1), false),
@@ -24,7 +24,7 @@ pub(crate) fn trials() -> Vec<Trial> {
             })
         })
         .collect();
-    trials.push(trial("stdpsf: one detector is not the other".into(), detectors));
+    trials.push(trial("stdpsf: the detectors differ".into(), detectors));
     trials
 }
 
@@ -35,7 +35,7 @@ fn case(name: &str, detector: Option<usize>) -> String {
 fn library(name: &str, detector: Option<usize>, native: bool) -> Result<(), Failed> {
     let path = file(&format!("stdpsf/{name}.fits"));
     ensure(detect(&path)? == FileKind::Stdpsf, || {
-        format!("{name} is told to be {}", FileKind::Stdpsf)
+        format!("{name} is not detected as {}", FileKind::Stdpsf)
     })?;
     let library = read_stdpsf(&path, detector)?;
     let case = case(name, detector);
@@ -44,10 +44,10 @@ fn library(name: &str, detector: Option<usize>, native: bool) -> Result<(), Fail
     if native {
         truth.check_native(library.samples(), &case)?;
     }
-    // Files count from 1, and the first line of each of these is at 0.
+    // The files count pixels from 1 and their first sample is at 0, which is -1 here.
     let first = library.samples().positions().as_slice()[0];
     ensure(first == Position::of_pixel(-1, -1), || {
-        format!("{case} begins at {first}")
+        format!("the first sample of {case} is at {first}")
     })
 }
 

@@ -1,4 +1,5 @@
-//! An STPSF library against photutils, in both orders of its planes, and libraries that are written and read back.
+//! An STPSF library against photutils, in both orders of its planes. Also writes libraries and
+//! reads them back.
 
 use libtest_mimic::{Failed, Trial};
 use psfield::psf_io::{FileKind, PlaneOrder, detect, read_stdpsf, read_stpsf, write_gridded};
@@ -20,7 +21,7 @@ pub(crate) fn trials() -> Vec<Trial> {
             "stpsf: WebbPSF 1.2.1 wrote its planes as its cards say".into(),
             || library(PlaneOrder::Auto, true),
         ),
-        trial("stpsf: one order is not the other".into(), orders),
+        trial("stpsf: the orders of planes differ".into(), orders),
         trial("stpsf: STDPSF libraries written and read back".into(), written),
     ]
 }
@@ -36,7 +37,9 @@ fn truth_name(as_cards: bool) -> String {
 fn library(order: PlaneOrder, as_cards: bool) -> Result<(), Failed> {
     let path = file(&format!("stpsf/{NAME}.fits"));
     let kind = detect(&path)?;
-    ensure(kind == FileKind::Stpsf, || format!("it is told to be {kind}"))?;
+    ensure(kind == FileKind::Stpsf, || {
+        format!("the file is detected as {kind}")
+    })?;
     let library = read_stpsf(&path, order)?;
     ensure(library.detector() == Some("NRCA1"), || {
         format!("detector {:?}", library.detector())
@@ -57,7 +60,7 @@ fn orders() -> Result<(), Failed> {
     )
 }
 
-/// Also where x and y of the grid differ, so that planes between the samples are added.
+/// Also for grids that differ in x and y, where the writer adds planes between the samples.
 fn written() -> Result<(), Failed> {
     let directory = tempfile::tempdir()?;
     for (name, detector, planes) in [

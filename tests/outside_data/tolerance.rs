@@ -1,4 +1,5 @@
-//! The tolerance of the fast engine, pixel by pixel: with light everywhere, each pixel must see a PSF within it.
+//! The tolerance of the fast engine, pixel by pixel. With light everywhere, the PSF of each pixel
+//! must be within the tolerance.
 
 use libtest_mimic::{Failed, Trial};
 use ndarray::Array2;
@@ -11,13 +12,16 @@ use crate::simulation::{ANCHORS, FULL};
 
 const TOLERANCES: [f64; 6] = [1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0];
 const PIXELS: usize = 1000;
-/// Rounding of a response that is a difference of two images of light around 1, over the norm of a PSF, around 0.1: 1e-15 a
-/// pixel over the thousands of pixels of a stamp.
+/// Rounding of a response in double precision. The response is a difference of two images of light
+/// around 1, divided by the norm of a PSF, around 0.1. Each of the thousands of pixels of a stamp
+/// rounds by 1e-15.
 const ROUNDING_F64: f64 = 1e-12;
-/// Single precision: light of [`MORE`] beside thousands of pixels of 1 is transformed with an error of a few 1e-7 of the norm of
-/// all that is in a tile, most of which is that light's.
+/// Rounding in single precision. A tile with thousands of pixels of 1 and one of [`MORE`] is
+/// transformed with an error of a few 1e-7 of its norm. Most of this norm is that of the added
+/// light.
 pub(crate) const ROUNDING_F32: f64 = 2e-6;
-/// Light added in single precision, where a response to 1 would be lost in the rounding of the light around it.
+/// Light added in single precision. A response to 1 would be lost in the rounding of the light
+/// around it.
 pub(crate) const MORE: f64 = 1e4;
 
 pub(crate) fn trials() -> Vec<Trial> {
@@ -43,7 +47,7 @@ pub(crate) fn trials() -> Vec<Trial> {
     trials
 }
 
-/// One response to 1 in f64, to [`MORE`] in f32; and the rounding of either.
+/// The light added to a pixel, 1 in f64 and [`MORE`] in f32, and its rounding.
 fn precision<T: ConvReal>() -> (f64, f64) {
     if T::NAME == "f64" {
         (1.0, ROUNDING_F64)
@@ -52,7 +56,7 @@ fn precision<T: ConvReal>() -> (f64, f64) {
     }
 }
 
-/// What some pixels see of a plan where all light is around 1.
+/// Errors of some pixels' responses by a plan, with light around 1 on all pixels.
 pub(crate) fn measured<T: ConvReal>(
     model: &PsfModel,
     probes: &Probes,
@@ -65,7 +69,7 @@ pub(crate) fn measured<T: ConvReal>(
     probes.measure(&engine, &light, precision::<T>().0, limit)
 }
 
-/// [`PIXELS`] pixels at each of the [`TOLERANCES`], among such light.
+/// Checks [`PIXELS`] pixels at each of the [`TOLERANCES`], with light around 1 on all pixels.
 pub(crate) fn within<T: ConvReal>(
     name: &str,
     model: &PsfModel,
@@ -102,7 +106,7 @@ fn of_field<T: ConvReal>(field: Field, anchor: Anchor, paths: Paths) -> Result<(
     within::<T>(field.name, &model, field.frame()?, anchor, paths)
 }
 
-/// Single stamps are drawn from the modes of a tile as well.
+/// Single lit pixels: their stamps are also made from the modes of a tile.
 fn in_the_dark() -> Result<(), Failed> {
     let model = STRONG.model(FULL)?;
     let frame = STRONG.frame()?;

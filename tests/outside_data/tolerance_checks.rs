@@ -1,4 +1,4 @@
-//! The measurement of the tolerance is itself put to the test.
+//! Checks of the measurement that the tolerance tests use.
 
 use libtest_mimic::{Failed, Trial};
 use psfield::conv_core::{Paths, PlanOptions};
@@ -9,16 +9,16 @@ use crate::simulation::{ANCHORS, FULL};
 use crate::tolerance::measured;
 use crate::tolerance_fields::step;
 
-/// One response from an execution of its own against the same from a batch.
+/// Difference between a response measured by its own execution and in a batch.
 const BATCHES: f64 = 1e-12;
 
 pub(crate) fn trials() -> Vec<Trial> {
     vec![
         trial(
-            "strong: responses of a batch are those of single pixels".to_owned(),
+            "strong: responses of a batch equal those of single pixels".to_owned(),
             batches,
         ),
-        trial("strong: a PSF beyond the tolerance is seen".to_owned(), seen),
+        trial("strong: a PSF beyond the tolerance is noticed".to_owned(), seen),
     ]
 }
 
@@ -43,7 +43,7 @@ fn batches() -> Result<(), Failed> {
     Ok(())
 }
 
-/// The PSFs of a coarse tolerance violate a fine one, and the step is no small one.
+/// The PSFs of a coarse tolerance violate a fine one, so the step is not small.
 fn seen() -> Result<(), Failed> {
     let model = STRONG.model(FULL)?;
     let (stepped, cut) = step()?;

@@ -1,4 +1,4 @@
-//! The tolerance of the fast engine for fields that are not bilinear, and for one that jumps.
+//! The tolerance of the fast engine for fields that are not bilinear, and for a field with a jump.
 
 use std::sync::Arc;
 
@@ -31,7 +31,8 @@ pub(crate) fn trials() -> Vec<Trial> {
     trials
 }
 
-/// A field that jumps along a slanted line: beyond it, the PSF is that of the position mirrored at the frame's centre.
+/// A field that jumps along a slanted line. Beyond the line, it returns the coefficients of the
+/// position mirrored at the frame's centre.
 #[derive(Debug)]
 struct Step(PsfModel);
 
@@ -48,10 +49,11 @@ impl CoefficientField for Step {
     }
 }
 
-/// Enough components that the step is one of real PSFs, few enough that they can be weighed pixel by pixel.
+/// Enough components for real PSFs on both sides of the step, and few enough to test pixel by
+/// pixel.
 const STEP_RANK: usize = 12;
 
-/// The model with the step, and a frame across it.
+/// The model with the step, and a frame that the step crosses.
 pub(crate) fn step() -> Result<(PsfModel, FrameShape), Failed> {
     let options = FitOptions {
         rank: RankSelection::Fixed(STEP_RANK),
@@ -72,7 +74,7 @@ fn of_step(anchor: Anchor) -> Result<(), Failed> {
     Ok(())
 }
 
-/// All but the bilinear one, with PSFs scaled to unit flux.
+/// All interpolators except the bilinear one, with PSFs scaled to unit flux.
 const INTERPOLATIONS: [Interpolation; 5] = [
     Interpolation::Delaunay,
     Interpolation::NaturalNeighbour,

@@ -60,9 +60,9 @@ impl Cell {
     /// The reason why the cell fails, if it does. NaN is above every limit.
     pub fn failure(&self) -> Option<String> {
         match &self.0 {
-            Outcome::Error { got, limit } if *limit < 0.0 => {
-                Some(format!("the input must be refused, but gave an error of {got:.1e}"))
-            }
+            Outcome::Error { got, limit } if *limit < 0.0 => Some(format!(
+                "the input must be refused, but gave an error of {got:.1e}"
+            )),
             Outcome::Error { got, limit } => {
                 (got > limit || got.is_nan()).then(|| format!("{got:.1e} is above the limit of {limit:.0e}"))
             }
