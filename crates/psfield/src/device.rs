@@ -1,4 +1,4 @@
-//! On the processor or on a GPU: the choice.
+//! Chooses whether a plan runs on the processor or on a GPU.
 
 #[cfg(feature = "gpu")]
 mod open_gpus;
@@ -15,12 +15,13 @@ pub use open_gpus::{forget_gpus, open_gpu};
 use open_gpus::{place_on_gpu, place_where_faster};
 pub use placement::{CpuReason, GpuSeconds, Placement, PredictedSeconds};
 
-/// Work predicted to take less on the processor is not worth a look at what GPUs there are, which takes longer. GPUs that are
-/// open already have no part in it, so that a plan is executed in the same place whatever ran before it.
+/// Work predicted to take less than this on the processor stays there. Looking for GPUs would take
+/// longer. It makes no difference whether a GPU is already open, so that a plan is executed in the
+/// same place whatever ran before it.
 pub const WORTH_A_LOOK_SECONDS: f64 = 0.05;
 
-/// Decides where a plan is executed, and hands it over. The number of threads of the current pool decides how fast the
-/// processor is taken to be.
+/// Chooses the device that executes a plan, and gives the plan to it. The number of threads of the
+/// current pool decides the predicted speed of the processor.
 pub(crate) fn place<T: ConvReal>(
     plan: Plan<T>,
     options: &SimulateOptions,
@@ -38,7 +39,7 @@ pub(crate) fn place<T: ConvReal>(
     Ok((Engine::new(plan), Placement::cpu(reason)))
 }
 
-/// Fails: this build has no support of GPUs.
+/// Fails, because this build has no GPU support.
 ///
 /// # Errors
 /// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu).
@@ -49,11 +50,11 @@ pub fn open_gpu(_adapter: Option<&str>) -> Result<String, PsfieldError> {
 
 #[cfg(not(feature = "gpu"))]
 fn no_gpu_support() -> PsfieldError {
-    const NO_SUPPORT: &str = "this psfield was built without support of GPUs: build it with its feature gpu (cargo build --features gpu)";
+    const NO_SUPPORT: &str = "this psfield was built without GPU support: build it with its feature gpu (cargo build --features gpu)";
     PsfieldError::new(crate::ErrorKind::Gpu, NO_SUPPORT)
 }
 
-/// Does nothing: this build has no support of GPUs.
+/// Does nothing, because this build has no GPU support.
 #[cfg(not(feature = "gpu"))]
 pub fn forget_gpus() {}
 

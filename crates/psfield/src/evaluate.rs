@@ -28,8 +28,8 @@ pub struct EvaluateOptions {
     /// Number of columns and of rows. Stamps are cut or padded about the centre. None: their own
     /// size.
     pub size: Option<usize>,
-    /// Whether each PSF is drawn at the sub-pixel phase of its position (its offset from the
-    /// nearest pixel's centre). It needs the frame's pixels. Otherwise PSFs are centred.
+    /// If true, each PSF is drawn at the sub-pixel phase of its position (its offset from the
+    /// nearest pixel's centre). This needs the frame's pixels. If false, PSFs are centred.
     pub sub_pixel: bool,
 }
 
@@ -50,7 +50,8 @@ pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), Ps
     Ok(())
 }
 
-/// Checks that a frame is not larger than the field over which a PSF is known, if the field is known.
+/// Checks that a frame is not larger than the field over which a PSF is known, if the field is
+/// known.
 ///
 /// # Errors
 /// [`ErrorKind::Field`].

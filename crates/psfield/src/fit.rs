@@ -20,15 +20,15 @@ use crate::PsfieldError;
 pub struct FitOptions {
     /// Number of components to keep.
     pub rank: RankSelection,
-    /// Whether a mean stamp is subtracted first.
+    /// The choice to subtract a mean stamp first, or none.
     pub centring: Centring,
     /// The known noise in the samples' pixels, in units of the samples after normalisation.
     pub noise: PixelNoise,
     /// The interpolation of the coefficients over the field.
     pub interpolation: Interpolation,
-    /// What happens outside the samples.
+    /// The policy for positions outside the samples.
     pub outside: OutsidePolicy,
-    /// Whether samples and PSFs are scaled to unit flux.
+    /// The scaling of samples and PSFs: to unit flux, or none.
     pub normalisation: Normalisation,
 }
 
@@ -83,9 +83,9 @@ pub struct FitReport {
     pub noise_sigma: Option<f64>,
     /// The interpolator that is used.
     pub interpolation: Interpolation,
-    /// What happens outside the samples.
+    /// The policy for positions outside the samples.
     pub outside: OutsidePolicy,
-    /// Whether PSFs are scaled to unit flux.
+    /// The scaling of PSFs: to unit flux, or none.
     pub normalise: Normalisation,
     /// The largest truncation error over the samples.
     pub max_error: f64,

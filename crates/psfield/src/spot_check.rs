@@ -37,7 +37,7 @@ pub struct SpotCheck {
     pub relative_rms: Option<f64>,
     /// The largest `relative_rms` that the method promises. None if it promises nothing.
     pub limit: Option<f64>,
-    /// Whether `relative_rms` is within the limit. None without a limit.
+    /// True if `relative_rms` is within the limit. None without a limit.
     pub passed: Option<bool>,
 }
 

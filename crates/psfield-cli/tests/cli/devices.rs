@@ -99,7 +99,7 @@ fn options_that_exclude_each_other() {
 fn a_build_without_gpus_says_how_to_get_one_with() {
     let desk = Desk::new();
     desk.write("stars.csv", "x,y,flux\n30,25,5\n");
-    let needles = ["built without support of GPUs", "--features gpu"];
+    let needles = ["built without GPU support", "--features gpu"];
     desk.refused(&format!("{TO} --device gpu"), 1, &needles);
     let stars = "simulate --catalog stars.csv --shape 61,51 --psf samples.fits -o out.fits --device gpu";
     desk.refused(stars, 1, &needles);

@@ -1,4 +1,4 @@
-//! A PSF as a gridded library.
+//! Converts a PSF to a gridded library.
 
 use conv_core::resample_samples;
 use ndarray::{Array2, Zip};
@@ -8,32 +8,36 @@ use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
 use crate::{ErrorKind, Psf, PsfieldError};
 
 const FORMAT: &str = "a gridded library";
-/// Fewest nodes each way of a grid that is chosen here.
+/// The smallest number of nodes along each axis of a grid that is chosen here.
 const NODES: usize = 11;
 
-/// PSFs on a regular grid, and how well their bilinear interpolation holds the PSF that they were made from.
+/// PSFs on a regular grid, and the error of their bilinear interpolation against the PSF that they
+/// were made from.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct GriddedConversion {
-    /// The PSFs: a whole number of stamp pixels a frame pixel, centred in the middle, as [`psf_io::write_gridded`] wants them.
+    /// The PSFs, with a whole number of stamp pixels per frame pixel, centred in the middle, as
+    /// [`psf_io::write_gridded`] requires.
     pub samples: PsfSamples,
-    /// The largest relative L2 error of the bilinear interpolation of readers at the middle of a cell, against the source; none where
-    /// the source is itself interpolated bilinearly between these nodes.
+    /// The largest relative L2 error, in the middle of a cell, of the bilinear interpolation by
+    /// readers of the file, against the source. None if the source is itself interpolated
+    /// bilinearly between these nodes.
     pub max_error: Option<f64>,
-    /// What was done, in plain sentences.
+    /// Notes on the conversion, in plain sentences.
     pub notes: Vec<String>,
 }
 
-/// PSFs on a regular grid of positions, as libraries of ePSFs hold them: photutils (`GriddedPSFModel`) and others interpolate
-/// bilinearly between the nodes.
+/// Converts a PSF to PSFs on a regular grid of positions, as in libraries of ePSFs. photutils
+/// (`GriddedPSFModel`) and others interpolate bilinearly between the nodes.
 ///
-/// What is interpolated between samples on such a grid already (bilinearly or bicubically) is given at its samples. Anything else is
-/// evaluated on a grid: `at`, or a square one of at least 11 x 11 nodes and as many as there are samples. A fractional oversampling is resampled to the
-/// next whole one.
+/// A PSF that is already interpolated between samples on such a grid (bilinearly or bicubically) is
+/// given at its samples. Any other PSF is evaluated on a grid: `at`, or a square grid of at least
+/// 11 x 11 nodes and at least as many as there are samples. A fractional oversampling is resampled
+/// to the next whole number.
 ///
 /// # Errors
-/// [`ErrorKind::Format`] for positions that form no grid or stamps centred between pixels, and the errors of
-/// [`to_samples`].
+/// [`ErrorKind::Format`] for positions that form no grid or stamps centred between pixels, and the
+/// errors of [`to_samples`].
 pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, PsfieldError> {
     let mut notes = Vec::new();
     let on_grid = is_on_grid(psf);
@@ -71,7 +75,8 @@ pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, Psfiel
     })
 }
 
-/// Whether the PSF is interpolated between samples on a grid: [`to_gridded`] gives it at its own positions.
+/// Returns whether the PSF is interpolated between samples on a grid. [`to_gridded`] then gives it
+/// at its own positions.
 pub fn is_on_grid(psf: &Psf) -> bool {
     psf.positions().len() >= 4 && is_of_grids(interpolation_of(psf))
 }
@@ -93,7 +98,8 @@ fn is_grid(samples: &PsfSamples) -> bool {
     is_of_grids(coeff_field::resolve(Interpolation::Auto, samples.positions()))
 }
 
-/// The largest relative L2 error in the middle of the cells, of stamps at the source's own sampling.
+/// The largest relative L2 error of stamps in the middle of the cells, at the source's own
+/// sampling.
 fn midway_error(psf: &Psf, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
     let distinct = |of: fn(Position) -> f64| {
         let mut values: Vec<f64> = nodes.positions().as_slice().iter().map(|&p| of(p)).collect();
@@ -131,8 +137,8 @@ fn midway_error(psf: &Psf, nodes: &PsfSamples) -> Result<f64, PsfieldError> {
     Ok(largest)
 }
 
-/// The same PSFs at a whole oversampling, the next that is not coarser, told to continue by a cubic
-/// spline.
+/// Resamples PSFs to the next whole oversampling that is not coarser, and sets their interpolation
+/// to a cubic spline.
 fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples, PsfieldError> {
     let grid = samples.grid();
     let whole = grid.oversampling().ceil();
@@ -153,25 +159,25 @@ fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples,
         reach(grid.centre_x(), grid.nx()),
         reach(grid.centre_y(), grid.ny()),
     );
-    // A pixel response that is missing stays so: the writer refuses it, at any sampling alike.
+    // A missing pixel response is not added. The writer refuses such stamps at any sampling.
     let target = StampGrid::new(2 * rx + 1, 2 * ry + 1)?
         .with_oversampling(whole)?
         .with_pixel_response_included(grid.pixel_response_included());
     notes.push(format!(
-        "stamps resampled from {:.6} to {whole} pixels a frame pixel: libraries hold whole numbers",
+        "stamps resampled from {:.6} to {whole} pixels per frame pixel: libraries hold whole numbers",
         grid.oversampling()
     ));
     by_spline(&resample_samples(&samples, target)?)
 }
 
-/// The same stamps, told to continue by a cubic spline.
+/// Sets the interpolation of the stamps to a cubic spline.
 fn by_spline(samples: &PsfSamples) -> Result<PsfSamples, PsfieldError> {
     let grid = samples.grid().with_interpolation(StampInterpolation::CubicSpline);
     let (stamps, positions) = (samples.stamps().to_owned(), samples.positions().clone());
     Ok(PsfSamples::new(stamps, positions, grid)?)
 }
 
-/// Whether the centre is the middle, be it between pixels.
+/// Returns whether the centre is the middle of the stamp, also if it lies between pixels.
 fn is_centred(grid: StampGrid) -> bool {
     let middle = |n: usize| (n - 1) as f64 / 2.0;
     (grid.centre_x(), grid.centre_y()) == (middle(grid.nx()), middle(grid.ny()))
@@ -204,14 +210,14 @@ mod tests {
         let input = Psf::from(record_of_psfex(&psfex(0.6)).unwrap());
         let of = |n| to_gridded(&input, &SamplesAt::Grid { nx: n, ny: n }).unwrap();
         let (coarse, fine) = (of(3), of(9));
-        // Bilinear interpolation: the error goes with the square of the cells.
+        // The error of bilinear interpolation is proportional to the square of the cells' size.
         let ratio = coarse.max_error.unwrap() / fine.max_error.unwrap();
         assert!((10.0..25.0).contains(&ratio), "{ratio}");
         assert_eq!(fine.samples.grid().oversampling(), 2.0);
         let (ny, nx) = fine.samples.grid().dim();
         assert!(nx % 2 == 1 && fine.samples.grid().whole_centre() == Some((nx / 2, ny / 2)));
         assert!(fine.notes[0].contains("resampled"), "{:?}", fine.notes);
-        // Unit flux stays unit flux: a well sampled PSF loses nothing.
+        // Unit flux is kept: a well sampled PSF loses nothing.
         assert!(
             (fine.samples.flux(40) - 1.0).abs() < 1e-3,
             "{}",

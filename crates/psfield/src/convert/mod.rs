@@ -1,8 +1,8 @@
-//! A PSF in another form: samples at other positions, a PSFEx model, a gridded library.
+//! Converts a PSF to another form: samples at other positions, a PSFEx model, a gridded library.
 //!
-//! What a form cannot hold is an error
-//! ([`ErrorKind::Format`](crate::ErrorKind::Format)) or, where the PSFs stay what
-//! they are, a note.
+//! If a form cannot hold a property of the PSF, the conversion fails
+//! ([`ErrorKind::Format`](crate::ErrorKind::Format)). If the PSFs are unchanged without that
+//! property, a note tells of it instead.
 
 mod gridded;
 mod psfex;

@@ -1,4 +1,4 @@
-//! A PSF as a PSFEx model.
+//! Converts a PSF to a PSFEx model.
 
 use metrics::GaussianFitter;
 use nalgebra::DMatrix;
@@ -15,34 +15,36 @@ const FORMAT: &str = "a PSFEx file";
 /// The names of the coordinates.
 const X: &str = "X_IMAGE";
 const Y: &str = "Y_IMAGE";
-/// Singular values below this part of the largest count as 0: the samples leave a term
-/// undetermined.
+/// Singular values below this fraction of the largest count as 0: the samples do not determine a
+/// term.
 const DEGENERATE: f64 = 1e-10;
 
-/// A PSFEx model and how well it holds the PSFs that it was made from.
+/// A PSFEx model and its error against the PSFs that it was made from.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PsfexConversion {
-    /// The model, its values in single precision as a file holds them.
+    /// The model, with values in single precision, as in a file.
     pub model: PsfexModel,
-    /// Samples, or nodes of the model, that it was fitted to.
+    /// Number of samples, or of nodes of the source model, that it was fitted to.
     pub samples: usize,
     /// The largest relative L2 error over those.
     pub max_error: f64,
-    /// What the file does not hold, in plain sentences.
+    /// Notes on properties that the file does not hold, in plain sentences.
     pub notes: Vec<String>,
 }
 
-/// A PSFEx model of samples or of a model: a polynomial of a total degree in x and y, for each pixel of the stamps.
+/// Converts samples or a model to a PSFEx model: for each pixel of the stamps, a polynomial in x
+/// and y of a given total degree.
 ///
-/// A model whose coefficients are polynomials of this degree or a lower one is carried over exactly (before any scaling to
-/// unit flux, which PSFEx's readers do); its own degree is taken where none is given. Anything else is fitted at its own
-/// samples or nodes, by least squares. Stamps get an odd size, the centre in the middle (zeros are added), where PSFEx and
-/// GalSim agree on the centre.
+/// A model whose coefficients are polynomials of this degree or a lower one is converted exactly,
+/// before the scaling to unit flux that PSFEx's readers apply. If no degree is given, the model's
+/// own is used. Any other PSF is fitted at its own samples or nodes, by least squares. Stamps are
+/// padded with zeros to an odd size with the centre in the middle. There, PSFEx and GalSim agree on
+/// the centre.
 ///
 /// # Errors
-/// [`ErrorKind::Setting`] when there is no degree, [`ErrorKind::Fit`] when the samples are too few for it,
-/// [`ErrorKind::Format`] for stamps without the pixel response or centred between pixels.
+/// [`ErrorKind::Setting`] when there is no degree, [`ErrorKind::Fit`] when the samples are too few
+/// for it, [`ErrorKind::Format`] for stamps without the pixel response or centred between pixels.
 pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
     let own_degree = match psf.stored().map(PsfModelRecord::interpolation) {
         Some(Interpolation::Polynomial { degree }) => Some(degree),
@@ -110,13 +112,14 @@ fn notes(psf: &Psf) -> Vec<String> {
     notes
 }
 
-/// The unscaled PSFs of a polynomial model at nodes that determine a polynomial of this degree, over the area of its own.
+/// The unscaled PSFs of a polynomial model at nodes over its own area. The nodes determine a
+/// polynomial of this degree.
 fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSamples, PsfieldError> {
     let [x, y] = bounds(record.coefficients().positions().as_slice());
     let along = |name, (low, high): (f64, f64)| -> Result<_, PsfieldError> {
         let mut nodes = axis(name, (low, high))?.extrema(degree);
         if low < high && degree > 0 {
-            // Not but for rounding: a field may end there.
+            // Exactly, without rounding: the field may end there.
             nodes[0] = low;
             nodes[degree] = high;
         }
@@ -137,13 +140,13 @@ fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSampl
     evaluate(&model_of(bare)?, positions?, EvaluateOptions::default())
 }
 
-/// A coordinate whose offset and scale make the samples lie from -1/2 to 1/2, as PSFEx has it.
+/// A coordinate whose offset and scale map the samples to -1/2 to 1/2, as in PSFEx.
 fn axis(name: &str, (low, high): (f64, f64)) -> Result<PsfexAxis, PsfieldError> {
     let scale = if low < high { high - low } else { 1.0 };
     Ok(PsfexAxis::new(name, f64::midpoint(low, high), scale)?)
 }
 
-/// Least squares for each pixel, in double precision, then rounded to single.
+/// Fits each pixel by least squares in double precision, then rounds to single.
 fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldError> {
     let [x, y] = bounds(samples.positions().as_slice());
     let polynomial = PsfexPolynomial::new(axis(X, x)?, axis(Y, y)?, degree)?;
@@ -161,8 +164,8 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     }
     let rows = samples.positions().as_slice().iter();
     let mut design = DMatrix::from_row_iterator(count, terms, rows.flat_map(|&p| polynomial.terms(p)));
-    // High powers of numbers below 1/2 are small; columns of norm 1 tell what the samples leave
-    // open from what is merely small.
+    // High powers of numbers below 1/2 are small. Columns of norm 1 separate terms that the samples
+    // do not determine from terms that are only small.
     let norms: Vec<f64> = design.column_iter().map(|column| column.norm()).collect();
     if norms.contains(&0.0) {
         return Err(undetermined());
@@ -184,7 +187,7 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     let sampling = 1.0 / samples.grid().oversampling();
     let model = PsfexModel::new(planes, sampling, Some(polynomial))?;
     let mut figures = PsfexFigures::default();
-    // Informative, and not known of a PSF that is no peak.
+    // The width only informs readers. A PSF without a peak has none.
     let fit = GaussianFitter::elliptical().fit(model.planes().index_axis_move(Axis(0), 0));
     figures.fwhm_px = fit.ok().map(|fit| fit.fwhm_px() * sampling);
     (figures.loaded, figures.accepted) = (Some(count as i64), Some(count as i64));
@@ -217,8 +220,8 @@ mod tests {
     /// Rounding to single precision of values that are added up, relative to the peak.
     const SINGLE: f64 = 1e-6;
 
-    /// A Gaussian whose width and place change over the field as a polynomial of degree 2 in its
-    /// pixels' values does not.
+    /// A Gaussian whose width and position change over the field in such a way that no pixel's
+    /// value is a polynomial of degree 2.
     fn samples(across: usize, size: usize) -> PsfSamples {
         let positions: Vec<Position> = (0..across * across)
             .map(|i| Position::of_pixel(100 * (i % across) as i64, 80 * (i / across) as i64 + 3))

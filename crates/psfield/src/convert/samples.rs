@@ -1,35 +1,36 @@
-//! A PSF as samples, and stamps with their centre in the middle.
+//! Converts a PSF to samples, and puts the centre of stamps in the middle.
 
 use ndarray::{Array3, s};
 use psf_types::{Normalisation, Position, PsfSamples, StampGrid};
 
 use crate::{ErrorKind, EvaluateOptions, Psf, PsfieldError, check_stack};
 
-/// Where a PSF is evaluated.
+/// Chooses the positions at which a PSF is evaluated.
 #[derive(Debug, Clone, PartialEq, Default)]
 #[non_exhaustive]
 pub enum SamplesAt {
     /// At its own samples, or at the nodes of its model.
     #[default]
     Own,
-    /// On a regular grid over the field where that is known, else over the area that its own
+    /// On a regular grid over the field if it is known, else over the area that the PSF's own
     /// samples cover.
     Grid {
-        /// Columns.
+        /// Number of columns.
         nx: usize,
-        /// Rows.
+        /// Number of rows.
         ny: usize,
     },
     /// At these positions.
     Positions(Vec<Position>),
 }
 
-/// The PSFs of samples or a model, at their own sampling: samples at their own positions as they are (scaled to unit flux
-/// where their options say so), everything else through the model.
+/// Converts samples or a model to samples at their own sampling. Samples at their own positions are
+/// returned unchanged, but for a scaling to unit flux if their options ask for it. Any other PSF is
+/// evaluated through the model.
 ///
 /// # Errors
-/// [`ErrorKind::Format`] for a grid over a PSF that is known at a single position, and those of the fit and of
-/// [`evaluate`].
+/// [`ErrorKind::Format`] for a grid over a PSF that is known only at one position or along a line,
+/// and the errors of the fit and of [`evaluate`].
 pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError> {
     let positions = match (at, psf.samples()) {
         (SamplesAt::Own, Some((samples, options))) => {
@@ -45,9 +46,10 @@ pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError>
     psf.evaluate(positions, EvaluateOptions::default())
 }
 
-/// A regular grid over the field, from the centre of its first pixel to that of its last, or over the samples; x fastest.
+/// A regular grid over the field or, if it is not known, over the samples. It runs from the centre
+/// of the first pixel to that of the last. x changes fastest.
 fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, PsfieldError> {
-    // Before the positions themselves fill the memory.
+    // Check before the positions themselves fill the memory.
     check_stack(nx.saturating_mul(ny), psf.grid())?;
     let known = psf.positions();
     let [x, y] = match known.field() {
@@ -55,8 +57,8 @@ fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, Psfi
         None => bounds(known.as_slice()),
     };
     if (nx > 1 && x.0 == x.1) || (ny > 1 && y.0 == y.1) {
-        const NO_AREA: &str = "the PSF is known along a line or at a point, and its file does not state the field: a grid \
-                               needs an area. Give positions";
+        const NO_AREA: &str = "the PSF is known only along a line or at a point, and its file does not state the \
+                               field: a grid needs an area. Give positions";
         return Err(PsfieldError::new(ErrorKind::Format, NO_AREA));
     }
     let (columns, rows) = (evenly(x, nx), evenly(y, ny));
@@ -77,7 +79,7 @@ pub(super) fn bounds(positions: &[Position]) -> [(f64, f64); 2] {
     })
 }
 
-/// `count` numbers from `low` to `high`, both included; one is the middle.
+/// `count` numbers from `low` to `high`, both included. A single number is the middle.
 fn evenly((low, high): (f64, f64), count: usize) -> Vec<f64> {
     match count {
         1 => vec![f64::midpoint(low, high)],
@@ -87,11 +89,11 @@ fn evenly((low, high): (f64, f64), count: usize) -> Vec<f64> {
     }
 }
 
-/// Puts stamps on a grid of odd size whose middle is the centre, zeros around where need be: every
-/// convention about the centre (`n / 2`, `(n - 1) / 2`) means the same pixel there.
+/// Puts stamps on a grid of odd size whose middle is the centre, padded with zeros. Both
+/// conventions about the centre (`n / 2`, `(n - 1) / 2`) then mean the same pixel.
 ///
 /// # Errors
-/// [`ErrorKind::Format`] where the centre lies between pixels.
+/// [`ErrorKind::Format`] if the centre lies between pixels.
 pub(super) fn with_centre_in_the_middle(
     samples: PsfSamples,
     format: &str,

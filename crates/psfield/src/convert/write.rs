@@ -1,4 +1,4 @@
-//! PSF files of every format that can be written.
+//! Writes PSF files of every supported format.
 
 use std::path::Path;
 
@@ -16,7 +16,7 @@ pub enum PsfFormat {
     Samples {
         /// The positions.
         at: SamplesAt,
-        /// Type of the pixels.
+        /// The type of the pixels.
         precision: Precision,
     },
     /// A basis and its coefficients.
@@ -37,14 +37,14 @@ pub enum PsfFormat {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Written {
-    /// Stamps, components or polynomial terms.
+    /// Number of stamps, components or polynomial terms.
     pub planes: usize,
     /// Their pixel grid.
     pub grid: StampGrid,
-    /// The largest relative L2 error of a polynomial or a grid. None: nothing was fitted for the
-    /// file.
+    /// The largest relative L2 error of the polynomial or the grid. None if nothing was fitted for
+    /// the file.
     pub max_error: Option<f64>,
-    /// Notes on what the file cannot hold, in plain sentences.
+    /// Notes on properties that the file cannot hold, in plain sentences.
     pub notes: Vec<String>,
 }
 
@@ -52,7 +52,8 @@ impl Psf {
     /// Writes a PSF file, with `cards` added to its header.
     ///
     /// # Errors
-    /// [`ErrorKind::Io`](crate::ErrorKind::Io), and those of [`to_samples`], [`to_psfex`], [`to_gridded`] and of the fit.
+    /// [`ErrorKind::Io`](crate::ErrorKind::Io), and the errors of [`to_samples`], [`to_psfex`],
+    /// [`to_gridded`] and of the fit.
     pub fn write(
         &self,
         path: impl AsRef<Path>,

@@ -1,4 +1,4 @@
-//! GPUs that are open in this process, which its plans share.
+//! Opens GPUs. The plans of a process share them.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -11,9 +11,9 @@ use crate::{PsfieldError, SimulateOptions};
 #[derive(Debug)]
 struct OpenGpus {
     process: u32,
-    /// Looked up once.
+    /// The adapters, listed once.
     adapters: Option<Vec<Adapter>>,
-    /// By the name that was asked for.
+    /// The open GPUs, each with the name that was asked for.
     gpus: Vec<(Option<String>, GpuDevice)>,
 }
 
@@ -30,34 +30,34 @@ impl OpenGpus {
 /// No process has the number 0.
 static OPEN: Mutex<OpenGpus> = Mutex::new(OpenGpus::none(0));
 
-/// No work of rayon's is done while this is held.
+/// Locks the open GPUs. No work of rayon may be done while the lock is held.
 fn open_gpus() -> MutexGuard<'static, OpenGpus> {
     let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();
     if open.process != process {
-        // A forked process must not close its parent's.
+        // A forked process must not close the GPUs of its parent.
         std::mem::forget(std::mem::replace(&mut *open, OpenGpus::none(process)));
     }
     open
 }
 
-/// Opens the GPU that answers to a name (a part of its name or its backend), or the preferred one, unless it is open;
-/// returns its name, kind and backend.
+/// Opens the GPU of a given name (a part of its name or its backend), or the preferred one, unless
+/// it is open. Returns its name, kind and backend.
 ///
 /// # Errors
-/// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu) with the message of the GPU's driver, if there is no GPU or none of that
-/// name, and in a build without the feature `gpu`.
+/// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu) with the message of the GPU's driver, if there is no
+/// GPU or none of that name, and in a build without the feature `gpu`.
 pub fn open_gpu(adapter: Option<&str>) -> Result<String, PsfieldError> {
     let gpu = opened(adapter).map_err(ConvError::Gpu)?;
     Ok(gpu.adapter().to_string())
 }
 
-/// Forgets the GPUs that are open, after trouble with one: it may be lost.
+/// Forgets the open GPUs. Call it after an error of one: the GPU may be lost.
 pub fn forget_gpus() {
     *open_gpus() = OpenGpus::none(std::process::id());
 }
 
-/// Hands a plan to a GPU.
+/// Gives a plan to a GPU.
 pub(super) fn place_on_gpu<T: ConvReal>(
     plan: Plan<T>,
     options: &SimulateOptions,
@@ -70,7 +70,7 @@ pub(super) fn place_on_gpu<T: ConvReal>(
     Ok((engine, placement))
 }
 
-/// Hands a plan to a GPU if it is predicted to be faster there.
+/// Gives a plan to a GPU if it is predicted to be faster there.
 pub(super) fn place_where_faster<T: ConvReal>(
     plan: Plan<T>,
     options: &SimulateOptions,
@@ -104,7 +104,7 @@ pub(super) fn place_where_faster<T: ConvReal>(
     }
 }
 
-/// The adapter that would be opened. The preferred one need not be opened to be looked at.
+/// The adapter that would be opened. The preferred one can be described without being opened.
 fn candidate(name: Option<&str>) -> Result<Adapter, GpuError> {
     if name.is_some() {
         return Ok(opened(name)?.adapter().clone());
@@ -114,11 +114,11 @@ fn candidate(name: Option<&str>) -> Result<Adapter, GpuError> {
     listed.first().cloned().ok_or(GpuError::NoAdapter)
 }
 
-/// A plan on a GPU and the GPU's name, or the plan again and what went wrong.
+/// A plan on a GPU and the GPU's name, or the plan and the error of the GPU.
 type HandedOver<T> = Result<(Engine<T>, String), (Box<Plan<T>>, GpuError)>;
 
 fn handed_over<T: ConvReal>(plan: Plan<T>, options: &SimulateOptions) -> HandedOver<T> {
-    // Before a GPU is opened for nothing.
+    // Check before a GPU is opened in vain.
     if size_of::<T>() != size_of::<f32>() {
         return Err((Box::new(plan), GpuError::Precision { precision: T::NAME }));
     }
@@ -144,7 +144,7 @@ fn opened(name: Option<&str>) -> Result<GpuDevice, GpuError> {
     Ok(gpu)
 }
 
-/// What a GPU would gain over the processor, or why it would not.
+/// The predicted seconds if the GPU is faster than the processor, else the reason against the GPU.
 fn gain(
     adapter: String,
     kind: AdapterKind,

@@ -1,11 +1,11 @@
-//! Where a plan is executed, and why; how long it took there.
+//! The device that executes a plan, the reason for it, and the time of an execution.
 
 use conv_core::{ConvReal, Engine};
 use serde::Serialize;
 
 use crate::readable::readable;
 
-/// Where a plan is executed. Prints as a sentence, such as `on the CPU: there is no GPU`.
+/// The device that executes a plan. Prints as a sentence, such as `on the CPU: there is no GPU`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "on")]
 #[non_exhaustive]
@@ -14,47 +14,48 @@ pub enum Placement {
     Gpu {
         /// Its name, kind and backend.
         adapter: String,
-        /// Predicted seconds of an execution there and on the processor, where the choice was free.
+        /// Predicted seconds of an execution there and on the processor. None if the GPU was asked
+        /// for.
         predicted_seconds: Option<PredictedSeconds>,
     },
     /// On the processor.
     Cpu {
-        /// Why.
+        /// The reason.
         reason: CpuReason,
     },
 }
 
-/// Predicted seconds of an execution where every pixel is lit.
+/// Predicted seconds of an execution if every pixel is lit.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PredictedSeconds {
     /// On the GPU.
     pub gpu: f64,
-    /// On the processor, with the threads given.
+    /// On the processor, with the given number of threads.
     pub cpu: f64,
 }
 
-/// Why a plan is executed on the processor.
+/// The reason why a plan is executed on the processor.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 #[non_exhaustive]
 pub enum CpuReason {
-    /// It was asked for.
+    /// The caller asked for the processor.
     Asked,
     /// The method has no plan that a GPU could execute.
     Method,
-    /// The scene holds stars alone, which are drawn on the processor.
+    /// The scene holds only stars, which are drawn on the processor.
     Stars,
     /// The plan is in a precision that GPUs do not compute in.
     Precision {
-        /// The plan's.
+        /// The precision of the plan.
         precision: &'static str,
     },
-    /// The work is less than that of opening a GPU.
+    /// The work takes less time than opening a GPU.
     Small {
         /// Predicted seconds on the processor.
         cpu_seconds: f64,
     },
-    /// There is no adapter.
+    /// The machine has no adapter.
     NoGpu,
     /// The adapter runs shaders on the processor.
     Software {
@@ -70,25 +71,25 @@ pub enum CpuReason {
     Slower {
         /// Its name, kind and backend.
         adapter: String,
-        /// What was predicted.
+        /// The predictions.
         predicted_seconds: PredictedSeconds,
     },
     /// The GPU could not be used.
     Failed {
-        /// What went wrong.
+        /// The message of the error.
         error: String,
     },
-    /// This build has no support of GPUs: feature `gpu`.
+    /// This build has no GPU support: its feature `gpu` is off.
     NotBuilt,
 }
 
 impl Placement {
-    /// On the processor, for a reason.
+    /// Returns the placement on the processor, for a reason.
     pub fn cpu(reason: CpuReason) -> Self {
         Self::Cpu { reason }
     }
 
-    /// The GPU: name, kind and backend. None on the processor.
+    /// Name, kind and backend of the GPU. None on the processor.
     pub fn adapter(&self) -> Option<&str> {
         match self {
             Self::Gpu { adapter, .. } => Some(adapter),
@@ -96,7 +97,7 @@ impl Placement {
         }
     }
 
-    /// Whether a GPU was meant to do the work and failed.
+    /// Returns whether a GPU was chosen and failed.
     pub fn is_failure(&self) -> bool {
         matches!(
             self,
@@ -130,7 +131,7 @@ impl std::fmt::Display for CpuReason {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Asked => write!(f, "as asked"),
-            Self::Method => write!(f, "this method runs on no GPU"),
+            Self::Method => write!(f, "this method cannot run on a GPU"),
             Self::Stars => write!(f, "stars are drawn there"),
             Self::Precision { precision } => write!(f, "GPUs compute in f32, this is in {precision}"),
             Self::Small { cpu_seconds } => {
@@ -138,7 +139,7 @@ impl std::fmt::Display for CpuReason {
                 write!(f, "predicted {cpu}, less than it takes to open a GPU")
             }
             Self::NoGpu => write!(f, "there is no GPU"),
-            Self::Software { adapter } => write!(f, "there is no GPU but {adapter}"),
+            Self::Software { adapter } => write!(f, "there is no GPU, only {adapter}"),
             Self::Unsuited { adapter } => write!(f, "{adapter} cannot execute this plan"),
             Self::Slower {
                 adapter,
@@ -148,37 +149,39 @@ impl std::fmt::Display for CpuReason {
                 write!(f, "predicted {cpu} there, {gpu} on {adapter}")
             }
             Self::Failed { error } => write!(f, "the GPU cannot be used: {error}"),
-            Self::NotBuilt => write!(f, "psfield was built without support of GPUs"),
+            Self::NotBuilt => write!(f, "psfield was built without GPU support"),
         }
     }
 }
 
-/// Predictions are good to tens of percents.
+/// Formats predicted seconds. Predictions are good to tens of percents.
 fn seconds(seconds: f64) -> String {
     format!("{} s", readable(seconds, 2))
 }
 
-/// How long the parts of an execution on a GPU took, in seconds. What the host does overlaps with the rest, so that the sum may be more than the whole.
+/// Times of the parts of an execution on a GPU, in seconds. The work of the host overlaps with the
+/// rest, so that the sum may be more than the total.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct GpuSeconds {
-    /// Shaders; none where the adapter has no clock that can be read.
+    /// Shaders. None if the adapter has no clock that can be read.
     pub kernels: Option<f64>,
-    /// Copies to the GPU and from it; none where the adapter has no clock that can be read.
+    /// Copies to the GPU and from it. None if the adapter has no clock that can be read.
     pub transfers: Option<f64>,
-    /// What the processor did meanwhile.
+    /// Work of the processor during the execution.
     pub host: f64,
     /// End to end: from the light in the host's memory to the image there.
     pub total: f64,
     /// Bytes copied to the GPU, and from it.
     pub bytes: [u64; 2],
-    /// Bytes that the plan has to move where every pixel is lit, over the bus and through the GPU's memory: over the hardware's bandwidths,
-    /// the floor under `transfers` and `kernels`.
+    /// Bytes that the plan has to move if every pixel is lit: over the bus, and through the GPU's
+    /// memory. Divided by the hardware's bandwidths, they are lower bounds on `transfers` and
+    /// `kernels`.
     pub least_bytes: [u64; 2],
 }
 
 impl GpuSeconds {
-    /// Those of the last execution of an engine; none where it runs on the processor.
+    /// Times of the last execution of an engine. None if it runs on the processor.
     #[cfg(feature = "gpu")]
     pub(crate) fn of_last<T: ConvReal>(engine: &Engine<T>) -> Option<Self> {
         let times = engine.gpu_times()?;
@@ -193,7 +196,7 @@ impl GpuSeconds {
         })
     }
 
-    /// Those of the last execution of an engine; none where it runs on the processor.
+    /// Times of the last execution of an engine. None if it runs on the processor.
     #[cfg(not(feature = "gpu"))]
     pub(crate) fn of_last<T: ConvReal>(_engine: &Engine<T>) -> Option<Self> {
         None

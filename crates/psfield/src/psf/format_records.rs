@@ -1,4 +1,4 @@
-//! PSFEx models and field-varying PSFs of ScopeSim as models: nothing is fitted anew.
+//! Turns PSFEx models and field-varying PSFs of ScopeSim into models without a new fit.
 
 use ndarray::{Array3, Axis};
 use psf_basis::{PixelNoise, RankSelection};
@@ -10,12 +10,14 @@ use psf_types::{
 
 use crate::{ErrorKind, FitOptions, PsfieldError, fit};
 
-/// A PSFEx model as a basis and polynomial coefficient fields: the same PSFs to rounding, nothing is fitted anew.
+/// Turns a PSFEx model into a basis and polynomial coefficient fields. The PSFs are the same to
+/// rounding, and nothing is fitted.
 ///
-/// The planes' polynomial of degree d is evaluated at (d+1) x (d+1) nodes, Chebyshev's extrema over `POLZERO +- POLSCAL / 2`,
-/// which determine it; their full basis and an interpolating polynomial of degree d give it back. Outside the nodes the
-/// polynomial goes on ([`OutsidePolicy::Extend`]), as in PSFEx's own tools. PSFEx's planes need not have unit flux; the
-/// record says that every PSF is scaled to it ([`Normalisation::Unit`]).
+/// The planes' polynomial of degree d is evaluated at (d+1) x (d+1) nodes, Chebyshev's extrema over
+/// `POLZERO +- POLSCAL / 2`, which determine it. The full basis of the nodes and an interpolating
+/// polynomial of degree d reproduce it. Outside the nodes the polynomial is continued
+/// ([`OutsidePolicy::Extend`]), as in PSFEx's own tools. PSFEx's planes need not have unit flux.
+/// The record says that every PSF is scaled to it ([`Normalisation::Unit`]).
 ///
 /// # Errors
 /// [`ErrorKind::Data`] when the PSF has no positive flux somewhere in the area it was fitted to.
@@ -45,8 +47,9 @@ pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldErro
     )?)
 }
 
-/// A field-varying PSF of ScopeSim as a basis of its layers, and at each node of the map the coefficients of its layer: no stamp is
-/// there twice, however fine the map. The nearest node's PSF applies, scaled to unit flux as ScopeSim does.
+/// Turns a field-varying PSF of ScopeSim into a basis of its layers. Each node of the map gets the
+/// coefficients of its layer, so that no stamp is stored twice, however fine the map is. The PSF of
+/// the nearest node applies, scaled to unit flux as in ScopeSim.
 pub(super) fn record_of_scopesim(psf: &ScopesimPsf) -> Result<PsfModelRecord, PsfieldError> {
     let layers = full_basis(psf.layers().clone(), Interpolation::Nearest)?;
     let of_layers = layers.coefficients().values();
@@ -60,7 +63,7 @@ pub(super) fn record_of_scopesim(psf: &ScopesimPsf) -> Result<PsfModelRecord, Ps
     )?)
 }
 
-/// All components of samples as they are.
+/// Fits all components of samples, without changing the samples.
 fn full_basis(samples: PsfSamples, interpolation: Interpolation) -> Result<PsfModelRecord, PsfieldError> {
     let options = FitOptions {
         rank: RankSelection::Full,
@@ -79,7 +82,8 @@ mod tests {
     use psf_io::{PsfexAxis, PsfexPolynomial};
     use psf_types::Position;
 
-    /// Rounding, relative to the peak, also two scales away from the nodes, where high powers amplify it.
+    /// Rounding, relative to the peak. High powers amplify it at positions two scales away from the
+    /// nodes.
     const ROUNDING: f64 = 1e-12;
 
     fn model(degree: usize, scale: f64) -> PsfexModel {
@@ -133,7 +137,7 @@ mod tests {
                 assert!(error <= ROUNDING, "degree {degree}: {error:e}");
             }
         }
-        // Another polynomial is another model: the comparison can fail.
+        // The comparison can fail: another polynomial is another model.
         let error = largest_error(
             &model(2, 1990.0),
             record_of_psfex(&model(2, 2000.0)).unwrap(),

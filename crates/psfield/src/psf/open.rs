@@ -1,4 +1,4 @@
-//! One door for every PSF file.
+//! Opens PSF files of every format.
 
 use std::path::Path;
 
@@ -13,34 +13,35 @@ use super::format_records::{record_of_psfex, record_of_scopesim};
 use super::{Origin, Psf, SourceFile};
 use crate::{ErrorKind, FitOptions, PsfieldError};
 
-/// What a PSF file does not say of itself, or leaves to be chosen. Each option is of some formats; to give one to a file of
-/// another format is an error.
+/// Settings that a PSF file does not state, or leaves to the user. Each setting applies to some
+/// formats. Setting it for a file of another format is an error.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PsfFileOptions {
-    /// Which of several models (PSFEx) or images (STPSF, STDPSF, a cube or a single stamp).
+    /// Chooses one of several models (PSFEx) or images (STPSF, STDPSF, a cube or a single stamp).
     pub extension: Option<HduChoice>,
-    /// Which of several detectors (STDPSF).
+    /// Chooses one of several detectors (STDPSF).
     pub detector: Option<usize>,
-    /// How positions belong to planes (STPSF).
+    /// The order of the planes, which assigns positions to them (STPSF).
     pub plane_order: Option<PlaneOrder>,
-    /// The wavelength in micrometres, of several (ScopeSim).
+    /// Chooses one of several wavelengths, in micrometres (ScopeSim).
     pub wavelength_um: Option<f64>,
     /// The size of a frame pixel in arcseconds (ScopeSim).
     pub pixel_scale_arcsec: Option<f64>,
-    /// Where the centre of the field lies on the frame (ScopeSim).
+    /// The position of the centre of the field on the frame (ScopeSim).
     pub field_centre: Option<Position>,
-    /// Where the planes of a cube belong.
+    /// The positions of the planes of a cube.
     pub positions: Option<Vec<Position>>,
-    /// Stamp pixels per frame pixel, of a cube or a single stamp.
+    /// Stamp pixels per frame pixel (a cube or a single stamp).
     pub oversampling: Option<f64>,
-    /// The stamps' reference point, a 0-based index that may be fractional, of a cube or a single stamp.
+    /// The centre of the stamps, a 0-based index that may be fractional (a cube or a single stamp).
     pub centre: Option<Position>,
-    /// Whether the pixel response is in the stamps, whatever the file says.
+    /// States that the stamps include the pixel response, or that they do not. It overrides the
+    /// file.
     pub pixel_response_included: Option<bool>,
 }
 
 impl PsfFileOptions {
-    /// The first field given that does not apply to a format, and the formats to which it applies.
+    /// The first given field that does not apply to a format, and the formats to which it applies.
     pub(crate) fn unknown_to(&self, kind: FileKind) -> Option<(&'static str, &'static str)> {
         use FileKind::{Cube, Image, Psfex, Scopesim, Stdpsf, Stpsf};
         const SCOPESIM: &str = "field-varying PSFs of ScopeSim";
@@ -82,7 +83,8 @@ impl PsfFileOptions {
     }
 }
 
-/// Fit options as far as the user has chosen them: what is none takes the default of the file's format.
+/// The fit options that the user has chosen. For those that are None, the default of the file's
+/// format applies.
 ///
 /// ```
 /// use psfield::{FitChoices, FitOptions, psf_types::Normalisation};
@@ -92,22 +94,22 @@ impl PsfFileOptions {
 /// ```
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FitChoices {
-    /// How many components are kept.
+    /// Number of components to keep.
     pub rank: Option<RankSelection>,
-    /// With or without a mean stamp.
+    /// The choice to subtract a mean stamp first, or none.
     pub centring: Option<Centring>,
-    /// What is known of the noise in the samples' pixels.
+    /// The known noise in the samples' pixels.
     pub noise: Option<PixelNoise>,
-    /// How coefficients are carried over the field.
+    /// The interpolation of the coefficients over the field.
     pub interpolation: Option<Interpolation>,
-    /// What happens outside the samples; also for a model.
+    /// The policy for positions outside the samples. Also applies to a model.
     pub outside: Option<OutsidePolicy>,
-    /// Whether samples and PSFs are scaled to unit flux; also for a model.
+    /// The scaling of samples and PSFs: to unit flux, or none. Also applies to a model.
     pub normalisation: Option<Normalisation>,
 }
 
 impl FitChoices {
-    /// The options, with these for what is not chosen.
+    /// Returns the chosen options, and `defaults` for those that are not chosen.
     #[must_use]
     pub fn or(self, defaults: FitOptions) -> FitOptions {
         FitOptions {
@@ -120,12 +122,12 @@ impl FitChoices {
         }
     }
 
-    /// Whether something is chosen that only a fit can follow, not a model that is ready.
+    /// Returns whether a choice applies only to a fit, not to a stored model.
     pub fn needs_fit(&self) -> bool {
         self.first_of_fit().is_some()
     }
 
-    /// The first choice that only a fit can follow.
+    /// The first choice that applies only to a fit.
     fn first_of_fit(&self) -> Option<&'static str> {
         let given = [
             (self.rank.is_some(), "rank"),
@@ -139,7 +141,7 @@ impl FitChoices {
     }
 }
 
-/// All of them chosen.
+/// Chooses all of the options.
 impl From<FitOptions> for FitChoices {
     fn from(options: FitOptions) -> Self {
         Self {
@@ -154,25 +156,27 @@ impl From<FitOptions> for FitChoices {
 }
 
 impl Psf {
-    /// Reads PSF samples, a model, or any other PSF file that [`psf_io`] knows, with the defaults of its format.
+    /// Reads PSF samples, a model, or any other PSF file that [`psf_io`] knows, with the defaults
+    /// of its format.
     ///
     /// # Errors
-    /// As [`open_with`](Self::open_with).
+    /// The errors of [`open_with`](Self::open_with).
     pub fn open(path: impl AsRef<Path>) -> Result<Self, PsfieldError> {
         Self::open_with(path, &PsfFileOptions::default(), &FitChoices::default())
     }
 
-    /// Reads a PSF file whose format asks for more to be said, with the defaults of the format for what is not chosen.
+    /// Reads a PSF file with settings that its format needs. The defaults of the format apply to
+    /// all that is not chosen.
     ///
-    /// | file | normalised | what is chosen |
+    /// | file | scaling | settings that apply |
     /// |---|---|---|
     /// | [PSF samples](psf_io::samples) | unit | all of `choices` |
-    /// | [PSF model](psf_io::model) | as it says | `outside` and `normalisation` of `choices` |
-    /// | [PSFEx model](psf_io::psfex) | unit | the same; `file.extension` |
-    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | as it is | all of `choices` (every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
+    /// | [PSF model](psf_io::model) | as stored | `outside` and `normalisation` of `choices` |
+    /// | [PSFEx model](psf_io::psfex) | unit | `outside` and `normalisation` of `choices`; `file.extension` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | unchanged | all of `choices` (every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
     /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
-    /// | single stamp: the same PSF everywhere | unit | `file.oversampling`, `file.centre`, `file.extension` |
+    /// | single stamp: one PSF everywhere | unit | `file.oversampling`, `file.centre`, `file.extension` |
     ///
     /// `file.pixel_response_included` applies to all.
     ///
@@ -188,8 +192,9 @@ impl Psf {
     /// ```
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a setting that does not apply to the format, or a choice of a fit for a model,
-    /// [`ErrorKind::Format`] for a choice that is needed, and [`ErrorKind::Io`] when the file holds no PSF or is damaged.
+    /// [`ErrorKind::Setting`] for a setting that does not apply to the format, or a choice for the
+    /// fit of a stored model, [`ErrorKind::Format`] for a setting that is missing, and
+    /// [`ErrorKind::Io`] when the file holds no PSF or is damaged.
     pub fn open_with(
         path: impl AsRef<Path>,
         file: &PsfFileOptions,
@@ -237,7 +242,7 @@ impl Psf {
     }
 }
 
-/// The fit options of samples of a format where nothing is chosen.
+/// The default fit options for samples of a format.
 fn defaults(kind: FileKind, positions: &SamplePositions) -> FitOptions {
     match kind {
         FileKind::Stpsf | FileKind::Stdpsf => FitOptions::of_gridded_library(positions),
@@ -280,7 +285,7 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
             (Origin::Record(record_of_scopesim(&psf)?), psf.notes().to_vec())
         }
         FileKind::Cube | FileKind::Image => plain(path, kind, file)?,
-        // Whatever else it is, the reader of samples says best what is missing.
+        // For any other file, the reader of samples has the best message about what is missing.
         _ => (unfitted(psf_io::read_samples(path)?), Vec::new()),
     };
     let origin = match file.pixel_response_included {
@@ -316,9 +321,9 @@ fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOption
     })
 }
 
-/// Stamps without a word about them.
+/// Reads stamps without metadata.
 fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, Vec<String>), PsfieldError> {
-    // An image may as well be a scene that was given by mistake: someone must say that it is a PSF.
+    // The image may be a scene that was given by mistake. The user must state that it is a PSF.
     let header = psf_io::read_stamp_header(path, file.extension.as_ref())?;
     if file.oversampling.is_none() && header.get("OVERSAMP").is_none() {
         const PLAIN: &str = "without a table POSITIONS, as PSF samples have, and without the sampling of its stamps. To \
@@ -364,7 +369,7 @@ fn unfitted(samples: PsfSamples) -> Origin {
 }
 
 impl Origin {
-    /// These PSFs, declared to hold the pixel response or not.
+    /// Declares that the stamps hold the pixel response, or that they do not.
     fn with_pixel_response_included(self, included: bool) -> Result<Self, PsfieldError> {
         Ok(match self {
             Self::Samples(samples, options) => {

@@ -1,4 +1,4 @@
-//! A PSF on other pixels.
+//! Resamples a PSF to other pixels.
 
 use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3};
@@ -10,23 +10,24 @@ use super::{Origin, Psf, check_stack};
 use crate::{ErrorKind, PsfieldError};
 
 impl Psf {
-    /// This PSF with stamps at the frame's own pixels, centred on one, as images need them, the pixel response in them;
-    /// `size` pixels wide and high, centred at `size / 2`, where given, else as large as the stamps. A PSF with such stamps
-    /// stays as it is.
+    /// Returns this PSF with stamps as images need them: at the frame's own pixels, centred on a
+    /// pixel, with the pixel response. The stamps are `size` pixels wide and high, centred at `size
+    /// / 2`, or as large as before if `size` is None. A PSF with such stamps is returned unchanged.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a model with a coefficient field of the caller's own.
-    /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux or the stamps would fill more memory than
-    /// [`check_stack`](crate::check_stack) allows.
+    /// [`ErrorKind::Setting`] for a model whose coefficient field the caller implements.
+    /// [`PsfieldError`] when `size` is 0, resampled samples hold no flux, or the stamps would fill
+    /// more memory than [`check_stack`](crate::check_stack) allows.
     pub fn native(&self, size: Option<usize>) -> Result<Self, PsfieldError> {
         let target = self.native_target(size)?;
         if target == self.grid() {
             return Ok(self.clone());
         }
-        self.remade(&Remaking::at_same_places(target))
+        self.resampled(&Resampling::at_same_places(target))
     }
 
-    /// Whether [`native`](Self::native) only picks pixels of the stamps, so that nothing is interpolated.
+    /// Returns whether [`native`](Self::native) only picks pixels of the stamps, without
+    /// interpolation.
     ///
     /// # Errors
     /// [`ErrorKind::Data`] when `size` is 0.
@@ -48,25 +49,26 @@ impl Psf {
             .with_interpolation(self.grid().interpolation()))
     }
 
-    /// This PSF with the response of a frame pixel in its stamps, at their own sampling. Stamps that hold it already stay as
-    /// they are.
+    /// Returns this PSF with the response of a frame pixel in its stamps, at their own sampling.
+    /// Stamps that already hold it are unchanged.
     ///
     /// # Errors
-    /// As [`native`](Self::native).
+    /// The errors of [`native`](Self::native).
     pub fn with_pixel_response(&self) -> Result<Self, PsfieldError> {
         let target = grid_with_pixel_response(self.grid())?;
         if target == self.grid() {
             return Ok(self.clone());
         }
-        self.remade(&Remaking::at_same_places(target))
+        self.resampled(&Resampling::at_same_places(target))
     }
 
-    /// This PSF for scenes whose pixels are `finer` times smaller than the frame's, with stamps for images at the scene's
-    /// pixels: `size` frame pixels wide and high, where given.
+    /// Returns this PSF for scenes whose pixels are `finer` times smaller than the frame's. Its
+    /// stamps are at the scene's pixels, and `size` frame pixels wide and high if `size` is given.
     ///
-    /// Frame pixel `i` has its centre at `finer i + (finer - 1) / 2` of the scene. The convolution of a scene with these stamps,
-    /// taken at every `finer`-th pixel from `(finer - 1) / 2` (rounded down) on and times `finer^2`, is the frame's image: the response of
-    /// the frame's pixel is in the stamps, so that it is sampled, not summed.
+    /// Frame pixel `i` has its centre at `finer i + (finer - 1) / 2` of the scene. The frame's
+    /// image is the convolution of the scene with these stamps, taken at every `finer`-th pixel
+    /// from `(finer - 1) / 2` (rounded down) on, times `finer^2`. It is sampled, not summed,
+    /// because the stamps hold the response of the frame's pixel.
     pub(crate) fn for_finer_scene(
         &self,
         finer: usize,
@@ -82,7 +84,8 @@ impl Psf {
         let target = target
             .with_pixel_response_included(true)
             .with_interpolation(own.interpolation());
-        // An even number of scene pixels puts the centre of the frame's between two of them.
+        // With an even number of scene pixels, the centre of the frame's pixel lies between two of
+        // them.
         let between = (s - 1.0) / 2.0 - ((finer - 1) / 2) as f64;
         let offset_of_field = if anchor == Anchor::Output {
             (s - 1.0) / 2.0 - between
@@ -92,7 +95,7 @@ impl Psf {
         let sampled = target
             .with_oversampling(s)?
             .with_centre(target.centre_x() - between, target.centre_y() - between)?;
-        self.remade(&Remaking {
+        self.resampled(&Resampling {
             sampled,
             target,
             finer,
@@ -100,30 +103,31 @@ impl Psf {
         })
     }
 
-    /// The PSF with every stamp remade.
+    /// Returns the PSF with every stamp resampled.
     ///
-    /// Remaking is linear in the stamps, and so is interpolation: a model of remade stamps gives the PSFs that come of remaking its own,
-    /// before the scaling to unit flux; that is done last, on the new stamps.
-    fn remade(&self, remaking: &Remaking) -> Result<Self, PsfieldError> {
-        let target = remaking.target;
+    /// Resampling is linear in the stamps, and so is interpolation. A model of resampled stamps
+    /// therefore gives its own PSFs resampled, before the scaling to unit flux. The scaling is done
+    /// last, on the new stamps.
+    fn resampled(&self, resampling: &Resampling) -> Result<Self, PsfieldError> {
+        let target = resampling.target;
         match &self.0.origin {
             Origin::Samples(samples, options) => {
                 check_stack(samples.len(), samples.grid())?;
                 check_stack(samples.len(), target)?;
-                let stamps = remaking.stamps(samples.stamps(), samples.grid());
-                let positions = remaking.positions(samples.positions())?;
+                let stamps = resampling.stamps(samples.stamps(), samples.grid());
+                let positions = resampling.positions(samples.positions())?;
                 Ok(Self::new(PsfSamples::new(stamps, positions, target)?, *options))
             }
             Origin::Record(record) => {
                 let (basis, nodes) = (record.basis(), record.coefficients());
                 check_stack(basis.rank() + 1, target)?;
                 let (new_basis, values) = psf_basis::orthonormal(
-                    basis.mean().map(|mean| remaking.stamp(mean, basis.grid())),
-                    remaking.stamps(basis.components(), basis.grid()),
+                    basis.mean().map(|mean| resampling.stamp(mean, basis.grid())),
+                    resampling.stamps(basis.components(), basis.grid()),
                     nodes.values(),
                     target,
                 )?;
-                let nodes = SampleCoefficients::new(values, remaking.positions(nodes.positions())?)?;
+                let nodes = SampleCoefficients::new(values, resampling.positions(nodes.positions())?)?;
                 Ok(Self::from(PsfModelRecord::new(
                     new_basis,
                     nodes,
@@ -142,19 +146,19 @@ impl Psf {
     }
 }
 
-/// Stamps on other pixels, at positions of another frame.
-struct Remaking {
-    /// Where the PSF is sampled.
+/// Resamples stamps to other pixels, and moves positions to another frame.
+struct Resampling {
+    /// The pixels at which the PSF is sampled.
     sampled: StampGrid,
-    /// What the new stamps are taken for.
+    /// The pixel grid that the new stamps are declared to have.
     target: StampGrid,
-    /// How many of the new frame's pixels make one of the old.
+    /// Number of the new frame's pixels along each side of a pixel of the old one.
     finer: usize,
-    /// Where pixel 0 of the old frame lies in the new.
+    /// The position of pixel 0 of the old frame in the new one.
     offset_of_field: f64,
 }
 
-impl Remaking {
+impl Resampling {
     fn at_same_places(target: StampGrid) -> Self {
         Self {
             sampled: target,
@@ -166,17 +170,17 @@ impl Remaking {
 
     fn stamp(&self, stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Array2<f64> {
         let s = self.finer as f64;
-        // Fractions of the flux in a pixel of the new frame.
+        // Converts to fractions of the flux per pixel of the new frame.
         StampInterpolator::new(stamp, grid).resample((0.0, 0.0), self.sampled) / (s * s)
     }
 
     fn stamps(&self, stamps: ArrayView3<'_, f64>, grid: StampGrid) -> Array3<f64> {
         let (ny, nx) = self.target.dim();
-        let mut remade = Array3::zeros((stamps.dim().0, ny, nx));
-        for (mut to, stamp) in remade.outer_iter_mut().zip(stamps.outer_iter()) {
+        let mut resampled = Array3::zeros((stamps.dim().0, ny, nx));
+        for (mut to, stamp) in resampled.outer_iter_mut().zip(stamps.outer_iter()) {
             to.assign(&self.stamp(stamp, grid));
         }
-        remade
+        resampled
     }
 
     fn positions(&self, positions: &SamplePositions) -> Result<SamplePositions, PsfieldError> {
@@ -187,7 +191,7 @@ impl Remaking {
     }
 }
 
-/// Positions in pixels of the scene. All interpolators follow a change of scale.
+/// Converts positions to pixels of the scene. Every interpolator allows a change of scale.
 fn finer_positions(
     positions: &SamplePositions,
     finer: usize,
@@ -213,7 +217,7 @@ mod tests {
 
     use super::*;
 
-    /// Three stamps of order 1e-2 that are carried along two ways.
+    /// Rounding of sums of three stamps of order 1e-2, computed in two ways.
     const ROUNDING: f64 = 1e-12;
 
     fn gauss(n: usize, sigma: f64, shift: f64) -> Array2<f64> {
@@ -223,7 +227,8 @@ mod tests {
         })
     }
 
-    /// `side` by `side` nodes; the last component lies outside the native stamps that are asked for.
+    /// A model of `side` by `side` nodes. Its last component lies outside the native stamps of 11
+    /// pixels.
     fn model(n: usize, side: i64) -> PsfModelRecord {
         let grid = StampGrid::new(n, n)
             .and_then(|g| g.with_oversampling(4.0))
@@ -275,7 +280,7 @@ mod tests {
         for size in [None, Some(11)] {
             let native = Psf::from(record.clone()).native(size).unwrap();
             let native = native.stored().expect("a model stays one");
-            // The corner is beyond 11 pixels.
+            // The corner lies outside 11 pixels.
             assert_eq!(native.basis().rank(), if size.is_some() { 1 } else { 2 });
             let (own, target) = (record.basis().grid(), native.basis().grid());
             for node in 0..9 {
