@@ -1,5 +1,6 @@
-//! Times the library's own call, for `benches/python`: `time_simulation PSF SIZE TOLERANCE REPEAT` prints the seconds of each repetition, and
-//! of making the scene from its pixels before it.
+//! Times the library's own call, for `benches/python`. `time_simulation PSF SIZE TOLERANCE REPEAT`
+//! prints, for each repetition, the seconds of the whole call and of making the scene from its
+//! pixels, which is its first part.
 
 use std::time::Instant;
 

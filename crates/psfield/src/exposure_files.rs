@@ -1,4 +1,4 @@
-//! The files of an exposure: counts, noise-free truth, flags of the pixels.
+//! Writes the files of an exposure: counts, noise-free truth, flags of the pixels.
 
 use std::path::{Path, PathBuf};
 
@@ -8,14 +8,14 @@ use psf_types::{Image, Real};
 
 use crate::{ErrorKind, PsfieldError, check_outputs};
 
-/// Keywords of [`exposure_cards`] that an input must not lend to its exposure.
+/// Keywords of [`exposure_cards`], which an exposure must not take over from its input image.
 const KEYWORDS: [&str; 24] = [
     "DETNAME", "DETSEED", "DETPSEED", "DETTRUTH", "DETEPF", "DETPHOT", "DETSKY", "DETSKYX", "DETSKYY",
     "DETDARK", "DETRESP", "DETDEAD", "DETHOT", "DETHOTD", "DETBCOL", "DETFULL", "DETBIAS", "DETBITS",
     "DETNSAT", "DETNNEG", "DETNBAD", "RDNOISE", "GAIN", "SATURATE",
 ];
 
-/// Where an exposure goes.
+/// The paths of the files of an exposure.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -41,26 +41,27 @@ pub struct ExposureFiles {
     pub truth: Option<PathBuf>,
     /// Sums of [`PixelFlags`](detector::PixelFlags), `BITPIX` 8.
     pub quality: Option<PathBuf>,
-    /// Whether existing files may be replaced.
+    /// If true, existing files may be replaced.
     pub overwrite: bool,
 }
 
 impl ExposureFiles {
-    /// Whether all of them can be written, as far as can be told before the work is done.
+    /// Checks, before the work is done, that all files can be written, as far as this can be known.
     ///
     /// # Errors
-    /// As [`check_outputs`].
+    /// The errors of [`check_outputs`].
     pub fn check(&self, inputs: &[&Path]) -> Result<(), PsfieldError> {
         let outputs = [Some(&self.raw), self.truth.as_ref(), self.quality.as_ref()];
         let outputs: Vec<&Path> = outputs.into_iter().flatten().map(PathBuf::as_path).collect();
         check_outputs(inputs, &outputs, self.overwrite)
     }
 
-    /// Writes an exposure of `light`. `header` are the cards of the image that was exposed, `added` follow, then
-    /// [`exposure_cards`]. The counts are written last: where they are, the rest is.
+    /// Writes an exposure of `light`. The headers hold `header`, the cards of the image that was
+    /// exposed, then `added`, then [`exposure_cards`]. The counts are written last: if they exist,
+    /// the other files are complete.
     ///
     /// # Errors
-    /// Those of [`Detector::truth`] and of [`write_image`](psf_io::write_image).
+    /// The errors of [`Detector::truth`] and of [`write_image`](psf_io::write_image).
     pub fn write<T: Real>(
         &self,
         exposure: &Exposure<T>,
@@ -98,10 +99,11 @@ impl ExposureFiles {
     }
 }
 
-/// Reads a mask of bad pixels: an image of sums of [`PixelFlags`](detector::PixelFlags), 0 for good pixels.
+/// Reads a mask of bad pixels: an image of sums of [`PixelFlags`](detector::PixelFlags), 0 for good
+/// pixels.
 ///
 /// # Errors
-/// Those of [`read_image`](psf_io::read_image); [`ErrorKind::Detector`] for other values.
+/// The errors of [`read_image`](psf_io::read_image), and [`ErrorKind::Detector`] for other values.
 pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, PsfieldError> {
     let path = path.as_ref();
     let image = psf_io::read_image::<f32>(path)?;
@@ -111,7 +113,8 @@ pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, Psfie
     })
 }
 
-/// Header cards of an exposure: what is needed to repeat it, and what readers of raw frames look for.
+/// Header cards of an exposure: the settings that are needed to repeat it, and the cards that
+/// readers of raw frames look for.
 ///
 /// | keyword | value |
 /// |---|---|
@@ -120,8 +123,8 @@ pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, Psfie
 /// | `GAIN`, `RDNOISE` | electrons per unit of the counts; electrons |
 /// | `SATURATE` | [`Detector::saturation`], if there is one |
 /// | `DETSEED`, `DETPSEED` | seeds of the noise and of the sensor's pattern, as texts (they may exceed FITS' integers) |
-/// | `DETEPF`, `DETPHOT`, `DETSKY`, `DETSKYX`, `DETSKYY`, `DETDARK`, `DETRESP`, `DETFULL`, `DETBIAS`, `DETBITS`, `DETDEAD`, `DETHOT`, `DETHOTD`, `DETBCOL`, `DETNAME` | the settings of [`DetectorParams`](detector::DetectorParams), those that are on |
-/// | `DETNSAT`, `DETNNEG`, `DETNBAD` | pixels that are saturated, expected less than no charge, are bad |
+/// | `DETEPF`, `DETPHOT`, `DETSKY`, `DETSKYX`, `DETSKYY`, `DETDARK`, `DETRESP`, `DETFULL`, `DETBIAS`, `DETBITS`, `DETDEAD`, `DETHOT`, `DETHOTD`, `DETBCOL`, `DETNAME` | the settings of [`DetectorParams`](detector::DetectorParams) that are on |
+/// | `DETNSAT`, `DETNNEG`, `DETNBAD` | numbers of saturated pixels, of pixels with negative light, of bad pixels |
 ///
 /// # Errors
 /// None for a checked detector: every value is finite.
@@ -179,12 +182,12 @@ fn truth_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
     cards.push(Card::new(
         "DETTRUTH",
         true,
-        "noise-free: what a perfect detector expects",
+        "noise-free image of a perfect detector",
     )?);
     Ok(cards)
 }
 
-/// What the expected counts follow from.
+/// Cards of the settings that determine the expected counts.
 fn level_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
     let params = detector.params();
     let mut cards = vec![
@@ -223,7 +226,7 @@ fn level_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
         )?);
     }
     if let Some(bias) = params.bias_adu {
-        cards.push(Card::new("DETBIAS", bias, "[adu] level of no charge")?);
+        cards.push(Card::new("DETBIAS", bias, "[adu] level without charge")?);
     }
     Ok(cards)
 }

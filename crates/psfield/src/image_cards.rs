@@ -5,10 +5,10 @@ use psf_io::{Card, CardError, HeaderCards};
 
 use crate::{Preparation, Simulator, SpotCheck};
 
-/// The keyword of the digest of the options of the job of a batch that made a file.
+/// The keyword for the digest of a batch job's options, in the files that the job made.
 pub const JOB_KEYWORD: &str = "PSFJOB";
 
-/// Who made a file: the version of psfield, and the `command` as a line of HISTORY.
+/// Cards of a file's origin: the version of psfield, and the `command` as a line of HISTORY.
 pub fn provenance_cards(command: &str) -> Vec<Card> {
     vec![
         Card::new(
@@ -22,14 +22,14 @@ pub fn provenance_cards(command: &str) -> Vec<Card> {
 }
 
 impl<T: ConvReal> Simulator<T> {
-    /// Cards that say how an image was made: method, anchoring, precision, device, the model's components and
-    /// normalisation, and the tolerance of methods that have one.
+    /// Cards that say how an image was made: method, anchoring, precision, device, the model's
+    /// components and normalisation, and the tolerance of methods that have one.
     ///
-    /// A simulated image holds, after the scene's own cards ([`carried_header`](Self::carried_header)), those of
-    /// [`provenance_cards`], these, and those of its [`SpotCheck`], if any.
+    /// A simulated image holds the scene's own cards ([`carried_header`](Self::carried_header)),
+    /// then those of [`provenance_cards`], then these, then those of its [`SpotCheck`], if any.
     ///
     /// # Errors
-    /// [`CardError`] for the name of a GPU that no header can hold.
+    /// [`CardError`] for the name of a GPU that a header cannot hold.
     pub fn cards(&self, made: &Preparation<'_>) -> Result<Vec<Card>, CardError> {
         let options = self.options();
         let mut cards = vec![
@@ -66,9 +66,9 @@ impl<T: ConvReal> Simulator<T> {
         Ok(cards)
     }
 
-    /// The cards of a scene as its image carries them: world coordinates of the frame's pixels, without what was noted of the
-    /// scene's own making. `header` is that of the scene's image and counts its pixels (`of_image`), or counts frame
-    /// pixels.
+    /// Returns the cards of a scene for its image: world coordinates refer to the frame's pixels,
+    /// and the cards about the making of the scene are removed. If `of_image` is true, `header` is
+    /// that of the scene's image and counts its pixels. Otherwise it counts frame pixels.
     pub fn carried_header(&self, header: &HeaderCards, of_image: bool) -> HeaderCards {
         let (frame, s) = (self.frame(), self.options().oversample);
         let mut header = if of_image {
@@ -77,7 +77,7 @@ impl<T: ConvReal> Simulator<T> {
         } else {
             header.shifted_origin(frame.x0(), frame.y0())
         };
-        // A scene that is itself a result must not lend its own check and job to this one.
+        // A scene may itself be a result. Its check and its job do not apply to this image.
         for keyword in SpotCheck::KEYWORDS.into_iter().chain([JOB_KEYWORD]) {
             header.remove(keyword);
         }

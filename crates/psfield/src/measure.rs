@@ -1,4 +1,4 @@
-//! Sizes and shapes of many stamps.
+//! Measures sizes and shapes of many stamps.
 
 use metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
 use ndarray::{ArrayView2, ArrayView3};
@@ -26,10 +26,11 @@ pub const MEASUREMENT_COLUMNS: [&str; 16] = [
     "note",
 ];
 
-/// What was measured of one PSF. An empty field is a measurement that failed; `note` says why.
+/// The measurements of one PSF. A field is None if its measurement failed. `note` then says why.
 ///
-/// Lengths are in pixels of the array. `flux ... ellipticity` come from an elliptical Gaussian fit (geometric-mean FWHM,
-/// `ellipticity = sqrt(1 - b^2 / a^2)`); `e1 ... sigma_px` from adaptive moments (`e`: distortion, `g`: reduced shear).
+/// Lengths are in pixels of the array. `flux ... ellipticity` are those of an elliptical Gaussian
+/// fit (geometric-mean FWHM, `ellipticity = sqrt(1 - b^2 / a^2)`). `e1 ... sigma_px` are those of
+/// adaptive moments (`e`: distortion, `g`: reduced shear).
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 #[allow(missing_docs, reason = "the columns of the table, described above")]
@@ -52,22 +53,22 @@ pub struct Measurement {
     pub note: String,
 }
 
-/// How PSFs are measured.
+/// Options for the measurement of PSFs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct MeasureOptions {
-    /// The Gaussian is fitted to so many central pixels each way; none: to all (on an image:
-    /// [`MeasureOptions::IMAGE_WINDOW`]).
+    /// The Gaussian is fitted to this many central pixels along each axis. None: to the whole stamp
+    /// or, on an image, to [`MeasureOptions::IMAGE_WINDOW`] pixels.
     pub window: Option<usize>,
-    /// The fit has a constant background.
+    /// If true, the fit has a constant background.
     pub background: bool,
 }
 
 impl MeasureOptions {
-    /// The window about each position of an image when none is given.
+    /// The window about each position of an image if none is given.
     pub const IMAGE_WINDOW: usize = 15;
 
-    /// Measures every plane of a cube `[plane, y, x]`; centroids are 0-based stamp indices. Adaptive moments use the whole
-    /// plane.
+    /// Measures every plane of a cube `[plane, y, x]`. Centroids are 0-based stamp indices.
+    /// Adaptive moments use the whole plane.
     pub fn cube<T: Real>(self, cube: ArrayView3<'_, T>, positions: Option<&[Position]>) -> Vec<Measurement> {
         let fit_window = self.window.map_or_else(Window::whole, Window::central);
         (0..cube.dim().0)
@@ -84,8 +85,8 @@ impl MeasureOptions {
             .collect()
     }
 
-    /// Measures an image in a window about each position; centroids are in pixels of the image. Adaptive moments use the
-    /// same window, lest neighbours count.
+    /// Measures an image in a window about each position. Centroids are in pixels of the image.
+    /// Adaptive moments use the same window, so that neighbours do not count.
     pub fn image<T: Real>(self, image: ArrayView2<'_, T>, positions: &[Position]) -> Vec<Measurement> {
         let size = self.window.unwrap_or(Self::IMAGE_WINDOW);
         let (ny, nx) = image.dim();

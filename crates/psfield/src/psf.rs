@@ -205,7 +205,8 @@ impl Psf {
             Origin::Record(record) => Ok(record),
             Origin::Samples(..) => Ok(self.fit()?.expect("samples have a fit").record()),
             Origin::Model(..) => {
-                const OWN_FIELD: &str = "a PSF model file cannot hold a coefficient field of your own: sample the PSF first";
+                const OWN_FIELD: &str =
+                    "a PSF model file cannot hold a coefficient field of your own: sample the PSF first";
                 Err(PsfieldError::new(ErrorKind::Format, OWN_FIELD))
             }
         }

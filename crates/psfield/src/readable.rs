@@ -1,7 +1,8 @@
-//! Numbers as one reads them.
+//! Formats numbers for people to read.
 
-/// A number to so many figures (1 at least) without needless zeros: `0.05`, `9216`, `2.5e-7`. Below a thousandth, and where it has more digits
-/// before the point than figures (five at least), it has an exponent.
+/// Formats a number with `figures` significant figures (at least 1) without trailing zeros: `0.05`,
+/// `9216`, `2.5e-7`. A number has an exponent if it is below a thousandth, or if it has more digits
+/// before the point than `figures` (and than five).
 pub fn readable(value: f64, figures: usize) -> String {
     if value == 0.0 {
         return "0".to_owned();
@@ -9,7 +10,7 @@ pub fn readable(value: f64, figures: usize) -> String {
     let mantissa_decimals = figures.saturating_sub(1);
     let rounded = format!("{value:.mantissa_decimals$e}");
     let Some((mantissa, exponent)) = rounded.split_once('e') else {
-        // Infinite, or not a number.
+        // Infinite or NaN.
         return rounded;
     };
     let exponent: i32 = exponent.parse().expect("a number in exponent form");

@@ -1,14 +1,16 @@
-//! Outputs that would replace an input, or each other.
+//! Finds outputs that would replace an input, or each other.
 
 use std::path::{Path, PathBuf};
 
 use crate::{ErrorKind, PsfieldError};
 
-/// Whether all outputs of a run can be written, as far as can be told before the work is done.
+/// Checks, before the work is done, that all outputs of a run can be written, as far as this can be
+/// known.
 ///
 /// # Errors
-/// [`ErrorKind::Setting`] when two outputs are one file, or one is among `inputs`, which are never replaced, whatever `overwrite`
-/// says; and those of [`check_output`](psf_io::check_output).
+/// [`ErrorKind::Setting`] when two outputs are one file, or if an output is among `inputs`. Inputs
+/// are never replaced, whatever `overwrite` is. Also the errors of
+/// [`check_output`](psf_io::check_output).
 pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Result<(), PsfieldError> {
     let mut taken: Vec<PathBuf> = inputs.iter().map(|path| resolved(path)).collect();
     for path in outputs {
@@ -26,7 +28,7 @@ pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Re
     Ok(())
 }
 
-/// One name for a file, whether it exists or not, however it is written.
+/// Returns one name for a file, however its path is written. The file need not exist.
 pub fn resolved(path: &Path) -> PathBuf {
     if let Ok(place) = path.canonicalize() {
         return place;

@@ -50,8 +50,8 @@ impl SpotCheck {
     pub const FAILED: &str = "failed";
 
     /// The largest relative r.m.s. difference that a simulation with these options promises in the
-    /// working precision `T` ([`judged`](Self::judged)). It is the sum of rounding and, for methods
-    /// with a tolerance, three times that. None for patches and for the caller's own method if
+    /// working precision `T` ([`judged`](Self::judged)). It is that of rounding, plus three times
+    /// the tolerance for methods that have one. None for patches and for the caller's own method if
     /// there is extended light (`extended`): they promise nothing.
     ///
     /// ```

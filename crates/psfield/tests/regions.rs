@@ -1,4 +1,4 @@
-//! Simulations on pixels that belong to somebody else, whole and in pieces.
+//! Simulates borrowed images, as a whole and by regions.
 
 use ndarray::{Array2, Array3, ArrayView2, s};
 use psfield::conv_core::{ConvError, ConvReal, RowStream};
@@ -13,11 +13,11 @@ use psfield::{
 
 /// Columns and rows of the frame, in its own pixels: primes.
 const FRAME: (usize, usize) = (97, 83);
-/// Columns and rows around the frame whose light comes in, in pixels of the frame.
+/// Columns and rows of light around the frame, in pixels of the frame.
 const MARGIN: usize = 9;
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 
-/// Pieces against the whole, relative L2: rounding of transforms.
+/// Difference between the regions put together and the whole, relative L2: rounding of transforms.
 const SAME_F32: f64 = 1e-6;
 const SAME_F64: f64 = 1e-12;
 
@@ -25,7 +25,8 @@ fn gauss(d: f64, sigma: f64) -> f64 {
     (-d * d / (2.0 * sigma * sigma)).exp() / (sigma * (2.0 * std::f64::consts::PI).sqrt())
 }
 
-/// Gaussians that widen and move over the field, two samples to a frame pixel, at places on a grid or scattered.
+/// Gaussians that widen and move over the field, with two samples per frame pixel. Their positions
+/// are on a grid or scattered.
 fn psf(interpolation: Interpolation) -> Psf {
     let n = 25;
     let grid = StampGrid::new(n, n)
@@ -61,7 +62,7 @@ fn psf(interpolation: Interpolation) -> Psf {
     Psf::new(PsfSamples::new(stamps, positions, grid).unwrap(), options)
 }
 
-/// Columns and rows of a scene, in its own pixels.
+/// Columns and rows of a scene, in scene pixels.
 fn scene_size(finer: usize) -> (usize, usize) {
     ((FRAME.0 + 2 * MARGIN) * finer, (FRAME.1 + 2 * MARGIN) * finer)
 }
@@ -76,12 +77,12 @@ fn light<T: Real>(finer: usize) -> Image<T> {
     Image::new(light).unwrap()
 }
 
-/// Stars, some of them off the frame.
+/// Stars, some of them outside the frame.
 fn stars(finer: usize) -> Vec<PointSource> {
     let (nx, ny) = scene_size(finer);
     let star = |i: usize| {
         let place = |factor: usize, limit: usize| ((i * factor) % (limit * 10)) as f64 / 10.0;
-        // From pixels of the scene to those of the frame.
+        // Convert from pixels of the scene to those of the frame.
         let of_frame = |v: f64| (v - (finer as f64 - 1.0) / 2.0) / finer as f64;
         let position = Position::new(of_frame(place(7919, nx)), of_frame(place(104_729, ny)));
         PointSource::new(position.unwrap(), 50.0).unwrap()
@@ -104,13 +105,13 @@ fn options(finer: usize, anchor: Anchor, tolerance: f64) -> SimulateOptions {
     }
 }
 
-/// For scenes that reach beyond the frame.
+/// A builder for scenes that reach beyond the frame.
 fn builder(interpolation: Interpolation, finer: usize) -> SimulatorBuilder {
     let (nx, ny) = scene_size(finer);
     psf(interpolation).simulator((ny, nx))
 }
 
-/// The same options for a part of the frame.
+/// Returns the options for a part of the frame.
 fn of_region(options: &SimulateOptions, part: PixelRegion) -> SimulateOptions {
     SimulateOptions {
         region: Some(part),
@@ -143,7 +144,7 @@ fn pieces_are_the_whole<T: ConvReal>(interpolation: Interpolation, finer: usize,
             let simulator = first.for_region(part, &NoProgress).unwrap();
             assert_eq!(simulator.options().region, Some(part));
             assert_eq!(simulator.image_shape(), part.shape());
-            // What is at hand on a machine that makes a piece.
+            // The light that a machine needs to make one region.
             let reach = simulator.light_region(&NoProgress).unwrap();
             let at_hand = slice_of(light.pixels(), reach).to_owned();
             let at_hand = ImageView::new(at_hand.view()).unwrap();
@@ -151,7 +152,7 @@ fn pieces_are_the_whole<T: ConvReal>(interpolation: Interpolation, finer: usize,
             piece.fill(T::zero());
             let of_piece = Scene::from(at_hand).with_stars(&stars[..]);
             simulator.simulate_into(&of_piece, piece, &NoProgress).unwrap();
-            // The plan that is made at once, and the scene as a whole.
+            // Compare with a plan made directly for the region, and the whole scene.
             let again = build(of_region(&options, part)).simulate(&scene).unwrap();
             assert_eq!(again.pixels(), slice_of(image.view(), part), "{case}");
         }
@@ -199,7 +200,7 @@ fn the_adjoint_is_that_of_light_sampled_at_the_frames_pixels() {
                     (left - right).abs() <= 1e-12 * scale,
                     "{finer} {anchor}: {left} {right}"
                 );
-                // Nothing comes back to light that does not reach the image.
+                // The adjoint is 0 for light that does not reach the image.
                 let lit = |pixels: ArrayView2<'_, f64>| pixels.iter().filter(|v| **v != 0.0).count();
                 if whole {
                     assert_eq!(lit(back.pixels()), lit(slice_of(back.pixels(), reach)));
@@ -209,7 +210,7 @@ fn the_adjoint_is_that_of_light_sampled_at_the_frames_pixels() {
     }
 }
 
-/// Images of a region, row by row.
+/// Streams the image of a region row by row.
 struct Rows<'a, T> {
     light: ArrayView2<'a, T>,
     written: Vec<T>,
@@ -265,7 +266,7 @@ fn a_region_streams_and_is_checked_pixel_by_pixel() {
     }
 }
 
-/// Wants everything to stop at once.
+/// Cancels everything at once.
 struct Impatient;
 
 impl Progress for Impatient {

@@ -101,7 +101,10 @@ where
         self.fine_rows += rows.nrows();
         if shown.nrows() > 0 {
             let shape = FrameShape::new(shown.ncols(), shown.nrows()).map_err(ConvError::Result)?;
-            let (x0, y0) = (geometry.region.x0(), geometry.region.y0() + self.image_rows as i64);
+            let (x0, y0) = (
+                geometry.region.x0(),
+                geometry.region.y0() + self.image_rows as i64,
+            );
             let region = PixelRegion::new(x0, y0, shape);
             self.simulator
                 .draw_stars_into(self.stars, region, shown.view_mut(), self.progress)?;
