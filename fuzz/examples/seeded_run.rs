@@ -1,6 +1,8 @@
-//! `seeded-run [--cases N] [--seed N] [--first N] [TARGET...]`: mutated seeds for every target, or those named, without coverage.
+//! `seeded-run [--cases N] [--seed N] [--first N] [TARGET...]`: runs mutated seeds on all targets,
+//! or on those given, without coverage.
 //!
-//! Case `n` of a target depends on the seed, the target and `n` alone, so that a finding is repeated by `--first n --cases 1`.
+//! Case `n` of a target depends only on the seed, the target and `n`, so `--first n --cases 1`
+//! repeats a finding.
 
 use std::collections::HashSet;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -39,7 +41,7 @@ fn options() -> Result<Options, String> {
             _ => return Err(format!("{word} is neither an option nor a target")),
         };
         let number = words.next().and_then(|text| text.parse().ok());
-        *place = number.ok_or_else(|| format!("{word} needs a whole number"))?;
+        *place = number.ok_or_else(|| format!("{word} needs an integer"))?;
     }
     Ok(options)
 }
@@ -65,14 +67,14 @@ fn main() -> ExitCode {
     }
 }
 
-/// Runs the cases of a target; false at the first finding.
+/// Runs the cases of a target. Returns false at the first finding.
 fn run(target: &Target, number: u64, options: &Options) -> bool {
     let start = Instant::now();
     let seeds = (target.seeds)();
     for (which, seed) in seeds.iter().enumerate() {
         assert!(
             (target.run)(seed) > 0,
-            "{}: seed {which} does not read",
+            "{}: seed {which} cannot be read",
             target.name
         );
     }
@@ -84,7 +86,7 @@ fn run(target: &Target, number: u64, options: &Options) -> bool {
         rng.set_stream(number << 40 | case);
         let mut data = seeds[rng.random_range(0..seeds.len())].clone();
         mutate(&mut data, &mut rng);
-        // It stays there when the process dies.
+        // The file stays there if the process dies.
         std::fs::write(&artifact, &data).expect("the folder of findings can be written to");
         let clock = Instant::now();
         let outcome = catch_unwind(AssertUnwindSafe(|| (target.run)(&data)));
@@ -96,7 +98,7 @@ fn run(target: &Target, number: u64, options: &Options) -> bool {
             Ok(ways) => read += u64::from(ways > 0),
             Err(_) => {
                 eprintln!(
-                    "{}: case {case} of seed {} is a finding, kept as {}",
+                    "{}: case {case} of seed {} failed, its file is {}",
                     target.name,
                     options.seed,
                     artifact.display()
@@ -107,7 +109,7 @@ fn run(target: &Target, number: u64, options: &Options) -> bool {
     }
     std::fs::remove_file(&artifact).ok();
     println!(
-        "{:<11}{:>7} cases, {:>3} % of them read in some way, {:>6.1} s; the slowest is {slowest_case}: {slowest:.3} s",
+        "{:<11}{:>7} cases, {:>3} % of them readable, {:>6.1} s, slowest case {slowest_case}: {slowest:.3} s",
         target.name,
         options.cases,
         100 * read / options.cases.max(1),
@@ -116,11 +118,11 @@ fn run(target: &Target, number: u64, options: &Options) -> bool {
     true
 }
 
-/// Where the case in hand is kept.
+/// The path of the file for the current case.
 fn artifact(target: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("artifacts")
         .join(target);
-    std::fs::create_dir_all(&folder).expect("the folder of findings can be made");
+    std::fs::create_dir_all(&folder).expect("the folder of findings can be created");
     folder.join("seeded-run")
 }

@@ -1,4 +1,4 @@
-//! Writes the seeds of all targets where `cargo fuzz` looks for them: `corpus/TARGET/seed-N`.
+//! Writes the seeds of all targets to the folders of `cargo fuzz`: `corpus/TARGET/seed-N`.
 
 use std::path::Path;
 

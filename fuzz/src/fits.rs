@@ -1,4 +1,5 @@
-//! FITS files spoilt: cards, values, blocks. What stays is made of blocks and often as long as its headers say, so that readers get far.
+//! Mutations of FITS files: cards, values, blocks. The result still consists of blocks and is often
+//! as long as its headers say, so that readers get far.
 
 use std::ops::Range;
 
@@ -11,7 +12,7 @@ use crate::numbers::{change_byte, change_value, pick, place, word};
 const BLOCK: usize = 2880;
 const RECORD: usize = 80;
 
-/// Keywords on which the structure rests, or that change the meaning of others.
+/// Keywords that define the structure or change the meaning of others.
 const KEYWORDS: &[&str] = &[
     "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "NAXIS3", "NAXIS4", "PCOUNT", "GCOUNT", "GROUPS", "TFIELDS",
     "THEAP", "TFORM1", "TFORM2", "TFORM3", "TTYPE1", "TTYPE2", "TTYPE3", "TNULL1", "TSCAL1", "TZERO1",
@@ -22,7 +23,7 @@ const KEYWORDS: &[&str] = &[
     "OVERSAMP", "CENX", "FIELDNX", "CTYPE1", "CTYPE2", "CRPIX1", "CDELT1", "CD1_1", "PV1_1", "PV2_3",
     "A_ORDER", "A_2_0", "LONPOLE", "CUNIT1",
 ];
-/// Values of keywords that hold texts.
+/// Values for keywords with text.
 const TEXTS: &[&str] = &[
     "'1D'",
     "'D'",
@@ -112,14 +113,14 @@ pub(crate) fn mutate(data: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     }
 }
 
-/// Where an HDU's cards and data lie.
+/// The ranges of an HDU's cards and data.
 #[derive(Clone)]
 struct Parts {
     header: Range<usize>,
     data: Range<usize>,
 }
 
-/// HDUs by what blocks begin with; their sizes are not believed.
+/// HDUs, found by the text at the beginning of blocks. Sizes in headers are ignored.
 fn hdus(data: &[u8]) -> Vec<Parts> {
     let starts: Vec<usize> = (0..data.len())
         .step_by(BLOCK)
@@ -142,7 +143,7 @@ fn card<'a>(header: &'a mut [u8], rng: &mut ChaCha8Rng) -> Option<&'a mut [u8]> 
     Some(&mut header[at..at + RECORD])
 }
 
-/// Another value for a card.
+/// Gives a card another value.
 fn change_card(header: &mut [u8], rng: &mut ChaCha8Rng) {
     let Some(card) = card(header, rng) else { return };
     let old = String::from_utf8_lossy(&card[10..]).trim().to_owned();
@@ -160,7 +161,7 @@ fn change_card(header: &mut [u8], rng: &mut ChaCha8Rng) {
     write(&mut card[8..], &format!("= {value:>20}"));
 }
 
-/// A card of another keyword in place of one.
+/// Overwrites a card with one of another keyword.
 fn overwrite_card(header: &mut [u8], rng: &mut ChaCha8Rng) {
     let Some(card) = card(header, rng) else { return };
     let value = if rng.random_range(0..2) == 0 {
@@ -187,7 +188,7 @@ fn copy_card(header: &mut [u8], rng: &mut ChaCha8Rng) {
     }
 }
 
-/// An HDU left out, repeated, or with a block more.
+/// Removes or repeats an HDU, or adds a block.
 fn change_blocks(data: &mut Vec<u8>, hdu: Parts, rng: &mut ChaCha8Rng) {
     let whole = hdu.header.start..hdu.data.end;
     match rng.random_range(0..3) {
@@ -197,7 +198,7 @@ fn change_blocks(data: &mut Vec<u8>, hdu: Parts, rng: &mut ChaCha8Rng) {
     }
 }
 
-/// Zeros at the end, where the last HDU says that there is more than there is, and not too much more.
+/// Appends zeros if the last HDU is shorter than its header says and not too much is missing.
 fn fill_up(data: &mut Vec<u8>) {
     let Some(last) = hdus(data).pop() else { return };
     let header = &data[last.header];
@@ -223,7 +224,7 @@ fn fill_up(data: &mut Vec<u8>) {
     }
 }
 
-/// A text in a field, blanks behind it.
+/// Writes a text into a field and fills the rest with blanks.
 fn write(field: &mut [u8], text: &str) {
     let length = text.len().min(field.len());
     field[..length].copy_from_slice(&text.as_bytes()[..length]);

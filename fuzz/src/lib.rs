@@ -1,15 +1,17 @@
-//! What the readers of psfield do with spoilt files.
+//! Tests psfield's readers with damaged files.
 //!
-//! A *target* ([`targets`]) is a function from bytes to a panic or none: it reads the bytes in the ways of one format and checks that
-//! every refusal names the file, that no read takes longer than a second of processor time or much memory ([`limits`]), and that what
-//! was read can be written and read again. The same functions serve
+//! A *target* ([`targets`]) is a function from bytes that panics or returns. It reads the bytes in
+//! all ways of one format and checks three things: every error names the file, no read takes more
+//! than a second of processor time or much memory ([`limits`]), and data that were read can be
+//! written and read again. Two programs use the targets:
 //!
-//! * `cargo fuzz`, which is led by the coverage of the Rust code (`fuzz_targets/`), and
-//! * `seeded-run`, which needs nothing but Rust and a C compiler: as many cases as told, each a pure function of a seed and its number, led by
-//!   nothing. `.ci/run` uses it.
+//! * `cargo fuzz` follows the coverage of the Rust code (`fuzz_targets/`).
+//! * `seeded-run` needs only Rust and a C compiler. It runs a given number of cases without
+//!   coverage. Each case is a pure function of a seed and its number. `.ci/run` uses it.
 //!
-//! Both spoil files with [`mutate`], which knows FITS and text: random bytes alone would hardly get past a header. They start from
-//! [`seeds`], small files by psfield's own writers and by the tests' file makers.
+//! Both damage files with [`mutate`], which knows FITS and text: random bytes would hardly get past
+//! a header. They start from [`seeds`], small files made by psfield's writers and by the tests'
+//! file makers.
 
 #![allow(
     clippy::cast_possible_truncation,
@@ -30,12 +32,12 @@ pub use targets::{TARGETS, Target};
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// A file is not made larger than this by mutations.
+/// Mutations do not make a file larger than this.
 pub const LARGEST: usize = 1 << 17;
-/// The most mutations of one case.
+/// The largest number of mutations of one case.
 const MOST_MUTATIONS: usize = 5;
 
-/// Spoils a file: FITS as FITS, gzip byte by byte, the rest as text.
+/// Damages a file: FITS by its structure, gzip byte by byte, other files as text.
 pub fn mutate(data: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     for _ in 0..rng.random_range(1..=MOST_MUTATIONS) {
         if data.starts_with(b"SIMPLE") {
@@ -49,7 +51,7 @@ pub fn mutate(data: &mut Vec<u8>, rng: &mut ChaCha8Rng) {
     data.truncate(LARGEST);
 }
 
-/// A target of `cargo fuzz`: libFuzzer's own mutations for every fourth case, [`mutate`] for the rest.
+/// A target of `cargo fuzz`. libFuzzer mutates every fourth case, [`mutate`] the others.
 #[cfg(feature = "libfuzzer")]
 #[macro_export]
 macro_rules! fuzz {
@@ -69,7 +71,7 @@ macro_rules! fuzz {
     };
 }
 
-/// A spoilt copy that is no longer than `max_size`; `None` for every fourth seed.
+/// A damaged copy of at most `max_size` bytes, or `None` for every fourth seed.
 pub fn mutated(data: &[u8], max_size: usize, seed: u32) -> Option<Vec<u8>> {
     use rand::SeedableRng;
     let mut rng = ChaCha8Rng::seed_from_u64(u64::from(seed));

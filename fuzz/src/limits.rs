@@ -1,17 +1,19 @@
-//! What a read may take.
+//! Limits of time and memory for a read.
 
 use std::time::Instant;
 
-/// Seconds of a processor that reading takes. Wall time where the system does not tell processor time.
+/// Seconds of processor time for a read. Wall-clock time if the system does not measure processor
+/// time.
 const SECONDS: f64 = 1.0;
-/// The same for a plan of a telescope, whose transforms may have as many points as its author asks for, up to a limit.
+/// Seconds for a plan of a telescope. Its author chooses the size of the transforms, up to a limit.
 const PLAN_SECONDS: f64 = 60.0;
-/// Address space that the process grows by.
+/// The largest growth of the process's address space.
 const MEMORY_BYTES: u64 = 256 << 20;
-/// With more than this mapped, a sanitizer keeps books in address space, which says nothing about reads then.
+/// If more than this is mapped, a sanitizer uses address space itself. The measurement is then
+/// invalid.
 const SANITIZER_BYTES: u64 = 1 << 40;
 
-/// Reads something.
+/// Runs a read and checks the limits.
 ///
 /// # Panics
 /// When it takes longer than a second or more than 256 MiB.
@@ -19,7 +21,7 @@ pub fn within_limits<T>(work: impl FnOnce() -> T) -> T {
     within(SECONDS, work)
 }
 
-/// Plans something.
+/// Runs a plan and checks the limits.
 ///
 /// # Panics
 /// When it takes longer than a minute or more than 256 MiB.
@@ -35,26 +37,26 @@ fn within<T>(most_seconds: f64, work: impl FnOnce() -> T) -> T {
         (Some(before), Some(after)) => after - before,
         _ => clock.elapsed().as_secs_f64(),
     };
-    assert!(seconds < most_seconds, "it took {seconds:.2} s");
+    assert!(seconds < most_seconds, "the work took {seconds:.2} s");
     if let (Some(before), Some(after)) = (memory, peak_memory_bytes()) {
         let grown = after - before;
         assert!(
             before > SANITIZER_BYTES || grown < MEMORY_BYTES,
-            "it took {} MiB",
+            "the work took {} MiB",
             grown >> 20
         );
     }
     result
 }
 
-/// What this thread has used so far.
+/// Processor time that this thread has used so far.
 fn processor_seconds() -> Option<f64> {
     let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
     let nanoseconds: f64 = text.split_whitespace().next()?.parse().ok()?;
     Some(nanoseconds * 1e-9)
 }
 
-/// The most that this process has had mapped, used or not.
+/// The most memory that this process has had mapped, used or not.
 fn peak_memory_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmPeak:"))?;

@@ -1,9 +1,9 @@
-//! Numbers at which readers stumble.
+//! Numbers that are difficult for readers.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
-/// As they stand in headers and tables.
+/// Numbers as text, for headers and tables.
 const WORDS: &[&str] = &[
     "0",
     "1",
@@ -69,7 +69,7 @@ const WORDS: &[&str] = &[
     "180",
 ];
 
-/// One of them, or a small number.
+/// One of [`WORDS`], or a small number.
 pub(crate) fn word(rng: &mut ChaCha8Rng) -> String {
     if rng.random_range(0..3) == 0 {
         rng.random_range(-3_i32..40).to_string()
@@ -78,12 +78,12 @@ pub(crate) fn word(rng: &mut ChaCha8Rng) -> String {
     }
 }
 
-/// One of a list.
+/// A random element of a list.
 pub(crate) fn pick<'a, T>(list: &'a [T], rng: &mut ChaCha8Rng) -> &'a T {
     &list[rng.random_range(0..list.len())]
 }
 
-/// A place in data that are not empty.
+/// A random index into data of a length, or `None` if it is 0.
 pub(crate) fn place(length: usize, rng: &mut ChaCha8Rng) -> Option<usize> {
     (length > 0).then(|| rng.random_range(0..length))
 }
@@ -99,7 +99,7 @@ pub(crate) fn change_byte(data: &mut [u8], rng: &mut ChaCha8Rng) {
     }
 }
 
-/// Writes a big-endian number of 1, 2, 4 or 8 bytes that is at an edge of its type.
+/// Overwrites a big-endian number of 1, 2, 4 or 8 bytes with a value at an edge of its type.
 pub(crate) fn change_value(data: &mut [u8], rng: &mut ChaCha8Rng) {
     let width = *pick(&[1, 2, 4, 8], rng);
     let Some(places) = (data.len() / width).checked_sub(1) else {
@@ -109,7 +109,7 @@ pub(crate) fn change_value(data: &mut [u8], rng: &mut ChaCha8Rng) {
     let value: u64 = match rng.random_range(0..6) {
         0 => 0,
         1 => u64::MAX,
-        // The largest, and the smallest with a sign.
+        // The largest and the smallest signed value.
         2 => u64::MAX >> (65 - 8 * width as u32),
         3 => 1 << (8 * width - 1),
         // Near a power of two, or small.

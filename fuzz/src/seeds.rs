@@ -1,4 +1,4 @@
-//! Small good files, which mutations start from.
+//! Small valid files, from which mutations start.
 
 use std::io::Write;
 use std::path::Path;
@@ -19,25 +19,25 @@ use psf_types::{
 
 use crate::support::{IMAGE, SIMPLE, f32s, f64s, i16s, i32s, i64s, image, libraries, table};
 
-/// What a writer writes.
+/// The bytes of a file that `write` makes.
 fn written(write: impl FnOnce(&Path) -> Result<(), IoError>) -> Vec<u8> {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("seed");
-    write(&path).expect("a sound seed");
-    std::fs::read(path).expect("it was written")
+    write(&path).expect("a valid seed");
+    std::fs::read(path).expect("the file that was written")
 }
 
 fn primary() -> Vec<u8> {
     image(SIMPLE, 8, &[], &["EXTEND  = T"], &[])
 }
 
-/// Images of every type, scaled ones, one in an extension, cubes.
+/// Images of every type, scaled images, an image in an extension, and cubes.
 pub fn images() -> Vec<Vec<u8>> {
     let pixels = Array2::from_shape_fn((9, 11), |(y, x)| (x * y) as f32);
     let cards = [
-        Card::new("LONG", "text ".repeat(40), "").expect("a sound card"),
-        Card::new("CRPIX1", 3.5, "").expect("a sound card"),
-        Card::new("DATASEC", "[1:11,1:9]", "").expect("a sound card"),
+        Card::new("LONG", "text ".repeat(40), "").expect("a valid card"),
+        Card::new("CRPIX1", 3.5, "").expect("a valid card"),
+        Card::new("DATASEC", "[1:11,1:9]", "").expect("a valid card"),
     ];
     let image_of = Image::new(pixels).expect("finite pixels");
     let scaled = ["BSCALE  = 2.0", "BZERO   = 32768", "BLANK   = -5"];
@@ -54,14 +54,14 @@ pub fn images() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Images in tiles by every algorithm, whole numbers and quantised floats.
+/// Images in tiles by every algorithm, with integers and quantised floats.
 pub fn tiled() -> Vec<Vec<u8>> {
     let whole = ["R", "G", "P", "R 5,4", "G 10,12", "P 10,12"].map(|how| tiles(how, 1.0));
     let floats = ["R; q 16", "G; q 4", "R; qz 8", "G 5,4; q 0"].map(|how| tiles(how, 1.3));
     whole.into_iter().chain(floats).collect()
 }
 
-/// By CFITSIO, in the words of its file names.
+/// Tiles by CFITSIO, with its syntax for file names.
 fn tiles(how: &str, scale: f32) -> Vec<u8> {
     let whole = scale.fract() == 0.0;
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -79,7 +79,7 @@ fn tiles(how: &str, scale: f32) -> Vec<u8> {
     hdu.write_image(&mut file, &values)
         .expect("CFITSIO writes an image");
     drop(file);
-    std::fs::read(path).expect("it was written")
+    std::fs::read(path).expect("the file that was written")
 }
 
 /// FITS, which the target compresses, and gzip.
@@ -91,8 +91,8 @@ pub fn zipped() -> Vec<Vec<u8>> {
         .iter()
         .map(|bytes| {
             let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
-            encoder.write_all(bytes).expect("vectors take everything");
-            encoder.finish().expect("vectors take everything")
+            encoder.write_all(bytes).expect("writing to a Vec cannot fail");
+            encoder.finish().expect("writing to a Vec cannot fail")
         })
         .collect();
     files.extend(zipped);
@@ -132,10 +132,10 @@ fn record(centred: bool, interpolation: Interpolation) -> PsfModelRecord {
         OutsidePolicy::Nearest,
         Normalisation::Unit,
     )
-    .expect("a sound model")
+    .expect("a valid model")
 }
 
-/// Models, centred and not.
+/// Models with and without centring.
 pub fn models() -> Vec<Vec<u8>> {
     let bilinear = record(true, Interpolation::Bilinear);
     let polynomial = record(false, "polynomial=1".parse().expect("an interpolation"));
@@ -147,18 +147,18 @@ pub fn models() -> Vec<Vec<u8>> {
 
 /// A polynomial and a constant PSF.
 pub fn psfex() -> Vec<Vec<u8>> {
-    let axis = |name| PsfexAxis::new(name, 4.5, 9.0).expect("a sound axis");
+    let axis = |name| PsfexAxis::new(name, 4.5, 9.0).expect("a valid axis");
     let polynomial = PsfexPolynomial::new(axis("X_IMAGE"), axis("Y_IMAGE"), 1).expect("degree 1");
     [(3, Some(polynomial)), (1, None)]
         .map(|(terms, polynomial)| {
             let planes = Array3::from_elem((terms, 4, 4), 0.125);
-            let model = PsfexModel::new(planes, 0.5, polynomial).expect("a sound model");
+            let model = PsfexModel::new(planes, 0.5, polynomial).expect("a valid model");
             written(|path| write_psfex(path, &model, &[], true))
         })
         .into()
 }
 
-/// By WebbPSF's layout and by psfield's writer.
+/// Libraries in WebbPSF's layout and by psfield's writer.
 pub fn stpsf() -> Vec<Vec<u8>> {
     let later = ["VERSION = '1.3.0'", "FOVPIXEL= 5"];
     vec![
@@ -168,7 +168,7 @@ pub fn stpsf() -> Vec<Vec<u8>> {
     ]
 }
 
-/// One detector, and several side by side.
+/// A library of one detector, and one of several side by side.
 pub fn stdpsf() -> Vec<Vec<u8>> {
     vec![
         libraries::stdpsf(3, 2),
@@ -177,7 +177,7 @@ pub fn stdpsf() -> Vec<Vec<u8>> {
     ]
 }
 
-/// A map as an image, and one as a table.
+/// One file with its map as an image, and one with its map as a table.
 pub fn scopesim() -> Vec<Vec<u8>> {
     let rows = [[-1.0, 0.0, 0.0], [1.0, 0.5, 1.0], [0.0, 2.0, 2.0]];
     let rows: Vec<u8> = rows.iter().flat_map(|row| f64s(row)).collect();
@@ -241,7 +241,7 @@ pub fn catalogs() -> Vec<Vec<u8>> {
 /// The headers of the comparison with astropy, over an image of one pixel.
 pub fn sky() -> Vec<Vec<u8>> {
     let cases = include_str!("../../crates/psf-io/tests/data/sky_coordinates.json");
-    let cases: serde_json::Value = serde_json::from_str(cases).expect("the tests' data");
+    let cases: serde_json::Value = serde_json::from_str(cases).expect("valid JSON in the tests' data");
     let header = |case: &serde_json::Value| -> HeaderCards {
         let card = |(keyword, value): (&String, &serde_json::Value)| {
             let value: CardValue = match (value.as_str(), value.as_i64(), value.as_f64()) {
@@ -249,7 +249,7 @@ pub fn sky() -> Vec<Vec<u8>> {
                 (_, Some(number), _) => number.into(),
                 (.., number) => number.expect("a number").into(),
             };
-            Card::new(keyword, value, "").expect("a sound card")
+            Card::new(keyword, value, "").expect("a valid card")
         };
         case["header"]
             .as_object()
@@ -275,7 +275,7 @@ pub fn records() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Descriptions of telescopes, small ones.
+/// Descriptions of small telescopes.
 pub fn telescopes() -> Vec<Vec<u8>> {
     let plain = r#"
 wavelength_nm = 600.0

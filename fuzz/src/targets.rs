@@ -13,14 +13,14 @@ pub use tables::catalog;
 
 use crate::seeds;
 
-/// A target, and the files that it starts from.
+/// A target and its seed files.
 #[derive(Debug, Clone, Copy)]
 pub struct Target {
-    /// As in `fuzz_targets/`.
+    /// The name in `fuzz_targets/`.
     pub name: &'static str,
-    /// Reads the bytes; the number of ways that succeeded.
+    /// Reads the bytes and returns the number of ways that succeeded.
     pub run: fn(&[u8]) -> usize,
-    /// Good files.
+    /// Returns valid files.
     pub seeds: fn() -> Vec<Vec<u8>>,
 }
 

@@ -1,11 +1,11 @@
-//! Text files spoilt: tables, TOML, JSON.
+//! Mutations of text files: tables, TOML, JSON.
 
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 
 use crate::numbers::{change_byte, pick, place, word};
 
-/// What stands between words.
+/// Separators of words.
 const MARKS: &[&str] = &[
     ",",
     ";",
@@ -70,7 +70,7 @@ fn insert(data: &mut Vec<u8>, bytes: &[u8], rng: &mut ChaCha8Rng) {
     data.splice(at..at, bytes.iter().copied());
 }
 
-/// Bounds of a line with its end.
+/// The range of a random line, including its line end.
 fn line(data: &[u8], rng: &mut ChaCha8Rng) -> std::ops::Range<usize> {
     let at = place(data.len(), rng).unwrap_or(0);
     let start = data[..at].iter().rposition(|&b| b == b'\n').map_or(0, |i| i + 1);

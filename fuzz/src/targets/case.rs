@@ -1,4 +1,4 @@
-//! Bytes as a file.
+//! One case: bytes as a file.
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +7,8 @@ use psf_io::IoError;
 use crate::limits::within_limits;
 use crate::support::{chain, names};
 
-/// A file in memory where the system has such files, else in the folder for temporary ones. It goes when the case has gone well.
+/// A file in memory if the system supports it, else in the folder for temporary files. It is
+/// removed when the case succeeds.
 pub(super) struct Case {
     path: PathBuf,
     reads: usize,
@@ -26,7 +27,7 @@ impl Case {
         Self { path, reads: 0 }
     }
 
-    /// Reads the file within the limits. A refusal must name the file.
+    /// Reads the file within the limits. An error must name the file.
     pub(super) fn read<T>(&mut self, read: impl FnOnce(&Path) -> Result<T, IoError>) -> Option<T> {
         match within_limits(|| read(&self.path)) {
             Ok(value) => {
@@ -34,14 +35,17 @@ impl Case {
                 Some(value)
             }
             Err(error) => {
-                assert!(names(&error, &self.path), "the file is not named: {error}");
+                assert!(
+                    names(&error, &self.path),
+                    "the error does not name the file: {error}"
+                );
                 assert!(!chain(&error).is_empty());
                 None
             }
         }
     }
 
-    /// What was read, written and read again, is the same.
+    /// Checks that a value written to a file is read back unchanged.
     pub(super) fn comes_back<T: PartialEq>(
         &self,
         value: &T,
@@ -52,12 +56,15 @@ impl Case {
         let again = write(&path, value).and_then(|()| read(&path));
         std::fs::remove_file(&path).ok();
         match again {
-            Ok(again) => assert!(again == *value, "what was written is not what comes back"),
-            Err(error) => panic!("what was read cannot be written and read: {}", chain(&error)),
+            Ok(again) => assert!(again == *value, "the data read back differ from the data written"),
+            Err(error) => panic!(
+                "data that were read cannot be written and read again: {}",
+                chain(&error)
+            ),
         }
     }
 
-    /// How many reads succeeded.
+    /// The number of reads that succeeded.
     pub(super) fn reads(self) -> usize {
         self.reads
     }

@@ -1,4 +1,4 @@
-//! What serde reads: models as JSON, descriptions as TOML.
+//! Data read by serde: models as JSON, descriptions as TOML.
 
 use detector::Detector;
 use psf_optics::Telescope;
@@ -13,14 +13,17 @@ pub fn records(data: &[u8]) -> usize {
     record::<PsfModelRecord>(data) + record::<PsfSamples>(data)
 }
 
-/// What is accepted comes back the same.
+/// Checks that an accepted record is unchanged after writing and reading.
 fn record<T: PartialEq + Serialize + DeserializeOwned>(data: &[u8]) -> usize {
     let Ok(value) = within_limits(|| serde_json::from_slice::<T>(data)) else {
         return 0;
     };
     let text = serde_json::to_string(&value).expect("a record can be written");
-    let again: T = serde_json::from_str(&text).expect("what was written can be read");
-    assert!(again == value, "what was written is not what comes back: {text}");
+    let again: T = serde_json::from_str(&text).expect("a written record can be read");
+    assert!(
+        again == value,
+        "the record read back differs from the record written: {text}"
+    );
     1
 }
 

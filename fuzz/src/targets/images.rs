@@ -10,7 +10,7 @@ use psf_types::Position;
 
 use super::case::Case;
 
-/// Images and cubes, whole and by bands.
+/// Images and cubes, read at once and by bands.
 pub fn image(data: &[u8]) -> usize {
     let mut case = Case::new("image", data);
     case.read(|path| detect(path));
@@ -26,13 +26,13 @@ pub fn image(data: &[u8]) -> usize {
     case.reads()
 }
 
-/// An image that reads whole reads by bands, and is the same.
+/// An image that can be read at once can also be read by bands, with equal pixels.
 fn whole_and_by_bands(case: &mut Case) {
     let whole = case.read(|path| read_image::<f64>(path));
     let bands = case.read(|path| {
         let mut reader = ImageReader::open(path)?;
         let (nx, ny) = (reader.shape().nx(), reader.shape().ny());
-        // The last rows first.
+        // Reads the last rows first.
         let middle = ny / 2;
         let lower = reader.read_rows::<f64>(middle..ny)?;
         let upper = reader.read_rows::<f64>(0..middle)?;
@@ -42,7 +42,11 @@ fn whole_and_by_bands(case: &mut Case) {
     match (&whole, &bands) {
         (Some(whole), Some(bands)) => assert_eq!(whole.image().pixels(), bands),
         (None, None) => {}
-        _ => panic!("whole: {}, by bands: {}", whole.is_some(), bands.is_some()),
+        _ => panic!(
+            "the ways to read disagree: at once {}, by bands {}",
+            whole.is_some(),
+            bands.is_some()
+        ),
     }
 }
 
@@ -56,14 +60,15 @@ pub fn compressed(data: &[u8]) -> usize {
     case.reads()
 }
 
-/// Files compressed as a whole: spoilt gzip as it is, anything else after it has been compressed.
+/// Files compressed as a whole. Damaged gzip is read unchanged, and other data are compressed
+/// first.
 pub fn gzip(data: &[u8]) -> usize {
     let mut case = if data.starts_with(&[0x1f, 0x8b]) {
         Case::new("gzip", data)
     } else {
         let mut encoder = GzEncoder::new(Vec::new(), Compression::fast());
-        encoder.write_all(data).expect("vectors take everything");
-        Case::new("gzip", &encoder.finish().expect("vectors take everything"))
+        encoder.write_all(data).expect("writing to a Vec cannot fail");
+        Case::new("gzip", &encoder.finish().expect("writing to a Vec cannot fail"))
     };
     case.read(|path| detect(path));
     case.read(|path| read_header(path));

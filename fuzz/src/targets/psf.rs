@@ -39,7 +39,7 @@ pub fn model(data: &[u8]) -> usize {
     case.reads()
 }
 
-/// PSFEx models, and the PSF that they give.
+/// PSFEx models and their PSFs.
 pub fn psfex(data: &[u8]) -> usize {
     let mut case = Case::new("psfex", data);
     case.read(|path| read_psfex(path, Some(&HduChoice::Number(1))));

@@ -6,7 +6,7 @@ use psf_io::{
 
 use super::case::Case;
 
-/// A frame of half a degree about (10, 20) degrees.
+/// A frame of half a degree around (10, 20) degrees.
 fn frame() -> SkyCoordinates {
     let numbers = [
         ("CRPIX1", 500.5),
@@ -23,7 +23,7 @@ fn frame() -> SkyCoordinates {
     SkyCoordinates::from_header(&header).expect("a tangential projection")
 }
 
-/// Catalogues in text and FITS, by all sorts of options.
+/// Catalogues in text and FITS, with many options.
 pub fn catalog(data: &[u8]) -> usize {
     let mut case = Case::new("catalog", data);
     let columns = |text: &str| text.parse().expect("roles and columns");
