@@ -1,4 +1,4 @@
-"""The method of the paper: a global basis, and as many convolutions as it has modes."""
+"""The method of the paper: a global basis, with one convolution per mode."""
 
 from functools import cache
 
@@ -34,18 +34,21 @@ class Modes:
     @classmethod
     @cache
     def of(cls, inputs, count=100):
-        """The modes, made once for all methods that share the inputs."""
+        """The modes, computed once for all methods with these inputs."""
         return cls(inputs, count)
 
     def samples(self):
-        """The samples that the modes stand for, f64."""
+        """The samples as reconstructed from the modes, f64."""
         grid = self.grid.astype(np.float64).reshape(len(self.grid), -1)
         stamps = self.stamps.astype(np.float64).reshape(len(self.grid), -1)
         return (grid.T @ stamps).reshape(self.shape)
 
 
 def _leading(rows, count, extra=28, turns=4):
-    """The first right singular vectors of a matrix, `[count, column]`, by subspace iteration (Halko et al. 2011, algorithm 4.4)."""
+    """The first right singular vectors of a matrix, `[count, column]`.
+
+    By subspace iteration (Halko et al. 2011, algorithm 4.4).
+    """
     size = min(count + extra, *rows.shape)
     basis = np.random.default_rng(0).standard_normal((rows.shape[1], size))
     for _ in range(turns):
@@ -55,7 +58,7 @@ def _leading(rows, count, extra=28, turns=4):
 
 
 class WholeBasis:
-    """Each mode's light transformed over the whole frame, spectra summed, one inverse."""
+    """Transforms each mode's light over the whole frame, sums the spectra, transforms back once."""
 
     def __init__(self, inputs, modes, pool):
         self.inputs, self.modes, self.pool = inputs, modes, pool
@@ -108,7 +111,7 @@ class WholeBasis:
 
 
 class TiledBasis:
-    """The same in tiles: every mode in every tile, a few modes at a time so that they stay in the cache."""
+    """The method in tiles. Each tile uses a few modes at a time, so that they stay in the cache."""
 
     SIDE = 256
     TOGETHER = 4

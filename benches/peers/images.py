@@ -21,7 +21,7 @@ def load(args):
 
 
 def benchmark(args):
-    """Whether every method met its own model, and the rows of the table."""
+    """Returns whether every method agrees with its own model, and the rows of the table."""
     inputs = load(args)
     names = args.methods.split(",") if args.methods else list(METHODS)
     reference = Reference(inputs, args.pixels, args.seed + 1)
@@ -36,7 +36,7 @@ def benchmark(args):
     results = table.rows(entries, args.size, args.grid)
     ok = all(row["relative_l2_own_model"] <= RIGHT for row in results)
     unit = next((e.minimum for e in entries if e.method.name == "single"), None)
-    # psfield runs in a process of its own, after the peers: their plans must not crowd it out of memory.
+    # psfield runs in its own process after the peers are removed: their plans fill the memory.
     entries.clear()
     results += psfield.beside(args, unit)
     table.show(f"{args.size} x {args.size} pixels, {args.grid} x {args.grid} samples, {args.threads} threads", results)

@@ -1,6 +1,7 @@
-"""The scene and the PSF samples that every method is given, from files or drawn here.
+"""The scene and the PSF samples for every method, read from files or made here.
 
-Arrays are `[y, x]`, positions 0-based pixels, an integer is the centre of a pixel; a stamp's centre is at index `n / 2`.
+Arrays are `[y, x]`. Positions are 0-based pixels, with an integer at the centre of a pixel. A
+stamp's centre is at index `n / 2`.
 """
 
 from dataclasses import dataclass
@@ -14,14 +15,14 @@ STAMP = 64
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of the grid of samples, and where each pixel of the frame lies in it."""
+    """One axis of the grid of samples, and the place of each pixel of the frame in it."""
 
     nodes: np.ndarray
     """Positions of the samples, increasing, pixels."""
     cell: np.ndarray
-    """For each pixel, the index of the sample before it; the last cell includes its end."""
+    """For each pixel, the index of the sample before it. The last cell includes its end."""
     part: np.ndarray
-    """For each pixel, the fraction of the way to the next sample, 0 to 1 (beyond the grid: held at its edge)."""
+    """For each pixel, the fraction of the way to the next sample. 0 or 1 beyond the grid."""
 
     @classmethod
     def new(cls, nodes, pixels):
@@ -32,7 +33,10 @@ class Axis:
         return cls(nodes, cell, part)
 
     def weights(self, first, last, start, count):
-        """Hat functions of the samples `start .. start + count` at the pixels `first .. last`, `[sample, pixel]`, f32."""
+        """Hat functions, `[sample, pixel]`, f32.
+
+        Of the samples `start .. start + count` at the pixels `first .. last`.
+        """
         out = np.zeros((count, last - first), dtype=np.float32)
         columns = np.arange(last - first)
         before = self.cell[first:last] - start
@@ -51,7 +55,7 @@ def locate(nodes, positions):
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """What every method convolves: a scene and PSFs on a regular grid, bilinear between them."""
+    """The input of every method: a scene and PSFs on a regular grid, bilinear between them."""
 
     scene: np.ndarray
     """`[y, x]`, f32."""
@@ -70,7 +74,10 @@ class Inputs:
         return self.samples.reshape(-1, *self.samples.shape[2:])
 
     def psf_at(self, y, x, samples=None):
-        """The PSFs at the positions `y`, `x` (arrays of one length), `[position, v, u]`, in the precision of the samples."""
+        """The PSFs at positions, `[position, v, u]`, in the precision of the samples.
+
+        `y` and `x` are arrays of one length.
+        """
         samples = self.samples if samples is None else samples
         cell_y, part_y = locate(self.y.nodes, np.asarray(y, dtype=np.float64))
         cell_x, part_x = locate(self.x.nodes, np.asarray(x, dtype=np.float64))
@@ -83,7 +90,7 @@ class Inputs:
 
 
 def random_scene(size, seed):
-    """A scene in which every pixel is lit: exponential noise on a smooth background, `[y, x]`, f32."""
+    """Exponential noise on a smooth background, `[y, x]`, f32: light on every pixel."""
     rng = np.random.default_rng(seed)
     wave = np.sin(np.linspace(0, 7, size, dtype=np.float32))
     scene = rng.standard_exponential((size, size), dtype=np.float32)
@@ -92,9 +99,10 @@ def random_scene(size, seed):
 
 
 def optical_samples(grid):
-    """PSFs of an aperture whose astigmatism, coma and defocus change over the field, `[sample, v, u]`, f32, unit sum.
+    """PSFs of an aperture, `[sample, v, u]`, f32, unit sum.
 
-    The Fourier transform of a pupil with Zernike phase, intensity summed over 2 x 2 to one frame pixel.
+    Astigmatism, coma and defocus change over the field. The field is the Fourier transform of a
+    pupil with Zernike phase. The intensity is summed over 2 x 2 samples to one frame pixel.
     """
     n = 2 * STAMP
     v, u = np.indices((n, n)) - n // 2
@@ -108,7 +116,7 @@ def optical_samples(grid):
         terms = [0.5 + 0.6 * (fx * fx + fy * fy), 0.8 * (fx * fx - fy * fy), 1.6 * fx * fy, 0.5 * fx, 0.5 * fy]
         phase = sum(a * z for a, z in zip(terms, modes))
         field = np.fft.fftshift(np.fft.fft2(np.fft.ifftshift(pupil * np.exp(1j * phase))))
-        # The pair (2 i - 1, 2 i) makes pixel i, so that the peak at n / 2 falls in pixel n / 4.
+        # Samples 2 i - 1 and 2 i make pixel i, so that the peak at n / 2 is in pixel n / 4.
         intensity = np.roll(np.abs(field) ** 2, 1, axis=(0, 1))
         stamp = intensity.reshape(STAMP, 2, STAMP, 2).sum(axis=(1, 3))
         out[s] = stamp / stamp.sum()
@@ -116,27 +124,30 @@ def optical_samples(grid):
 
 
 def read_samples(path):
-    """The stamps of a file in the layout psf-samples on a regular grid, `[sample y, sample x, v, u]`, f32, and its axes y, x."""
+    """The stamps of a psf-samples file on a regular grid, and its axes y, x.
+
+    Stamps are `[sample y, sample x, v, u]`, f64.
+    """
     with fits.open(path) as file:
         cube = np.asarray(file[0].data, dtype=np.float64)
         header = file[0].header
         table = file["POSITIONS"].data
         px, py = np.asarray(table["X"], dtype=np.float64), np.asarray(table["Y"], dtype=np.float64)
     if header.get("OVERSAMP", 1.0) != 1.0:
-        raise ValueError(f"{path}: OVERSAMP = {header['OVERSAMP']}, the peers take stamps at frame pixels only")
+        raise ValueError(f"{path}: OVERSAMP = {header['OVERSAMP']}, the peers need stamps at frame pixels")
     for key, size in (("CENX", cube.shape[2]), ("CENY", cube.shape[1])):
         if header.get(key, size // 2) != size // 2:
             raise ValueError(f"{path}: {key} = {header[key]}, expected {size // 2}")
     xs, ys = np.unique(px), np.unique(py)
     if len(xs) * len(ys) != len(px):
-        raise ValueError(f"{path}: {len(px)} positions are no grid of {len(xs)} x {len(ys)}")
+        raise ValueError(f"{path}: {len(px)} positions do not form a grid of {len(xs)} x {len(ys)}")
     order = np.lexsort((px, py))
     cube = cube[order].reshape(len(ys), len(xs), *cube.shape[1:])
     return cube, ys, xs
 
 
 def write_samples(path, inputs):
-    """Writes the samples in the layout psf-samples."""
+    """Writes the samples as a psf-samples file."""
     ny, nx = inputs.samples.shape[:2]
     py, px = np.repeat(inputs.y.nodes, nx), np.tile(inputs.x.nodes, ny)
     primary = fits.PrimaryHDU(inputs.stamps)
@@ -147,15 +158,15 @@ def write_samples(path, inputs):
 
 
 def write_scene(work, scene):
-    """Leaves the scene for other programs."""
+    """Writes the scene for other programs, as `scene.fits` in the folder `work`."""
     fits.writeto(Path(work) / "scene.fits", scene, overwrite=True)
 
 
 def prepare(work, size, grid, seed, scene=None, samples=None):
-    """Makes the inputs and leaves them as `scene.fits` and `samples.fits` in the folder `work` for other programs.
+    """Makes the inputs and writes them as `scene.fits` and `samples.fits` in the folder `work`.
 
-    Samples of another frame are stretched to this one (first sample at pixel 0, last at `size - 1`) and scaled to unit sum, so
-    that a field is as hard at every size of frame.
+    Samples of another frame are stretched to this one (first sample at pixel 0, last at `size - 1`),
+    so that a field is equally difficult at every size of frame. They are scaled to unit sum.
     """
     work = Path(work)
     work.mkdir(parents=True, exist_ok=True)

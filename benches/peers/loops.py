@@ -1,6 +1,7 @@
-"""The loops that numpy would need several passes over memory for, compiled and free of the interpreter's lock.
+"""Compiled loops without the interpreter's lock. numpy would need several passes over memory.
 
-Every function works on single precision and on the arrays it is given; none allocates. Indices are `[y, x]`.
+Every function works in single precision on the given arrays and allocates nothing. Indices are
+`[y, x]`.
 """
 
 from numba import njit
@@ -12,7 +13,8 @@ _OPTIONS = {"nogil": True, "fastmath": True, "cache": True}
 def weigh(scene, y0, rows, x0, columns, wy, wx, out):
     """`out[b, j, i, l] = scene[y0 + i, x0[b] + l] wy[i] wx[b, j, l]`, and 0 beyond the tile.
 
-    Shapes: `x0`, `columns` `[b]`, `wy` `[side]`, `wx` `[b, nodes, side]`, `out` `[b, nodes, side, transform]`.
+    Shapes: `x0`, `columns` `[b]`, `wy` `[side]`, `wx` `[b, nodes, side]`,
+    `out` `[b, nodes, side, transform]`.
     """
     batch, nodes, side, width = out.shape
     for b in range(batch):
@@ -36,7 +38,10 @@ def weigh(scene, y0, rows, x0, columns, wy, wx, out):
 
 @njit(**_OPTIONS)
 def spread(lines, wy, out):
-    """`out[b, k, j, i, :] = wy[k, i] lines[b, j, i, :]`: a weight along y commutes with the transform along x."""
+    """`out[b, k, j, i, :] = wy[k, i] lines[b, j, i, :]`.
+
+    A weight along y commutes with the transform along x.
+    """
     batch, nodes, side, width = lines.shape
     for b in range(batch):
         for k in range(wy.shape[0]):
@@ -51,9 +56,10 @@ def spread(lines, wy, out):
 
 @njit(**_OPTIONS)
 def multiply_sum(light, spectra, index, out, keep):
-    """`out[b, k] = sum_c light[b, c, k] spectra[index[b, c], k]`, added to what is there if `keep`.
+    """`out[b, k] = sum_c light[b, c, k] spectra[index[b, c], k]`, added to `out` if `keep`.
 
-    Shapes: `light` `[b, components, 2 m]`, `spectra` `[kernels, 2 m]`, `out` `[b, 2 m]`: real and imaginary parts in turn.
+    Shapes: `light` `[b, components, 2 m]`, `spectra` `[kernels, 2 m]`, `out` `[b, 2 m]`, with
+    alternating real and imaginary parts.
     """
     batch, components, length = light.shape
     block = 2048
@@ -76,7 +82,10 @@ def multiply_sum(light, spectra, index, out, keep):
 
 @njit(**_OPTIONS)
 def add(patches, y0, rows, x0, columns, image):
-    """Adds `patches[b, :rows, :columns[b]]` to the image with its first pixel at `(y0, x0[b])`, cut at the frame."""
+    """Adds `patches[b, :rows, :columns[b]]` to the image, cut at the frame.
+
+    The first pixel of a patch lies at `(y0, x0[b])`.
+    """
     height, width = image.shape
     for b in range(patches.shape[0]):
         left = max(0, -x0[b])
@@ -90,10 +99,11 @@ def add(patches, y0, rows, x0, columns, image):
 
 @njit(**_OPTIONS)
 def weigh_bilinear(scene, y0, rows, x0, columns, grid, cell_y, part_y, cell_x, part_x, out):
-    """`out[k, i, l] = scene[y0 + i, x0 + l] a_k(x0 + l, y0 + i)`, the coefficients bilinear between those of the samples.
+    """`out[k, i, l] = scene[y0 + i, x0 + l] a_k(x0 + l, y0 + i)`, bilinear coefficients.
 
-    Shapes: `grid` `[k, sample y, sample x]`; `cell_y`, `part_y` `[frame y]`: the sample before each row and the fraction of the
-    way to the next; likewise for x; `out` `[k, >= rows, >= columns]`, of which only the tile is written.
+    Shapes: `grid` `[k, sample y, sample x]` holds the coefficients of the samples. `cell_y`,
+    `part_y` `[frame y]` hold the sample before each row and the fraction of the way to the next,
+    and likewise for x. Only the tile of `out` `[k, >= rows, >= columns]` is written.
     """
     for k in range(grid.shape[0]):
         for i in range(rows):
@@ -105,7 +115,7 @@ def weigh_bilinear(scene, y0, rows, x0, columns, grid, cell_y, part_y, cell_x, p
             line = out[k, i]
             l = 0
             while l < columns:
-                # One cell at a time: within it the coefficient is a straight line, without a look-up a pixel.
+                # Within a cell the coefficient is linear, so one look-up per cell is enough.
                 cell = cell_x[x0 + l]
                 end = l + 1
                 while end < columns and cell_x[x0 + end] == cell:

@@ -1,7 +1,8 @@
-"""The peers for images: each is a class with a plan (its constructor) and a run, and says what its image is exact for.
+"""The peers for images. The constructor of each class is its plan.
 
-`name`, `run() -> image`, `describe()`, and `own(reference)`: the values a double-precision sum over the method's own model gives at
-the reference's pixels. An image must meet them to rounding; what it differs from the true field by is the method's model error.
+Each has `name`, `run() -> image`, `describe()` and `own(reference)`. The latter returns the values
+of a double-precision sum over the method's own model at the reference's pixels. An image must agree
+with them to rounding. Its difference from the true field is the model error of the method.
 """
 
 import time
@@ -17,7 +18,7 @@ from transforms import lengths
 
 
 class Single:
-    """One PSF for the whole frame, `scipy.signal.fftconvolve`: the unit that the others are measured in."""
+    """One PSF for the whole frame, `scipy.signal.fftconvolve`: the unit of the ratios."""
 
     name = "single"
 
@@ -25,7 +26,7 @@ class Single:
         self.inputs, self.threads = inputs, pool.threads
         middle = (inputs.size - 1) / 2
         self.psf = inputs.psf_at([middle], [middle])[0]
-        # `mode="same"` takes index (n - 1) / 2 as the centre of the stamp; a row and a column of zeros make that n / 2.
+        # `mode="same"` centres the stamp at index (n - 1) / 2. Zeros at the end make it n / 2.
         self.kernel = np.pad(self.psf, [(0, 1 - n % 2) for n in self.psf.shape])
 
     def run(self):
@@ -40,15 +41,16 @@ class Single:
 
 
 class Cells:
-    """Exact: tiles of whole cells of the grid, or parts of one; a weighted forward transform for each sample around, one inverse.
+    """Exact: tiles of whole cells of the grid, or of parts of one.
 
-    The size is searched: candidates are ranked by the number of operations and the best timed on a part of the frame.
+    Each tile needs one weighted forward transform for each sample around, and one inverse. The plan
+    ranks sizes of tiles by the number of operations and times the best on a part of the frame.
     """
 
     name = "cells"
     TIMED = 5
     CACHES = (1e6, 2e6)
-    """Bytes that a batch of tiles may take."""
+    """Most bytes for a batch of tiles."""
 
     def __init__(self, inputs, pool):
         stamp = inputs.samples.shape[2]
@@ -61,7 +63,7 @@ class Cells:
                 if len(inputs.stamps) * length * (length // 2 + 1) * 8 <= MEMORY:
                     candidates[ty.side, length] = (_operations(ty, tx, length), ty, tx, length)
         if not candidates:
-            raise MemoryError("no size of tile keeps the spectra of the samples within memory")
+            raise MemoryError("the spectra of the samples exceed the memory for every size of tile")
         ranked = sorted(candidates.values(), key=lambda c: c[0])[: self.TIMED]
         choices = [(*sizes, cache) for _, *sizes in ranked for cache in self.CACHES]
         seconds = [_seconds_per_row(OverlapAdd(inputs, inputs.samples, ty, tx, length, pool, cache)) for ty, tx, length, cache in choices]
@@ -74,7 +76,7 @@ class Cells:
 
 
 def _operations(ty, tx, length):
-    """Operations of a frame up to a factor: transforms of rows and columns, and products."""
+    """Operations per frame, up to a factor: transforms of rows and columns, and products."""
     columns = length / 2 + 1
     components = ty.nodes * tx.nodes
     one = length * np.log2(length)
@@ -84,7 +86,10 @@ def _operations(ty, tx, length):
 
 
 def _seconds_per_row(plan, target=0.15):
-    """Processor time of a row of pixels, which other programs disturb less: the best of three turns of tiles spread over the frame."""
+    """Processor time per row of pixels: the best of three turns of tiles spread over the frame.
+
+    Other programs disturb it less than wall-clock time.
+    """
     count = len(plan.tile_y)
     rows = min(count, plan.pool.threads)
     best = np.inf
@@ -94,7 +99,7 @@ def _seconds_per_row(plan, target=0.15):
         plan.run(chosen)
         seconds = time.process_time() - start
         if turn == 0:
-            # The first turn only warms up and says how many rows fill the time.
+            # The first turn warms up and shows how many rows take `target` seconds.
             rows = min(count, max(rows, int(rows * target / seconds)))
             continue
         best = min(best, seconds / sum(plan.tile_y.length[row] for row in chosen))
@@ -117,7 +122,7 @@ class Hat:
 
 
 class Patch:
-    """One PSF for each square patch, that of its middle."""
+    """One PSF for each square patch: the PSF of its middle."""
 
     def __init__(self, inputs, pool, side):
         self.name, self.side, self.size = f"patch-{side}", side, inputs.size
@@ -138,7 +143,10 @@ class Patch:
 
 
 class Basis:
-    """The paper's method: `F = sum_k (a_k f) * B_k` with 100 modes of the mean-centred samples, over the whole frame or in tiles."""
+    """The paper's method: `F = sum_k (a_k f) * B_k` with 100 modes of the mean-centred samples.
+
+    It transforms the whole frame, or tiles of it.
+    """
 
     def __init__(self, inputs, pool, tiled):
         self.name = "basis-tiled" if tiled else "basis"

@@ -1,7 +1,8 @@
-"""Overlap-add in tiles: each tile's light, weighted, times the spectra of its kernels, summed, back once, added to the image.
+"""Overlap-add in tiles, `F = sum_tiles sum_c h_c * (w_c f)`.
 
-`F = sum_tiles sum_c h_c * (w_c f)`: cells of the grid (`c` runs over the samples around), hat functions and patches (one `c`) differ
-in the tiling alone.
+The weighted light of a tile is transformed and multiplied by the spectra of the tile's kernels.
+The sum is transformed back once and added to the image. Cells of the grid (`c` runs over the
+samples around), hat functions and patches (one `c`) differ only in the tiling.
 """
 
 from dataclasses import dataclass
@@ -13,18 +14,19 @@ from pool import RowLocks
 from transforms import EFFORT, Forward, Inverse, Rows, as_reals, kernel_spectra
 
 MEMORY = 1.5e9
-"""Bytes that the spectra of the kernels may take; above it they are made anew for each tile."""
+"""Most bytes for the spectra of the kernels. Above it, each tile makes its spectra again."""
 CACHE = 1.0e6
-"""Bytes of working memory a batch of tiles is kept within: the second-level cache."""
+"""Most bytes of working memory for a batch of tiles, the size of the second-level cache."""
 
 
 class OverlapAdd:
     """A plan: the tiling, the kernels' spectra, and each thread's buffers and transforms."""
 
     def __init__(self, inputs, kernels, tile_y, tile_x, length, pool, cache=CACHE, effort=EFFORT):
-        """`kernels` is `[index y, index x, v, u]`; `length` of the transform at least the tile's side + the stamp's - 1.
+        """Plans for kernels `[index y, index x, v, u]`.
 
-        `cache` is the number of bytes that a batch of tiles is kept within, `effort` FFTW's in planning.
+        `length` of the transform is at least the tile's side + the stamp's - 1. `cache` is the most
+        bytes for a batch of tiles, `effort` that of FFTW in planning.
         """
         self.scene = inputs.scene
         self.stamp = kernels.shape[2:]
@@ -48,7 +50,7 @@ class OverlapAdd:
     def _job(self, row, first):
         ty, tx, (height, width) = self.tile_y, self.tile_x, self.stamp
         last = min(first + self.batch, len(tx))
-        # The last batch of a row may be short; it is filled up with the tiles before it, which are not added.
+        # A short last batch of a row is filled up with the tiles before it. These are not added.
         begin = max(0, last - self.batch)
         tiles = slice(begin, last)
         index = (ty.kernel[row][:, None] * self.kernels_x + tx.kernel[tiles][:, None, :]).reshape(last - begin, -1)
@@ -57,14 +59,14 @@ class OverlapAdd:
         return _Job(row, light, (top, ty.length[row] + height - 1, left, tx.length[first:last] + width - 1))
 
     def run(self, rows=None):
-        """The image, in a buffer that the next run uses again; `rows` limits it to some rows of tiles."""
+        """The image, in a buffer that the next run overwrites. `rows` selects rows of tiles."""
         self.image.fill(0)
         jobs = self.jobs if rows is None else [job for job in self.jobs if job.row in rows]
         self.pool.each(jobs, self._tiles)
         return self.image
 
     def _tiles(self, thread, job):
-        """A batch of tiles side by side."""
+        """Convolves a batch of neighbouring tiles of a row."""
         work = self.workers[thread]
         y0, height, x0, width, wy, wx, index, skip = job.light
         if work.rows is None:
@@ -92,17 +94,23 @@ class OverlapAdd:
 
 @dataclass(frozen=True)
 class _Job:
-    """A batch of tiles side by side, as the loops want it: worked out once, since the interpreter is what threads wait for."""
+    """Arguments of the loops for a batch of neighbouring tiles of a row.
+
+    They are computed in the plan, since threads would wait for the interpreter.
+    """
 
     row: int
     light: tuple
-    """First row and rows, first columns and columns, weights along y and x, kernels `[tile, component]`, tiles to leave out."""
+    """First row, rows, first columns, columns, weights along y and x, kernels, tiles to skip.
+
+    Kernels are `[tile, component]`.
+    """
     result: tuple
-    """First row and rows, first columns and columns of the tiles to add."""
+    """First row, rows, first columns and columns of the tiles to add."""
 
 
 class _Buffers:
-    """One thread's."""
+    """The buffers and transforms of one thread."""
 
     def __init__(self, plan, effort):
         batch, length, half = plan.batch, plan.length, plan.half

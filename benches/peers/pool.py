@@ -1,4 +1,4 @@
-"""Jobs that differ in length, spread over threads that keep to their own part of the image while they can."""
+"""Threads for jobs of unequal length. Each stays in its own part of the image while it can."""
 
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
@@ -6,14 +6,17 @@ from threading import Lock
 
 
 class Pool:
-    """Threads that outlive the runs, since starting them would count."""
+    """Threads that stay alive between runs, so that their start is not timed."""
 
     def __init__(self, threads):
         self.threads = threads
         self._executor = ThreadPoolExecutor(threads)
 
     def each(self, jobs, work):
-        """Calls `work(thread, job)` for all jobs; each thread begins with its own stretch of the list, then helps the others."""
+        """Calls `work(thread, job)` for all jobs.
+
+        Each thread begins with its own part of the list, then takes jobs from the longest queue.
+        """
         share = -(-len(jobs) // self.threads)
         queues = [deque(jobs[k * share : (k + 1) * share]) for k in range(self.threads)]
 
@@ -33,21 +36,21 @@ class Pool:
 
 
 class RowLocks:
-    """Locks on stripes of an image, so that patches which overlap can be added by several threads."""
+    """Locks on stripes of an image, so that several threads can add patches that overlap."""
 
     def __init__(self, rows, stripe=64):
         self._stripe = stripe
         self._locks = [Lock() for _ in range(-(-rows // stripe))]
 
     def hold(self, first, last):
-        """The lock of the rows `first .. last`, a context."""
+        """A context that locks the rows `first .. last`."""
         first = max(0, first) // self._stripe
         last = min(max(0, last - 1) // self._stripe, len(self._locks) - 1)
         return _Held(self._locks[first : last + 1])
 
 
 class _Held:
-    """Locks taken in order, which excludes a deadlock."""
+    """Takes locks in order, which excludes a deadlock."""
 
     def __init__(self, locks):
         self._locks = locks

@@ -1,4 +1,4 @@
-"""psfield on the same files, through its command line: the only module that knows what `psfield bench` writes."""
+"""Runs psfield's command line on the same files and reads the output of `psfield bench`."""
 
 import json
 import subprocess
@@ -14,25 +14,25 @@ def offers_bench(binary):
 
 
 def beside(args, unit, method="lowrank"):
-    """psfield's rows for the files in the working folder, or none and a line that says why."""
+    """psfield's rows for the files in the working folder. Prints the reason if there are none."""
     if not args.psfield:
         print("psfield: skipped, no --psfield")
         return []
     if not offers_bench(args.psfield):
-        print(f"psfield: skipped, {args.psfield} has no command bench")
+        print(f"psfield: skipped, {args.psfield} has no command `bench`")
         return []
     files = args.work / "scene.fits", args.work / "samples.fits"
     return bench(args.psfield, *files, args.threads, args.tolerances.split(","), unit, method)
 
 
 def bench(binary, scene, samples, threads, tolerances, unit, method):
-    """Rows of the table, one a tolerance; `unit` is the time of `single`, seconds, or nothing."""
+    """Rows of the table, one per tolerance. `unit` is the time of `single` (s) or `None`."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "bench.json"
         command = [binary, "bench", "--scene", scene, "--psf", samples, "--methods", method, "--tolerances", ",".join(tolerances)]
         subprocess.run([*command, "--threads", str(threads), "--json", out], check=True, stdout=subprocess.DEVNULL)
         found = json.loads(out.read_text())["rows"]
-    # psfield's own single PSF comes along as the unit of its own ratios.
+    # The row without a tolerance is psfield's own single PSF, the unit of its ratios.
     return [_row(entry, unit) for entry in found if entry["tolerance"] is not None]
 
 
@@ -54,6 +54,6 @@ def _row(entry, unit):
 
 
 def sample(binary, preset, grid, out):
-    """Draws one of psfield's own telescopes on a uniform grid."""
+    """Samples one of psfield's telescopes on a uniform grid."""
     command = [binary, "sample", "--preset", preset, "--uniform", f"{grid},{grid}", "-o", out, "--overwrite", "-q"]
     subprocess.run(command, check=True)

@@ -1,10 +1,10 @@
-"""The truth that every method is checked on: `F(y) = sum_x f(x) h(y - x; x)` as a plain sum in double precision."""
+"""The truth for every method: the plain sum `F(y) = sum_x f(x) h(y - x; x)` in double precision."""
 
 import numpy as np
 
 
 class Reference:
-    """Random pixels of the frame (and its corners) at which images are compared."""
+    """The pixels at which images are compared: random pixels of the frame, and its corners."""
 
     def __init__(self, inputs, pixels, seed):
         rng = np.random.default_rng(seed)
@@ -17,7 +17,8 @@ class Reference:
     def direct(self, samples=None, snap=None):
         """The sum at each pixel, f64.
 
-        `samples` replaces the PSFs; `snap` maps source positions (an integer array) to the positions whose PSF they get.
+        `samples` replaces the PSFs. `snap` maps source positions (an integer array) to the positions
+        whose PSF they get.
         """
         inputs = self.inputs
         samples = (inputs.samples if samples is None else samples).astype(np.float64)
@@ -41,7 +42,7 @@ class Reference:
         return values
 
     def error(self, image, values=None):
-        """Relative L2 error of an image at the pixels, against the truth or other `values` of [`direct`]."""
+        """Relative L2 error of an image at the pixels, against the truth or `values`."""
         values = self.truth if values is None else values
         found = image[self.pixels[:, 0], self.pixels[:, 1]].astype(np.float64)
         return float(np.linalg.norm(found - values) / np.linalg.norm(values))
@@ -57,7 +58,7 @@ def exact_psf(inputs, samples, y, x):
 
 
 def _fraction(nodes, positions):
-    """Written apart from the code it checks."""
+    """Cell and fraction, implemented independently of the code that this module checks."""
     cell = np.zeros(len(positions), dtype=int)
     for k in range(1, len(nodes) - 1):
         cell[positions >= nodes[k]] = k

@@ -1,6 +1,6 @@
-"""Times peer methods of convolution with a PSF that varies over the field, checks each, and psfield beside them.
+"""Times and checks psfield and peer methods for convolution with a PSF that varies over the field.
 
-See README.md beside this file.
+README.md in this folder describes them.
 """
 
 import argparse
@@ -17,14 +17,14 @@ def arguments():
     parser.add_argument("--grid", type=int, default=71, help="PSF samples along each axis (default 71)")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeat", type=int, default=3, help="timed runs of each method (default 3)")
-    parser.add_argument("--methods", help="separated by commas (default: all but where --stars chooses those for stars)")
+    parser.add_argument("--methods", help="names separated by commas (default: all, with --stars all for stars)")
     parser.add_argument("--stars", action="store_true", help="2916 one-pixel stars instead of a scene")
-    parser.add_argument("--scene", type=Path, help="FITS image of size x size pixels (default: drawn from --seed)")
-    parser.add_argument("--samples", type=Path, help="psf-samples file on a regular grid (default: drawn here)")
-    parser.add_argument("--preset", help="have psfield draw the samples of this telescope, for instance survey-2m")
-    parser.add_argument("--psfield", help="the program psfield, to be timed on the same files")
-    parser.add_argument("--tolerances", default="1e-3,1e-6", help="of psfield (default 1e-3,1e-6)")
-    parser.add_argument("--pixels", type=int, default=300, help="random pixels of the check (default 300)")
+    parser.add_argument("--scene", type=Path, help="FITS image of size x size pixels (default: random, from --seed)")
+    parser.add_argument("--samples", type=Path, help="psf-samples file on a regular grid (default: made here)")
+    parser.add_argument("--preset", help="psfield samples this telescope, for instance survey-2m")
+    parser.add_argument("--psfield", help="path of the program psfield, timed on the same files")
+    parser.add_argument("--tolerances", default="1e-3,1e-6", help="tolerances of psfield (default 1e-3,1e-6)")
+    parser.add_argument("--pixels", type=int, default=300, help="number of random pixels to check (default 300)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--work", type=Path, default=Path("peers-work"), help="folder for scene.fits and samples.fits")
     parser.add_argument("--json", type=Path)
@@ -37,9 +37,10 @@ def arguments():
 
 
 def settle(threads):
-    """Starts this program again with the environment that fast runs need, which is read before Python gets to set it.
+    """Starts this program again with the environment that fast runs need.
 
-    Memory that is freed stays with the process (glibc): to have fresh pages for every temporary array doubles the time of
+    Libraries read these variables before Python can set them. With them, freed memory stays with
+    the process (glibc). Fresh pages for every temporary array would double the time of
     `fftconvolve` on large frames, and more on a virtual machine.
     """
     wanted = {f"{library}_NUM_THREADS": str(threads) for library in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
@@ -59,7 +60,7 @@ def main():
     if args.json:
         args.json.write_text(json.dumps(results, indent=1) + "\n")
     if not ok:
-        sys.exit("a method does not give what its own model gives: its time means nothing")
+        sys.exit("the image of a method differs from its own model, so its time is not valid")
 
 
 if __name__ == "__main__":

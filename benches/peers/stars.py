@@ -23,7 +23,7 @@ COUNT = 2916
 
 
 class Matrix:
-    """Coefficients `[star, mode]` times basis `[mode, pixel]`, then each stamp is added to the image."""
+    """Multiplies coefficients `[star, mode]` by the basis `[mode, pixel]` and adds each stamp."""
 
     name = "matrix"
 
@@ -61,10 +61,10 @@ class Matrix:
 
 
 class GalSim:
-    """An `InterpolatedImage` a star.
+    """One `InterpolatedImage` per star.
 
-    Stars lie on pixels, so nearest-neighbour interpolation gives the stamp itself and is the fastest; the scales that drawing in
-    Fourier space would need are not computed.
+    Stars lie on pixels, so nearest-neighbour interpolation gives the stamp itself and is the
+    fastest. The scales for drawing in Fourier space are not computed.
     """
 
     name = "galsim"
@@ -80,7 +80,7 @@ class GalSim:
         height, width = stamps.shape[1:]
         for star in range(len(y)):
             left, bottom = int(x[star]) - width // 2, int(y[star]) - height // 2
-            # Drawn into its own part of the image, which ends at the frame.
+            # The star's part of the image, cut at the frame.
             bounds = galsim.BoundsI(left, left + width - 1, bottom, bottom + height - 1) & self.image.bounds
             profile = galsim.InterpolatedImage(
                 galsim.ImageF(stamps[star], xmin=-(width // 2), ymin=-(height // 2)),
@@ -99,7 +99,7 @@ class GalSim:
         return self.image.array
 
     def describe(self):
-        return "InterpolatedImage a star, nearest, no_pixel"
+        return "one InterpolatedImage per star, nearest, no_pixel"
 
     def own(self, inputs, catalogue):
         return truth(inputs, catalogue)
@@ -114,7 +114,7 @@ class Photutils:
         y, x, flux = catalogue
         nx, ny = len(inputs.x.nodes), len(inputs.y.nodes)
         positions = list(zip(np.tile(inputs.x.nodes, ny), np.repeat(inputs.y.nodes, nx)))
-        # Its origin is the middle, (n - 1) / 2: a row and a column of zeros move that to n / 2.
+        # The model's origin is (n - 1) / 2. A row and a column of zeros move it to n / 2.
         stamps = np.pad(inputs.stamps, [(0, 0), *((0, 1 - n % 2) for n in inputs.stamps.shape[1:])])
         self.model = GriddedPSFModel(NDData(stamps, meta={"grid_xypos": positions, "oversampling": 1}))
         self.table = Table({"x_0": x.astype(float), "y_0": y.astype(float), "flux": flux.astype(float)})
@@ -141,7 +141,7 @@ def draw_catalogue(size, seed):
 
 
 def truth(inputs, catalogue, samples=None):
-    """The whole image, f64: every star's PSF in double precision."""
+    """The exact image, f64, from every star's PSF in double precision."""
     samples = (inputs.samples if samples is None else samples).astype(np.float64)
     y, x, flux = catalogue
     height, width = samples.shape[2:]
@@ -155,7 +155,7 @@ def truth(inputs, catalogue, samples=None):
 
 
 def benchmark(args):
-    """Whether every method met its own model, and the rows of the table."""
+    """Returns whether every method agrees with its own model, and the rows of the table."""
     inputs = images.load(args)
     catalogue = draw_catalogue(args.size, args.seed)
     scene = np.zeros_like(inputs.scene)

@@ -2,7 +2,7 @@
 
 
 def rows(entries, size, grid):
-    """One dictionary a method, as they go to JSON."""
+    """One dictionary per method, as written to JSON."""
     unit = next((e.minimum for e in entries if e.method.name == "single"), None)
     out = []
     for entry in entries:

@@ -1,4 +1,4 @@
-"""How an axis of the frame is cut into pieces, and the weights that each piece gets: cells of the grid, hat functions, patches."""
+"""Pieces of an axis of the frame and their weights: cells of the grid, hat functions, patches."""
 
 from dataclasses import dataclass
 
@@ -7,16 +7,16 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Tiling:
-    """Pieces of one axis. The tiles of the image are all pairs of a piece along y and one along x."""
+    """Pieces of one axis. Each pair of a piece along y and a piece along x is a tile."""
 
     start: np.ndarray
     """First pixel of each piece, `[piece]`."""
     length: np.ndarray
-    """Pixels of each piece."""
+    """Number of pixels of each piece."""
     kernel: np.ndarray
     """Indices of the kernels along this axis that a piece uses, `[piece, node]`."""
     weight: np.ndarray
-    """Weight of each of them at each pixel, `[piece, node, pixel]`, f32, zero beyond the piece."""
+    """Weight of each kernel at each pixel, `[piece, node, pixel]`, f32, zero beyond the piece."""
 
     @property
     def side(self):
@@ -31,7 +31,7 @@ class Tiling:
 
     @classmethod
     def _of(cls, pieces):
-        """From a list of (first, last, kernels, weights)."""
+        """Makes a tiling from a list of (first, last, kernels, weights)."""
         side = max(last - first for first, last, _, _ in pieces)
         nodes = max(len(kernels) for _, _, kernels, _ in pieces)
         kernel = np.zeros((len(pieces), nodes), dtype=np.int64)
@@ -45,7 +45,7 @@ class Tiling:
 
     @classmethod
     def cells(cls, axis, together=1, split=1):
-        """Pieces of `together` cells of the grid side by side, or of a cell cut into `split` parts; exact."""
+        """Exact: pieces of `together` neighbouring cells, or `split` parts of a cell."""
         pixels = len(axis.cell)
         bounds = np.searchsorted(axis.cell, np.arange(len(axis.nodes)))
         bounds[0], bounds[-1] = 0, pixels
@@ -62,7 +62,7 @@ class Tiling:
 
     @classmethod
     def hats(cls, axis):
-        """One piece a sample: the support of its hat function; exact."""
+        """Exact: one piece per sample, the support of its hat function."""
         pixels = len(axis.cell)
         pieces = []
         for k in range(len(axis.nodes)):

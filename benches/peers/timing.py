@@ -1,4 +1,4 @@
-"""Plans once, then runs all methods in turn, so that a machine that slows down does so for all of them."""
+"""Plans once, then runs all methods in turn, so that a slow phase of the machine affects all."""
 
 import time
 from dataclasses import dataclass, field
@@ -6,18 +6,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 RIGHT = 3e-6
-"""Largest relative L2 difference of an image from its own model: single precision, with room for long sums."""
+"""Largest relative L2 difference of an image from its own model, in single precision."""
 
 
 @dataclass
 class Timed:
-    """A method, what its plan took and what each of its runs took, seconds."""
+    """A method with the times of its plan and of each run, in seconds."""
 
     method: object
     prepare: float
     seconds: list = field(default_factory=list)
     processor: list = field(default_factory=list)
-    """Processor time of each run, all threads together: steadier than the clock where other programs run."""
+    """Processor time of each run, summed over threads. Other programs disturb it less."""
     error: float = np.nan
     """Relative L2 error to the truth."""
     own_error: float = np.nan
@@ -41,7 +41,10 @@ def plan(name, make):
 
 
 def in_turn(entries, repeat, check):
-    """`check(entry, image)` sees the image of the first round, which warms up and is not timed."""
+    """Runs all methods `repeat` times, after a first round that is not timed.
+
+    `check(entry, image)` gets the image of the first round.
+    """
     for entry in entries:
         check(entry, entry.method.run())
     for _ in range(repeat):

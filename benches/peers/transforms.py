@@ -1,17 +1,21 @@
-"""Transforms of padded tiles with FFTW: of real tiles whose light fills only the first rows and columns, and back.
+"""Transforms of padded real tiles with FFTW, and back.
 
-Rows without light are not transformed, nor rows that the result does not have.
+The light of a tile fills only its first rows and columns. Rows without light and rows beyond the
+result are not transformed.
 """
 
 import numpy as np
 import pyfftw
 
 EFFORT = "FFTW_MEASURE"
-"""What FFTW may spend on planning; `FFTW_PATIENT` gains up to a tenth and takes seconds."""
+"""FFTW's effort in planning. `FFTW_PATIENT` is up to a tenth faster but plans for seconds."""
 
 
 def lengths(at_least):
-    """Two transform lengths from `at_least` up: the next product of 2, 3 and 5 divisible by 4, and by 16."""
+    """Two transform lengths: products of 2, 3 and 5, divisible by 4 and by 16.
+
+    Each is the smallest that is not below `at_least`.
+    """
     return sorted({_smooth(at_least, 4), _smooth(at_least, 16)})
 
 
@@ -28,9 +32,10 @@ def _smooth(at_least, step):
 
 
 class Forward:
-    """`[count, rows, length]` real to `[count, length, length / 2 + 1]`, zeros below `rows`.
+    """Real `[count, rows, length]` to `[count, length, length / 2 + 1]`, zeros below `rows`.
 
-    `real` holds the input, `lines` the rows' transforms (`[count, length, ...]`, of which the first `rows` are used), `spectrum` the result.
+    `real` holds the input, `spectrum` the result. `lines` holds the transforms of the rows,
+    `[count, length, ...]`, of which the first `rows` are used.
     """
 
     def __init__(self, count, rows, length, effort=EFFORT):
@@ -39,7 +44,7 @@ class Forward:
         self.lines = pyfftw.zeros_aligned((count, length, half), "complex64")
         self.spectrum = pyfftw.empty_aligned((count, length, half), "complex64")
         top = self.lines[:, :rows]
-        # Planning overwrites the arrays; the rows below the light must stay zero, so they are cleared after it.
+        # Planning overwrites the arrays. They are cleared, since rows below the light must be 0.
         self._rows = pyfftw.FFTW(self.real, top, axes=(2,), flags=(effort,))
         self._columns = pyfftw.FFTW(self.lines, self.spectrum, axes=(1,), flags=(effort,))
         self.real[:] = 0
@@ -57,7 +62,7 @@ class Forward:
 
 
 class Rows:
-    """The transform of rows alone: `[count, length]` real to `[count, length / 2 + 1]`."""
+    """Transforms only rows: real `[count, length]` to `[count, length / 2 + 1]`."""
 
     def __init__(self, count, length, effort=EFFORT):
         self.real = pyfftw.zeros_aligned((count, length), "float32")
@@ -70,7 +75,10 @@ class Rows:
 
 
 class Inverse:
-    """`[count, length, length / 2 + 1]` back to the first `rows` rows, `[count, rows, length]`; not scaled."""
+    """`[count, length, length / 2 + 1]` back to the first `rows` rows, without scaling.
+
+    The result is `[count, rows, length]`.
+    """
 
     def __init__(self, count, rows, length, effort=EFFORT):
         half = length // 2 + 1
@@ -87,7 +95,10 @@ class Inverse:
 
 
 def kernel_spectra(stamps, length):
-    """Spectra of `[kernel, v, u]`, scaled so that the way there and back needs no other factor, `[kernel, length, length / 2 + 1]`."""
+    """Spectra of `[kernel, v, u]`, `[kernel, length, length / 2 + 1]`.
+
+    They are scaled so that a forward and an inverse transform need no other factor.
+    """
     count, rows, columns = stamps.shape
     batch = max(1, min(count, 4 * 10**6 // length**2))
     forward = Forward(batch, rows, length)
@@ -102,5 +113,5 @@ def kernel_spectra(stamps, length):
 
 
 def as_reals(spectra):
-    """Complex `[..., y, x]` as real and imaginary parts in turn, `[..., 2 y x]`, without a copy."""
+    """Complex `[..., y, x]` as alternating real and imaginary parts, `[..., 2 y x]`, not copied."""
     return spectra.view(np.float32).reshape(*spectra.shape[:-2], -1)

@@ -1,10 +1,11 @@
-"""Time `Plan.simulate` and the same call of the Rust library, in turns.
+"""Time `Plan.simulate` and the same call of the Rust library in turn.
 
 Usage: python benches/python/simulate.py MODEL.fits [SIZE] [TOLERANCE] [ROUNDS]
 
 First install the package and run ``cargo build --release -p psfield --example time_simulation``.
 MODEL.fits is a model of ``psfield fit`` over a field of at least SIZE x SIZE pixels. The program
-prints the median ratio of the times, the peak memory of this process and the memory it needs.
+prints the median ratio of the times, the peak memory of this process, and the memory of the scene,
+the image and the plan.
 """
 
 from __future__ import annotations

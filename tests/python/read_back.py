@@ -1,9 +1,9 @@
-"""Reads a PSFEx model by GalSim and a gridded library by photutils, and compares with what psfield says their stamps are.
+"""Compares stamps of a PSFEx model (GalSim) and a gridded library (photutils) with psfield's.
 
 Usage: read_back.py MODEL.psf MODEL_STAMPS.fits LIBRARY.fits LIBRARY_STAMPS.fits
 
-The stamps are PSF samples: a cube and a table POSITIONS (0-based pixels), values not scaled. Prints the largest error over the peak
-of each, as JSON: {"galsim": ..., "photutils": ...}.
+The stamps are PSF samples: a cube and a table POSITIONS (0-based pixels), values not scaled.
+Prints the largest error over the peak of each, as JSON: {"galsim": ..., "photutils": ...}.
 """
 
 import json
@@ -30,7 +30,7 @@ def by_galsim(path, stamps):
     truth, x, y, header = samples(stamps)
     model = galsim.des.DES_PSFEx(path)
     assert abs(model.getSampleScale() * header["OVERSAMP"] - 1) < 1e-12
-    # FITS pixels count from 1. GalSim's reference point is the middle of the array: so is psfield's.
+    # FITS pixels count from 1. GalSim's reference point is the middle of the array, as psfield's.
     assert header["CENX"] == (truth.shape[2] - 1) / 2 and header["CENY"] == (truth.shape[1] - 1) / 2
     found = [model.getPSFArray(galsim.PositionD(px + 1, py + 1)) for px, py in zip(x, y, strict=True)]
     return largest_error(found, truth)
