@@ -165,8 +165,9 @@ def write_scene(work, scene):
 def prepare(work, size, grid, seed, scene=None, samples=None):
     """Makes the inputs and writes them as `scene.fits` and `samples.fits` in the folder `work`.
 
-    Samples of another frame are stretched to this one (first sample at pixel 0, last at `size - 1`),
-    so that a field is equally difficult at every size of frame. They are scaled to unit sum.
+    Samples of another frame are stretched to this one (first sample at pixel 0, last at
+    `size - 1`), so that a field is equally difficult at every size of frame. They are scaled to
+    unit sum.
     """
     work = Path(work)
     work.mkdir(parents=True, exist_ok=True)

@@ -17,8 +17,8 @@ class Reference:
     def direct(self, samples=None, snap=None):
         """The sum at each pixel, f64.
 
-        `samples` replaces the PSFs. `snap` maps source positions (an integer array) to the positions
-        whose PSF they get.
+        `samples` replaces the PSFs. `snap` maps source positions (an integer array) to the
+        positions whose PSF they get.
         """
         inputs = self.inputs
         samples = (inputs.samples if samples is None else samples).astype(np.float64)
