@@ -52,13 +52,13 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
     };
     let degree = degree.or(own_degree).ok_or_else(|| {
         const NEEDED: &str =
-            "the source is not a polynomial whose degree could be taken: choose a total degree in x and y, 0 to 10";
+            "the source is not a polynomial, so that it has no degree to take over: choose a total degree in x and y, 0 to 10";
         PsfieldError::of_setting("degree", NEEDED)
     })?;
     if !psf.grid().pixel_response_included() {
         let message = format!(
-            "{FORMAT} cannot hold stamps without the pixel response, which those of PSFEx are meant to include: if the \
-             response is in the stamps, declare it"
+            "{FORMAT} cannot hold stamps without the pixel response, because stamps of PSFEx include it. If the \
+             stamps do hold it, declare so"
         );
         return Err(PsfieldError::new(ErrorKind::Format, message).with_setting("pixel_response_included"));
     }

@@ -30,7 +30,7 @@ pub enum SamplesAt {
 ///
 /// # Errors
 /// [`ErrorKind::Format`] for a grid over a PSF that is known only at one position or along a line,
-/// and the errors of the fit and of [`evaluate`].
+/// and the errors of the fit and of [`Psf::evaluate`].
 pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError> {
     let positions = match (at, psf.samples()) {
         (SamplesAt::Own, Some((samples, options))) => {
