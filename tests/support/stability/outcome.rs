@@ -1,6 +1,6 @@
 //! Outcomes of measurements.
 
-use psfield::PsfieldError;
+use psfield::{PsfieldError, error_text};
 
 /// A measured result and its limit.
 #[derive(Debug, Clone, PartialEq)]
@@ -34,7 +34,7 @@ impl Cell {
         Self(match got {
             Ok(got) => Outcome::Error { got, limit },
             Err(error) => Outcome::Refused {
-                message: whole_message(&error),
+                message: error_text(&error),
                 expected: None,
             },
         })
@@ -46,7 +46,7 @@ impl Cell {
             // A success fails this limit, whatever its error.
             Ok(got) => Outcome::Error { got, limit: -1.0 },
             Err(error) => Outcome::Refused {
-                message: whole_message(&error),
+                message: error_text(&error),
                 expected: Some(words),
             },
         })
@@ -78,17 +78,6 @@ impl Cell {
             Outcome::NotApplicable(_) => None,
         }
     }
-}
-
-/// An error and all its causes.
-fn whole_message(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(next) = cause {
-        text = format!("{text}: {next}");
-        cause = next.source();
-    }
-    text
 }
 
 #[cfg(test)]
