@@ -65,7 +65,7 @@ fn catalogues_that_do_not_suit() {
     let simulate = |options: &str| format!("simulate --psf fine.fits {SHAPE} -o x.fits {options}");
     for (options, needles) in [
         ("--catalog mags.csv", &["mags.csv", "--zero-point"][..]),
-        ("--catalog bad.csv", &["bad.csv", "line 3", "y is"]),
+        ("--catalog bad.csv", &["bad.csv", "line 3, column \"y\""]),
         ("--catalog sky.csv", &["sky.csv", "sky coordinates"]),
         ("--catalog galaxy.csv", &["galaxy.csv", "line 2", "index"]),
         ("--catalog stars.csv --columns x=XX,y=y", &["stars.csv", "XX"]),

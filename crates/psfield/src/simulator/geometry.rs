@@ -6,7 +6,7 @@ use psf_types::{
     DataError, FrameShape, Image, ImageView, PixelRegion, Position, SersicProfile, SersicSource,
 };
 
-use crate::{PsfieldError, SimulateOptions};
+use crate::{ErrorKind, PsfieldError, SimulateOptions};
 
 /// How scenes of one shape lie on the frame.
 ///
@@ -47,7 +47,7 @@ impl Geometry {
                     "the scene is {shape} pixels, which is not a multiple of {s} pixels along each side of a frame pixel: \
                      cut the scene, or choose a part of it with a frame"
                 );
-                return Err(PsfieldError::of_setting("oversample", message));
+                return Err(PsfieldError::new(ErrorKind::Data, message).with_setting("frame"));
             }
         };
         let whole = frame.shape();
