@@ -229,7 +229,7 @@ impl fmt::Display for SimulationWarning {
             ),
             Self::StarsBetweenPixels => f.write_str(
                 "stars lie between pixels, and the PSF stamps are not oversampled (or less than twice): they are interpolated, which is wrong by \
-                 percents where the PSF is under-sampled; the spot check does not see that",
+                 percents where the PSF is under-sampled. The spot check does not see that",
             ),
             Self::BlurredGalaxies { count } => write!(
                 f,
