@@ -51,7 +51,7 @@ fn a_basis_trained_on_shifts_represents_shifted_psfs_better() {
     let svd = Svd::new().with_rank(RankSelection::Fixed(20));
     let plain = svd.fit(&samples).unwrap();
     let trained = svd.fit_augmented(&samples, shifted(1).view()).unwrap();
-    // Judged on shifts that neither has seen, one for each sample.
+    // Both bases are judged on shifts that neither was trained on, one for each sample.
     let unseen = shifted(2).slice(ndarray::s![..;3, .., ..]).to_owned();
     let positions: SamplePositions = samples.positions().clone();
     let unseen = PsfSamples::new(unseen, positions, samples.grid()).unwrap();

@@ -16,13 +16,14 @@ use psfield::{FitOptions, SpotCheck};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-/// A few hundred transforms and products in double precision.
+/// Rounding of a few hundred transforms and products in double precision.
 const ROUNDING: f64 = 1e-13;
-/// The fast engine at tolerance 0, over the peak: rounding of its transforms and modes.
+/// Error of the fast engine at tolerance 0, over the peak: rounding of its transforms and modes.
 const ENGINE_F64: f64 = 1e-12;
-/// The same in single precision.
+/// The limit [`ENGINE_F64`] in single precision.
 const ENGINE_F32: f64 = 1e-6;
-/// The same where the weights of an interpolator, which may be the terms of a polynomial, add their rounding.
+/// The limit in double precision, plus the rounding of interpolation weights (for instance the
+/// terms of a polynomial).
 const ENGINE_INTERPOLATED: f64 = 1e-11;
 
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
@@ -70,7 +71,7 @@ fn centred_models_of_unit_flux_keep_the_flux_at_every_rank() {
             "{rank} components"
         );
     }
-    // Uncentred truncations keep it because every PSF is scaled.
+    // Truncated models without centring keep the flux because every PSF is scaled.
     let model = model(RankSelection::Fixed(3), Centring::None);
     let image = convolve(&BasisConvolution::default(), &model, &scene).unwrap();
     assert!((image.pixels().sum() / total - 1.0).abs() < 1e-12);
@@ -106,7 +107,7 @@ fn the_spot_check_sees_a_wrong_image() {
     let good = convolve(&BasisConvolution::default(), &model, &scene).unwrap();
     assert!(check(&good).max_over_peak.unwrap() < ROUNDING);
     assert_eq!(check(&good).judged(ROUNDING).passed, Some(true));
-    // An engine that is off by a part in a thousand at one pixel in ten.
+    // An engine whose error is one part in a thousand, at one pixel in ten.
     let mut perturbed = good.pixels().to_owned();
     for ((y, x), value) in perturbed.indexed_iter_mut() {
         if (3 * y + x) % 10 == 0 {
@@ -125,7 +126,8 @@ fn engine(anchor: Anchor, paths: Paths) -> LowRank {
     LowRank::new(options.with_anchor(anchor).with_paths(paths))
 }
 
-/// Light in single precision, so that both precisions see the same; every `every`th pixel holds some.
+/// Values that single precision holds exactly, so that both precisions convolve equal light. About
+/// one pixel in `every` is lit.
 fn noisy(nx: usize, ny: usize, every: usize) -> Array2<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64((nx * ny) as u64);
     Array2::from_shape_simple_fn((ny, nx), || {
@@ -138,7 +140,7 @@ fn noisy(nx: usize, ny: usize, every: usize) -> Array2<f64> {
     })
 }
 
-/// The fast engine in both precisions, by all paths and with both anchorings, against the double sum.
+/// Compares the fast engine with the double sum: both precisions, all paths, both anchorings.
 fn assert_exact(name: &str, model: &PsfModel, light: &Array2<f64>) {
     let scene = Image::new(light.clone()).unwrap();
     let single = Image::new(light.mapv(|v| v as f32)).unwrap();
@@ -158,7 +160,7 @@ fn assert_exact(name: &str, model: &PsfModel, light: &Array2<f64>) {
                 double / peak.max(f64::MIN_POSITIVE),
                 single / peak.max(f64::MIN_POSITIVE)
             );
-            // Not over the peak, which is 0 where all is dark.
+            // Not divided by the peak, which is 0 for a dark scene.
             assert!(
                 double <= ENGINE_F64 * peak && single <= ENGINE_F32 * peak,
                 "{name}, {anchor}, {paths:?}: {double:e} and {single:e}, the peak is {peak:e}"
@@ -187,7 +189,8 @@ fn the_fast_engine_makes_awkward_scenes_exactly() {
     }
 }
 
-/// Where samples are 8 pixels apart, with nothing in common, tiles of that size take the fewest modes; stamps are of 24 pixels.
+/// With independent samples 8 pixels apart, tiles of 8 pixels need the fewest modes. The stamps
+/// have 24 pixels.
 #[test]
 fn the_fast_engine_is_exact_where_stamps_are_larger_than_tiles() {
     let light = noisy(160, 120, 1);
@@ -210,7 +213,7 @@ fn the_fast_engine_is_exact_where_stamps_are_larger_than_tiles() {
     }
 }
 
-/// Every interpolator that takes scattered samples.
+/// Every interpolator that accepts scattered samples.
 const SCATTERED: [Interpolation; 5] = [
     Interpolation::Delaunay,
     Interpolation::NaturalNeighbour,
@@ -219,11 +222,11 @@ const SCATTERED: [Interpolation; 5] = [
     Interpolation::Nearest,
 ];
 
-/// Every interpolator that takes samples on grids alone.
+/// Every interpolator that accepts only samples on a grid.
 const GRIDDED: [Interpolation; 2] = [Interpolation::Bilinear, Interpolation::Bicubic];
 
-/// A model from samples at random positions, which reach as far as 20 pixels from the left and right edges of the frame of
-/// 160 x 120 pixels, and 15 from the others.
+/// A model from samples at random positions in a frame of 160 x 120 pixels. The samples keep 20
+/// pixels from the left and right edges and 15 from the others.
 fn scattered(interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let mut at = vec![(20.0, 15.0), (140.0, 15.0), (20.0, 105.0), (140.0, 105.0)];
@@ -235,7 +238,8 @@ fn scattered(interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
     sampled_at(at, interpolation, outside)
 }
 
-/// A model from samples on a grid whose lines lie between pixels, as far from the edges.
+/// A model from samples on a grid whose lines lie between pixels, as far from the edges as in
+/// [`scattered`].
 fn gridded(interpolation: Interpolation, outside: OutsidePolicy) -> PsfModel {
     let at = (0..35).map(|i| {
         let (column, row) = (f64::from(i % 7), f64::from(i / 7));

@@ -24,8 +24,8 @@ const ALL: [Interpolation; 7] = [
     Interpolation::Nearest,
 ];
 
-/// Halving the distance of the samples must cut the error by the order of each method: linear ones by about 4, nearest by
-/// about 2; inverse distance has no order but improves.
+/// Halving the distance of the samples must reduce the error by the order of each method. Linear
+/// methods gain a factor of about 4, nearest about 2. Inverse distance has no order but improves.
 #[test]
 fn errors_fall_with_the_sampling_as_theory_says() {
     let telescope = small_telescope(1);
@@ -51,7 +51,8 @@ fn errors_fall_with_the_sampling_as_theory_says() {
                     coarse / fine
                 );
             }
-            // Between order 4 and, where its pieces are what is left, order 2 with 1/25 of the error of bilinear interpolation.
+            // Order 4, or order 2 with 1/25 of the error of bilinear interpolation where the pieces
+            // of the cubic dominate.
             Interpolation::Bicubic => {
                 assert!(
                     (4.5..16.5).contains(&(coarse / fine)),
@@ -68,7 +69,8 @@ fn errors_fall_with_the_sampling_as_theory_says() {
 #[test]
 fn leave_one_out_foretells_the_error_between_samples() {
     let telescope = small_telescope(1);
-    // Over twice the distance, so four times the error in the middle of a cell of linear methods; cubics have parts of order 2 and 4.
+    // The prediction skips a sample, so it spans twice the distance: four times the error in the
+    // middle of a cell for linear methods. Cubics have parts of order 2 and 4.
     for (interpolation, at_most) in [
         (Interpolation::Bilinear, 8.0),
         (Interpolation::NaturalNeighbour, 8.0),
@@ -79,7 +81,7 @@ fn leave_one_out_foretells_the_error_between_samples() {
         assert!(foretold.predicted >= 11 * 9);
         let median = foretold.median.unwrap();
         let errors = model_errors(&fitted.into_model().unwrap(), &telescope, 23);
-        // Never less than the error itself.
+        // The prediction is never below the error itself.
         let ratio = median / errors.median();
         println!(
             "{interpolation}: foretold {median:.2e}, found {:.2e}",

@@ -1,4 +1,4 @@
-//! Scenes finer than the frame, and the pixel response: once and only once.
+//! Scenes finer than the frame, and the pixel response, which must be applied exactly once.
 
 use ndarray::{Array2, Array3};
 use psfield::psf_types::{
@@ -11,7 +11,8 @@ use psfield::{
 
 const FRAME: usize = 40;
 
-/// Gaussians that widen and move over the field, seen by pixels of no size, `s` samples to a frame pixel.
+/// Gaussians that widen and move over the field, `s` samples per frame pixel. With `response` they
+/// are averaged over a frame pixel.
 fn sampled(s: usize, response: bool) -> Psf {
     let n = 24 * s + 1;
     let grid = StampGrid::new(n, n)
@@ -44,7 +45,7 @@ fn gauss(d: f64, sigma: f64) -> f64 {
     (-d * d / (2.0 * sigma * sigma)).exp() / (sigma * (2.0 * std::f64::consts::PI).sqrt())
 }
 
-/// Over a frame pixel, by a fine sum.
+/// The Gaussian averaged over a frame pixel, by a fine sum.
 fn averaged(d: f64, sigma: f64) -> f64 {
     (0..64)
         .map(|k| gauss(d + (f64::from(k) + 0.5) / 64.0 - 0.5, sigma))
@@ -102,7 +103,8 @@ fn finer(s: usize, anchor: Anchor) -> SimulateOptions {
     }
 }
 
-/// A star in a pixel of a finer scene is a star at that pixel's centre, for odd and even scales.
+/// A star on a pixel of a finer scene equals a star at that pixel's centre, for odd and even
+/// scales.
 #[test]
 fn light_in_fine_pixels_is_stars_at_their_centres() {
     for s in [2, 3, 4] {
@@ -118,13 +120,14 @@ fn light_in_fine_pixels_is_stars_at_their_centres() {
         assert_eq!(image.shape(), FrameShape::new(FRAME, FRAME).unwrap());
         let dark = Scene::dark().with_stars(stars);
         let expected = run(&psf, &dark, &SimulateOptions::default());
-        // Where the scene's pixels are not a multiple of the stamps', both interpolate by the same spline.
+        // If the scene's pixels are not a multiple of the stamps', both are interpolated by one
+        // spline.
         let largest = largest_difference(&image, &expected);
         assert!(largest < 1e-9, "{s}: {largest}");
     }
 }
 
-/// Output-anchored, the PSF is that of the frame pixel's own centre, for even scales too.
+/// Output-anchored, each frame pixel sees the PSF at its own centre, for even scales too.
 #[test]
 fn output_anchored_images_of_finer_scenes() {
     for s in [2, 3] {
@@ -143,7 +146,7 @@ fn output_anchored_images_of_finer_scenes() {
     }
 }
 
-/// Stamps without the response give the image of those with it: for stars, images and finer scenes.
+/// Stamps without the response give the image of stamps with it: stars, images and finer scenes.
 #[test]
 fn the_pixel_response_is_applied_once() {
     let mut light = Array2::zeros((FRAME, FRAME));
@@ -157,9 +160,9 @@ fn the_pixel_response_is_applied_once() {
         let with = run(&sampled(4, true), scene, &finer(s, Anchor::Source));
         let without = run(&sampled(4, false), scene, &finer(s, Anchor::Source));
         let largest = largest_difference(&without, &with);
-        // A cubic spline through four samples a pixel of a sigma of 1.2 pixels.
+        // The error of a cubic spline through four samples per pixel, for a sigma of 1.2 pixels.
         assert!(largest < 5e-5, "{largest}");
-        // Twice would be seen: the variance of a pixel is 1/12.
+        // A response applied twice would show: the variance of a pixel is 1/12.
         let psf = sampled(4, true);
         let (samples, options) = psf.samples().expect("samples");
         let grid = samples.grid().with_pixel_response_included(false);
@@ -169,7 +172,8 @@ fn the_pixel_response_is_applied_once() {
     }
 }
 
-/// What `evaluate` says of a star on the frame's pixels is what a simulation draws, whether the stamps hold the response or not.
+/// `evaluate` on the frame's pixels gives the star that a simulation draws, for stamps with and
+/// without the response.
 #[test]
 fn a_psf_on_the_frames_pixels_is_the_image_of_a_star() {
     const SIZE: usize = 21;
@@ -192,11 +196,13 @@ fn a_psf_on_the_frames_pixels_is_the_image_of_a_star() {
         assert!(grid.pixel_response_included());
         let seen = Image::new(stamps.index_axis_move(ndarray::Axis(0), 0)).unwrap();
         let largest = largest_difference(&seen, &image);
-        // Where the response is added, the simulation interpolates stamps that have it, by the same spline once more.
+        // When the response is added, the simulation interpolates stamps that have it, with one
+        // more spline.
         let limit = if response { 1e-12 } else { 5e-5 };
         assert!(largest < limit, "{s}, {response}: {largest}");
 
-        // The model's own pixels stay as they are, and centred PSFs on the frame's get the response too.
+        // Stamps on the model's own pixels stay unchanged. Centred PSFs on the frame's pixels get
+        // the response.
         let of = |grid| {
             let options = EvaluateOptions {
                 grid,
@@ -207,12 +213,12 @@ fn a_psf_on_the_frames_pixels_is_the_image_of_a_star() {
         assert_eq!(of(OutputGrid::Model).1, model.grid());
         let (stamps, grid) = of(OutputGrid::Native);
         assert!(grid.pixel_response_included());
-        // Half a pixel of margin is no whole pixel of the frame where the stamps already fill it.
+        // Stamps that fill whole frame pixels do not grow by the half pixel of margin.
         assert!((stamps.sum() - 1.0).abs() < 1e-3, "{}", stamps.sum());
     }
 }
 
-/// A frame within a finer scene, in whole pixels of its own.
+/// A frame within a finer scene, cut at whole frame pixels.
 #[test]
 fn frames_of_finer_scenes() {
     let s = 2;
@@ -220,7 +226,7 @@ fn frames_of_finer_scenes() {
     light[[33, 44]] = 3.0;
     light[[2, 5]] = 30.0;
     let whole = Scene::new(light).unwrap();
-    // The same PSF everywhere, so that a cut is a cut.
+    // A constant PSF, so that the image of the cut is a cut of the image.
     let psf = sampled(4, true);
     let (samples, options) = psf.samples().expect("samples");
     let one = samples.stamps().slice(ndarray::s![..1, .., ..]).to_owned();
@@ -235,7 +241,8 @@ fn frames_of_finer_scenes() {
     let image = run(&psf, &whole, &options);
     let expected = all.pixels().slice(ndarray::s![1..33, 2..37]).to_owned();
     assert!(largest_difference(&image, &Image::new(expected).unwrap()) < 1e-12);
-    // Frames are in whole pixels of the frame; a scene that holds no whole number of them needs one.
+    // A frame is given in frame pixels. A scene that is not a whole number of them needs an
+    // explicit frame.
     let odd = |options| {
         psf.simulator((FRAME * s, FRAME * s + 1))
             .options(options)

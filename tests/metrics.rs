@@ -5,7 +5,7 @@ use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};
 use psfield::psf_types::{NoProgress, PointSource, Position};
 use psfield::{MeasureOptions, Psf, Scene};
 
-/// A star on a pixel is its stamp times its flux; measurements differ by rounding in f64.
+/// A star on a pixel is its stamp times its flux. Measurements differ by rounding in f64.
 const ROUNDING: f64 = 1e-9;
 
 #[test]
@@ -52,7 +52,7 @@ fn stars_on_pixels_measure_as_their_psfs() {
 
 #[test]
 fn sub_pixel_stars_lie_where_they_should() {
-    // Three times oversampled stamps: the spline between their pixels is good to a few 1e-4 pixels.
+    // Stamps are three times oversampled: their spline is accurate to a few 1e-4 pixels.
     let psf = Psf::from(uniform_samples(&small_telescope(3), 5, 5));
     let centred = psf.native(None).unwrap();
     let centred = centred.model().unwrap();
@@ -69,7 +69,8 @@ fn sub_pixel_stars_lie_where_they_should() {
         let off_x = fit.x_centroid() - position.x() - (reference.x_centroid() - cx as f64);
         let off_y = fit.y_centroid() - position.y() - (reference.y_centroid() - cy as f64);
         println!("star at ({dx}, {dy}): off by ({off_x:.1e}, {off_y:.1e}) pixels");
-        // The fit of a Gaussian to a PSF that is none moves a little with the phase.
+        // The PSF is not a Gaussian, so the centre of the fit moves a little with the sub-pixel
+        // phase.
         assert!(off_x.abs() < 0.01 && off_y.abs() < 0.01, "{off_x} {off_y}");
     }
 }

@@ -63,13 +63,13 @@ fn the_number_of_threads_does_not_matter_from_end_to_end() {
     }
 }
 
-/// An oversampled telescope convolves an image as the telescope at the frame's own pixels does.
+/// An oversampled telescope convolves an image like the telescope sampled at the frame's pixels.
 #[test]
 fn oversampled_psfs_image_a_scene_on_the_frame_s_pixels() {
     let native = image(&uniform_samples(&small_telescope(1), 9, 7).into());
     let fine = Psf::from(uniform_samples(&small_telescope(3), 9, 7));
     let model = Psf::from(fine.record().unwrap().clone());
-    // A 72-pixel stamp three times oversampled covers 24 pixels, as the native one does.
+    // A 72-pixel stamp, three times oversampled, covers 24 pixels like the native one.
     for (name, fine, limit) in [("samples", fine, 2e-5), ("a model", model, 2e-4)] {
         let error = relative_l2(&image(&fine), &native);
         println!("from {name}: {error:.1e}");
@@ -103,7 +103,8 @@ fn evaluation_follows_its_options() {
         sub_pixel: true,
         ..native
     });
-    // The position (40.25, 30.75) is a quarter pixel right of its pixel and a quarter below the next row's.
+    // The position (40.25, 30.75) is a quarter pixel right of pixel column 40 and a quarter above
+    // row 31.
     let centroid = |stamp: ndarray::ArrayView2<'_, f64>| {
         let (mut x, mut y, mut sum) = (0.0, 0.0, 0.0);
         for ((row, column), v) in stamp
@@ -128,8 +129,9 @@ fn evaluation_follows_its_options() {
     assert_eq!(cut.stamp(1), centred.stamp(1).slice(ndarray::s![8..17, 8..17]));
 }
 
-/// A pixel of light and a star on that pixel are the same, also where truncation changes the flux of a PSF: what is scaled to
-/// unit flux is the PSF at the position, not the samples that it is interpolated from.
+/// A lit pixel and a star on that pixel give equal images, even if truncation changes the flux of a
+/// PSF. The PSF at the position is scaled to unit flux, not the samples that it is interpolated
+/// from.
 #[test]
 fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
     let options = FitOptions {
@@ -145,7 +147,7 @@ fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
     let pixel = simulated(&psf, &Scene::new(light).unwrap());
     let star = PointSource::new(Position::of_pixel(x as i64, y as i64), 1.0).unwrap();
     let star = simulated(&psf, &Scene::dark().with_stars(vec![star]));
-    // Each is scaled by the flux on its own pixels, which for a truncated PSF is not quite the same.
+    // Each is scaled by the flux on its own pixels. These differ slightly for a truncated PSF.
     let (flux, stars_flux) = (pixel.pixels().sum(), star.pixels().sum());
     assert!(
         (flux - 1.0).abs() < 1e-12 && (stars_flux - 1.0).abs() < 1e-3,

@@ -1,4 +1,4 @@
-//! Sampling, judged by the models that come out of it.
+//! Sampling methods, judged by the models made from their samples.
 
 use std::sync::Arc;
 
@@ -10,7 +10,8 @@ use psfield::psf_sample::{
 };
 use psfield::psf_types::{Interpolation, NoProgress, Normalisation, PsfSamples};
 
-/// The largest error of a model by Delaunay triangles between these samples, over a dense grid of positions.
+/// The largest error, on a dense grid of positions, of a model that interpolates by Delaunay
+/// triangles.
 fn largest_error(samples: PsfSamples) -> f64 {
     let options = FitOptions {
         rank: RankSelection::Full,
@@ -30,7 +31,7 @@ fn a_field_that_varies_in_a_corner_needs_at_most_half_the_samples_of_a_uniform_g
     assert_eq!(sampling.report.outcome, SamplingOutcome::Met);
     let adaptive = sampling.samples.len();
     let error = largest_error(sampling.samples);
-    // The smallest uniform grid whose error is no larger: the first that reaches it, counted up.
+    // The smallest uniform grid whose error is no larger, found by counting up.
     let uniform = (2..64)
         .find(|&n| largest_error(uniform_samples(&CornerRise, n, n)) <= error)
         .map(|n| n * n)

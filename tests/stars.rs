@@ -1,4 +1,4 @@
-//! From a frame with stars of a known PSF to samples to a fit: noise stays out of the model.
+//! From a frame with stars of a known PSF to samples and a fit: noise stays out of the model.
 
 use ndarray::Array2;
 use psfield::psf_stars::{Registration, RegistrationMethod, StarSampling};
@@ -11,11 +11,12 @@ const ACROSS: usize = 16;
 const STEP: f64 = 34.0;
 const SIDE: usize = 550;
 
-/// White noise, stars at all phases of the pixels; the PSF is one Gaussian, or goes over to a wider one along x.
+/// White noise and stars at all sub-pixel phases. The PSF is one Gaussian, or mixes with a wider
+/// one along x.
 fn frame(fwhm_px: f64, varies: bool) -> Image<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(23);
     let mut pixels = Array2::from_shape_simple_fn((SIDE, SIDE), || {
-        // Twelve uniform numbers are a normal one for all that matters here.
+        // The sum of twelve uniform numbers is close enough to a normal distribution here.
         let sum: f64 = (0..12).map(|_| rng.random::<f64>()).sum();
         200.0 + 5.0 * (sum - 6.0)
     });
@@ -52,7 +53,8 @@ fn rank(fwhm_px: f64, varies: bool, registration: Registration) -> usize {
     rank
 }
 
-/// One mode of the field, and what positions and the edge's level are off by.
+/// One mode of the field, and a few for errors of positions and of the background at the stamp's
+/// edge.
 const FEW: usize = 6;
 
 #[test]
@@ -61,14 +63,14 @@ fn noise_of_well_sampled_stars_stays_out_of_the_model() {
         let kept = rank(fwhm_px, varies, Registration::default());
         assert!(kept <= FEW, "FWHM {fwhm_px}, varies: {varies}: {kept}");
     }
-    // The test can fail: on a finer grid the noise is not white.
+    // This test can fail: on a finer grid the noise is not white.
     let finer = Registration::default().with_oversampling(2).unwrap();
     assert!(rank(2.9, false, finer) > 100);
 }
 
 #[test]
 fn undersampled_stars_give_no_more_shapes_than_the_field_has_terms() {
-    // A mode for each term of the polynomial but the constant one; the least rank is 1.
+    // One mode for each term of the polynomial except the constant. The least rank is 1.
     for (varies, most) in [(false, 1), (true, 2)] {
         let kept = rank(1.7, varies, Registration::default());
         assert!(kept <= most, "varies: {varies}: {kept}");

@@ -1,4 +1,4 @@
-//! Every swappable part implemented from outside and run through a whole simulation.
+//! Every exchangeable part, implemented outside psfield and run through a whole simulation.
 
 use std::collections::BTreeMap;
 
@@ -40,7 +40,7 @@ impl PsfSource for Doublet {
     }
 }
 
-/// A sampling method: the same few rows along the left and the right edge.
+/// A sampling method: four rows of samples along the left and the right edge.
 #[derive(Debug)]
 struct TwoEdges;
 
@@ -70,7 +70,8 @@ impl SamplingMethod for TwoEdges {
     }
 }
 
-/// A basis method: the pixels that hold light, one stamp each. Exact and orthonormal, whatever the samples.
+/// A basis method: one component for each pixel that holds light. Exact and orthonormal for any
+/// samples.
 #[derive(Debug)]
 struct LitPixels;
 
@@ -99,7 +100,7 @@ impl BasisMethod for LitPixels {
     }
 }
 
-/// An interpolator: linear along x between columns of samples, whatever y.
+/// An interpolator: linear along x between columns of samples, constant along y.
 #[derive(Debug)]
 struct AlongX;
 
@@ -144,7 +145,7 @@ impl FieldWeights for AlongXWeights {
     }
 }
 
-/// A convolution method: every lit pixel spread by a plain loop.
+/// A convolution method: a plain loop that spreads every lit pixel.
 #[derive(Debug)]
 struct PlainLoop;
 
@@ -153,7 +154,7 @@ impl ConvolutionMethod<f64> for PlainLoop {
         Anchor::Source
     }
 
-    /// Of a frame that is all of the light.
+    /// Supports only a frame that covers all of the light.
     fn convolve(
         &self,
         model: &PsfModel,
@@ -192,12 +193,12 @@ fn own_parts_make_a_whole_simulation() {
     assert_eq!(fit.rank(), 2);
     assert_eq!(fit.max_error(), 0.0);
 
-    // The source is linear in x and so is the interpolator: the image is known exactly.
+    // The source is linear in x and so is the interpolator, so the exact image is known.
     let light = test_scene(64, 48, 0);
     let mut expected = Array2::zeros((48, 64));
     for ((y, x), &f) in light.pixels().indexed_iter() {
         let share = Doublet::share(x as f64);
-        // The stamp's centre is (2, 1): light goes one pixel to the left and two to the right.
+        // The stamp's centre is (2, 1): light moves one pixel to the left and two to the right.
         if x >= 1 {
             expected[[y, x - 1]] += f * (1.0 - share);
         }
@@ -220,7 +221,8 @@ fn own_parts_make_a_whole_simulation() {
     }
 }
 
-/// Stars, exact values and header cards follow the anchoring of the method. Cards and the spot check claim no tolerance.
+/// Stars, exact values and header cards follow the anchoring of the method. Cards and the spot
+/// check state no tolerance.
 #[test]
 fn a_method_of_the_callers_own_decides_the_anchoring() {
     let psf = Psf::from(TwoEdges.sample(&Doublet, &NoProgress).unwrap().samples);

@@ -1,5 +1,6 @@
-//! Files that earlier releases wrote are read for ever: `v0.1.0` holds those of psfield 0.1.0 and the images that it made of
-//! them (`psfield batch jobs.toml` in that folder; the command line's tests run the same list).
+//! Every release must read the files of earlier releases. `v0.1.0` holds files that psfield 0.1.0
+//! wrote and the images that it simulated from them (`psfield batch jobs.toml` in that folder). The
+//! tests of the command line run the same list.
 
 use std::path::{Path, PathBuf};
 
@@ -19,7 +20,7 @@ fn file(name: &str) -> PathBuf {
         .join(name)
 }
 
-/// Relative L2 difference from the image that the release made.
+/// Relative L2 difference from the image of the release.
 fn difference(psf: &Psf, expected: &str) -> f64 {
     let catalog = read_catalog_with(file("stars.csv"), &CatalogOptions::default()).unwrap();
     let (stars, galaxies) = catalog.into_parts();
@@ -37,7 +38,7 @@ fn a_model_of_0_1_0_gives_the_image_of_0_1_0() {
     assert_eq!(psf.model().unwrap().rank(), 4);
     let difference = difference(&psf, "expected_stars.fits");
     assert!(difference < ROUNDING, "{difference:e}");
-    // The comparison sees a component that is missing.
+    // The comparison notices a missing component.
     let truncated = psf.record().unwrap().truncated(1).unwrap();
     assert!(self::difference(&truncated.into(), "expected_stars.fits") > 1e-3);
 }
@@ -51,7 +52,7 @@ fn samples_of_0_1_0_give_the_image_of_0_1_0() {
     };
     let psf = Psf::open(file("samples.fits")).unwrap().with_fit_options(options);
     let difference = difference(&psf, "expected_samples.fits");
-    // A singular value decomposition more.
+    // This path has one more singular value decomposition.
     assert!(difference < 1e3 * ROUNDING, "{difference:e}");
 }
 

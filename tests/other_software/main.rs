@@ -1,7 +1,7 @@
-//! Files written here, read by other software: GalSim (`DES_PSFEx`) and photutils (`GriddedPSFModel`).
+//! Files that psfield writes, read by GalSim (`DES_PSFEx`) and photutils (`GriddedPSFModel`).
 //!
-//! `PSFIELD_PYTHON`, or else `python3`, must be a Python with `python/tests/requirements.txt` installed; where it is not, these
-//! tests show as ignored.
+//! `PSFIELD_PYTHON`, or else `python3`, must be a Python with `python/tests/requirements.txt`
+//! installed. Without it, these tests show as ignored.
 
 mod read_back;
 
@@ -31,12 +31,12 @@ fn main() {
     libtest_mimic::run(&arguments, trials).exit();
 }
 
-/// The Python to ask.
+/// The Python interpreter that runs the scripts.
 fn python() -> PathBuf {
     std::env::var_os("PSFIELD_PYTHON").map_or_else(|| "python3".into(), PathBuf::from)
 }
 
-/// A script of this package.
+/// The path of a script of this package.
 fn script(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("python").join(name)
 }

@@ -1,4 +1,4 @@
-//! A PSFEx model and a gridded library with the stamps that psfield says they have.
+//! A PSFEx model and a gridded library must hold the stamps that psfield evaluates from them.
 
 use std::path::Path;
 use std::process::Command;
@@ -12,9 +12,9 @@ use psfield::{EvaluateOptions, FitChoices, FitOptions, Psf, PsfFileOptions, eval
 
 use crate::{python, script};
 
-/// Values in single precision: PSFEx's planes, GalSim's stamps.
+/// PSFEx's planes and GalSim's stamps are in single precision.
 const SAME: f64 = 1e-6;
-/// The field is not square, and its middle is no pixel.
+/// The field is not square, and its middle lies between pixels.
 const FIELD: (usize, usize) = (1200, 800);
 
 pub(crate) fn trials() -> Vec<Trial> {
@@ -28,7 +28,7 @@ pub(crate) fn trials() -> Vec<Trial> {
         .into()
 }
 
-/// A PSF that is neither symmetric nor of unit flux, and that changes over the field.
+/// A PSF that is asymmetric, not of unit flux, and varies over the field.
 fn samples(size: usize) -> Result<PsfSamples, Failed> {
     let field = FrameShape::new(FIELD.0, FIELD.1)?;
     let positions: Vec<Position> = (0..20)
@@ -87,7 +87,7 @@ fn read_back(size: usize) -> Result<(), Failed> {
     println!("{size} x {size}: GalSim {galsim:.2e}, photutils {photutils:.2e} of the peak");
     ensure(galsim <= SAME && photutils <= SAME, galsim, photutils)?;
 
-    // Stamps of other positions are others: the comparison can fail.
+    // Stamps at other positions differ, so the comparison can fail.
     let moved = positions.map(|(x, y)| (0.9 * x + 60.0, y));
     stamps_of(&path("model.psf"), FileKind::Psfex, &moved, &path("moved.fits"))?;
     let wrong = psf_io::read_samples(path("moved.fits"))?;
@@ -110,7 +110,7 @@ fn ensure(holds: bool, galsim: f64, photutils: f64) -> Result<(), Failed> {
     Err(format!("GalSim {galsim:e}, photutils {photutils:e}, at most {SAME:e} of the peak").into())
 }
 
-/// The PSFs of a file, as they are, at positions.
+/// Evaluates the PSFs of a file at positions, without scaling.
 fn stamps_of(psf: &Path, kind: FileKind, positions: &[(f64, f64)], output: &Path) -> Result<(), Failed> {
     let choices = FitChoices {
         normalisation: Some(Normalisation::Keep),

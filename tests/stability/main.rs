@@ -1,4 +1,4 @@
-//! The stability suite as tests: one a row of `STABILITY.md`.
+//! The stability suite as tests: one per row of `STABILITY.md`.
 
 use integration_tests::stability::sections;
 use libtest_mimic::{Arguments, Trial};

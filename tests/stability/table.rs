@@ -1,4 +1,5 @@
-//! Writes the stability suite as a page of Markdown to standard output, or compares it with one: `--check STABILITY.md`.
+//! Prints the stability suite as a page of Markdown, or compares it with a page: `--check
+//! STABILITY.md`.
 
 use std::process::ExitCode;
 

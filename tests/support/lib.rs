@@ -1,4 +1,5 @@
-//! What the integration tests share: PSF sources with a known field, figures of PSFs against them, and the cases of the stability suite.
+//! Shared parts of the integration tests: PSF sources with a known field, errors of PSFs, and the
+//! cases of the stability suite.
 
 pub mod stability;
 
@@ -43,7 +44,7 @@ impl PsfSource for CornerRise {
     }
 }
 
-/// A telescope with clear aberrations over a frame of 160 x 120 pixels, with stamps oversampled so many times.
+/// A telescope with clear aberrations over a frame of 160 x 120 pixels, with oversampled stamps.
 ///
 /// # Panics
 /// Never: the description is valid.
@@ -84,7 +85,7 @@ pub fn uniform_samples(source: &dyn PsfSource, nx: usize, ny: usize) -> PsfSampl
     sampling.expect("the source can be sampled").samples
 }
 
-/// The model of samples.
+/// The model fitted to samples.
 ///
 /// # Panics
 /// When the fit fails.
@@ -106,7 +107,7 @@ pub fn convolve<T: ConvReal>(
     method.convolve(model, &light.view(), light.shape().region(), &NoProgress)
 }
 
-/// Pixels of the image of all of the light by the double sum.
+/// Some pixels of the image of all of the light, by the double sum.
 ///
 /// # Errors
 /// Those of [`Direct::at_pixels`].
@@ -120,7 +121,8 @@ pub fn direct_at<T: ConvReal>(
     Direct::new(anchor).at_pixels(model, whole, shape, shape.region(), pixels, &NoProgress)
 }
 
-/// Relative L2 errors of a model's PSFs on a grid of positions, `per_axis` each way, that meets no sample.
+/// Relative L2 errors of a model's PSFs on a grid of `per_axis` positions along each axis. No
+/// position coincides with a sample.
 ///
 /// # Panics
 /// When a PSF cannot be evaluated or drawn.
@@ -139,10 +141,10 @@ pub fn model_errors(model: &PsfModel, source: &dyn PsfSource, per_axis: usize) -
     Summary::of(errors).expect("some positions")
 }
 
-/// Blobs, points and darkness: an image whose light leaves `margin` pixels of each border dark.
+/// An image of blobs and points on a dark background. `margin` pixels along each border stay dark.
 ///
 /// # Panics
-/// When the margins leave nothing.
+/// When the margins leave no light.
 pub fn test_scene(nx: usize, ny: usize, margin: usize) -> Image<f64> {
     let inside = |v: usize, n: usize| v >= margin && v + margin < n;
     let light = Array2::from_shape_fn((ny, nx), |(y, x)| {

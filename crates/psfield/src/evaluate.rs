@@ -1,4 +1,4 @@
-//! The PSF of a model at given positions.
+//! Evaluates the PSF of a model at given positions.
 
 use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
 use ndarray::{Array2, Array3};
@@ -11,31 +11,32 @@ use crate::{ErrorKind, Psf, PsfieldError, check_stack};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum OutputGrid {
-    /// The model's own sampling; the stamps hold the pixel response where the model's do
+    /// The model's own sampling. The stamps hold the pixel response if the model's do
     /// ([`StampGrid::pixel_response_included`]).
     #[default]
     Model,
-    /// The frame's pixels, and what falls into each of them: a model whose stamps lack the pixel response gets it here, as in a
-    /// [`Simulator`](crate::Simulator).
+    /// The frame's pixels, with the light that falls into each of them. A model whose stamps lack
+    /// the pixel response gets it here, as in a [`Simulator`](crate::Simulator).
     Native,
 }
 
-/// How PSFs are evaluated.
+/// Options for the evaluation of PSFs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct EvaluateOptions {
-    /// The pixels.
+    /// The pixels of the stamps.
     pub grid: OutputGrid,
-    /// Columns and rows, cut or padded about the centre; none: as many as there are.
+    /// Number of columns and of rows. Stamps are cut or padded about the centre. None: their own
+    /// size.
     pub size: Option<usize>,
-    /// Draw each PSF at the sub-pixel phase of its position (its distance from the nearest pixel's centre), on the frame's
-    /// pixels; else centred.
+    /// Whether each PSF is drawn at the sub-pixel phase of its position (its offset from the
+    /// nearest pixel's centre). It needs the frame's pixels. Otherwise PSFs are centred.
     pub sub_pixel: bool,
 }
 
-/// Whether all positions lie on the model's field, where it has one.
+/// Checks that all positions lie on the model's field, if it has one.
 ///
 /// # Errors
-/// [`ErrorKind::Field`] for the first that does not.
+/// [`ErrorKind::Field`] for the first position that does not.
 pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), PsfieldError> {
     if let Some(field) = model.field_shape()
         && let Some(index) = positions.iter().position(|&p| !field.contains(p))
@@ -67,10 +68,10 @@ pub fn check_frame_on_field(frame: FrameShape, field: Option<FrameShape>) -> Res
 }
 
 impl Psf {
-    /// The PSFs at positions, as samples. As [`evaluate`] does it with a model.
+    /// Evaluates the PSFs at positions, as samples, like [`evaluate`] with a model.
     ///
     /// # Errors
-    /// Those of [`evaluate`] and of the fit.
+    /// The errors of [`evaluate`] and of the fit.
     pub fn evaluate(
         &self,
         positions: Vec<Position>,
@@ -80,11 +81,11 @@ impl Psf {
     }
 }
 
-/// The PSFs of a model at positions, as samples.
+/// Evaluates the PSFs of a model at positions, as samples.
 ///
 /// # Errors
-/// Those of [`evaluate_stamps`]; [`ErrorKind::Data`] for no positions, two equal ones, or a PSF without positive
-/// flux.
+/// The errors of [`evaluate_stamps`], and [`ErrorKind::Data`] for no positions, two equal ones, or
+/// a PSF without positive flux.
 pub fn evaluate(
     model: &PsfModel,
     positions: Vec<Position>,
@@ -93,7 +94,7 @@ pub fn evaluate(
     const NONE: &str = "there are no positions: at least one is needed";
     check(model, &positions, options)?;
     let positions = SamplePositions::new(positions, model.field_shape()).map_err(|error| match error {
-        // These become stamps of a file, not samples.
+        // The caller asked for positions, not for samples.
         DataError::NoSamples => PsfieldError::new(ErrorKind::Data, NONE).because(error),
         DataError::DuplicatePosition {
             first,
@@ -109,15 +110,16 @@ pub fn evaluate(
     Ok(PsfSamples::new(stamps, positions, grid)?)
 }
 
-/// The PSFs of a model at positions, as plain stamps `[position, y, x]` and the grid of their pixels. Positions may be repeated, and
-/// there may be none.
+/// Evaluates the PSFs of a model at positions. Returns plain stamps `[position, y, x]` and the grid
+/// of their pixels. Positions may be repeated, and there may be none.
 ///
-/// On the frame's pixels with `sub_pixel`, a stamp is the image of a star of unit flux at its position, as [`Simulator`](crate::Simulator)
-/// draws it.
+/// On the frame's pixels with `sub_pixel`, a stamp is the image that
+/// [`Simulator`](crate::Simulator) draws of a star of unit flux at its position.
 ///
 /// # Errors
-/// [`ErrorKind::Field`] for a position off the model's field or where the model has no value, [`ErrorKind::Setting`] for
-/// sub-pixel phases on another grid than the native one, [`ErrorKind::TooLarge`] for more stamps than are meant.
+/// [`ErrorKind::Field`] for a position outside the model's field or where the model has no value,
+/// [`ErrorKind::Setting`] for sub-pixel phases on another grid than the native one,
+/// [`ErrorKind::TooLarge`] for more stamps than are allowed.
 ///
 /// ```no_run
 /// use psfield::psf_types::Position;
@@ -146,7 +148,7 @@ fn check(model: &PsfModel, positions: &[Position], options: EvaluateOptions) -> 
     check_on_field(model, positions)
 }
 
-/// The same at positions that are checked.
+/// Evaluates the PSFs at positions that were checked.
 fn stamps_at(
     model: &PsfModel,
     positions: &[Position],

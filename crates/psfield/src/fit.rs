@@ -1,4 +1,4 @@
-//! From PSF samples to a model of the PSF at every position.
+//! Fits a model of the PSF at every position to PSF samples.
 
 use std::sync::Arc;
 
@@ -14,17 +14,17 @@ use serde::Serialize;
 
 use crate::PsfieldError;
 
-/// How samples become a model. The default is what the command line does: rank `auto`, mean-centred, interpolation
-/// `auto`, nearest outside, unit flux.
+/// Options of the fit of a model to samples. The defaults are those of the command line: rank
+/// `auto`, mean-centred, interpolation `auto`, nearest outside, unit flux.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FitOptions {
-    /// How many components are kept.
+    /// Number of components to keep.
     pub rank: RankSelection,
-    /// With or without a mean stamp.
+    /// Whether a mean stamp is subtracted first.
     pub centring: Centring,
-    /// What is known of the noise in the samples' pixels, in units of the samples after normalisation.
+    /// The known noise in the samples' pixels, in units of the samples after normalisation.
     pub noise: PixelNoise,
-    /// How coefficients are carried over the field.
+    /// The interpolation of the coefficients over the field.
     pub interpolation: Interpolation,
     /// What happens outside the samples.
     pub outside: OutsidePolicy,
@@ -33,13 +33,14 @@ pub struct FitOptions {
 }
 
 impl FitOptions {
-    /// For a library of PSFs on a grid of positions (STPSF, STDPSF, photutils' `GriddedPSFModel`): every component is kept, and PSFs are
-    /// as the library scales them, bilinear between its positions, as its other readers have them.
+    /// Options for a library of PSFs on a grid of positions (STPSF, STDPSF, photutils'
+    /// `GriddedPSFModel`). Every component is kept. PSFs are scaled as in the library, and
+    /// interpolated bilinearly between its positions, as by its other readers.
     pub fn of_gridded_library(positions: &SamplePositions) -> Self {
         Self {
-            // Its few planes are to come back as they are.
+            // The fit must return its few planes unchanged.
             rank: RankSelection::Full,
-            // The scale is part of its calibration.
+            // The scale is part of the library's calibration.
             normalisation: Normalisation::Keep,
             interpolation: match coeff_field::resolve(Interpolation::Auto, positions) {
                 Interpolation::Bicubic => Interpolation::Bilinear,
@@ -49,7 +50,8 @@ impl FitOptions {
         }
     }
 
-    /// For one stamp, the PSF of the whole field: it has no others to interpolate between.
+    /// Options for one stamp that is the PSF of the whole field. It has no others to interpolate
+    /// between.
     pub fn of_single_stamp() -> Self {
         Self {
             interpolation: Interpolation::Nearest,
@@ -73,13 +75,13 @@ pub struct Fit {
 pub struct FitReport {
     /// Number of samples.
     pub samples: usize,
-    /// Number of components kept, the mean not counted.
+    /// Number of components kept, without the mean.
     pub rank: usize,
     /// Number of components at the elbow of the cumulative weights.
     pub elbow: Option<usize>,
     /// Standard deviation of the white noise found in the samples, if any.
     pub noise_sigma: Option<f64>,
-    /// The interpolator in force.
+    /// The interpolator that is used.
     pub interpolation: Interpolation,
     /// What happens outside the samples.
     pub outside: OutsidePolicy,
@@ -103,21 +105,23 @@ pub struct FitReport {
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct LeaveOneOutReport {
-    /// Samples that their neighbours surround.
+    /// Number of samples that their neighbours surround.
     pub predicted: usize,
-    /// Median error of those; none if there are none.
+    /// Median error of those. None if there are no such samples.
     pub median: Option<f64>,
     /// Largest error of those.
     pub max: Option<f64>,
-    /// Samples at the border, which the others can only extrapolate; they do not count above.
+    /// Number of samples at the border, which the others can only extrapolate. They do not count
+    /// above.
     pub extrapolated: usize,
-    /// Samples about which the others say nothing.
+    /// Number of samples that cannot be predicted from the others.
     pub unpredictable: usize,
-    /// Every sample's error, none where there is no prediction.
+    /// Every sample's error. None where there is no prediction.
     pub errors: Vec<Option<f64>>,
 }
 
-/// Fits a model to samples: the basis by SVD, one of the interpolators of `coeff-field`.
+/// Fits a model to samples: the basis by SVD, the coefficients by one of the interpolators of
+/// `coeff-field`.
 ///
 /// # Errors
 /// [`PsfieldError`] when the rank is not available or the interpolator does not suit the positions.
@@ -126,13 +130,15 @@ pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldErro
     fit_trained(samples, Array3::zeros((0, ny, nx)), options)
 }
 
-/// Like [`fit()`], with more stamps `[stamp, y, x]` to train the basis on, such as the samples' PSFs at sub-pixel shifts
-/// ([`psf_sample::ShiftAugmentation`]): the basis comes from all of them, coefficients and errors from the samples.
+/// Fits a model to samples, and trains the basis on more stamps `[stamp, y, x]`. They may be the
+/// samples' PSFs at sub-pixel shifts ([`psf_sample::ShiftAugmentation`]). The basis is computed
+/// from all stamps, coefficients and errors from the samples only.
 ///
-/// Under [`Normalisation::Unit`] the training stamps are scaled to unit flux as the samples are.
+/// Under [`Normalisation::Unit`] the training stamps are scaled to unit flux, like the samples.
 ///
 /// # Errors
-/// As [`fit()`], and [`ErrorKind::Fit`](crate::ErrorKind::Fit) for training stamps of another shape than the samples'.
+/// The errors of [`fit()`], and [`ErrorKind::Fit`](crate::ErrorKind::Fit) for training stamps that
+/// differ in shape from the samples.
 pub fn fit_trained(
     samples: PsfSamples,
     mut training: Array3<f64>,
@@ -173,7 +179,7 @@ pub fn fit_trained(
     })
 }
 
-/// Fits a model with any basis method and any interpolator, of this project or of the caller's own.
+/// Fits a model with any basis method and any interpolator. Both may be implemented by the caller.
 ///
 /// # Errors
 /// [`PsfieldError`] when either fails.
@@ -191,7 +197,7 @@ pub fn fit_with(
     Ok((model, fit))
 }
 
-/// The model that a record describes: its coefficients with the interpolator that it names.
+/// Makes the model that a record describes: its coefficients with the interpolator that it names.
 ///
 /// # Errors
 /// [`PsfieldError`] when the interpolator does not suit the positions.
@@ -221,7 +227,7 @@ fn normalised(samples: PsfSamples, normalisation: Normalisation) -> PsfSamples {
 }
 
 impl Fit {
-    /// What a model file holds.
+    /// The record that a model file stores.
     pub fn record(&self) -> &PsfModelRecord {
         &self.record
     }
@@ -231,7 +237,8 @@ impl Fit {
         self.spectrum.as_ref().map_or(&[], |s| &s.singular_values)
     }
 
-    /// The same with its first components alone, at most `rank` of them: what the others held of a sample adds to its error.
+    /// Truncates the fit to at most `rank` components. The part of a sample that the other
+    /// components held adds to its error.
     ///
     /// # Errors
     /// [`DataError::EmptyBasis`](psf_types::DataError::EmptyBasis) for rank 0 of a basis without a mean.
@@ -260,12 +267,12 @@ impl Fit {
     /// The model.
     ///
     /// # Errors
-    /// As [`model_of`].
+    /// The errors of [`model_of`].
     pub fn into_model(self) -> Result<PsfModel, PsfieldError> {
         model_of(self.record)
     }
 
-    /// Measures the leave-one-out errors and puts all figures together.
+    /// Measures the leave-one-out errors and collects all figures of the fit.
     ///
     /// # Errors
     /// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the interpolator cannot serve these samples.
@@ -293,8 +300,8 @@ impl Fit {
 }
 
 impl LeaveOneOutReport {
-    /// What the basis leaves out of a sample is orthogonal to it, so the errors of truncation (relative) and of the
-    /// predicted coefficients add in quadrature.
+    /// The part of a sample that the basis leaves out is orthogonal to the basis. The relative
+    /// truncation error and the error of the predicted coefficients therefore add in quadrature.
     fn new(outcomes: &[LeftOut], norms: &[f64], truncation: &[f64]) -> Self {
         let (mut predicted, mut errors) = (Vec::new(), Vec::with_capacity(outcomes.len()));
         let (mut extrapolated, mut unpredictable) = (0, 0);

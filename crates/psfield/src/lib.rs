@@ -1,4 +1,4 @@
-//! Images with a point spread function (PSF) that varies over the field: the stages joined.
+//! Simulates images whose point spread function (PSF) varies over the field. Joins the stages.
 //!
 //! ```text
 //! PSF source --psf_sample--> samples --psf_basis--> basis + coefficients --coeff_field--> model
@@ -10,10 +10,10 @@
 //!
 //! | type | is |
 //! |---|---|
-//! | [`Psf`] | a PSF over a field: samples, a model, or a file of any format; fitted when first needed |
-//! | [`Scene`] | light at its own sampling: an image, stars, galaxies |
+//! | [`Psf`] | a PSF over a field, from samples, a model or a file of any format. Fitted when first needed |
+//! | [`Scene`] | the light before the PSF: an image at its own sampling, stars, galaxies |
 //! | [`SimulateOptions`] | every setting, with its default |
-//! | [`Simulator`] | the three ready: makes its plans when first needed |
+//! | [`Simulator`] | a PSF with a scene's shape and settings. Makes images, and its plans when first needed |
 //!
 //! ```no_run
 //! use psfield::prelude::*;
@@ -25,7 +25,7 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! With samples at hand:
+//! The PSF may also be made from samples in memory:
 //!
 //! ```
 //! use ndarray::{Array2, Array3};

@@ -1,4 +1,4 @@
-//! A PSF over a field, whatever it came from.
+//! A PSF over a field, from samples, a model or a file.
 
 mod format_records;
 mod open;
@@ -19,8 +19,8 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 pub use format_records::record_of_psfex;
 pub use open::{FitChoices, PsfFileOptions};
 
-/// A PSF over a field: samples, a model, or a PSF file of any format. It is fitted when the model is first needed, and
-/// the fit is kept. Cheap to clone: clones share the fit.
+/// A PSF over a field: samples, a model, or a PSF file of any format. Samples are fitted when the
+/// model is first needed, and the fit is kept. Cloning is cheap: clones share the fit.
 ///
 /// ```
 /// use ndarray::Array3;
@@ -80,7 +80,7 @@ struct SourceFile {
 enum Origin {
     Samples(PsfSamples, FitOptions),
     Record(PsfModelRecord),
-    /// A model with a coefficient field of the caller's own.
+    /// A model whose coefficient field the caller implements.
     Model(PsfModel, SamplePositions),
 }
 
@@ -91,7 +91,7 @@ impl From<Origin> for Psf {
 }
 
 impl From<PsfSamples> for Psf {
-    /// Samples with the default [`FitOptions`].
+    /// Takes samples with the default [`FitOptions`].
     fn from(samples: PsfSamples) -> Self {
         Self::new(samples, FitOptions::default())
     }
@@ -104,7 +104,7 @@ impl From<PsfModelRecord> for Psf {
 }
 
 impl From<PsfModel> for Psf {
-    /// A model as it is: its stamps are neither resampled nor refitted.
+    /// Takes a model unchanged. Its stamps are neither resampled nor refitted.
     fn from(model: PsfModel) -> Self {
         let first = SamplePositions::new(vec![Position::of_pixel(0, 0)], model.field_shape());
         Origin::Model(model, first.expect("one position on the field")).into()
@@ -112,16 +112,17 @@ impl From<PsfModel> for Psf {
 }
 
 impl Psf {
-    /// Samples, and how to fit them.
+    /// Takes samples and the options of their fit.
     pub fn new(samples: PsfSamples, options: FitOptions) -> Self {
         Origin::Samples(samples, options).into()
     }
 
-    /// Samples `[sample, y, x]` at positions `(x, y)` in pixels of the frame (0-based, an integer is the centre of a
-    /// pixel), with the frame's own pixels, centred at index `n / 2`, and the default [`FitOptions`].
+    /// Takes samples `[sample, y, x]` at positions `(x, y)`, with the default [`FitOptions`].
+    /// Positions are in pixels of the frame: 0-based, an integer is the centre of a pixel. The
+    /// stamps have the frame's own pixels and are centred at index `n / 2`.
     ///
     /// # Errors
-    /// [`ErrorKind::Data`] for stamps or positions that make no [`PsfSamples`].
+    /// [`ErrorKind::Data`] for stamps or positions that are not valid [`PsfSamples`].
     pub fn from_samples(stamps: ArrayView3<'_, f64>, positions: &[(f64, f64)]) -> Result<Self, PsfieldError> {
         let (_, ny, nx) = stamps.dim();
         let positions = positions.iter().map(|&(x, y)| Position::new(x, y));
@@ -130,7 +131,7 @@ impl Psf {
         Ok(PsfSamples::new(stamps, positions, StampGrid::new(nx, ny)?)?.into())
     }
 
-    /// A PSF that can be drawn at any position, sampled over its field.
+    /// Samples over its field a PSF that can be evaluated at any position.
     ///
     /// # Errors
     /// [`ErrorKind::Sampling`].
@@ -153,7 +154,7 @@ impl Psf {
         }))
     }
 
-    /// The samples and the options of their fit, where there are samples.
+    /// The samples and the options of their fit. None for a PSF that was not made from samples.
     pub fn samples(&self) -> Option<(&PsfSamples, &FitOptions)> {
         match &self.0.origin {
             Origin::Samples(samples, options) => Some((samples, options)),
@@ -161,7 +162,7 @@ impl Psf {
         }
     }
 
-    /// The model as it was stored, where it was not made from samples.
+    /// The stored model. None for a PSF that was made from samples or from a [`PsfModel`].
     pub fn stored(&self) -> Option<&PsfModelRecord> {
         match &self.0.origin {
             Origin::Record(record) => Some(record),
@@ -174,7 +175,7 @@ impl Psf {
         self.0.source.kind
     }
 
-    /// How the file was read, in plain sentences for the user.
+    /// Notes on the reading of the file, in plain sentences for the user.
     pub fn notes(&self) -> &[Note] {
         &self.0.source.notes
     }
@@ -193,7 +194,8 @@ impl Psf {
         }
     }
 
-    /// Positions of the samples, or of the model's nodes. A model of the caller's own has no nodes: pixel (0, 0).
+    /// Positions of the samples, or of the model's nodes. A model whose coefficient field the
+    /// caller implements has no nodes: pixel (0, 0).
     pub fn positions(&self) -> &SamplePositions {
         match &self.0.origin {
             Origin::Samples(samples, _) => samples.positions(),
@@ -202,10 +204,10 @@ impl Psf {
         }
     }
 
-    /// The fit of the samples, made when it is first needed; none where there are no samples.
+    /// The fit of the samples, made when it is first needed. None where there are no samples.
     ///
     /// # Errors
-    /// As [`fit()`].
+    /// The errors of [`fit()`].
     pub fn fit(&self) -> Result<Option<&Fit>, PsfieldError> {
         let Some((samples, options)) = self.samples() else {
             return Ok(None);
@@ -216,13 +218,15 @@ impl Psf {
     /// The model as a file stores it: the fit of the samples, or the stored model.
     ///
     /// # Errors
-    /// As [`fit()`]; [`ErrorKind::Format`] for a model with a coefficient field of the caller's own.
+    /// The errors of [`fit()`], and [`ErrorKind::Format`] for a model whose coefficient field the
+    /// caller implements.
     pub fn record(&self) -> Result<&PsfModelRecord, PsfieldError> {
         match &self.0.origin {
             Origin::Record(record) => Ok(record),
             Origin::Samples(..) => Ok(self.fit()?.expect("samples have a fit").record()),
             Origin::Model(..) => {
-                const OWN_FIELD: &str = "a PSF model file cannot hold a coefficient field of the caller's own: sample the PSF first";
+                const OWN_FIELD: &str =
+                    "a PSF model file cannot hold a coefficient field of your own: sample the PSF first";
                 Err(PsfieldError::new(ErrorKind::Format, OWN_FIELD))
             }
         }
@@ -239,8 +243,9 @@ impl Psf {
         }
     }
 
-    /// Pixels of the image as far as which light beyond its edges comes in, never too few: one more than a stamp is wide,
-    /// or than `stamp_size` where stamps are cut or padded ([`stamp_size`](crate::SimulateOptions::stamp_size)).
+    /// An upper bound, in pixels, on the distance from which light beyond the edges of the image
+    /// contributes: the width of a stamp plus one. With `stamp_size`, where stamps are cut or
+    /// padded, that size plus one ([`stamp_size`](crate::SimulateOptions::stamp_size)).
     pub fn reach(&self, stamp_size: Option<usize>) -> usize {
         let grid = self.grid();
         let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
@@ -248,10 +253,10 @@ impl Psf {
     }
 }
 
-/// The largest stack of stamps that is made: 16 GiB.
+/// The largest stack of stamps that is allowed: 16 GiB.
 const MAX_STACK_BYTES: usize = 16 << 30;
 
-/// Refuses stacks of stamps that are larger than any that are meant.
+/// Checks that a stack of stamps is not larger than 16 GiB.
 ///
 /// # Errors
 /// [`ErrorKind::TooLarge`].
@@ -271,10 +276,11 @@ pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
     Ok(())
 }
 
-/// The value, made now if it is not there yet.
+/// Returns the value, and makes it first if it does not exist yet.
 ///
-/// No thread waits for another: two that come at once both make the value, and one result is kept. A lock would be held
-/// while rayon works, and a thread that takes up other work meanwhile could come back to the same lock.
+/// No thread waits for another. Two threads that arrive at once both make the value, and one result
+/// is kept. A lock would be held while rayon works. A thread that takes up other work meanwhile
+/// could then wait for a lock that it holds itself.
 pub(crate) fn get_or_make<V, E>(kept: &OnceLock<V>, make: impl FnOnce() -> Result<V, E>) -> Result<&V, E> {
     if let Some(value) = kept.get() {
         return Ok(value);

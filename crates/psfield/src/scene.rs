@@ -5,13 +5,16 @@ use std::borrow::Cow;
 use ndarray::Array2;
 use psf_types::{DataError, Image, ImageView, PointSource, Real, SersicSource};
 
-/// Light: an image `[y, x]` in flux per pixel at its own sampling, stars, galaxies, or any of them together.
+/// The light before the PSF: an image `[y, x]` in flux per pixel at its own sampling, stars,
+/// galaxies, or any of them together.
 ///
-/// Positions and sizes of stars and galaxies are in pixels of the frame, 0-based, an integer is the centre of a pixel; they
-/// count from the first pixel of the scene and may lie off it. An image may be finer than the frame
-/// ([`oversample`](crate::SimulateOptions::oversample)); stars and galaxies are in pixels of the frame all the same.
+/// Positions and sizes of stars and galaxies are in pixels of the frame, 0-based. An integer is the
+/// centre of a pixel. They count from the first pixel of the scene and may lie outside it. The
+/// image may be finer than the frame ([`oversample`](crate::SimulateOptions::oversample)). Stars
+/// and galaxies are in pixels of the frame all the same.
 ///
-/// The image is owned or borrowed; a borrowed one is not copied where the pixels of each row are neighbours in memory.
+/// The image is owned or borrowed. A borrowed image is not copied if the pixels of each row are
+/// neighbours in memory.
 ///
 /// ```
 /// use ndarray::Array2;
@@ -34,10 +37,10 @@ pub struct Scene<'a, T = f64> {
 }
 
 impl<'a, T: Real> Scene<'a, T> {
-    /// A scene of an image alone.
+    /// A scene with only an image.
     ///
     /// # Errors
-    /// [`DataError`] for an image without pixels, or with one that is not finite.
+    /// [`DataError`] for an image without pixels, or with a pixel that is not finite.
     pub fn new(image: Array2<T>) -> Result<Self, DataError> {
         Ok(Image::new(image)?.into())
     }

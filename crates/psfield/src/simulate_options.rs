@@ -9,8 +9,9 @@ use psf_types::{Anchor, PixelRegion, named};
 
 use crate::PsfieldError;
 
-/// Every setting of a simulation. The command line's options and the Python package's keywords have these names and these
-/// defaults. The working precision is the type parameter of [`Simulator`](crate::Simulator): `f32` or `f64`.
+/// Every setting of a simulation. The options of the command line and the keywords of the Python
+/// package have these names and these defaults. The working precision is the type parameter of
+/// [`Simulator`](crate::Simulator): `f32` or `f64`.
 ///
 /// ```
 /// use psfield::{Method, SimulateOptions};
@@ -19,33 +20,36 @@ use crate::PsfieldError;
 /// ```
 #[derive(Debug, Clone, PartialEq)]
 pub struct SimulateOptions {
-    /// How scenes are convolved.
+    /// The convolution method.
     pub method: Method,
-    /// The largest relative L2 error that the engine may add to the PSF of any single pixel or star, from 0 to below 1
-    /// ([`PlanOptions::new`]). Applies to the methods with a plan.
+    /// The largest relative L2 error that the engine may add to the PSF of any single pixel or
+    /// star, from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan.
     pub tolerance: f64,
-    /// Whose PSF applies: that of each source, or that of each pixel of the image.
+    /// Chooses the PSF that applies: that of each source, or that of each pixel of the image.
     pub anchor: Anchor,
-    /// Bytes that a plan keeps at most ([`PlanOptions::with_memory`]). Applies to the methods with a plan.
+    /// The most bytes that a plan keeps in memory ([`PlanOptions::with_memory`]). Applies to the
+    /// methods with a plan.
     pub memory: usize,
     /// Pixels of the scene's image along each side of a pixel of the frame, 1 to
     /// [`MAX_OVERSAMPLE`](Self::MAX_OVERSAMPLE). Pixel `i` of the frame has its centre at
     /// `oversample i + (oversample - 1) / 2` of the scene.
     pub oversample: usize,
-    /// Cuts or pads the stamps of images, and cuts those of stars, to so many pixels of the frame along each side, centred
-    /// at `stamp_size / 2`. None: as large as the stamps are.
+    /// Size of the stamps in pixels of the frame along each side, centred at `stamp_size / 2`.
+    /// Stamps of images are cut or padded to it, those of stars only cut. None: the stamps' own
+    /// size.
     pub stamp_size: Option<usize>,
-    /// The part of the scene that the image shows, in pixels of the frame counted from the scene's first. None: all of it.
-    /// Field positions of the PSF count from the first pixel of the frame.
+    /// The part of the scene that the image shows, in pixels of the frame counted from the scene's
+    /// first. None: all of it. Field positions of the PSF count from the first pixel of the frame.
     pub frame: Option<PixelRegion>,
-    /// The part of the frame that is made, in pixels of the frame counted from the frame's first. None: all of it. Pieces
-    /// put together are the image of the whole frame but for rounding. Applies to the methods with a plan.
+    /// The part of the frame that is computed, in pixels of the frame counted from the frame's
+    /// first. None: all of it. Regions put together equal the image of the whole frame to rounding.
+    /// Applies to the methods with a plan.
     pub region: Option<PixelRegion>,
-    /// Where images are convolved. Stars are drawn on the processor.
+    /// The device that convolves images. Stars are drawn on the processor.
     pub device: Device,
-    /// The only GPU to be considered, by a part of its name or its backend. None: the preferred one.
+    /// A part of the name or of the backend of the only GPU to use. None: the preferred GPU.
     pub gpu_adapter: Option<String>,
-    /// Bytes that a plan keeps on a GPU at most. None: conv-core's default.
+    /// The most bytes that a plan keeps on a GPU. None: the default of conv-core.
     pub gpu_memory: Option<u64>,
 }
 
@@ -68,10 +72,10 @@ impl Default for SimulateOptions {
 }
 
 impl SimulateOptions {
-    /// The finest scenes: so many pixels along each side of a frame pixel.
+    /// The largest `oversample`: pixels of the scene along each side of a frame pixel.
     pub const MAX_OVERSAMPLE: usize = 64;
 
-    /// The options of the engine; none for methods without a plan.
+    /// The options of the engine. None for methods without a plan.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a tolerance out of range.
@@ -87,43 +91,46 @@ impl SimulateOptions {
     }
 }
 
-/// Where images are convolved. Written as `auto`, `cpu` or `gpu`.
+/// The device that convolves images. Written as `auto`, `cpu` or `gpu`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Device {
-    /// On a GPU where the plan is predicted to be faster there, else on the processor; never by a driver that runs shaders
-    /// on the processor.
+    /// A GPU where the plan is predicted to be faster there, else the processor. Never a driver
+    /// that runs shaders on the processor.
     #[default]
     Auto,
-    /// On the processor.
+    /// The processor.
     Cpu,
-    /// On a GPU; an error where that is not possible.
+    /// A GPU. An error if that is not possible.
     Gpu,
 }
 
 named!(Device, "device", "auto, cpu or gpu", "auto" => Auto, "cpu" => Cpu, "gpu" => Gpu);
 
-/// How a scene is convolved. Written as `auto`, `lowrank`, `basis`, `patch=N` or `direct`.
+/// The convolution method. Written as `auto`, `lowrank`, `basis`, `patch=N` or `direct`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Method {
-    /// The fast engine, each tile in the cheapest way: transforms, the direct sum, single stamps, nothing.
+    /// The fast engine. Each tile is computed in the cheapest way: by transforms, by the direct
+    /// sum, by single stamps, or skipped if it is dark.
     #[default]
     Auto,
-    /// The fast engine by transforms alone.
+    /// The fast engine, by transforms only.
     LowRank,
     /// One whole-image convolution per component ([`BasisConvolution`]).
     Basis,
-    /// One PSF per patch of so many pixels ([`PatchConvolution`]); not exact.
+    /// One PSF per patch of this many pixels along each side ([`PatchConvolution`]). Not exact.
     Patch(usize),
     /// The double sum in f64 ([`Direct`]).
     Direct,
-    /// A method of the caller's own, given to [`Psf::simulator_by`](crate::Psf::simulator_by).
+    /// A method that the caller implements, given to
+    /// [`Psf::simulator_by`](crate::Psf::simulator_by).
     Own,
 }
 
 impl Method {
-    /// Whether the method plans, so that it has a tolerance, can stream, and can run on a GPU.
+    /// Returns whether the method makes a plan. Such a method has a tolerance, can stream, and can
+    /// run on a GPU.
     pub fn has_plan(self) -> bool {
         matches!(self, Self::Auto | Self::LowRank)
     }
@@ -134,10 +141,10 @@ impl Method {
         PsfieldError::of_setting("method", message)
     }
 
-    /// The method, where it has no plan.
+    /// The convolution of a method without a plan. None for the other methods.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a patch of no size.
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a patch size of 0.
     pub(crate) fn without_plan<T: ConvReal>(
         self,
         anchor: Anchor,

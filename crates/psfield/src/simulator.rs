@@ -1,4 +1,4 @@
-//! A PSF, a frame and settings, ready to make images.
+//! Makes images of scenes through a PSF.
 
 mod both_precisions;
 mod check;
@@ -25,15 +25,15 @@ use crate::device::{self, CpuReason, GpuSeconds, Placement};
 use crate::psf::get_or_make;
 use crate::{Device, ErrorKind, Method, Psf, PsfieldError, Scene, SimulateOptions, check_frame_on_field};
 
-/// The operation that a region of the frame needs, for an error.
+/// Names the operation that a region of the frame needs, for an error.
 const REGION: &str = "a region of the frame can be computed";
 
 use geometry::Geometry;
 
 pub use check::SimulationWarning;
 
-/// Collects the settings of a [`Simulator`]; made by [`Psf::simulator`]. Each setter is named after the field of
-/// [`SimulateOptions`] that it sets.
+/// Collects the settings of a [`Simulator`]. [`Psf::simulator`] makes it. Each setter is named
+/// after the field of [`SimulateOptions`] that it sets.
 #[derive(Debug, Clone)]
 pub struct SimulatorBuilder {
     psf: Psf,
@@ -42,7 +42,8 @@ pub struct SimulatorBuilder {
 }
 
 impl Psf {
-    /// A builder of simulators for scenes of `(ny, nx)` pixels, in the scenes' own pixels.
+    /// Returns a builder of simulators for scenes of `(ny, nx)` pixels, counted in the scenes' own
+    /// pixels.
     pub fn simulator(&self, shape: (usize, usize)) -> SimulatorBuilder {
         SimulatorBuilder {
             psf: self.clone(),
@@ -51,8 +52,8 @@ impl Psf {
         }
     }
 
-    /// A builder of simulators that convolve images by a method of the caller's own. The method decides the anchoring.
-    /// Stars are drawn one by one in f64.
+    /// Returns a builder of simulators that convolve images by a method that the caller implements.
+    /// The method decides the anchoring. Stars are drawn one by one in f64.
     pub fn simulator_by<T: ConvReal>(
         &self,
         method: Box<dyn ConvolutionMethod<T>>,
@@ -68,7 +69,8 @@ impl Psf {
     }
 }
 
-/// Collects the settings of a [`Simulator`] with a method of the caller's own; made by [`Psf::simulator_by`].
+/// Collects the settings of a [`Simulator`] with a method that the caller implements.
+/// [`Psf::simulator_by`] makes it.
 #[derive(Debug)]
 pub struct OwnMethodBuilder<T> {
     builder: SimulatorBuilder,
@@ -76,7 +78,7 @@ pub struct OwnMethodBuilder<T> {
 }
 
 impl<T: ConvReal> OwnMethodBuilder<T> {
-    /// Sets the pixels of the scene along each side of a frame pixel.
+    /// Sets how many pixels of the scene lie along each side of a frame pixel.
     #[must_use]
     pub fn oversample(mut self, oversample: usize) -> Self {
         self.builder.options.oversample = oversample;
@@ -90,7 +92,7 @@ impl<T: ConvReal> OwnMethodBuilder<T> {
         self
     }
 
-    /// Cuts or pads stamps to so many frame pixels along each side.
+    /// Cuts or pads stamps to `size` frame pixels along each side.
     #[must_use]
     pub fn stamp_size(mut self, size: usize) -> Self {
         self.builder.options.stamp_size = Some(size);
@@ -100,7 +102,7 @@ impl<T: ConvReal> OwnMethodBuilder<T> {
     /// Checks the settings.
     ///
     /// # Errors
-    /// As [`SimulatorBuilder::build`].
+    /// The errors of [`SimulatorBuilder::build`].
     pub fn build(self) -> Result<Simulator<T>, PsfieldError> {
         self.builder.build_by(Some(self.method))
     }
@@ -120,7 +122,7 @@ impl SimulatorBuilder {
         self
     }
 
-    /// Sets whose PSF applies.
+    /// Chooses the PSF that applies: that of the source or that of the output pixel.
     #[must_use]
     pub fn anchor(mut self, anchor: Anchor) -> Self {
         self.options.anchor = anchor;
@@ -148,7 +150,7 @@ impl SimulatorBuilder {
         self
     }
 
-    /// Sets where images are convolved.
+    /// Sets the device that convolves images.
     #[must_use]
     pub fn device(mut self, device: Device) -> Self {
         self.options.device = device;
@@ -158,8 +160,9 @@ impl SimulatorBuilder {
     /// Checks the settings. Plans are made when the first scene needs them.
     ///
     /// # Errors
-    /// [`PsfieldError`] for settings that make no simulation: a tolerance, an oversampling or a stamp size out of range, a
-    /// frame that reaches beyond the scene or the field of the PSF, a region beyond the frame.
+    /// [`PsfieldError`] for settings that cannot be used: a tolerance, an oversampling or a stamp
+    /// size out of range, a frame that reaches beyond the scene or the field of the PSF, or a
+    /// region that reaches beyond the frame.
     pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
         if self.options.method == Method::Own {
             return Err(Method::refused(Method::Own));
@@ -205,16 +208,17 @@ impl SimulatorBuilder {
     }
 }
 
-/// Makes images of scenes of one shape through a PSF. Models and plans are made when the first scene needs them and kept
-/// for all that follow; [`prepare`](Self::prepare) makes them beforehand. Serves many threads at once, each with a scene of
-/// its own. Two threads that need a plan before it is made both make it, and one result is kept.
+/// Makes images of scenes of one shape through a PSF. Models and plans are made when the first
+/// scene needs them, and kept for all later scenes. [`prepare`](Self::prepare) makes them
+/// beforehand. Many threads may use one simulator at once, each with a scene of its own. Two
+/// threads that need a plan before it exists both make it, and one result is kept.
 ///
-/// Images are convolved with stamps at the scene's pixels, stars with the stamps as they are: an oversampled stamp places a
-/// star between pixels better than its own pixels would. The response of a frame pixel is applied once: stamps that lack it
-/// get it here.
+/// Images are convolved with stamps at the scene's pixels. Stars are drawn with the stamps
+/// unchanged: an oversampled stamp places a star between pixels more accurately than its resampled
+/// version would. The response of a frame pixel is applied once. Stamps that lack it get it here.
 ///
-/// Galaxies are integrated over the pixels of the scene and then convolved, so that the scene's pixels blur them:
-/// [`SimulationWarning::BlurredGalaxies`] says when.
+/// Galaxies are integrated over the pixels of the scene and then convolved, so that the scene's
+/// pixels blur them. [`SimulationWarning::BlurredGalaxies`] says when this matters.
 ///
 /// ```
 /// use ndarray::{Array2, Array3};
@@ -244,13 +248,14 @@ pub struct Simulator<T: ConvReal> {
     geometry: Geometry,
     /// For scenes without galaxies.
     images: OnceLock<Convolver<T>>,
-    /// For scenes with galaxies, which reach in from beyond the edges: the scene with dark pixels around it.
+    /// For scenes with galaxies. Galaxies reach in from beyond the edges: dark pixels are put
+    /// around the scene.
     padded: OnceLock<Convolver<T>>,
-    /// Which of the two ran last.
+    /// True if `padded` ran last, false if `images` did.
     ran_padded: AtomicBool,
 }
 
-/// What the simulators of all regions of a frame share.
+/// Parts that the simulators of all regions of a frame share.
 #[derive(Debug)]
 struct Shared<T: ConvReal> {
     psf: Psf,
@@ -261,10 +266,10 @@ struct Shared<T: ConvReal> {
     stars: OnceLock<Stars<T>>,
 }
 
-/// How extended light is convolved.
+/// Convolves extended light.
 #[derive(Debug)]
 struct Convolver<T: ConvReal> {
-    /// None: by the method.
+    /// None: a method without a plan convolves.
     engine: Option<Engine<T>>,
     placement: Placement,
     padding: usize,
@@ -272,31 +277,32 @@ struct Convolver<T: ConvReal> {
 }
 
 impl<T: ConvReal> Convolver<T> {
-    /// The engine, which an operation needs. `what` names the operation for the error.
+    /// Returns the engine that an operation needs. `what` names the operation for the error.
     fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
         self.engine.as_ref().ok_or_else(|| PsfieldError::needs_plan(what))
     }
 }
 
-/// How stars are drawn.
+/// Draws stars.
 #[derive(Debug)]
 struct Stars<T: ConvReal> {
     model: PsfModel,
-    /// None: one by one from all components, in f64.
+    /// None: stars are drawn one by one from all components, in f64.
     plan: Option<StarPlan<T>>,
     fit_seconds: f64,
     plan_seconds: f64,
 }
 
-/// What was made for a kind of scenes.
+/// The model and the plan for scenes of one kind, and the time that they took.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Preparation<'a> {
-    /// The model that convolves images; for stars alone, the one that draws them.
+    /// The model that convolves images. For scenes with only stars, the model that draws them.
     pub model: &'a PsfModel,
-    /// The plan for extended light; none for stars alone, and for methods without a plan.
+    /// The plan for extended light. None for scenes with only stars, and for methods without a
+    /// plan.
     pub plan: Option<PlanSummary>,
-    /// Where extended light is convolved.
+    /// The device that convolves extended light.
     pub placement: Placement,
     /// Seconds that this call spent on fits.
     pub fit_seconds: f64,
@@ -304,12 +310,13 @@ pub struct Preparation<'a> {
     pub plan_seconds: f64,
 }
 
-/// Extended light as a convolver takes it, and the column and the row of the scene (padded, where there are galaxies) that
-/// it begins at.
+/// Extended light for a convolver, and the column and the row of the scene at which it begins. The
+/// scene is the padded one where there are galaxies.
 type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
 
 impl<T: ConvReal> Simulator<T> {
-    /// The largest scene without an image, 4 GiB in f32; a larger number is a slip.
+    /// The largest number of pixels of a scene without an image: 4 GiB in f32. A larger number is
+    /// taken for a mistake.
     pub const MAX_PIXELS: usize = 1 << 30;
 
     /// The PSF.
@@ -332,39 +339,41 @@ impl<T: ConvReal> Simulator<T> {
         self.geometry.region.shape()
     }
 
-    /// The frame, in frame pixels from the scene's first.
+    /// The frame, in frame pixels counted from the scene's first.
     pub fn frame(&self) -> PixelRegion {
         self.geometry.frame
     }
 
-    /// The image of a scene.
+    /// Returns the image of a scene.
     ///
     /// # Errors
-    /// As [`simulate_into`](Self::simulate_into).
+    /// The errors of [`simulate_into`](Self::simulate_into).
     pub fn simulate(&self, scene: &Scene<'_, T>) -> Result<Image<T>, PsfieldError> {
-        // Before memory is taken.
+        // Check before memory is allocated.
         self.check_sources(scene, false)?;
         let mut image = self.zeros();
         self.simulate_into(scene, image.view_mut(), &NoProgress)?;
         Ok(Image::new(image)?)
     }
 
-    /// An image `[y, x]` without light, for [`simulate_into`](Self::simulate_into). Adding to its fresh memory takes less
-    /// time than to that of a large array of zeros made otherwise: its pages have been written to.
+    /// Returns a dark image `[y, x]` for [`simulate_into`](Self::simulate_into). Its memory pages
+    /// have been written to. Adding to it is therefore faster than adding to a large array of zeros
+    /// that was allocated in another way.
     pub fn zeros(&self) -> Array2<T> {
         let shape = self.image_shape();
         conv_core::zeros((shape.ny(), shape.nx()))
     }
 
-    /// Adds the image of a scene to `image`, `[y, x]` of the frame or of the region that is made. Tells how the tiles of its
-    /// extended light were treated.
+    /// Adds the image of a scene to `image`, `[y, x]` of the frame or of the region. Returns how
+    /// the tiles of the extended light were treated.
     ///
-    /// The scene's image has the shape of the simulator's scenes; where a region is made, it may be the part that reaches
-    /// the region ([`light_region`](Self::light_region)).
+    /// The scene's image has the shape of the simulator's scenes. If the simulator has a region, it
+    /// may also be the part of the scene that reaches the region
+    /// ([`light_region`](Self::light_region)).
     ///
     /// # Errors
-    /// [`PsfieldError`]: shapes that do not fit, light where there is no PSF, a flux that `T` does not hold, and
-    /// [`ErrorKind::Cancelled`], after which the image is left half done.
+    /// [`PsfieldError`] for shapes that do not fit, light where the PSF is not known, a flux that
+    /// `T` cannot hold, and [`ErrorKind::Cancelled`], after which the image is incomplete.
     #[inline(never)]
     pub fn simulate_into(
         &self,
@@ -388,14 +397,17 @@ impl<T: ConvReal> Simulator<T> {
         Ok(counts)
     }
 
-    /// The transpose of [`simulate`](Self::simulate) for scenes that are images: what each pixel of the scene gives to the
-    /// scalar product of its image with `image`, `[y, x]` of the frame or of the region that is made.
-    /// `<A f, g> = <f, A^T g>` for every image scene `f`; of a finer scene, `A` convolves and then samples at the centres of
-    /// the frame's pixels, times their area in pixels of the scene. The result is `[y, x]` of the scene, or, where a region
-    /// is made, of the part that reaches it ([`light_region`](Self::light_region)).
+    /// Computes the transpose of [`simulate`](Self::simulate) for scenes that are images. Each
+    /// pixel of the result is the derivative, with respect to that pixel of the scene, of the
+    /// scalar product of the scene's image with `image`. `image` is `[y, x]` of the frame or of the
+    /// region. For every image scene `f`, `<A f, g> = <f, A^T g>`. For a finer scene, `A`
+    /// convolves, samples at the centres of the frame's pixels, and multiplies by their area in
+    /// pixels of the scene. The result is `[y, x]` of the scene or, if the simulator has a region,
+    /// of the part that reaches it ([`light_region`](Self::light_region)).
     ///
     /// # Errors
-    /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a method without a plan.
+    /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a
+    /// method without a plan.
     #[inline(never)]
     pub fn adjoint(
         &self,
@@ -423,11 +435,13 @@ impl<T: ConvReal> Simulator<T> {
         Ok(Image::new(light)?)
     }
 
-    /// A simulator for another region of the same frame, in frame pixels from the frame's first, with the tiles that were
-    /// chosen for this one and the stars' plan that it has: much sooner made than one that has to choose.
+    /// Returns a simulator for another region of the same frame, in frame pixels counted from the
+    /// frame's first. It takes over the tiles chosen for this simulator, and shares its plan for
+    /// stars. This is much faster than a new plan.
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan, [`ErrorKind::Cancelled`].
+    /// [`ErrorKind::Setting`] for a region outside the frame or a method without a plan,
+    /// [`ErrorKind::Cancelled`].
     #[inline(never)]
     pub fn for_region(&self, region: PixelRegion, progress: &dyn Progress) -> Result<Self, PsfieldError> {
         let options = SimulateOptions {
@@ -456,11 +470,11 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// The part of the scene whose light reaches what is made, in pixels of the scene; all of it for methods without a
-    /// plan.
+    /// The part of the scene whose light reaches the computed region, in pixels of the scene. All
+    /// of the scene for methods without a plan.
     ///
     /// # Errors
-    /// As [`prepare`](Self::prepare).
+    /// The errors of [`prepare`](Self::prepare).
     pub fn light_region(&self, progress: &dyn Progress) -> Result<PixelRegion, PsfieldError> {
         let convolver = self.convolver(&Scene::dark(), progress)?;
         Ok(match &convolver.engine {
@@ -469,11 +483,13 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Makes the models and the plans that scenes of this kind need, unless they are there. `rows`: an image comes by rows
-    /// ([`stream`](Self::stream)) that the scene does not hold.
+    /// Makes the models and the plans that scenes of this kind need, unless they exist. `rows` says
+    /// that an image will be read by rows ([`stream`](Self::stream)), and that the scene does not
+    /// hold it.
     ///
     /// # Errors
-    /// [`PsfieldError`] when a fit or a plan fails, or a GPU that was asked for cannot be used.
+    /// [`PsfieldError`] when a fit or a plan fails, or if the GPU that was asked for cannot be
+    /// used.
     #[inline(never)]
     pub fn prepare(
         &self,
@@ -489,7 +505,7 @@ impl<T: ConvReal> Simulator<T> {
         } else {
             &self.padded
         };
-        // Seconds of parts that are there already count as 0.
+        // Parts that exist already count 0 seconds.
         let new_model = self.shared.image_model.get().is_none();
         let new_convolver = kept.get().is_none();
         let new_stars = self.shared.stars.get().is_none();
@@ -520,7 +536,7 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Whether [`prepare`](Self::prepare) has nothing left to make for scenes of this kind.
+    /// Returns whether [`prepare`](Self::prepare) has nothing left to make for scenes of this kind.
     pub fn is_prepared(&self, scene: &Scene<'_, T>, rows: bool) -> bool {
         let convolver = if scene.galaxies().is_empty() {
             &self.images
@@ -532,7 +548,7 @@ impl<T: ConvReal> Simulator<T> {
             && (extended && scene.stars().is_empty() || self.shared.stars.get().is_some())
     }
 
-    /// How long the parts of the last convolution on a GPU took; none where images are convolved on the processor.
+    /// Times of the last convolution on a GPU, in seconds. None if the processor convolves images.
     pub fn gpu_seconds(&self) -> Option<GpuSeconds> {
         let ran_padded = self.ran_padded.load(Ordering::Relaxed);
         let convolver = if ran_padded { &self.padded } else { &self.images }.get()?;
@@ -563,7 +579,8 @@ impl<T: ConvReal> Simulator<T> {
         Ok(())
     }
 
-    /// Dark pixels that are put around a scene on every side, into which galaxies at its edges reach.
+    /// Number of dark pixels to put around a scene on every side. Galaxies at its edges reach into
+    /// them.
     fn padding(&self, scene: &Scene<'_, T>) -> usize {
         if scene.galaxies().is_empty() {
             0
@@ -609,7 +626,7 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// What convolves the extended light of a scene.
+    /// Returns the convolver for the extended light of a scene.
     #[inline(never)]
     fn convolver(
         &self,
@@ -644,7 +661,7 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Extended light as a convolver takes it.
+    /// Returns the extended light of a scene for a convolver.
     #[inline(never)]
     fn light<'a>(
         &self,
@@ -653,7 +670,7 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<Light<'a, T>, PsfieldError> {
         let (whole, padding) = (self.geometry.shape, convolver.padding);
-        // A part of the scene tells itself by its shape.
+        // The shape of the image tells whether it is the whole scene or a part.
         let mut of_image = (0, 0);
         if let Some(image) = scene.image()
             && image.shape() != whole
@@ -685,7 +702,7 @@ impl<T: ConvReal> Simulator<T> {
             );
         }
         let galaxies = self.geometry.fine_galaxies(scene.galaxies(), padding)?;
-        // Progress counts the steps of the convolution.
+        // The progress counts only the steps of the convolution.
         let (first, uncounted) = ((part.x0(), part.y0()), Uncounted(progress));
         sersic::add_galaxies_with_progress(light.view_mut(), first, &galaxies, &uncounted)
             .map_err(ConvError::from)?;
@@ -755,9 +772,10 @@ fn has_extended_light<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
     scene.image().is_some() || !scene.galaxies().is_empty()
 }
 
-/// Puts an image onto a plane, its first pixel at column and row `first` of the plane, as far as they overlap.
+/// Copies an image onto a plane, where they overlap. The image's first pixel lies at column and row
+/// `first` of the plane.
 fn assign_overlap<T: ConvReal>(mut plane: ArrayViewMut2<'_, T>, image: ArrayView2<'_, T>, first: (i64, i64)) {
-    // Where both begin, and for how long.
+    // The range of overlap in both.
     let along = |first: i64, plane: usize, image: usize| {
         let (of_plane, of_image) = (first.clamp(0, plane as i64), (-first).clamp(0, image as i64));
         let length = (plane as i64 - of_plane).min(image as i64 - of_image).max(0);

@@ -1,4 +1,4 @@
-//! An image checked against the direct sum at random pixels.
+//! Checks an image against the direct sum at random pixels.
 
 use psf_io::{Card, CardError};
 use psf_types::{FrameShape, Image, Real};
@@ -8,47 +8,51 @@ use serde::Serialize;
 
 use crate::{Method, PsfieldError, SimulateOptions};
 
-/// Relative r.m.s. errors of images by transforms: a few 1e-7 and 1e-15, and more where a scene's light varies by decades.
+/// Relative r.m.s. rounding errors of images by transforms. They are a few 1e-7 (f32) and 1e-15
+/// (f64), and more where a scene's light varies by decades.
 const ROUNDING_F32: f64 = 1e-5;
 const ROUNDING_F64: f64 = 1e-10;
-/// Single pixels may hold more of a PSF's error than the PSF as a whole.
+/// The largest ratio of the error at single pixels to that of the PSF as a whole.
 const PIXELS_OVER_PSF: f64 = 3.0;
 
-/// The difference of an image from the direct sum in f64 at random pixels, half of them where the image is bright: what the
-/// engine adds to the model. It says nothing of the model itself, nor of stamps too coarse for the stars drawn between
-/// their pixels.
+/// The difference of an image from the direct sum in f64 at random pixels, half of them where the
+/// image is bright. It measures the error that the engine adds to the model. It does not measure
+/// the error of the model itself, nor that of stamps too coarse for stars between their pixels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct SpotCheck {
-    /// How many pixels were looked at.
+    /// Number of pixels that were compared.
     pub pixels: usize,
-    /// The seed that chose them.
+    /// The seed that chose the pixels.
     pub seed: u64,
     /// The largest absolute difference.
     pub max_abs: f64,
     /// The root mean square of the differences.
     pub rms: f64,
-    /// The largest absolute difference over the image's largest absolute value; none for a dark image.
+    /// The largest absolute difference over the image's largest absolute value. None for a dark
+    /// image.
     pub max_over_peak: Option<f64>,
-    /// `rms` over the root mean square of the direct sum at the same pixels; none where all is dark.
+    /// `rms` over the root mean square of the direct sum at the same pixels. None where all are
+    /// dark.
     pub relative_rms: Option<f64>,
-    /// What `relative_rms` may be, where the method promises anything.
+    /// The largest `relative_rms` that the method promises. None if it promises nothing.
     pub limit: Option<f64>,
-    /// Whether it is.
+    /// Whether `relative_rms` is within the limit. None without a limit.
     pub passed: Option<bool>,
 }
 
 impl SpotCheck {
     /// The keywords of [`cards`](Self::cards).
     pub const KEYWORDS: [&str; 5] = ["PSFCHKN", "PSFCHKS", "PSFCHKM", "PSFCHKR", Self::VERDICT_KEYWORD];
-    /// The keyword of what the check concluded.
+    /// The keyword of the verdict.
     pub const VERDICT_KEYWORD: &str = "PSFCHKV";
-    /// Its value in an image that differs by more than its method promises.
+    /// The verdict on an image that differs by more than its method promises.
     pub const FAILED: &str = "failed";
 
-    /// The relative r.m.s. difference that a simulation with these options promises in the working precision `T`
-    /// ([`judged`](Self::judged)): rounding, and the tolerance of methods that have one. None for patches of extended
-    /// light (`extended`), which promise nothing.
+    /// The largest relative r.m.s. difference that a simulation with these options promises in the
+    /// working precision `T` ([`judged`](Self::judged)). It is the sum of rounding and, for methods
+    /// with a tolerance, three times that. None for patches and for the caller's own method if
+    /// there is extended light (`extended`): they promise nothing.
     ///
     /// ```
     /// use psfield::{Method, SimulateOptions, SpotCheck};
@@ -71,10 +75,10 @@ impl SpotCheck {
         }
     }
 
-    /// Compares `count` pixels of an image, chosen by `seed`, with what `exact` says of them.
+    /// Compares `count` pixels of an image, chosen by `seed`, with the values that `exact` returns.
     ///
     /// # Errors
-    /// Those of `exact`.
+    /// The errors of `exact`.
     pub fn run<T: Real>(
         image: &Image<T>,
         count: usize,
@@ -88,10 +92,10 @@ impl SpotCheck {
         Self::of_picked(picker, exact)
     }
 
-    /// Compares the pixels that were picked while an image passed.
+    /// Compares the pixels that a [`PixelPicker`] chose from an image's rows.
     ///
     /// # Errors
-    /// Those of `exact`.
+    /// The errors of `exact`.
     pub fn of_picked(
         picker: PixelPicker,
         exact: impl FnOnce(&[(usize, usize)]) -> Result<Vec<f64>, PsfieldError>,
@@ -118,8 +122,8 @@ impl SpotCheck {
         })
     }
 
-    /// The same with a verdict: passed where the relative r.m.s. difference is at most `limit`. Where all is dark, any difference
-    /// at all is too much.
+    /// Adds a verdict. The check passes if the relative r.m.s. difference is at most `limit`. Where
+    /// all compared pixels are dark, it passes only without any difference.
     #[must_use]
     pub fn judged(self, limit: f64) -> Self {
         let passed = match self.relative_rms {
@@ -133,7 +137,7 @@ impl SpotCheck {
         }
     }
 
-    /// What was found, for headers.
+    /// Header cards with the result.
     ///
     /// # Errors
     /// [`CardError`] for figures that are not finite.
@@ -154,14 +158,15 @@ impl SpotCheck {
     }
 }
 
-/// Picks pixels while an image passes: half of them anywhere, half where the image is bright (a pixel's chance is its absolute
-/// value). The choice depends on the image and the seed alone.
+/// Picks pixels of an image that is read row by row. Half of them may lie anywhere, half lie where
+/// the image is bright (the chance of a pixel is proportional to its absolute value). The choice
+/// depends only on the image and the seed.
 #[derive(Debug, Clone)]
 pub struct PixelPicker {
-    /// Anywhere: `(row, column)`, ascending, and their values so far.
+    /// The pixels that lie anywhere: `(row, column)`, ascending, and their values so far.
     anywhere: Vec<(usize, usize)>,
     values: Vec<f64>,
-    /// Where it is bright: `(row, column, value)`, replaced as more light passes.
+    /// The bright pixels: `(row, column, value)`, replaced as more rows are read.
     bright: Vec<(usize, usize, f64)>,
     bright_count: usize,
     rng: ChaCha8Rng,
@@ -183,7 +188,7 @@ pub struct PickedPixel {
 }
 
 impl PixelPicker {
-    /// A picker of `count` pixels of a frame.
+    /// Makes a picker of `count` pixels of a frame.
     pub fn new(shape: FrameShape, count: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let bright_count = count / 2;
@@ -204,7 +209,7 @@ impl PixelPicker {
         }
     }
 
-    /// The next row of the image passes.
+    /// Reads the next row of the image.
     pub fn pass(&mut self, row: impl Iterator<Item = f64>) {
         let row: Vec<f64> = row.collect();
         while let Some(&(_, column)) = self
@@ -225,7 +230,7 @@ impl PixelPicker {
             .collect();
         if passed > 0.0 && passed.is_finite() {
             self.light += passed;
-            // Every pick so far gives way with the chance that this row has among all light so far.
+            // A pick is replaced with a chance equal to this row's share of all light so far.
             let chance = passed / self.light;
             let first = self.bright.is_empty();
             self.bright.resize(self.bright_count, (0, 0, 0.0));
@@ -240,7 +245,7 @@ impl PixelPicker {
         self.next_row += 1;
     }
 
-    /// The pixels, by rows, and the largest absolute value of the image.
+    /// Returns the pixels, sorted by rows, and the largest absolute value of the image.
     pub fn finish(self) -> (Vec<PickedPixel>, f64) {
         let anywhere = self.anywhere.into_iter().zip(self.values);
         let mut picked: Vec<PickedPixel> = anywhere
@@ -268,7 +273,7 @@ mod tests {
     #[test]
     fn half_of_the_pixels_are_bright_ones() {
         let shape = FrameShape::new(50, 40).unwrap();
-        // Two bright pixels, one three times the other, and next to nothing elsewhere.
+        // Two bright pixels, one three times as bright as the other, and almost no light elsewhere.
         let value = |row: usize, column: usize| match (row, column) {
             (7, 3) => 1e6,
             (31, 44) => -3e6,

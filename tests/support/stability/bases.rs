@@ -9,19 +9,20 @@ use super::models::{full, gaussian, gaussians, lattice, samples};
 use super::stamps::{Kind, kinds};
 use super::{Case, Cell, Section};
 
-/// A few hundred products in f64.
+/// Rounding of a few hundred products in f64.
 const ROUNDING: f64 = 1e-12;
-/// The decomposition (faer's) takes as zero what falls below 1e-12 of the largest singular value where the spectrum falls steeply.
+/// In steep spectra, faer's decomposition treats singular values below 1e-12 of the largest as
+/// zero.
 const AT_SAMPLES: f64 = 2e-11;
-/// Spectra that fall to rounding have no certain end.
+/// A spectrum that falls to rounding has no certain number of components.
 const NO_END: &str = "the spectrum falls below rounding before the samples end";
-/// Why a refused row has one figure alone.
+/// The reason why a refused row has only one figure.
 const REASON_OF_REFUSAL: &str = "there is no basis";
 
 struct Figures {
     /// The largest relative L2 error of the model's PSFs at the samples.
     at_samples: f64,
-    /// By how much the components' inner products are off.
+    /// The largest error of the components' inner products.
     inner_products: f64,
     /// The largest error of the PSFs' flux over the flux.
     flux: f64,
@@ -71,7 +72,7 @@ fn refused(name: &str, words: &'static str, run: fn() -> Result<f64, PsfieldErro
     })
 }
 
-/// Two stamps of 5 x 5, one of which is changed.
+/// Two stamps of 5 x 5 pixels, one of which is damaged by `spoil`.
 fn spoilt(spoil: impl Fn(&mut Array2<f64>)) -> Result<f64, PsfieldError> {
     let at = [(0.0, 0.0), (9.0, 0.0)];
     samples(&at, (5, 5), |j| {
@@ -84,7 +85,7 @@ fn spoilt(spoil: impl Fn(&mut Array2<f64>)) -> Result<f64, PsfieldError> {
     .map(|_| 0.0)
 }
 
-/// The Gaussians with a rank that they do not have.
+/// Fits Gaussians with a rank that they cannot have.
 fn with_rank(rank: usize, centring: Centring) -> Result<f64, PsfieldError> {
     let options = FitOptions {
         rank: RankSelection::Fixed(rank),

@@ -8,9 +8,9 @@ use super::models::{FRAME, SIDE, jumping, smooth};
 use super::scenes::{COLUMNS, METHODS, uneven_of};
 use super::{Case, Cell, Section};
 
-/// Where faint light must be right to so much of itself.
+/// Largest error of faint light where it must be accurate, relative to its peak.
 const FAINT: f64 = 1e-5;
-/// By how much the bright light of the cases of faint light exceeds it.
+/// Brightness of the bright light in these cases, relative to the faint light.
 const CONTRAST: f64 = 1e12;
 
 /// Faint texture with five stars of 1e12 on it.
@@ -24,7 +24,7 @@ pub(super) fn texture_and_stars() -> Array2<f64> {
 
 const STARS: [(usize, usize); 5] = [(12, 10), (70, 15), (45, 40), (20, 66), (84, 61)];
 
-/// The same with a disc of bright pixels.
+/// Faint texture with a disc of bright pixels.
 pub(super) fn texture_and_disc() -> Array2<f64> {
     let mut light = uneven_of(FRAME);
     for ((y, x), value) in light.indexed_iter_mut() {
@@ -35,7 +35,7 @@ pub(super) fn texture_and_disc() -> Array2<f64> {
     light
 }
 
-/// Whether a stamp of any bright pixel reaches a pixel.
+/// Returns whether the stamp of any bright pixel reaches a pixel.
 fn reached(light: &Array2<f64>, x: usize, y: usize) -> bool {
     let reach = SIDE / 2;
     let rows = y.saturating_sub(reach)..(y + reach + 1).min(FRAME.1);
@@ -47,7 +47,8 @@ fn reached(light: &Array2<f64>, x: usize, y: usize) -> bool {
 }
 
 pub(super) fn section() -> Section {
-    /// A scene and what transforms and the engine may leave of its faint light, in f64 and f32.
+    /// A scene and the limits for its faint light: by transforms and by `auto`, each in f64 and
+    /// f32.
     type Row = (&'static str, fn() -> Array2<f64>, [[f64; 2]; 2]);
     // Noise of the bright light: its rounding times the contrast.
     let noise = [1e-15 * CONTRAST, 1e-6 * CONTRAST];

@@ -13,7 +13,7 @@ use super::positions::{Positions, positions};
 use super::scenes::uneven_of;
 use super::{Case, Cell, Section};
 
-/// Every interpolator; the polynomial as the simplest and as a high one.
+/// Every interpolator. The polynomial appears with the lowest and with a high degree.
 const INTERPOLATIONS: [Interpolation; 9] = [
     Interpolation::Auto,
     Interpolation::Bilinear,
@@ -26,22 +26,26 @@ const INTERPOLATIONS: [Interpolation; 9] = [
     Interpolation::Polynomial { degree: 8 },
 ];
 
-/// Weights add up to 1 but for their own rounding.
+/// Weights add up to 1 except for their own rounding.
 const CONSTANT: f64 = 1e-12;
-/// Weights of a linear function, beside the rounding of coordinates: triangles of 1e-9 pixels multiply their own.
+/// Limit for a linear function, in addition to the rounding of coordinates. Triangles of 1e-9
+/// pixels amplify the rounding of weights.
 const LINEAR: f64 = 1e-10;
-/// Units of rounding of the largest coordinate, over the extent of the samples.
+/// Rounding of the largest coordinate, in multiples of the precision, relative to the samples'
+/// extent.
 const COORDINATES: f64 = 8.0 * f64::EPSILON;
-/// The terms of a polynomial of degree 8 outside the samples' middle are some ten times their values.
+/// Away from the samples' centre, the terms of a polynomial of degree 8 are about ten times the
+/// values.
 const POLYNOMIAL: f64 = 1e-10;
-/// Between even lines the magnitudes of cubic weights add up to 13/8 in each coordinate at most, next to an edge of the grid.
+/// On uniform grids, the magnitudes of cubic weights add up to at most 13/8 per coordinate, reached
+/// next to an edge.
 const CUBIC_BEYOND: f64 = 13.0 / 8.0 * 13.0 / 8.0 - 1.0;
-/// Positions that are looked at, beside the samples.
+/// Number of tested positions, in addition to the samples.
 const QUERIES: usize = 600;
-/// Samples that are looked at.
+/// The most samples that are tested.
 const AT_MOST_SAMPLES: usize = 500;
 
-/// What an interpolator refuses at some positions, if it does.
+/// The error message of an interpolator that must refuse these positions.
 fn refusal(choice: Interpolation, of: &Positions) -> Option<&'static str> {
     match choice {
         Interpolation::Bilinear | Interpolation::Bicubic => of.irregular,
@@ -63,16 +67,16 @@ struct Figures {
     linear: f64,
     at_samples: f64,
     beyond: f64,
-    /// What `beyond` may be.
+    /// The limit of `beyond`.
     most_beyond: f64,
 }
 
-/// Larger of two, or NaN where any is.
+/// The larger of two values, or NaN if any is NaN.
 fn worse(a: f64, b: f64) -> f64 {
     if b > a || b.is_nan() { b } else { a }
 }
 
-/// A constant, two linear functions and random values of -1 to 1, interpolated.
+/// Interpolates a constant, two linear functions and random values of -1 to 1.
 fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldError> {
     let unit = unit_coordinates(at);
     let mut random_value = random(21);
@@ -108,7 +112,7 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
     let mut share = random(22);
     let mut any = |count: usize| ((share() * count as f64) as usize).min(count - 1);
     for _ in 0..QUERIES {
-        // Between three samples: inside their hull, so linear functions are known there.
+        // A position between three samples is inside their hull, where linear functions are known.
         let corners = [any(at.len()), any(at.len()), any(at.len())];
         let (a, b) = (any(1000) as f64 / 1000.0, any(1000) as f64 / 1000.0);
         let weights = [a * (1.0 - b), a * b, 1.0 - a];
@@ -121,7 +125,7 @@ fn figures(choice: Interpolation, at: &[(f64, f64)]) -> Result<Figures, PsfieldE
         for k in [1, 2] {
             figures.linear = worse(figures.linear, (inside[k] - wanted[k]).abs());
         }
-        // Beside a sample, and far outside.
+        // Close to a sample, and far outside.
         let (x, y) = at[corners[0]];
         let step = 10_f64.powi(-(any(12) as i32));
         evaluate(x + step * (a - 0.5), y + step * (b - 0.5), &mut figures)?;
@@ -141,7 +145,7 @@ const NOT_LINEAR: &str = "inverse distances and the nearest sample do not follow
 const SMOOTHS: &str = "a least squares polynomial does not meet its samples, by definition";
 const REFUSED: &str = "there is no field";
 
-/// The rounding of coordinates over the samples' extent, the larger of both axes.
+/// The rounding of coordinates relative to the samples' extent, for the worse axis.
 fn coordinate_rounding(at: &[(f64, f64)]) -> f64 {
     let of_axis = |axis: fn(&(f64, f64)) -> f64| {
         let (low, high) = at
@@ -196,7 +200,7 @@ fn field_cells(choice: Interpolation, of: &Positions) -> Vec<Cell> {
     ]
 }
 
-/// A row for each interpolator at each set of positions.
+/// One row for each interpolator at each set of positions.
 fn rows(cells: fn(Interpolation, &Positions) -> Vec<Cell>) -> Vec<Case> {
     let count = positions().len();
     INTERPOLATIONS
@@ -224,7 +228,7 @@ pub(super) fn section() -> Section {
     }
 }
 
-/// Pixels of the frame.
+/// Columns and rows of the frame.
 const FRAME: (usize, usize) = (48, 40);
 const METHODS: [Method; 4] = [Method::Basis, Method::Patch(1), Method::LowRank, Method::Auto];
 

@@ -20,7 +20,8 @@ pub(crate) const PRECISIONS: [Precision; 2] = [Precision::F64, Precision::F32];
 pub(crate) const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 
 impl Precision {
-    /// Relative to the peak: what a few hundred transforms, products and additions to a pixel round by.
+    /// Rounding of a few hundred transforms, products and additions to a pixel, relative to the
+    /// peak.
     pub(crate) fn rounding(self) -> f64 {
         match self {
             Self::F32 => 2e-6,
@@ -28,7 +29,7 @@ impl Precision {
         }
     }
 
-    /// The smallest step between two numbers.
+    /// The smallest positive number.
     pub(crate) fn quantum(self) -> f64 {
         match self {
             Self::F32 => f64::from(f32::from_bits(1)),
@@ -52,13 +53,13 @@ impl Precision {
     }
 }
 
-/// `value 2^power`, exact unless the result itself is beyond the range of f64.
+/// `value 2^power`, exact unless the result is beyond the range of f64.
 pub(crate) fn times_power(value: f64, power: i32) -> f64 {
     let half = power / 2;
     value * 2_f64.powi(half) * 2_f64.powi(power - half)
 }
 
-/// Light, and stars between pixels.
+/// Light on pixels, and stars between pixels.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Light {
     pub(crate) pixels: Array2<f64>,
@@ -73,7 +74,7 @@ impl Light {
         }
     }
 
-    /// All of it times a factor, at the nearest values of a precision.
+    /// All light times a factor, rounded to the nearest values of a precision.
     pub(crate) fn scaled(&self, factor: f64, precision: Precision) -> Self {
         let star =
             |s: &PointSource| PointSource::new(s.position(), s.flux() * factor).expect("a finite flux");
@@ -83,7 +84,7 @@ impl Light {
         }
     }
 
-    /// The power of two that takes light of this size to about 1.
+    /// The power of two that scales the light to about 1.
     fn power(&self) -> i32 {
         let stars = self.stars.iter().map(|s| s.flux());
         let all = self.pixels.iter().copied().chain(stars);
@@ -140,8 +141,8 @@ pub(crate) fn image(
     }
 }
 
-/// The direct sum in double precision, of light brought near 1, and the power that brought it there: so that the sum itself is good where
-/// the light is as small or as large as numbers can be.
+/// The direct sum in double precision of light scaled to near 1, and the power of two of the
+/// scaling. The sum stays accurate for light that is as small or as large as numbers can be.
 pub(crate) fn truth(
     model: &PsfModel,
     light: &Light,
@@ -156,8 +157,9 @@ pub(crate) fn truth(
     Ok((image_of::<f64>(model, &near_one, Method::Direct, anchor)?, power))
 }
 
-/// The largest difference of an image from the direct sum over the sum's peak, the larger of both anchorings; only where `counts` says
-/// so, over the peak there. NaN where anything is.
+/// The largest difference of an image from the direct sum, divided by the sum's peak, for the worse
+/// of the two anchorings. Both are taken only over pixels that `counts` selects. NaN if any
+/// difference is NaN.
 pub(crate) fn error_where(
     model: &PsfModel,
     light: &Light,
@@ -172,7 +174,7 @@ pub(crate) fn error_where(
         for (((y, x), &value), &exact) in image.indexed_iter().zip(&truth) {
             if counts(x, y) {
                 let difference = (times_power(value, power) - exact).abs();
-                // `max` would drop a NaN.
+                // `max` would lose a NaN.
                 off = if difference > off || difference.is_nan() {
                     difference
                 } else {
@@ -191,7 +193,7 @@ pub(crate) fn error_where(
     Ok(worst)
 }
 
-/// The same everywhere.
+/// [`error_where`] over all pixels.
 pub(crate) fn error(
     model: &PsfModel,
     light: &Light,

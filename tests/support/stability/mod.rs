@@ -1,6 +1,8 @@
-//! The stability suite: extreme inputs, each with the error it causes and the limit that it must keep.
+//! The stability suite: extreme inputs, each with the error it causes and the limit that it must
+//! keep.
 //!
-//! One home for the cases: the test `stability` runs them as tests, the program `stability` writes them down in `STABILITY.md`.
+//! The test `stability` runs these cases as tests, and the program `stability` prints them as
+//! `STABILITY.md`.
 
 mod bases;
 mod faint;
@@ -21,7 +23,7 @@ pub use table::{differences, render};
 pub struct Section {
     /// The heading.
     pub title: &'static str,
-    /// What is measured, and why the limits are what they are: paragraphs of Markdown.
+    /// The measured quantity and the reasons for the limits, as paragraphs of Markdown.
     pub story: &'static str,
     /// One name for each cell of a row.
     pub columns: &'static [&'static str],
@@ -29,11 +31,11 @@ pub struct Section {
     pub cases: Vec<Case>,
 }
 
-/// A row: an extreme input and how to measure what comes of it.
+/// A row: an extreme input and its measurement.
 pub struct Case {
-    /// What is extreme.
+    /// The extreme property of the input.
     pub name: String,
-    /// Measures; a cell for each column.
+    /// Measures one cell for each column.
     pub run: Box<dyn Fn() -> Vec<Cell> + Send + Sync>,
 }
 

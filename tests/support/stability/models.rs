@@ -11,12 +11,12 @@ use rand_chacha::ChaCha8Rng;
 
 /// Columns and rows of the frame that most cases share.
 pub(crate) const FRAME: (usize, usize) = (96, 80);
-/// The side of a patch that the PSF of [`jumping`] is constant in.
+/// The side of the patches in which the PSF of [`jumping`] is constant.
 pub(crate) const PATCH: usize = 16;
 /// The side of most stamps.
 pub(crate) const SIDE: usize = 15;
 
-/// All modes, and the interpolator by name: what a case leaves open.
+/// Options with all modes and an interpolator. The other options keep their defaults.
 pub(crate) fn full(interpolation: Interpolation) -> FitOptions {
     FitOptions {
         rank: RankSelection::Full,
@@ -25,7 +25,7 @@ pub(crate) fn full(interpolation: Interpolation) -> FitOptions {
     }
 }
 
-/// The same without a mean stamp and without scaling to unit flux: the stamps as they are.
+/// Like [`full`], but without a mean stamp and without scaling: the stamps stay unchanged.
 pub(crate) fn as_they_are(interpolation: Interpolation) -> FitOptions {
     FitOptions {
         centring: Centring::None,
@@ -34,7 +34,8 @@ pub(crate) fn as_they_are(interpolation: Interpolation) -> FitOptions {
     }
 }
 
-/// An elliptical Gaussian whose width changes with `u` and whose shape with `v`, both 0 to 1 over the field; unit sum.
+/// An elliptical Gaussian of unit sum. Its width depends on `u` and its shape on `v`, both 0 to 1
+/// over the field.
 pub(crate) fn gaussian((ny, nx): (usize, usize), u: f64, v: f64) -> Array2<f64> {
     let sigma = 1.1 + 0.9 * u;
     let (a, b) = (sigma * (1.0 + 0.3 * v), sigma);
@@ -47,7 +48,7 @@ pub(crate) fn gaussian((ny, nx): (usize, usize), u: f64, v: f64) -> Array2<f64> 
     stamp / sum
 }
 
-/// Samples at positions, whose stamps are a function of their number.
+/// Samples at positions. The stamp is a function of the sample's number.
 pub(crate) fn samples(
     at: &[(f64, f64)],
     (ny, nx): (usize, usize),
@@ -62,7 +63,7 @@ pub(crate) fn samples(
     Ok(PsfSamples::new(stamps, positions, StampGrid::new(nx, ny)?)?)
 }
 
-/// Gaussians at positions, by where they lie in the samples' bounding box.
+/// Gaussians at positions. Their shape depends on the place in the samples' bounding box.
 pub(crate) fn gaussians(at: &[(f64, f64)], side: usize) -> Result<PsfSamples, PsfieldError> {
     let unit = unit_coordinates(at);
     samples(at, (side, side), |j| gaussian((side, side), unit[j].0, unit[j].1))
@@ -101,8 +102,8 @@ pub(crate) fn smooth() -> Result<PsfModel, PsfieldError> {
     fit(gaussians(&at, SIDE)?, &full(Interpolation::Bilinear))?.into_model()
 }
 
-/// A PSF that is constant in squares of [`PATCH`] pixels and jumps by as much as it pleases between them: patches of that size make its
-/// image exactly.
+/// A PSF that is constant in squares of [`PATCH`] pixels and jumps between them. Patches of that
+/// size make its image exactly.
 pub(crate) fn jumping() -> Result<PsfModel, PsfieldError> {
     let (columns, rows) = (FRAME.0 / PATCH, FRAME.1 / PATCH);
     let middle = |k: usize| (k * PATCH) as f64 + (PATCH as f64 - 1.0) / 2.0;
@@ -120,7 +121,7 @@ pub(crate) fn jumping() -> Result<PsfModel, PsfieldError> {
     fit(samples(&at, (SIDE, SIDE), jumps)?, &options)?.into_model()
 }
 
-/// Numbers from 0 to 1, by a seed.
+/// Random numbers from 0 to 1, from a seed.
 pub(crate) fn random(seed: u64) -> impl FnMut() -> f64 {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     move || rng.random_range(0.0..1.0)

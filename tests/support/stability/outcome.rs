@@ -1,34 +1,35 @@
-//! What came of a measurement.
+//! Outcomes of measurements.
 
 use psfield::PsfieldError;
 
-/// What was measured, beside what is allowed.
+/// A measured result and its limit.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Outcome {
-    /// An error, and the largest allowed.
+    /// An error and the largest allowed error.
     Error {
-        /// What was measured.
+        /// The measured error.
         got: f64,
         /// The limit.
         limit: f64,
     },
-    /// The program refused, and said this; what it had to say in any case.
+    /// The program refused the input with a message.
     Refused {
         /// The whole message.
         message: String,
-        /// The part that must be in it; none where it should not have refused.
+        /// The text that the message must contain. `None` if the program should have accepted the
+        /// input.
         expected: Option<&'static str>,
     },
-    /// There is nothing to measure: the reason.
+    /// There is nothing to measure, for this reason.
     NotApplicable(&'static str),
 }
 
-/// An outcome in a column.
+/// The outcome in one column.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Cell(pub Outcome);
 
 impl Cell {
-    /// The error of something that must succeed.
+    /// The outcome of a calculation that must succeed, from its error.
     pub(crate) fn error(got: Result<f64, PsfieldError>, limit: f64) -> Self {
         Self(match got {
             Ok(got) => Outcome::Error { got, limit },
@@ -39,10 +40,10 @@ impl Cell {
         })
     }
 
-    /// Something that must be refused with these words.
+    /// The outcome of a calculation that must be refused with a message that contains `words`.
     pub(crate) fn refusal(got: Result<f64, PsfieldError>, words: &'static str) -> Self {
         Self(match got {
-            // No error is small enough where a refusal is due.
+            // A success fails this limit, whatever its error.
             Ok(got) => Outcome::Error { got, limit: -1.0 },
             Err(error) => Outcome::Refused {
                 message: whole_message(&error),
@@ -51,17 +52,17 @@ impl Cell {
         })
     }
 
-    /// Nothing to measure.
+    /// A cell without a measurement.
     pub(crate) fn not_applicable(reason: &'static str) -> Self {
         Self(Outcome::NotApplicable(reason))
     }
 
-    /// What is wrong, if anything is. NaN is above every limit.
+    /// The reason why the cell fails, if it does. NaN is above every limit.
     pub fn failure(&self) -> Option<String> {
         match &self.0 {
-            Outcome::Error { got, limit } if *limit < 0.0 => {
-                Some(format!("it must be refused, but gave an error of {got:.1e}"))
-            }
+            Outcome::Error { got, limit } if *limit < 0.0 => Some(format!(
+                "the input must be refused, but gave an error of {got:.1e}"
+            )),
             Outcome::Error { got, limit } => {
                 (got > limit || got.is_nan()).then(|| format!("{got:.1e} is above the limit of {limit:.0e}"))
             }
@@ -73,7 +74,7 @@ impl Cell {
                 message,
                 expected: Some(words),
             } => (!message.contains(words))
-                .then(|| format!("refused with other words than '{words}': {message}")),
+                .then(|| format!("the message of the refusal does not contain '{words}': {message}")),
             Outcome::NotApplicable(_) => None,
         }
     }

@@ -2,21 +2,21 @@
 
 use super::models::{lattice, random};
 
-/// Samples in an awkward place each.
+/// Samples at positions that are difficult in one respect.
 pub(crate) struct Positions {
     pub(crate) name: &'static str,
     pub(crate) at: fn() -> Vec<(f64, f64)>,
-    /// What the bilinear interpolator says, if they do not fill a regular grid.
+    /// The bilinear interpolator's error message if the samples do not fill a regular grid.
     pub(crate) irregular: Option<&'static str>,
-    /// The lowest degree of a polynomial that they do not determine however many they are, if there is one.
+    /// The lowest polynomial degree that these positions cannot determine, however many they are.
     pub(crate) undetermined_from: Option<usize>,
 }
 
-/// The extent of most of them: that of the frame.
+/// The extent of most sets of positions, equal to that of the frame.
 const EXTENT: (f64, f64) = (47.0, 39.0);
 /// The distance of samples in a cluster.
 const CLOSE: f64 = 1e-9;
-/// Far from the origin, or far apart.
+/// A large distance, from the origin or between samples.
 const FAR: f64 = 1e7;
 
 fn scattered(count: usize, (x, y): (f64, f64), (width, height): (f64, f64), seed: u64) -> Vec<(f64, f64)> {
@@ -26,7 +26,7 @@ fn scattered(count: usize, (x, y): (f64, f64), (width, height): (f64, f64), seed
         .collect()
 }
 
-/// Corners, and four clusters of four samples.
+/// The corners, and four clusters of four samples.
 fn clusters() -> Vec<(f64, f64)> {
     let mut all = lattice((2, 2), EXTENT);
     for (x, y) in [(10.0, 11.0), (30.0, 9.5), (13.3, 28.0), (36.0, 31.7)] {
@@ -44,7 +44,8 @@ fn slivers() -> Vec<(f64, f64)> {
     all
 }
 
-/// Scattered samples, and some that lie 1e-7 inside the edges of their hull, so that triangles of no height come between.
+/// Scattered samples, and some that lie 1e-7 inside the edges of their hull. The triangles between
+/// them are almost flat.
 fn slivers_at_edges() -> Vec<(f64, f64)> {
     let mut all = scattered(60, (1.0, 1.0), (45.0, 37.0), 15);
     all.extend(lattice((2, 2), EXTENT));
@@ -55,7 +56,8 @@ fn slivers_at_edges() -> Vec<(f64, f64)> {
     all
 }
 
-/// On a circle, where every triangulation is as good as any other.
+/// Samples on an ellipse. Scaled to the bounding box they form a circle, for which every
+/// triangulation is equally good.
 fn circle() -> Vec<(f64, f64)> {
     let turn = std::f64::consts::TAU / 24.0;
     (0..24)

@@ -20,16 +20,17 @@ pub(super) const METHODS: [Method; 5] = [
 /// The names of the columns.
 pub(crate) const COLUMNS: &[&str] = &["direct", "basis", "patch", "lowrank", "auto"];
 
-/// Results among the subnormal numbers are rounded to whole quanta by each addition to a pixel; no pixel gets more than this many.
+/// Each addition to a pixel rounds a subnormal result to whole quanta. This is the most additions
+/// allowed.
 const QUANTA: f64 = 64.0;
-/// By how much the light of a checkerboard exceeds what is left of it.
+/// The light of a checkerboard exceeds the rest after cancellation by this factor.
 const CANCELLED: f64 = 5.0;
-/// Fully lit, uneven: noise, a blob, and points.
+/// Uneven light on every pixel: noise, a blob, and points.
 fn uneven() -> Array2<f64> {
     uneven_of(FRAME)
 }
 
-/// The same on a frame of so many columns and rows.
+/// Uneven light on a frame of so many columns and rows.
 pub(crate) fn uneven_of((columns, rows): (usize, usize)) -> Array2<f64> {
     let mut noise = random(1);
     Array2::from_shape_fn((rows, columns), |(y, x)| {
@@ -53,7 +54,8 @@ fn stars() -> Result<Light, PsfieldError> {
     })
 }
 
-/// A method with a model whose image it makes exactly: the PSF of patches is constant in each.
+/// The error of a method with a model whose image it makes exactly. Patches get a PSF that is
+/// constant in each.
 fn measured(light: &Light, method: (Method, Precision)) -> Result<f64, PsfieldError> {
     let model = if matches!(method.0, Method::Patch(_)) {
         jumping()?
@@ -63,7 +65,7 @@ fn measured(light: &Light, method: (Method, Precision)) -> Result<f64, PsfieldEr
     error(&model, light, method)
 }
 
-/// One row a precision, one cell a method.
+/// One row per precision, one cell per method.
 fn cases(
     name: &str,
     light: impl Fn(Precision) -> Result<Light, PsfieldError> + Clone + Send + Sync + 'static,
@@ -84,7 +86,7 @@ fn cases(
         .into()
 }
 
-/// Light near 1 times a factor.
+/// Light near 1, multiplied by a factor.
 fn scaled(name: &str, light: Array2<f64>, factor: fn(Precision) -> f64) -> Vec<Case> {
     let light = move |precision| Ok(Light::of(light.clone()).scaled(factor(precision), precision));
     cases(name, light, move |precision| {
@@ -178,7 +180,8 @@ pub(super) fn section() -> Section {
     }
 }
 
-/// Neighbours cancel, and the peak is that of the edge: rounding is that of the light, some times larger.
+/// Neighbours cancel, so the peak is at the edge. Rounding follows the light, which is a few times
+/// larger.
 fn cancelling() -> Vec<Case> {
     let board = of(|x, y| if (x + y) % 2 == 0 { 1.0 } else { -1.0 });
     cases(

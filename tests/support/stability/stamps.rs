@@ -12,17 +12,17 @@ use super::models::{
 use super::scenes::{COLUMNS, uneven_of};
 use super::{Case, Cell, Section};
 
-/// Wings over the core.
+/// Brightness of the wings, relative to the core.
 const WING: f64 = 1e-10;
-/// The frame of these cases, where patches of one pixel are affordable.
+/// The frame of these cases. It is so small that patches of one pixel are affordable.
 const SMALL: (usize, usize) = (48, 40);
 
-/// Samples of a kind, how they are fitted, and how many components they have beside their mean.
+/// A kind of samples, the options of its fit, and its number of components in addition to the mean.
 pub(crate) struct Kind {
     pub(crate) name: &'static str,
     pub(crate) samples: fn() -> Result<PsfSamples, PsfieldError>,
     pub(crate) options: FitOptions,
-    /// None where the spectrum falls below rounding before the samples end.
+    /// None if the spectrum falls below rounding before the samples end.
     pub(crate) components: Option<usize>,
 }
 
@@ -30,7 +30,7 @@ fn grid() -> Vec<(f64, f64)> {
     lattice((5, 5), ((SMALL.0 - 1) as f64, (SMALL.1 - 1) as f64))
 }
 
-/// Of a stamp that depends on the number of its sample, on a grid of 5 x 5.
+/// Samples on a grid of 5 x 5, whose stamps depend on the number of the sample.
 fn on_grid(dim: (usize, usize), stamp: impl Fn(usize) -> Array2<f64>) -> Result<PsfSamples, PsfieldError> {
     samples(&grid(), dim, stamp)
 }
@@ -150,7 +150,7 @@ pub(crate) fn kinds() -> Vec<Kind> {
     ]
 }
 
-/// The methods, with patches so small that the PSF of each is its own.
+/// The methods. Patches have one pixel, so each has its own PSF.
 const METHODS: [Method; 5] = [
     Method::Direct,
     Method::Basis,
@@ -159,7 +159,8 @@ const METHODS: [Method; 5] = [
     Method::Auto,
 ];
 
-/// A pixel is the sum of as many patches as a stamp has pixels, each rounded: the error grows with the root of their number.
+/// A pixel sums as many rounded patches as a stamp has pixels. The error grows with the root of
+/// that number.
 const OF_MANY_PATCHES: f64 = 5.0;
 
 fn row(
@@ -235,7 +236,7 @@ pub(super) fn section() -> Section {
 fn wings() -> Vec<Case> {
     PRECISIONS
         .map(|precision| {
-            // What transforms and drawing leave, over the wings.
+            // Limits for transforms, drawing and the direct sum, relative to the wings.
             let (transforms, drawn, direct) = match precision {
                 Precision::F64 => (1e-15 / WING, 1e-15 / WING, 1e-10),
                 Precision::F32 => (1e-6 / WING, 1e-5, 1e-6),
@@ -260,7 +261,7 @@ fn wings() -> Vec<Case> {
                                 .and_then(|model| {
                                     let exact = Light::of(light.clone());
                                     error_where(&model, &exact, (method, precision), |x, y| {
-                                        // The corners of the stamp.
+                                        // Only the corners of the stamp.
                                         x.abs_diff(star.0) == SIDE / 2 && y.abs_diff(star.1) == SIDE / 2
                                     })
                                 });

@@ -1,11 +1,11 @@
-//! The suite as a page of Markdown.
+//! The stability suite as a page of Markdown.
 
 use std::fmt::Write;
 
 use super::outcome::{Cell, Outcome};
 use super::{Section, sections};
 
-/// Between what was measured and its limit. What stands before it differs from machine to machine.
+/// The mark between a measured figure and its limit. The figure before it differs between machines.
 const AT_MOST: &str = " ≤ ";
 
 const HEAD: &str = "# Numerical stability\n\n\
@@ -19,7 +19,7 @@ const HEAD: &str = "# Numerical stability\n\n\
     figures differ between machines). No image holds NaN, and nothing panics. A refused input gives the\n\
     message below the table.\n";
 
-/// Reasons and messages under a table, each once.
+/// Reasons and messages under a table, without repeats.
 #[derive(Default)]
 struct Notes(Vec<String>);
 
@@ -33,7 +33,7 @@ impl Notes {
     }
 }
 
-/// Runs everything; the page, and what failed.
+/// Runs all cases and returns the page and the failures.
 pub fn render() -> (String, Vec<String>) {
     let (mut page, mut failures) = (HEAD.to_owned(), Vec::new());
     for section in sections() {
@@ -53,21 +53,21 @@ fn of_section(section: &Section) -> (String, Vec<String>) {
         "\n## {}\n\n{}\n\n| case | {columns} |\n|{rule}\n",
         section.title, section.story
     )
-    .expect("a string takes everything");
+    .expect("writing to a String cannot fail");
     for case in &section.cases {
         let cells = (case.run)();
         assert_eq!(
             cells.len(),
             section.columns.len(),
-            "{}: a cell for each column",
+            "{}: one cell per column",
             case.name
         );
-        write!(text, "| {} |", case.name).expect("a string takes everything");
+        write!(text, "| {} |", case.name).expect("writing to a String cannot fail");
         for (cell, column) in cells.iter().zip(section.columns) {
             if let Some(failure) = cell.failure() {
                 failures.push(format!("{}: {}, {column}: {failure}", section.title, case.name));
             }
-            write!(text, " {} |", of_cell(cell, &mut notes)).expect("a string takes everything");
+            write!(text, " {} |", of_cell(cell, &mut notes)).expect("writing to a String cannot fail");
         }
         text.push('\n');
     }
@@ -75,7 +75,7 @@ fn of_section(section: &Section) -> (String, Vec<String>) {
         text += "\n| note | text |\n| --- | --- |\n";
     }
     for (n, note) in notes.0.iter().enumerate() {
-        writeln!(text, "| {} | {note} |", n + 1).expect("a string takes everything");
+        writeln!(text, "| {} | {note} |", n + 1).expect("writing to a String cannot fail");
     }
     (text, failures)
 }
@@ -105,7 +105,7 @@ fn of_cell(cell: &Cell, notes: &mut Notes) -> String {
     text + failed
 }
 
-/// Lines that differ in anything but measured figures.
+/// Lines that differ in more than measured figures.
 pub fn differences(page: &str, expected: &str) -> Vec<String> {
     let (a, b): (Vec<String>, Vec<String>) = (masked(page), masked(expected));
     let longest = a.len().max(b.len());

@@ -1,4 +1,4 @@
-//! What can be checked of an image, and what cannot.
+//! Checks images against the direct sum, and warns of errors that the check cannot see.
 
 use std::fmt;
 
@@ -10,23 +10,25 @@ use super::stream::SceneRows;
 use super::{Simulator, has_extended_light};
 use crate::{PixelPicker, PsfieldError, Scene, SpotCheck};
 
-/// Rows of the image whose scene is in memory at once for the direct sum.
+/// The direct sum keeps the scene of this many rows of the image in memory at once.
 const BAND: usize = 512;
-/// Galaxies on pixels coarser than a quarter of the frame's are blurred by percents, whatever their size.
+/// Galaxies drawn on pixels coarser than a quarter of the frame's are blurred by percents, whatever
+/// their size.
 const FINE_FOR_GALAXIES: usize = 4;
-/// Galaxies with a smaller half-light radius, in pixels of the scene, are blurred by these.
+/// Galaxies with a smaller half-light radius, in pixels of the scene, are blurred by its pixels.
 const RESOLVED_PX: f64 = 2.0;
 /// Stamps with fewer pixels per frame pixel may be too coarse to be interpolated.
 const FINE_ENOUGH: f64 = 2.0;
-/// A star this close to the centre of a pixel is on it.
+/// A star at most this far from the centre of a pixel counts as on it.
 const ON_PIXEL: f64 = 1e-9;
 
 impl<T: ConvReal> Simulator<T> {
-    /// Compares `count` random pixels of an image that this simulator made of `scene` with the direct sum in f64, chosen by
-    /// `seed`. The verdict is against what the method promises.
+    /// Compares `count` random pixels of an image that this simulator made of `scene` with the
+    /// direct sum in f64. `seed` chooses the pixels. The check passes if the difference is within
+    /// the limit of the method ([`SpotCheck::limit_of`]).
     ///
     /// # Errors
-    /// As [`exact_at`](Self::exact_at).
+    /// The errors of [`exact_at`](Self::exact_at).
     pub fn spot_check(
         &self,
         scene: &Scene<'_, T>,
@@ -40,11 +42,12 @@ impl<T: ConvReal> Simulator<T> {
         Ok(self.judged(check, has_extended_light(scene)))
     }
 
-    /// Compares the pixels that were picked while an image passed through [`stream`](Self::stream) with the direct sum. Reads
-    /// the rows of the scene that it needs once more.
+    /// Compares pixels that were picked from the rows of a streamed image
+    /// ([`stream`](Self::stream)) with the direct sum. Reads the rows of the scene that it needs
+    /// once more.
     ///
     /// # Errors
-    /// Those of the stream and of [`exact_at`](Self::exact_at).
+    /// The errors of the stream and of [`exact_at`](Self::exact_at).
     pub fn spot_check_stream<R: RowStream<T, Error = PsfieldError>>(
         &self,
         scene: &Scene<'_, T>,
@@ -59,10 +62,10 @@ impl<T: ConvReal> Simulator<T> {
         Ok(self.judged(check, true))
     }
 
-    /// Single pixels `(column, row)` of the image by the direct sum in f64.
+    /// Computes single pixels `(column, row)` of the image by the direct sum in f64.
     ///
     /// # Errors
-    /// As [`simulate_into`](Self::simulate_into).
+    /// The errors of [`simulate_into`](Self::simulate_into).
     #[inline(never)]
     pub fn exact_at(
         &self,
@@ -81,7 +84,7 @@ impl<T: ConvReal> Simulator<T> {
         Ok(sums)
     }
 
-    /// Pixels that are sorted by rows, with only the rows in memory that they need.
+    /// Computes pixels that are sorted by rows. Holds only the rows in memory that they need.
     fn exact_by_rows<R: RowStream<T, Error = PsfieldError>>(
         &self,
         scene: &Scene<'_, T>,
@@ -109,7 +112,7 @@ impl<T: ConvReal> Simulator<T> {
         Ok(sums)
     }
 
-    /// Sums over a part of the (padded) scene's light, with the column and row that it begins at.
+    /// Sums over a part of the (padded) scene's light, which begins at the given column and row.
     fn extended_sums(
         &self,
         light: (ArrayView2<'_, T>, (usize, usize)),
@@ -159,8 +162,8 @@ impl<T: ConvReal> Simulator<T> {
         }
     }
 
-    /// A warning where scenes of this kind get stamps that are interpolated between their own pixels. `rows` as for
-    /// [`prepare`](Self::prepare).
+    /// Returns a warning if scenes of this kind need stamps that are interpolated between their own
+    /// pixels. `rows` is that of [`prepare`](Self::prepare).
     ///
     /// # Errors
     /// [`ErrorKind::Data`](crate::ErrorKind::Data) for a stamp size of 0.
@@ -175,7 +178,7 @@ impl<T: ConvReal> Simulator<T> {
         Ok((!picked).then_some(SimulationWarning::InterpolatedStamps))
     }
 
-    /// What a user should know of a scene's stars and galaxies.
+    /// Returns warnings about a scene's stars and galaxies.
     pub fn warnings(&self, scene: &Scene<'_, T>) -> Vec<SimulationWarning> {
         let mut warnings = Vec::new();
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
@@ -197,24 +200,24 @@ impl<T: ConvReal> Simulator<T> {
     }
 }
 
-/// What a user should know of a simulation that nothing in it can check. Its text says what to do, where something can be
-/// done.
+/// Warns of an error that no check of the simulation can see. Its text says how to avoid it, where
+/// that is possible.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SimulationWarning {
-    /// An image is convolved with stamps interpolated from others.
+    /// An image is convolved with stamps that were interpolated.
     InterpolatedStamps,
     /// Stars are drawn between the pixels of stamps that are too coarse for it.
     StarsBetweenPixels,
     /// Galaxies are blurred by the pixels on which they are drawn.
     BlurredGalaxies {
-        /// How many.
+        /// Number of galaxies.
         count: usize,
     },
 }
 
 impl SimulationWarning {
-    /// The field of [`SimulateOptions`](crate::SimulateOptions) that mends it, if one does.
+    /// The field of [`SimulateOptions`](crate::SimulateOptions) that avoids the error, if one does.
     pub fn setting(&self) -> Option<&'static str> {
         matches!(self, Self::BlurredGalaxies { .. }).then_some("oversample")
     }
@@ -228,13 +231,14 @@ impl fmt::Display for SimulationWarning {
                  interpolated",
             ),
             Self::StarsBetweenPixels => f.write_str(
-                "stars lie between pixels, and the PSF stamps are not oversampled (or less than twice): they are interpolated, which is wrong by \
-                 percents where the PSF is under-sampled. The spot check does not see that",
+                "stars lie between pixels, and the PSF stamps are not oversampled at least twice: the stamps are \
+                 interpolated, which is wrong by percents where the PSF is under-sampled. The spot check does not see \
+                 that",
             ),
             Self::BlurredGalaxies { count } => write!(
                 f,
-                "{count} galaxies are blurred a second time by the scene pixels on which they are drawn (by 3 % of their peak in the \
-                 median, more where they are small). The spot check does not see that. Draw them on finer pixels: at least \
+                "{count} galaxies are blurred a second time by the scene pixels on which they are drawn (by 3 % of \
+                 their peak in the median, more where they are small). The spot check does not see that. Draw them on finer pixels: at least \
                  {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per half-light radius"
             ),
         }

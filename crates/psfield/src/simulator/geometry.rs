@@ -1,4 +1,5 @@
-//! How a scene lies on the frame: sizes, the frame in both kinds of pixels, and sampling from one to the other.
+//! The place of a scene on the frame: sizes, the frame in scene pixels and in frame pixels, and
+//! sampling of scene pixels at frame pixels.
 
 use conv_core::{ConvError, ConvReal};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Ix2, SliceInfo, SliceInfoElem, s};
@@ -8,20 +9,21 @@ use psf_types::{
 
 use crate::{ErrorKind, PsfieldError, SimulateOptions};
 
-/// How scenes of one shape lie on the frame.
+/// The place of scenes of one shape on the frame.
 ///
-/// With `s` pixels of the scene along each side of a frame pixel, frame pixel `i` has its centre at `s i + (s - 1) / 2` of the
-/// scene. The engine's stamps hold the response of the frame's pixel and the shift of half a pixel that an even `s` asks
-/// for, so that the frame's image is every `s`-th pixel of the scene's, times `s^2`.
+/// With `s` pixels of the scene along each side of a frame pixel, frame pixel `i` has its centre at
+/// `s i + (s - 1) / 2` of the scene. The engine's stamps hold the response of the frame's pixel.
+/// For even `s` they also hold the shift of half a pixel. The frame's image is therefore every
+/// `s`-th pixel of the scene's, times `s^2`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Geometry {
     /// The scene, in its own pixels.
     pub(super) shape: FrameShape,
     /// Pixels of the scene along each side of a frame pixel.
     pub(super) oversample: usize,
-    /// What the image shows, in frame pixels from the scene's first.
+    /// The part of the scene that the image shows, in frame pixels counted from the scene's first.
     pub(super) frame: PixelRegion,
-    /// The part of the frame that is made, in frame pixels from the frame's first.
+    /// The part of the frame that is computed, in frame pixels counted from the frame's first.
     pub(super) region: PixelRegion,
 }
 
@@ -63,7 +65,7 @@ impl Geometry {
         })
     }
 
-    /// Whether the whole frame is made.
+    /// Returns whether the whole frame is computed.
     pub(super) fn is_whole(&self) -> bool {
         self.region == self.frame.shape().region()
     }
@@ -81,7 +83,7 @@ impl Geometry {
         Ok(PixelRegion::new(fine.x0() + p, fine.y0() + p, fine.shape()))
     }
 
-    /// A region in frame pixels, in pixels of the scene.
+    /// Converts a region from frame pixels to pixels of the scene.
     pub(super) fn fine(&self, region: PixelRegion) -> Result<PixelRegion, DataError> {
         let (s, shape) = (self.oversample, region.shape());
         let shape = FrameShape::new(shape.nx() * s, shape.ny() * s)?;
@@ -92,14 +94,15 @@ impl Geometry {
         ))
     }
 
-    /// The pixel of the region's fine image, counted from the frame's first, that shows a pixel of the region.
+    /// The pixel of the region's fine image that shows a pixel of the region, counted from the
+    /// frame's first.
     pub(super) fn sampled_pixel(&self, (column, row): (usize, usize)) -> (usize, usize) {
         let (x0, y0) = (self.region.x0() as usize, self.region.y0() as usize);
         let of = |v: usize| self.oversample * v + self.offset();
         (of(column + x0), of(row + y0))
     }
 
-    /// Pixels of the scene in a pixel of the frame.
+    /// The number of scene pixels in a frame pixel.
     pub(super) fn pixel_area(&self) -> f64 {
         (self.oversample * self.oversample) as f64
     }
@@ -115,13 +118,14 @@ impl Geometry {
         s![first..;step, first..;step]
     }
 
-    /// Adds the frame's image to one that is there, from an image at the scene's pixels.
+    /// Adds the frame's image, sampled from an image at the scene's pixels, to `image`.
     pub(super) fn add_sampled<T: ConvReal>(&self, fine: ArrayView2<'_, T>, mut image: ArrayViewMut2<'_, T>) {
         let area = T::nearest(self.pixel_area());
         image.zip_mut_with(&fine.slice(self.samples()), |pixel, &v| *pixel += v * area);
     }
 
-    /// Rows of the frame's image among rows of the scene's, the first of which is its row `first`.
+    /// Picks the rows of the frame's image out of rows of the fine image, the first of which has
+    /// the index `first`.
     pub(super) fn sampled_rows<T: ConvReal>(&self, rows: ArrayView2<'_, T>, first: usize) -> Array2<T> {
         let (s, offset) = (self.oversample, self.offset());
         if s == 1 {
@@ -135,8 +139,8 @@ impl Geometry {
         rows.slice(s![skip..;s, offset..;s]).mapv(|v| v * area)
     }
 
-    /// The transpose of sampling: an image at the pixels of the scene that holds the frame's in those which show it and is
-    /// dark between them.
+    /// The transpose of sampling. Returns an image at the scene's pixels: the frame's values in the
+    /// pixels that show them, and 0 between.
     pub(super) fn spread<T: ConvReal>(&self, image: &ImageView<'_, T>) -> Result<Image<T>, PsfieldError> {
         let (rows, columns) = image.pixels().dim();
         let area = T::nearest(self.pixel_area());
@@ -146,7 +150,7 @@ impl Geometry {
         Ok(Image::new(fine)?)
     }
 
-    /// Galaxies in pixels of the scene with `padding` dark pixels around it.
+    /// Converts galaxies to pixels of the scene with `padding` dark pixels around it.
     pub(super) fn fine_galaxies(
         &self,
         galaxies: &[SersicSource],
@@ -164,7 +168,7 @@ impl Geometry {
     }
 }
 
-/// Whether a frame, in frame pixels, lies on a scene, in its own.
+/// Checks that a frame, in frame pixels, lies on a scene, in scene pixels.
 fn check_frame(shape: FrameShape, oversample: usize, frame: PixelRegion) -> Result<(), PsfieldError> {
     let (nx, ny) = (frame.shape().nx(), frame.shape().ny());
     let place = |v: i64| v.checked_mul(oversample as i64);
@@ -172,7 +176,7 @@ fn check_frame(shape: FrameShape, oversample: usize, frame: PixelRegion) -> Resu
     let fine = (place(frame.x0()), place(frame.y0()), length(nx), length(ny));
     let (Some(x0), Some(y0), Some(nx), Some(ny)) = fine else {
         let (x0, y0) = (frame.x0(), frame.y0());
-        let message = format!("the frame of {nx} x {ny} pixels at ({x0}, {y0}) lies off any scene");
+        let message = format!("the frame of {nx} x {ny} pixels at ({x0}, {y0}) lies outside any scene");
         return Err(PsfieldError::of_setting("frame", message));
     };
     let fine = PixelRegion::new(x0, y0, FrameShape::new(nx, ny)?);

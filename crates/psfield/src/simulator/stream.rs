@@ -1,4 +1,4 @@
-//! Scenes and images larger than memory: by bands of rows.
+//! Simulates scenes and images larger than memory, by bands of rows.
 
 use std::ops::Range;
 
@@ -10,12 +10,14 @@ use super::Simulator;
 use crate::{PsfieldError, Scene};
 
 impl<T: ConvReal> Simulator<T> {
-    /// Makes the image of a scene whose rows come and go through a stream: rows of the scene's image in its own pixels, rows of
-    /// the frame or of the region that is made. The stars and galaxies are those of `scene`, whose own image is not looked
-    /// at. The pixels are the same bytes as those of [`simulate`](Self::simulate).
+    /// Makes the image of a scene that is read and written by rows. The stream reads rows of the
+    /// scene's image, in scene pixels, and writes rows of the frame or of the region. The stars and
+    /// galaxies are those of `scene`, whose own image is ignored. The pixels are the same bytes as
+    /// those of [`simulate`](Self::simulate).
     ///
     /// # Errors
-    /// Those of the stream and of [`simulate_into`](Self::simulate_into); [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a method without a plan.
+    /// The errors of the stream and of [`simulate_into`](Self::simulate_into), and
+    /// [`ErrorKind::Setting`](crate::ErrorKind::Setting) for a method without a plan.
     pub fn stream<R: RowStream<T>>(
         &self,
         scene: &Scene<'_, T>,
@@ -33,7 +35,8 @@ impl<T: ConvReal> Simulator<T> {
     }
 }
 
-/// Rows of a scene with its galaxies, out of rows of its image; and rows of the frame with its stars, into rows of the image.
+/// Adds galaxies to the rows of a scene's image that are read. Samples the rows of the fine image,
+/// adds stars, and writes them as rows of the frame.
 pub(super) struct SceneRows<'a, T: ConvReal, R> {
     simulator: &'a Simulator<T>,
     inner: &'a mut R,
@@ -41,9 +44,9 @@ pub(super) struct SceneRows<'a, T: ConvReal, R> {
     galaxies: Vec<SersicSource>,
     padding: usize,
     progress: &'a dyn Progress,
-    /// Rows of the fine image that came, and rows of the image that went.
-    came: usize,
-    went: usize,
+    /// Rows of the fine image that were taken so far, and rows of the image that were written.
+    fine_rows: usize,
+    image_rows: usize,
 }
 
 impl<'a, T: ConvReal, R: RowStream<T>> SceneRows<'a, T, R> {
@@ -61,8 +64,8 @@ impl<'a, T: ConvReal, R: RowStream<T>> SceneRows<'a, T, R> {
             galaxies: simulator.geometry.fine_galaxies(scene.galaxies(), padding)?,
             padding,
             progress,
-            came: 0,
-            went: 0,
+            fine_rows: 0,
+            image_rows: 0,
         })
     }
 }
@@ -79,7 +82,7 @@ where
             self.inner.read(rows.clone(), light.view_mut())?;
         } else {
             light.fill(T::zero());
-            // Rows of the image among those asked for.
+            // Rows of the image that are within the requested rows.
             let (from, to) = (rows.start.max(p), rows.end.min(p + shape.ny()));
             if from < to {
                 let mut of_image = Array2::zeros((to - from, shape.nx()));
@@ -94,15 +97,18 @@ where
 
     fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), R::Error> {
         let geometry = &self.simulator.geometry;
-        let mut shown = geometry.sampled_rows(rows, self.came);
-        self.came += rows.nrows();
+        let mut shown = geometry.sampled_rows(rows, self.fine_rows);
+        self.fine_rows += rows.nrows();
         if shown.nrows() > 0 {
             let shape = FrameShape::new(shown.ncols(), shown.nrows()).map_err(ConvError::Result)?;
-            let (x0, y0) = (geometry.region.x0(), geometry.region.y0() + self.went as i64);
+            let (x0, y0) = (
+                geometry.region.x0(),
+                geometry.region.y0() + self.image_rows as i64,
+            );
             let region = PixelRegion::new(x0, y0, shape);
             self.simulator
                 .draw_stars_into(self.stars, region, shown.view_mut(), self.progress)?;
-            self.went += shown.nrows();
+            self.image_rows += shown.nrows();
             let shown = Image::new(shown).map_err(ConvError::Result)?;
             self.inner.write(shown.pixels())?;
         }

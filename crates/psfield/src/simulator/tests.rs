@@ -1,4 +1,4 @@
-//! Scenes on the frame: where everything lies, what does not fit, and what a user is told.
+//! The places of scenes on the frame, the errors for settings that do not fit, and the warnings.
 
 use ndarray::{Array2, Array3, s};
 use psf_types::{Position, PsfSamples, SamplePositions, SersicProfile, SersicSource, StampGrid};
@@ -31,7 +31,7 @@ fn ramp(nx: usize, ny: usize) -> Array2<f64> {
     Array2::from_shape_fn((ny, nx), |(y, x)| (10 * y + x) as f64)
 }
 
-/// One stamp of 3 x 3 frame pixels for any field, which holds light in its middle alone.
+/// One stamp of 3 x 3 frame pixels for any field. Only its middle holds light.
 fn psf(oversampling: usize) -> Psf {
     let side = 3 * oversampling;
     let grid = StampGrid::new(side, side).and_then(|grid| grid.with_oversampling(oversampling as f64));
@@ -41,7 +41,7 @@ fn psf(oversampling: usize) -> Psf {
     PsfSamples::new(stamps, positions, grid.unwrap()).unwrap().into()
 }
 
-/// For scenes of so many columns and rows, in their own pixels.
+/// For scenes of `nx` columns and `ny` rows, in scene pixels.
 fn built<T: ConvReal>(
     (nx, ny): (usize, usize),
     options: SimulateOptions,
@@ -85,7 +85,7 @@ fn everything_is_in_pixels_of_the_padded_scene() {
     let mut expected = Array2::zeros((8, 10));
     expected[[1, 3]] = 7.0;
     assert!((&image.pixels() - &expected).iter().all(|d| d.abs() < 1e-12));
-    // Stars alone reach in from anywhere.
+    // A scene without galaxies needs no padding: stars outside the frame are drawn without it.
     assert_eq!(simulator.padding(&stars), 0);
     assert_eq!(geometry.padded_shape(0).unwrap(), shape(60, 45));
 }
@@ -114,7 +114,7 @@ fn owned_and_borrowed_images_give_the_same_light() {
         let light_of = |scene: &Scene<'_, f64>| {
             let (light, first) = simulator.light(scene, convolver, &NoProgress).unwrap();
             assert_eq!(first, (0, 0));
-            // No copy is made of an image alone.
+            // A scene that is only an image is not copied.
             let of_image = scene.image().map(|image| image.pixels().as_ptr());
             assert_eq!(of_image == Some(light.pixels().as_ptr()), galaxies.is_empty());
             light.pixels().to_owned()
@@ -124,7 +124,7 @@ fn owned_and_borrowed_images_give_the_same_light() {
         let p = convolver.padding;
         assert_eq!(light.dim(), (ny + 2 * p, nx + 2 * p));
 
-        // What reaches a region is a part of it.
+        // The light that reaches a region is a part of the scene's.
         let planned = SimulateOptions {
             method: Method::Auto,
             region: Some(PixelRegion::new(7, 2, shape(5, 6))),
@@ -137,9 +137,9 @@ fn owned_and_borrowed_images_give_the_same_light() {
         assert_eq!(part.pixels(), light.slice(s![y..y + rows, x..x + columns]));
         assert_eq!(rows < light.nrows(), !galaxies.is_empty());
 
-        // The image within, and the galaxies' light on it.
+        // Subtract the image: the galaxies' light remains.
         light.slice_mut(s![p..p + ny, p..p + nx]).scaled_add(-1.0, &image);
-        // All but the light that is off the padded scene.
+        // All their flux but that outside the padded scene.
         let flux = light.sum();
         assert!(
             if galaxies.is_empty() {
@@ -149,7 +149,7 @@ fn owned_and_borrowed_images_give_the_same_light() {
             },
             "{flux}"
         );
-        // Without an image: the galaxies alone.
+        // Without an image, the light is that of the galaxies.
         let dark = Scene::dark().with_galaxies(&galaxies[..]);
         assert_eq!(has_extended_light(&dark), !galaxies.is_empty());
         if has_extended_light(&dark) {
@@ -184,7 +184,7 @@ fn what_does_not_fit_is_refused() {
     }
     let error = refused(frame(i64::MAX, 0, 2, 2));
     assert_eq!(of(&error), (ErrorKind::Setting, Some("frame")));
-    assert!(error.to_string().contains("lies off any scene"), "{error}");
+    assert!(error.to_string().contains("lies outside any scene"), "{error}");
 
     let single = built::<f32>((20, 15), frame(0, 0, 10, 7)).unwrap();
     let double = built::<f64>((20, 15), frame(0, 0, 10, 7)).unwrap();
@@ -195,7 +195,7 @@ fn what_does_not_fit_is_refused() {
         .unwrap_err();
     assert_eq!(of(&error), (ErrorKind::Data, Some("precision")));
     assert!(error.to_string().starts_with("a flux of 1e39 is"), "{error}");
-    // Padding is not counted beyond any memory.
+    // A padding beyond any memory is an error, not an overflow.
     assert!(matches!(
         double.geometry.padded_shape(usize::MAX),
         Err(DataError::FrameTooLarge { .. })
@@ -240,7 +240,7 @@ fn a_frame_must_lie_in_the_scene() {
 
 #[test]
 fn sizes_are_checked_before_memory_is_taken() {
-    // Of frames of so many pixels.
+    // For frames of `nx` x `ny` pixels.
     let with_a_star = |nx: usize, ny: usize, s: usize| {
         let simulator = built::<f32>((nx.saturating_mul(s), ny.saturating_mul(s)), finer(s))?;
         let scene = Scene::dark().with_stars(vec![star(1.0, 1.0, 1.0)]);
@@ -253,7 +253,7 @@ fn sizes_are_checked_before_memory_is_taken() {
         let error = with_a_star(nx, ny, s).map(|_| ()).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::TooLarge, "{nx} x {ny}: {error:?}");
     }
-    // No memory is taken for the image either.
+    // No memory is allocated for the image either.
     let simulator = built::<f32>((1 << 40, 1 << 10), finer(1)).unwrap();
     let error = simulator.simulate(&Scene::dark()).unwrap_err();
     assert_eq!(of(&error), (ErrorKind::TooLarge, Some("shape")));
@@ -281,7 +281,8 @@ fn warnings_tell_of_stars_between_pixels_and_blurred_galaxies() {
         assert!(!between(s, 7.0), "{s}");
         assert!(between(s, 7.25), "{s}");
     }
-    // On pixels coarser than a quarter of the frame's all galaxies are blurred; on finer ones those that fill none.
+    // On pixels coarser than a quarter of the frame's, all galaxies are blurred. On finer pixels,
+    // only those that are smaller than two of them.
     for s in [1, 2, 3] {
         assert_eq!(warnings(1, s, 7.0, 30.0), [BlurredGalaxies { count: 1 }], "{s}");
     }
@@ -304,7 +305,7 @@ fn settings_that_a_method_or_a_model_cannot_follow_are_refused() {
     let refused = psf(1).simulator((10, 10)).options(on_gpu).build::<f32>();
     assert_eq!(refused.unwrap_err().setting(), Some("device"));
 
-    // A model of the caller's own has its stamps on one grid only.
+    // A model that the caller implements has its stamps on one grid only.
     let own = Psf::from(psf(1).model().unwrap().clone());
     let scene = Scene::new(Array2::from_elem((12, 12), 1.0)).unwrap();
     let image = own.simulator((12, 12)).build::<f64>().unwrap().simulate(&scene);
