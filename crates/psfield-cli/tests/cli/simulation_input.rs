@@ -161,7 +161,7 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
         (
             "scene.fits --frame 9223372036854775807,10,5,6 --oversample 3",
             2,
-            "error: the frame of 5 x 6 pixels at (9223372036854775807, 10) lies off any scene (option --frame)\n",
+            "error: the frame of 5 x 6 pixels at (9223372036854775807, 10) lies outside any scene (option --frame)\n",
         ),
         (
             "--catalog bright.csv --shape 100000,90000",
