@@ -250,7 +250,7 @@ fn frames_of_finer_scenes() {
     };
     assert!(odd(options).is_ok());
     let refused = odd(finer(s, Anchor::Source)).unwrap_err();
-    assert_eq!(refused.setting(), Some("oversample"));
+    assert_eq!(refused.setting(), Some("frame"));
     assert!(
         refused.to_string().contains("not a multiple of 2 pixels"),
         "{refused}"

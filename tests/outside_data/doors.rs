@@ -65,7 +65,8 @@ fn library(folder: &'static str, name: &str, which: &str, options: &PsfFileOptio
         "detector"
     };
     ensure(
-        options == &PsfFileOptions::default() || opened.notes().iter().any(|note| note.contains(says)),
+        options == &PsfFileOptions::default()
+            || opened.notes().iter().any(|note| note.to_string().contains(says)),
         || format!("no note mentions the {says}: {:?}", opened.notes()),
     )?;
     let truth_name = format!("{name}{which}");

@@ -32,7 +32,7 @@ fn assert_undefined<T>(result: Result<T, IoError>, index: [usize; 2], count: usi
     let error = result.map(drop).unwrap_err();
     let (hdu, index) = (0, index.to_vec());
     assert_eq!(error.place(), Some(&Place::Pixel { hdu, index }));
-    let first = format!("the first of {count} that are NaN, infinite or BLANK");
+    let first = format!("In all {count} pixel(s) are NaN, infinite or BLANK");
     assert_error(Err::<(), _>(error), IoErrorKind::Data, &first);
 }
 

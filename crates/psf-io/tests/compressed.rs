@@ -139,7 +139,8 @@ fn undefined_pixels_in_tiles_are_refused() {
     // other: one pixel and one row of 40.
     let quantised = scratch.put("quantised.fits.gz", include_bytes!("data/quantised_nan.fits.gz"));
     for (path, expected) in [(exact, 1), (quantised, 41)] {
-        let first = format!(", pixel [3, 4] (0-based, x last): the pixel is NaN, the first of {expected} ");
+        let first =
+            format!(", pixel [3, 4] (0-based, x last): the value is NaN. In all {expected} pixel(s) ");
         assert_error(pixels(&path), IoErrorKind::Data, &first);
     }
 }

@@ -230,7 +230,7 @@ fn undefined_pixels_are_counted_and_located() {
         assert_error(
             pixels(&path),
             IoErrorKind::Data,
-            "the pixel is inf, the first of 2 that are NaN",
+            "the value is inf. In all 2 pixel(s) are NaN",
         );
     }
     let blank = image(
@@ -244,7 +244,7 @@ fn undefined_pixels_are_counted_and_located() {
     assert_error(
         pixels(&blank),
         IoErrorKind::Data,
-        "pixel [0, 1] (0-based, x last): the pixel is NaN, the first of 1 that",
+        "pixel [0, 1] (0-based, x last): the value is NaN. In all 1 pixel(s)",
     );
 }
 

@@ -11,7 +11,7 @@ use psfield::{Psf, check_outputs};
 use super::UsageError;
 use super::context::{Context, object, signature};
 use super::values::{Pair, Precision};
-use crate::psf_args::PsfArgs;
+use crate::psf_args::{PsfArgs, notes_of};
 
 /// Convert a PSF file to another format
 ///
@@ -115,7 +115,7 @@ impl ConvertArgs {
         let psf = self.fit.open(&self.input, context)?;
         self.check_fit_options(target, &at, &psf)?;
         let spinner = context.spinner("converting");
-        let mut notes = psf.notes().to_vec();
+        let mut notes = notes_of(&psf);
         let format = match target {
             Target::PsfSamples => PsfFormat::Samples {
                 at,

@@ -7,7 +7,7 @@ use psfield::{EvaluateOptions, OutputGrid, check_outputs};
 
 use super::context::{Context, object, signature};
 use super::values::{Precision, stamp_size};
-use crate::psf_args::PsfArgs;
+use crate::psf_args::{PsfArgs, notes_of};
 
 /// Write the PSF at given positions
 #[derive(Debug, clap::Args)]
@@ -87,7 +87,7 @@ impl EvaluateArgs {
             shape: [grid.nx(), grid.ny()],
             oversampling: grid.oversampling(),
             // Notes on how the PSF was read.
-            notes: psf.notes(),
+            notes: notes_of(&psf),
         };
         context.report(&report, || {
             let [nx, ny] = report.shape;

@@ -95,11 +95,17 @@ impl PsfArgs {
     /// Opens any PSF file and prints notes on how it was read.
     pub(crate) fn open(&self, path: &Path, context: &Context) -> anyhow::Result<Psf> {
         let psf = Psf::open_with(path, &self.file.options()?, &self.fit.choices()).map_err(as_usage)?;
-        for note in psf.notes() {
+        for note in notes_of(&psf) {
             context.note(&format!("{}: {note}", path.display()));
         }
         Ok(psf)
     }
+}
+
+/// The notes on how a PSF was read, each with the option that changes what it says.
+pub(crate) fn notes_of(psf: &Psf) -> Vec<String> {
+    let notes = psf.notes().iter();
+    notes.map(|note| with_option(note, note.setting())).collect()
 }
 
 /// Turns errors about options that do not suit the file into usage errors.

@@ -12,7 +12,7 @@ use super::context::{Context, command_text, with_window_hint};
 use super::report_folder::ReportFolder;
 use super::reproduce::targets_text;
 use super::star_args::StarArgs;
-use crate::psf_args::PsfArgs;
+use crate::psf_args::{PsfArgs, notes_of};
 
 /// Compare a PSF model with known PSFs, or with the stars of a frame
 ///
@@ -72,7 +72,7 @@ impl ValidateArgs {
         ];
         let document = measured.document(inputs, Software::of_command(command_text()))?;
         let tables = [("objects.csv", measured.objects.rows.as_slice())];
-        let of_psf = (&measured, Some(psf.notes().to_vec()));
+        let of_psf = (&measured, Some(notes_of(&psf)));
         let speaking = (context, spinner);
         self.folder
             .publish(&document, of_psf, &tables, speaking, |folder| {

@@ -75,6 +75,7 @@ pub(crate) fn with_argument(text: String, setting: Option<&str>) -> String {
         Some("hdu") => "wcs_extension",
         Some("sky") => "wcs",
         Some("grid") => "pixels",
+        Some("at") => "grid_shape",
         Some("normalisation") => "normalise",
         Some(same) => same,
     };

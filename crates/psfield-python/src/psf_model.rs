@@ -17,7 +17,7 @@ use psfield::{
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::error::{Failure, invalid};
+use crate::error::{Failure, invalid, with_argument};
 use crate::settings::{FileSettings, FitSettings, GridSettings, frame_shape, parsed, positions};
 use crate::threads;
 
@@ -122,7 +122,10 @@ impl PsfModel {
 
     /// Sentences on how the file was read.
     fn notes(&self) -> Vec<String> {
-        self.0.notes().to_vec()
+        let notes = self.0.notes().iter();
+        notes
+            .map(|note| with_argument(note.to_string(), note.setting()))
+            .collect()
     }
 
     /// The name of the constructor that makes an equal model, and its arguments.

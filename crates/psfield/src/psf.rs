@@ -47,11 +47,31 @@ struct Inner {
     model: OnceLock<PsfModel>,
 }
 
+/// A note for the user on how a PSF file was read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Note {
+    text: String,
+    setting: Option<&'static str>,
+}
+
+impl Note {
+    /// The field of [`PsfFileOptions`] that changes what the note says, if one does.
+    pub fn setting(&self) -> Option<&'static str> {
+        self.setting
+    }
+}
+
+impl std::fmt::Display for Note {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.text)
+    }
+}
+
 /// The file that a PSF was read from, if there is one.
 #[derive(Debug, Clone, Default)]
 struct SourceFile {
     kind: Option<FileKind>,
-    notes: Vec<String>,
+    notes: Vec<Note>,
     /// The model of a PSFEx file, which is written unchanged.
     psfex: Option<PsfexModel>,
 }
@@ -156,7 +176,7 @@ impl Psf {
     }
 
     /// Notes on the reading of the file, in plain sentences for the user.
-    pub fn notes(&self) -> &[String] {
+    pub fn notes(&self) -> &[Note] {
         &self.0.source.notes
     }
 

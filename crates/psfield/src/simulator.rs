@@ -567,8 +567,7 @@ impl<T: ConvReal> Simulator<T> {
         let stars = scene.stars().iter().map(|star| star.flux());
         let mut fluxes = stars.chain(scene.galaxies().iter().map(|galaxy| galaxy.flux()));
         if let Some(flux) = fluxes.find(|&flux| !T::nearest(flux).as_f64().is_finite()) {
-            let message =
-                format!("a flux of {flux:e} is beyond single precision: use double precision (f64)");
+            let message = format!("a flux of {flux:e} is beyond single precision: choose f64");
             return Err(PsfieldError::new(ErrorKind::Data, message).with_setting("precision"));
         }
         let (shape, s) = (self.geometry.shape, self.geometry.oversample);

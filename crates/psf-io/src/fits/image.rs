@@ -435,7 +435,7 @@ impl Pixels {
         match self.non_finite(first, count) {
             Ok(Some((flat, value, count))) => {
                 let problem = format!(
-                    "the pixel is {value}, the first of {count} that are NaN, infinite or BLANK: replace them by numbers"
+                    "the value is {value}. In all {count} pixel(s) are NaN, infinite or BLANK: replace them by numbers"
                 );
                 let (hdu, index) = (self.hdu, self.index(flat));
                 IoError::new(self.fits.path(), IoErrorKind::Data, problem).at(Place::Pixel { hdu, index })

@@ -318,6 +318,7 @@ impl SimulateArgs {
     fn told_of(&self, error: PsfieldError) -> anyhow::Error {
         match (error.kind(), error.setting(), &self.scene.catalog) {
             (ErrorKind::Setting, Some("frame"), _) => UsageError(with_option(&error, error.setting())).into(),
+            (ErrorKind::Data, Some("frame"), _) => error.into(),
             (_, Some("precision"), Some(path)) => {
                 anyhow::Error::new(error).context(path.display().to_string())
             }

@@ -65,7 +65,7 @@ fn catalogues_that_do_not_suit() {
     let simulate = |options: &str| format!("simulate --psf fine.fits {SHAPE} -o x.fits {options}");
     for (options, needles) in [
         ("--catalog mags.csv", &["mags.csv", "--zero-point"][..]),
-        ("--catalog bad.csv", &["bad.csv", "line 3", "y is"]),
+        ("--catalog bad.csv", &["bad.csv", "line 3, column \"y\""]),
         ("--catalog sky.csv", &["sky.csv", "sky coordinates"]),
         ("--catalog galaxy.csv", &["galaxy.csv", "line 2", "index"]),
         ("--catalog stars.csv --columns x=XX,y=y", &["stars.csv", "XX"]),
@@ -245,7 +245,7 @@ fn finer_scenes() {
     desk.refused(
         "simulate scene.fits --oversample 2 --psf fine.fits -o x.fits",
         1,
-        &["61 x 51", "--oversample 2"],
+        &["61 x 51", "not a multiple of 2 pixels", "--frame"],
     );
     desk.refused(
         "simulate scene.fits --oversample 99 --psf fine.fits -o x.fits",
@@ -451,7 +451,7 @@ fn small_galaxies_need_finer_pixels() {
     desk.write("large.csv", "x,y,flux,re,n\n30.4,25,100,3,1\n");
     desk.warned(
         &run("--catalog large.csv --oversample 3", "large.fits"),
-        "--oversample 4",
+        "at least 4 along each side of a frame pixel, and 2 per half-light radius (option --oversample)",
     );
     desk.done(&run("--catalog large.csv --oversample 4", "fine_enough.fits"));
 }

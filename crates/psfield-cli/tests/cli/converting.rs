@@ -386,7 +386,11 @@ fn conversions_that_cannot_be() {
     desk.write("at.csv", "x,y\n3,4\n5,6\n");
     for (arguments, code, needles) in [
         ("samples.fits -o out.fits", 2, &["--to"][..]),
-        ("samples.fits -o out.psf", 1, &["samples.fits", "--to psfex=2"]),
+        (
+            "samples.fits -o out.psf",
+            1,
+            &["samples.fits", "--to psfex=DEGREE"],
+        ),
         ("samples.fits -o out.psf --to psfex=11", 2, &["0 to 10"]),
         ("samples.fits -o out.psf --to psfex=-1", 2, &["0 to 10"]),
         (

@@ -156,12 +156,12 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
         (
             "scene.fits --frame 10,10,61,20",
             2,
-            "error: --frame: the frame (first pixel 10, 10; 61 x 20 pixels) reaches beyond the scene of 61 x 51 pixels\n",
+            "error: the frame (first pixel 10, 10; 61 x 20 pixels) reaches beyond the scene of 61 x 51 pixels (option --frame)\n",
         ),
         (
             "scene.fits --frame 9223372036854775807,10,5,6 --oversample 3",
             2,
-            "error: --frame: 5 x 6 pixels at (9223372036854775807, 10) lie off any scene\n",
+            "error: the frame of 5 x 6 pixels at (9223372036854775807, 10) lies outside any scene (option --frame)\n",
         ),
         (
             "--catalog bright.csv --shape 100000,90000",
@@ -171,13 +171,13 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
         (
             "scene.fits --oversample 7",
             1,
-            "psfield: error: the scene is 61 x 51 pixels, which is no multiple of --oversample 7: cut it, or choose a part of it with \
-             --frame\n",
+            "psfield: error: the scene is 61 x 51 pixels, which is not a multiple of 7 pixels along each side of a frame pixel: \
+             cut the scene, or choose a part of it with a frame (option --frame)\n",
         ),
         (
             "--catalog bright.csv --shape 61,51",
             1,
-            "psfield: error: bright.csv: a flux of 1e39 is beyond single precision: choose --precision f64\n",
+            "psfield: error: bright.csv: a flux of 1e39 is beyond single precision: choose f64 (option --precision)\n",
         ),
     ] {
         desk.refused(

@@ -10,7 +10,7 @@ use psf_types::{
 };
 
 use super::format_records::{record_of_psfex, record_of_scopesim};
-use super::{Origin, Psf, SourceFile};
+use super::{Note, Origin, Psf, SourceFile};
 use crate::{ErrorKind, FitOptions, PsfieldError};
 
 /// Settings that a PSF file does not state, or leaves to the user. Each setting applies to some
@@ -262,7 +262,7 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
         return Err(PsfieldError::of_setting(setting, message));
     }
     let of_library = |library: psf_io::GriddedPsf| {
-        let notes = library.notes().to_vec();
+        let notes = library.notes().iter().map(plain_note).collect();
         (unfitted(library.into_samples()), notes)
     };
     let mut psfex = None;
@@ -282,7 +282,10 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
         FileKind::Stdpsf => of_library(psf_io::read_stdpsf_hdu(path, choice, file.detector)?),
         FileKind::Scopesim => {
             let psf = psf_io::read_scopesim(path, &scopesim_options(path, file)?)?;
-            (Origin::Record(record_of_scopesim(&psf)?), psf.notes().to_vec())
+            (
+                Origin::Record(record_of_scopesim(&psf)?),
+                psf.notes().iter().map(plain_note).collect(),
+            )
         }
         FileKind::Cube | FileKind::Image => plain(path, kind, file)?,
         // For any other file, the reader of samples has the best message about what is missing.
@@ -322,7 +325,7 @@ fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOption
 }
 
 /// Reads stamps without metadata.
-fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, Vec<String>), PsfieldError> {
+fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, Vec<Note>), PsfieldError> {
     // The image may be a scene that was given by mistake. The user must state that it is a PSF.
     let header = psf_io::read_stamp_header(path, file.extension.as_ref())?;
     if file.oversampling.is_none() && header.get("OVERSAMP").is_none() {
@@ -349,19 +352,24 @@ fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, 
     let grid = samples.grid();
     let says_centre = file.centre.is_some() || ["CENX", "CENY"].iter().all(|card| header.get(card).is_some());
     if !says_centre && (grid.nx() % 2 == 0 || grid.ny() % 2 == 0) {
-        notes.push(format!(
-            "stamps of {} x {} pixels have no middle pixel: ({}, {}) is taken as their centre (0-based). The setting \
-             centre chooses another",
-            grid.nx(),
-            grid.ny(),
-            grid.centre_x(),
-            grid.centre_y()
-        ));
+        let (nx, ny, x, y) = (grid.nx(), grid.ny(), grid.centre_x(), grid.centre_y());
+        let text = format!(
+            "stamps of {nx} x {ny} pixels have no middle pixel: ({x}, {y}) is taken as their centre (0-based). Give \
+             another centre if this is wrong"
+        );
+        let setting = Some("centre");
+        notes.push(Note { text, setting });
     }
     if samples.len() == 1 {
-        notes.push("one stamp, taken as the PSF of the whole field".to_owned());
+        notes.push(plain_note("one stamp, taken as the PSF of the whole field"));
     }
     Ok((unfitted(samples), notes))
+}
+
+/// A note that no setting changes.
+fn plain_note(text: impl Into<String>) -> Note {
+    let (text, setting) = (text.into(), None);
+    Note { text, setting }
 }
 
 fn unfitted(samples: PsfSamples) -> Origin {

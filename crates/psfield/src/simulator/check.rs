@@ -238,8 +238,9 @@ impl fmt::Display for SimulationWarning {
             Self::BlurredGalaxies { count } => write!(
                 f,
                 "{count} galaxies are blurred a second time by the scene pixels on which they are drawn (by 3 % of \
-                 their peak in the median, more where they are small). The spot check does not see that. Draw them on finer pixels: at least \
-                 {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per half-light radius"
+                 their peak in the median, more where they are small). The spot check does not see that. Draw them on \
+                 finer pixels: at least {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per \
+                 half-light radius"
             ),
         }
     }

@@ -7,7 +7,7 @@ use psf_types::{
     DataError, FrameShape, Image, ImageView, PixelRegion, Position, SersicProfile, SersicSource,
 };
 
-use crate::{PsfieldError, SimulateOptions};
+use crate::{ErrorKind, PsfieldError, SimulateOptions};
 
 /// The place of scenes of one shape on the frame.
 ///
@@ -49,7 +49,7 @@ impl Geometry {
                     "the scene is {shape} pixels, which is not a multiple of {s} pixels along each side of a frame pixel: \
                      cut the scene, or choose a part of it with a frame"
                 );
-                return Err(PsfieldError::of_setting("oversample", message));
+                return Err(PsfieldError::new(ErrorKind::Data, message).with_setting("frame"));
             }
         };
         let whole = frame.shape();

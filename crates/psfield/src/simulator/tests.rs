@@ -171,7 +171,7 @@ fn what_does_not_fit_is_refused() {
     };
     let refused = |options| built::<f32>((20, 15), options).unwrap_err();
     let error = refused(finer(2));
-    assert_eq!(error.setting(), Some("oversample"));
+    assert_eq!(of(&error), (ErrorKind::Data, Some("frame")));
     assert!(
         error.to_string().contains("not a multiple of 2 pixels"),
         "{error}"
