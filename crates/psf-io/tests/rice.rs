@@ -163,11 +163,8 @@ fn encoded(pixels: &[i32], pixel_bytes: u32, block: usize, codes: &[Code]) -> Ve
     };
     let mut bits = Vec::new();
     let mut put = |value: u64, count: u32| {
-        bits.extend(
-            (0..count)
-                .rev()
-                .map(|bit| value.checked_shr(bit).unwrap_or(0) & 1 == 1),
-        )
+        let set = |bit| value.checked_shr(bit).unwrap_or(0) & 1 == 1;
+        bits.extend((0..count).rev().map(set));
     };
     let mask = (1_u64 << pixel_bits) - 1;
     put(pixels[0] as u64 & mask, pixel_bits);
