@@ -814,7 +814,7 @@ class PsfModel:
         format: Literal["psf-model", "psf-samples", "psfex", "gridded"] = "psf-model",
         degree: int | None = None,
         grid_shape: tuple[int, int] | None = None,
-        precision: Precision = "f32",
+        precision: Precision = DEFAULTS.precision,
         overwrite: bool = False,
     ) -> tuple[str, ...]:
         """Write the PSF to a file. No partial file is left if that fails.

@@ -119,7 +119,7 @@ impl ConvertArgs {
         let format = match target {
             Target::PsfSamples => PsfFormat::Samples {
                 at,
-                precision: self.precision.unwrap_or(Precision::F32).into(),
+                precision: self.precision.unwrap_or_default().into(),
             },
             Target::PsfModel => PsfFormat::Model,
             Target::Psfex(degree) => PsfFormat::Psfex { degree },

@@ -34,7 +34,7 @@ pub(crate) struct EvaluateArgs {
     #[arg(long)]
     sub_pixel: bool,
     /// Precision of the stamps
-    #[arg(long, default_value = "f32", value_enum)]
+    #[arg(long, default_value_t, value_enum)]
     precision: Precision,
     #[command(flatten)]
     fit: PsfArgs,

@@ -55,7 +55,7 @@ pub(crate) struct ExposeArgs {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Precision in which the image is read, and the exposure written if it is not digitised
-    #[arg(long, default_value = "f32", value_enum, hide_short_help = true)]
+    #[arg(long, default_value_t, value_enum, hide_short_help = true)]
     precision: Precision,
     /// Add photon noise and nothing else
     #[arg(long, conflicts_with_all = ["detector", "mask", "Settings"])]

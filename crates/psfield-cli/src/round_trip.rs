@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use psf_io::HeaderCards;
-use psf_stars::SOURCE_COLUMNS;
+use psf_stars::{Detection, SOURCE_COLUMNS};
 use psf_types::Image;
 use psfield_lab::plot::{Axis, Curve, Curves, Figure, PlotError, curve_panels};
 use psfield_lab::{ROUND_TRIP_COLUMNS, RoundTrip, RoundTripOptions};
@@ -35,8 +35,7 @@ pub(crate) struct RoundTripArgs {
     /// Replace files that exist
     #[arg(long)]
     overwrite: bool,
-    /// Detection threshold (sigma) [default: 5]
-    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true, help = format!("Detection threshold (sigma) [default: {}]", Detection::DEFAULT_THRESHOLD))]
     threshold: Option<f64>,
     /// Measure stars in N x N pixels [default: four FWHM, at least 7]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(5..))]

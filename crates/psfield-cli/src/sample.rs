@@ -8,7 +8,7 @@ use ndarray::{Axis, stack};
 use psf_io::{Card, FileKind, IoErrorKind};
 use psf_optics::Telescope;
 use psf_sample::{DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome};
-use psf_stars::{CoverageMap, SOURCE_COLUMNS, StarSamples};
+use psf_stars::{CoverageMap, Detection, SOURCE_COLUMNS, StarSamples};
 use psf_types::PsfSource;
 
 use crate::UsageError;
@@ -34,8 +34,7 @@ pub(crate) struct SampleArgs {
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
-    /// Threshold of --criterion [default: 0.01], for frames of the detection (sigma) [default: 5]
-    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true)]
+    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true, help = format!("Threshold of --criterion [default: {}], for frames of the detection (sigma) [default: {}]", default().threshold, Detection::DEFAULT_THRESHOLD))]
     threshold: Option<f64>,
     #[command(flatten)]
     telescope: TelescopeArgs,
@@ -88,6 +87,10 @@ fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError
     }
 }
 
+fn default() -> SamplingOptions {
+    SamplingOptions::default()
+}
+
 /// Options for telescopes.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Telescopes")]
@@ -95,22 +98,17 @@ struct TelescopeArgs {
     /// Use a built-in telescope instead of a file
     #[arg(long, value_enum, conflicts_with = "input")]
     preset: Option<Preset>,
-    /// Quantity that must stay below the threshold [default: interpolation]
-    #[arg(long, value_enum)]
+    #[arg(long, value_enum, help = format!("Quantity that must stay below the threshold [default: {}]", default().criterion))]
     criterion: Option<Criterion>,
-    /// Norm in which PSFs are compared [default: l2]
-    #[arg(long, value_enum, hide_short_help = true)]
+    #[arg(long, value_enum, hide_short_help = true, help = format!("Norm in which PSFs are compared [default: {}]", default().measure))]
     measure: Option<Measure>,
-    /// Coarse grid from which refinement starts [default: 5,5]
     #[arg(
         long,
         value_name = "NX,NY",
         allow_hyphen_values = true,
-        hide_short_help = true
-    )]
+        hide_short_help = true, help = format!("Coarse grid from which refinement starts [default: {},{}]", default().start.0, default().start.1))]
     start: Option<Pair>,
-    /// Stop with an error if more samples are needed [default: 20000]
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_name = "N", help = format!("Stop with an error if more samples are needed [default: {}]", default().max_samples))]
     max_samples: Option<usize>,
     /// If --max-samples is reached, write the samples drawn so far, with a warning
     #[arg(long, hide_short_help = true)]
@@ -174,7 +172,7 @@ impl TelescopeArgs {
             (Some(path), _) => Telescope::from_toml_file(path)?,
             (None, preset) => preset.unwrap_or(Preset::Survey2m).telescope(),
         };
-        let threshold = asked.threshold.unwrap_or(SamplingOptions::default().threshold);
+        let threshold = asked.threshold.unwrap_or(default().threshold);
         let sampling = self.draw(&telescope, threshold, context)?;
         write_samples(&asked.output, &sampling.samples, asked.overwrite)?;
         let found = &sampling.report;
@@ -222,7 +220,7 @@ impl TelescopeArgs {
     }
 
     fn draw(&self, telescope: &Telescope, threshold: f64, context: &Context) -> anyhow::Result<Sampling> {
-        let defaults = SamplingOptions::default();
+        let defaults = default();
         let options = SamplingOptions {
             criterion: match self.criterion {
                 Some(Criterion::Interpolation) => psf_sample::Criterion::Interpolation,

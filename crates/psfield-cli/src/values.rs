@@ -9,8 +9,9 @@ use psf_types::{FrameShape, PixelRegion};
 const MAX_STAMP: usize = 8192;
 
 /// The precision of written values, and of the computation where that has a choice.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub(crate) enum Precision {
+    #[default]
     F32,
     F64,
 }

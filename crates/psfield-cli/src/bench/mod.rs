@@ -110,7 +110,7 @@ pub(crate) struct BenchArgs {
     )]
     anchor: Anchor,
     /// Precision of the computation
-    #[arg(long, default_value = "f32", value_enum, help_heading = METHODS, hide_short_help = true)]
+    #[arg(long, default_value_t, value_enum, help_heading = METHODS, hide_short_help = true)]
     precision: Precision,
     /// Number of timed turns of each method [default: 3]
     ///

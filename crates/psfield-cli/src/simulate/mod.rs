@@ -105,7 +105,7 @@ pub(crate) struct SimulateArgs {
     /// Precision of the computation and of the image
     #[arg(
         long,
-        default_value = "f32",
+        default_value_t,
         value_enum,
         help_heading = ACCURACY,
         hide_short_help = true
