@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use ndarray::{Axis, stack};
 use psf_io::{Card, FileKind, IoErrorKind};
 use psf_optics::Telescope;
-use psf_sample::{DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome};
+use psf_sample::{Criterion, DifferenceMeasure, SampleError, Sampling, SamplingOptions, SamplingOutcome};
 use psf_stars::{CoverageMap, Detection, SOURCE_COLUMNS, StarSamples};
 use psf_types::PsfSource;
 
@@ -34,7 +35,17 @@ pub(crate) struct SampleArgs {
     /// Replace outputs that exist
     #[arg(long)]
     overwrite: bool,
-    #[arg(long, value_name = "X", value_parser = above_zero, allow_negative_numbers = true, help = format!("Threshold of --criterion [default: {}], for frames of the detection (sigma) [default: {}]", default().threshold, Detection::DEFAULT_THRESHOLD))]
+    #[arg(
+        long,
+        value_name = "X",
+        value_parser = above_zero,
+        allow_negative_numbers = true,
+        help = format!(
+            "Threshold of --criterion [default: {}], for frames of the detection (sigma) [default: {}]",
+            defaults().threshold,
+            Detection::DEFAULT_THRESHOLD,
+        )
+    )]
     threshold: Option<f64>,
     #[command(flatten)]
     telescope: TelescopeArgs,
@@ -87,8 +98,29 @@ fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError
     }
 }
 
-fn default() -> SamplingOptions {
+/// The defaults that the helps state.
+fn defaults() -> SamplingOptions {
     SamplingOptions::default()
+}
+
+fn start() -> String {
+    let (nx, ny) = defaults().start;
+    format!("Coarse grid from which refinement starts [default: {nx},{ny}]")
+}
+
+/// Reads a criterion.
+fn criterion() -> impl TypedValueParser<Value = Criterion> {
+    let values = [
+        PossibleValue::new("interpolation").help("Error of interpolating between samples"),
+        PossibleValue::new("neighbours")
+            .help("Difference of neighbouring samples, as in the paper (needs many more samples)"),
+    ];
+    PossibleValuesParser::new(values).try_map(|text| text.parse::<Criterion>())
+}
+
+/// Reads a norm.
+fn measure() -> impl TypedValueParser<Value = DifferenceMeasure> {
+    PossibleValuesParser::new(["l1", "l2"]).try_map(|text| text.parse::<DifferenceMeasure>())
 }
 
 /// Options for telescopes.
@@ -98,17 +130,26 @@ struct TelescopeArgs {
     /// Use a built-in telescope instead of a file
     #[arg(long, value_enum, conflicts_with = "input")]
     preset: Option<Preset>,
-    #[arg(long, value_enum, help = format!("Quantity that must stay below the threshold [default: {}]", default().criterion))]
-    criterion: Option<Criterion>,
-    #[arg(long, value_enum, hide_short_help = true, help = format!("Norm in which PSFs are compared [default: {}]", default().measure))]
-    measure: Option<Measure>,
     #[arg(
         long,
-        value_name = "NX,NY",
-        allow_hyphen_values = true,
-        hide_short_help = true, help = format!("Coarse grid from which refinement starts [default: {},{}]", default().start.0, default().start.1))]
+        value_parser = criterion(),
+        help = format!("Quantity that must stay below the threshold [default: {}]", defaults().criterion)
+    )]
+    criterion: Option<Criterion>,
+    #[arg(
+        long,
+        value_parser = measure(),
+        hide_short_help = true,
+        help = format!("Norm in which PSFs are compared [default: {}]", defaults().measure)
+    )]
+    measure: Option<DifferenceMeasure>,
+    #[arg(long, value_name = "NX,NY", allow_hyphen_values = true, hide_short_help = true, help = start())]
     start: Option<Pair>,
-    #[arg(long, value_name = "N", help = format!("Stop with an error if more samples are needed [default: {}]", default().max_samples))]
+    #[arg(
+        long,
+        value_name = "N",
+        help = format!("Stop with an error if more samples are needed [default: {}]", defaults().max_samples)
+    )]
     max_samples: Option<usize>,
     /// If --max-samples is reached, write the samples drawn so far, with a warning
     #[arg(long, hide_short_help = true)]
@@ -137,20 +178,6 @@ impl Preset {
     }
 }
 
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Criterion {
-    /// Error of interpolating between samples
-    Interpolation,
-    /// Difference of neighbouring samples, as in the paper (needs many more samples)
-    Neighbours,
-}
-
-#[derive(Debug, Clone, Copy, clap::ValueEnum)]
-enum Measure {
-    L1,
-    L2,
-}
-
 impl TelescopeArgs {
     /// Returns the first given option that applies only to telescopes.
     fn given(&self) -> Option<&'static str> {
@@ -172,7 +199,7 @@ impl TelescopeArgs {
             (Some(path), _) => Telescope::from_toml_file(path)?,
             (None, preset) => preset.unwrap_or(Preset::Survey2m).telescope(),
         };
-        let threshold = asked.threshold.unwrap_or(default().threshold);
+        let threshold = asked.threshold.unwrap_or(defaults().threshold);
         let sampling = self.draw(&telescope, threshold, context)?;
         write_samples(&asked.output, &sampling.samples, asked.overwrite)?;
         let found = &sampling.report;
@@ -220,18 +247,10 @@ impl TelescopeArgs {
     }
 
     fn draw(&self, telescope: &Telescope, threshold: f64, context: &Context) -> anyhow::Result<Sampling> {
-        let defaults = default();
+        let defaults = defaults();
         let options = SamplingOptions {
-            criterion: match self.criterion {
-                Some(Criterion::Interpolation) => psf_sample::Criterion::Interpolation,
-                Some(Criterion::Neighbours) => psf_sample::Criterion::Neighbours,
-                None => defaults.criterion,
-            },
-            measure: match self.measure {
-                Some(Measure::L1) => DifferenceMeasure::L1,
-                Some(Measure::L2) => DifferenceMeasure::L2,
-                None => defaults.measure,
-            },
+            criterion: self.criterion.unwrap_or(defaults.criterion),
+            measure: self.measure.unwrap_or(defaults.measure),
             threshold,
             start: self.start.map_or(defaults.start, |Pair(nx, ny)| (nx, ny)),
             max_samples: self.max_samples.unwrap_or(defaults.max_samples),

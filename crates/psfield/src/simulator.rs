@@ -1,6 +1,7 @@
 //! Makes images of scenes through a PSF.
 
 mod both_precisions;
+mod builder;
 mod check;
 mod geometry;
 mod stream;
@@ -17,196 +18,21 @@ use conv_core::{
 };
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, s};
 use psf_types::{
-    Anchor, DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, PointSource, Progress,
-    PsfModel, Uncounted,
+    DataError, FrameShape, Image, ImageView, NoProgress, PixelRegion, PointSource, Progress, PsfModel,
+    Uncounted,
 };
 
 use crate::device::{self, CpuReason, GpuSeconds, Placement};
 use crate::psf::get_or_make;
-use crate::{Device, ErrorKind, Method, Psf, PsfieldError, Scene, SimulateOptions, check_frame_on_field};
-
-/// Names the operation that a region of the frame needs, for an error.
-const REGION: &str = "a region of the frame can be computed";
+use crate::{Device, ErrorKind, Psf, PsfieldError, Scene, SimulateOptions};
 
 use geometry::Geometry;
 
+pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub use check::SimulationWarning;
 
-/// Collects the settings of a [`Simulator`]. [`Psf::simulator`] makes it. Each setter is named
-/// after the field of [`SimulateOptions`] that it sets.
-#[derive(Debug, Clone)]
-pub struct SimulatorBuilder {
-    psf: Psf,
-    shape: (usize, usize),
-    options: SimulateOptions,
-}
-
-impl Psf {
-    /// Returns a builder of simulators for scenes of `(ny, nx)` pixels, counted in the scenes' own
-    /// pixels.
-    pub fn simulator(&self, shape: (usize, usize)) -> SimulatorBuilder {
-        SimulatorBuilder {
-            psf: self.clone(),
-            shape,
-            options: SimulateOptions::default(),
-        }
-    }
-
-    /// Returns a builder of simulators that convolve images by a method that the caller implements.
-    /// The method decides the anchoring. Stars are drawn one by one in f64.
-    pub fn simulator_by<T: ConvReal>(
-        &self,
-        method: Box<dyn ConvolutionMethod<T>>,
-        shape: (usize, usize),
-    ) -> OwnMethodBuilder<T> {
-        let options = SimulateOptions {
-            method: Method::Own,
-            anchor: method.anchor(),
-            ..SimulateOptions::default()
-        };
-        let builder = self.simulator(shape).options(options);
-        OwnMethodBuilder { builder, method }
-    }
-}
-
-/// Collects the settings of a [`Simulator`] with a method that the caller implements.
-/// [`Psf::simulator_by`] makes it.
-#[derive(Debug)]
-pub struct OwnMethodBuilder<T> {
-    builder: SimulatorBuilder,
-    method: Box<dyn ConvolutionMethod<T>>,
-}
-
-impl<T: ConvReal> OwnMethodBuilder<T> {
-    /// Sets how many pixels of the scene lie along each side of a frame pixel.
-    #[must_use]
-    pub fn oversample(mut self, oversample: usize) -> Self {
-        self.builder.options.oversample = oversample;
-        self
-    }
-
-    /// Sets the part of the scene that the image shows.
-    #[must_use]
-    pub fn frame(mut self, frame: PixelRegion) -> Self {
-        self.builder.options.frame = Some(frame);
-        self
-    }
-
-    /// Cuts or pads stamps to `size` frame pixels along each side.
-    #[must_use]
-    pub fn stamp_size(mut self, size: usize) -> Self {
-        self.builder.options.stamp_size = Some(size);
-        self
-    }
-
-    /// Checks the settings.
-    ///
-    /// # Errors
-    /// The errors of [`SimulatorBuilder::build`].
-    pub fn build(self) -> Result<Simulator<T>, PsfieldError> {
-        self.builder.build_by(Some(self.method))
-    }
-}
-
-impl SimulatorBuilder {
-    /// Replaces all settings.
-    #[must_use]
-    pub fn options(self, options: SimulateOptions) -> Self {
-        Self { options, ..self }
-    }
-
-    /// Sets the largest relative L2 error that the engine may add to the PSF of any pixel or star.
-    #[must_use]
-    pub fn tolerance(mut self, tolerance: f64) -> Self {
-        self.options.tolerance = tolerance;
-        self
-    }
-
-    /// Chooses the PSF that applies: that of the source or that of the output pixel.
-    #[must_use]
-    pub fn anchor(mut self, anchor: Anchor) -> Self {
-        self.options.anchor = anchor;
-        self
-    }
-
-    /// Sets the convolution method.
-    #[must_use]
-    pub fn method(mut self, method: Method) -> Self {
-        self.options.method = method;
-        self
-    }
-
-    /// Sets how many pixels of the scene's image lie along each side of a frame pixel.
-    #[must_use]
-    pub fn oversample(mut self, oversample: usize) -> Self {
-        self.options.oversample = oversample;
-        self
-    }
-
-    /// Sets the part of the scene that the image shows.
-    #[must_use]
-    pub fn frame(mut self, frame: PixelRegion) -> Self {
-        self.options.frame = Some(frame);
-        self
-    }
-
-    /// Sets the device that convolves images.
-    #[must_use]
-    pub fn device(mut self, device: Device) -> Self {
-        self.options.device = device;
-        self
-    }
-
-    /// Checks the settings. Plans are made when the first scene needs them.
-    ///
-    /// # Errors
-    /// [`PsfieldError`] for settings that cannot be used: a tolerance, an oversampling or a stamp
-    /// size out of range, a frame that reaches beyond the scene or the field of the PSF, or a
-    /// region that reaches beyond the frame.
-    pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
-        if self.options.method == Method::Own {
-            return Err(Method::refused(Method::Own));
-        }
-        let method = self.options.method.without_plan(self.options.anchor)?;
-        self.build_by(method)
-    }
-
-    #[inline(never)]
-    fn build_by<T: ConvReal>(
-        self,
-        method: Option<Box<dyn ConvolutionMethod<T>>>,
-    ) -> Result<Simulator<T>, PsfieldError> {
-        let Self { psf, shape, options } = self;
-        options.plan_options()?;
-        let geometry = Geometry::new(FrameShape::new(shape.1, shape.0)?, &options)?;
-        if method.is_some() && !geometry.is_whole() {
-            return Err(PsfieldError::needs_plan(REGION));
-        }
-        if method.is_some() && options.device == Device::Gpu {
-            const ON_GPU: &str =
-                "only the methods auto and lowrank run on a GPU: choose one of them, or the device cpu";
-            return Err(PsfieldError::of_setting("device", ON_GPU));
-        }
-        if options.stamp_size == Some(0) {
-            FrameShape::new(0, 0)?;
-        }
-        let frame = geometry.frame.shape();
-        check_frame_on_field(frame, psf.positions().field())?;
-        Ok(Simulator {
-            shared: Arc::new(Shared {
-                psf,
-                method,
-                image_model: OnceLock::new(),
-                stars: OnceLock::new(),
-            }),
-            options,
-            geometry,
-            images: OnceLock::new(),
-            padded: OnceLock::new(),
-            ran_padded: AtomicBool::new(false),
-        })
-    }
-}
+/// Names the operation that a region of the frame needs, for an error.
+const REGION: &str = "a region of the frame can be computed";
 
 /// Makes images of scenes of one shape through a PSF. Models and plans are made when the first
 /// scene needs them, and kept for all later scenes. [`prepare`](Self::prepare) makes them
@@ -500,14 +326,9 @@ impl<T: ConvReal> Simulator<T> {
         self.check_sources(scene, rows)?;
         let extended = rows || has_extended_light(scene);
         let with_stars = !extended || !scene.stars().is_empty();
-        let kept = if scene.galaxies().is_empty() {
-            &self.images
-        } else {
-            &self.padded
-        };
         // Parts that exist already count 0 seconds.
         let new_model = self.shared.image_model.get().is_none();
-        let new_convolver = kept.get().is_none();
+        let new_convolver = self.kept(scene).get().is_none();
         let new_stars = self.shared.stars.get().is_none();
         let spent = |new: bool, seconds: f64| if new { seconds } else { 0.0 };
         let (mut fit_seconds, mut plan_seconds) = (0.0, 0.0);
@@ -538,13 +359,8 @@ impl<T: ConvReal> Simulator<T> {
 
     /// Returns whether [`prepare`](Self::prepare) has nothing left to make for scenes of this kind.
     pub fn is_prepared(&self, scene: &Scene<'_, T>, rows: bool) -> bool {
-        let convolver = if scene.galaxies().is_empty() {
-            &self.images
-        } else {
-            &self.padded
-        };
         let extended = rows || has_extended_light(scene);
-        (!extended || convolver.get().is_some())
+        (!extended || self.kept(scene).get().is_some())
             && (extended && scene.stars().is_empty() || self.shared.stars.get().is_some())
     }
 
@@ -587,6 +403,15 @@ impl<T: ConvReal> Simulator<T> {
         } else {
             let reach = self.psf().reach(self.options.stamp_size);
             reach.saturating_mul(self.geometry.oversample)
+        }
+    }
+
+    /// The place of the convolver for scenes of this kind.
+    fn kept(&self, scene: &Scene<'_, T>) -> &OnceLock<Convolver<T>> {
+        if scene.galaxies().is_empty() {
+            &self.images
+        } else {
+            &self.padded
         }
     }
 
@@ -634,8 +459,7 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<&Convolver<T>, PsfieldError> {
         let padding = self.padding(scene);
-        let kept = if padding == 0 { &self.images } else { &self.padded };
-        get_or_make(kept, || {
+        get_or_make(self.kept(scene), || {
             let (model, _) = self.image_model()?;
             let clock = Instant::now();
             let (engine, placement) = match self.options.plan_options()? {
@@ -662,7 +486,6 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Returns the extended light of a scene for a convolver.
-    #[inline(never)]
     fn light<'a>(
         &self,
         scene: &'a Scene<'_, T>,

@@ -5,6 +5,7 @@ use psf_types::{Position, PsfSamples, SamplePositions, SersicProfile, SersicSour
 
 use super::*;
 use crate::ErrorKind;
+use crate::Method;
 
 fn shape(nx: usize, ny: usize) -> FrameShape {
     FrameShape::new(nx, ny).unwrap()

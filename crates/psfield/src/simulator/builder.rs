@@ -1,0 +1,187 @@
+//! Collects and checks the settings of a simulator.
+
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, OnceLock};
+
+use conv_core::{ConvReal, ConvolutionMethod};
+use psf_types::{Anchor, FrameShape, PixelRegion};
+
+use super::geometry::Geometry;
+use super::{REGION, Shared, Simulator};
+use crate::{Device, Method, Psf, PsfieldError, SimulateOptions, check_frame_on_field};
+
+/// Collects the settings of a [`Simulator`]. [`Psf::simulator`] makes it. Each setter is named
+/// after the field of [`SimulateOptions`] that it sets.
+#[derive(Debug, Clone)]
+pub struct SimulatorBuilder {
+    psf: Psf,
+    shape: (usize, usize),
+    options: SimulateOptions,
+}
+
+impl Psf {
+    /// Returns a builder of simulators for scenes of `(ny, nx)` pixels, counted in the scenes' own
+    /// pixels.
+    pub fn simulator(&self, shape: (usize, usize)) -> SimulatorBuilder {
+        SimulatorBuilder {
+            psf: self.clone(),
+            shape,
+            options: SimulateOptions::default(),
+        }
+    }
+
+    /// Returns a builder of simulators that convolve images by a method that the caller implements.
+    /// The method decides the anchoring. Stars are drawn one by one in f64.
+    pub fn simulator_by<T: ConvReal>(
+        &self,
+        method: Box<dyn ConvolutionMethod<T>>,
+        shape: (usize, usize),
+    ) -> OwnMethodBuilder<T> {
+        let options = SimulateOptions {
+            method: Method::Own,
+            anchor: method.anchor(),
+            ..SimulateOptions::default()
+        };
+        let builder = self.simulator(shape).options(options);
+        OwnMethodBuilder { builder, method }
+    }
+}
+
+/// Collects the settings of a [`Simulator`] with a method that the caller implements.
+/// [`Psf::simulator_by`] makes it.
+#[derive(Debug)]
+pub struct OwnMethodBuilder<T> {
+    builder: SimulatorBuilder,
+    method: Box<dyn ConvolutionMethod<T>>,
+}
+
+impl<T: ConvReal> OwnMethodBuilder<T> {
+    /// Sets how many pixels of the scene lie along each side of a frame pixel.
+    #[must_use]
+    pub fn oversample(mut self, oversample: usize) -> Self {
+        self.builder.options.oversample = oversample;
+        self
+    }
+
+    /// Sets the part of the scene that the image shows.
+    #[must_use]
+    pub fn frame(mut self, frame: PixelRegion) -> Self {
+        self.builder.options.frame = Some(frame);
+        self
+    }
+
+    /// Cuts or pads stamps to `size` frame pixels along each side.
+    #[must_use]
+    pub fn stamp_size(mut self, size: usize) -> Self {
+        self.builder.options.stamp_size = Some(size);
+        self
+    }
+
+    /// Checks the settings.
+    ///
+    /// # Errors
+    /// The errors of [`SimulatorBuilder::build`].
+    pub fn build(self) -> Result<Simulator<T>, PsfieldError> {
+        self.builder.build_by(Some(self.method))
+    }
+}
+
+impl SimulatorBuilder {
+    /// Replaces all settings.
+    #[must_use]
+    pub fn options(self, options: SimulateOptions) -> Self {
+        Self { options, ..self }
+    }
+
+    /// Sets the largest relative L2 error that the engine may add to the PSF of any pixel or star.
+    #[must_use]
+    pub fn tolerance(mut self, tolerance: f64) -> Self {
+        self.options.tolerance = tolerance;
+        self
+    }
+
+    /// Chooses the PSF that applies: that of the source or that of the output pixel.
+    #[must_use]
+    pub fn anchor(mut self, anchor: Anchor) -> Self {
+        self.options.anchor = anchor;
+        self
+    }
+
+    /// Sets the convolution method.
+    #[must_use]
+    pub fn method(mut self, method: Method) -> Self {
+        self.options.method = method;
+        self
+    }
+
+    /// Sets how many pixels of the scene's image lie along each side of a frame pixel.
+    #[must_use]
+    pub fn oversample(mut self, oversample: usize) -> Self {
+        self.options.oversample = oversample;
+        self
+    }
+
+    /// Sets the part of the scene that the image shows.
+    #[must_use]
+    pub fn frame(mut self, frame: PixelRegion) -> Self {
+        self.options.frame = Some(frame);
+        self
+    }
+
+    /// Sets the device that convolves images.
+    #[must_use]
+    pub fn device(mut self, device: Device) -> Self {
+        self.options.device = device;
+        self
+    }
+
+    /// Checks the settings. Plans are made when the first scene needs them.
+    ///
+    /// # Errors
+    /// [`PsfieldError`] for settings that cannot be used: a tolerance, an oversampling or a stamp
+    /// size out of range, a frame that reaches beyond the scene or the field of the PSF, or a
+    /// region that reaches beyond the frame.
+    pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
+        if self.options.method == Method::Own {
+            return Err(Method::refused(Method::Own));
+        }
+        let method = self.options.method.without_plan(self.options.anchor)?;
+        self.build_by(method)
+    }
+
+    #[inline(never)]
+    pub(super) fn build_by<T: ConvReal>(
+        self,
+        method: Option<Box<dyn ConvolutionMethod<T>>>,
+    ) -> Result<Simulator<T>, PsfieldError> {
+        let Self { psf, shape, options } = self;
+        options.plan_options()?;
+        let geometry = Geometry::new(FrameShape::new(shape.1, shape.0)?, &options)?;
+        if method.is_some() && !geometry.is_whole() {
+            return Err(PsfieldError::needs_plan(REGION));
+        }
+        if method.is_some() && options.device == Device::Gpu {
+            const ON_GPU: &str =
+                "only the methods auto and lowrank run on a GPU: choose one of them, or the device cpu";
+            return Err(PsfieldError::of_setting("device", ON_GPU));
+        }
+        if options.stamp_size == Some(0) {
+            FrameShape::new(0, 0)?;
+        }
+        let frame = geometry.frame.shape();
+        check_frame_on_field(frame, psf.positions().field())?;
+        Ok(Simulator {
+            shared: Arc::new(Shared {
+                psf,
+                method,
+                image_model: OnceLock::new(),
+                stars: OnceLock::new(),
+            }),
+            options,
+            geometry,
+            images: OnceLock::new(),
+            padded: OnceLock::new(),
+            ran_padded: AtomicBool::new(false),
+        })
+    }
+}
