@@ -7,7 +7,7 @@ use psfield::psf_sample::ShiftAugmentation;
 use psfield::psf_types::{NoProgress, PsfSamples, SamplePositions};
 
 #[test]
-fn auto_keeps_what_an_error_of_1e_4_asks_and_no_more() {
+fn auto_keeps_the_components_that_an_error_of_1e_4_needs() {
     let samples = uniform_samples(&small_telescope(1), 9, 7).into_unit_flux();
     let auto = Svd::new().fit(&samples).unwrap();
     let spectrum = auto.spectrum().unwrap();
@@ -51,7 +51,7 @@ fn a_basis_trained_on_shifts_represents_shifted_psfs_better() {
     let svd = Svd::new().with_rank(RankSelection::Fixed(20));
     let plain = svd.fit(&samples).unwrap();
     let trained = svd.fit_augmented(&samples, shifted(1).view()).unwrap();
-    // Both bases are judged on shifts that neither was trained on, one for each sample.
+    // Both bases are tested with new shifts, one for each sample.
     let unseen = shifted(2).slice(ndarray::s![..;3, .., ..]).to_owned();
     let positions: SamplePositions = samples.positions().clone();
     let unseen = PsfSamples::new(unseen, positions, samples.grid()).unwrap();
@@ -70,7 +70,7 @@ fn a_basis_trained_on_shifts_represents_shifted_psfs_better() {
         errors.collect::<Vec<f64>>().iter().sum::<f64>() / 25.0
     };
     println!(
-        "mean error on unseen shifts: {:.2e} trained, {:.2e} not",
+        "mean error on unseen shifts: {:.2e} with training on shifts, {:.2e} without",
         error(&trained),
         error(&plain)
     );

@@ -78,7 +78,7 @@ fn centred_models_of_unit_flux_keep_the_flux_at_every_rank() {
 }
 
 #[test]
-fn the_adjoint_belongs_to_the_operator() {
+fn the_adjoint_is_the_transpose_of_the_operator() {
     let scene = test_scene(160, 120, 0);
     let model = model(RankSelection::Fixed(8), Centring::None);
     let g = Image::new(scene.pixels().mapv(|v| (v * 7.0).sin())).unwrap();
@@ -95,7 +95,7 @@ fn the_adjoint_belongs_to_the_operator() {
 }
 
 #[test]
-fn the_spot_check_sees_a_wrong_image() {
+fn the_spot_check_detects_a_wrong_image() {
     let scene = test_scene(160, 120, 0);
     let model = model(RankSelection::Auto, Centring::Mean);
     let check = |image: &Image<f64>| {
@@ -160,7 +160,7 @@ fn assert_exact(name: &str, model: &PsfModel, light: &Array2<f64>) {
                 double / peak.max(f64::MIN_POSITIVE),
                 single / peak.max(f64::MIN_POSITIVE)
             );
-            // Not divided by the peak, which is 0 for a dark scene.
+            // Not divided by the peak, which is 0 for a scene without light.
             assert!(
                 double <= ENGINE_F64 * peak && single <= ENGINE_F32 * peak,
                 "{name}, {anchor}, {paths:?}: {double:e} and {single:e}, the peak is {peak:e}"
@@ -170,7 +170,7 @@ fn assert_exact(name: &str, model: &PsfModel, light: &Array2<f64>) {
 }
 
 #[test]
-fn the_fast_engine_makes_awkward_scenes_exactly() {
+fn the_fast_engine_computes_extreme_scenes_exactly() {
     let model = model(RankSelection::Auto, Centring::Mean);
     let mut deltas = Array2::zeros((120, 160));
     let mut rng = ChaCha8Rng::seed_from_u64(4);
@@ -179,7 +179,7 @@ fn the_fast_engine_makes_awkward_scenes_exactly() {
         deltas[[rng.random_range(0..120), rng.random_range(0..160)]] = flux;
     }
     assert_exact("a thousand deltas", &model, &deltas);
-    assert_exact("darkness", &model, &Array2::zeros((50, 70)));
+    assert_exact("no light", &model, &Array2::zeros((50, 70)));
     assert_exact("one pixel", &model, &Array2::from_elem((1, 1), 3.0));
     for (nx, ny) in [(131, 1), (1, 113), (53, 37), (127, 2), (7, 5), (3, 89)] {
         for every in [1, 9] {
@@ -266,7 +266,7 @@ fn sampled_at(at: Vec<Position>, interpolation: Interpolation, outside: OutsideP
 }
 
 #[test]
-fn the_fast_engine_takes_every_interpolator() {
+fn the_fast_engine_works_with_every_interpolator() {
     let scene = test_scene(160, 120, 0);
     let mut rng = ChaCha8Rng::seed_from_u64(7);
     let pixels: Vec<(usize, usize)> = (0..300)
@@ -312,7 +312,7 @@ fn the_fast_engine_refuses_light_where_there_is_no_psf_and_only_there() {
         SCATTERED.map(|interpolation| (interpolation, scattered(interpolation, OutsidePolicy::Error)));
     let gridded = GRIDDED.map(|interpolation| (interpolation, gridded(interpolation, OutsidePolicy::Error)));
     for (interpolation, model) in scattered.into_iter().chain(gridded) {
-        assert_exact(&format!("{interpolation}, dark outside"), &model, &inside);
+        assert_exact(&format!("{interpolation}, light only inside"), &model, &inside);
         for anchor in ANCHORS {
             for paths in PATHS {
                 let refused = convolve(&engine(anchor, paths), &model, &outside);

@@ -51,8 +51,8 @@ fn errors_fall_with_the_sampling_as_theory_says() {
                     coarse / fine
                 );
             }
-            // Order 4, or order 2 with 1/25 of the error of bilinear interpolation where the pieces
-            // of the cubic dominate.
+            // The error has parts of order 4 and of order 2. The part of order 2 is about 1/25 of
+            // the error of bilinear interpolation.
             Interpolation::Bicubic => {
                 assert!(
                     (4.5..16.5).contains(&(coarse / fine)),
@@ -67,24 +67,25 @@ fn errors_fall_with_the_sampling_as_theory_says() {
 }
 
 #[test]
-fn leave_one_out_foretells_the_error_between_samples() {
+fn leave_one_out_predicts_the_error_between_samples() {
     let telescope = small_telescope(1);
-    // The prediction skips a sample, so it spans twice the distance: four times the error in the
-    // middle of a cell for linear methods. Cubics have parts of order 2 and 4.
+    // The prediction leaves out a sample, so it interpolates over twice the distance. For linear
+    // methods the error is then four times the error in the middle of a cell. The error of a cubic
+    // has parts of order 2 and 4.
     for (interpolation, at_most) in [
         (Interpolation::Bilinear, 8.0),
         (Interpolation::NaturalNeighbour, 8.0),
         (Interpolation::Bicubic, 16.0),
     ] {
         let fitted = fit(uniform_samples(&telescope, 13, 11), &options(interpolation)).unwrap();
-        let foretold = fitted.report().unwrap().leave_one_out;
-        assert!(foretold.predicted >= 11 * 9);
-        let median = foretold.median.unwrap();
+        let left_out = fitted.report().unwrap().leave_one_out;
+        assert!(left_out.predicted >= 11 * 9);
+        let median = left_out.median.unwrap();
         let errors = model_errors(&fitted.into_model().unwrap(), &telescope, 23);
-        // The prediction is never below the error itself.
+        // The predicted error must not be below the true error.
         let ratio = median / errors.median();
         println!(
-            "{interpolation}: foretold {median:.2e}, found {:.2e}",
+            "{interpolation}: predicted {median:.2e}, found {:.2e}",
             errors.median()
         );
         assert!((1.0..at_most).contains(&ratio), "{interpolation}: {ratio}");

@@ -103,10 +103,10 @@ fn finer(s: usize, anchor: Anchor) -> SimulateOptions {
     }
 }
 
-/// A star on a pixel of a finer scene equals a star at that pixel's centre, for odd and even
-/// scales.
+/// Light in a pixel of a finer scene gives the image of a star at that pixel's centre, for odd and
+/// even scales.
 #[test]
-fn light_in_fine_pixels_is_stars_at_their_centres() {
+fn light_in_fine_pixels_equals_stars_at_their_centres() {
     for s in [2, 3, 4] {
         let mut light = Array2::zeros((FRAME * s, FRAME * s));
         let mut stars = Vec::new();
@@ -120,14 +120,14 @@ fn light_in_fine_pixels_is_stars_at_their_centres() {
         assert_eq!(image.shape(), FrameShape::new(FRAME, FRAME).unwrap());
         let dark = Scene::dark().with_stars(stars);
         let expected = run(&psf, &dark, &SimulateOptions::default());
-        // If the scene's pixels are not a multiple of the stamps', both are interpolated by one
-        // spline.
+        // For s = 3, which does not divide the stamps' oversampling of 4, one spline interpolates
+        // the stamps for both images.
         let largest = largest_difference(&image, &expected);
         assert!(largest < 1e-9, "{s}: {largest}");
     }
 }
 
-/// Output-anchored, each frame pixel sees the PSF at its own centre, for even scales too.
+/// Output-anchored, each frame pixel uses the PSF at its own centre, also for even scales.
 #[test]
 fn output_anchored_images_of_finer_scenes() {
     for s in [2, 3] {

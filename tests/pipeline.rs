@@ -19,7 +19,7 @@ fn image(psf: &Psf) -> Image<f64> {
 }
 
 #[test]
-fn files_change_nothing() {
+fn a_round_trip_through_files_changes_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let samples = uniform_samples(&small_telescope(1), 9, 7);
     let here = image(&samples.clone().into());
@@ -147,7 +147,8 @@ fn a_truncated_uncentred_model_images_pixels_and_stars_alike() {
     let pixel = simulated(&psf, &Scene::new(light).unwrap());
     let star = PointSource::new(Position::of_pixel(x as i64, y as i64), 1.0).unwrap();
     let star = simulated(&psf, &Scene::dark().with_stars(vec![star]));
-    // Each is scaled by the flux on its own pixels. These differ slightly for a truncated PSF.
+    // The pixel's and the star's image are each scaled by the flux of the PSF on their own pixels.
+    // For a truncated PSF these fluxes differ slightly.
     let (flux, stars_flux) = (pixel.pixels().sum(), star.pixels().sum());
     assert!(
         (flux - 1.0).abs() < 1e-12 && (stars_flux - 1.0).abs() < 1e-3,

@@ -1,4 +1,4 @@
-//! Sampling methods, judged by the models made from their samples.
+//! Sampling methods, compared by the errors of the models made from their samples.
 
 use std::sync::Arc;
 

@@ -180,7 +180,7 @@ impl ConvolutionMethod<f64> for PlainLoop {
 }
 
 #[test]
-fn own_parts_make_a_whole_simulation() {
+fn custom_parts_run_a_whole_simulation() {
     let sampling = TwoEdges.sample(&Doublet, &NoProgress).unwrap();
     let (model, fit) = fit_with(
         sampling.samples,
@@ -221,10 +221,10 @@ fn own_parts_make_a_whole_simulation() {
     }
 }
 
-/// Stars, exact values and header cards follow the anchoring of the method. Cards and the spot
-/// check state no tolerance.
+/// Stars, exact values and header cards follow the anchoring of the method. The cards and the spot
+/// check contain no tolerance.
 #[test]
-fn a_method_of_the_callers_own_decides_the_anchoring() {
+fn a_custom_method_decides_the_anchoring() {
     let psf = Psf::from(TwoEdges.sample(&Doublet, &NoProgress).unwrap().samples);
     let light = test_scene(64, 48, 0);
     let star = PointSource::new(Position::of_pixel(31, 20), 7.0).unwrap();

@@ -1,5 +1,5 @@
 //! Mutations of FITS files: cards, values, blocks. The result still consists of blocks and is often
-//! as long as its headers say, so that readers get far.
+//! as long as its headers say, so that readers do not stop at the beginning.
 
 use std::ops::Range;
 
@@ -23,7 +23,7 @@ const KEYWORDS: &[&str] = &[
     "OVERSAMP", "CENX", "FIELDNX", "CTYPE1", "CTYPE2", "CRPIX1", "CDELT1", "CD1_1", "PV1_1", "PV2_3",
     "A_ORDER", "A_2_0", "LONPOLE", "CUNIT1",
 ];
-/// Values for keywords with text.
+/// Values for keywords that hold strings.
 const TEXTS: &[&str] = &[
     "'1D'",
     "'D'",
@@ -224,7 +224,7 @@ fn fill_up(data: &mut Vec<u8>) {
     }
 }
 
-/// Writes a text into a field and fills the rest with blanks.
+/// Writes a string into a field and fills the rest with blanks.
 fn write(field: &mut [u8], text: &str) {
     let length = text.len().min(field.len());
     field[..length].copy_from_slice(&text.as_bytes()[..length]);

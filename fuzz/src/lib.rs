@@ -1,9 +1,9 @@
 //! Tests psfield's readers with damaged files.
 //!
-//! A *target* ([`targets`]) is a function from bytes that panics or returns. It reads the bytes in
-//! all ways of one format and checks three things: every error names the file, no read takes more
-//! than a second of processor time or much memory ([`limits`]), and data that were read can be
-//! written and read again. Two programs use the targets:
+//! A *target* ([`targets`]) is a function from bytes that panics or returns. It reads the bytes as
+//! one format, with every function that reads this format, and checks three things: every error
+//! names the file, no read takes more than a second of processor time or much memory ([`limits`]),
+//! and data that were read can be written and read again. Two programs use the targets:
 //!
 //! * `cargo fuzz` follows the coverage of the Rust code (`fuzz_targets/`).
 //! * `seeded-run` needs only Rust and a C compiler. It runs a given number of cases without

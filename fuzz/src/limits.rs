@@ -2,10 +2,11 @@
 
 use std::time::Instant;
 
-/// Seconds of processor time for a read. Wall-clock time if the system does not measure processor
-/// time.
+/// Seconds of processor time for a read, or of wall-clock time if the system does not measure
+/// processor time.
 const SECONDS: f64 = 1.0;
-/// Seconds for a plan of a telescope. Its author chooses the size of the transforms, up to a limit.
+/// Seconds of processor time for the plan of a telescope. The author of a description chooses the
+/// size of the transforms, up to a limit.
 const PLAN_SECONDS: f64 = 60.0;
 /// The largest growth of the process's address space.
 const MEMORY_BYTES: u64 = 256 << 20;

@@ -54,14 +54,14 @@ pub fn images() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Images in tiles by every algorithm, with integers and quantised floats.
+/// Images compressed in tiles by several algorithms, with integers and with quantised floats.
 pub fn tiled() -> Vec<Vec<u8>> {
     let whole = ["R", "G", "P", "R 5,4", "G 10,12", "P 10,12"].map(|how| tiles(how, 1.0));
     let floats = ["R; q 16", "G; q 4", "R; qz 8", "G 5,4; q 0"].map(|how| tiles(how, 1.3));
     whole.into_iter().chain(floats).collect()
 }
 
-/// Tiles by CFITSIO, with its syntax for file names.
+/// An image that CFITSIO compresses in tiles, as `how` says in its syntax for file names.
 fn tiles(how: &str, scale: f32) -> Vec<u8> {
     let whole = scale.fract() == 0.0;
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -82,7 +82,7 @@ fn tiles(how: &str, scale: f32) -> Vec<u8> {
     std::fs::read(path).expect("the file that was written")
 }
 
-/// FITS, which the target compresses, and gzip.
+/// FITS files, which the target compresses, and gzip files.
 pub fn zipped() -> Vec<Vec<u8>> {
     let mut files = images();
     files.truncate(3);
@@ -108,7 +108,7 @@ fn positions(count: i64) -> SamplePositions {
 
 fn few_samples(nx: usize) -> PsfSamples {
     let stamps = Array3::from_shape_fn((4, 5, nx), |(k, y, x)| 0.1 + (k * y) as f64 * 0.01 + x as f64);
-    PsfSamples::new(stamps, positions(4), StampGrid::new(nx, 5).expect("a grid")).expect("sound samples")
+    PsfSamples::new(stamps, positions(4), StampGrid::new(nx, 5).expect("a grid")).expect("valid samples")
 }
 
 /// Samples in both precisions.
@@ -238,7 +238,7 @@ pub fn catalogs() -> Vec<Vec<u8>> {
     all
 }
 
-/// The headers of the comparison with astropy, over an image of one pixel.
+/// Images of one pixel with the headers of the comparison with astropy.
 pub fn sky() -> Vec<Vec<u8>> {
     let cases = include_str!("../../crates/psf-io/tests/data/sky_coordinates.json");
     let cases: serde_json::Value = serde_json::from_str(cases).expect("valid JSON in the tests' data");

@@ -18,7 +18,7 @@ use crate::seeds;
 pub struct Target {
     /// The name in `fuzz_targets/`.
     pub name: &'static str,
-    /// Reads the bytes and returns the number of ways that succeeded.
+    /// Reads the bytes in several ways and returns the number of reads that succeeded.
     pub run: fn(&[u8]) -> usize,
     /// Returns valid files.
     pub seeds: fn() -> Vec<Vec<u8>>,

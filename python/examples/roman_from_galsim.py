@@ -124,7 +124,7 @@ def main(folder: Path) -> None:
     }
     # The pixels of the frame blur galaxies by percents of their peaks. oversample=4 would avoid
     # that with sixteen times as many pixels.
-    warnings.filterwarnings("ignore", r"\d+ galaxies are blurred", psfield.PsfieldWarning)
+    warnings.filterwarnings("ignore", r"\d+ galax(y is|ies are) blurred", psfield.PsfieldWarning)
     plan = model.plan(SHAPE, tolerance=1e-3)
     began = time.perf_counter()
     image = plan.simulate(catalog=catalog)

@@ -1,4 +1,4 @@
-"""Units and headers of astropy. Astropy itself is not imported."""
+"""Handles units and headers of astropy objects, without an import of astropy."""
 
 from __future__ import annotations
 

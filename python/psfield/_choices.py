@@ -31,7 +31,7 @@ def integer_or_none(value: Any, name: str, least: int = 0, most: int = LARGEST) 
 
 def real(value: Any, name: str) -> float:
     """Return a real number."""
-    # A text that could be read as a number is probably a mistake.
+    # A string is refused even if it could be read as a number, because it is probably a mistake.
     if not isinstance(value, (str, bytes)) and np.ndim(value) == 0:
         try:
             return float(value)

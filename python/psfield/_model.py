@@ -60,12 +60,12 @@ class PsfModel:
     -----
     The PSF at a field position x is ``h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)``. ``B_0`` is
     the mean stamp and ``B_k`` are orthonormal components, from an SVD of the samples. The
-    coefficients ``a_k`` are interpolated between the samples. ``s`` is the flux, if PSFs are scaled
-    to unit flux, else 1.
+    coefficients ``a_k`` are interpolated between the samples. If PSFs are scaled to unit flux,
+    ``s`` is the flux of the sum in brackets, else 1.
 
-    A value of a stamp is the fraction of the flux of a source that falls into a *frame* pixel
-    centred there. A stamp that is oversampled ``s`` times therefore has unit flux if its values sum
-    to ``s**2``, as in photutils.
+    A value of a stamp is the fraction of the flux of a source per *frame* pixel: the fraction in a
+    pixel centred there if the pixel response is included, else the fraction at that point. A stamp
+    that is oversampled ``s`` times has unit flux if its values sum to ``s**2``, as in photutils.
 
     The arguments ``centre``, ``centring``, ``field_centre`` and ``normalise`` may also be spelt
     ``center``, ``centering``, ``field_center`` and ``normalize``.
@@ -144,7 +144,7 @@ class PsfModel:
             Number of components to keep: ``'auto'`` (default), ``'elbow'``, ``'full'``, a number,
             ``'energy=0.999'`` or ``'error=1e-3'``.
         centring : {'mean', 'none'}, optional
-            Subtract the mean stamp before the fit (default), or not.
+            Whether the mean stamp is subtracted before the fit. Default: ``mean``.
         noise : float, optional
             Standard deviation of the noise in the pixels of the samples, after normalisation. 0
             means no noise. Default: estimated.
@@ -154,9 +154,9 @@ class PsfModel:
             ``'idw=POWER'``, ``'bilinear'``, ``'bicubic'``, ``'polynomial=DEGREE'`` or
             ``'nearest'``.
         outside : {'nearest', 'extend', 'error'}, optional
-            Treatment of positions outside the area of the samples. Default: nearest.
+            Policy for positions outside the area of the samples. Default: ``nearest``.
         normalise : {'unit', 'keep'}, optional
-            Scale every PSF to unit flux (default), or keep the values.
+            ``unit`` (default) scales every PSF to unit flux, ``keep`` keeps the values.
 
         Returns
         -------
@@ -279,7 +279,7 @@ class PsfModel:
         field_shape : (int, int), optional
             Rows and columns of the frame.
         interpolation : str, optional
-            Interpolation over the field, if not bilinear.
+            Interpolation over the field. Default: bilinear.
 
         Returns
         -------
@@ -355,7 +355,7 @@ class PsfModel:
         start : (int, int)
             Rows and columns of the coarse grid at which the refinement starts.
         max_samples : int
-            Largest number of samples. It is an error to need more.
+            Largest number of samples. If more are needed, an error is raised.
         uniform : (int, int), optional
             Rows and columns of a regular grid of samples that replaces the refinement.
         oversampling, centre, pixel_response_included, stamp_interpolation
@@ -442,9 +442,9 @@ class PsfModel:
         path : path
             The file. It may be compressed (``.gz``, ``.fz``).
         extension : str or int, optional
-            Which of several models (PSFEx) or images.
+            Extension to read, if the file holds several models (PSFEx) or images.
         detector : int, optional
-            Which of several detectors (STDPSF).
+            Detector to read, if the file holds several (STDPSF).
         plane_order : str, optional
             Assignment of positions to planes (STPSF), if the version of STPSF does not tell.
         wavelength_um, pixel_scale_arcsec, field_centre : optional
@@ -468,7 +468,7 @@ class PsfModel:
         OSError
             The file cannot be read or is damaged. The text names the keyword or row.
         ValueError
-            An argument is needed because the file lacks a value, or does not apply to the file.
+            The file needs an argument that is missing, or an argument does not apply to the file.
 
         Examples
         --------
@@ -669,7 +669,7 @@ class PsfModel:
 
     @property
     def outside(self) -> str:
-        """Treatment of positions outside the area of the samples.
+        """Policy for positions outside the area of the samples.
 
         Examples
         --------
@@ -692,7 +692,7 @@ class PsfModel:
         return self._handle.choices()[2]
 
     def fit_report(self) -> dict[str, Any] | None:
-        """Return the figures of the fit of the samples, or None for a model without samples.
+        """Return the errors and choices of the fit, or None for a model without samples.
 
         Returns
         -------
@@ -783,8 +783,8 @@ class PsfModel:
         -------
         photutils.psf.GriddedPSFModel
             Its ``meta['psfield_max_error']`` is the largest relative L2 error of its bilinear
-            interpolation, measured against this model halfway between the positions. It is None if
-            this model is itself bilinear between the same positions.
+            interpolation, relative to this model and halfway between the positions. The value is
+            None if this model is itself bilinear between these positions.
 
         Examples
         --------
@@ -838,7 +838,7 @@ class PsfModel:
         Returns
         -------
         tuple of str
-            Sentences on what the file cannot hold.
+            Notes on properties of the model that the file cannot hold, in sentences.
 
         Examples
         --------
@@ -898,8 +898,8 @@ class PsfModel:
             for rounding, at any tolerance. A scene needs light only within `Plan.light_region`.
             `Plan.for_region` makes the plans for the other regions.
         anchor : {'source', 'output'}
-            Position whose PSF applies. ``source``: each source spreads with the PSF at its own
-            position. ``output``: each pixel gathers light with the PSF at its own position.
+            Position at which the PSF is evaluated. ``source``: each source spreads with the PSF at
+            its own position. ``output``: each pixel gathers light with the PSF at its own position.
         method : {'auto', 'lowrank'}
             ``auto`` convolves each tile in the cheapest way, ``lowrank`` only by transforms.
         memory : int
@@ -907,7 +907,7 @@ class PsfModel:
         oversample : int
             Scene pixels along each side of a pixel of the image.
         stamp_size : int, optional
-            Cut or pad stamps to this number of pixels of the image.
+            Cut or pad stamps to this number of pixels of the image along each side.
         gpu_adapter : str, optional
             Part of the name of the GPU to use.
         gpu_memory : int, optional

@@ -42,9 +42,9 @@ class SpotCheck:
     max_abs, rms : float
         Largest absolute difference, and root mean square difference.
     max_over_peak : float or None
-        Largest difference over the largest absolute value of the image.
+        Largest difference, divided by the largest absolute value of the image.
     relative_rms : float or None
-        ``rms`` over the root mean square of the direct sum at the same pixels.
+        ``rms``, divided by the root mean square of the direct sum at the same pixels.
     limit : float or None
         Largest ``relative_rms`` that passes the check.
     passed : bool or None
@@ -70,13 +70,13 @@ class SpotCheck:
 
 
 class Plan:
-    """Everything about the simulation of scenes of one shape that does not depend on the light.
+    """The part of a simulation that does not depend on the light, for scenes of one shape.
 
     `PsfModel.plan` makes it.
 
     A plan is a linear operator from scenes to images. It may be used from many threads at once. It
-    can be pickled, and is then computed again where it is loaded. The parts for stars and for
-    galaxies are computed when they are first needed, and kept.
+    can be pickled. A plan that is loaded from a pickle is computed again. The parts for stars and
+    for galaxies are computed when they are first needed, and kept.
 
     Examples
     --------
@@ -224,7 +224,7 @@ class Plan:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Figures of the plan: tiles, modes, memory, device and predicted seconds.
+        """Properties of the plan: tiles, modes, memory, device and predicted seconds.
 
         The prediction is for one thread and a scene with light in every pixel.
 
@@ -235,9 +235,9 @@ class Plan:
         >>> plan.summary["shape"], plan.summary["precision"], plan.summary["gpu"]
         ((4, 6), 'f32', None)
         """
-        figures = self._handle.summary()
-        del figures["text"]
-        return figures
+        properties = self._handle.summary()
+        del properties["text"]
+        return properties
 
     def describe(self) -> str:
         """Return a description of the plan in a few lines of text.
@@ -254,8 +254,8 @@ class Plan:
         >>> len(plan.describe().splitlines()) > 1
         True
         """
-        figures = self._handle.summary()
-        return f"{figures['text']}\n{figures['device']}"
+        properties = self._handle.summary()
+        return f"{properties['text']}\n{properties['device']}"
 
     def simulate(
         self,
@@ -299,8 +299,8 @@ class Plan:
         Raises
         ------
         ValueError
-            The scene has another shape, values are not finite or beyond the precision, a source is
-            invalid (the text names its row), or there is light where the PSF is not known.
+            The scene has another shape, a value is not finite or too large for the precision, a
+            source is invalid (the text names its row), or there is light where the PSF is unknown.
 
         Warns
         -----
@@ -411,7 +411,7 @@ class Plan:
         scene, catalog
             As for `simulate`.
         image : array_like, optional
-            The result of `simulate` for them. By default it is simulated.
+            The result of `simulate` for this scene and catalogue. By default it is computed here.
         pixels : int
             Number of pixels, at most the number of pixels of the image (or 500).
         seed : int
@@ -443,8 +443,8 @@ class Plan:
         columns = columns_of(catalog, unit_of(scene))
         if image is None:
             image, _ = self._handle.simulate(light, columns, None, None)
-        figures = self._handle.spot_check(self._image(image), light, columns, pixels, seed)
-        return SpotCheck(**json.loads(figures))
+        found = self._handle.spot_check(self._image(image), light, columns, pixels, seed)
+        return SpotCheck(**json.loads(found))
 
     def _scene(self, scene: Any) -> NDArray[Any]:
         """Return the pixels of a scene in the type of the plan."""
@@ -505,7 +505,7 @@ class Plan:
         if not out.flags.writeable:
             raise ValueError("out is read-only")
         if hasattr(out, "unit") and out.unit != unit:
-            raise ValueError(f"out has the unit {out.unit}, the scene {unit or 'none'}")
+            raise ValueError(f"out has the unit {out.unit}, but the scene has {unit or 'none'}")
         overlaps = light is not None and np.may_share_memory(out, light)
         # Several threads must not write to rows that share memory.
         rows_apart = abs(out.strides[0]) >= out.shape[1] * out.itemsize or out.shape[0] == 1

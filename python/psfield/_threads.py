@@ -7,8 +7,8 @@ from psfield._choices import integer
 def set_threads(count: int | None) -> None:
     """Set the number of threads that psfield uses in this process.
 
-    Results do not depend on it. Processes that share a machine should share its cores: a worker of
-    Dask with one thread calls ``set_threads(1)``.
+    Results do not depend on this number. Processes that share a machine should share its cores:
+    a worker of Dask with one thread calls ``set_threads(1)``.
 
     Parameters
     ----------

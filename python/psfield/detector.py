@@ -1,4 +1,4 @@
-"""A detector: the steps from the light of an image to counts.
+"""A detector, which converts the light of an image to counts in several steps.
 
 The steps are sky, photon noise, response, dark current, bad pixels, full well, read noise, gain and
 digitisation.
@@ -69,20 +69,20 @@ class Exposure:
 
 
 class Detector:
-    """The steps from light to counts. Every step is off by default.
+    """A detector, which converts light to counts in several steps. By default every step is off.
 
     Parameters
     ----------
     name : str
-        Name of the detector, for the user.
+        Name of the detector, for human readers.
     electrons_per_flux : float
         Electrons per unit of the flux of the image, in the exposure.
     exposure_s : float, optional
         Exposure time in seconds. It scales the dark current, not the light.
     photon_noise : bool
-        The charge is Poisson distributed about its expected value.
+        If true, the charge is Poisson distributed about its expected value.
     sky_e : float
-        Sky in electrons per pixel, in the exposure. With a gradient: at the middle of the frame.
+        Sky in electrons per pixel, in the exposure, at the middle of the frame.
     sky_gradient_e_per_px : mapping, optional
         Change of the sky per pixel, with the keys ``x`` and ``y``.
     dark_e_per_s : float
@@ -243,7 +243,7 @@ class Detector:
         Parameters
         ----------
         image : array_like
-            Light ``[y, x]``, finite. Counts have single precision if the image has, else double.
+            Light ``[y, x]``, finite. Counts have single precision if the image has it, else double.
         seed : int
             Seed of the noise.
         bad_pixels : array_like, optional

@@ -56,7 +56,7 @@ class GaussianFit:
     x, y : float
         Centroid.
     fwhm, fwhm_major, fwhm_minor : float
-        Full widths at half maximum: the geometric mean, and those of the axes.
+        Full widths at half maximum: the geometric mean of both axes, and the width along each axis.
     angle : float
         Angle of the major axis.
     ellipticity : float
@@ -91,7 +91,7 @@ class GaussianFit:
 
 @dataclass(frozen=True)
 class AdaptiveMoments:
-    """Second moments under a Gaussian weight that is fitted to the light.
+    """Second moments with a Gaussian weight that is fitted to the light.
 
     The weight has the size and shape of the light (Hirata and Seljak 2003). `adaptive_moments`
     returns them.
@@ -168,7 +168,7 @@ class QuadrupoleMoments:
 class Comparison:
     """The errors of a result against a reference. `compare` returns them.
 
-    Figures that are undefined, such as ``snr_db`` without any error, are None.
+    Undefined values, such as ``snr_db`` without any error, are None.
 
     Attributes
     ----------
@@ -179,9 +179,9 @@ class Comparison:
     relative_l2 : float or None
         ``norm(result - reference) / norm(reference)``.
     max_over_peak : float or None
-        Largest error over the peak of the reference.
+        Largest error, divided by the peak of the reference.
     mae_over_mean : float or None
-        Mean absolute error over the mean of the reference.
+        Mean absolute error, divided by the mean of the reference.
     snr_db : float or None
         ``-20 log10(relative_l2)``.
 
@@ -286,8 +286,8 @@ def adaptive_moments(
     2.0
     """
     values = doubles(stamp, "stamp", "[y, x]")
-    figures = _native.adaptive_moments(values, *_window(size, about), _start(start))
-    return AdaptiveMoments(**figures)
+    found = _native.adaptive_moments(values, *_window(size, about), _start(start))
+    return AdaptiveMoments(**found)
 
 
 def quadrupole_moments(
@@ -328,7 +328,7 @@ def compare(result: Any, reference: Any) -> Comparison:
     Parameters
     ----------
     result, reference : array_like
-        Finite arrays of one shape.
+        Finite arrays of the same shape.
 
     Returns
     -------
@@ -340,8 +340,8 @@ def compare(result: Any, reference: Any) -> Comparison:
     >>> metrics.compare([[1.0, 2.0]], [[1.0, 4.0]]).mae
     1.0
     """
-    figures = _native.compare(reals(result, "result"), reals(reference, "reference"))
-    return Comparison(**{**figures, "max_abs_index": tuple(figures["max_abs_index"])})
+    found = _native.compare(reals(result, "result"), reals(reference, "reference"))
+    return Comparison(**{**found, "max_abs_index": tuple(found["max_abs_index"])})
 
 
 def measure(
@@ -365,9 +365,9 @@ def measure(
     Returns
     -------
     dict of str to numpy.ndarray
-        A column for each figure. From the Gaussian fit: ``flux``, ``x_centroid``, ``y_centroid``,
+        A column for each value. From the Gaussian fit: ``flux``, ``x_centroid``, ``y_centroid``,
         ``fwhm_px``, ``fwhm_major_px``, ``fwhm_minor_px``, ``angle_rad``, ``ellipticity``. From the
-        adaptive moments: ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``. Figures that could not be
+        adaptive moments: ``e1``, ``e2``, ``g1``, ``g2``, ``sigma_px``. Values that could not be
         measured are NaN, and ``note`` says why. The dict can be given to `astropy.table.Table`.
 
     Examples
@@ -389,7 +389,7 @@ def measure(
     rows = json.loads(encoded)
     names = [name for name in rows[0] if name not in ("x", "y", "note")] if rows else []
     columns: dict[str, NDArray[Any]] = {
-        # A figure that could not be measured is None, and becomes NaN.
+        # A value that could not be measured is None, and becomes NaN.
         name: np.array([row[name] for row in rows], dtype=np.float64)
         for name in names
     }

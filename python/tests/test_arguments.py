@@ -168,7 +168,7 @@ class TestUnits:
         plan = model.plan(scene.shape, 1e-3)
         out = np.zeros(scene.shape, np.float32) * units.Jy
         assert plan.simulate(scene * units.Jy, out=out) is out
-        with pytest.raises(ValueError, match="out has the unit Jy, the scene none"):
+        with pytest.raises(ValueError, match="out has the unit Jy, but the scene has none"):
             plan.simulate(scene, out=out)
 
 

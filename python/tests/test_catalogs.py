@@ -10,7 +10,7 @@ import psfield
 
 #: For tests in which the blur of galaxies by the pixels of the frame does not matter.
 blurred_galaxies = pytest.mark.filterwarnings(
-    r"ignore:\d+ galaxies are blurred:psfield.PsfieldWarning"
+    r"ignore:\d+ galax(y is|ies are) blurred:psfield.PsfieldWarning"
 )
 
 
@@ -138,7 +138,7 @@ def test_an_empty_catalogue_makes_a_dark_image(plan):
     ("catalog", "error", "text"),
     [
         ({"x": [1.0], "y": [1.0]}, ValueError, "no column flux"),
-        ({"x": [1.0], "y": [1.0, 2.0], "flux": [1.0]}, ValueError, "y has 2 rows, x has 1"),
+        ({"x": [1.0], "y": [1.0, 2.0], "flux": [1.0]}, ValueError, "y has 2 rows, but x has 1"),
         (
             {"x": [1.0, np.nan], "y": [1.0, 1.0], "flux": [1.0, 1.0]},
             ValueError,
@@ -181,12 +181,12 @@ def test_galaxies_on_coarse_pixels_are_warned_of(plan):
     for radius in (0.4, 5.0):
         with pytest.warns(
             psfield.PsfieldWarning,
-            match="1 galaxies are blurred a second time .* at least 4 along .* \\(oversample=\\)",
+            match="1 galaxy is blurred a second time .* at least 4 along .* \\(oversample=\\)",
         ):
             plan.simulate(catalog=galaxy(radius))
     finer = plan.model.plan((240, 320), oversample=4)
     finer.simulate(catalog=galaxy(5.0))
-    with pytest.warns(psfield.PsfieldWarning, match="1 galaxies are blurred"):
+    with pytest.warns(psfield.PsfieldWarning, match="1 galaxy is blurred"):
         finer.simulate(catalog=galaxy(0.4))
 
 

@@ -15,7 +15,7 @@ const TOLERANCES: [f64; 7] = [0.5, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 0.0];
 const DOUBLE: f64 = 1e-13;
 /// Rounding of every pixel in single precision. Most of it averages out.
 const SINGLE: f64 = 1e-6;
-/// Dark border in pixels, more than half a stamp, so that no light leaves the frame.
+/// Border without light, in pixels. It is wider than half a stamp, so no light leaves the frame.
 const MARGIN: usize = 33;
 
 pub(crate) fn trials() -> Vec<Trial> {
@@ -25,7 +25,7 @@ pub(crate) fn trials() -> Vec<Trial> {
     )]
 }
 
-/// The scene with a dark border.
+/// The scene with a border without light.
 fn light<T: Real>() -> Result<Array2<T>, Failed> {
     let mut light = STRONG.scene::<T>()?.into_pixels();
     let (ny, nx) = light.dim();
@@ -37,7 +37,7 @@ fn light<T: Real>() -> Result<Array2<T>, Failed> {
     Ok(light)
 }
 
-/// Every pixel's light times the flux of its PSF.
+/// The exact total flux: the sum over the pixels of light times flux of the PSF.
 fn exact(model: &PsfModel) -> Result<f64, Failed> {
     let light = light::<f64>()?;
     let mut fluxes = Array2::zeros(light.dim());

@@ -57,7 +57,7 @@ fn frame(name: &str) -> Result<Image<f64>, Failed> {
         .0)
 }
 
-/// Several seeds, so that a lucky one does not decide.
+/// Uses several seeds, so that a lucky seed does not decide the result.
 fn round_trip(name: &str) -> Result<(), Failed> {
     let frame = frame(name)?;
     for seed in 1..=3 {

@@ -11,8 +11,8 @@ use crate::data::{ensure, file};
 /// Truths are in single precision (6e-8 of a value). The peaks of two stamps may differ by a factor
 /// of a few.
 const OWN_GRID: f64 = 1e-6;
-/// Both evaluate one kind of spline. The difference is the truths' single precision, relative to
-/// faint wings.
+/// photutils and psfield evaluate the same kind of spline. The difference comes from the truths'
+/// single precision, relative to faint wings.
 const NATIVE: f64 = 1e-4;
 /// Planes in wrong places differ by more than this, a thousand times the tolerance.
 const WRONG: f64 = 1e-3;

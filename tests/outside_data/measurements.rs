@@ -1,4 +1,4 @@
-//! Measurements of the off-grid stamps against those of other software.
+//! Measurements of the off-grid stamps, compared with the measurements by other software.
 
 use libtest_mimic::{Failed, Trial};
 use psfield::metrics::{AdaptiveMomentFinder, GaussianFitter, Window};

@@ -153,7 +153,7 @@ fn uncentred(field: Field, rank: usize, quoted: f64) -> Result<(), Failed> {
 
 fn total_flux() -> Result<(), Failed> {
     let mut scene = STRONG.scene::<f64>()?.into_pixels();
-    // No light leaves the frame if the border is dark over more than half a stamp.
+    // No light leaves the frame if a border wider than half a stamp is without light.
     let (ny, nx) = scene.dim();
     for ((y, x), value) in scene.indexed_iter_mut() {
         if y < 33 || x < 33 || y >= ny - 33 || x >= nx - 33 {

@@ -15,8 +15,8 @@ use crate::data::{ensure, file, trial};
 /// GalSim itself is accurate to 1e-3 of the peak here. photutils' bicubic spline, cut to the same
 /// pixels, reaches 8.6e-4.
 const STARS_L2: f64 = 1.0e-3;
-/// Largest ratio of the time for a star between pixels to that for a star on a pixel. The latter
-/// uses the same field sampled at the instrument's pixels (64 x 64).
+/// Largest ratio of the time for a star between pixels to the time for a star on a pixel. The star
+/// on a pixel uses an equal field sampled at the instrument's pixels (64 x 64).
 const TIMES_ONE_PIXEL: f64 = 2.0;
 /// The number of stars in a frame of the method's paper.
 const STARS: usize = 2916;

@@ -17,7 +17,7 @@ const PIXELS: usize = 1000;
 /// rounds by 1e-15.
 const ROUNDING_F64: f64 = 1e-12;
 /// Rounding in single precision. A tile with thousands of pixels of 1 and one of [`MORE`] is
-/// transformed with an error of a few 1e-7 of its norm. Most of this norm is that of the added
+/// transformed with an error of a few 1e-7 of its norm. Most of this norm comes from the added
 /// light.
 pub(crate) const ROUNDING_F32: f64 = 2e-6;
 /// Light added in single precision. A response to 1 would be lost in the rounding of the light

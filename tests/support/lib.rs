@@ -95,10 +95,10 @@ pub fn fitted(samples: PsfSamples, options: &FitOptions) -> PsfModel {
         .expect("a model")
 }
 
-/// The image of all of the light by a method.
+/// The image of a whole scene by a method.
 ///
 /// # Errors
-/// Those of the method.
+/// The errors of the method.
 pub fn convolve<T: ConvReal>(
     method: &dyn ConvolutionMethod<T>,
     model: &PsfModel,
@@ -107,10 +107,10 @@ pub fn convolve<T: ConvReal>(
     method.convolve(model, &light.view(), light.shape().region(), &NoProgress)
 }
 
-/// Some pixels of the image of all of the light, by the double sum.
+/// Some pixels of the image of a whole scene, by the double sum.
 ///
 /// # Errors
-/// Those of [`Direct::at_pixels`].
+/// The errors of [`Direct::at_pixels`].
 pub fn direct_at<T: ConvReal>(
     model: &PsfModel,
     light: &Image<T>,
@@ -141,7 +141,7 @@ pub fn model_errors(model: &PsfModel, source: &dyn PsfSource, per_axis: usize) -
     Summary::of(errors).expect("some positions")
 }
 
-/// An image of blobs and points on a dark background. `margin` pixels along each border stay dark.
+/// An image of blobs and points on a background of 0. `margin` pixels along each border stay 0.
 ///
 /// # Panics
 /// When the margins leave no light.

@@ -1,13 +1,13 @@
-//! Bilinear and piecewise cubic interpolation on a regular grid. Weights are products of the
-//! weights along its two axes.
+//! Bilinear and bicubic interpolation on a regular grid. Weights are products of the weights along
+//! the two axes of the grid.
 
 use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions};
 
 use crate::geometry::{Point, Row, known, last_where, query};
 use crate::grid::{Axis, AxisWeights, NeighbouringLines, RegularGrid};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Unpredictable, Visited, WeightList,
-    add_weight, admit, in_runs, judged, prediction_error,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, WeightsResult,
+    add_weight, admit, in_runs, outcomes_of, prediction_error,
 };
 
 /// Bilinear interpolation inside the cells of a [`RegularGrid`](crate::RegularGrid).
@@ -21,15 +21,15 @@ use crate::interpolation::{
 /// * Nearest: coordinates are clamped to the grid.
 /// * Extend: the formula of the nearest cell continues, linear in each coordinate. Across a single
 ///   row or column the slope is unknown, and the values are constant.
-/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
-///   count as inside. A single row covers only that row.
+/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
+///   still count as inside. A grid of a single row covers only positions on that row.
 ///
 /// # Leave-one-out
-/// The grid without a sample is no longer regular. But its row without its column, and its column
-/// without its row, still have cells that predict it linearly from its two neighbours there. The
-/// prediction is the mean of the two. On an edge of the grid, only the prediction along the edge is
-/// used. At a corner both extrapolate, and their mean counts as
-/// [`LeftOut::Extrapolated`](crate::LeftOut::Extrapolated).
+/// Without one sample the grid is no longer regular. But the sample's row without the sample, and
+/// its column without the sample, are still lines of samples. Each line predicts the sample
+/// linearly from its two neighbours on that line. The prediction is the mean of the two. For a
+/// sample on an edge of the grid, only the line along the edge is used. At a corner both lines
+/// extrapolate, and their mean counts as [`LeftOut::Extrapolated`](crate::LeftOut::Extrapolated).
 ///
 /// ```
 /// use coeff_field::{Bilinear, InterpolatedField};
@@ -47,48 +47,49 @@ use crate::interpolation::{
 pub struct Bilinear;
 
 impl FieldInterpolation for Bilinear {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         GridWeights::prepare(positions, AxisWeights::linear, outside)
     }
 
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         grid_leave_one_out(samples, AxisWeights::linear, outside)
     }
 }
 
-/// Cubics through four columns and four rows of a [`RegularGrid`](crate::RegularGrid), in bilinear
-/// pieces.
+/// Bicubic interpolation of a [`RegularGrid`](crate::RegularGrid), from four columns and four rows
+/// around a position, in bilinear pieces.
 ///
-/// In each coordinate the knots are the lines and the fifths of each cell. At the knots, the
-/// weights are those of Lagrange's polynomial through the two lines on either side (at an edge,
-/// through the four lines next to it). Between knots, weights are linear. So values are exact at
-/// the samples and continuous. Runs of pixels with linear weights are a fifth of a cell long, and
-/// the error is at most
+/// In each coordinate the knots are the lines of the grid and the fifths of each cell. At the
+/// knots, the weights are those of Lagrange's polynomial through the two lines on either side (at
+/// an edge, through the four lines next to it). Between knots, weights are linear. So values are
+/// exact at the samples and continuous. Runs of pixels with linear weights are a fifth of a cell
+/// long, and the error is at most
 ///
 /// ```text
 /// h^2 |v_xx| / 200 + 3 h^4 |v_xxxx| / 128
 /// ```
 ///
 /// in each coordinate, for evenly spaced lines at a distance `h` and away from the edges. In the
-/// cells at an edge, the last term is 5 h^4 / 128. On a smooth field the error is 1/25 of that of
-/// [`Bilinear`](crate::Bilinear).
+/// cells at an edge, the last term is `h^4 |v_xxxx| / 24`. On a smooth field, where the first term
+/// is the larger one, the error is 1/25 of the error of [`Bilinear`](crate::Bilinear).
 ///
-/// Weights may be negative. Their magnitudes sum to at most 1.25 in each coordinate, 1.63 at an
-/// edge. In the middle of a cell, noise of independent samples keeps 0.63 of its variance along a
-/// coordinate. Bilinear interpolation keeps 0.5.
+/// Weights may be negative. For evenly spaced lines their magnitudes sum to at most 1.25 in each
+/// coordinate, 1.63 at an edge. In the middle of a cell, the variance of independent noise in the
+/// samples is multiplied by 0.63 for each coordinate. With bilinear interpolation this factor is
+/// 0.5.
 ///
-/// With three lines in a coordinate the polynomial is a parabola, with two a straight line. Where
-/// uneven spacing would make the weights' magnitudes sum to more than 2, fewer lines are used.
+/// If a coordinate has only three lines, the polynomial is a parabola. With two lines it is a
+/// straight line. Where uneven spacing would make the weights' magnitudes sum to more than 2, fewer
+/// lines are used.
 ///
 /// # Outside the grid
-/// As for [`Bilinear`](crate::Bilinear): clamped, an error, or continued linearly with the slope of
-/// the last fifth of a cell.
+/// The policies have the effects described in [`Bilinear`](crate::Bilinear). Under extend, the
+/// field continues linearly with the slope of the last fifth of a cell.
 ///
 /// # Leave-one-out
-/// The mean of the predictions along the sample's row without its column and along its column
-/// without its row, as for [`Bilinear`](crate::Bilinear), but with cubics. The cell around the
-/// sample is twice as wide, so both parts of the error above are overestimated: by factors of 4 and
-/// 7 in the middle of evenly spaced lines.
+/// The row and the column of a sample predict it, with the rules of [`Bilinear`](crate::Bilinear)
+/// but with cubics. Without the sample, the cell around it is twice as wide. So both terms of the
+/// error above are overestimated, in the middle of evenly spaced lines by factors of 4 and 7.
 ///
 /// ```
 /// use coeff_field::{Bicubic, InterpolatedField};
@@ -99,7 +100,7 @@ impl FieldInterpolation for Bilinear {
 /// let samples = SampleCoefficients::new(values, SamplePositions::new(positions, None)?)?;
 /// let field = InterpolatedField::new(&samples, &Bicubic, OutsidePolicy::Nearest)?;
 /// let mut value = [0.0];
-/// // A fifth of a cell beyond a column, where the cubics are exact.
+/// // Both coordinates are at fifths of a cell, where the cubics are exact.
 /// field.evaluate_into(Position::of_pixel(12, 16), &mut value)?;
 /// assert!((value[0] - 12_f64.powi(3) * 16.0).abs() < 1e-8);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -108,11 +109,11 @@ impl FieldInterpolation for Bilinear {
 pub struct Bicubic;
 
 impl FieldInterpolation for Bicubic {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         GridWeights::prepare(positions, AxisWeights::cubic, outside)
     }
 
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         grid_leave_one_out(samples, AxisWeights::cubic, outside)
     }
 }
@@ -130,7 +131,7 @@ struct GridWeights {
 }
 
 impl GridWeights {
-    fn prepare(positions: &SamplePositions, along: AlongAxis, outside: OutsidePolicy) -> Prepared {
+    fn prepare(positions: &SamplePositions, along: AlongAxis, outside: OutsidePolicy) -> WeightsResult {
         let grid = RegularGrid::detect(positions)?;
         Ok(Box::new(Self {
             x: along(&grid.x),
@@ -182,7 +183,8 @@ impl FieldWeights for GridWeights {
         Ok(())
     }
 
-    /// Visits one run for each piece that the row crosses, and one outside the grid on either side.
+    /// Visits one run for each piece of a cell that the row crosses, and one run outside the grid
+    /// on either side.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         let is_clamped = self.outside != OutsidePolicy::Extend;
@@ -200,7 +202,7 @@ impl FieldWeights for GridWeights {
             if is_admitted(end - 1) {
                 end
             } else {
-                // The covered area is convex.
+                // The covered area is convex, so the admitted columns have no gaps.
                 1 + last_where(column, end, is_admitted)
             }
         };
@@ -208,10 +210,10 @@ impl FieldWeights for GridWeights {
     }
 }
 
-/// Predicts each sample along its row without its column and along its column without its row,
-/// which are still regular. The prediction is the mean of the two, or of those in which the sample
-/// lies between others.
-fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: OutsidePolicy) -> Judged {
+/// Predicts each sample from the other samples of its row and from those of its column. The
+/// prediction is the mean of the two. If the sample lies between others in only one of the two,
+/// that one alone is used.
+fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: OutsidePolicy) -> Outcomes {
     let grid = RegularGrid::detect(samples.positions())?;
     let outside = known(outside)?;
     let in_rows = LeftOutLine::each(&grid.x, along, outside);
@@ -222,7 +224,7 @@ fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: O
             nodes[grid.sample(column, row)] = (column, row);
         }
     }
-    Ok(judged(samples, outside, |sample| {
+    Ok(outcomes_of(samples, outside, |sample| {
         let (column, row) = nodes[sample];
         let (in_row, in_column) = (in_rows[column].as_ref(), in_columns[row].as_ref());
         let covered = in_row.into_iter().chain(in_column).any(|line| line.between);
@@ -244,9 +246,10 @@ fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: O
     }))
 }
 
-/// The prediction of one node of a line from the others.
+/// The weights that predict one line of an axis from the other lines.
 struct LeftOutLine {
     weights: WeightList,
+    /// True unless the line is the first or the last one.
     between: bool,
 }
 
@@ -328,7 +331,7 @@ mod tests {
         assert!((error(0).0 - 5.5).abs() < ROUNDING && !error(0).1);
         let strict = Bilinear.leave_one_out(&samples, OutsidePolicy::Error).unwrap();
         assert_eq!(strict.predicted().count(), 5);
-        // Extended, two more nodes predict the corner: -3 along the row, -20 along the column.
+        // Extended, the next two samples of the row predict -3, and those of the column -20.
         let extended = Bilinear.leave_one_out(&samples, OutsidePolicy::Extend).unwrap();
         match extended.outcomes()[0] {
             LeftOut::Extrapolated { error } => assert!((error - 11.5).abs() < ROUNDING),

@@ -1,10 +1,11 @@
 //! The boundary of the triangulation: the positions beyond it, and the slivers along it.
 //!
-//! Samples along an edge of the field are rarely collinear to the last bit. If one lies slightly
-//! inside the hull, a sliver closes this dent. The sliver's long side joins two distant samples, so
-//! the value at the hull would ignore the sample in between. Therefore slivers along the hull are
-//! peeled off, and the samples behind them join the boundary. Each side of the hull then has a
-//! chain of samples along it. Each dent is at most [`DENT`] of a chain step deep.
+//! Samples along an edge of the field are rarely collinear to the last bit. A sample slightly
+//! inside the hull leaves a dent, which a sliver closes. The sliver's long side joins two distant
+//! samples, so the value at the hull would ignore the sample in between. Therefore slivers along
+//! the hull are peeled off, and the samples behind them join the boundary. Each side of the hull
+//! then has a chain of samples along it. The depth of a dent is at most [`MAX_DENT`] times its
+//! width.
 
 use std::num::NonZeroU32;
 
@@ -14,9 +15,10 @@ use spade::handles::{FixedDirectedEdgeHandle, FixedVertexHandle};
 use crate::geometry::{Point, Scale, along, dot, foot_on_segment, length, sub};
 use crate::triangles::{GradientStencil, Node, Triangles, gradient_stencil, point_of, sample_of};
 
-/// Largest depth of a dent that counts as unevenness, relative to the step that it interrupts.
-const DENT: f64 = 1e-3;
-/// Beyond this many times a dent's depth inside, the dent does not affect natural neighbours.
+/// Largest depth of a dent that is peeled off, relative to the dent's width along the side.
+const MAX_DENT: f64 = 1e-3;
+/// Farther inside the hull than this multiple of a dent's depth, the dent does not affect natural
+/// neighbour weights.
 const CLEAR: f64 = 4.0;
 /// The slopes of a dent are below 1 in this number.
 const SLOPE: f64 = 10.0;
@@ -31,8 +33,8 @@ pub(crate) struct Boundary {
 #[derive(Debug)]
 pub(crate) struct Side {
     start: Point,
-    /// From the start to the end. All other points are relative to the start too, so that large
-    /// coordinates lose no digits.
+    /// The vector from the start to the end. Links are stored relative to the start too, so that
+    /// large coordinates lose no digits.
     span: Point,
     direction: Point,
     chain: Vec<Link>,
@@ -44,7 +46,7 @@ pub(crate) struct Side {
 /// A sample of a chain.
 #[derive(Debug)]
 pub(crate) struct Link {
-    /// Distance along the side.
+    /// Distance of the sample from the start of the side, measured along the side.
     t: f64,
     offset: Point,
     pub(crate) sample: usize,
@@ -53,25 +55,25 @@ pub(crate) struct Link {
     pub(crate) gradient: GradientStencil,
 }
 
-/// A position and its nearest point of the boundary.
+/// The point of the boundary that is nearest to a position.
 #[derive(Debug)]
 pub(crate) struct Foot<'a> {
-    /// The two samples of the chain around it.
+    /// The two samples of the chain around this point.
     pub(crate) links: [&'a Link; 2],
     pub(crate) s: f64,
-    /// From the point of the chain between them to the point of the hull that is nearest to the
-    /// position.
+    /// The vector from the point of the chain, at the fraction `s` between the two samples, to the
+    /// point of the hull.
     pub(crate) to_hull: Point,
-    /// From that point of the hull to the position.
+    /// The vector from the point of the hull to the position.
     pub(crate) to_position: Point,
 }
 
-/// The part of the hull that contains the nearest point.
+/// The part of the hull that contains the point nearest to a position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum BoundaryPiece {
     /// The start of this side.
     Corner(usize),
-    /// This side, and the link of its chain before this sample.
+    /// This side, between the sample of its chain with this index and the sample before it.
     Link(usize, usize),
 }
 
@@ -115,8 +117,8 @@ impl Boundary {
     /// The piece of the hull nearest to `p`, or `None` inside the hull and on uneven sides, where
     /// the weights are not linear.
     ///
-    /// Each piece belongs to a half strip or a wedge of positions. So all positions between two
-    /// positions with equal pieces have that piece.
+    /// The positions with one piece form a half strip or a wedge, which is convex. So all positions
+    /// between two positions with equal pieces have that piece.
     pub(crate) fn piece(&self, p: Point) -> Option<BoundaryPiece> {
         let index = self.nearest_side(p);
         let side = &self.sides[index];
@@ -162,8 +164,8 @@ impl Boundary {
         }
     }
 
-    /// The distance of `p` from dents, on a scale from 0 to 1. It is 0 from the chain of an uneven
-    /// side to the depth of its dents, and 1 from [`CLEAR`] times that depth on.
+    /// The distance of `p` from dents, on a scale from 0 to 1. Near a side with dents it is 0 down
+    /// to the depth of the dents. It is 1 from [`CLEAR`] times that depth on.
     pub(crate) fn clearance(&self, p: Point) -> f64 {
         let uneven = self.sides.iter().filter(|side| side.depth > 0.0);
         uneven.fold(1.0, |least: f64, side| {
@@ -238,7 +240,7 @@ impl Side {
                 && !on_boundary[apex.index()]
                 && let Some(depth) = self.dent([handle.from(), handle.to(), apex].map(|v| offset(v.data())))
             {
-                let face = handle.face().fix().as_inner().expect("it has an apex");
+                let face = handle.face().fix().as_inner().expect("an apex needs a face");
                 ahead.push(handle.next().rev().fix());
                 ahead.push(handle.prev().rev().fix());
                 on_boundary[apex.index()] = true;
@@ -268,7 +270,7 @@ impl Side {
         let [t0, t1, t] = [from, to, apex].map(|offset| dot(offset, self.direction));
         let depth = self.depth_of(apex).abs();
         let step = (t - t0).min(t1 - t);
-        (depth <= DENT * (t1 - t0) && step > SLOPE * depth && step > 0.0).then_some(depth)
+        (depth <= MAX_DENT * (t1 - t0) && step > SLOPE * depth && step > 0.0).then_some(depth)
     }
 }
 
@@ -299,7 +301,7 @@ fn end_of_side(
     let to = |edge: usize| point_of(triangles.directed_edge(edges[edge]).to().data());
     let start = point_of(triangles.directed_edge(edges[first]).from().data());
     let mut end = first + 1;
-    // The last edge ends where the first one starts.
+    // The last edge of the hull ends where the first one starts, which gives no direction.
     while end < edges.len() && to(end) != start {
         let span = sub(to(end), start);
         let span = span.map(|v| v / length(span));

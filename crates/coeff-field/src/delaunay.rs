@@ -8,7 +8,8 @@ use spade::{NaturalNeighbor, Point2, PositionInTriangulation, Triangulation};
 use crate::boundary::BoundaryPiece;
 use crate::geometry::{Point, Points, Row, cross, dot, known, last_where, length, query, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Visited, WeightList, admit, pixel_by_pixel,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, WeightsResult, admit,
+    pixel_by_pixel,
 };
 use crate::mesh::{Mesh, Support, mesh_leave_one_out, mesh_weights, weights_at_hull};
 use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of};
@@ -17,25 +18,26 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 ///
 /// In the triangle of samples `a, b, c` the value is `w_a v_a + w_b v_b + w_c v_c` with the
 /// barycentric coordinates `w_a = area(x, b, c) / area(a, b, c)` and so on. There are at most three
-/// weights, and none is negative. Linear fields are reproduced. For others the error is at most
-/// `r^2 |v''| / 2`, with `r` the radius of the triangle's circumcircle (S. Waldron 1998, SIAM J.
-/// Numer. Anal. 35, 1191). The field is continuous, with kinks along the triangles' edges. If more
-/// than three samples lie on one circle, as on a regular grid, several triangulations are equally
-/// good. The choice is then arbitrary but always the same.
+/// weights, and none is negative. Linear fields are reproduced. For other fields the error is at
+/// most `r^2 |v''| / 2`, with `r` the radius of the triangle's circumcircle (S. Waldron 1998, SIAM
+/// J. Numer. Anal. 35, 1191). The field is continuous, with kinks along the triangles' edges. If
+/// more than three samples lie on one circle, as on a regular grid, several triangulations are
+/// equally good. The choice is then arbitrary but always the same.
 ///
 /// # Outside the samples
 /// * Nearest: the value at the nearest point `c` of the convex hull.
 /// * Extend: `f(c) + g(c) (x - c)`. The gradient of each hull sample is a least squares fit over
 ///   its Delaunay neighbours, with weights that fall with distance. `g` interpolates these
-///   gradients linearly along the hull. The result is continuous and reproduces linear fields. (The
-///   planes of the hull triangles would jump from one triangle to the next, and those triangles are
-///   often slivers.) A slope across samples that lie within about 0.001 of a line counts as 0.
-/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
-///   count as inside.
+///   gradients linearly along the hull. The result is continuous and reproduces linear fields. (If
+///   the planes of the triangles along the hull were continued instead, the field would jump from
+///   one triangle to the next, and these triangles are often slivers.) If the samples lie on a line
+///   within about 0.001 of their extent, the slope across the line counts as 0.
+/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
+///   still count as inside.
 ///
 /// Samples that dent the hull by less than 0.001 of their spacing count as lying on it. Inside such
-/// a dent the continuation above applies. So the boundary follows the samples and not the long thin
-/// triangles between them.
+/// a dent the formula of the policy extend applies. So the boundary follows the samples and not the
+/// long thin triangles between them.
 ///
 /// # One, two, or collinear samples
 /// Linear interpolation along the line: a position has the value at its foot on the line. Positions
@@ -56,12 +58,14 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Delaunay;
 
-/// A share further below 0 than this is not rounding but cancellation of the areas.
+/// Allowed rounding of a share below 0 or above 1, and of the sum of shares. A larger error comes
+/// from cancellation of the areas.
 const NEGATIVE: f64 = 1e-9;
-/// Tolerance of `sum w_i x_i = x`, relative to the mean distance of the neighbours ...
-const MEETS_POSITION: f64 = 1e-6;
-/// ... and relative to the largest distance, whose rounding affects every weight.
-const MEETS_POSITION_AFAR: f64 = 1e-14;
+/// Tolerance of `sum w_i x_i = x`, relative to the mean distance of the neighbours.
+const POSITION_TOLERANCE: f64 = 1e-6;
+/// Additional tolerance relative to the largest distance of a neighbour, because its rounding
+/// affects every weight.
+const POSITION_TOLERANCE_OF_LARGEST: f64 = 1e-14;
 
 /// Sibson's natural neighbours.
 ///
@@ -73,13 +77,14 @@ const MEETS_POSITION_AFAR: f64 = 1e-14;
 /// triangulation.
 ///
 /// The areas lose digits among samples much closer to each other than to the rest: the relative
-/// error of slopes is about 1e-16 times the ratio of the two distances. If it exceeds 1e-6, the
-/// weights of [`Delaunay`](crate::Delaunay) are used. That happens for samples 1e-10 of the spacing
-/// apart, and for positions very close to the hull, where the areas grow without bound. At the hull
-/// both methods have equal limits. Around such a cluster they differ by a small step.
+/// error of slopes is about 1e-16 times the ratio of the two distances. If this error exceeds 1e-6,
+/// the weights of [`Delaunay`](crate::Delaunay) are used. That happens around samples 1e-10 of the
+/// spacing apart, where the field has a small step between the two methods. It also happens very
+/// close to the hull, where the areas grow without bound. At the hull both methods have equal
+/// limits.
 ///
-/// Outside the samples, in dents of the hull, and for collinear samples it equals
-/// [`Delaunay`](crate::Delaunay). On the hull the two agree.
+/// Outside the samples, on the hull, in dents of the hull, and for collinear samples, the values
+/// equal those of [`Delaunay`](crate::Delaunay).
 ///
 /// ```
 /// use coeff_field::{InterpolatedField, NaturalNeighbour};
@@ -104,7 +109,7 @@ struct TriangulationWeights {
     natural: bool,
 }
 
-fn prepare(positions: &SamplePositions, outside: OutsidePolicy, natural: bool) -> Prepared {
+fn prepare(positions: &SamplePositions, outside: OutsidePolicy, natural: bool) -> WeightsResult {
     let outside = known(outside)?;
     Ok(match Support::new(&Points::new(positions)?, outside) {
         Support::Line(line) => Box::new(line),
@@ -117,21 +122,21 @@ fn prepare(positions: &SamplePositions, outside: OutsidePolicy, natural: bool) -
 }
 
 impl FieldInterpolation for Delaunay {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         prepare(positions, outside, false)
     }
 
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         mesh_leave_one_out(linear_weights, samples, outside)
     }
 }
 
 impl FieldInterpolation for NaturalNeighbour {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         prepare(positions, outside, true)
     }
 
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         let natural = |mesh: &Mesh, p: Point, outside: OutsidePolicy, weights: &mut WeightList| {
             Sibson::new(mesh).weights(p, outside, weights)
         };
@@ -178,8 +183,8 @@ impl FieldWeights for TriangulationWeights {
     }
 
     /// Visits linear weights in runs: one for each triangle that the row crosses, except slivers.
-    /// Under [`OutsidePolicy::Nearest`] there is also a run for each piece of the hull that it
-    /// passes. All other positions are visited pixel by pixel.
+    /// Under [`OutsidePolicy::Nearest`] there is also a run for each part of the hull that the row
+    /// passes outside. All other positions are visited pixel by pixel.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.natural {
@@ -261,7 +266,8 @@ impl<'a> Sibson<'a> {
             sum += share;
             weights.push((sample_of(&node), share));
         }
-        let met = length(mean) <= MEETS_POSITION * mean_distance + MEETS_POSITION_AFAR * largest;
+        let met =
+            length(mean) <= POSITION_TOLERANCE * mean_distance + POSITION_TOLERANCE_OF_LARGEST * largest;
         if !met || (sum - 1.0).abs() > NEGATIVE {
             return false;
         }
@@ -280,9 +286,10 @@ const SLIVER: f64 = 1e-3;
 
 /// Finds runs of linear weights along a row, from one triangle to the next.
 ///
-/// The walk crosses the edges that separate it from the position. It ends in any Delaunay
-/// triangulation (H. Edelsbrunner 1990, Combinatorica 10, 251). The tests of sides have no
-/// rounding, so a run never leaves its triangle.
+/// To find the triangle of a position, a walk crosses edges that separate the current triangle from
+/// the position. In a Delaunay triangulation such a walk always ends (H. Edelsbrunner 1990,
+/// Combinatorica 10, 251). The side of an edge on which a position lies is computed exactly, so a
+/// run never leaves its triangle.
 #[derive(Debug)]
 struct MeshRow<'a> {
     mesh: &'a Mesh,
@@ -348,8 +355,8 @@ impl<'a> MeshRow<'a> {
         }
     }
 
-    /// The end of the run in the triangle that contains a column. `None` if its weights are not the
-    /// barycentric ones or have too much rounding.
+    /// The end of the run in the triangle that contains a column. `None` if the weights in this
+    /// triangle are not barycentric or have too much rounding.
     fn in_triangle(&mut self, face: Face<'a>, column: usize) -> Option<usize> {
         let vertices = face.vertices();
         let corners = vertices.map(|v| point_of(v.data()));

@@ -3,7 +3,7 @@
 use psf_types::{Interpolation, OutsidePolicy, Position};
 use thiserror::Error;
 
-/// The reason why coefficients cannot be interpolated. Indices and counts are 0-based.
+/// The reason why coefficients cannot be interpolated. All indices are 0-based.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum CoeffFieldError {
@@ -16,7 +16,7 @@ pub enum CoeffFieldError {
         sample: usize,
         /// Its position.
         position: Position,
-        /// The largest magnitude of a coordinate.
+        /// The largest allowed magnitude of a coordinate.
         limit: f64,
     },
     /// A requested position whose coordinates are too large for double precision geometry.
@@ -24,7 +24,7 @@ pub enum CoeffFieldError {
     QueryRange {
         /// The requested position.
         position: Position,
-        /// The largest magnitude of a coordinate.
+        /// The largest allowed magnitude of a coordinate.
         limit: f64,
     },
     /// Two samples closer to each other than double precision geometry can resolve.
@@ -38,7 +38,7 @@ pub enum CoeffFieldError {
         position: Position,
     },
     /// Weights that overflow, far outside the samples.
-    #[error("the weights at {position} overflow: it is too far outside the samples for this interpolator")]
+    #[error("position {position} is so far outside the samples that this interpolator's weights overflow")]
     WeightOverflow {
         /// The requested position.
         position: Position,
@@ -63,7 +63,7 @@ pub enum CoeffFieldError {
         /// The position where a sample was expected.
         position: Position,
     },
-    /// Two samples that share a node of a regular grid within its tolerance.
+    /// Two samples at one node of a regular grid, within the tolerance of the grid's coordinates.
     #[error(
         "samples {first} and {second} (0-based) share column {column}, row {row} of the regular grid: they are too close \
          to each other at {position}"
@@ -126,7 +126,7 @@ pub enum CoeffFieldError {
     /// Sample values whose number does not match the interpolator.
     #[error("{what}: expected {expected}, got {got}")]
     CountMismatch {
-        /// A description of the counted things.
+        /// The things that were counted, in words.
         what: &'static str,
         /// The number needed.
         expected: usize,
@@ -134,7 +134,7 @@ pub enum CoeffFieldError {
         got: usize,
     },
     /// Node values that overflow.
-    #[error("the value of component {component} at node {node} is {value}")]
+    #[error("component {component} at node {node} (0-based) is {value}: the samples' values are too large")]
     NonFiniteNode {
         /// Index of the node.
         node: usize,

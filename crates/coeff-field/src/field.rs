@@ -14,7 +14,9 @@ use crate::bilinear::{Bicubic, Bilinear};
 use crate::delaunay::{Delaunay, NaturalNeighbour};
 use crate::error::CoeffFieldError;
 use crate::grid::RegularGrid;
-use crate::interpolation::{FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Visited, WeightList};
+use crate::interpolation::{
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, WeightsResult,
+};
 use crate::neighbours::{InverseDistance, Nearest};
 use crate::polynomial::Polynomial;
 
@@ -54,7 +56,8 @@ pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolat
     }
 }
 
-/// Returns the method of a choice. [`Auto`] decides when it receives the samples.
+/// Returns the interpolation method that `choice` names. [`Auto`] chooses a method when it receives
+/// the samples.
 ///
 /// ```
 /// use coeff_field::interpolation;
@@ -66,7 +69,7 @@ pub fn resolve(choice: Interpolation, positions: &SamplePositions) -> Interpolat
 ///
 /// # Errors
 /// [`CoeffFieldError::Parameter`] for a parameter out of range,
-/// [`CoeffFieldError::UnknownInterpolation`] for a choice newer than this crate.
+/// [`CoeffFieldError::UnknownInterpolation`] for a choice that this version does not know.
 pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation>, CoeffFieldError> {
     Ok(match choice {
         Interpolation::Auto => Box::new(Auto),
@@ -88,18 +91,19 @@ pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation
 pub struct Auto;
 
 impl FieldInterpolation for Auto {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         interpolation(resolve(Interpolation::Auto, positions))?.prepare(positions, outside)
     }
 
-    /// The method selected for all samples also predicts each sample left out.
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    /// The method is selected once, for all samples. It then predicts each sample that is left out.
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         interpolation(resolve(Interpolation::Auto, samples.positions()))?.leave_one_out(samples, outside)
     }
 }
 
-/// Pixels whose coefficients are gathered before they are written to their planes. Each plane then
-/// receives a stretch of its row at once, and the gathered values stay in the first cache levels.
+/// Number of pixels of a row whose coefficients are computed before they are written to the planes.
+/// Each plane then receives several neighbouring pixels at once, and the waiting values stay in the
+/// first cache levels.
 const STRETCH: usize = 32;
 
 /// Coefficients interpolated over the field: `a_k(x) = sum_n w_n(x) v_nk`.
@@ -137,8 +141,8 @@ impl InterpolatedField {
     /// Prepares `method` for the samples and stores their values.
     ///
     /// # Errors
-    /// [`CoeffFieldError`] when the method does not suit the samples' positions, or its node values
-    /// overflow.
+    /// [`CoeffFieldError`] when the method does not suit the samples' positions, or when the values
+    /// at its nodes overflow.
     pub fn new(
         samples: &SampleCoefficients,
         method: &dyn FieldInterpolation,
@@ -246,7 +250,7 @@ impl CoefficientField for InterpolatedField {
         assert_eq!(values.dim(), (planes, ny, nx), "one plane per component");
         assert!(
             components.end <= self.component_count(),
-            "components {components:?} of {}",
+            "components {components:?} were requested, but the field has {}",
             self.component_count()
         );
         let stretch = STRETCH.min(nx);

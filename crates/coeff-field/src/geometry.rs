@@ -11,19 +11,19 @@ use crate::error::CoeffFieldError;
 /// Coordinates in pixels. Each is 0 or has a magnitude between `SMALLEST` and `LARGEST`.
 pub(crate) type Point = [f64; 2];
 
-/// Products of four coordinates, as in the test of a circumcircle, must not overflow ...
+/// Coordinates must not be larger. Products of four of them, as in the test of a circumcircle, then
+/// do not overflow.
 const LARGEST: f64 = 1e50;
-/// ... nor underflow. Smaller coordinates count as 0.
+/// Smaller coordinates count as 0, so that products of four coordinates do not underflow.
 const SMALLEST: f64 = 1e-40;
 /// Largest distance outside the samples at which a position still counts as covered, relative to
-/// the samples' extent (or to one pixel, if that is more). It is well above the rounding of
-/// coordinates and far below any change of a PSF.
+/// the samples' extent (or to one pixel, if that is more). This distance is well above the rounding
+/// of coordinates, and a PSF does not change over it.
 const COVERED: f64 = 1e-9;
-/// The rounding of coordinates from a few operations, relative to the largest coordinate ...
+/// The rounding of coordinates from a few operations, relative to the largest coordinate.
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
-/// ... but not more than this fraction of the samples' extent, since larger differences are
-/// intended.
-const MEANT: f64 = 1e-7;
+/// Differences larger than this fraction of the samples' extent never count as rounding.
+const MAX_SCATTER_OF_EXTENT: f64 = 1e-7;
 
 /// The samples' coordinates and their length scales.
 #[derive(Debug, Clone)]
@@ -87,7 +87,7 @@ impl Scale {
         let rounding = ROUNDING * largest;
         Self {
             covered: (COVERED * extent.max(1.0)).max(rounding),
-            rounding: rounding.min(MEANT * extent),
+            rounding: rounding.min(MAX_SCATTER_OF_EXTENT * extent),
             extent,
         }
     }
@@ -180,20 +180,21 @@ pub(crate) struct Hull {
     pub(crate) outside: OutsidePolicy,
 }
 
-/// A part of the plane in which the nearest point of the hull lies on one feature of the hull. Each
-/// part is convex, and the nearest point is linear in the position.
+/// A part of the plane: the hull itself, or the positions outside whose nearest point lies on one
+/// edge or corner of the hull. Each part is convex, and in it the nearest point of the hull is
+/// linear in the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum HullPiece {
     /// The hull itself.
     Inside,
-    /// Nearest to the edge that starts at this corner.
+    /// The positions nearest to the edge that starts at this corner.
     Edge(usize),
-    /// Nearest to this corner.
+    /// The positions nearest to this corner.
     Corner(usize),
 }
 
 impl Hull {
-    /// The hull of some points. The policy must be one that this version knows.
+    /// The hull of some points. Returns an error for a policy that this version does not know.
     pub(crate) fn new(points: &Points, outside: OutsidePolicy) -> Result<Self, CoeffFieldError> {
         let hull = ConvexHull::new(&points.points);
         let mut corner_samples = hull.indices().to_vec();
@@ -227,7 +228,8 @@ impl Hull {
         }
         let nearest = self.nearest(p);
         let distance = length(sub(nearest, p));
-        // The hull may lack a sample on it by rounding. Such a sample must keep its exact value.
+        // By rounding, a sample on an edge may lie slightly outside the hull. It must keep its
+        // exact value.
         if distance <= self.scale.rounding {
             Ok(p)
         } else if self.outside == OutsidePolicy::Nearest || distance <= self.scale.covered {
@@ -237,8 +239,8 @@ impl Hull {
         }
     }
 
-    /// Returns whether rounding of the hull's nearest points is too small, relative to its width
-    /// and height, to affect a linear function.
+    /// Returns whether the rounding of points on the hull is too small, relative to the hull's
+    /// width and height, to affect a linear function.
     pub(crate) fn is_precise(&self) -> bool {
         self.scale.rounding <= PRECISE * self.narrower
     }
@@ -265,7 +267,7 @@ impl Hull {
     fn nearest_with_piece(&self, p: Point) -> (HullPiece, Point) {
         let c = self.outline.corners();
         let mut best = (f64::INFINITY, (HullPiece::Corner(0), c[0]));
-        // A hull with two corners has only one edge, in both directions.
+        // The two edges of a hull with two corners are one segment, so the first is enough.
         let edges = if c.len() == 2 { 1 } else { c.len() };
         for (i, &a) in c[..edges].iter().enumerate() {
             let end = (i + 1) % c.len();
@@ -288,7 +290,7 @@ impl Hull {
     }
 }
 
-/// Neighbouring pixels of one row. Columns count from its start.
+/// Neighbouring pixels in a row of the frame. Columns are counted from the first of these pixels.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Row {
     x: i64,
@@ -325,16 +327,16 @@ impl Row {
         column.saturating_add(ahead.max(1)).min(self.length)
     }
 
-    /// The column whose x is `x`.
+    /// The column whose x coordinate is `x`, if there is one.
     pub(crate) fn column_at(self, x: f64) -> Option<usize> {
         let column = x - self.x(0);
         (column.fract() == 0.0 && (0.0..self.length as f64).contains(&column)).then_some(column as usize)
     }
 }
 
-/// The last column in `start..end` for which `holds` is true, if all such columns follow `start`
-/// without a gap. Otherwise it is some such column. `holds(start)` is assumed. The search doubles
-/// its steps, then bisects.
+/// Returns the last column in `start..end` for which `holds` is true, provided that it is also true
+/// for all columns before. Otherwise returns some column for which it is true. It must be true for
+/// `start`. The search doubles its steps, then bisects.
 pub(crate) fn last_where(start: usize, end: usize, mut holds: impl FnMut(usize) -> bool) -> usize {
     let (mut low, mut high, mut step) = (start, end, 1);
     while high - low > 1 {
@@ -370,7 +372,7 @@ mod tests {
     }
 
     #[test]
-    fn coordinates_that_geometry_cannot_carry_are_refused() {
+    fn too_large_and_coincident_coordinates_are_refused() {
         let far = SamplePositions::new(vec![at(0.0, 0.0), at(1e60, 0.0)], None).unwrap();
         assert!(matches!(
             Points::new(&far),
@@ -390,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_follow_the_samples() {
+    fn length_scales_follow_the_samples() {
         let points =
             Points::new(&SamplePositions::new(vec![at(1e4, 0.0), at(0.0, 5e3)], None).unwrap()).unwrap();
         assert_eq!(points.scale.extent, 1e4);

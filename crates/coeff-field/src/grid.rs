@@ -7,11 +7,12 @@ use psf_types::{OutsidePolicy, Position, SamplePositions};
 use crate::error::CoeffFieldError;
 use crate::geometry::Points;
 
-/// A regular grid: one sample at every combination of a list of x and a list of y, in any order.
+/// A regular grid: a list of x, a list of y, and one sample at every combination of the two. The
+/// samples may be in any order.
 ///
 /// The spacing may vary (a rectilinear grid). One row, one column or a single sample is a grid too.
-/// Coordinates that differ by at most 1e-9 of the samples' extent belong to one column or row, at
-/// the mean of its samples' coordinates.
+/// Coordinates that differ by at most 1e-9 of the samples' extent belong to one column or row. The
+/// coordinate of a column or row is the mean over its samples.
 ///
 /// ```
 /// use coeff_field::RegularGrid;
@@ -26,13 +27,14 @@ use crate::geometry::Points;
 pub struct RegularGrid {
     pub(crate) x: Axis,
     pub(crate) y: Axis,
-    /// Ordered row by row.
+    /// Index of the sample at each node, row by row.
     samples: Vec<usize>,
     /// Largest distance outside the grid at which a position still counts as covered.
     pub(crate) covered: f64,
 }
 
-/// Coordinates closer than this belong to one line, relative to the samples' extent.
+/// Two coordinates belong to one line if they differ by at most this fraction of the samples'
+/// extent.
 const SAME_LINE: f64 = 1e-9;
 
 impl RegularGrid {
@@ -59,8 +61,8 @@ impl RegularGrid {
                 });
             }
         }
-        // No node is taken twice, so a node is free unless there are as many nodes as samples. The
-        // search ends soon, because only samples.len() nodes are taken.
+        // No node has two samples. If there are more nodes than samples, a node without a sample is
+        // among the first points.len() + 1 nodes, so the search ends soon.
         let mut samples = Vec::with_capacity(points.len());
         for node in 0..width * y.lines.len() {
             let (column, row) = (node % width, node / width);
@@ -100,7 +102,7 @@ impl RegularGrid {
     pub fn sample(&self, column: usize, row: usize) -> usize {
         assert!(
             column < self.x.lines.len(),
-            "column {column} of {}",
+            "column {column} (0-based) does not exist: the grid has {}",
             self.x.lines.len()
         );
         self.samples[row * self.x.lines.len() + column]
@@ -110,14 +112,15 @@ impl RegularGrid {
 /// The lines of a grid along one axis.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Axis {
-    /// Ascending.
+    /// Coordinates of the lines, ascending.
     pub(crate) lines: Vec<f64>,
     /// The largest distance of a sample from its line.
     pub(crate) scatter: f64,
 }
 
-/// Lines with less scatter than this fraction of a cell change weights only by rounding.
-const HARMLESS: f64 = 1e-13;
+/// Samples that scatter about their line by less than this fraction of a cell change weights only
+/// by rounding.
+const NEGLIGIBLE_SCATTER: f64 = 1e-13;
 
 impl Axis {
     /// Returns the lines, and the index of each coordinate's line.
@@ -172,8 +175,8 @@ impl Axis {
         self.lines.partition_point(|&line| line <= v).clamp(1, last) - 1
     }
 
-    /// The end of the range from `v` on in which the fractions of [`Self::locate`] are linear, for
-    /// the integers from `v` to below the result. If the result is not above `v`, the range
+    /// Returns a bound such that the fraction of [`Self::locate`] is linear over all integers from
+    /// `v`, itself an integer, to below the bound. If the bound is not above `v`, the range
     /// contains only `v`. With `clamped`, coordinates are first clamped to the lines.
     pub(crate) fn linear_until(&self, v: f64, clamped: bool) -> f64 {
         let (last, low) = (self.lines.len() - 1, self.lines[0]);
@@ -193,7 +196,7 @@ impl Axis {
             (true, true) => b.floor() + 1.0,
             (true, false) => f64::INFINITY,
         };
-        if self.scatter > HARMLESS * (b - a) {
+        if self.scatter > NEGLIGIBLE_SCATTER * (b - a) {
             let is_moved = |v: f64, line: f64| (v - line).abs() <= self.scatter;
             if is_moved(v, a) || is_moved(v, b) {
                 return v;
@@ -214,11 +217,11 @@ impl Axis {
     /// Returns whether weights are linear from line to line within rounding.
     pub(crate) fn scatter_is_harmless(&self) -> bool {
         let cells = self.lines.windows(2).map(|line| line[1] - line[0]);
-        self.scatter <= HARMLESS * cells.fold(f64::INFINITY, f64::min)
+        self.scatter <= NEGLIGIBLE_SCATTER * cells.fold(f64::INFINITY, f64::min)
     }
 
-    /// The coordinate to evaluate: the nearest one that the lines cover, or `v` itself if lines are
-    /// extended.
+    /// The coordinate at which to evaluate `v`: `v` itself under the policy extend, otherwise `v`
+    /// clamped to the range of the lines.
     pub(crate) fn place(&self, v: f64, outside: OutsidePolicy) -> f64 {
         if outside == OutsidePolicy::Extend {
             v
@@ -227,7 +230,7 @@ impl Axis {
         }
     }
 
-    /// The nearest coordinate that the lines cover.
+    /// Clamps `v` to the range of the lines.
     pub(crate) fn clamp(&self, v: f64) -> f64 {
         v.clamp(self.lines[0], self.lines[self.lines.len() - 1])
     }
@@ -235,16 +238,17 @@ impl Axis {
 
 /// The largest number of lines with a weight at a coordinate.
 const LINES: usize = 4;
-/// Number of pieces of a cell along which cubic weights count as linear. The error is 1/25 of that
-/// of one piece. The number is odd, so that a line that is left out lies in the middle of a piece.
-/// Leave-one-out errors then include the error of the pieces.
+/// A cell is cut into this number of pieces. Between their ends, cubic weights are replaced by
+/// linear ones. The error of this is 1/25 of the error with one piece. The number is odd, so that a
+/// line that is left out lies in the middle of a piece. Leave-one-out errors then include the error
+/// of the pieces.
 const PIECES: usize = 5;
-/// The largest allowed sum of the weights' magnitudes. For four evenly spaced lines it is 1.25, at
-/// an edge 1.63. A larger sum means that the spacing is too uneven: a polynomial through the lines
-/// would oscillate, and one of lower degree replaces it.
+/// The largest allowed sum of the weights' magnitudes. Four evenly spaced lines reach 1.25, at an
+/// edge 1.63. A sum above the limit means that the spacing is too uneven: a polynomial through the
+/// lines would oscillate, and one of lower degree replaces it.
 const LARGEST_SUM: f64 = 2.0;
 /// A cell is cut into pieces only if it is wider than this multiple of the scatter of its lines.
-const WIDER_THAN_SCATTER: f64 = 1e3;
+const MIN_WIDTH_OVER_SCATTER: f64 = 1e3;
 
 /// Weights of neighbouring lines.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -253,8 +257,8 @@ pub(crate) struct NeighbouringLines {
     weights: [f64; LINES],
 }
 
-/// The weights of a grid's lines at any coordinate, linear between knots. Knots are the lines
-/// themselves, or also points of a cubic between them.
+/// The weights of a grid's lines at any coordinate. Weights are linear between knots. The knots are
+/// the lines and, for cubics, also points inside each cell.
 #[derive(Debug, Clone)]
 pub(crate) struct AxisWeights {
     pub(crate) knots: Axis,
@@ -293,8 +297,8 @@ impl AxisWeights {
         }
     }
 
-    /// Weights on the cubic through the two lines on either side, or through the four lines at an
-    /// edge.
+    /// Weights that are, at the knots, those of the cubic through the two lines on either side, or
+    /// through the four outermost lines in a cell at an edge.
     pub(crate) fn cubic(lines: &Axis) -> Self {
         let cells = lines.lines.len() - 1;
         if cells == 0 {
@@ -343,7 +347,7 @@ fn unit(line: usize) -> [f64; LINES] {
 fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
     let (a, b) = (lines.lines[cell], lines.lines[cell + 1]);
     // The polynomial through only two lines is straight, so it needs no pieces.
-    if lines.lines.len() == 2 || b - a <= WIDER_THAN_SCATTER * lines.scatter {
+    if lines.lines.len() == 2 || b - a <= MIN_WIDTH_OVER_SCATTER * lines.scatter {
         return Vec::new();
     }
     let points: Vec<f64> = (1..PIECES)
@@ -355,7 +359,7 @@ fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
     if is_apart { points } else { Vec::new() }
 }
 
-/// Neighbouring lines and the polynomial through their values.
+/// Neighbouring lines, whose weights are those of the polynomial through their values.
 #[derive(Debug, Clone, Copy)]
 struct Stencil {
     first: usize,
@@ -363,8 +367,8 @@ struct Stencil {
 }
 
 impl Stencil {
-    /// The stencil of the highest degree up to 3 whose weights stay small enough at these points of
-    /// a cell.
+    /// Returns a stencil of the highest degree, up to 3, whose weights stay within [`LARGEST_SUM`]
+    /// at these points of a cell. Of several, it is the one with the smallest weights.
     fn around(lines: &[f64], cell: usize, points: &[f64]) -> Self {
         (3..=LINES.min(lines.len()))
             .rev()
@@ -372,8 +376,8 @@ impl Stencil {
                 let from = (cell + 2).saturating_sub(count);
                 let to = cell.min(lines.len() - count);
                 let stencils = (from..=to).map(|first| Self { first, count });
-                let judged = stencils.map(|stencil| (stencil.largest_sum(lines, points), stencil));
-                let best = judged.reduce(|a, b| if b.0 < a.0 { b } else { a })?;
+                let rated = stencils.map(|stencil| (stencil.largest_sum(lines, points), stencil));
+                let best = rated.reduce(|a, b| if b.0 < a.0 { b } else { a })?;
                 (best.0 <= LARGEST_SUM).then_some(best.1)
             })
             .unwrap_or(Self {
@@ -489,7 +493,7 @@ mod tests {
     }
 
     #[test]
-    fn cubics_are_met_at_the_knots_of_uneven_lines() {
+    fn cubics_are_exact_at_the_knots_of_uneven_lines() {
         let lines = [0.0, 1.0, 2.2, 3.5, 4.6, 5.8];
         let weights = AxisWeights::cubic(&axis(&lines));
         let cubic = |v: f64| 1.0 + v * (2.0 - v * (0.5 - 0.1 * v));
@@ -510,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_would_let_a_cubic_swing_are_left_out() {
+    fn fewer_lines_are_used_where_a_cubic_would_oscillate() {
         let lines = [0.0, 1.0, 1001.0, 1002.0];
         let weights = AxisWeights::cubic(&axis(&lines));
         for v in [200.0, 501.0, 900.0] {
@@ -524,12 +528,12 @@ mod tests {
                 weights: [0.5, 0.5, 0.0, 0.0]
             }
         );
-        // Distant lines do not affect the narrow cells.
+        // A narrow cell still uses all four lines, since distant lines have small weights there.
         assert_eq!(weights.at(0.5).iter().count(), 4);
     }
 
     #[test]
-    fn few_lines_and_lines_next_to_each_other_are_served() {
+    fn cubics_work_with_few_or_very_close_lines() {
         assert_eq!(
             AxisWeights::cubic(&axis(&[3.0]))
                 .at(9.0)

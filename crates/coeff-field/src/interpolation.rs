@@ -12,8 +12,8 @@ use crate::geometry::{Hull, Point, Points, Row};
 
 /// An interpolation method with its parameters. It prepares weights for a set of sample positions.
 ///
-/// Implement it and [`FieldWeights`] to add your own method. Everything in this crate accepts
-/// `&dyn FieldInterpolation`.
+/// Implement this trait and [`FieldWeights`] to add your own method. Everything in this crate
+/// accepts `&dyn FieldInterpolation`.
 ///
 /// ```
 /// use coeff_field::{CoeffFieldError, FieldInterpolation, FieldWeights, InterpolatedField, WeightList};
@@ -21,7 +21,7 @@ use crate::geometry::{Hull, Point, Points, Row};
 ///     CoefficientField, FieldError, OutsidePolicy, Position, SampleCoefficients, SamplePositions,
 /// };
 ///
-/// /// The same mean of all samples everywhere.
+/// /// The mean of all samples, at every position.
 /// #[derive(Debug)]
 /// struct Mean;
 /// #[derive(Debug)]
@@ -81,23 +81,24 @@ pub trait FieldInterpolation: Debug + Send + Sync {
     ) -> Result<LeaveOneOut, CoeffFieldError> {
         self.prepare(samples.positions(), outside)?;
         let without = |sample, policy| rebuilt_without(self, samples, sample, policy);
-        // The strict policy first: it tells interpolation from extrapolation.
+        // The strict policy is tried first, because it distinguishes interpolation from
+        // extrapolation.
         let predict = |sample| match without(sample, OutsidePolicy::Error) {
             Err(Unpredictable::OutsideSamples) if outside != OutsidePolicy::Error => {
                 Ok((false, without(sample, outside)?))
             }
             found => Ok((true, found?)),
         };
-        Ok(judged(samples, outside, predict))
+        Ok(outcomes_of(samples, outside, predict))
     }
 }
 
 /// A prepared interpolator: weights of nodes at any position.
 ///
 /// Every interpolator here is linear in the sample values, `a_k(x) = sum_n w_n(x) v_nk`, so a
-/// position's weights serve all components. In most methods the nodes are the samples. Other
-/// methods have other nodes, such as the terms of a polynomial. Their
-/// [`node_values`](Self::node_values) computes the values at the nodes from those at the samples.
+/// position's weights serve all components. In most methods the nodes are the samples. A method may
+/// have other nodes, such as the terms of a polynomial. Then [`node_values`](Self::node_values)
+/// computes the values at the nodes from those at the samples.
 pub trait FieldWeights: Debug + Send + Sync {
     /// The number of samples the interpolator was prepared for.
     fn sample_count(&self) -> usize;
@@ -127,14 +128,15 @@ pub trait FieldWeights: Debug + Send + Sync {
     fn weights_into(&self, position: Position, weights: &mut WeightList) -> Result<(), FieldError>;
 
     /// The x and y coordinates of the lines between which all weights are bilinear or constant, or
-    /// `None` without such cells. See
+    /// `None` if there are no such lines. See
     /// [`CoefficientField::grid_lines`](psf_types::CoefficientField::grid_lines).
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         None
     }
 
-    /// Calls `visit` with the weights at each of `positions` in turn. They equal those of
-    /// [`weights_into`](Self::weights_into). Some interpolators work faster in sequence.
+    /// Calls `visit` with the weights at each of `positions` in turn. The weights equal those of
+    /// [`weights_into`](Self::weights_into), but some interpolators compute them faster in
+    /// sequence.
     ///
     /// # Errors
     /// [`FieldError`] at the first position without a value.
@@ -166,7 +168,7 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// let weights = Bilinear.prepare(&positions, OutsidePolicy::Nearest)?;
     /// let mut runs = Vec::new();
     /// weights.weights_along_row((-2, 0), 10, &mut |run| runs.push((run.length, run.last.to_vec())))?;
-    /// // Beside the cell on the left, in it with both its lines, and on the right.
+    /// // Left of the cell, inside the cell (including both its lines), and right of the cell.
     /// assert_eq!(runs, [(2, vec![(0, 1.0)]), (5, vec![(1, 1.0)]), (3, vec![(1, 1.0)])]);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
@@ -185,9 +187,9 @@ pub trait FieldWeights: Debug + Send + Sync {
 }
 
 /// The result of [`FieldInterpolation::prepare`].
-pub(crate) type Prepared = Result<Box<dyn FieldWeights>, CoeffFieldError>;
+pub(crate) type WeightsResult = Result<Box<dyn FieldWeights>, CoeffFieldError>;
 /// The result of [`FieldInterpolation::leave_one_out`].
-pub(crate) type Judged = Result<LeaveOneOut, CoeffFieldError>;
+pub(crate) type Outcomes = Result<LeaveOneOut, CoeffFieldError>;
 /// The result of visiting pixels, which stops at the first one without a value.
 pub(crate) type Visited = Result<(), FieldError>;
 /// Receives the runs of a row, one after the other.
@@ -251,7 +253,7 @@ pub(crate) fn check_rows(samples: usize, values: ArrayView2<'_, f64>) -> Result<
 /// (node, weight) pairs at one position.
 pub type WeightList = Vec<(usize, f64)>;
 
-/// Adds to a node's weight by a linear search, since lists are short.
+/// Adds to a node's weight. The search for the node is linear, because lists are short.
 pub(crate) fn add_weight(weights: &mut WeightList, node: usize, weight: f64) {
     if weight == 0.0 {
         return;
@@ -262,14 +264,14 @@ pub(crate) fn add_weight(weights: &mut WeightList, node: usize, weight: f64) {
     }
 }
 
-/// Makes one node the whole list, with weight 1.
+/// Replaces the list by one node with weight 1.
 pub(crate) fn single(weights: &mut WeightList, node: usize) {
     weights.clear();
     weights.push((node, 1.0));
 }
 
-/// Mixes two nodes linearly, `s` of the second and `1 - s` of the first. Nodes with weight 0 are
-/// omitted.
+/// Replaces the list by two nodes, the first with weight `1 - s` and the second with weight `s`.
+/// Nodes with weight 0 are omitted.
 pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64) {
     weights.clear();
     if s != 1.0 {
@@ -280,12 +282,12 @@ pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64
     }
 }
 
-/// The prediction of each sample by an interpolator that does not know it.
+/// The error of predicting each sample by an interpolator prepared without it.
 ///
 /// The error is `||a_predicted - a||_2` over the components. With an orthonormal basis that is the
-/// L2 norm of the difference of the two stamps, in the units of the stamps. On an even sampling it
-/// overestimates the error between samples: the gap is twice as wide, so a linear method has about
-/// four times the error.
+/// L2 norm of the difference of the two stamps, in the units of the stamps. On an even sampling, it
+/// overestimates the error between samples. Without the sample the local spacing is twice as wide,
+/// so a linear method has about four times the error.
 ///
 /// ```
 /// use coeff_field::{LeftOut, NaturalNeighbour, leave_one_out};
@@ -295,7 +297,7 @@ pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64
 /// let squares = ndarray::array![[0.0], [1.0], [4.0], [9.0], [16.0]];
 /// let samples = SampleCoefficients::new(squares, positions)?;
 /// let errors = leave_one_out(&samples, &NaturalNeighbour, OutsidePolicy::Nearest)?;
-/// // (1 + 9) / 2 predicts 4.
+/// // The neighbours predict (1 + 9) / 2 = 5, but the value is 4.
 /// assert!(matches!(errors.outcomes()[2], LeftOut::Predicted { error } if error == 1.0));
 /// // An end can only be extrapolated.
 /// assert!(matches!(errors.outcomes()[4], LeftOut::Extrapolated { error } if error == 7.0));
@@ -315,8 +317,8 @@ pub enum LeftOut {
         /// L2 error over the components.
         error: f64,
     },
-    /// The others do not cover the sample's position (a corner of the field). The outside policy
-    /// decided the prediction.
+    /// The others do not cover the sample's position, such as a corner of the field. The outside
+    /// policy decided the prediction.
     Extrapolated {
         /// L2 error over the components.
         error: f64,
@@ -332,20 +334,20 @@ pub enum LeftOut {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum Unpredictable {
-    /// The others do not cover its position, and the outside policy is `Error`.
-    #[error("the other samples do not cover it")]
+    /// The others do not cover the sample's position, and the outside policy is `Error`.
+    #[error("the other samples do not cover this sample's position")]
     OutsideSamples,
-    /// There are no others.
+    /// There are no other samples.
     #[error("there is no other sample")]
     NoOthers,
     /// The others do not determine the polynomial.
     #[error("the other samples do not determine the polynomial")]
     Undetermined,
     /// The interpolator cannot be prepared without the sample.
-    #[error("the interpolator cannot be prepared without it")]
+    #[error("the interpolator cannot be prepared without this sample")]
     NotPrepared(#[source] CoeffFieldError),
-    /// The prepared field has no value at its position.
-    #[error("the field has no value there")]
+    /// The field prepared without the sample has no value at the sample's position.
+    #[error("the field has no value at this sample's position")]
     NoValue(#[source] FieldError),
 }
 
@@ -393,11 +395,11 @@ pub fn leave_one_out(
     samples: &SampleCoefficients,
     method: &dyn FieldInterpolation,
     outside: OutsidePolicy,
-) -> Judged {
+) -> Result<LeaveOneOut, CoeffFieldError> {
     method.leave_one_out(samples, outside)
 }
 
-/// The error of predicting a sample by the method prepared without it.
+/// The error of predicting a sample by a method prepared without this sample.
 fn rebuilt_without<M: FieldInterpolation + ?Sized>(
     method: &M,
     samples: &SampleCoefficients,
@@ -410,7 +412,7 @@ fn rebuilt_without<M: FieldInterpolation + ?Sized>(
         return Err(Unpredictable::NoOthers);
     }
     let positions = others.iter().map(|&sample| all.as_slice()[sample]).collect();
-    let positions = SamplePositions::new(positions, all.field()).expect("part of valid positions is valid");
+    let positions = SamplePositions::new(positions, all.field()).expect("a subset stays valid");
     let weights_of = method
         .prepare(&positions, outside)
         .map_err(Unpredictable::NotPrepared)?;
@@ -445,7 +447,7 @@ pub(crate) fn prediction_error(
 
 /// Turns the prediction of each sample (whether the others cover it, and the error) into its
 /// outcome.
-pub(crate) fn judged(
+pub(crate) fn outcomes_of(
     samples: &SampleCoefficients,
     outside: OutsidePolicy,
     mut predict: impl FnMut(usize) -> Result<(bool, f64), Unpredictable>,
@@ -461,21 +463,23 @@ pub(crate) fn judged(
     LeaveOneOut::new(outcomes.collect())
 }
 
-/// Applies the outside policy to each sample's position relative to the other samples. Then
-/// `predict` returns the sample's error for the method's value at the policy's point.
+/// Predicts each sample by a method that uses the hull. The outside policy, applied to the hull of
+/// the other samples, gives the point at which to evaluate the method. `predict` returns the error
+/// of the value at that point.
 pub(crate) fn hull_leave_one_out(
     samples: &SampleCoefficients,
     points: &Points,
     outside: OutsidePolicy,
     mut predict: impl FnMut(usize, Point) -> Result<f64, Unpredictable>,
-) -> Judged {
+) -> Outcomes {
     let hull = Hull::new(points, outside)?;
-    Ok(judged(samples, outside, |sample| {
+    Ok(outcomes_of(samples, outside, |sample| {
         let p = points.points[sample];
         if points.len() == 1 {
             return Err(Unpredictable::NoOthers);
         }
-        // Removing a sample uncovers its position only if it is a corner of the hull.
+        // Without one sample, the hull of the others still covers its position, unless the sample
+        // is a corner of the hull.
         let (covered, at) = if hull.is_corner(sample) {
             let others = points.subset((0..points.len()).filter(|&s| s != sample));
             let hull = Hull::new(&others, outside).map_err(Unpredictable::NotPrepared)?;

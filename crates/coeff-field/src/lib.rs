@@ -14,17 +14,18 @@
 //! | method | weights per position | at the samples | reproduces | continuity |
 //! |---|---|---|---|---|
 //! | [`Bilinear`] | 4 | exact | 1, x, y, xy | continuous |
-//! | [`Bicubic`] | 16 | exact | 1, x, y, xy, and x^i y^j up to 3 at the fifths of cells | continuous |
+//! | [`Bicubic`] | 16 | exact | 1, x, y, xy; x^i y^j (i, j <= 3) at fifths of cells | continuous |
 //! | [`Delaunay`] | 3 | exact | 1, x, y | continuous |
 //! | [`NaturalNeighbour`] | about 6 | exact | 1, x, y | smooth except at the samples |
 //! | [`InverseDistance`] | about 12 | exact | 1 | continuous |
 //! | [`Polynomial`] | (d+1)(d+2)/2 | least squares | polynomials of degree d | smooth |
 //! | [`Nearest`] | 1 | exact | 1 | jumps |
 //!
-//! [`FieldInterpolation`] is a method with its parameters. It prepares [`FieldWeights`] for a set
-//! of positions. Those weights and the samples' values make an [`InterpolatedField`], which is a
-//! [`psf_types::CoefficientField`]. Other crates can implement both traits. [`interpolation`]
-//! returns the method for a [`psf_types::Interpolation`].
+//! A [`FieldInterpolation`] is a method with its parameters. It prepares [`FieldWeights`] for the
+//! samples' positions. An [`InterpolatedField`] combines these weights with the samples' values,
+//! and is a [`psf_types::CoefficientField`]. Other crates can implement the traits
+//! `FieldInterpolation` and `FieldWeights`. [`interpolation`] returns the method for a
+//! [`psf_types::Interpolation`].
 //!
 //! # Outside the samples
 //! The caller chooses a [`psf_types::OutsidePolicy`]. Each method documents its effect. Positions
@@ -32,19 +33,19 @@
 //! area, so that rounding at an edge causes no error.
 //!
 //! # Accuracy
-//! Weights are finite and sum to 1 within 1e-12 of the sum of their magnitudes. A polynomial's
-//! weights do not sum to 1, but they reproduce constants. The geometry uses coordinates relative to
-//! the requested position, so neither large offsets nor tight clusters lose digits. It accepts
-//! magnitudes up to 1e50 pixels. A position always gives identical bits, for any thread, region or
-//! range of components.
+//! Weights are finite. They sum to 1 within 1e-12 of the sum of their magnitudes, except in a
+//! [`Polynomial`]. All methods reproduce constants. The geometry uses coordinates relative to the
+//! requested position, so neither large offsets nor tight clusters lose digits. Coordinates may
+//! have magnitudes up to 1e50 pixels. The values at a position have identical bits in every thread,
+//! and for any region or range of components that is evaluated.
 //!
 //! # Rows of pixels
 //! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear. The
 //! cost then grows with the number of cells, not of pixels. A run is one cell ([`Bilinear`]), a
 //! fifth of a cell ([`Bicubic`]), a triangle ([`Delaunay`]), a link between collinear samples, a
 //! Voronoi cell ([`Nearest`]), or the whole row (a [`Polynomial`] of degree 0 or 1). Other methods
-//! visit pixel by pixel. So do positions with nonlinear weights, such as those in slivers, or
-//! outside [`Delaunay`]'s samples under the policy extend.
+//! visit pixel by pixel. Positions with nonlinear weights are also visited pixel by pixel, such as
+//! those in slivers, or outside [`Delaunay`]'s samples under the policy extend.
 //!
 //! # Measuring the error
 //! [`leave_one_out`] predicts every sample from all others.

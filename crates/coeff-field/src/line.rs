@@ -13,7 +13,7 @@ use crate::interpolation::{
 /// such points would be slivers whose orientation is only rounding.
 const OFF_LINE: f64 = 1e-9;
 
-/// One sample, two samples, or any number on one line.
+/// Weights of one sample, of two samples, or of any number of samples on one line.
 ///
 /// A position has the value at its foot on the line, interpolated linearly between the two samples
 /// around the foot. Beyond the ends, the value is that of the end sample (nearest), or continues
@@ -21,10 +21,10 @@ const OFF_LINE: f64 = 1e-9;
 #[derive(Debug)]
 pub(crate) struct LineWeights {
     points: Arc<Points>,
-    /// The axis along which the line changes most. Its coordinate orders the samples without
-    /// rounding.
+    /// The axis, 0 for x or 1 for y, along which the line is longer. The coordinates along this
+    /// axis order the samples without rounding.
     axis: usize,
-    /// Samples in that order.
+    /// The samples, ordered along the axis.
     order: Vec<usize>,
     /// Unit vector along the line, or zero for one sample.
     direction: Point,
@@ -58,7 +58,7 @@ impl LineWeights {
             .windows(2)
             .map(|w| p[w[1]][axis] - p[w[0]][axis])
             .fold(f64::INFINITY, f64::min);
-        // Samples next to each other across the line still need triangles.
+        // Samples side by side across the line still need triangles.
         (off_line <= OFF_LINE * span_length && narrowest > 10.0 * off_line).then(|| Self {
             points: Arc::new(points.clone()),
             axis,
@@ -98,8 +98,8 @@ impl LineWeights {
         }
         let (off, foot) = self.foot(p);
         let (low, high) = (at(0)[self.axis], at(last)[self.axis]);
-        // `foot` is measured along the axis, where distances are at most sqrt(2) shorter than along
-        // the line.
+        // `foot` is measured along the axis, where distances are shorter than along the line by at
+        // most a factor of sqrt(2).
         let is_covered = off.abs() <= covered && low - covered <= foot && foot <= high + covered;
         let foot = if self.outside == OutsidePolicy::Extend {
             foot
@@ -164,7 +164,8 @@ impl LineWeights {
 enum Piece {
     /// Beyond the sample of this rank.
     End(usize),
-    /// Between the sample of this rank and the one before it, or beyond them.
+    /// Between the sample of this rank and the one before it, or beyond them under the policy
+    /// extend.
     Link(usize),
 }
 
@@ -181,8 +182,8 @@ impl FieldWeights for LineWeights {
         admit(self.weights(query(position)?, weights), self.outside, position)
     }
 
-    /// Visits one run for each link of the line that the row passes and for each end, and a single
-    /// pixel where it meets a sample.
+    /// Visits one run for each stretch between two samples that the row passes, one run beyond each
+    /// end of the line, and a single pixel where the row meets a sample.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.outside == OutsidePolicy::Error {
@@ -220,7 +221,7 @@ mod tests {
     fn a_slanted_line_is_found_in_any_order_and_interpolated() {
         let line = line(&[[6.0, 3.0], [0.0, 0.0], [2.0, 1.0]], OutsidePolicy::Extend).unwrap();
         let mut w = Vec::new();
-        // (4, 2) and its neighbour across the line share the foot.
+        // (4, 2) on the line is the foot of (3, 4).
         assert!(line.weights([4.0, 2.0], &mut w));
         assert_eq!(w, [(2, 0.5), (0, 0.5)]);
         assert!(!line.weights([3.0, 4.0], &mut w));

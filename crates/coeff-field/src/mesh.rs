@@ -8,7 +8,7 @@ use spade::{Point2, PositionInTriangulation, Triangulation};
 use crate::boundary::{Boundary, Foot};
 use crate::geometry::{Point, Points, Scale, foot_on_segment, known, length};
 use crate::interpolation::{
-    Judged, Unpredictable, WeightList, add_weight, judged, pair, prediction_error, single,
+    Outcomes, Unpredictable, WeightList, add_weight, outcomes_of, pair, prediction_error, single,
 };
 use crate::line::LineWeights;
 use crate::triangles::{Triangles, in_triangle, point_of, sample_of, triangulate};
@@ -23,7 +23,7 @@ pub(crate) struct Mesh {
     pub(crate) vertices: Vec<u32>,
 }
 
-/// The location of a position.
+/// The location of a position in the triangulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Place {
     /// In a triangle, on its edge or at a vertex.
@@ -139,9 +139,10 @@ pub(crate) type InsideWeights<'a> =
 /// the position itself in a sliver, and outside under [`OutsidePolicy::Extend`]. Otherwise `x` is
 /// the nearest point of the hull. The result is continuous across the chain and the hull.
 ///
-/// Close to an uneven side the weights blend into the linear ones. The Voronoi cells of samples in
-/// a dent reach far out, but end. Beyond them the cell of a position in the dent overlaps those of
-/// the distant corners of the hull, however shallow the dent is.
+/// Close to a side with dents, the method's weights blend into the linear ones. The Voronoi cell of
+/// a position in a dent reaches farther out than the cells of the samples around it. There it
+/// overlaps the cells of distant corners of the hull, however shallow the dent is, so natural
+/// neighbour weights would include these corners.
 pub(crate) fn mesh_weights(
     mesh: &Mesh,
     method: InsideWeights<'_>,
@@ -178,12 +179,13 @@ pub(crate) fn mesh_weights(
     }
 }
 
-/// Writes the weights at the point of the hull nearest to `p`, which lies outside.
+/// Writes the weights at the point of the hull nearest to `p`, a position outside the hull.
 pub(crate) fn weights_at_hull(mesh: &Mesh, p: Point, weights: &mut WeightList) {
     beyond_chain(&mesh.boundary.nearest(p), false, weights);
 }
 
-/// Writes the weights at the chain, continued to the hull or on to the position.
+/// Writes the weights of the value at the foot on the chain, continued by the gradients to the hull
+/// or to the position.
 fn beyond_chain(foot: &Foot<'_>, to_position: bool, weights: &mut WeightList) {
     let [a, b] = foot.links;
     pair(weights, a.sample, b.sample, foot.s);
@@ -197,7 +199,7 @@ fn beyond_chain(foot: &Foot<'_>, to_position: bool, weights: &mut WeightList) {
 }
 
 /// Up to this number of samples, each prediction triangulates all other samples.
-const FEW: usize = 24;
+const MAX_EXACT_SAMPLES: usize = 24;
 
 /// A method that writes weights at a point of a triangulation and returns whether the samples cover
 /// the point.
@@ -206,14 +208,14 @@ pub(crate) type MeshMethod = fn(&Mesh, Point, OutsidePolicy, &mut WeightList) ->
 /// Predicts each sample from a triangulation of its surroundings only.
 ///
 /// When a vertex is removed, its Delaunay neighbours are the corners of the triangles that fill the
-/// gap. Their Voronoi cells divide its cell. So the neighbours determine the prediction. On the
-/// boundary, the continuation beyond the hull also needs the neighbours' gradients, which depend on
-/// two more rings.
+/// hole. The Voronoi cells of these neighbours divide the vertex's cell among them. So the
+/// neighbours determine the prediction. On the boundary, the continuation beyond the hull also
+/// needs the neighbours' gradients, which depend on two more rings.
 pub(crate) fn mesh_leave_one_out(
     method: MeshMethod,
     samples: &SampleCoefficients,
     outside: OutsidePolicy,
-) -> Judged {
+) -> Outcomes {
     let points = Points::new(samples.positions())?;
     let outside = known(outside)?;
     let mut weights = WeightList::new();
@@ -224,7 +226,7 @@ pub(crate) fn mesh_leave_one_out(
             on_boundary[sample] = true;
         }
     }
-    Ok(judged(samples, outside, |sample| {
+    Ok(outcomes_of(samples, outside, |sample| {
         let p = points.points[sample];
         let covered = match &support {
             Support::Line(line) => {
@@ -257,7 +259,7 @@ pub(crate) fn mesh_leave_one_out(
 /// ring around it, away from the boundary.
 fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>, bool) {
     let count = mesh.vertices.len();
-    if count <= FEW {
+    if count <= MAX_EXACT_SAMPLES {
         return ((0..count).filter(|&s| s != sample).collect(), false);
     }
     let neighbours = |vertex: FixedVertexHandle| {
@@ -282,8 +284,8 @@ fn surroundings(mesh: &Mesh, sample: usize, on_boundary: &[bool]) -> (Vec<usize>
             start = end;
         }
     }
-    // Sample order, so that ties between equally good triangulations do not depend on the start of
-    // the walk.
+    // Sorted, so that the choice between equally good triangulations does not depend on the
+    // neighbour that comes first.
     ring.sort_unstable();
     (ring, all_around)
 }

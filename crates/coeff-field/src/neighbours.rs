@@ -11,7 +11,7 @@ use psf_types::{
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, HullPiece, Point, Points, Row, dot, last_where, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Unpredictable, Visited, WeightList,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, WeightsResult,
     hull_leave_one_out, prediction_error, single,
 };
 
@@ -20,15 +20,16 @@ use crate::interpolation::{
 /// Piecewise constant, with jumps along the edges of the Voronoi cells.
 ///
 /// # Outside the samples
-/// * Nearest: the sample nearest to the nearest point of the convex hull.
-/// * Extend: the sample nearest to the position itself.
-/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
-///   count as inside.
+/// * Nearest: moves the position to the nearest point of the convex hull, and returns the value of
+///   the sample nearest to that point.
+/// * Extend: the value of the sample nearest to the position itself.
+/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
+///   still count as inside.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Nearest;
 
 impl FieldInterpolation for Nearest {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         let points = Points::new(positions)?;
         Ok(Box::new(NearestWeights {
             tree: SearchTree::new(&points)?,
@@ -36,7 +37,7 @@ impl FieldInterpolation for Nearest {
         }))
     }
 
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         let points = Points::new(samples.positions())?;
         let tree = SearchTree::new(&points)?;
         let predict = |sample, at| {
@@ -59,11 +60,11 @@ struct NearestWeights {
 }
 
 impl NearestWeights {
-    /// The sample whose value `p` takes and the piece of the plane around `p`, or `None` where
-    /// rounding could select another sample. Within a piece, the nearest point of the hull is
-    /// linear in the position.
+    /// Returns the part of the plane that contains `p`, and the sample whose value applies at `p`.
+    /// Returns `None` where rounding could select another sample, or outside the hull under the
+    /// policy error. Within a part, the nearest point of the hull is linear in the position.
     ///
-    /// Every position between two positions with equal results has that result, because the pieces
+    /// Every position between two positions with equal results has that result, because the parts
     /// and the samples' Voronoi cells are convex.
     fn clearly(&self, p: Point) -> Option<(HullPiece, usize)> {
         let (piece, at) = match self.hull.outside {
@@ -138,20 +139,20 @@ const RADIUS_SQUARED: f64 = 2.0;
 /// These weights are by Franke and Little (R. Franke & G. Nielson 1980, Int. J. Numer. Meth. Eng.
 /// 15, 1691, and R. J. Renka 1988, ACM Trans. Math. Softw. 14, 139). They fall to 0 at the radius,
 /// so the field stays continuous as samples enter and leave. The radius grows with `d_(k)`, so at
-/// least `k` samples take part, and about `2 k` on an even sampling. For `k` samples or fewer, `R`
-/// is infinite: `u_i = d_i^-p`.
+/// least `k` samples take part, and about `2 k` on an even sampling. If there are only `k` samples
+/// or fewer, `R` is infinite and `u_i = d_i^-p`.
 ///
 /// The result is exact at the samples, and no weight is negative. Linear fields are *not*
-/// reproduced: for `p > 1` the field is flat at every sample. It suits rough or noisy samples. On
-/// smooth ones the other methods are better.
+/// reproduced: for `p > 1` the field is flat at every sample. The method suits rough or noisy
+/// samples. For smooth samples the other methods are better.
 ///
 /// # Outside the samples
 /// The formula needs no hull. Far away it tends to a mean of the nearest samples.
 ///
 /// * Nearest: the value at the nearest point of the convex hull.
 /// * Extend: the formula itself, which is not a linear continuation.
-/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
-///   count as inside.
+/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
+///   still count as inside.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InverseDistance {
     power: f64,
@@ -159,7 +160,7 @@ pub struct InverseDistance {
 }
 
 impl InverseDistance {
-    /// The default `k` that sets the radius. About 12 samples take part.
+    /// The default `k` that sets the radius. On an even sampling, about 12 samples then take part.
     pub const DEFAULT_NEIGHBOURS: usize = 6;
 
     /// Weights `d^-power` with a radius set by the `neighbours`-th nearest sample.
@@ -188,7 +189,7 @@ impl InverseDistance {
         self.power
     }
 
-    /// The rank of the nearest sample that sets the radius (1 for the nearest).
+    /// The number `k`: the `k`-th nearest sample sets the radius.
     pub fn neighbours(self) -> usize {
         self.neighbours.get()
     }
@@ -258,7 +259,7 @@ impl Default for InverseDistance {
 }
 
 impl FieldInterpolation for InverseDistance {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         let points = Points::new(positions)?;
         Ok(Box::new(InverseDistanceWeights {
             method: *self,
@@ -267,7 +268,7 @@ impl FieldInterpolation for InverseDistance {
         }))
     }
 
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         let points = Points::new(samples.positions())?;
         let tree = SearchTree::new(&points)?;
         let mut weights = WeightList::new();
@@ -301,18 +302,19 @@ impl FieldWeights for InverseDistanceWeights {
     }
 }
 
-/// A k-d tree whose answers do not depend on how it was built. Distances are computed here, and
-/// among equal distances the lowest sample wins.
+/// A k-d tree whose results do not depend on how it was built. Distances are computed here, and of
+/// samples at equal distance the one with the lowest index is chosen.
 #[derive(Debug)]
 pub(crate) struct SearchTree {
     tree: ImmutableKdTree<f64, 2>,
     points: Vec<Point>,
 }
 
-/// Allowance for a different rounding of the tree's own distances.
+/// The tree may round its own distances differently. Searches are wider by this factor.
 const ROUNDING: f64 = 1.0 + 1e-12;
-/// Relative bound, well above the rounding of a squared distance and of its position.
-const DOUBT: f64 = 64.0 * f64::EPSILON;
+/// Relative tolerance of a comparison of squared distances, well above their rounding and that of
+/// the coordinates.
+const DISTANCE_ROUNDING: f64 = 64.0 * f64::EPSILON;
 
 impl SearchTree {
     pub(crate) fn new(points: &Points) -> Result<Self, CoeffFieldError> {
@@ -339,9 +341,9 @@ impl SearchTree {
 
     /// The sample nearest to `p`, or `None` where another one is equally near within rounding.
     ///
-    /// If `p` and `q` have one result, so have all positions between them: along the line, the
-    /// difference of two samples' squared distances is linear, and the allowance for rounding is
-    /// convex.
+    /// If two positions have the same result, all positions between them have it too. Along the
+    /// line between them, the difference of two samples' squared distances is linear, and the
+    /// tolerance is convex.
     pub(crate) fn clearly_nearest(&self, p: Point) -> Option<usize> {
         let two = const { NonZeroUsize::new(2).expect("2 is not 0") };
         let mut found = self.closest(p, two);
@@ -350,12 +352,12 @@ impl SearchTree {
             return Some(a.1);
         };
         let (near, far) = if a.0 <= b.0 { (a, b) } else { (b, a) };
-        let doubt = DOUBT * (far.0 + (p[0].abs() + p[1].abs()) * far.0.sqrt());
+        let doubt = DISTANCE_ROUNDING * (far.0 + (p[0].abs() + p[1].abs()) * far.0.sqrt());
         (far.0 - near.0 > doubt).then_some(near.1)
     }
 
-    /// The squared distance of the `k`-th nearest sample other than `skip`, or of the last one if
-    /// there are fewer.
+    /// The squared distance of the `k`-th nearest sample other than `skip`, or of the farthest one
+    /// if there are fewer. `None` if no sample is left.
     pub(crate) fn square_of_kth(&self, p: Point, k: NonZeroUsize, skip: Option<usize>) -> Option<f64> {
         let wanted = k.saturating_add(usize::from(skip.is_some()));
         let others = self

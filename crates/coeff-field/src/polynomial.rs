@@ -8,35 +8,35 @@ use psf_types::{FieldError, Interpolation, OutsidePolicy, Position, SampleCoeffi
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, HullPiece, Point, Points, Row, external, last_where, range};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, Judged, OnRun, Prepared, Unpredictable, Visited, WeightList,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, WeightsResult,
     check_rows, hull_leave_one_out, in_runs, pixel_by_pixel,
 };
 
-/// Singular values below this fraction of the largest count as 0: the samples leave a direction
-/// undetermined.
+/// Singular values below this fraction of the largest count as 0. The samples then do not determine
+/// all terms.
 const DEGENERATE: f64 = 1e-10;
-/// A sample that supplies all but this fraction of its own fitted value is the only one to
-/// determine a direction.
-const SELF_DETERMINED: f64 = 1e-10;
+/// If the other samples contribute less than this fraction to the fitted value at a sample, they do
+/// not determine the polynomial without it.
+const MIN_SHARED_PART: f64 = 1e-10;
 
-/// A polynomial of a total degree in x and y, fitted to all samples by least squares, as in PSFEx
-/// (E. Bertin 2011, ADASS XX, 435).
+/// A polynomial in x and y up to a total degree `d`, fitted to all samples by least squares, as in
+/// PSFEx (E. Bertin 2011, ADASS XX, 435).
 ///
 /// `a_k(x, y) = sum_{i + j <= d} c_ijk L_i(x') L_j(y')` with normalised Legendre polynomials
 /// `L_n = sqrt(2n + 1) P_n`. The coordinates `x'` and `y'` are scaled to [-1, 1] over the samples'
 /// bounding box. On an even sampling the terms are nearly orthogonal, so the fit is well
-/// conditioned. Householder QR solves it. The nodes are the `(d+1)(d+2)/2` terms.
+/// conditioned. It is solved by Householder QR. The nodes are the `(d+1)(d+2)/2` terms.
 /// [`FieldWeights::node_values`] computes the fit, and a position needs one weight per term.
 ///
-/// The fit smooths: it is *not* exact at the samples unless they lie on such a polynomial. It
-/// reproduces every polynomial up to the degree, thus constants. The weights of the terms do not
-/// sum to 1.
+/// The fit smooths: it is *not* exact at the samples unless their values are those of such a
+/// polynomial. It reproduces every polynomial up to the degree, including constants, although the
+/// weights of the terms do not sum to 1.
 ///
 /// # Outside the samples
 /// * Nearest: the value at the nearest point of the convex hull.
 /// * Extend: the polynomial itself, which grows as the distance to the power of the degree.
-/// * Error: an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels) still
-///   count as inside.
+/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
+///   still count as inside.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Polynomial {
     degree: usize,
@@ -70,7 +70,7 @@ impl Polynomial {
 }
 
 impl FieldInterpolation for Polynomial {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Prepared {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
         let points = Points::new(positions)?;
         Ok(Box::new(PolynomialWeights {
             fit: Fit::new(*self, &points)?,
@@ -78,9 +78,10 @@ impl FieldInterpolation for Polynomial {
         }))
     }
 
-    /// All predictions come from one fit. Without sample `i` the residual there is
-    /// `r_i / (1 - h_ii)`, with `h = Q Q^T` (D. M. Allen 1974, Technometrics 16, 125).
-    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Judged {
+    /// All predictions come from one fit to all samples, with residuals `r_i`. A fit without sample
+    /// `i` has the residual `r_i / (1 - h_ii)` there, with `h = Q Q^T` (D. M. Allen 1974,
+    /// Technometrics 16, 125).
+    fn leave_one_out(&self, samples: &SampleCoefficients, outside: OutsidePolicy) -> Outcomes {
         let points = Points::new(samples.positions())?;
         let fit = Fit::new(*self, &points)?;
         let values = to_matrix(samples.values());
@@ -89,7 +90,7 @@ impl FieldInterpolation for Polynomial {
         let predict = |sample: usize, at: Point| {
             let own = fit.q.row(sample);
             let free = 1.0 - own.norm_squared();
-            if free <= SELF_DETERMINED {
+            if free <= MIN_SHARED_PART {
                 return Err(Unpredictable::Undetermined);
             }
             let correction = residuals.row(sample) / free;
@@ -201,8 +202,8 @@ impl FieldWeights for PolynomialWeights {
     }
 
     /// Terms up to degree 1 are linear where the point of evaluation is linear in the position.
-    /// That holds everywhere (extend), or in the hull and opposite each of its edges and corners.
-    /// Higher degrees are visited pixel by pixel.
+    /// That holds everywhere under the policy extend, otherwise within each [`HullPiece`]. Higher
+    /// degrees are visited pixel by pixel.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.fit.degree > 1 {
@@ -244,7 +245,8 @@ impl Scaling {
         let ranges = [range(points, 0), range(points, 1)];
         Self {
             centre: ranges.map(|(a, b)| f64::midpoint(a, b)),
-            // With equal coordinates, all samples scale to 0, where every odd term vanishes.
+            // If all coordinates along an axis are equal, they scale to 0, where every odd term
+            // vanishes.
             half: ranges.map(|(a, b)| if a < b { 0.5 * (b - a) } else { 1.0 }),
         }
     }
@@ -297,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cubic_is_met_everywhere_by_degree_three_and_not_by_two() {
+    fn a_cubic_is_reproduced_by_degree_three_but_not_by_two() {
         let f = |x: f64, y: f64| {
             let (x, y) = (x / 1e7, y / 1e7);
             1.0 - x + 3.0 * x * y * y + 0.5 * x * x * x - y * y
@@ -320,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn too_few_and_degenerate_samples_are_told_with_counts() {
+    fn errors_for_too_few_or_degenerate_samples_state_the_counts() {
         let method = Polynomial::new(3).unwrap();
         let prepare = |positions: Vec<Position>| {
             method
@@ -376,7 +378,7 @@ mod tests {
     }
 
     #[test]
-    fn terms_come_by_total_degree() {
+    fn terms_are_ordered_by_total_degree() {
         let scaling = Scaling::new(&[[1e7, 3.0], [1e7 + 4.0, 3.0]]);
         // x' = 0.5. All y are equal, so y' = 0.
         let terms = scaling.terms(2, [1e7 + 3.0, 3.0]);

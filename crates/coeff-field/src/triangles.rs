@@ -23,8 +23,8 @@ impl HasPosition for Node {
     }
 }
 
-/// The data of a triangle: the side of the hull (counted from 1) that it was peeled off, if it was
-/// peeled.
+/// The data of a triangle. A sliver that was peeled off a side of the hull holds the number of this
+/// side, counted from 1. Other triangles hold `None`.
 pub(crate) type Peeled = Option<NonZeroU32>;
 pub(crate) type Triangles = DelaunayTriangulation<Node, (), (), Peeled, GridHints>;
 
@@ -46,7 +46,7 @@ pub(crate) fn triangulate(points: &Points) -> (Triangles, Vec<u32>) {
 
 /// A triangle is flat if its height is below this fraction of its longest side. Its barycentric
 /// coordinates would be only rounding.
-const FLAT: f64 = 1e-10;
+const FLAT_HEIGHT: f64 = 1e-10;
 
 pub(crate) fn sample_of(node: &Node) -> usize {
     node.sample as usize
@@ -59,13 +59,13 @@ pub(crate) fn point_of(node: &Node) -> Point {
 /// Writes the barycentric coordinates of `p`, which lies inside the triangle within rounding. None
 /// is negative.
 ///
-/// Areas are computed relative to `p`. If two corners are close to it, their small difference is
+/// Areas are computed relative to `p`. If two corners are close to `p`, their small difference is
 /// then exact. In a flat triangle the weights follow the two shorter sides.
 pub(crate) fn in_triangle(corners: [Point; 3], samples: [usize; 3], p: Point, weights: &mut WeightList) {
     let edge = |i: usize| sub(corners[(i + 1) % 3], corners[i]);
     let squares = [0, 1, 2].map(|i| dot(edge(i), edge(i)));
     let longest = (1..3).fold(0, |best, i| if squares[i] > squares[best] { i } else { best });
-    if cross(edge(0), edge(1)) <= FLAT * squares[longest] {
+    if cross(edge(0), edge(1)) <= FLAT_HEIGHT * squares[longest] {
         let (a, b, apex) = (longest, (longest + 1) % 3, (longest + 2) % 3);
         let along = |q: Point| dot(sub(q, corners[a]), edge(a));
         let (from, to) = if along(p) < along(corners[apex]) {
@@ -89,11 +89,12 @@ pub(crate) fn area_shares(corners: [Point; 3], p: Point) -> [f64; 3] {
     areas.map(|area| area / sum)
 }
 
-/// A table of nearby vertices over a square grid of cells.
+/// A table of nearby vertices over a square grid of cells, from which spade starts its search for a
+/// position.
 ///
-/// The hint depends only on the position. spade's own generators remember the last lookup, so the
-/// last bit of a result could depend on earlier queries. This table needs no lock between threads
-/// and takes constant time.
+/// The start depends only on the position. spade's own generators start from the vertex found last,
+/// so the last bit of a result could depend on earlier queries. This table needs no lock between
+/// threads and takes constant time.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct GridHints {
     origin: [f64; 2],
@@ -185,20 +186,21 @@ impl HintGenerator<f64> for GridHints {
     }
 }
 
-/// The direct neighbours suffice if their offsets spread at least this much across their main
-/// direction (in squares, as a fraction of the spread along it).
+/// The direct neighbours suffice if the mean square of their offsets across their main direction is
+/// at least this fraction of the mean square along it.
 const SPREAD: f64 = 1e-2;
-/// Offsets that spread less than this fraction across do not determine the slope there, which
-/// counts as 0.
+/// Below this fraction, the offsets do not determine the slope across the main direction, which
+/// then counts as 0.
 const LINE: f64 = 1e-6;
 
-/// The gradient at a vertex as a linear form: weights of each sample for its x and y parts. Each
-/// part's weights sum to 0.
+/// The gradient at a vertex as weights of samples: for each sample, the weights for the x and the y
+/// part of the gradient. The weights of each part sum to 0.
 pub(crate) type GradientStencil = Vec<(usize, Point)>;
 
 /// The gradient at a vertex by least squares over its Delaunay neighbours. It minimises
 /// `sum_j u_j [v_j - v_0 - g (x_j - x_0)]^2` with `u_j = 1 / (d_j^2 + m^2)`. Here `d_j` is the
-/// distance of neighbour `j` and `m^2` the mean of the `d_j^2`. It is exact for linear values.
+/// distance of neighbour `j` and `m^2` the mean of the `d_j^2`. The gradient is exact for linear
+/// values.
 ///
 /// The weights favour near neighbours, but not within a tight cluster, where differences would be
 /// noise. If the neighbours nearly lie on a line, their own neighbours are added.
@@ -336,7 +338,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbours_on_a_line_call_in_the_second_ring() {
+    fn neighbours_on_a_line_require_the_second_ring() {
         // The neighbours of the first point lie almost on one line through it.
         let points = [[0.0, 0.0], [1.0, 1e-4], [2.0, -1e-4], [4.0, 3.0], [4.0, -3.0]];
         let g = gradient(&points, 0, |p| p[1]);
@@ -344,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_between_clustered_samples_is_no_slope() {
+    fn noise_between_clustered_samples_gives_no_slope() {
         let points = [[0.0, 0.0], [1e-9, 0.0], [5.0, 1.0], [0.0, 4.0], [1.0, -4.0]];
         let g = gradient(&points, 0, |p| if p == points[1] { 1.0 } else { 0.0 });
         assert!(g[0].abs() < 1e-8 && g[1].abs() < 1e-8, "{g:?}");

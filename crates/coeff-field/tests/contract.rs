@@ -60,7 +60,7 @@ fn constants_are_reproduced() {
 }
 
 #[test]
-fn samples_are_met_exactly() {
+fn values_at_samples_are_exact() {
     each(|layout, name, positions, method| {
         if is_polynomial(name) {
             return;
@@ -242,7 +242,7 @@ fn a_region_holds_the_same_bits_as_its_points_for_any_range_and_thread() {
 }
 
 #[test]
-fn nothing_depends_on_what_was_asked_before() {
+fn weights_do_not_depend_on_earlier_queries() {
     each(|layout, name, positions, method| {
         let checked = SamplePositions::new(positions.to_vec(), None).unwrap();
         let first = method.prepare(&checked, OutsidePolicy::Extend).unwrap();

@@ -47,12 +47,13 @@ fn parabolas_stay_within_the_bounds_of_theory() {
                     coarse <= bound(10.0) + SUMS && fine <= bound(5.0) + SUMS,
                     "{name}: {coarse} {fine}"
                 );
-                // The bound is sharp: a method that is exact here would not be linear.
+                // The error must also come close to the bound. A smaller one would mean that the
+                // method is not linear between samples.
                 assert!(coarse > 0.5 * bound(10.0), "{name}: {coarse}");
             }
             "polynomial=2" => assert!(coarse < 1e-8, "{coarse}"),
-            // The bound is the change over the reach of a weight: radius sqrt 2 d_(6), slope 283 at
-            // the far corner.
+            // The bound is the largest slope, 283 at the far corner, times the radius of the
+            // weights, sqrt 2 d_(6).
             "idw" | "idw=3.5" | "nearest" => {
                 assert!(
                     coarse < 283.0 * 20.0 && fine < 0.6 * coarse,
@@ -76,7 +77,7 @@ fn cubics_stay_within_the_bound_of_theory() {
             &Bicubic,
             OutsidePolicy::Nearest,
         );
-        // Away from the edges, where the lines of a polynomial lie on one side.
+        // Positions away from the edges. At an edge, the lines of a polynomial lie on one side.
         let inner = common::Extent {
             low: (step, step),
             high: (19.0 * step, 19.0 * step),
@@ -233,7 +234,7 @@ fn the_edge_of_an_uneven_grid_follows_its_samples() {
 }
 
 #[test]
-fn extended_fields_go_on_linearly() {
+fn extended_fields_continue_linearly() {
     let positions = scattered(60, 21, 0.0, 100.0);
     let bend = |p: Position, _: usize| (p.x() * 0.03).sin() + (p.y() * 0.02).cos();
     for method in [&Delaunay as &dyn FieldInterpolation, &NaturalNeighbour] {

@@ -138,7 +138,7 @@ fn linear_values_are_predicted_exactly_and_one_outlier_is_found() {
 }
 
 #[test]
-fn samples_that_cannot_be_missed_are_named() {
+fn indispensable_samples_are_unpredictable() {
     // There are as many samples as terms, so each sample is needed.
     let positions = scattered(6, 43, 0.0, 10.0);
     let errors = leave_one_out(
@@ -165,7 +165,7 @@ fn samples_that_cannot_be_missed_are_named() {
 }
 
 #[test]
-fn thousands_of_samples_take_no_rebuilding() {
+fn leave_one_out_of_thousands_of_samples_is_fast() {
     let samples = bumps(&scattered(5000, 47, 0.0, 9000.0));
     let start = std::time::Instant::now();
     for name in ["delaunay", "natural-neighbour", "idw", "polynomial=6", "nearest"] {

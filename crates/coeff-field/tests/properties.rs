@@ -45,7 +45,7 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn weights_share_unity(
+    fn weights_sum_to_one(
         positions in positions(),
         picks in prop::collection::vec((any::<prop::sample::Index>(), any::<prop::sample::Index>(), -0.5..1.5), 8),
     ) {

@@ -216,7 +216,7 @@ fn runs_expand_to_the_coefficients_of_every_pixel_and_end_where_those_do() {
     });
 }
 
-/// Wrongly takes each row for one run.
+/// Wrongly visits each row as one run.
 #[derive(Debug)]
 struct Straight(Box<dyn FieldWeights>);
 
@@ -260,13 +260,13 @@ impl FieldInterpolation for StraightDelaunay {
 }
 
 #[test]
-fn the_comparison_sees_runs_that_cross_an_edge_and_pixels_that_have_no_value() {
+fn the_comparison_finds_runs_that_cross_an_edge_and_pixels_without_a_value() {
     let positions = grid(3, 3, 10.0, 0.1, 0.0);
     let samples = samples_of(&positions, 1, |p, _| p.x() * p.x());
     let wrong = |outside| field(&samples, &StraightDelaunay, outside);
     assert!(check(&wrong(OutsidePolicy::Nearest), (1, 10), 17).is_err());
     assert!(check(&wrong(OutsidePolicy::Error), (1, 10), 25).is_err());
-    // Within one triangle it is right.
+    // In a row within one triangle, one run is correct.
     assert!(check(&wrong(OutsidePolicy::Nearest), (2, 10), 3).is_ok());
 }
 
@@ -323,7 +323,7 @@ fn delaunay_has_no_more_runs_than_the_row_crosses_triangles() {
 }
 
 #[test]
-fn what_is_constant_or_a_plane_is_one_run() {
+fn constants_and_planes_are_one_run() {
     let scattered = scattered(50, 4, 0.0, 100.0);
     let constant = Polynomial::new(0).unwrap();
     let plane = Polynomial::new(1).unwrap();

@@ -59,7 +59,7 @@ impl<T: ConvReal> BlockSteps<T> {
         self.modes = LocalModes::new(&self.space, &self.cells, self.tolerance);
     }
 
-    /// Tabulates their coefficients over the region.
+    /// Tabulates the modes' coefficients over the region.
     fn coefficients(&mut self) {
         self.table = CoefficientTable::new(self.region, self.role, &self.modes, &self.cells);
     }
@@ -91,7 +91,7 @@ impl<T: ConvReal> WithIsa<T> for Weigh<'_, T> {
 }
 
 fn steps<T: ConvReal>(side: usize) -> BlockSteps<T> {
-    // Across cells of the grid, like the blocks of a plan.
+    // The region covers several cells of the grid, like the blocks of a plan.
     let region = PixelRegion::new(700, 500, FrameShape::new(side, side).expect("a valid shape"));
     BlockSteps::new(&common::model(FRAME), region, TOLERANCE)
 }

@@ -13,7 +13,7 @@ use rand_chacha::ChaCha8Rng;
 
 const SIZES: [usize; 3] = [256, 512, 1024];
 const TOLERANCES: [f64; 3] = [1e-2, 1e-4, 0.0];
-/// One pixel in this many is lit in the benches that draw stamps: a few tens per tile.
+/// One of this many pixels is lit in the benches that draw stamps. That makes a few tens per tile.
 const SPARSE: usize = 1000;
 
 /// Square light of which about one in `every` pixels is lit.

@@ -105,8 +105,8 @@ impl<T: ConvReal> WithIsa<T> for Run<'_, T> {
     }
 }
 
-/// The spectrum of a square plane with a tile as large as [`SquareTransform`]'s, left transposed,
-/// by realfft along the tile's rows and rustfft along columns.
+/// Computes the spectrum of a square plane, which holds a tile as large as [`SquareTransform`]'s.
+/// Uses realfft along the tile's rows and rustfft along columns. The spectrum stays transposed.
 struct RowsThenColumns<T: ConvReal> {
     size: usize,
     along_rows: Arc<dyn RealToComplex<T>>,
@@ -186,7 +186,8 @@ fn transforms<T: ConvReal>(criterion: &mut Criterion) {
             group.bench_function(BenchmarkId::new(name, size), |bencher| {
                 bencher.iter(|| black_box(&mut ours).run(step));
             });
-            // Sums that grow without limit would become infinite, and denormal numbers are slow.
+            // New buffers, because sums would grow until they are infinite, and denormal numbers
+            // are slow.
             ours = SquareTransform::new(size, STAMP);
             ours.run(Step::Forward);
             ours.run(Step::Kernel);

@@ -1,8 +1,8 @@
-//! The work in both precisions, compiled in this crate.
+//! Makes the compiler compile the main functions in this crate, for both precisions.
 //!
 //! Rust compiles a generic function again in every crate that calls it, unless the function is
-//! never inlined and its own crate has compiled it for the same types. The loops for all
-//! instruction sets take half a minute each time, so they are compiled here for `f32` and `f64`.
+//! never inlined and its own crate has compiled it for the same types. Compiling the loops for all
+//! instruction sets takes half a minute. So they are compiled once, here, for `f32` and `f64`.
 
 use std::hint::black_box;
 

@@ -24,13 +24,13 @@ pub enum Operation {
     Adjoint,
 }
 
-/// A plan on a device, ready to convolve any amount of light. The device is a GPU or the processor,
-/// with all threads of rayon's current pool.
+/// A plan on a device, ready to convolve any number of light arrays. The device is a GPU or the
+/// processor, with all threads of rayon's current pool.
 ///
-/// Executions change nothing in it, so several may run at the same time. Tiles, modes and
-/// treatments are those of the plan on every device: a GPU's result differs only by f32 rounding.
-/// The modes of a tile never depend on the light. The steps that do depend on it (skipping dark
-/// tiles, drawing single pixels) change only rounding.
+/// An execution does not change the engine, so several may run at the same time. Every device uses
+/// the plan's tiles and modes. A GPU computes in f32 and uses no direct sums, so its result differs
+/// only by rounding. The modes of a tile never depend on the light. Some steps depend on the light
+/// (skipping dark tiles, drawing single pixels), but they change only rounding.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -42,7 +42,7 @@ pub enum Operation {
 ///     PsfBasis, PsfModel, StampGrid,
 /// };
 ///
-/// /// One component, whose share grows from left to right.
+/// /// One component whose coefficient grows from left to right.
 /// #[derive(Debug)]
 /// struct Ramp;
 /// impl CoefficientField for Ramp {
@@ -97,8 +97,8 @@ impl<T: ConvReal> Engine<T> {
     /// A plan on a GPU.
     ///
     /// # Errors
-    /// [`GpuError`] for plans in f64, and where the GPU's limits are too low for the plan. The plan
-    /// is returned with the error, for use on another device.
+    /// [`GpuError`] if the plan is in f64, or if the GPU's limits are too low for the plan. The
+    /// plan is returned with the error, for use on another device.
     #[cfg(feature = "gpu")]
     #[allow(
         clippy::result_large_err,
@@ -129,16 +129,17 @@ impl<T: ConvReal> Engine<T> {
         self.gpu.as_ref().map(|gpu| &gpu.device)
     }
 
-    /// The durations of the parts of the last execution on the GPU.
+    /// The durations of the parts of the last execution on the GPU, if the plan is on one.
     #[cfg(feature = "gpu")]
     pub fn gpu_times(&self) -> Option<GpuTimes> {
         self.gpu.as_ref().and_then(GpuEngine::times)
     }
 
-    /// Applies the operator to pixels and adds the result to other pixels, both `[y, x]`.
+    /// Applies the operation to the array `from` and adds the result to the array `into`. Both are
+    /// `[y, x]`.
     ///
-    /// - [`Operation::Convolve`]: from light to an image. The image is that of the frame, or of the
-    ///   plan's [region](Plan::region) of it.
+    /// - [`Operation::Convolve`]: from light to an image. The image has the shape of the plan's
+    ///   [region](Plan::region): the frame or a part of it.
     /// - [`Operation::Adjoint`]: from an image to light, `<A f, g> = <f, A^T g>` for every light
     ///   `f` and image `g`.
     ///
@@ -147,8 +148,8 @@ impl<T: ConvReal> Engine<T> {
     /// the result is copied and written back.
     ///
     /// # Errors
-    /// [`ConvError`] for light or an image of another shape, and for light where there is no PSF.
-    /// After [`ConvError::Cancelled`] the result is incomplete.
+    /// [`ConvError`] if the light or the image has another shape, or if there is light where the
+    /// PSF has no value. After [`ConvError::Cancelled`] the result is incomplete.
     pub fn execute(
         &self,
         operation: Operation,
@@ -178,9 +179,9 @@ impl<T: ConvReal> Engine<T> {
         })
     }
 
-    /// Convolves light that is read in bands of rows and writes its image in bands, so that neither
-    /// is ever in memory as a whole. The image is the same, bit by bit, as when
-    /// [`execute`](Self::execute) adds to zeros.
+    /// Convolves light that is read in bands of rows and writes its image in bands of rows. So
+    /// neither the light nor the image is ever in memory as a whole. The image is the same, bit by
+    /// bit, as when [`execute`](Self::execute) adds to zeros.
     ///
     /// A plan of a region reads only the rows that reach the region, and writes the region's rows.
     ///
@@ -209,11 +210,12 @@ impl<T: ConvReal> Engine<T> {
             } else {
                 shape.ny()
             };
-            // From the first row that is not written to the last that this band reaches.
+            // The rows `written..end` of the image are in memory: from the first unwritten row to
+            // the last one that this band reaches.
             let end = reached.end.max(written + pending.nrows()).max(next);
             let mut image = Array2::zeros((end - written, shape.nx()));
             image.slice_mut(s![..pending.nrows(), ..]).assign(&pending);
-            // Output-anchored blocks write only to their own rows.
+            // Blocks of an output-anchored plan write only to their own rows.
             let into = if self.gathers() { reached } else { written..end };
             let output = image.slice_mut(s![into.start - written..into.end - written, ..]);
             let (light, output) = ((light.view(), light_rows.start), (output, into.start));
@@ -262,7 +264,7 @@ impl<T: ConvReal> Engine<T> {
         }
     }
 
-    /// Returns whether PSFs belong to pixels of the image.
+    /// Returns whether PSFs belong to pixels of the image (output-anchored), not of the light.
     fn gathers(&self) -> bool {
         self.plan().direction(false) == Direction::Gather
     }
@@ -278,8 +280,8 @@ impl<T: ConvReal> Engine<T> {
         self.rows_of(band, self.gathers())
     }
 
-    /// Rows of the side that the blocks belong to (`own`), or the rows of the other side that they
-    /// reach.
+    /// The rows that a band of blocks covers on its own side (`own`) or reaches on the other side.
+    /// The sides are the light and the image. Blocks divide the side to which PSFs belong.
     fn rows_of(&self, band: Range<usize>, own: bool) -> Range<usize> {
         let (plan, last) = (self.plan(), band.end - 1);
         if own {
@@ -303,12 +305,12 @@ impl<T: ConvReal> Engine<T> {
     }
 }
 
-/// Source of the rows of light and target of the rows of its image, for frames larger than memory.
+/// Reads the rows of the light and writes the rows of its image, for frames larger than memory.
 pub trait RowStream<T> {
     /// The error of reading or writing.
     type Error: From<ConvError>;
 
-    /// Fills `light` with the given rows of the light, all its columns.
+    /// Fills `light` with the given rows of the whole light, in all columns.
     ///
     /// # Errors
     /// Errors of the source.
@@ -321,14 +323,15 @@ pub trait RowStream<T> {
     fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), Self::Error>;
 }
 
-/// The fast engine with a new plan for each light. Keep an [`Engine`] to convolve more than one.
+/// The fast engine with a new plan for each call. To convolve several light arrays, keep an
+/// [`Engine`].
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct LowRank {
     options: PlanOptions,
 }
 
 impl LowRank {
-    /// The engine with a tolerance and the other options.
+    /// The method with the given options for its plans.
     pub fn new(options: PlanOptions) -> Self {
         Self { options }
     }

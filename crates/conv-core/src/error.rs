@@ -7,10 +7,10 @@ use thiserror::Error;
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum ConvError {
-    /// The stamps have another scale than the image's pixels.
+    /// The stamps are not at the scale of the image's pixels.
     #[error(
-        "the PSF stamps have {oversampling} pixels per frame pixel: an image can only be convolved with stamps at the frame's \
-         own scale. Resample them first"
+        "the PSF stamps have {oversampling} pixels per frame pixel, but an image can only be convolved with stamps at the \
+         frame's own scale. Resample the stamps first"
     )]
     StampScale {
         /// Stamp pixels per frame pixel.
@@ -18,8 +18,8 @@ pub enum ConvError {
     },
     /// The centre of the stamps lies between pixels.
     #[error(
-        "the PSF stamps are centred at index ({x}, {y}): an image can only be convolved with stamps centred on a pixel. \
-         Resample them first"
+        "the PSF stamps are centred at index ({x}, {y}), but an image can only be convolved with stamps centred on a pixel. \
+         Resample the stamps first"
     )]
     StampCentre {
         /// Column index.
@@ -29,14 +29,15 @@ pub enum ConvError {
     },
     /// The stamps do not include the pixel response.
     #[error(
-        "the PSF stamps do not include the pixel response: a scene can only be convolved with stamps that do"
+        "the PSF stamps do not include the pixel response, but images need it. Resample the stamps first"
     )]
     PixelResponse,
     /// The patch size is zero.
     #[error("the patch size must be at least 1 pixel")]
     PatchSize,
-    /// The image has another shape than the frame, or than the region of the frame to be computed.
-    #[error("the image is {got} pixels: the frame, or the region of it to be computed, is {expected}")]
+    /// The shape of the image is not that of the frame, or of the region of the frame to be
+    /// computed.
+    #[error("the image has {got} pixels, but the frame (or the region of it to be computed) has {expected}")]
     FrameShape {
         /// The shape of the frame or of the region.
         expected: FrameShape,
@@ -52,10 +53,10 @@ pub enum ConvError {
         /// The tolerance given.
         got: f64,
     },
-    /// The light has another shape than the plan's scene.
-    #[error("the light is {got} pixels: the plan accepts {expected}")]
+    /// The plan does not accept light of this shape.
+    #[error("the light has {got} pixels, but the plan accepts {expected}")]
     LightShape {
-        /// The shapes that the plan accepts: the whole scene, or its part that reaches the frame.
+        /// The shapes that the plan accepts: the whole scene, or its part that reaches the image.
         expected: String,
         /// The shape of the light.
         got: FrameShape,
@@ -98,8 +99,8 @@ pub enum ConvError {
     Result(#[source] DataError),
 }
 
-/// Errors of GPUs. A call that returns one returns no image. If it was adding light to an image,
-/// the image may already hold part of that light.
+/// Errors of GPUs. A call that fails returns no image. If it adds light to an image of the caller,
+/// that image may already hold part of the light.
 #[cfg(feature = "gpu")]
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
@@ -107,7 +108,7 @@ pub enum GpuError {
     /// No adapter was found.
     #[error("there is no GPU that Vulkan, Metal, DirectX 12 or OpenGL can drive. Is its driver installed?")]
     NoAdapter,
-    /// No adapter has this name.
+    /// No adapter matches the name.
     #[error("no GPU matches the name {wanted:?}. Available: {}", present.join(", "))]
     NoSuchAdapter {
         /// The name asked for.
@@ -130,7 +131,7 @@ pub enum GpuError {
         precision: &'static str,
     },
     /// The plan's transforms are too large.
-    #[error("{adapter}: transforms of {size} values are too large, its maximum is {most}")]
+    #[error("{adapter} supports transforms of at most {most} values, but the plan needs {size}: use the CPU")]
     TransformSize {
         /// The adapter.
         adapter: String,
@@ -140,7 +141,7 @@ pub enum GpuError {
         most: usize,
     },
     /// A piece of work that cannot be divided further does not fit.
-    #[error("{adapter}: {what} needs {needed} bytes at once, its limit is {limit}")]
+    #[error("{adapter} can use only {limit} bytes at once, but {needed} are needed for {what}: use the CPU")]
     TooLarge {
         /// The adapter.
         adapter: String,

@@ -30,14 +30,15 @@ pub(crate) fn with_rows_in_memory<T: ConvReal, R>(
     Ok(result)
 }
 
-/// Bytes of a memory page. It may be smaller than the system's page, not larger.
+/// The assumed size of a memory page in bytes. It must not be larger than the system's pages.
 const PAGE: usize = 4096;
 
-/// Returns an image of zeros whose every page has been written to, on many threads.
+/// Returns an image of zeros. Many threads have already written to each of its memory pages.
 ///
-/// The system allocates a page when it is first used. A page that is read first, as additions do,
-/// is allocated twice: as the common page of zeros, then as one to write to. Every processor is
-/// interrupted to forget the first. For a large image that costs several times the convolution.
+/// The operating system allocates a page when it is first used. An addition reads a page before it
+/// writes. The system then allocates twice: the read gets the common page of zeros, and the write
+/// gets a new page. Every processor core is interrupted to forget the common page. For a large
+/// image, these interrupts take several times as long as the convolution.
 pub fn zeros<T: ConvReal>((rows, columns): (usize, usize)) -> Array2<T> {
     let mut image = Array2::zeros((rows, columns));
     let pixels: &mut [T] = image.as_slice_mut().expect("new arrays are row-major");

@@ -4,9 +4,9 @@
 //! `h(u; x)`. There are two ways to apply it ([`psf_types::Anchor`]):
 //!
 //! - **source-anchored**, `F(y) = sum_x f(x) h(y - x; x)`: each source spreads with the PSF of its
-//!   own position, as light does.
-//! - **output-anchored**, `F(y) = sum_x f(x) h(y - x; y)`: each pixel gathers with the PSF of its
-//!   own position. This is the form in the paper of the method (Bai, Jia et al.).
+//!   own position, as in a real instrument.
+//! - **output-anchored**, `F(y) = sum_x f(x) h(y - x; y)`: each pixel gathers light with the PSF of
+//!   the pixel's own position. This is the form in the paper of the method (Bai, Jia et al.).
 //!
 //! | method | description | cost | error |
 //! |---|---|---|---|
@@ -15,22 +15,24 @@
 //! | [`BasisConvolution`] | `K` whole-image FFT convolutions | `K` transforms of the image | rounding of the precision chosen |
 //! | [`PatchConvolution`] | one PSF per patch | one transform of each lit patch | the PSF jumps from patch to patch |
 //!
+//! `K` is the number of stamps of the model.
+//!
 //! A [`Plan`] is data: tiles, the modes of each, their stamps and coefficients. An [`Engine`]
 //! executes it on the processor or on a GPU, any number of times. The other types in the table are
 //! [`ConvolutionMethod`]s, which take a [`psf_types::PsfModel`], light and a frame. The frame is
-//! the region of the light that the image shows. Its first pixel is the origin of field positions.
-//! Outside its array the light is zero.
+//! the region of the light that the image shows. The frame's first pixel is the origin of field
+//! positions. Outside the given array, light is taken as zero.
 //!
 //! Point sources are added to the image of extended light. [`StarPainter`] and [`StarPlan`] draw
-//! each with the PSF of its own position, shifted to that position by [`StampInterpolator`]. The
-//! painter draws stars one by one from all components. The plan draws many at once within a
+//! each source with the PSF of its own position, shifted to that position by [`StampInterpolator`].
+//! The painter draws stars one by one from all components. The plan draws many at once within a
 //! tolerance.
 //!
 //! # Normalisation
 //! The image holds the light's flux times the flux of the PSFs. The model decides the flux of the
 //! PSFs ([`psf_types::Normalisation`]), and nothing else is scaled. Extended light needs stamps at
-//! the frame's own scale, centred on a pixel ([`native_grid`], [`resample_samples`]). Point sources
-//! accept stamps of any scale and centre.
+//! the frame's own scale, centred on a pixel and with the pixel response included ([`native_grid`],
+//! [`resample_samples`]). Point sources accept stamps of any scale and centre.
 //!
 //! # Stopping
 //! The progress object of a long call is polled every few milliseconds and may cancel the call
@@ -46,10 +48,10 @@
 //! code is compiled.
 //!
 //! # Modules
-//! `plan` knows no device. `cpu` and `gpu` execute plans, and `engine` chooses between them.
-//! `stars` draws point sources with the modes of `plan`. `reference` holds the methods that the
-//! others are compared with. All of them use `transform`, `simd`, `overlap`, `view` and other small
-//! modules.
+//! `plan` does not depend on a device. `cpu` and `gpu` execute plans, and `engine` chooses between
+//! them. `stars` draws point sources with the modes of `plan`. `reference` holds the methods that
+//! the others are compared with. The other modules are small tools, such as `transform` for FFTs of
+//! tiles and `simd` for vector instructions.
 
 #![allow(
     clippy::inline_always,

@@ -1,5 +1,5 @@
-//! Parts of images that may overlap. Adds them in an order that does not depend on the number of
-//! threads, and lends disjoint parts to threads for writing.
+//! Adds overlapping parts of an image in an order that does not depend on the number of threads.
+//! Divides images into disjoint parts to which threads write at the same time.
 
 use ndarray::{Array2, ArrayViewMut2, Axis, s};
 use psf_types::Progress;
@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::{ConvError, ConvReal};
 
-/// A rectangle of values to be added at a position that may reach beyond the output.
+/// A rectangle of values to be added to an output. It may reach beyond the output.
 pub(crate) struct Piece<T> {
     pub(crate) first_column: i64,
     pub(crate) first_row: i64,
@@ -15,7 +15,8 @@ pub(crate) struct Piece<T> {
 }
 
 impl<T: ConvReal> Piece<T> {
-    /// Adds the part that lies on the output, whose first pixel is at `(first_column, first_row)`.
+    /// Adds the part of the piece that lies on the output. The output's first pixel is at
+    /// `(first_column, first_row)`.
     pub(crate) fn add_to(&self, output: &mut ArrayViewMut2<'_, T>, (first_column, first_row): (i64, i64)) {
         let (ny, nx) = output.dim();
         let (rows, columns) = self.values.dim();
@@ -40,8 +41,8 @@ pub(crate) fn overlap(first: i64, length: usize, limit: usize) -> Option<(usize,
     (start < end).then(|| ((start - first) as usize, start as usize, (end - start) as usize))
 }
 
-/// The number of sets of pieces computed in parallel. It bounds how many are in memory.
-const AT_ONCE: usize = 16;
+/// The number of sets of pieces computed in parallel. It limits the number of pieces in memory.
+const PIECE_SETS_AT_ONCE: usize = 16;
 
 /// Computes `count` sets of pieces in parallel and adds them to the output in order. Each set is
 /// one step of the progress.
@@ -52,11 +53,11 @@ pub(crate) fn add_in_order<T: ConvReal>(
     make: impl Fn(usize) -> Result<Vec<Piece<T>>, ConvError> + Sync,
 ) -> Result<(), ConvError> {
     progress.start(count as u64);
-    for first in (0..count).step_by(AT_ONCE) {
-        let made: Vec<Result<Vec<Piece<T>>, ConvError>> = (first..(first + AT_ONCE).min(count))
+    for first in (0..count).step_by(PIECE_SETS_AT_ONCE) {
+        let made: Vec<Result<Vec<Piece<T>>, ConvError>> = (first..(first + PIECE_SETS_AT_ONCE).min(count))
             .into_par_iter()
             .map(|number| {
-                progress.still_wanted()?;
+                progress.check_cancelled()?;
                 make(number)
             })
             .collect();
@@ -70,7 +71,8 @@ pub(crate) fn add_in_order<T: ConvReal>(
     Ok(())
 }
 
-/// The disjoint parts of a view between ascending `(start, end)` along an axis.
+/// Returns the parts of a view in some ranges `(start, end)` along an axis. The ranges are
+/// ascending and do not overlap.
 pub(crate) fn split<'a, T>(
     view: ArrayViewMut2<'a, T>,
     axis: usize,
@@ -89,8 +91,8 @@ pub(crate) fn split<'a, T>(
     parts
 }
 
-/// The smallest `n` such that no range overlaps the `n`-th range after it. Every `n`-th range may
-/// then be written at the same time.
+/// The smallest `n` such that no range overlaps the `n`-th range after it. Threads may then write
+/// to every `n`-th range at the same time.
 pub(crate) fn colours(ranges: &[(usize, usize)]) -> usize {
     let clear = |n: usize| ranges.iter().zip(ranges.iter().skip(n)).all(|(a, b)| a.1 <= b.0);
     (1..ranges.len())

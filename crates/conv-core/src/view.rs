@@ -1,4 +1,4 @@
-//! Light seen through a frame, and the reach of stamps.
+//! The frame within the light, and the reach of stamps.
 
 use std::ops::Range;
 
@@ -42,11 +42,11 @@ impl Reach {
     }
 }
 
-/// Light of a given shape, and the frame: the part of it that a detector sees.
+/// The shape of the light, and the frame: the part of the light that the image shows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct View {
     pub(crate) shape: FrameShape,
-    /// In pixels of the light. Its first pixel is the origin of field positions.
+    /// The frame, in pixels of the light. The frame's first pixel is the origin of field positions.
     pub(crate) frame: PixelRegion,
 }
 
@@ -64,20 +64,22 @@ impl View {
         }))
     }
 
-    /// All of the light in field positions. Its first pixel is at `(-x0, -y0)` of the frame.
+    /// The region of all light, in field positions. It begins at `(-x0, -y0)` if the frame begins
+    /// at pixel `(x0, y0)` of the light.
     pub(crate) fn field_region(self) -> PixelRegion {
         PixelRegion::new(-self.frame.x0(), -self.frame.y0(), self.shape)
     }
 
-    /// Column and row of the frame's first pixel.
+    /// Column and row of the frame's first pixel in the light.
     pub(crate) fn first_pixel(self) -> (usize, usize) {
         (self.frame.x0() as usize, self.frame.y0() as usize)
     }
 
-    /// The columns and rows of the light that can reach a part of it, such as the frame. Light
-    /// farther from the part than the stamps reach is left out.
+    /// The columns and rows of the light that can reach `part`, a region of the light such as the
+    /// frame. Light that is farther away than the stamps reach is left out.
     pub(crate) fn reaching(self, part: PixelRegion, reach: Reach) -> [Range<usize>; 2] {
-        // The source of an offset u in [-left, right] from pixel y lies at y - u.
+        // Light that reaches pixel y through the stamp's offset u, in [-left, right], comes from
+        // pixel y - u.
         let range = |first: i64, length: usize, before: usize, after: usize, limit: usize| {
             let first = first as usize;
             first.saturating_sub(before)..(first + length + after).min(limit)
@@ -101,7 +103,7 @@ impl View {
         let reach = Reach::of(grid)?;
         let [columns, rows] = whole.reaching(frame, reach);
         let cut = Self {
-            shape: FrameShape::new(columns.len(), rows.len()).expect("a frame's own light reaches it"),
+            shape: FrameShape::new(columns.len(), rows.len()).expect("the part contains the frame"),
             frame: frame.shifted(-(columns.start as i64), -(rows.start as i64)),
         };
         Ok((cut, light.pixels().slice_move(s![rows, columns]), reach))

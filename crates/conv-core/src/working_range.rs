@@ -1,27 +1,28 @@
-//! Scaling of light to values near 1 where a transform would leave the range of its precision.
+//! Scaling of light to values near 1, for light whose transforms would overflow or underflow.
 
 use ndarray::{Array2, ArrayView2, CowArray, Ix2};
 
 use crate::ConvReal;
 
 /// A power of two that scales light to values near 1, and its inverse for the result. Multiplying
-/// by them is exact, except for values too small to matter next to the largest, and for results
-/// that are themselves beyond the range.
+/// by these powers is exact. There are two exceptions: values that are negligible next to the
+/// largest, and results that the precision cannot represent.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Rescaling<T> {
     pub(crate) down: T,
     pub(crate) back: T,
 }
 
-/// The range of exponents in which sums over a whole frame of light and products with kernels
-/// neither overflow nor lose bits that matter. f32 holds 2^-126 to 2^128, so this leaves 46 bits at
-/// each end.
+/// Light is not scaled if its largest absolute value is between 2^-80 and 2^80. Sums over a frame
+/// and products with kernels then neither overflow nor lose significant bits. f32 holds 2^-126 to
+/// 2^128, so a factor of at least 2^46 is left at both ends.
 const EXPONENTS_OF_F32: i32 = 80;
-/// The range of exponents for f64, which holds 2^-1022 to 2^1024.
+/// The limit for f64, which holds 2^-1022 to 2^1024: 2^-900 and 2^900.
 const EXPONENTS_OF_F64: i32 = 900;
 
 impl<T: ConvReal> Rescaling<T> {
-    /// Returns `None` if light with this largest absolute value needs no scaling, or is dark.
+    /// Returns `None` if light with this largest absolute value needs no scaling, and if the value
+    /// is zero or not finite.
     pub(crate) fn for_largest(largest: f64) -> Option<Self> {
         let (safe, most) = if size_of::<T>() == size_of::<f32>() {
             (EXPONENTS_OF_F32, 126)
@@ -40,8 +41,8 @@ impl<T: ConvReal> Rescaling<T> {
         })
     }
 
-    /// Returns scaled light and the power that scales its image back, or the light itself where it
-    /// needs no scaling.
+    /// Returns the scaled light and the power of two that scales its image back. If no scaling is
+    /// needed, returns the light itself and `None`.
     pub(crate) fn of_pixels(light: ArrayView2<'_, T>) -> (CowArray<'_, T, Ix2>, Option<T>) {
         let largest = light.iter().fold(T::zero(), |m, v| m.max(v.abs()));
         match Self::for_largest(largest.as_f64()) {
@@ -51,7 +52,7 @@ impl<T: ConvReal> Rescaling<T> {
     }
 }
 
-/// Scales an image back if its scene was scaled.
+/// Scales an image back if its light was scaled.
 pub(crate) fn take_back<T: ConvReal>(image: &mut Array2<T>, back: Option<T>) {
     if let Some(back) = back {
         image.mapv_inplace(|v| v * back);

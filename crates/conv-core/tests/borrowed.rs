@@ -1,4 +1,4 @@
-//! Executions on borrowed pixels.
+//! Tests of executions on borrowed arrays.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -26,7 +26,8 @@ fn scene() -> Scene<f64> {
     Scene::new(noise(SCENE.1, SCENE.0, 5)).with_frame(frame())
 }
 
-/// The pixels in every layout that NumPy may pass, with bad values in all memory between them.
+/// Calls `each` with the pixels in every layout that NumPy may pass. Unused memory between the
+/// pixels has bad values.
 fn layouts(pixels: &Array2<f64>, mut each: impl FnMut(&str, ArrayViewMut2<'_, f64>)) {
     let (ny, nx) = pixels.dim();
     let mut whole = pixels.clone();
@@ -99,7 +100,7 @@ fn the_light_that_reaches_the_frame_is_enough() {
     for anchor in ANCHORS {
         let engine = scene.engine(&model, options(1e-3, anchor, PATHS[0]));
         let part = engine.plan().light_region();
-        // The stamps reach 3 and 2 pixels one way, 2 and 2 the other.
+        // The stamps reach 3 columns to the left, 2 columns to the right, and 2 rows both ways.
         assert_eq!(part, region(13 - 2, 11 - 2, 37 + 5, 29 + 4));
         let rows = part.y0() as usize..part.y0() as usize + part.shape().ny();
         let columns = part.x0() as usize..part.x0() as usize + part.shape().nx();
@@ -129,7 +130,7 @@ fn the_light_that_reaches_the_frame_is_enough() {
         let whole = engine.adjoint(&expected).unwrap();
         assert_eq!(plane, whole.pixels().slice(s![rows, columns]));
 
-        // Single pixels are the same from the part as from the whole.
+        // Single pixels are the same from the part of the light as from the whole light.
         let pixels = [(0, 0), (36, 28), (17, 5)];
         let first = (part.x0() as usize, part.y0() as usize);
         let of_part = Direct::new(anchor)
@@ -153,7 +154,7 @@ fn other_shapes_are_errors_that_say_what_fits() {
     );
     assert_eq!(
         error.unwrap_err().to_string(),
-        "the light is 72 x 53 pixels: the plan accepts the whole scene, 71 x 53, or its part that reaches the image, 42 x 33 at (11, 9)"
+        "the light has 72 x 53 pixels, but the plan accepts the whole scene of 71 x 53 or its part of 42 x 33 at (11, 9) that reaches the image"
     );
     let light = scene.light.view();
     let mut wide = Array2::zeros((29, 38));

@@ -1,4 +1,5 @@
-//! Every method against the double sum, over shapes, centres, frames, anchorings and precisions.
+//! Tests that compare every method with the double sum, over shapes, centres, frames, anchorings
+//! and precisions.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -19,16 +20,16 @@ use psf_types::{
     StampGrid,
 };
 
-/// A few hundred additions of values near 1 in f64.
+/// Rounding of a few hundred additions of values near 1 in f64.
 const DIRECT: f64 = 1e-13;
-/// Transforms of a few thousand values in f64.
+/// Rounding of transforms of a few thousand values in f64.
 const FFT_F64: f64 = 1e-13;
-/// Transforms of a few thousand values in f32.
+/// Rounding of transforms of a few thousand values in f32.
 const FFT_F32: f64 = 3e-6;
 
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 
-/// Stamps: even, odd, off-centre, one pixel, wider than the scene. Scenes: square, not square,
+/// Stamps: even, odd, off-centre, one pixel wide, wider than the scene. Scenes: square, not square,
 /// prime, one pixel.
 const STAMPS: [((usize, usize), (usize, usize)); 5] = [
     ((6, 4), (3, 2)),
@@ -180,7 +181,7 @@ fn patches_of_one_pixel_are_exact_and_so_are_any_of_a_constant_psf() {
 }
 
 #[test]
-fn light_from_beyond_the_frame_comes_in() {
+fn light_from_beyond_the_frame_contributes() {
     let model = model_with(Arc::new(Waves), (6, 4), (3, 2), true, Normalisation::Unit);
     let scene = scene(14, 12, 3).with_frame(region(4, 3, 7, 6));
     for anchor in ANCHORS {
@@ -273,7 +274,7 @@ fn painted(model: &PsfModel, stars: &[PointSource], frame: PixelRegion, anchor: 
 }
 
 #[test]
-fn sources_off_the_frame_shine_in_and_far_ones_do_nothing() {
+fn sources_near_the_frame_contribute_light_and_far_ones_do_not() {
     let model = model_with(Arc::new(Constant), (7, 7), (3, 3), true, Normalisation::Keep);
     let at = |x: f64, y: f64| {
         let star = PointSource::new(Position::new(x, y).unwrap(), 1.0).unwrap();
@@ -287,7 +288,8 @@ fn sources_off_the_frame_shine_in_and_far_ones_do_nothing() {
 
 #[test]
 fn a_mean_centred_model_of_unit_flux_keeps_the_flux() {
-    // The components have no flux and the mean has unit flux, so no coefficients lose light.
+    // The components have no flux and the mean has unit flux, so the flux does not depend on the
+    // coefficients.
     let model = model_with(Arc::new(Waves), (6, 5), (3, 2), true, Normalisation::Keep);
     let mut components = model.stamps().slice_move(ndarray::s![1.., .., ..]).to_owned();
     for mut component in components.outer_iter_mut() {
@@ -460,8 +462,8 @@ fn only_light_that_reaches_the_frame_needs_a_psf() {
     }
 }
 
-/// Light at either end of the range of f32: sums over it would overflow, products with kernels
-/// would lose their bits.
+/// Light near both ends of the range of f32. Without scaling, sums of bright light would overflow,
+/// and products of faint light with kernels would lose bits.
 #[test]
 fn light_at_the_ends_of_the_range_is_convolved_like_light_near_one() {
     let model = model_with(Arc::new(Waves), (16, 9), (8, 4), true, Normalisation::Unit);

@@ -1,5 +1,5 @@
-//! The fast engine against the double sum, its tolerance pixel by pixel, its transpose, and
-//! conditions that must not change its result.
+//! Tests of the fast engine: it is compared with the double sum, its tolerance is checked pixel by
+//! pixel, its adjoint is its transpose, and some conditions must not change its result.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -14,9 +14,9 @@ use conv_core::{ConvError, Direct, LowRank, Paths, Plan, PlanOptions, RowStream}
 use ndarray::{Array2, s};
 use psf_types::{Anchor, CoefficientField, FieldError, Image, NoProgress, Normalisation, Position, PsfModel};
 
-/// Transforms of a few thousand values, and the rounding of the modes, in f64.
+/// Rounding of transforms of a few thousand values, and of the modes, in f64.
 const ROUNDING_F64: f64 = 1e-12;
-/// Transforms of a few thousand values in f32.
+/// Rounding of transforms of a few thousand values in f32.
 const ROUNDING_F32: f64 = 3e-6;
 
 const SCENES: [(usize, usize); 6] = [(12, 12), (13, 7), (1, 1), (1, 37), (101, 1), (67, 53)];
@@ -39,7 +39,7 @@ fn cases() -> impl Iterator<Item = (PsfModel, Scene<f64>)> {
     })
 }
 
-/// Every fifth pixel is a star, so that every path is used.
+/// Only every fifth pixel is lit, so that every method for tiles is used.
 fn sparse(scene: &Scene<f64>) -> Scene<f64> {
     let mut light = scene.pixels().to_owned();
     for ((y, x), value) in light.indexed_iter_mut() {
@@ -115,8 +115,8 @@ impl CoefficientField for Step {
     }
 }
 
-/// Compares the response to one more unit of light at a pixel, with light everywhere, with the
-/// exact PSF of that pixel.
+/// Adds one unit of light at a pixel of a scene with light everywhere. Compares the change of the
+/// image with the exact PSF of that pixel.
 #[test]
 fn every_pixel_sees_a_psf_within_the_tolerance() {
     let (nx, ny) = (120, 90);
@@ -144,7 +144,7 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
                 let before = engine.image_of(&lit(&light)).unwrap().into_pixels();
                 for n in 0..40 {
                     let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
-                    // Output-anchored, the kernel of one output pixel is a row of the operator,
+                    // If output-anchored, the kernel of one output pixel is a row of the operator,
                     // which is a column of its transpose.
                     let response = if anchor == Anchor::Source {
                         let mut more = light.clone();
@@ -166,7 +166,8 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
                         }
                     }
                     let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
-                    // The tolerance is relative to the whole PSF, which is truncated at the edge.
+                    // The tolerance is relative to the whole PSF. The response is truncated at the
+                    // image's edge.
                     let whole = psf.values().mapv(|v| v * v).sum().sqrt();
                     let error = norm(&(&response - &exact)) / whole;
                     assert!(
@@ -178,12 +179,12 @@ fn every_pixel_sees_a_psf_within_the_tolerance() {
             }
         }
     }
-    // If the tolerance were not used, the test would prove nothing.
+    // Some errors must be large: without truncation, the test would prove nothing.
     assert!(coarsest > 1e-2, "{coarsest:e}");
 }
 
 #[test]
-fn the_result_does_not_depend_on_threads_nor_on_what_is_made_anew() {
+fn the_result_does_not_depend_on_threads_nor_on_kept_data() {
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
     let scene = scene(420, 330, 9);
     for anchor in ANCHORS {
@@ -198,7 +199,7 @@ fn the_result_does_not_depend_on_threads_nor_on_what_is_made_anew() {
                 assert!(engine.plan().summary().blocks > 1);
                 let image = engine.image_of(&scene).unwrap();
                 let again = engine.image_of(&scene).unwrap();
-                assert_eq!(image, again, "workspaces are dirty the second time");
+                assert_eq!(image, again, "the second time, workspaces are dirty");
                 (engine.adjoint(&image).unwrap(), image)
             })
         };
@@ -328,7 +329,8 @@ fn kernels_whose_flux_nearly_cancels_are_exact_and_keep_it() {
             let image = engine.image_of(&scene).unwrap().into_pixels();
             let norm = |a: &Array2<f64>| a.mapv(|v| v * v).sum().sqrt();
             let error = norm(&(&image - &truth)) / norm(&truth);
-            // Light of one sign and kernels of both signs: errors add up a little.
+            // The light has one sign and the kernels have both signs, so the values cancel partly,
+            // but their errors do not.
             assert!(
                 error <= 10.0 * tolerance + ROUNDING_F64,
                 "{error:e} at {tolerance:e}, {anchor}"
@@ -366,7 +368,7 @@ fn a_constant_psf_takes_one_mode_a_tile_and_dark_tiles_nothing() {
 
 /// In f32, transforms of a bright star would fill its tile with noise.
 #[test]
-fn a_bright_star_does_not_drown_the_faint_light_of_its_tile() {
+fn a_bright_star_adds_no_noise_to_the_faint_light_of_its_tile() {
     let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
     let mut light = noise(200, 200, 5).mapv(|v| v + 1.5);
     light[[100, 90]] = 1e8;
@@ -388,12 +390,12 @@ fn a_bright_star_does_not_drown_the_faint_light_of_its_tile() {
             (error / norm).sqrt()
         );
         // If only transforms are used, the noise appears.
-        let drowned = single(&scene)
+        let noisy = single(&scene)
             .through(&model, &LowRank::new(options(0.0, anchor, Paths::Transforms)))
             .unwrap();
         let error = exact
             .iter()
-            .map(|&((x, y), v)| (f64::from(drowned.pixels()[[y, x]]) - v).powi(2))
+            .map(|&((x, y), v)| (f64::from(noisy.pixels()[[y, x]]) - v).powi(2))
             .sum::<f64>();
         assert!((error / norm).sqrt() > 1e-3, "{anchor}");
     }

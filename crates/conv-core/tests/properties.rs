@@ -1,6 +1,6 @@
-//! Properties of every method for any light: it is linear, follows a shift where the PSF is
-//! constant, keeps the flux of sources that the frame contains, makes no negative values from
-//! positive ones, and its adjoint is its transpose.
+//! Properties of every method for any light: it is linear, its image follows a shift of the light
+//! if the PSF is constant, it keeps the flux of sources inside the frame, it makes no negative
+//! values from positive ones, and its adjoint is its transpose.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -15,7 +15,7 @@ use psf_types::{
     Anchor, CoefficientField, FieldError, Image, Normalisation, Position, PsfBasis, PsfModel, StampGrid,
 };
 
-/// Transforms and sums of a few thousand values in f64, relative to the peak.
+/// Rounding of transforms and sums of a few thousand values in f64, relative to the peak.
 const ROUNDING: f64 = 1e-12;
 
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
@@ -23,7 +23,7 @@ const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 const STAMP: (usize, usize) = (6, 5);
 const CENTRE: (usize, usize) = (3, 1);
 
-/// Every method, with every choice of the fast engine. Patches are tested separately.
+/// Every method, and the fast engine with two tolerances.
 fn methods(anchor: Anchor) -> Vec<(&'static str, Box<dyn ConvolutionMethod<f64>>)> {
     let options = PlanOptions::new(0.0).unwrap().with_anchor(anchor);
     let rough = PlanOptions::new(1e-3).unwrap().with_anchor(anchor);
@@ -41,7 +41,7 @@ fn convolved(method: &dyn ConvolutionMethod<f64>, model: &PsfModel, light: &Arra
     scene.through(model, method).unwrap().into_pixels()
 }
 
-/// Light of up to 30 x 30 pixels, some of it dark, some bright.
+/// Light of up to 29 x 29 pixels. Some pixels are dark, some are bright.
 fn light(least: f64) -> impl Strategy<Value = Array2<f64>> {
     let value = prop_oneof![3 => Just(0.0), 3 => least..1.0, 1 => least * 1e6..1e6];
     (1_usize..30, 1_usize..30).prop_flat_map(move |(nx, ny)| {
@@ -50,7 +50,8 @@ fn light(least: f64) -> impl Strategy<Value = Array2<f64>> {
     })
 }
 
-/// The light with a dark margin, of which `x` columns and `y` rows are in front.
+/// The light in a dark image that has `2 * margin` more columns and rows. The light begins at
+/// column `x` and row `y`.
 fn framed(light: &Array2<f64>, x: usize, y: usize, margin: usize) -> Array2<f64> {
     let (ny, nx) = light.dim();
     let mut wide = Array2::zeros((ny + 2 * margin, nx + 2 * margin));
@@ -112,7 +113,7 @@ proptest! {
     }
 
     #[test]
-    fn a_psf_that_is_the_same_everywhere_follows_a_shift(light in light(-1.0), dx in 0_usize..9, dy in 0_usize..9) {
+    fn the_image_of_a_constant_psf_follows_a_shift(light in light(-1.0), dx in 0_usize..9, dy in 0_usize..9) {
         let model = model_with(Arc::new(Constant), STAMP, CENTRE, true, Normalisation::Keep);
         // Wide enough for the stamp on all sides of both images.
         let margin = 16;
@@ -167,15 +168,15 @@ proptest! {
     }
 
     #[test]
-    fn nothing_negative_comes_of_what_is_not(light in light(0.0)) {
+    fn light_without_negative_values_gives_none(light in light(0.0)) {
         let model = positive_model();
         for anchor in ANCHORS {
-            // At a tolerance above 0 a PSF may be wrong by the tolerance, and so be negative.
+            // At a tolerance above 0, the error of a PSF may make it negative.
             for (name, method) in methods(anchor).into_iter().filter(|(name, _)| *name != "rough low rank") {
                 let image = convolved(&*method, &model, &light);
                 let least = image.iter().copied().fold(0.0, f64::min);
                 prop_assert!(least >= -ROUNDING * peak(&light), "{} {}: {:e}", name, anchor, least);
-                // Sums of values that are not negative are not negative either.
+                // No term of the direct sum is negative.
                 prop_assert!(name != "direct" || least >= 0.0, "{:e}", least);
             }
         }

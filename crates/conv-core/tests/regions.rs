@@ -1,4 +1,4 @@
-//! Frames computed in pieces.
+//! Tests of frames that are computed region by region.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -14,21 +14,22 @@ use psf_types::{
     PsfModel,
 };
 
-/// Relative L2 difference between the pieces and the whole: rounding of f32 transforms.
+/// Relative L2 difference between the regions put together and the whole frame: rounding of f32
+/// transforms.
 const SAME_F32: f64 = 1e-6;
-/// Difference for the adjoint. Sums of noise with stamps of noise nearly cancel, so the whole in
-/// f32 itself differs from that in f64 by 1.3e-6.
+/// The difference for the adjoint. Sums of noise with stamps of noise nearly cancel. So even for
+/// the whole frame, f32 and f64 differ by 1.3e-6.
 const SAME_ADJOINT_F32: f64 = 3e-6;
 /// Forward and adjoint in f64.
 const SAME_F64: f64 = 1e-13;
 const F32: (f64, f64) = (SAME_F32, SAME_ADJOINT_F32);
 const F64: (f64, f64) = (SAME_F64, SAME_F64);
-/// Sums of scalar products in f64.
+/// Rounding of scalar products in f64.
 const ROUNDING_F64: f64 = 1e-12;
 
 const SCENE: (usize, usize) = (211, 163);
 
-/// A field with lines that tiles can follow.
+/// A field with grid lines that tiles can follow.
 fn grid() -> GridField {
     let values = noise(NODES * NODES, 3, 21).mapv(|v| 0.2 * v);
     GridField::new(STEP, NODES, values)
@@ -54,7 +55,8 @@ fn models() -> [(&'static str, PsfModel); 3] {
     ]
 }
 
-/// A scene with light everywhere, or in every hundredth pixel and with one very bright star.
+/// Light everywhere or, if `full` is false, in about every hundredth pixel. One star is very
+/// bright.
 fn light(full: bool) -> Image<f64> {
     let mut light = noise(SCENE.1, SCENE.0, 8).mapv(|v| v + 1.5);
     if !full {
@@ -77,7 +79,7 @@ fn frames() -> [PixelRegion; 2] {
     [region(0, 0, SCENE.0, SCENE.1), region(23, 17, 151, 127)]
 }
 
-/// Divides a frame into columns and rows of nearly equal size.
+/// Divides a frame into `across` by `up` regions of nearly equal size.
 fn pieces(frame: FrameShape, across: usize, up: usize) -> Vec<PixelRegion> {
     let cut = |length: usize, count: usize, i: usize| i * length / count;
     (0..up)
@@ -122,7 +124,8 @@ fn relative_l2<T: ConvReal>(image: ArrayView2<'_, T>, truth: ArrayView2<'_, T>) 
     (pairs.fold(0.0, square) / truth.iter().map(|v| v.as_f64()).fold(0.0, square)).sqrt()
 }
 
-/// Compares the plans of all pieces put together with the whole, forward and adjoint.
+/// Compares the results of all regions, put together, with the result of the whole frame, forward
+/// and adjoint.
 fn compare<T: ConvReal>(
     case: &str,
     whole: &Engine<T>,
@@ -220,7 +223,7 @@ fn a_region_chooses_the_tiles_of_the_whole() {
                 );
                 assert_eq!(image_of(&chosen, &light(true)), image_of(&taken, &light(true)));
             }
-            // The region of the whole frame gives the whole plan, from any other region.
+            // A plan of any region can make the plan of the whole frame again.
             let part = make(region(3, 4, 1, 1));
             let again = other(&part, frame.shape().region());
             assert_eq!(again.plan().summary(), whole.plan().summary());
@@ -257,7 +260,7 @@ fn single_pixels_and_thin_regions_anywhere() {
                     let engine = other(&engine, part);
                     let error = relative_l2(image_of(&engine, &light).view(), slice_of(truth.pixels(), part));
                     assert!(error <= SAME_F64, "{case}: {error:e}");
-                    // The engine also accepts the light of the whole scene, and the scene itself.
+                    // The engine also accepts the light of the whole scene.
                     let image = engine.image_of(&scene).unwrap();
                     assert_eq!(image.pixels(), image_of(&engine, &light), "{case}");
                 }
@@ -266,7 +269,8 @@ fn single_pixels_and_thin_regions_anywhere() {
     }
 }
 
-/// A region's adjoint has the region of the light that reaches it.
+/// The adjoint of a region writes to the whole light, or only to the part of it that reaches the
+/// region.
 #[test]
 fn a_region_has_its_own_adjoint() {
     let shape = FrameShape::new(SCENE.0, SCENE.1).unwrap();
@@ -298,7 +302,7 @@ fn a_region_has_its_own_adjoint() {
     }
 }
 
-/// The rows of a scene to be read, and of an image to be written.
+/// Light that is read by rows, and an image that is written by rows.
 struct Rows<'a> {
     light: ArrayView2<'a, f64>,
     read: Vec<usize>,
@@ -352,7 +356,7 @@ fn a_region_streams_its_rows_and_draws_its_stars() {
                 "{name} {anchor}"
             );
 
-            // Stars of the region equal those of the whole, bit by bit.
+            // Stars drawn in the region equal, bit by bit, stars drawn in the whole frame.
             let stars = StarPlan::<f64>::new(&model, options, None).unwrap();
             let whole = drawn(&stars, &sources, frame);
             let mut of_part = Array2::zeros((47, 53));

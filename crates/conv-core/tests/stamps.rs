@@ -1,4 +1,5 @@
-//! Stamps between their pixels, at other samplings, and averaged over a frame pixel.
+//! Tests of stamps that are interpolated between their pixels, resampled, and averaged over a frame
+//! pixel.
 
 use conv_core::{StampInterpolator, grid_with_pixel_response, native_grid};
 use ndarray::Array2;
@@ -68,7 +69,8 @@ fn lanczos_keeps_pixels_and_constants() {
     }
     let flat = StampInterpolator::new(Array2::ones((9, 16)).view(), lanczos).resample((0.3, 0.2), lanczos);
     assert!((flat[[4, 8]] - 1.0).abs() < 1e-14);
-    // Two pixels beyond the edge the values are not zero, four pixels beyond they are.
+    // Two pixels beyond the edge the values are not zero. Four pixels beyond the edge they are
+    // zero.
     let wide = grid(24, 17).with_interpolation(StampInterpolation::Lanczos3);
     let faded = StampInterpolator::new(Array2::ones((9, 16)).view(), lanczos).resample((0.3, 0.0), wide);
     assert!(faded[[8, 2]].abs() > 1e-3 && faded[[8, 0]] == 0.0);
@@ -93,7 +95,8 @@ fn the_pixel_response_is_the_average_over_a_frame_pixel() {
             / 1000.0
     };
     // The error of a cubic spline is 3 / (384 sigma^4) of the peak along each axis, with sigma =
-    // 4.4 pixels of the stamp. That of a Lanczos kernel is a few parts in 10^4 at any sampling.
+    // 4.4 pixels of the stamp. The error of a Lanczos kernel is a few parts in 10^4 at any
+    // sampling.
     for (kernel, within) in [
         (StampInterpolation::CubicSpline, 5e-5),
         (StampInterpolation::Lanczos3, 3e-4),

@@ -1,4 +1,4 @@
-//! Stars drawn by a plan against stars drawn one by one.
+//! Tests that compare stars drawn by a plan with stars drawn one by one.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -20,7 +20,7 @@ const FRAME: (usize, usize) = (150, 97);
 /// Rounding, and phases that are moved by at most 1e-9 to a stamp's pixel.
 const SAME: f64 = 1e-11;
 
-/// The model with stamps resampled to another grid.
+/// The model with the same stamp values on a grid of another oversampling, centre and kernel.
 fn resampled(
     model: &PsfModel,
     oversampling: f64,
@@ -129,7 +129,7 @@ impl CoefficientField for One {
     }
 }
 
-/// Unit flux at every position, and a mean stamp.
+/// PSFs that are scaled to unit flux, and PSFs that are not, both with a mean stamp.
 #[test]
 fn scaling_and_means_are_kept() {
     let positive = |p: Position| 1.5 + (p.x() / 9.0).sin();
@@ -175,8 +175,8 @@ fn every_star_is_within_the_tolerance() {
                 largest = largest.max(l2(&(&a - &b)) / l2(&b));
             }
         }
-        // The tolerance holds at the stamps' sampling. One phase of three random stamps may have
-        // more of the error than others.
+        // The tolerance holds for all pixels of the stamps together. A star uses only every third
+        // pixel along each axis, and these may have more of the error than the others.
         assert!(largest < 3.0 * tolerance, "{tolerance}: {largest}");
         assert!(
             largest > 0.0 || tolerance < 0.1,
@@ -186,7 +186,7 @@ fn every_star_is_within_the_tolerance() {
 }
 
 #[test]
-fn single_precision_is_rounding_off() {
+fn single_precision_only_adds_rounding() {
     let model = resampled(
         &model(Normalisation::Keep),
         4.0,
@@ -199,7 +199,8 @@ fn single_precision_is_rounding_off() {
     assert!(largest < 1e-6 && largest > 1e-10, "{largest}");
 }
 
-/// Through a frame, output-anchored, on any number of threads, and twice with one plan.
+/// Draws stars on a frame within the scene, for both anchorings, on any number of threads and
+/// several times with one plan.
 #[test]
 fn frames_anchors_threads_and_repetition() {
     let model = resampled(
@@ -233,7 +234,7 @@ fn frames_anchors_threads_and_repetition() {
     }
 }
 
-/// A field that lacks values in places: an error only if a star needs one.
+/// A field that lacks values in some places causes an error only if a star needs a value there.
 #[test]
 fn a_star_without_a_psf_is_an_error() {
     #[derive(Debug)]

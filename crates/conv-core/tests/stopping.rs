@@ -1,4 +1,4 @@
-//! Work that is cancelled before its end.
+//! Tests of work that is cancelled before its end.
 
 #[allow(dead_code, reason = "each test binary uses a part")]
 mod common;
@@ -63,8 +63,8 @@ fn stops<R: std::fmt::Debug + Send>(
     }
 }
 
-/// After the cancellation, each block that is about to be executed polls once more. Some tens of
-/// them run at the same time.
+/// The most polls after the cancellation. Each block that is about to be executed polls once more,
+/// and some tens of blocks run at the same time.
 const BLOCKS: usize = 100;
 
 #[test]
@@ -138,7 +138,8 @@ fn every_method_stops() {
             ("low rank", Box::new(LowRank::new(options))),
         ];
         for (name, method) in methods {
-            // Columns of a plane are skipped one by one, and each polls.
+            // After a cancellation, the columns of a plane are skipped one by one, with a poll for
+            // each.
             stops(name, (4, 600), |patience| {
                 method.convolve(&model, &scene.light.view(), scene.frame, patience)
             });

@@ -7,8 +7,8 @@ use rand::RngExt;
 use crate::noise::{Step, noise_stream};
 use crate::{DetectorError, DetectorParams};
 
-/// Flags of a pixel, as sums of these numbers in a `u8`: the values of quality images and of
-/// bad-pixel masks.
+/// The flags of a pixel. A quality image or a bad-pixel mask holds, for each pixel, the sum of its
+/// flags as `u8`.
 #[derive(Debug, Clone, Copy)]
 pub struct PixelFlags;
 
@@ -22,15 +22,16 @@ impl PixelFlags {
     /// The pixel is at its full well or at the upper end of the converter. This flag belongs to an
     /// exposure, not to the sensor.
     pub const SATURATED: u8 = 8;
-    /// All flags that belong to the sensor.
+    /// The sum of all flags that belong to the sensor.
     pub const BAD: u8 = Self::DEAD | Self::HOT | Self::BAD_COLUMN;
-    /// All flags.
+    /// The sum of all flags.
     pub const ALL: u8 = Self::BAD | Self::SATURATED;
-    /// The flags of pixels without charge.
+    /// The sum of the flags of pixels without charge.
     pub(crate) const NO_CHARGE: u8 = Self::DEAD | Self::BAD_COLUMN;
 }
 
-/// A mask `[y, x]` of bad pixels: sums of [`PixelFlags`], 0 for good ones.
+/// A mask `[y, x]` of bad pixels. Each value is the sum of a pixel's [`PixelFlags`], 0 for a good
+/// pixel.
 ///
 /// ```
 /// use psf_detector::{BadPixelMask, PixelFlags};
@@ -83,8 +84,8 @@ impl BadPixelMask {
     }
 }
 
-/// Draws the flags that bad columns give to all their pixels. They belong to the sensor and do not
-/// change between exposures.
+/// Draws the bad columns and returns the flag of each column. Bad columns belong to the sensor and
+/// do not change between exposures.
 pub(crate) fn bad_columns(params: &DetectorParams, nx: usize) -> Vec<u8> {
     let mut rng = noise_stream(params.pattern_seed, Step::BadColumns, 0);
     let mut flag = || {
@@ -97,8 +98,8 @@ pub(crate) fn bad_columns(params: &DetectorParams, nx: usize) -> Vec<u8> {
     (0..nx).map(|_| flag()).collect()
 }
 
-/// Adds the flags of single dead and hot pixels of a row, each with its own probability. They also
-/// belong to the sensor.
+/// Draws the single dead and hot pixels of a row and adds their flags. These pixels also belong to
+/// the sensor.
 pub(crate) fn mark_bad_pixels(params: &DetectorParams, row: usize, flags: &mut [u8]) {
     let dead = params.bad_pixels.dead_fraction;
     let dead_or_hot = dead + params.bad_pixels.hot_fraction;

@@ -22,7 +22,7 @@ use crate::error::{above_zero, at_least_zero, require};
 /// | `sky_e` | electrons per pixel in the exposure, 0 and above | 0 |
 /// | `sky_gradient_e_per_px` | [`SkyGradient`] | none |
 /// | `dark_e_per_s` | electrons per pixel and second, 0 and above. Needs `exposure_s` | 0 |
-/// | `response_rms` | relative, 0 to below 1 | 0 |
+/// | `response_rms` | standard deviation relative to the mean, 0 to below 1 | 0 |
 /// | `full_well_e` | electrons, above 0 | none |
 /// | `read_noise_e` | electrons, standard deviation, 0 and above | 0 |
 /// | `gain_e_per_adu` | electrons per ADU, above 0 | 1 |
@@ -67,7 +67,8 @@ pub struct DetectorParams {
     pub sky_gradient_e_per_px: Option<SkyGradient>,
     /// Dark current in electrons per pixel and second.
     pub dark_e_per_s: f64,
-    /// Standard deviation of the pixels' response to light about 1 (pixel-response non-uniformity).
+    /// Standard deviation of the pixels' response to light, whose mean is 1 (pixel-response
+    /// non-uniformity).
     pub response_rms: f64,
     /// The largest charge of a pixel in electrons.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -186,10 +187,10 @@ pub struct Detector {
 }
 
 impl Detector {
-    /// With this number of bits every count is exact in single precision.
+    /// The largest number of bits at which every count is exact in single precision.
     const MAX_BITS: u32 = f32::MANTISSA_DIGITS;
 
-    /// Makes a detector from its parameters. Checks all of them.
+    /// Checks the parameters and makes a detector from them.
     ///
     /// # Errors
     /// [`DetectorError::Setting`] and [`DetectorError::Needs`], which name the key and the
@@ -240,7 +241,7 @@ impl Detector {
         let hot = fraction("bad_pixels.hot_fraction", bad.hot_fraction)?;
         require(
             "bad_pixels.hot_fraction",
-            "at most 1 in sum with bad_pixels.dead_fraction",
+            "at most 1 minus bad_pixels.dead_fraction",
             hot,
             |hot| dead + hot <= 1.0,
         )?;
@@ -264,8 +265,8 @@ impl Detector {
     /// Makes a detector from TOML text with the keys of [`DetectorParams`].
     ///
     /// # Errors
-    /// [`DetectorError::Toml`] with line, column and key for text that is not such a file.
-    /// Otherwise the errors of [`new`](Self::new).
+    /// [`DetectorError::Toml`], with line, column and key, for text that is not TOML with these
+    /// keys. Otherwise the errors of [`new`](Self::new).
     pub fn from_toml_str(text: &str) -> Result<Self, DetectorError> {
         Self::new(toml::from_str(text).map_err(|e| DetectorError::Toml(Box::new(e)))?)
     }
@@ -332,14 +333,15 @@ impl Detector {
         self.params.dark_e_per_s * self.params.exposure_s.unwrap_or(0.0)
     }
 
-    /// Returns whether every step is off, so that the counts equal the image.
+    /// Returns whether every step is off, so that the counts equal the image. (Negative pixels
+    /// nevertheless become 0.)
     pub fn is_perfect(&self) -> bool {
-        let on = DetectorParams {
+        let perfect = DetectorParams {
             name: self.params.name.clone(),
             exposure_s: self.params.exposure_s,
             pattern_seed: self.params.pattern_seed,
             ..DetectorParams::default()
         };
-        self.params == on
+        self.params == perfect
     }
 }

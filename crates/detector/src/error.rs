@@ -47,12 +47,12 @@ pub enum DetectorError {
     /// A setting that has no meaning without another one.
     #[error("{} needs {}: set {other}", quantity_and_key(key), quantity(other))]
     Needs {
-        /// The key.
+        /// The key, or the input, that needs the other key.
         key: &'static str,
         /// The key that is missing.
         other: &'static str,
     },
-    /// The sky is negative in a corner of the frame.
+    /// The sky is negative or not finite in a corner of the frame.
     #[error(
         "the sky is {lowest_e} electrons at pixel {index:?} ([y, x]): raise sky_e or lower sky_gradient_e_per_px"
     )]
@@ -85,7 +85,7 @@ pub enum DetectorError {
         precision: &'static str,
     },
     /// Rows that are not in the frame, or an image that does not have all rows of the frame.
-    #[error("rows {} to {} (not included, 0-based) do not fit a frame of {frame} pixels", rows.start, rows.end)]
+    #[error("rows {} to {} (0-based, the end not included) do not fit a frame of {frame} pixels", rows.start, rows.end)]
     Rows {
         /// The rows that were given.
         rows: Range<usize>,
@@ -93,7 +93,7 @@ pub enum DetectorError {
         frame: FrameShape,
     },
     /// Rows that are not as wide as the frame.
-    #[error("rows must be as wide as the frame, {expected} pixels, got {got}")]
+    #[error("rows must be as wide as the frame: expected {expected} pixels, got {got}")]
     RowWidth {
         /// Columns of the frame.
         expected: usize,
@@ -101,7 +101,7 @@ pub enum DetectorError {
         got: usize,
     },
     /// A mask whose shape differs from that of the frame.
-    #[error("the bad-pixel mask has {mask} pixels, the image {frame}: the mask must have the image's shape")]
+    #[error("the bad-pixel mask has {mask} pixels, the image {frame}: the shapes must be equal")]
     MaskShape {
         /// Shape of the mask.
         mask: FrameShape,
@@ -145,7 +145,7 @@ fn quantity_and_key(key: &str) -> String {
     }
 }
 
-/// Returns `value` if it is finite and `holds` for it, else an error that names `key`.
+/// Returns `value` if it is finite and `holds` returns true for it, else an error that names `key`.
 pub(crate) fn require(
     key: &'static str,
     allowed: &'static str,

@@ -1,4 +1,4 @@
-//! Exposures: the whole chain, row by row, and its result.
+//! Exposures: applies all steps of the chain to an image, row by row.
 
 use ndarray::{Array2, ArrayView1, ArrayView2};
 use psf_types::{FrameShape, Image, Real};
@@ -7,12 +7,12 @@ use serde::Serialize;
 
 use crate::bad_pixels::{BadPixelMask, PixelFlags, bad_columns, mark_bad_pixels};
 use crate::levels::{FrameSky, clip, convert};
-use crate::noise::{add_read_noise, apply_response, catch_photons};
+use crate::noise::{add_photon_noise, add_read_noise, apply_response};
 use crate::{Detector, DetectorError, DetectorParams};
 
 impl Detector {
-    /// Prepares the exposure of a frame with a seed, for images that are exposed in bands of rows
-    /// and for masks of bad pixels.
+    /// Prepares exposures of a frame with a seed. Use it to expose an image in bands of rows, or
+    /// with a mask of bad pixels.
     ///
     /// # Errors
     /// [`DetectorError::NegativeSky`] for a sky that is below 0 somewhere in this frame.
@@ -23,14 +23,14 @@ impl Detector {
     /// Exposes an image. A seed always gives the same counts, for any number of threads.
     ///
     /// # Errors
-    /// [`DetectorError::NegativeSky`], [`DetectorError::NonFinite`] for charges beyond double
-    /// precision, and [`DetectorError::TooLarge`] for counts that `T` cannot hold.
+    /// [`DetectorError::NegativeSky`], [`DetectorError::NonFinite`] for charges beyond the range of
+    /// double precision, and [`DetectorError::TooLarge`] for counts that `T` cannot hold.
     pub fn expose<T: Real>(&self, light: &Image<T>, seed: u64) -> Result<Exposure<T>, DetectorError> {
         self.exposer(light.shape(), seed)?.expose(light)
     }
 
-    /// The noise-free image in the unit of the counts. It contains light, sky and dark charge. The
-    /// detector has no noise, limits or bad pixels, and all pixels have equal response.
+    /// The noise-free image in the unit of the counts. It contains light, sky and dark charge, but
+    /// leaves out noise, limits, bad pixels and the differences of the pixels' response.
     ///
     /// `(c F + sky + D t) / g + b` with the letters of the [crate's page](crate#the-chain).
     /// Negative pixels stay negative.
@@ -45,14 +45,14 @@ impl Detector {
 
 /// Only the step of photon noise: `N ~ Poisson(S)` in every pixel, `P(N = k) = S^k exp(-S) / k!`.
 ///
-/// The mean `S` is the image's flux, in photons or electrons in the exposure. The method is exact
-/// at every mean that an image can have, in double precision. Below a mean of 12 it is Knuth's
-/// product of uniform numbers. Above, it is the rejection method PD of Ahrens and Dieter (1982, ACM
-/// Trans. Math. Softw. 8, 163). Beyond 1.8e19 one count is less than the spacing of doubles and the
-/// skewness is below 3e-10. There it is a normal deviate of variance `S`, rounded.
+/// The mean `S` is the image's flux, in photons or electrons in the exposure. Below a mean of 12
+/// the method is Knuth's product of uniform numbers. From 12 to 1.8e19 it is the rejection method
+/// PD of Ahrens and Dieter (1982, ACM Trans. Math. Softw. 8, 163). Both methods are exact. Above
+/// 1.8e19 it is a rounded normal deviate of variance `S`: there the spacing of doubles exceeds one
+/// count, and the skewness is below 3e-10.
 ///
-/// The counts equal those of a [`Detector`] with this seed that has only `photon_noise`. Means
-/// below 0 give 0 and are counted in the report.
+/// A [`Detector`] whose only setting is `photon_noise` draws equal counts from an equal seed. A
+/// mean below 0 gives 0. The report counts such pixels.
 ///
 /// ```
 /// use psf_detector::PhotonNoise;
@@ -73,7 +73,7 @@ impl PhotonNoise {
         Self { seed }
     }
 
-    /// Draws the counts of an image of expected counts.
+    /// Draws a count for every pixel of an image of expected counts.
     ///
     /// # Errors
     /// [`DetectorError::TooLarge`] for counts that `T` cannot hold.
@@ -81,8 +81,8 @@ impl PhotonNoise {
         Self::detector().expose(expected, self.seed)
     }
 
-    /// Draws the counts of rows `[y, x]` of an image with `rows_in_all` rows. The first of them is
-    /// row `first_row`.
+    /// Draws the counts for some rows `[y, x]` of an image that has `rows_in_all` rows. The first
+    /// of the given rows is row `first_row` of the image.
     ///
     /// # Errors
     /// [`DetectorError::NonFinite`] for NaN and infinities, [`DetectorError::Rows`], and the errors
@@ -104,14 +104,14 @@ impl PhotonNoise {
             photon_noise: true,
             ..DetectorParams::default()
         })
-        .expect("a valid detector")
+        .expect("these parameters are valid")
     }
 }
 
 /// A detector prepared for a frame and a seed.
 ///
-/// Rows may be exposed in any order and in bands of any height. Together, the bands have the counts
-/// of the whole image.
+/// Rows may be exposed in any order and in bands of any height. Each band has the counts that these
+/// rows have when the whole image is exposed.
 ///
 /// ```
 /// use psf_detector::{Detector, DetectorParams};
@@ -133,9 +133,11 @@ pub struct Exposer<'a> {
     frame: FrameShape,
     seed: u64,
     sky: FrameSky,
-    /// Expected dark charges of good and of hot pixels in electrons.
+    /// Expected dark charge of every pixel in electrons.
     dark_e: f64,
+    /// Additional dark charge of a hot pixel in electrons.
     hot_dark_e: f64,
+    /// The flag of each column: 0 or [`PixelFlags::BAD_COLUMN`].
     columns: Vec<u8>,
     mask: Option<&'a BadPixelMask>,
 }
@@ -167,7 +169,7 @@ impl<'a> Exposer<'a> {
         })
     }
 
-    /// Adds bad pixels to those that the detector draws.
+    /// Adds the bad pixels of a mask to the bad pixels that the detector draws at random.
     ///
     /// # Errors
     /// [`DetectorError::MaskShape`], and [`DetectorError::Needs`] for hot pixels without
@@ -211,11 +213,11 @@ impl<'a> Exposer<'a> {
         })
     }
 
-    /// Exposes rows `[y, x]` in parallel. The first of them is row `first_row` of the frame.
+    /// Exposes rows `[y, x]` in parallel. The first of these rows is row `first_row` of the frame.
     ///
     /// # Errors
     /// The errors of [`Detector::expose`]. [`DetectorError::NonFinite`] also for NaN and infinities
-    /// among the rows. [`DetectorError::Rows`] and [`DetectorError::RowWidth`] for rows that do not
+    /// in the rows. [`DetectorError::Rows`] and [`DetectorError::RowWidth`] for rows that do not
     /// fit the frame. If several pixels are invalid, the error names the first.
     pub fn expose_rows<T: Real>(
         &self,
@@ -295,7 +297,7 @@ impl<'a> Exposer<'a> {
             *value = value.max(0.0);
         }
         if params.photon_noise {
-            catch_photons(self.seed, row, &mut values);
+            add_photon_noise(self.seed, row, &mut values);
         }
         if let Some(full_well_e) = params.full_well_e {
             clip(full_well_e, &mut values, flags);
@@ -371,13 +373,13 @@ impl<'a> Exposer<'a> {
     }
 }
 
-/// The rows of a newly made array.
+/// The rows of a newly made array, for parallel iteration.
 fn as_rows<T: Send>(array: &mut Array2<T>, nx: usize) -> rayon::slice::ChunksMut<'_, T> {
     let values = array.as_slice_mut().expect("a new array is contiguous");
     values.par_chunks_mut(nx)
 }
 
-/// Stores values in the type of the image.
+/// Converts values to the type of the image and stores them.
 fn store<T: Real>(row: usize, values: &[f64], out: &mut [T]) -> Result<(), DetectorError> {
     for (x, (value, out)) in values.iter().zip(out).enumerate() {
         *out = T::nearest(*value);
@@ -434,18 +436,18 @@ pub struct ExposureReport {
     pub saturated_pixels: usize,
     /// Pixels that the converter set to 0 because their count was negative.
     pub below_zero_pixels: usize,
-    /// Pixels whose expected charge was negative. They are treated as dark.
+    /// Pixels whose expected charge was negative. They get no charge.
     pub negative_pixels: usize,
     /// The lowest charge expected in any pixel, in electrons. It may be negative. It is 0 if there
     /// are no pixels.
     pub lowest_expected_e: f64,
-    /// Pixels with any flag of [`PixelFlags::BAD`].
+    /// Pixels with any flag of [`PixelFlags::BAD`]. A pixel with several flags is counted once.
     pub bad_pixels: usize,
-    /// Dead pixels among them.
+    /// Dead pixels.
     pub dead_pixels: usize,
-    /// Hot pixels among them.
+    /// Hot pixels.
     pub hot_pixels: usize,
-    /// Pixels of bad columns among them.
+    /// Pixels of bad columns.
     pub bad_column_pixels: usize,
     /// Mean sky over the frame in electrons per pixel.
     pub mean_sky_e: f64,
@@ -482,7 +484,7 @@ impl ExposureReport {
         self.negative_pixels += usize::from(electrons < 0.0);
     }
 
-    /// Counts the flags of pixels whose charge is already counted.
+    /// Counts the flags of pixels that `count_expected` has already counted.
     pub(crate) fn count_flags(&mut self, flags: &[u8]) {
         let with = |bits: u8| flags.iter().filter(|&flag| flag & bits != 0).count();
         self.saturated_pixels += with(PixelFlags::SATURATED);

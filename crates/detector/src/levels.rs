@@ -5,7 +5,7 @@ use psf_types::FrameShape;
 use crate::bad_pixels::PixelFlags;
 use crate::{DetectorError, DetectorParams, SkyGradient};
 
-/// The sky over a frame, which is nowhere negative. It is constant or has a constant gradient,
+/// The sky over a frame. It is nowhere negative, and is constant or has a constant gradient:
 /// `level + gx (x - (nx - 1) / 2) + gy (y - (ny - 1) / 2)` electrons.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct FrameSky {
@@ -52,7 +52,7 @@ pub(crate) fn clip(full_well_e: f64, electrons: &mut [f64], flags: &mut [u8]) {
 }
 
 /// Rounds a row to the nearest whole numbers from 0 to `highest`. Halves are rounded to the even
-/// number. Flags pixels at the upper end and returns how many pixels were set to 0.
+/// number. Flags pixels at the upper end, and returns how many negative counts were set to 0.
 pub(crate) fn convert(highest: f64, counts: &mut [f64], flags: &mut [u8]) -> usize {
     let mut below = 0;
     for (value, flag) in counts.iter_mut().zip(flags) {
@@ -81,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn the_level_is_that_of_the_middle() {
+    fn sky_e_is_the_sky_at_the_middle_of_the_frame() {
         let sky = sky(100.0, 2.0, -0.5).unwrap();
         assert_eq!(sky.at(5, 10), 100.0);
         assert_eq!(sky.at(6, 10), 102.0);
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ends_and_the_halves() {
+    fn counts_are_clipped_at_both_ends_and_halves_round_to_even() {
         let mut counts = [-7.0, -0.6, -0.5, 0.5, 1.5, 2.4999, 254.4, 254.6, 255.0, 1e30];
         let mut flags = [0; 10];
         assert_eq!(convert(255.0, &mut counts, &mut flags), 2);

@@ -1,8 +1,7 @@
-//! Photon and detector noise on a finished image: conversion of the light from a telescope to
-//! counts.
+//! Photon and detector noise on a finished image: converts the flux from a telescope to counts.
 //!
 //! [`Detector`] is the whole chain, described by [`DetectorParams`] in code or in a TOML file.
-//! [`PhotonNoise`] is only its step of photon noise. Every step is off unless it is requested.
+//! [`PhotonNoise`] is only the step of photon noise. Every step is off unless it is requested.
 //!
 //! # The chain
 //!
@@ -24,27 +23,27 @@
 //! blooming, nonlinearity and charge transfer.
 //!
 //! # Units
-//! Charge is in electrons. Each detected photon gives one electron. **Flux of the image times
-//! `electrons_per_flux` is electrons in the exposure.** The default of 1 means an image in
-//! electrons. For an image in photons per second, set it to quantum efficiency times exposure time.
-//! `exposure_s` scales only the dark current. The result is in ADU if gain, bias or bits are given,
-//! else in electrons ([`CountUnit`]).
+//! Charge is in electrons. Each detected photon gives one electron. **The flux of the image times
+//! `electrons_per_flux` is the number of electrons in the exposure.** The default of 1 is right for
+//! an image in electrons. For an image in photons per second, set `electrons_per_flux` to the
+//! quantum efficiency times the exposure time. `exposure_s` scales only the dark current. The
+//! result is in ADU if gain, bias or bits are given, else in electrons ([`CountUnit`]).
 //!
 //! # Random numbers
 //! The generator is ChaCha8, keyed by the seed (`seed_from_u64`). Each row of the image has its own
 //! stream in each step, numbered `step * 2^56 + row`. The steps are photons 1, read noise 2,
-//! response 3, bad pixels 4, bad columns 5. The pixels of a row draw one after the other. The
-//! result therefore depends only on the image and the seed, not on threads or bands of rows, and
-//! read noise does not change the photons.
+//! response 3, bad pixels 4, bad columns 5. Numbers are drawn for the pixels of a row one after the
+//! other. The result therefore depends only on the image and the seeds, not on threads or bands of
+//! rows. Adding read noise does not change the numbers of photons.
 //!
-//! The properties of the sensor, response and bad pixels, have their own seed, `pattern_seed`.
-//! Exposures with different seeds share them. Between types of machines the last bit of `exp` or
-//! `ln` may differ, and with it, very rarely, a draw.
+//! The properties of the sensor (response and bad pixels) have their own seed, `pattern_seed`, so
+//! exposures with different seeds share one sensor. The last bit of `exp` or `ln` may differ
+//! between types of machines. Very rarely, this changes a drawn number.
 //!
 //! # Bad values
-//! A pixel with a negative expected charge (from rounding of a convolution, or PSFs with negative
-//! lobes) gets no charge. The [`ExposureReport`] counts such pixels. NaN and infinities are
-//! refused.
+//! A pixel with a negative expected charge (from rounding errors of a convolution, or from a PSF
+//! with negative lobes) gets no charge. The [`ExposureReport`] counts such pixels. NaN and
+//! infinities are refused.
 //!
 //! ```
 //! use psf_detector::{Detector, DetectorParams};
@@ -57,10 +56,10 @@
 //!     bits: Some(16),
 //!     ..DetectorParams::default()
 //! })?;
-//! let dark_sky = Image::<f32>::zeros(FrameShape::new(200, 100)?);
-//! let raw = ccd.expose(&dark_sky, 42)?;
+//! let light = Image::<f32>::zeros(FrameShape::new(200, 100)?);
+//! let raw = ccd.expose(&light, 42)?;
 //! let mean = raw.counts().pixels().mean().unwrap();
-//! assert!((mean - 50.0).abs() < 0.5); // 100 electrons at 2 electrons per ADU
+//! assert!((mean - 50.0).abs() < 0.5); // 100 electrons of sky at 2 electrons per ADU
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 

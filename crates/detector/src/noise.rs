@@ -4,8 +4,8 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Poisson, StandardNormal};
 
-/// A step of the chain that draws random numbers. The numbers affect the results, so they must not
-/// change.
+/// A step of the chain that draws random numbers. The value of a variant selects the random stream
+/// and must not change, because results would change.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Step {
     Photons = 1,
@@ -15,19 +15,19 @@ pub(crate) enum Step {
     BadColumns = 5,
 }
 
-/// Row numbers are below 2 to this power, far beyond any frame.
+/// Row numbers must be below 2 to this power. No frame has so many rows.
 const ROW_BITS: u32 = 56;
 
-/// The stream of a row in a step. Streams of one seed never overlap.
+/// The random stream of a row in a step. The streams of a seed never overlap.
 pub(crate) fn noise_stream(seed: u64, step: Step, row: usize) -> ChaCha8Rng {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(((step as u64) << ROW_BITS) | row as u64);
     rng
 }
 
-/// Multiplies each pixel's charge from light by a normal deviate about 1, never below 0:
-/// pixel-response non-uniformity. It belongs to the sensor, and `pattern_seed` keeps it the same in
-/// every exposure.
+/// Multiplies the charge that light causes in each pixel by the pixel's response, a normal deviate
+/// of mean 1, set to 0 where it is negative. The response belongs to the sensor: it follows from
+/// `pattern_seed` and is equal in every exposure.
 pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons: &mut [f64]) {
     let mut rng = noise_stream(pattern_seed, Step::Response, row);
     for value in electrons {
@@ -36,8 +36,8 @@ pub(crate) fn apply_response(pattern_seed: u64, row: usize, rms: f64, electrons:
     }
 }
 
-/// Replaces the expected charges of a row, none below 0, by the charges that were detected.
-pub(crate) fn catch_photons(seed: u64, row: usize, electrons: &mut [f64]) {
+/// Replaces the expected charges of a row, none of them below 0, by Poisson deviates.
+pub(crate) fn add_photon_noise(seed: u64, row: usize, electrons: &mut [f64]) {
     let mut rng = noise_stream(seed, Step::Photons, row);
     for value in electrons {
         *value = poisson(*value, &mut rng);
@@ -52,11 +52,12 @@ fn poisson(mean: f64, rng: &mut impl Rng) -> f64 {
     if let Ok(distribution) = Poisson::new(mean) {
         return distribution.sample(rng);
     }
+    // The library refuses means above 1.8e19.
     let normal: f64 = StandardNormal.sample(rng);
     (mean + mean.sqrt() * normal).round()
 }
 
-/// Adds the normal noise of the amplifier, with equal sigma in all pixels, in electrons.
+/// Adds the amplifier's normal noise of `sigma_e` electrons, equal in all pixels.
 pub(crate) fn add_read_noise(seed: u64, row: usize, sigma_e: f64, electrons: &mut [f64]) {
     let mut rng = noise_stream(seed, Step::ReadNoise, row);
     for value in electrons {
@@ -91,13 +92,12 @@ mod tests {
     }
 
     #[test]
-    fn every_mean_has_a_deviate_near_it() {
+    fn deviates_lie_near_their_mean_at_every_mean() {
         let mut rng = noise_stream(3, Step::Photons, 0);
         for mean in [0.0, 1e-300, 1e-9] {
             assert_eq!(poisson(mean, &mut rng), 0.0);
         }
-        // Means on both sides of the limit of the library's method, and the largest mean that stays
-        // finite.
+        // Means on both sides of the largest mean of the library's method, and a very large one.
         for mean in [1e3, 1e9, 1.8e19, 1.9e19, 1e30, 1e300] {
             let off = (poisson(mean, &mut rng) - mean) / mean.sqrt();
             assert!(off.abs() < 6.0, "{mean}: {off} standard deviations");

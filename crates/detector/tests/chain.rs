@@ -134,7 +134,7 @@ fn charge_stops_at_the_full_well() {
 }
 
 #[test]
-fn converters_cut_at_their_ends() {
+fn converters_clip_at_both_ends() {
     let ccd = detector(|d| {
         d.bias_adu = Some(-3.0);
         d.bits = Some(4);
@@ -180,7 +180,7 @@ fn digitisation_adds_the_variance_of_rounding() {
 }
 
 #[test]
-fn less_than_no_light_is_dark_and_counted() {
+fn negative_light_gives_no_charge_and_is_counted() {
     let light = Image::new(array![[-1e-9, 4.0, -0.5], [0.0, 9.0, 2.0]]).unwrap();
     let ccd = detector(|d| d.photon_noise = true);
     let exposure = ccd.expose(&light, 1).unwrap();
@@ -198,7 +198,7 @@ fn less_than_no_light_is_dark_and_counted() {
 }
 
 #[test]
-fn what_is_no_number_is_refused() {
+fn values_that_are_not_finite_are_refused() {
     let ccd = detector(|d| d.electrons_per_flux = 1e10);
     let frame = FrameShape::new(3, 4).unwrap();
     let exposer = ccd.exposer(frame, 0).unwrap();
@@ -242,7 +242,7 @@ fn what_is_no_number_is_refused() {
 }
 
 #[test]
-fn bad_pixels_come_in_their_numbers() {
+fn bad_pixels_have_the_requested_fractions() {
     let ccd = detector(|d| {
         d.exposure_s = Some(10.0);
         d.bias_adu = Some(100.0);
@@ -282,7 +282,7 @@ fn bad_pixels_come_in_their_numbers() {
 }
 
 #[test]
-fn masks_join_what_the_detector_draws() {
+fn mask_pixels_are_added_to_drawn_bad_pixels() {
     let values = array![[1.0_f64, 2.0, 4.0], [0.0, 8.0, 3.0]];
     let mask = BadPixelMask::new(values.view()).unwrap();
     let light = Image::new(Array2::from_elem((2, 3), 5.0)).unwrap();
@@ -332,7 +332,7 @@ fn masks_join_what_the_detector_draws() {
 }
 
 #[test]
-fn pixels_differ_in_their_response_by_what_is_asked() {
+fn the_response_has_the_requested_spread() {
     let rms = 0.02;
     let ccd = detector(|d| d.response_rms = rms);
     let exposed = |seed| ccd.expose(&flat(1000.0), seed).unwrap();

@@ -25,7 +25,7 @@ const ALL: &str = r#"
 "#;
 
 #[test]
-fn every_key_is_read_and_nothing_is_needed() {
+fn every_key_is_read_and_none_is_required() {
     let params = Detector::from_toml_str(ALL).unwrap().params().clone();
     assert_eq!(params.sky_gradient_e_per_px.unwrap().x, 0.01);
     assert_eq!((params.bits, params.pattern_seed), (Some(16), 3));
@@ -78,7 +78,7 @@ fn values_out_of_range_are_named() {
 }
 
 #[test]
-fn settings_that_need_others_say_so() {
+fn errors_name_the_key_that_a_setting_needs() {
     for (text, key, other) in [
         ("dark_e_per_s = 1.0", "dark_e_per_s", "exposure_s"),
         (

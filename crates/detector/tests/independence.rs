@@ -46,7 +46,7 @@ fn the_same_seed_gives_the_same_bytes_for_any_number_of_threads() {
 }
 
 #[test]
-fn bands_of_any_height_are_those_of_the_whole() {
+fn bands_of_any_height_equal_the_whole_image() {
     let (ccd, light) = (everything(), flat(15.0));
     let whole = ccd.expose(&light, 3).unwrap();
     let exposer = ccd.exposer(light.shape(), 3).unwrap();
@@ -108,7 +108,7 @@ fn seeds_and_steps_are_not_correlated() {
 }
 
 #[test]
-fn read_noise_changes_no_photon() {
+fn read_noise_does_not_change_the_photons() {
     let photons = noise(21, true);
     let both = detector(|d| {
         d.photon_noise = true;

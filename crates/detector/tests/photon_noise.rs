@@ -76,7 +76,7 @@ fn chi_square(values: ArrayView2<'_, f64>, m: f64) -> f64 {
 const CHI_SIGMAS: f64 = 7.0;
 
 #[test]
-fn the_histogram_is_that_of_the_distribution() {
+fn the_histogram_follows_the_poisson_distribution() {
     for m in [0.01, 0.3, 1.0, 3.5, 8.0, 11.9, 12.1, 20.0, 75.0, 400.0, 5000.0] {
         let off = chi_square(counts(m, 77).view(), m);
         assert!(
@@ -131,7 +131,7 @@ fn single_precision_draws_the_same_photons() {
 }
 
 #[test]
-fn rows_in_bands_are_those_of_the_whole() {
+fn rows_in_bands_equal_the_whole_image() {
     let whole = counts(3.0, 8);
     let light = flat(3.0);
     let part = light.pixels();

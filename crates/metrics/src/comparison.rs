@@ -6,8 +6,8 @@ use serde::Serialize;
 
 use crate::MetricsError;
 
-/// The difference of a result `F` from its reference `T`, where both are arrays of equal shape with
-/// any number of dimensions.
+/// Measures of the difference between a result `F` and its reference `T`. Both are arrays of equal
+/// shape with any number of dimensions.
 ///
 /// | measure | formula |
 /// |---|---|
@@ -20,11 +20,12 @@ use crate::MetricsError;
 /// | [`snr_db`](Self::snr_db) | `10 log10(P_signal / P_noise)`, `P_signal = mean T^2`, `P_noise = mean (F - T)^2` |
 ///
 /// Sums are taken in f64 with compensation, in row-major order, so they do not depend on the memory
-/// layout. Either array may be `f32` or `f64`. Measures that are defined for every pair are plain
-/// numbers. The others return an error with the reason if they are not defined.
+/// layout. Either array may be `f32` or `f64`. [`mae`](Self::mae), [`mse`](Self::mse) and
+/// [`max_abs`](Self::max_abs) are defined for every pair of arrays. Another measure returns an
+/// error with the reason if it is not defined.
 ///
-/// A serialised comparison is a record of these measures, with `null` for those that are not
-/// defined.
+/// A serialised comparison holds all measures and the index of the largest error. A measure that is
+/// not defined is `null`.
 ///
 /// ```
 /// use psf_metrics::Comparison;
@@ -65,8 +66,8 @@ impl Comparison {
     ///
     /// # Errors
     /// [`MetricsError::ShapeMismatch`], [`MetricsError::Empty`], [`MetricsError::NonFinite`] for
-    /// NaN or infinity in either array, [`MetricsError::Overflow`] when the squares exceed double
-    /// precision.
+    /// NaN or infinity in either array, [`MetricsError::Overflow`] when a square exceeds the range
+    /// of double precision.
     pub fn of<F: Real, T: Real, D: Dimension>(
         result: ArrayView<'_, F, D>,
         reference: ArrayView<'_, T, D>,
@@ -128,8 +129,8 @@ impl Comparison {
         }
     }
 
-    /// Compares two cubes plane by plane along their first axis. [`Summary`] gives statistics of
-    /// the result.
+    /// Compares two cubes plane by plane along their first axis. [`Summary`] computes statistics of
+    /// a measure over the planes.
     ///
     /// # Errors
     /// The errors of [`of`](Self::of). An error in a single plane is returned as
@@ -174,8 +175,8 @@ impl Comparison {
         self.max_abs
     }
 
-    /// Index of the largest error, in the arrays' order of axes. If several are equal, it is the
-    /// first one, and if there is no error, all zeros.
+    /// Index of the largest error, in the arrays' order of axes. If several errors are equally
+    /// large, this is the index of the first. If the arrays are equal, it is all zeros.
     pub fn max_abs_index(&self) -> &[usize] {
         &self.max_abs_index
     }
@@ -196,7 +197,8 @@ impl Comparison {
     ///
     /// # Errors
     /// [`MetricsError::ZeroReference`]. [`MetricsError::NonPositivePeak`] when no reference value
-    /// is positive.
+    /// is positive. [`MetricsError::Overflow`] when the quotient exceeds the range of double
+    /// precision.
     pub fn max_over_peak(&self) -> Result<f64, MetricsError> {
         if self.reference_is_zero {
             Err(MetricsError::ZeroReference)
@@ -213,7 +215,8 @@ impl Comparison {
     ///
     /// # Errors
     /// [`MetricsError::ZeroReference`]. [`MetricsError::NonPositiveMean`] when the reference's mean
-    /// is not positive.
+    /// is not positive. [`MetricsError::Overflow`] when the quotient exceeds the range of double
+    /// precision.
     pub fn mae_over_mean(&self) -> Result<f64, MetricsError> {
         if self.reference_is_zero {
             Err(MetricsError::ZeroReference)
@@ -326,8 +329,8 @@ impl Summary {
     /// Summarises `values`. Their order does not matter.
     ///
     /// # Errors
-    /// [`MetricsError::Empty`] or [`MetricsError::NonFinite`]. [`MetricsError::Overflow`] when the
-    /// squares exceed double precision.
+    /// [`MetricsError::Empty`] or [`MetricsError::NonFinite`]. [`MetricsError::Overflow`] when a
+    /// square exceeds the range of double precision.
     pub fn of(values: impl IntoIterator<Item = f64>) -> Result<Self, MetricsError> {
         let mut sorted: Vec<f64> = values.into_iter().collect();
         if sorted.is_empty() {
@@ -385,9 +388,9 @@ impl Summary {
         self.rms
     }
 
-    /// The value below which the fraction `q` of the values lies. It is linear between the sorted
-    /// values, with the first at `q = 0` and the last at `q = 1` (definition 7 of Hyndman & Fan
-    /// 1996).
+    /// The value below which the fraction `q` of the values lies: the smallest value at `q = 0`,
+    /// the largest at `q = 1`. The quantile is interpolated linearly between the sorted values
+    /// (definition 7 of Hyndman & Fan 1996).
     ///
     /// # Errors
     /// [`MetricsError::Quantile`] when `q` is not between 0 and 1.
@@ -423,9 +426,9 @@ impl From<Summary> for SummaryRecord {
 
 /// A running sum whose rounding error does not grow with the number of terms.
 ///
-/// Neumaier's (1974) compensated summation with Knuth's branch-free two-sum. The relative error of
-/// the result is about that of one rounding, plus the square of the machine precision times the
-/// condition number of the sum.
+/// Uses Neumaier's (1974) compensated summation with Knuth's branch-free two-sum. The relative
+/// error of the result is about one rounding error, plus the square of the machine precision times
+/// the condition number of the sum.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct CompensatedSum {
     sum: f64,
@@ -487,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn ten_million_tenths_are_a_million_to_one_rounding() {
+    fn ten_million_tenths_add_up_to_exactly_one_million() {
         let mut sum = CompensatedSum::default();
         let mut plain = 0.0;
         for _ in 0..10_000_000 {

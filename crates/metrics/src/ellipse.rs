@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::MetricsError;
 
-/// Ellipses with a smaller axis ratio are treated as lines, because rounding would determine their
+/// An ellipse with a smaller axis ratio is refused, because rounding errors would determine its
 /// minor axis.
 const SMALLEST_AXIS_RATIO: f64 = 1e-7;
 
@@ -129,8 +129,8 @@ impl Covariance {
     }
 }
 
-/// The common code of both kinds of ellipticity: the checked constructor, the components, and the
-/// record for deserialisation.
+/// The code that [`Distortion`] and [`ReducedShear`] share: the checked constructor, the components
+/// and the record for deserialisation.
 macro_rules! ellipticity {
     ($kind:ident, $record:ident, $first:ident, $second:ident, $what:literal, $length:literal) => {
         read_through_new!($record => $kind, MetricsError { $first: f64, $second: f64 });
@@ -139,7 +139,7 @@ macro_rules! ellipticity {
             #[doc = concat!($what, " from its components.")]
             ///
             /// # Errors
-            /// [`MetricsError::Ellipticity`] when its length is not below 1.
+            /// [`MetricsError::Ellipticity`] when the length is not below 1.
             pub fn new($first: f64, $second: f64) -> Result<Self, MetricsError> {
                 if $first.hypot($second) < 1.0 {
                     Ok(Self { $first, $second })
@@ -151,8 +151,8 @@ macro_rules! ellipticity {
                 }
             }
 
-            /// Makes an ellipticity from components computed from another form of the ellipse. If
-            /// rounding put them on the unit circle or beyond, they are pulled back inside it.
+            /// Makes an ellipticity from components that were converted from another form of the
+            /// ellipse. Shortens them if rounding made the length 1 or more.
             fn rounded(mut $first: f64, mut $second: f64) -> Self {
                 while $first.hypot($second) >= 1.0 {
                     $first *= 1.0 - f64::EPSILON;
@@ -186,7 +186,7 @@ macro_rules! ellipticity {
 /// ```
 ///
 /// In second moments `e1 = (Mxx - Myy) / (Mxx + Myy)` and `e2 = 2 Mxy / (Mxx + Myy)` (Bernstein &
-/// Jarvis 2002, AJ 123, 583). Its length is below 1. `phi` runs from +x towards +y.
+/// Jarvis 2002, AJ 123, 583). `|e|` is below 1. `phi` runs from +x towards +y.
 ///
 /// ```
 /// use psf_metrics::Distortion;
@@ -226,7 +226,7 @@ impl Distortion {
 /// |g| = (a - b) / (a + b)      g1 = |g| cos 2 phi      g2 = |g| sin 2 phi
 /// ```
 ///
-/// Its length is below 1. `phi` runs from +x towards +y.
+/// `|g|` is below 1. `phi` runs from +x towards +y.
 ///
 /// ```
 /// use psf_metrics::ReducedShear;

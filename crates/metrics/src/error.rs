@@ -40,15 +40,15 @@ pub enum MetricsError {
         /// The value there.
         value: f64,
     },
-    /// No value rises above the background.
-    #[error("no peak: the largest value is {largest}, the best amplitude of a Gaussian is {amplitude}")]
+    /// No Gaussian with a positive amplitude fits the pixels.
+    #[error("no positive peak: the largest value is {largest}, the best Gaussian's amplitude {amplitude}")]
     NoPeak {
         /// Largest value in the window.
         largest: f64,
-        /// Amplitude of the best Gaussian, 0 or negative.
+        /// Amplitude of the best-fitting Gaussian, 0 or negative.
         amplitude: f64,
     },
-    /// The total or the weighted flux is not positive, so that the moments are not defined.
+    /// The total flux or the weighted flux is not positive, so that the moments are not defined.
     #[error("the flux is {flux}: moments need a positive flux")]
     NonPositiveFlux {
         /// The flux found.
@@ -56,17 +56,17 @@ pub enum MetricsError {
     },
     /// The iteration did not converge.
     #[error(
-        "no convergence after {iterations} iterations: the last one still changed the model by a fraction of {change:.1e}"
+        "no convergence after {iterations} iterations: a further step would still change the model by a fraction of {change:.1e}"
     )]
     NotConverged {
         /// Number of iterations.
         iterations: usize,
-        /// Relative change of the last iteration.
+        /// Relative change of the model by a step.
         change: f64,
     },
-    /// The centre moved out of the measured pixels.
+    /// The centre, at the start or during the iteration, lies outside the measured pixels.
     #[error(
-        "the centre moved to ({x}, {y}), outside the window of columns {column_first} to {column_last} and rows {row_first} to {row_last}"
+        "the centre ({x}, {y}) lies outside the window of columns {column_first} to {column_last} and rows {row_first} to {row_last}"
     )]
     CentreLeftWindow {
         /// Column coordinate of the centre.
@@ -106,18 +106,18 @@ pub enum MetricsError {
         /// Largest sigma accepted.
         largest_px: f64,
     },
-    /// The weight of adaptive moments shrank to a single pixel: the light is undersampled on this
-    /// grid.
+    /// The weight of adaptive moments is as narrow as a single pixel, because the stamp is
+    /// undersampled or the start is too narrow.
     #[error(
-        "the adaptive weight shrank to a single pixel (sigma {sigma_px:.3} pixels): the light is undersampled on this grid, \
-         measure an oversampled stamp"
+        "the adaptive weight is as narrow as a single pixel (sigma {sigma_px:.3} pixels): the stamp is undersampled, or the \
+         start is too narrow. Measure an oversampled stamp, or start with a wider weight"
     )]
     WeightCollapsed {
         /// Sigma of the weight along its minor axis when the iteration stopped.
         sigma_px: f64,
     },
     /// The pixels do not determine all parameters of the fit.
-    #[error("the pixels do not determine the {parameters} parameters of the fit")]
+    #[error("the pixels do not determine the {parameters} parameters of the fit: enlarge the window")]
     Undetermined {
         /// Number of parameters.
         parameters: usize,
@@ -161,8 +161,8 @@ pub enum MetricsError {
     /// Result and reference are equal, so that the signal-to-noise ratio has no bound.
     #[error("result and reference are identical: the signal-to-noise ratio is infinite")]
     Identical,
-    /// Values so large that the sum of their squares exceeds double precision.
-    #[error("the values reach {largest}: their squares exceed double precision")]
+    /// Values so large that a result, or the sum of their squares, exceeds double precision.
+    #[error("the values reach {largest}: results computed from them exceed the range of double precision")]
     Overflow {
         /// Largest absolute value.
         largest: f64,

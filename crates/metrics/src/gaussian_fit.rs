@@ -106,10 +106,11 @@ impl GaussianFit {
 ///
 /// over the amplitude `A`, the centre `r0`, the covariance `C` (round or elliptical) and, if
 /// requested, the constant background `B`. The model is the Gaussian *at pixel centres*, not its
-/// integral over the pixel. The FWHM is that of the given stamp, and contains the pixel response if
-/// the stamp does. The minimum is found by Levenberg-Marquardt (Marquardt 1963) with an analytic
-/// Jacobian. The parameters (logarithmic Cholesky factor of `C^-1`) have no bounds and no
-/// singularity at a round PSF. The fit starts at the best of a coarse grid of round Gaussians.
+/// integral over the pixel. The FWHM therefore includes the pixel response if the stamp includes
+/// it. The minimum is found by Levenberg-Marquardt (Marquardt 1963) with an analytic Jacobian. The
+/// parameters are the elements of a Cholesky factor of `C^-1`, with the logarithms of its diagonal.
+/// They need no bounds, and a round PSF is not a special case. The fit starts at the best of a
+/// coarse grid of round Gaussians.
 ///
 /// The stamp is `[y, x]`, `f32` or `f64`, in any units.
 ///
@@ -135,9 +136,9 @@ pub struct GaussianFitter {
 
 /// Fewest pixels along an axis: three are needed to separate a centre from a width.
 const SMALLEST_SIDE: usize = 3;
-/// Narrower Gaussians cover only one pixel: at sigma 0.2 the neighbours have 4e-6 of the peak.
+/// A narrower Gaussian covers only one pixel: at sigma 0.2 a neighbour has 4e-6 of the peak.
 const SMALLEST_SIGMA_PX: f64 = 0.2;
-/// Gaussians wider than this number of sides of the window are flat on it.
+/// The largest sigma divided by the window's longer side. A wider Gaussian is flat in the window.
 const LARGEST_SIGMA_SIDES: f64 = 2.0;
 
 impl GaussianFitter {
@@ -179,18 +180,18 @@ impl GaussianFitter {
     /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
     /// * [`MetricsError::NoPeak`]: no Gaussian with a positive amplitude fits.
     /// * [`MetricsError::NotConverged`]: the iteration did not converge. This happens if there is
-    ///   no best width: noise on an undersampled star between pixels can favour ever narrower and
-    ///   higher Gaussians. A round fit has less freedom.
+    ///   no best width: for an undersampled star centred between pixels, noise can favour ever
+    ///   narrower and higher Gaussians. A round fit converges more often.
     /// * [`MetricsError::CentreLeftWindow`]: the best centre lies outside the window.
-    /// * [`MetricsError::WidthOutOfRange`]: a sigma below 0.2 pixels or above twice the window's
-    ///   longer side. The stamp then is a single bright pixel, or flat.
+    /// * [`MetricsError::WidthOutOfRange`]: a sigma is below 0.2 pixels (a single bright pixel) or
+    ///   above twice the window's longer side (a flat stamp).
     /// * [`MetricsError::DegenerateCovariance`], [`MetricsError::Undetermined`]: the pixels do not
     ///   determine the ellipse.
-    /// * [`MetricsError::Overflow`]: values near the end of double precision.
+    /// * [`MetricsError::Overflow`]: a result exceeds the range of double precision.
     pub fn fit<T: Real>(&self, stamp: ArrayView2<'_, T>) -> Result<GaussianFit, MetricsError> {
         let mut cutout = self.window.cut(stamp, SMALLEST_SIDE)?;
         let largest = cutout.largest();
-        let units = Units::take_off(&mut cutout, self.background)?;
+        let units = Units::normalise(&mut cutout, self.background)?;
         match (self.profile, self.background) {
             (Profile::Round, false) => self.fit_parameters::<4>(&cutout, units, largest),
             (Profile::Round, true) => self.fit_parameters::<5>(&cutout, units, largest),
@@ -214,8 +215,8 @@ impl GaussianFitter {
         }) {
             Ok(minimum) => minimum,
             Err(unsettled) => {
-                // If the width grows without limit, report that, independent of the iteration at
-                // which it was stopped.
+                // A width out of range is the better report: it does not depend on the iteration
+                // at which the fit was stopped.
                 check_width(model.covariance(&unsettled.parameters)?, cutout)?;
                 return Err(MetricsError::NotConverged {
                     iterations: unsettled.iterations,
@@ -250,7 +251,7 @@ impl GaussianFitter {
             iterations: minimum.iterations,
             covariance,
         };
-        // The flux is the largest number of the fit. A background is of the order of the values.
+        // The other results cannot overflow if the values are finite.
         if fit.flux.is_finite() && fit.amplitude.is_finite() && fit.background.is_none_or(f64::is_finite) {
             Ok(fit)
         } else {
@@ -282,9 +283,9 @@ struct Units {
 }
 
 impl Units {
-    /// Scales the cutout's values in place. If a background is fitted, the median is subtracted
-    /// first, so that a high sky does not cost digits.
-    fn take_off(cutout: &mut Cutout, background: bool) -> Result<Self, MetricsError> {
+    /// Normalises the cutout's values in place and returns their units. If a background is fitted,
+    /// the median is subtracted first, so that a high sky does not reduce the precision.
+    fn normalise(cutout: &mut Cutout, background: bool) -> Result<Self, MetricsError> {
         let largest = cutout.largest();
         let offset = if background {
             let mut values: Vec<f64> = cutout.values.iter().copied().collect();

@@ -14,7 +14,7 @@ pub(crate) enum Profile {
     Elliptical,
 }
 
-/// A Gaussian at pixel centres, in parameters without bounds:
+/// A Gaussian at pixel centres. Its parameters need no bounds:
 ///
 /// ```text
 /// m(x, y) = A exp(-(u^2 + v^2) / 2) + B
@@ -22,8 +22,8 @@ pub(crate) enum Profile {
 /// ```
 ///
 /// Round: `A, x0, y0, s` with `u = e^s dx`, `v = e^s dy`. Elliptical: `A, x0, y0, a, b, c` with
-/// `u = e^a dx + b dy`, `v = e^c dy`. The background `B`, if fitted, comes last. Any values give a
-/// positive definite covariance, and a round ellipse is not a special case.
+/// `u = e^a dx + b dy`, `v = e^c dy`. The background `B`, if fitted, is the last parameter. Any
+/// values give a positive definite covariance, and a round ellipse is not a special case.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GaussianModel {
     profile: Profile,
@@ -116,8 +116,8 @@ impl GaussianModel {
         }
     }
 
-    /// The sum of squares over the pixels, with its gradient and normal matrix at the parameters
-    /// `p`.
+    /// Half the sum of squared residuals at the parameters `p`, with its gradient and its normal
+    /// matrix.
     pub(crate) fn linearise<const N: usize>(self, p: &SVector<f64, N>, cutout: &Cutout) -> Linearised<N> {
         let mut cost = 0.0;
         let mut gradient = [0.0; N];
@@ -144,11 +144,11 @@ const SIGMA_RATIO: f64 = 1.5;
 
 /// Returns the best round Gaussian of a coarse search, or `None` if none has a positive amplitude.
 ///
-/// The centres are the brightest pixel, and the brightest box mean for boxes of 3 pixels and of a
-/// quarter of the window. The boxes find wide PSFs under noise. The sigmas are a geometric series
-/// from 0.4 pixels to the window. For each pair of centre and sigma the amplitude and the
-/// background follow from linear least squares. The pair with the smallest sum of squares is
-/// returned.
+/// It tries three centres: the brightest pixel, and the centre of the brightest box, for boxes of
+/// 3 x 3 pixels and of a quarter of the window's shorter side. The boxes find a wide PSF in noise.
+/// The sigmas are a geometric series from 0.4 pixels to the window's longer side. For each pair of
+/// centre and sigma, linear least squares give the amplitude and the background. The pair with the
+/// smallest sum of squares is returned.
 pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> {
     let (rows, columns) = cutout.values.dim();
     let mut centres = Vec::new();
@@ -173,8 +173,9 @@ pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> 
     best.map(|(_, start)| start)
 }
 
-/// Fits amplitude and background of a given round Gaussian. Returns them with the sum of squares
-/// that it explains, or `None` if the amplitude is not positive.
+/// Fits the amplitude and the background of a round Gaussian with a given centre and sigma. Returns
+/// the Gaussian and the decrease of the sum of squares by it, or `None` if the amplitude is not
+/// positive.
 fn linear_fit(cutout: &Cutout, x: f64, y: f64, sigma: f64, background: bool) -> Option<(f64, Start)> {
     let (rows, columns) = cutout.values.dim();
     let profile = |n: usize, centre: f64| -> Vec<f64> {
@@ -212,8 +213,8 @@ fn linear_fit(cutout: &Cutout, x: f64, y: f64, sigma: f64, background: bool) -> 
     })
 }
 
-/// Row and column of the largest mean over the boxes of `2 half + 1` pixels that lie entirely on
-/// the array.
+/// Row and column of the centre of the brightest box. A box has sides of `2 half + 1` pixels and
+/// lies entirely on the array.
 fn brightest_box(values: &Array2<f64>, half: usize) -> (usize, usize) {
     let side = 2 * half + 1;
     let along_x = running_sums(values, side);

@@ -2,7 +2,8 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// The sum of squares at a point: `|r|^2 / 2`, its gradient `J^T r` and the normal matrix `J^T J`.
+/// The cost `|r|^2 / 2` at a point, its gradient `J^T r` and the normal matrix `J^T J`, with the
+/// residuals `r` and their Jacobian `J`.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Linearised<const N: usize> {
     pub(crate) cost: f64,
@@ -31,11 +32,11 @@ const MAX_ITERATIONS: usize = 300;
 /// A full Gauss-Newton step that changes the model by less than this fraction of the data's norm
 /// ends the iteration.
 const CONVERGED: f64 = 1e-11;
-/// The corresponding limit if rounding of the cost prevents further descent.
+/// The corresponding limit if rounding errors of the cost prevent a further decrease.
 const STALLED: f64 = 1e-7;
 const FIRST_DAMPING: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e14;
-/// Predicted descents below this fraction of the cost are smaller than its rounding error.
+/// A predicted decrease below this fraction of the cost is smaller than the cost's rounding error.
 const COST_ROUNDING: f64 = 1e-12;
 /// Smallest pivot of the scaled normal matrix. Below it, a direction of the parameters is not
 /// determined.
@@ -49,9 +50,9 @@ impl<const N: usize> Linearised<N> {
             .map(|v| if v > 0.0 { v.sqrt() } else { 1.0 })
     }
 
-    /// Solves for the step of `(S + damping I) y = -D^-1 J^T r`, `S = D^-1 J^T J D^-1`. Returns the
-    /// step in the parameters, the norm of the change of the linearised model, and the predicted
-    /// descent of the cost.
+    /// Solves `(S + damping I) y = -D^-1 J^T r` with `S = D^-1 J^T J D^-1`, where `D` holds the
+    /// column norms of `J`. Returns the step `D^-1 y` in the parameters, the norm of the change of
+    /// the linearised model, and the predicted decrease of the cost.
     fn step(&self, damping: f64) -> Option<(SVector<f64, N>, f64, f64)> {
         let scales = self.scales();
         let matrix = self.scaled_normal() + SMatrix::identity() * damping;
@@ -85,8 +86,8 @@ impl<const N: usize> Linearised<N> {
 /// Levenberg-Marquardt with the damping rule of Nielsen (1999, report IMM-REP-1999-05) and
 /// Marquardt's scaling.
 ///
-/// It has converged when the residuals are orthogonal to the tangent space of the model. This means
-/// that the change by an undamped step, `|P_J r|`, is below 1e-11 of `data_norm`.
+/// The iteration has converged when an undamped step would change the model by less than 1e-11 of
+/// `data_norm`. This change, `|P_J r|`, is the part of the residuals in the model's tangent space.
 pub(crate) fn minimise<const N: usize>(
     start: SVector<f64, N>,
     data_norm: f64,
@@ -175,7 +176,7 @@ mod tests {
         at
     }
 
-    /// The iteration stops at a relative change of 1e-11 of the data's norm.
+    /// The iteration stops when a step changes the model by less than 1e-11 of the data's norm.
     const SOLVED: f64 = 1e-9;
 
     #[test]
@@ -195,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sum_of_squares_without_a_minimum_does_not_settle() {
+    fn a_sum_of_squares_without_a_minimum_does_not_converge() {
         // r = 1 + exp(-p0) decreases without limit.
         let unsettled = minimise(SVector::from([0.0, 0.0]), 1.0, |p| {
             linearise([(1.0 + (-p[0]).exp(), [-(-p[0]).exp(), 0.0]), (p[1], [0.0, 1.0])])
@@ -208,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parameter_that_nothing_depends_on_is_undetermined() {
+    fn parameters_with_the_same_effect_are_undetermined() {
         let at = linearise([(1.0, [1.0, 2.0]), (0.5, [2.0, 4.0])]);
         assert!(!at.is_determined());
     }

@@ -15,7 +15,7 @@
 //! # Conventions
 //! * Stamps are `[y, x]`, `f32` or `f64`. All arithmetic is f64.
 //! * Centroids are 0-based stamp indices `(x, y)`, and an integer is the centre of a pixel. They
-//!   refer to the given array, also when a [`Window`] restricts the measurement to a part of it.
+//!   refer to the whole stamp, even when a [`Window`] restricts the measurement to a part of it.
 //! * Lengths are in pixels of the stamp. Divide them by the oversampling to get frame pixels.
 //! * `FWHM = 2 sqrt(2 ln 2) sigma` ([`FWHM_PER_SIGMA`]).
 //! * Angles run from +x towards +y.
@@ -35,9 +35,10 @@
 //! ```
 //!
 //! # Gaussian fit or adaptive moments?
-//! Both describe a PSF by one ellipse, and agree for a Gaussian. For a real PSF with wings they
-//! differ. The fit matches the core, where most of the squared light is. The moments match second
-//! moments under a weight of the PSF's own size.
+//! Both describe a PSF by one ellipse, and they agree for a Gaussian. For a real PSF with wings
+//! they differ. The fit matches the core, because bright pixels dominate the sum of squares.
+//! Adaptive moments are second moments under a Gaussian weight that has the PSF's own size and
+//! shape.
 
 mod comparison;
 mod ellipse;

@@ -35,8 +35,8 @@ impl Shape {
     }
 }
 
-/// The accessors of a [`Shape`] and its second moments, named by the letter in the equations of the
-/// type.
+/// Implements the accessors of a [`Shape`] and of the second moments. `$letter` is the name of the
+/// second moments in the equations of the type.
 macro_rules! shape_accessors {
     ($moments:ident, $letter:literal, $kind:literal) => {
         impl $moments {
@@ -118,9 +118,9 @@ impl AdaptiveMoments {
 /// flux = sum I      x0 = sum I x / flux      Q = sum I (x - x0)(x - x0)^T / flux
 /// ```
 ///
-/// They use the light unchanged. A background, noise and distant diffraction wings contribute with
-/// the square of their distance, so the result depends on the window. [`AdaptiveMomentFinder`] is
-/// the robust measure.
+/// All pixels have equal weight. A background, noise and distant diffraction wings contribute with
+/// the square of their distance, so the result depends on the window. [`AdaptiveMomentFinder`] does
+/// not have this weakness.
 ///
 /// ```
 /// use psf_metrics::{QuadrupoleMoments, Window};
@@ -151,9 +151,9 @@ impl QuadrupoleMoments {
     /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
     /// * [`MetricsError::NonPositiveFlux`]: the window's sum is not positive.
     /// * [`MetricsError::CentreLeftWindow`]: negative pixels move the centroid out of the window.
-    /// * [`MetricsError::DegenerateCovariance`]: all light is in one pixel or on one line, or there
+    /// * [`MetricsError::DegenerateCovariance`]: all flux is in one pixel or on one line, or there
     ///   are negative pixels far from the centre.
-    /// * [`MetricsError::Overflow`]: values near the end of double precision.
+    /// * [`MetricsError::Overflow`]: a sum exceeds the range of double precision.
     pub fn measure<T: Real>(stamp: ArrayView2<'_, T>, window: Window) -> Result<Self, MetricsError> {
         let cutout = window.cut(stamp, 2)?;
         let mut sums = [CompensatedSum::default(); 3];
@@ -214,15 +214,16 @@ impl QuadrupoleMoments {
 /// 343, 459. The step limits of the iteration follow Mandelbaum et al. 2005, MNRAS 361, 1287, whose
 /// code became GalSim's HSM module. For a Gaussian, `M` is its covariance.
 ///
-/// The weight is sampled at pixel centres, and `M` contains the pixel response if the stamp does.
-/// Sampling sets a limit. For a Gaussian of sigma 1 pixel the error of the size is below 0.2 %, at
-/// 0.85 below 3 %. Below about 0.75 (FWHM 1.8) the equations have no solution at some sub-pixel
-/// positions, and the weight shrinks to one pixel. Measure such a PSF on an oversampled stamp.
+/// The weight is sampled at pixel centres, and `M` includes the pixel response if the stamp
+/// includes it. Sampling limits the accuracy. For a Gaussian, the error of the size is below 0.2 %
+/// at a sigma of 1 pixel, and below 3 % at 0.85 pixels. Below a sigma of about 0.75 pixels (FWHM
+/// 1.8) the equations have no solution at some sub-pixel positions, and the weight shrinks to one
+/// pixel. Measure such a PSF on an oversampled stamp.
 ///
 /// The iteration starts at the window's centre pixel (index `n / 2`) with a round weight of sigma 5
 /// pixels, or of a sixth of the window if that is less. [`with_start`](Self::with_start) sets
-/// another start. It ends when a step changes `M` by less than 1e-11 of its smaller eigenvalue and
-/// the centroid by less than 1e-11 sigma.
+/// another start. The iteration ends when a step changes `M` by less than 1e-11 of its smaller
+/// eigenvalue and the centroid by less than 1e-11 sigma.
 ///
 /// The stamp is `[y, x]`, `f32` or `f64`, in any units. It must not contain a background.
 ///
@@ -254,7 +255,8 @@ struct Start {
 /// Fewest pixels along an axis.
 const SMALLEST_SIDE: usize = 5;
 const MAX_ITERATIONS: usize = 1000;
-/// Relative change of a step that ends the iteration. Rounding is a thousand times smaller.
+/// The iteration ends when a step's relative change is below this. Rounding errors are a thousand
+/// times smaller.
 const CONVERGED: f64 = 1e-11;
 /// Largest change of `M` in one step relative to its smaller eigenvalue, and of the centroid
 /// relative to sigma.
@@ -263,11 +265,12 @@ const START_SIGMA_PX: f64 = 5.0;
 const START_SIDES: f64 = 1.0 / 6.0;
 /// A narrower weight covers only one pixel.
 const SMALLEST_SIGMA_PX: f64 = 0.2;
-/// A flat stamp gives a sigma of 0.357 of its side. Values near it measure the window, not the
-/// light.
+/// The largest final sigma divided by the window's shorter side. A flat stamp gives 0.357 of its
+/// side: a sigma near this value measures the window, not the source.
 const LARGEST_SIDES: f64 = 1.0 / 3.0;
-/// If the weight is wider than both the start and the limit by this factor, it grows without limit.
-const WIDEST_ON_THE_WAY: f64 = 4.0;
+/// During the iteration, the weight may be this many times as wide as the start or the final limit,
+/// whichever is wider. A wider weight is an error.
+const MAX_WIDTH_RATIO: f64 = 4.0;
 
 impl Default for AdaptiveMomentFinder {
     fn default() -> Self {
@@ -308,14 +311,14 @@ impl AdaptiveMomentFinder {
     /// * [`MetricsError::TooFewPixels`]: fewer than 5 pixels along an axis.
     /// * [`MetricsError::NonFinite`]: NaN or infinity in the window.
     /// * [`MetricsError::DegenerateCovariance`]: a start whose sigma is not finite and positive.
-    /// * [`MetricsError::NonPositiveFlux`]: the light under the weight is not positive.
+    /// * [`MetricsError::NonPositiveFlux`]: the weighted flux is not positive.
     /// * [`MetricsError::CentreLeftWindow`]: the centroid or the start lies outside the window.
-    /// * [`MetricsError::WeightCollapsed`]: the light, or the start, is too narrow for the grid
-    ///   (see the type's documentation).
-    /// * [`MetricsError::WidthOutOfRange`]: a sigma above a third of the window's shorter side,
-    ///   where the window instead of the light determines the size.
+    /// * [`MetricsError::WeightCollapsed`]: the PSF or the start is too narrow for the grid (see
+    ///   the type's documentation).
+    /// * [`MetricsError::WidthOutOfRange`]: a sigma is above a third of the window's shorter side,
+    ///   so that the window and not the source would determine the size.
     /// * [`MetricsError::NotConverged`]: the iteration did not converge.
-    /// * [`MetricsError::Overflow`]: values near the end of double precision.
+    /// * [`MetricsError::Overflow`]: a sum exceeds the range of double precision.
     pub fn measure<T: Real>(&self, stamp: ArrayView2<'_, T>) -> Result<AdaptiveMoments, MetricsError> {
         let cutout = self.window.cut(stamp, SMALLEST_SIDE)?;
         let (rows, columns) = cutout.values.dim();
@@ -335,10 +338,10 @@ impl AdaptiveMomentFinder {
         let mut change = f64::INFINITY;
         for iteration in 0..MAX_ITERATIONS {
             cutout.check_centre(x, y)?;
-            // During the iteration the weight may be too wide, but not at its end.
-            Self::check_width(m, largest_px.max(sigma) * WIDEST_ON_THE_WAY)?;
+            // The weight may be too wide during the iteration, but not at its end.
+            Self::check_width(m, largest_px.max(sigma) * MAX_WIDTH_RATIO)?;
             let [flux, wx, wy, wxx, wxy, wyy] = weighted_moments(&cutout, x, y, m);
-            // The amplitude is twice the flux.
+            // The amplitude is twice the weighted flux.
             if [2.0 * flux, wx, wy, wxx, wxy, wyy].iter().any(|v| !v.is_finite()) {
                 return Err(MetricsError::Overflow {
                     largest: cutout.largest(),
@@ -356,8 +359,8 @@ impl AdaptiveMomentFinder {
                     covariance: m,
                 });
             }
-            // With a weight of its own shape, a Gaussian shows half its offset and half its
-            // covariance. The factors 2 and 4 make the step for a Gaussian exact to first order.
+            // Under a weight of its own shape, a Gaussian has half its true offset and half its
+            // true covariance. The factors 2 and 4 correct for this to first order.
             let sigma = m.sigma_minor_px();
             let variance = sigma * sigma;
             let limited = |step: f64| step.clamp(-LARGEST_STEP, LARGEST_STEP);
@@ -371,7 +374,7 @@ impl AdaptiveMomentFinder {
                 .fold(0.0, |most, step| most.max(step.abs()));
             x += dx * sigma;
             y += dy * sigma;
-            // The limits keep the smaller eigenvalue above half of its old value.
+            // The step limits keep the smaller eigenvalue at half of its old value or more.
             m = Covariance::new(
                 m.xx() + dxx * variance,
                 m.xy() + dxy * variance,
@@ -402,7 +405,7 @@ impl AdaptiveMomentFinder {
     }
 }
 
-/// Sums of `w I` times 1, dx, dy, dx dx, dx dy and dy dy.
+/// Sums over the pixels of `w I` times 1, dx, dy, dx dx, dx dy and dy dy.
 fn weighted_moments(cutout: &Cutout, x0: f64, y0: f64, m: Covariance) -> [f64; 6] {
     let determinant = m.determinant();
     let (ixx, ixy, iyy) = (m.yy() / determinant, -m.xy() / determinant, m.xx() / determinant);

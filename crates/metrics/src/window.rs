@@ -8,9 +8,9 @@ use crate::MetricsError;
 
 /// The pixels of a stamp that a measurement uses: all of them, or a square about a pixel.
 ///
-/// A window of `size` pixels about index `c` runs from `c - size / 2` over `size` pixels (integer
-/// division), as for the centre of a stamp. It must lie entirely on the stamp. Pixels outside the
-/// window are ignored.
+/// A window of `size` pixels about index `c` begins at index `c - size / 2` (integer division), so
+/// that `c` is its centre by the rule for stamps. A window must lie entirely on the stamp. Pixels
+/// outside the window are ignored.
 ///
 /// ```
 /// use psf_metrics::Window;
@@ -33,7 +33,7 @@ impl Window {
         Self::default()
     }
 
-    /// A window of `size` x `size` pixels about index `n / 2` of each axis.
+    /// A window of `size` x `size` pixels about index `n / 2` of each axis of `n` pixels.
     pub fn central(size: usize) -> Self {
         Self {
             size: Some(size),
@@ -79,8 +79,8 @@ impl Window {
         }
     }
 
-    /// The pixels of the window in double precision. All must be finite, with at least `need`
-    /// pixels along each axis.
+    /// Returns the pixels of the window in double precision. All must be finite, and the window
+    /// must have at least `need` pixels along each axis.
     pub(crate) fn cut<T: Real>(self, stamp: ArrayView2<'_, T>, need: usize) -> Result<Cutout, MetricsError> {
         let (ny, nx) = stamp.dim();
         let (columns, rows) = self.ranges(nx, ny)?;
@@ -107,7 +107,7 @@ impl Window {
     }
 }
 
-/// Pixels `[y, x]` cut from a stamp, row-major and finite, with their position on the stamp.
+/// Pixels `[y, x]` cut from a stamp, row-major and finite, and their place on the stamp.
 #[derive(Debug)]
 pub(crate) struct Cutout {
     pub(crate) values: Array2<f64>,
@@ -121,7 +121,7 @@ impl Cutout {
         (x + self.column_first as f64, y + self.row_first as f64)
     }
 
-    /// Returns an error unless a point of the cutout lies on one of its pixels.
+    /// Returns an error unless the point (`x`, `y`) lies on a pixel of the cutout.
     pub(crate) fn check_centre(&self, x: f64, y: f64) -> Result<(), MetricsError> {
         let (rows, columns) = self.values.dim();
         let on = |v: f64, n: usize| (-0.5..=n as f64 - 0.5).contains(&v);

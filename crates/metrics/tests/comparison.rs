@@ -33,7 +33,7 @@ fn ten_times_less_noise_is_twenty_decibels() {
 }
 
 #[test]
-fn a_perturbed_pixel_is_seen() {
+fn a_perturbed_pixel_changes_the_measures() {
     let t = Array2::from_shape_fn((40, 30), |(y, x)| 1.0 + (y * x) as f64);
     let mut f = t.clone();
     assert_eq!(Comparison::of(f.view(), t.view()).unwrap().max_abs(), 0.0);
@@ -46,7 +46,7 @@ fn a_perturbed_pixel_is_seen() {
 }
 
 #[test]
-fn what_does_not_exist_is_an_error() {
+fn measures_that_are_not_defined_are_errors() {
     let zero = array![0.0, 0.0];
     let some = array![1.0, -3.0];
     let c = Comparison::of(some.view(), zero.view()).unwrap();
@@ -146,8 +146,8 @@ fn the_memory_layout_does_not_matter() {
 
 #[test]
 fn many_small_errors_are_added_exactly() {
-    // A plain f32 sum would lose digits, as would a plain f64 sum to 1e-12. One value is nearly the
-    // whole sum.
+    // One value is nearly the whole sum. A plain sum would therefore lose digits of the others, in
+    // f32 and, at the level of 1e-12, in f64.
     let n = 1_000_000;
     let mut t = Array2::<f32>::from_elem((1000, 1000), 0.1);
     t[[0, 0]] = 1e12;

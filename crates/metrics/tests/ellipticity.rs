@@ -27,7 +27,7 @@ fn known_values() {
 }
 
 #[test]
-fn what_is_no_ellipticity_is_refused_also_through_serde() {
+fn invalid_ellipticities_are_refused_also_by_serde() {
     for (a, b) in [(1.0, 0.0), (0.8, -0.7), (f64::NAN, 0.0), (0.0, f64::INFINITY)] {
         assert!(matches!(
             Distortion::new(a, b),

@@ -24,7 +24,7 @@ fn every_fitter() -> [GaussianFitter; 4] {
         .map(|f| [f, f.with_background(true)])
         .concat()
         .try_into()
-        .expect("two times two")
+        .expect("two shapes, each with and without background")
 }
 
 /// Returns the errors of all measurements of one stamp and window.
@@ -131,7 +131,7 @@ fn a_flat_stamp_has_no_width() {
 }
 
 #[test]
-fn a_lone_pixel_has_no_width() {
+fn a_single_bright_pixel_has_no_width() {
     let mut stamp = Array2::zeros((32, 32));
     stamp[[15, 17]] = 1.0;
     for fitter in every_fitter() {
@@ -159,7 +159,7 @@ fn an_undersampled_star_has_a_fit_but_no_adaptive_moments() {
 }
 
 #[test]
-fn light_on_a_line_has_no_quadrupoles() {
+fn light_on_a_line_has_no_quadrupole_moments() {
     let stamp = Array2::<f64>::eye(9);
     let error = QuadrupoleMoments::measure(stamp.view(), Window::whole()).unwrap_err();
     assert!(
@@ -185,7 +185,7 @@ fn centres_off_the_window() {
             panic!("{error}");
         };
         assert_eq!((column_first, column_last), (19, 25));
-        // The fit nevertheless finds the Gaussian's centre from its wing.
+        // The wing in the window is enough for the fit to find the Gaussian's centre.
         assert!((x - 16.0).abs() < 1e-6 && (y - 16.0).abs() < 1e-6);
     }
     let finder = AdaptiveMomentFinder::new().with_window(window);
@@ -194,7 +194,7 @@ fn centres_off_the_window() {
         .measure(stamp.view())
         .unwrap_err();
     assert!(matches!(error, MetricsError::CentreLeftWindow { .. }), "{error}");
-    // Light at the edge next to negative light pulls the weight over the edge.
+    // Positive pixels at the edge next to negative pixels pull the weight over the edge.
     let edge = Array2::from_shape_fn((32, 32), |(y, x)| {
         let along = (-0.125 * (y as f64 - 16.0).powi(2)).exp();
         match x {
@@ -232,7 +232,7 @@ fn starts_without_a_width() {
 }
 
 #[test]
-fn negative_light_far_out_has_no_quadrupoles() {
+fn negative_pixels_far_out_give_no_quadrupole_moments() {
     let mut stamp = star(16.0, 16.0, 2.0);
     stamp[[16, 0]] = -1.0;
     stamp[[16, 31]] = -1.0;
@@ -244,7 +244,7 @@ fn negative_light_far_out_has_no_quadrupoles() {
 }
 
 #[test]
-fn values_at_the_end_of_double_precision() {
+fn values_near_the_largest_double_precision_number() {
     let stamp = star(16.0, 16.0, 2.0) * 1.7e308;
     assert!(matches!(
         AdaptiveMomentFinder::new().measure(stamp.view()),
@@ -267,7 +267,7 @@ fn values_at_the_end_of_double_precision() {
 }
 
 #[test]
-fn messages_carry_the_figures() {
+fn messages_contain_the_numbers() {
     let error = AdaptiveMomentFinder::new()
         .with_window(Window::about(15, 3, 16))
         .measure(star(16.0, 16.0, 2.0).view())

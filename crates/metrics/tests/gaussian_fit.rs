@@ -36,7 +36,7 @@ fn deviation(fit: &GaussianFit, truth: &Gaussian) -> f64 {
 }
 
 #[test]
-fn known_ellipses_come_back() {
+fn known_ellipses_are_recovered() {
     for fwhm in [1.3, 1.8, 3.0, 7.0, 16.0, 30.0] {
         for axis_ratio in [1.0, 0.999, 0.8, 0.4] {
             for angle in [0.0, 0.7, FRAC_PI_2, -1.2] {
@@ -60,7 +60,7 @@ fn known_ellipses_come_back() {
 }
 
 #[test]
-fn known_circles_come_back() {
+fn known_circles_are_recovered() {
     for fwhm in [1.3, 2.0, 9.0, 40.0] {
         for background in [0.0, -2.0] {
             let truth = Gaussian {
@@ -76,7 +76,7 @@ fn known_circles_come_back() {
 }
 
 #[test]
-fn a_perturbed_stamp_is_told_from_the_known_one() {
+fn a_perturbed_stamp_gives_a_different_fit() {
     let truth = Gaussian::ellipse(1.2, 0.8, 0.4);
     let mut stamp = truth.stamp(64, 64);
     stamp[[32, 33]] *= 1.0 + 1e-5;

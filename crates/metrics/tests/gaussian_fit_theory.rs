@@ -15,8 +15,8 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
     (-2.0 * (1.0 - u).ln()).sqrt() * (2.0 * PI * w).cos()
 }
 
-/// A fit to a profile that is not a Gaussian: the sum of squares is that of the model, and no
-/// neighbouring point has a smaller one.
+/// A fit to a profile that is not a Gaussian. The reported sum of squares is correct, and no
+/// neighbouring point has a smaller sum.
 #[test]
 fn the_result_is_a_minimum() {
     for moffat in MOFFATS {
@@ -200,8 +200,8 @@ fn noise_is_propagated_as_theory_says() {
     }
 }
 
-/// Faint, wide, off-centre, elongated and undersampled stamps: each result is within five standard
-/// deviations of the bound.
+/// Faint, wide, off-centre, elongated and undersampled stamps. The error of every centre is below
+/// five standard deviations, which follow from the Cramer-Rao bound.
 #[test]
 fn noisy_stamps_converge() {
     let mut rng = ChaCha8Rng::seed_from_u64(11);

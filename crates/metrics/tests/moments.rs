@@ -30,13 +30,13 @@ fn adaptive(stamp: &Array2<f64>) -> AdaptiveMoments {
 }
 
 #[test]
-fn a_known_shear_comes_back() {
+fn a_known_shear_is_recovered() {
     for sigma in [1.8, 3.0, 6.0] {
         for (g1, g2) in [(0.0, 0.0), (0.1, 0.0), (0.0, -0.2), (-0.15, 0.1)] {
             let truth = sheared(42.3, 45.6, sigma, g1, g2);
             let m = adaptive(&truth.stamp(90, 84));
-            // The product of weight and light is sampled at sigma / sqrt 2: aliasing at 1.8 pixels
-            // and g = 0.2 is about 1e-9.
+            // The product of weight and light is a Gaussian of sigma / sqrt 2. At sigma = 1.8
+            // pixels and g = 0.2 its aliasing is about 1e-9.
             let tolerance = if sigma < 2.0 { 1e-6 } else { EXACT };
             assert!((m.sigma_px() / sigma - 1.0).abs() < tolerance, "{truth:?}\n{m:?}");
             assert!(
@@ -53,7 +53,7 @@ fn a_known_shear_comes_back() {
 }
 
 #[test]
-fn a_wrong_shear_is_told_apart() {
+fn a_wrong_shear_is_detected() {
     let stamp = sheared(32.3, 31.6, 3.0, 0.1, 0.0).stamp(64, 64);
     let mut perturbed = stamp.clone();
     perturbed[[33, 35]] *= 1.0 + 1e-5;
@@ -92,7 +92,7 @@ fn the_pixel_widens_the_moments() {
 
 /// The defining equations, evaluated by a plain sum, hold for light that is not a Gaussian.
 #[test]
-fn the_weight_matches_the_light() {
+fn the_weight_solves_the_defining_equations() {
     for moffat in MOFFATS {
         let stamp = moffat.stamp(48, 48);
         let m = adaptive(&stamp);
@@ -241,8 +241,8 @@ fn serialised_with_named_units() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(128))]
 
-    /// A mirror changes the sign of g2, a transposition that of g1. A shift changes nothing, and a
-    /// unit changes only the amplitude.
+    /// A mirror changes the sign of g2, and a transposition the sign of g1. A shift changes only
+    /// the centroid, and another unit only the amplitude.
     #[test]
     fn symmetries_of_the_grid(
         x in 22.0..26.0f64, y in 22.0..26.0f64, minor in 2.5..6.0f64, ratio in 1.0..1.6f64, angle in -1.5..1.5f64,

@@ -1,5 +1,5 @@
-//! The singular value decomposition for fits and noise estimates, bases of any stamps, and the
-//! crate's errors.
+//! The singular value decomposition for fits and noise estimates, orthonormal bases made from any
+//! stamps, and the crate's errors.
 
 use faer::diag::Diag;
 use faer::dyn_stack::{MemBuffer, MemStack};
@@ -66,22 +66,22 @@ pub enum BasisError {
 const SPLIT: usize = 8;
 
 /// Work (the product of both dimensions and the smaller one) below which splitting costs more than
-/// it saves. If other work occupies the threads, it costs many times more.
-const WORTH_SPLITTING: usize = 1 << 22;
+/// it saves. If other work occupies the threads, splitting costs many times more.
+const MIN_WORK_TO_SPLIT: usize = 1 << 22;
 
 /// Singular values below this many units of rounding of the samples' Frobenius norm count as zero.
 pub(crate) const ROUNDING_UNITS: f64 = 16.0;
 
-/// Tolerance, by rounding, of the sum of the squared singular values from that of the samples'
-/// squares.
+/// Allowed relative difference between the sum of the squared singular values and the sum of the
+/// samples' squared pixels. Both are equal except for rounding.
 const SQUARES_AGREE: f64 = 1e-10;
 
 /// Returns the singular values in descending order, and the vectors `[pixel, k]` on the pixels'
 /// side, of samples `[sample, pixel]`.
 ///
 /// For some matrices with repeated rows, faer loses singular values without an error. The sum of
-/// squares shows it. Then the decomposition is repeated with a QR decomposition first, and then
-/// also without divide and conquer.
+/// the squared singular values is then too small. In this case the decomposition is repeated after
+/// a QR decomposition, and if that also fails, without divide and conquer.
 pub(crate) fn decompose(rows: ArrayView2<'_, f64>) -> Result<(Vec<f64>, Mat<f64>), BasisError> {
     let usual: SvdParams = *Spec::<SvdParams, f64>::default();
     let qr_first = SvdParams {
@@ -113,7 +113,7 @@ fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64
     // Each row (sample) is a column of the pixels x samples matrix in faer's column-major order.
     let matrix = MatRef::from_column_major_slice(rows.as_slice().expect("row-major"), pixels, samples);
     let work = samples.saturating_mul(pixels).saturating_mul(size);
-    let par = if work < WORTH_SPLITTING {
+    let par = if work < MIN_WORK_TO_SPLIT {
         Par::Seq
     } else {
         Par::rayon(SPLIT)
@@ -203,8 +203,8 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
 ///
 /// The components are the singular vectors of the sums at the nodes, in descending order of their
 /// singular values. They are found without forming the sums. Components at the rounding level of
-/// the total are omitted. Use it after a linear operation on the stamps of a basis, such as
-/// resampling.
+/// the total are omitted. Use this function after a linear operation on the stamps of a basis, such
+/// as resampling.
 ///
 /// ```
 /// use ndarray::{Array3, array};
@@ -218,8 +218,8 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
 /// ```
 ///
 /// # Errors
-/// [`BasisError::Data`] when the parts do not match each other, are not finite or leave no stamps.
-/// [`BasisError::NoConvergence`] when the decomposition fails.
+/// [`BasisError::Data`] when the parts do not match each other, are not finite, or leave neither a
+/// mean nor components. [`BasisError::NoConvergence`] when the decomposition fails.
 pub fn orthonormal(
     mean: Option<Array2<f64>>,
     stamps: Array3<f64>,
@@ -266,7 +266,7 @@ mod tests {
     const ROUNDING: f64 = 1e-13;
 
     #[test]
-    fn the_sums_stay_and_what_vanishes_is_dropped() {
+    fn the_sums_are_kept_and_vanishing_components_are_omitted() {
         let grid = StampGrid::new(6, 5).unwrap();
         let value = |a: usize, b: usize| ((a * 31 + b * 17) as f64 * 0.7).sin();
         let mut stamps = Array3::from_shape_fn((4, 5, 6), |(k, y, x)| value(k + 1, 6 * y + x));
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_no_basis_and_parts_must_fit() {
+    fn zeros_give_no_basis_and_shapes_must_match() {
         let grid = StampGrid::new(3, 2).unwrap();
         let zeros = Array3::zeros((2, 2, 3));
         let a = Array2::ones((4, 2));

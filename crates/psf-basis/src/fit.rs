@@ -41,7 +41,7 @@ impl BasisFit {
         coefficients: Array2<f64>,
         spectrum: Option<Spectrum>,
     ) -> Result<Self, BasisError> {
-        // The record checks that there is one coefficient per component.
+        // `SampleCoefficients` checks that there is one row of coefficients for each sample.
         let coefficients = SampleCoefficients::new(coefficients, samples.positions().clone())?;
         let what = "coefficients, one for each component of the basis";
         DataError::check_count(what, basis.rank(), coefficients.component_count())?;

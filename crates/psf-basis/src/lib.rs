@@ -1,24 +1,23 @@
 //! PSF bases: from samples of a PSF to a few orthonormal stamps and the samples' coefficients.
 //!
 //! A sample `h_j` (a stamp) becomes `h_j(u) = B_0(u) + sum_k a_jk B_k(u)`, with a mean stamp `B_0`
-//! (absent if the basis is not centred) and orthonormal stamps `B_k`. A [`BasisMethod`] finds them.
-//! [`Svd`] uses the singular value decomposition, and [`GivenStamps`] uses stamps from elsewhere.
-//! Implement the trait for other methods.
+//! (absent if the basis is not centred) and orthonormal stamps `B_k`. A [`BasisMethod`] finds these
+//! stamps. [`Svd`] uses the singular value decomposition, and [`GivenStamps`] uses stamps from
+//! elsewhere. Implement the trait for other methods.
 //!
 //! # Choosing the rank
 //! [`RankSelection`] selects the number of components. Every fit by [`Svd`] reports its
 //! [`Spectrum`]:
 //!
 //! * **Elbow** of the cumulative-weight curve `c_k = sum_{i<=k} s_i / sum_i s_i`: the point
-//!   furthest above the chord from `(0, 0)` to `(m, 1)` ("Kneedle", Satopaa et al. 2011). If the
-//!   singular values fall by more than a factor of 1000 from one to the next within the first half
-//!   of the curve, the elbow is at that cliff.
-//! * **Noise**: `L x P` samples (pixels by samples) with white pixel noise sigma have noise modes
-//!   with singular values up to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or
-//!   estimated ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of
-//!   cases. Neither the elbow nor `auto` keeps modes below the threshold. If the noise level
-//!   differs from sample to sample, as between bright and faint stars, the edge is that of the
-//!   uneven noise.
+//!   furthest above the chord from `(0, 0)` to `(m, 1)`, for `m` singular values ("Kneedle",
+//!   Satopaa et al. 2011). If the singular values fall by more than a factor of 1000 from one to
+//!   the next within the first half of the curve, the elbow is at that cliff.
+//! * **Noise**: white noise of standard deviation sigma, in `P` samples of `L` pixels, has singular
+//!   values up to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated
+//!   ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of cases. Neither
+//!   the elbow nor `auto` keeps modes below the threshold. If the noise level differs from sample
+//!   to sample, as between bright and faint stars, the edge is computed for this uneven noise.
 //!
 //! # Normalisation
 //! Stamps are used as they are. If the samples have unit flux and are mean-centred, every component

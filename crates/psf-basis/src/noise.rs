@@ -22,11 +22,11 @@ pub enum PixelNoise {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct NoiseFloor {
     pub(crate) sigma: f64,
-    /// `sigma (sqrt L + sqrt P)`: the largest singular value of only noise, in the limit of large
+    /// `sigma (sqrt L + sqrt P)`: the largest singular value of pure noise, in the limit of large
     /// matrices (Marchenko and Pastur 1967).
     pub(crate) edge: f64,
-    /// In 99 % of cases the largest singular value of only noise is below this (Johnstone 2001,
-    /// theorem 1.1, with the 0.99 quantile of the Tracy-Widom law of order 1).
+    /// In 99 % of cases the largest singular value of pure noise is below this value (Johnstone
+    /// 2001, theorem 1.1, with the 0.99 quantile of the Tracy-Widom law of order 1).
     pub(crate) threshold: f64,
 }
 
@@ -51,14 +51,15 @@ const READ_AT: [f64; 5] = [0.5, 0.6, 0.7, 0.8, 0.9];
 /// the levels differ more.
 const AGREEMENT: f64 = 1.25;
 /// Shortest tail in which noise can be told from decay.
-const SHORTEST_TAIL: usize = 12;
+const MIN_TAIL: usize = 12;
 
 /// The noise floor of a matrix of `rows x columns` with these singular values, where `columns` is
 /// the number of remaining degrees of freedom.
 ///
 /// [`PixelNoise::Estimate`] compares the lower half of the singular values with the quantiles of
 /// the Marchenko-Pastur law. This is the approach of Gavish and Donoho 2014, at several quantiles
-/// instead of only the median. Each quantile gives a sigma. They count as noise only if all agree.
+/// instead of only the median. Each quantile gives a sigma. The singular values count as noise only
+/// if all these sigmas agree.
 pub(crate) fn noise_floor(
     noise: PixelNoise,
     singular_values: &[f64],
@@ -84,7 +85,7 @@ pub(crate) fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> 
     let mut floor = None;
     for _ in 0..4 {
         let tail = &singular_values[signal..count];
-        if tail.len() < SHORTEST_TAIL {
+        if tail.len() < MIN_TAIL {
             return None;
         }
         let readings = READ_AT.map(|fraction| {
@@ -152,16 +153,18 @@ impl MarchenkoPastur {
 
 /// Numbers of leading components that are tried as the signal.
 const SIGNALS: [usize; 6] = [1, 2, 4, 8, 16, 32];
-/// Iterations, for each number, of scaling the samples to equal noise and decomposing them again.
+/// For each of these numbers, the samples are scaled to equal noise and decomposed again this many
+/// times.
 const ROUNDS: usize = 4;
 /// Allowed noise level of samples scaled by their own noise. It should be 1.
 const SCALED: std::ops::Range<f64> = 0.75..1.33;
 /// Largest ratio of noise levels among samples. It exceeds the ratio of stellar fluxes.
-const MOST_UNEVEN: f64 = 1e3;
-/// Variances are uneven if they scatter by more than this multiple of the scatter from even noise.
+const MAX_NOISE_RATIO: f64 = 1e3;
+/// The samples' variances count as uneven if they scatter by more than this multiple of the scatter
+/// expected for even noise.
 const EVEN: f64 = 3.0;
 /// Largest work (the product of both dimensions and the smaller one) spent on the search for noise.
-const MOST_WORK: f64 = 1e9;
+const MAX_WORK: f64 = 1e9;
 /// Relative scatter of the largest singular value of finite matrices about its limit.
 const FINITE: f64 = 0.02;
 
@@ -170,9 +173,9 @@ const FINITE: f64 = 0.02;
 /// singular vectors and values.
 ///
 /// Samples divided by their noise have even noise, which is then tested by the Marchenko-Pastur
-/// law. The levels are estimated from the residuals of the divided samples after a few leading
-/// components. This is repeated until the levels agree. The smallest sufficient number of
-/// components is used.
+/// law. The noise levels are estimated from the residuals of the divided samples after a few
+/// leading components. Division and estimate are repeated a few times, because each depends on the
+/// other. The smallest number of components that leaves only noise is used.
 ///
 /// Divided samples lie in the space spanned by the samples. All computations use coordinates in
 /// that space, at most as many as there are samples, instead of pixels.
@@ -184,7 +187,7 @@ pub(crate) fn uneven_floor(
 ) -> Option<NoiseFloor> {
     let (count, pixels) = rows.dim();
     let size = count.min(pixels);
-    if size < 2 || count as f64 * pixels as f64 * size as f64 > MOST_WORK || !may_be_noise(singular_values) {
+    if size < 2 || count as f64 * pixels as f64 * size as f64 > MAX_WORK || !may_be_noise(singular_values) {
         return None;
     }
     let coordinates = project(rows, vectors, size);
@@ -198,8 +201,9 @@ pub(crate) fn uneven_floor(
 /// Refines a floor that assumed even noise. Returns `even` if the samples' noise is indeed even,
 /// otherwise the floor of the samples' own levels.
 ///
-/// Levels follow from the residuals of the components above the floor, and the floor from the
-/// levels. This is repeated until the number of components above the floor is stable.
+/// The noise levels follow from the residuals after the components above the floor, and the floor
+/// follows from the levels. Both are computed again until the number of components above the floor
+/// is stable.
 pub(crate) fn by_sample(
     rows: ArrayView2<'_, f64>,
     vectors: &Mat<f64>,
@@ -252,7 +256,7 @@ fn degrees_of_freedom(count: usize, pixels: usize, signal: usize) -> f64 {
 /// A cheap test: the tail of noise-free samples falls by many decades.
 fn may_be_noise(singular_values: &[f64]) -> bool {
     let at = |part: f64| singular_values[(part * singular_values.len() as f64) as usize];
-    at(0.5) > 0.0 && at(0.9) * MOST_UNEVEN > at(0.5)
+    at(0.5) > 0.0 && at(0.9) * MAX_NOISE_RATIO > at(0.5)
 }
 
 /// The noise variance of every sample of `pixels` pixels, or `None` if `signal` components leave
@@ -267,7 +271,7 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
     let mut values = Vec::new();
     for _ in 0..ROUNDS {
         // A lower limit, because a sample without noise would outweigh all others.
-        let least = variances.iter().copied().fold(0.0, f64::max) / (MOST_UNEVEN * MOST_UNEVEN);
+        let least = variances.iter().copied().fold(0.0, f64::max) / (MAX_NOISE_RATIO * MAX_NOISE_RATIO);
         if least <= 0.0 {
             return None;
         }
@@ -295,7 +299,7 @@ fn floor_of(variances: &[f64], pixels: usize) -> NoiseFloor {
         let sum: f64 = variances.iter().map(|v| v / (1.0 - v * u)).sum();
         1.0 / u + sum / pixels as f64
     };
-    // z is convex there, so a ternary search finds its minimum.
+    // z is convex for these u, so a ternary search finds its minimum.
     let (mut low, mut high) = (0.0, 1.0 / largest);
     for _ in 0..200 {
         let (a, b) = (low + (high - low) / 3.0, high - (high - low) / 3.0);

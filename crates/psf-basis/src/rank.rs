@@ -23,7 +23,7 @@ pub enum RankSelection {
     Elbow,
     /// Every component above rounding.
     Full,
-    /// This number.
+    /// This number of components.
     Fixed(usize),
     /// The smallest number that contains this fraction of the sum of the squared singular values.
     Energy(f64),
@@ -115,12 +115,12 @@ pub struct Spectrum {
     pub elbow: usize,
     /// The number of components above rounding, and above the noise if there is any.
     pub significant: usize,
-    /// The number of components above rounding, which is the rank of `full`.
+    /// The number of components above rounding, which is the rank that `full` selects.
     pub numerical_rank: usize,
     /// The standard deviation of the white noise in the pixels, if it was found or given.
     pub noise_sigma: Option<f64>,
-    /// The largest singular value of that noise, `sigma (sqrt L + sqrt P)`, or that of noise which
-    /// differs from sample to sample.
+    /// The largest singular value of this noise, in the limit of large matrices. It is
+    /// `sigma (sqrt L + sqrt P)` if the noise has one level in all samples.
     pub noise_edge: Option<f64>,
 }
 
@@ -169,11 +169,11 @@ impl Spectrum {
     }
 }
 
-/// A drop from one singular value to the next by this factor is a cliff. The values after it are
-/// negligible.
+/// A cliff is a drop to less than this fraction from one singular value to the next. The values
+/// after it are negligible.
 const CLIFF: f64 = 1e-3;
 /// Fraction of the largest singular value below which a cliff is only the end of a decay, where
-/// rounding begins. (Values in single precision have rounding of 6e-8 each.)
+/// rounding begins. (Pixel values stored in single precision have rounding of 6e-8.)
 const FLOOR: f64 = 1e-8;
 
 /// The number of components at the elbow of the curve of cumulative weights

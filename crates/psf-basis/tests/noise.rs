@@ -12,7 +12,7 @@ const SIDE: usize = 15;
 const MODES: usize = 6;
 /// Singular values of the six modes, relative to the sixth.
 const STRENGTHS: [f64; MODES] = [60.0, 25.0, 10.0, 4.0, 2.0, 1.0];
-/// The sixth singular value divided by the largest one of only noise.
+/// The sixth singular value divided by the largest one of pure noise.
 const LEVELS: [f64; 6] = [2.0, 3.0, 10.0, 100.0, 1e3, 1e4];
 
 /// A round PSF of unit flux and FWHM 2.4 pixels.
@@ -128,7 +128,7 @@ fn auto_finds_the_rank_of_stars_scaled_to_unit_flux() {
     for spread in [1.0, 10.0, 30.0] {
         let noise = noise(spread, 5);
         for level in LEVELS {
-            // An error of the flux scales the whole stamp, so it is noise of the samples too.
+            // An error of the measured flux scales the whole stamp, so it adds noise to the sample.
             let scaled = |scale: f64| {
                 let noisy = clean(sixth) + &noise * scale;
                 let fluxes = noisy.sum_axis(Axis(1));

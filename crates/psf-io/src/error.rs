@@ -6,13 +6,12 @@ use std::path::{Path, PathBuf};
 
 use psf_types::DataError;
 
-/// Why a file could not be read or written: the file, the place in it, the kind of the problem, and
-/// what was expected, what was found and what to do.
+/// The reason why a file could not be read or written: the file, the place in it, the kind of the
+/// problem, and what was expected, what was found and what to do.
 ///
-/// As is usual for errors with a [`source`](Error::source), the text of the cause is not repeated
-/// in the text of the error: print the whole chain. If a setting of this library can mend the
-/// problem, [`setting`](Self::setting) names it. The program that offers the setting to its users
-/// adds a hint in its own terms.
+/// The text of the error does not repeat the text of its [`source`](Error::source), so print the
+/// whole chain. If a setting of this library can solve the problem, [`setting`](Self::setting)
+/// names it. The program that offers the setting to its users adds a hint in its own terms.
 ///
 /// ```
 /// use psf_io::{IoErrorKind, write_text};
@@ -38,14 +37,16 @@ struct Parts {
 pub enum IoErrorKind {
     /// The file, or the directory of an output, does not exist.
     NotFound,
-    /// The file cannot be opened or read. The source is the reason of the system, if it gave one.
+    /// The file cannot be opened or read. The source is the error of the operating system, if there
+    /// is one.
     Read,
-    /// The file cannot be written. The source is the reason of the system, if it gave one.
+    /// The file cannot be written. The source is the error of the operating system, if there is
+    /// one.
     Write,
     /// The output exists and may not be replaced.
     Exists,
-    /// Not a regular file, or a file of another format, of a newer version, of an unsupported
-    /// compression, or without the part that is needed.
+    /// The file is not a regular file, has another format, a newer version or an unsupported
+    /// compression, or lacks a part that is needed.
     Format,
     /// The file is cut short, or its compressed data are damaged.
     Damaged,
@@ -53,20 +54,23 @@ pub enum IoErrorKind {
     Header,
     /// An image has the wrong number of axes.
     Axes,
-    /// A value, or several together, break a rule: NaN, a PSF without flux, a galaxy out of range.
+    /// A value breaks a rule, or several values together do. Examples are NaN, a PSF without flux,
+    /// and a galaxy whose parameters are out of range.
     Data,
-    /// The columns or the rows of a table are not those that are needed.
+    /// A table lacks a column that is needed, holds a column twice or in another format, or has
+    /// rows of the wrong length.
     Table,
-    /// A setting is missing, not valid for this file, or without effect on it.
+    /// A setting is missing, is not valid for this file, or has no effect on it.
     Setting,
-    /// A size or a value beyond a limit of this library, of CFITSIO, or of the precision.
+    /// A size or a value is beyond a limit of this library, of CFITSIO, or of the precision.
     Limit,
-    /// A call that does not suit the file: rows that it does not have, samples that it cannot hold.
+    /// The call does not suit the file: it asks for rows that the file does not have, or gives
+    /// samples that the file cannot hold.
     Request,
 }
 
-/// A place in a file. HDUs are counted from 0 (the primary), as in astropy, and so are tiles and
-/// pixels.
+/// A place in a file. HDUs, tiles and pixels are counted from 0. HDU 0 is the primary one, as in
+/// astropy.
 #[derive(Debug, Clone, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Place {
@@ -83,7 +87,7 @@ pub enum Place {
     Tile {
         /// The HDU.
         hdu: usize,
-        /// The tile, a row of the table.
+        /// The tile, which is also its row in the HDU's table.
         tile: usize,
     },
     /// A pixel of an image.
@@ -143,7 +147,7 @@ impl IoError {
         self
     }
 
-    /// Adds the name of the setting that mends the problem.
+    /// Adds the name of the setting that solves the problem.
     #[must_use]
     pub fn with_setting(mut self, setting: &'static str) -> Self {
         self.0.setting = Some(setting);
@@ -165,9 +169,10 @@ impl IoError {
         self.0.kind
     }
 
-    /// The name of the setting that mends the problem, as this library spells it: an argument such
-    /// as `overwrite`, or a setter of an options type without its `with_`. `hdu` and `table` stand
-    /// for the choice of an image and of a table, `extension` for the choice of a PSF.
+    /// The name of the setting that solves the problem, as this library spells it: an argument such
+    /// as `overwrite`, or a setter of an options type without its `with_`. `hdu` stands for the
+    /// choice of an image, `table` for the choice of a table, and `extension` for the choice of a
+    /// PSF.
     pub fn setting(&self) -> Option<&'static str> {
         self.0.setting
     }
@@ -213,7 +218,7 @@ impl fmt::Display for Row {
     }
 }
 
-/// `map_err` for a file that cannot be read.
+/// Returns a function for `map_err` that reports a file that cannot be read.
 pub(crate) fn unreadable(path: &Path) -> impl Fn(std::io::Error) -> IoError + Copy + '_ {
     move |source| {
         let kind = match source.kind() {
@@ -224,27 +229,27 @@ pub(crate) fn unreadable(path: &Path) -> impl Fn(std::io::Error) -> IoError + Co
     }
 }
 
-/// `map_err` for a file that cannot be written.
+/// Returns a function for `map_err` that reports a file that cannot be written.
 pub(crate) fn unwritable(path: &Path) -> impl Fn(std::io::Error) -> IoError + Copy + '_ {
     move |source| IoError::new(path, IoErrorKind::Write, "cannot write the file").because(source)
 }
 
-/// `map_err` for data that do not make the type they should.
+/// Returns a function for `map_err` that reports data that break a rule of their type.
 pub(crate) fn invalid(path: &Path) -> impl Fn(DataError) -> IoError + Copy + '_ {
     move |source| IoError::new(path, IoErrorKind::Data, "the data are not valid").because(source)
 }
 
-/// `map_err` for cards that cannot be written.
+/// Returns a function for `map_err` that reports a header card that cannot be written.
 pub(crate) fn bad_card(path: &Path) -> impl Fn(CardError) -> IoError + Copy + '_ {
     move |source| IoError::new(path, IoErrorKind::Header, "a header card cannot be written").because(source)
 }
 
-/// Why a header card cannot be made.
+/// The reason why a header card cannot be made.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum CardError {
     /// A keyword that FITS does not allow.
-    #[error("{keyword:?} is not a FITS keyword: 1 to 8 of the characters A-Z, 0-9, - and _")]
+    #[error("{keyword:?} is not a FITS keyword, which has 1 to 8 of the characters A-Z, 0-9, - and _")]
     Keyword {
         /// The keyword given.
         keyword: String,

@@ -19,33 +19,39 @@
 //! [`detect`] finds the kind of a file from its content.
 //!
 //! # Conventions
-//! Arrays are `[y, x]`. Positions are 0-based, and whole numbers are the centres of pixels, in the
-//! files as in the code. Where a format counts from 1, its reader converts.
+//! Arrays are `[y, x]`. Positions are 0-based, in the code and in the files of psfield. A whole
+//! number is the centre of a pixel. If another format counts from 1, its reader and writer convert.
 //!
 //! # Bad files
-//! A reader reads and checks the whole file, or the rows that are asked for. If anything is wrong,
-//! it returns an [`IoError`] that names the file, the place in it, and what to do. Headers are
-//! checked against the length of the file before memory is allocated for the data. No content of a
-//! file makes this crate panic. Nothing is repaired silently: a NaN pixel is an error.
+//! A reader checks every header of a file and all data that it returns. If anything is wrong, it
+//! returns an [`IoError`] that names the file, the place in it, and what to do. Headers are checked
+//! against the length of the file before memory is allocated for the data. No content of a file
+//! makes this crate panic. Nothing is repaired silently: for example, a NaN pixel is an error.
+//!
+//! The errors of any FITS file are [`IoErrorKind::NotFound`], [`IoErrorKind::Read`],
+//! [`IoErrorKind::Format`], [`IoErrorKind::Damaged`], [`IoErrorKind::Header`] and
+//! [`IoErrorKind::Limit`]. If there is no room to unpack a gzip file, the error is
+//! [`IoErrorKind::Write`].
 //!
 //! # Compressed files
 //! FITS files compressed by gzip (`.gz`) and images compressed in tiles (`.fz`: `RICE_1`, `GZIP_1`,
-//! `GZIP_2`, `PLIO_1`, quantised floats) are read wherever plain ones are. They are recognised by
-//! their content. A gzip file is unpacked to a temporary file, which is removed when it is no
-//! longer needed. It may unpack to at most 1 GiB plus 100 times its own size. An image in tiles may
-//! unpack to at most 16 MiB plus 4096 times the bytes of its tiles. A larger file is refused before
-//! it takes disk space or memory.
+//! `GZIP_2`, `PLIO_1`, quantised floats) are read wherever uncompressed files are. They are
+//! recognised by their content. A gzip file is unpacked to a temporary file, which is removed when
+//! it is no longer needed. It may unpack to at most 1 GiB plus 100 times its own size. A tiled
+//! image may unpack to at most 16 MiB plus 4096 times the bytes of its tiles. A larger file is
+//! refused before it takes disk space or memory.
 //!
 //! # Outputs
 //! Every file appears complete or not at all, even after a full disk, a killed process or a loss of
 //! power ([`write_atomically`]). This holds also for files that are written by bands. An existing
-//! file is replaced only on request. A program that handles signals calls [`remove_unfinished`].
+//! file is replaced only on request. A program that handles signals should call
+//! [`remove_unfinished`] before it ends.
 //! Equal input gives equal bytes: no dates are written.
 //!
 //! # CFITSIO
-//! Pixels and columns are read and written by CFITSIO, which the build compiles (no system library
-//! needed). File names are taken literally: brackets, `+` or a leading `!` have no meaning. All
-//! functions may be called from several threads at once.
+//! CFITSIO reads and writes pixels and columns. The build compiles it, so no system library is
+//! needed. File names are taken literally: brackets, `+` or a leading `!` have no special meaning.
+//! All functions may be called from several threads at once.
 //!
 //! # A new format
 //! Add one file to `psf/` with the model, the reader, the writer and an `is_...` test, and one line

@@ -20,19 +20,19 @@ fn assert_request<T>(result: Result<T, IoError>, text: &str) {
     assert_error(result, IoErrorKind::Request, &format!(": {text}"));
 }
 
-/// The text about rows that an image does not have.
+/// The error text for rows that an image does not have.
 fn beyond(rows: &Range<usize>, ny: usize) -> String {
     let (first, end) = (rows.start, rows.end);
-    format!("rows {first} to {end} (not included, 0-based) are not all in an image of {ny} rows")
+    format!("the image has only {ny} rows, got rows {first} to {end} (0-based, the end not included)")
 }
 
-/// Asserts that so many undefined pixels are refused, the first of them at `index`.
+/// Asserts that `count` undefined pixels are refused, and that the error names the first, `index`.
 #[track_caller]
 fn assert_undefined<T>(result: Result<T, IoError>, index: [usize; 2], count: usize) {
     let error = result.map(drop).unwrap_err();
     let (hdu, index) = (0, index.to_vec());
     assert_eq!(error.place(), Some(&Place::Pixel { hdu, index }));
-    let first = format!("In all {count} pixel(s) are NaN, infinite or BLANK");
+    let first = format!("In total, {count} pixel(s) are NaN, infinite or BLANK");
     assert_error(Err::<(), _>(error), IoErrorKind::Data, &first);
 }
 
@@ -94,7 +94,7 @@ fn assert_bands_are_the_image<T: Real>(path: &Path, what: &str) {
 }
 
 #[test]
-fn bands_in_are_the_image_whatever_the_file_holds() {
+fn bands_equal_the_image_for_every_kind_of_file() {
     let (nx, ny) = (13, 23);
     let count = nx * ny;
     let scratch = Scratch::new();
@@ -152,7 +152,7 @@ fn rows_are_read_in_any_order_into_any_layout() {
         let band = reader.read_rows::<f64>(rows.clone()).unwrap();
         assert_eq!(band, pixels.slice(s![rows, ..]));
     }
-    // A part of a larger frame whose columns are contiguous. Its old content must not matter.
+    // The band may be a part of a larger frame, and its old content must not matter.
     let mut frame = Array2::from_elem((5, 10), f64::NAN);
     reader.read_rows_into(4, frame.slice_mut(s![1..4, 2..8])).unwrap();
     assert_eq!(frame.slice(s![1..4, 2..8]), pixels.slice(s![4..7, ..]));
@@ -201,12 +201,12 @@ fn assert_bands_out_are_the_file<T: Real>() {
 }
 
 #[test]
-fn bands_out_are_the_file_byte_by_byte() {
+fn a_file_written_by_bands_equals_the_file_of_write_image() {
     assert_bands_out_are_the_file::<f32>();
     assert_bands_out_are_the_file::<f64>();
 }
 
-/// Cards with three keywords. One of them is repeated by a late card.
+/// Three cards. A late card has the keyword of one of them.
 fn early() -> HeaderCards {
     let card = |keyword: &str, value: i64| Card::new(keyword, value, "").unwrap();
     [card("FIRST", 1), card("CHECKED", 0), card("LAST", 3)]
@@ -222,7 +222,7 @@ fn late(count: usize) -> Vec<Card> {
 }
 
 #[test]
-fn late_cards_make_the_file_that_early_ones_make() {
+fn late_cards_and_early_cards_give_equal_files() {
     let scratch = Scratch::new();
     let (whole, path) = (scratch.path("whole.fits"), scratch.path("bands.fits"));
     // The header's own 8 records, 3 cards and END leave room for 24 records in the first block.
@@ -246,7 +246,7 @@ fn late_cards_make_the_file_that_early_ones_make() {
 }
 
 #[test]
-fn room_that_is_not_used_and_cards_that_go_away_leave_a_sound_file() {
+fn unused_room_and_removed_cards_leave_a_sound_file() {
     let scratch = Scratch::new();
     let path = scratch.path("a.fits");
     let image = Image::new(values::<f64>(13, 23)).unwrap();
@@ -322,11 +322,11 @@ fn undefined_pixels_of_a_band_are_located_in_the_whole_image() {
 }
 
 #[test]
-fn rows_that_are_not_there_are_refused() {
+fn rows_outside_the_image_are_refused() {
     let scratch = Scratch::new();
     let path = scratch.put("a.fits", &image(SIMPLE, 8, &[2, 3], &[], &[0; 6]));
     let mut reader = ImageReader::open(&path).unwrap();
-    #[expect(clippy::reversed_empty_ranges, reason = "what is refused")]
+    #[expect(clippy::reversed_empty_ranges, reason = "these ranges must be refused")]
     for bad in [0..4, 3..4, 4..4, 2..1, usize::MAX..0, 0..usize::MAX] {
         let error = reader.read_rows::<f32>(bad.clone()).unwrap_err();
         assert!(names(&error, &path));
@@ -341,12 +341,12 @@ fn rows_that_are_not_there_are_refused() {
     let refused = reader.read_rows_into(0, narrow.view_mut());
     assert_request(
         refused,
-        "a band of rows must be as wide as the image, 2 columns, got 1",
+        "a band of rows must have the 2 columns of the image, got 1",
     );
 }
 
 #[test]
-fn what_read_image_refuses_is_not_opened() {
+fn files_that_read_image_refuses_are_not_opened() {
     let scratch = Scratch::new();
     let files = [
         image(SIMPLE, 8, &[2, 1, 3], &[], &[0; 6]),
@@ -387,10 +387,7 @@ fn bad_bands_are_refused_and_good_ones_may_follow() {
         }
     }
     let wide = writer.write_rows(Array2::zeros((1, 5)).view());
-    assert_request(
-        wide,
-        "a band of rows must be as wide as the image, 4 columns, got 5",
-    );
+    assert_request(wide, "a band of rows must have the 4 columns of the image, got 5");
     let many = writer.write_rows(Array2::zeros((4, 4)).view());
     assert_request(many, &beyond(&(2..6), 5));
     assert_eq!(writer.rows_written(), 2);
@@ -429,7 +426,7 @@ fn an_image_that_is_not_finished_leaves_nothing_behind() {
         writer.write_rows(Array2::zeros((rows, 100)).view()).unwrap();
         assert_request(
             writer.finish_with(&late(2)),
-            &format!("the image has 100 rows, only {rows} were written: write the rest first"),
+            &format!("the image has 100 rows, but only {rows} were written: write the rest first"),
         );
         assert_eq!(files_in(&path), 1);
     }
@@ -448,12 +445,12 @@ fn an_image_that_is_not_finished_leaves_nothing_behind() {
     assert_eq!(files_in(&other), 2);
 }
 
-/// The longest time for giving up, which takes milliseconds. Filling 8 GB with zeros, as CFITSIO
-/// would do, takes longer on any disk.
-const GIVING_UP_S: f64 = 2.0;
+/// The longest time allowed to discard an unfinished image, which takes milliseconds. Filling 8 GB
+/// with zeros, as CFITSIO would do, takes longer on any disk.
+const DISCARD_S: f64 = 2.0;
 
 #[test]
-fn a_huge_image_is_given_up_at_once() {
+fn a_huge_unfinished_image_is_discarded_at_once() {
     let scratch = Scratch::new();
     let path = scratch.path("a.fits");
     for room in [0, 100] {
@@ -464,7 +461,7 @@ fn a_huge_image_is_given_up_at_once() {
         let started = std::time::Instant::now();
         drop(writer);
         let taken = started.elapsed().as_secs_f64();
-        assert!(taken < GIVING_UP_S, "{taken} s");
+        assert!(taken < DISCARD_S, "{taken} s");
     }
     assert!(
         std::fs::read_dir(path.parent().unwrap())
@@ -512,7 +509,7 @@ fn planes_of_a_cube_are_images() {
 }
 
 #[test]
-fn undefined_pixels_are_seen_only_by_who_asks() {
+fn undefined_pixels_are_returned_only_on_request() {
     let scratch = Scratch::new();
     let values = [1.0, f32::NAN, 3.0, f32::INFINITY];
     let path = scratch.put("a.fits", &image(SIMPLE, -32, &[2, 2], &[], &f32s(&values)));

@@ -65,7 +65,7 @@ fn tiled<T: WriteImage>(path: &Path, how: &str, data_type: ImageType, values: &[
 }
 
 #[test]
-fn whole_numbers_in_tiles_come_back() {
+fn whole_numbers_in_tiles_are_read_back() {
     let scratch = Scratch::new();
     let values = counts();
     let expected = Array2::from_shape_vec((NY, NX), values.iter().map(|&v| f64::from(v)).collect()).unwrap();
@@ -84,7 +84,7 @@ fn whole_numbers_in_tiles_come_back() {
         assert_eq!(detect(&path).unwrap(), FileKind::Image);
         let header = read_header(&path).unwrap();
         let keywords: Vec<String> = header.iter().map(Card::keyword).collect();
-        // The name is set by fitsio.
+        // The crate fitsio has added EXTNAME.
         assert_eq!(keywords, ["EXTNAME", "OBJECT", "CRPIX1"], "{how}");
         let mut reader = ImageReader::open(&path).unwrap();
         for first in [50, 0, 7] {
@@ -99,9 +99,9 @@ fn whole_numbers_in_tiles_come_back() {
 }
 
 #[test]
-fn quantised_floats_come_back_to_a_step() {
+fn quantised_floats_are_read_back_within_a_step() {
     let scratch = Scratch::new();
-    // Uniform from 0 to 256. CFITSIO's estimate of the noise stays below twice the true sigma.
+    // The pixels are uniform from 0 to 256. CFITSIO's noise estimate is below twice the true sigma.
     let largest_step = 2.0 * 256.0 / 12.0_f64.sqrt() / STEPS_PER_SIGMA;
     let values: Vec<f32> = counts().iter().map(|&v| v as f32 + 0.25).collect();
     for how in ["R; q 16", "G; q 16"] {
@@ -135,12 +135,12 @@ fn undefined_pixels_in_tiles_are_refused() {
     let mut values: Vec<f32> = counts().iter().map(|&v| v as f32 + 0.25).collect();
     values[3 * NX + 4] = f32::NAN;
     let exact = tiled(&scratch.path("exact.fits"), "G; q 0", ImageType::Float, &values);
-    // NaN is stored as itself in one file and as a special number among the quantised values of the
-    // other: one pixel and one row of 40.
+    // One pixel and one row of 40 are undefined. The first file stores them as NaN, the other as a
+    // special number among the quantised values.
     let quantised = scratch.put("quantised.fits.gz", include_bytes!("data/quantised_nan.fits.gz"));
     for (path, expected) in [(exact, 1), (quantised, 41)] {
         let first =
-            format!(", pixel [3, 4] (0-based, x last): the value is NaN. In all {expected} pixel(s) ");
+            format!(", pixel [3, 4] (0-based, x last): the value is NaN. In total, {expected} pixel(s) ");
         assert_error(pixels(&path), IoErrorKind::Data, &first);
     }
 }
@@ -177,7 +177,7 @@ fn broken_tiles_are_errors() {
         let error = forged(&number(keyword, from), &number(keyword, to));
         assert_eq!(error.kind(), IoErrorKind::Header, "{keyword} = {to}: {error}");
     }
-    // A parameter in a position where CFITSIO reads it as another one.
+    // CFITSIO reads the parameter by its number, and so takes it for another parameter.
     let keyword = |keyword: &str| Place::Keyword {
         hdu: 1,
         keyword: keyword.to_owned(),
@@ -295,7 +295,7 @@ fn broken_gzip_files_are_errors() {
     let path = scratch.put("short.gz", &gzip(&plain[..plain.len() - 2880]));
     let (needed, length) = (plain.len(), plain.len() - 2880);
     let cut =
-        format!("HDU 0: the file is cut short: at least {needed} bytes are needed, there are {length}.");
+        format!("HDU 0: the file is cut short: at least {needed} bytes are needed, but there are {length}.");
     assert_error(pixels(&path), IoErrorKind::Damaged, &cut);
     let path = scratch.put("text.csv.gz", &gzip(b"x,y,flux\n1,2,3\n"));
     assert!(chain(&read_catalog(&path).unwrap_err()).contains("gunzip"));
@@ -309,7 +309,7 @@ fn small_gzip_files_cannot_fill_the_disk() {
     let packed = gzip(&header[..2880]);
     let (length, allowed) = (packed.len(), (1 << 30) + 100 * packed.len());
     assert!(length < 1000);
-    let text = format!("{length} bytes of gzip data would unpack to more than {allowed}:");
+    let text = format!("{length} bytes of gzip data would unpack to more than {allowed} bytes:");
     assert_error(
         pixels(&scratch.put("claim.gz", &packed)),
         IoErrorKind::Limit,

@@ -156,7 +156,7 @@ fn files_cut_short_are_errors() {
 }
 
 #[test]
-fn a_cut_in_the_data_is_said_to_be_one() {
+fn the_error_for_a_cut_file_says_that_it_is_cut() {
     let scratch = Scratch::new();
     let good = image(SIMPLE, 16, &[60, 70], &[], &i16s(&[1; 4200]));
     for length in [1, 2879, 2880, 2881, 5000, 2880 + 8399] {
@@ -174,7 +174,7 @@ fn a_cut_in_the_data_is_said_to_be_one() {
             assert_error(read_image::<f32>(&path), kind, part);
         }
     }
-    // The second HDU.
+    // The file is cut in its second HDU.
     let path = scratch.path("samples");
     let samples = files(&scratch).swap_remove(1);
     let table = samples.windows(8).position(|w| w == b"XTENSION").unwrap();

@@ -118,7 +118,7 @@ fn readers_of_either_kind_see_the_same_field() {
 }
 
 #[test]
-fn cards_of_the_source_do_not_tell_the_order_of_the_planes() {
+fn copied_cards_do_not_change_the_order_of_the_planes() {
     let scratch = Scratch::new();
     let path = scratch.path("a.fits");
     let cards = [
@@ -152,7 +152,7 @@ fn a_single_psf_stays_one_plane() {
 }
 
 #[test]
-fn what_the_layout_cannot_hold_is_refused() {
+fn samples_that_the_layout_cannot_hold_are_refused() {
     let scratch = Scratch::new();
     let path = scratch.path("a.fits");
     let lines = [0.0, 10.0];
@@ -187,7 +187,7 @@ fn what_the_layout_cannot_hold_is_refused() {
 }
 
 #[test]
-fn plain_stamps_need_positions_unless_there_is_one() {
+fn several_plain_stamps_need_positions() {
     let scratch = Scratch::new();
     let values: Vec<f32> = (1..=32).map(|v| v as f32).collect();
     let one = scratch.put(
@@ -228,7 +228,7 @@ fn plain_stamps_need_positions_unless_there_is_one() {
 }
 
 #[test]
-fn of_several_images_one_must_be_chosen() {
+fn one_of_several_images_must_be_chosen() {
     let scratch = Scratch::new();
     let values: Vec<f32> = (1..=32).map(|v| v as f32).collect();
     let stamp = |first, values: &[f32]| image(first, -32, &[4, 4], &["OVERSAMP= 3"], &f32s(values));
@@ -279,7 +279,7 @@ fn of_several_images_one_must_be_chosen() {
 }
 
 #[test]
-fn spoilt_stamps_are_refused_soon() {
+fn damaged_stamps_are_refused_soon() {
     let cards = ["OVERSAMP= 2.0", "CENX    = 2", "CENY    = 2", "PIXCONV = T"];
     let good = image(SIMPLE, -64, &[5, 5], &cards, &support::f64s(&[1.0; 25]));
     let mut all = cut(&good);

@@ -67,7 +67,7 @@ fn trailing_axes_of_length_one_do_not_count() {
     );
 }
 
-/// An empty primary, an image without pixels, SCI, its mask, and a second SCI.
+/// A file with an empty primary HDU, an image without pixels, SCI, its mask, and a second SCI.
 fn mosaic(primary: &[&str]) -> Vec<u8> {
     let mut bytes = image(SIMPLE, 8, &[], primary, &[]);
     bytes.extend(image(IMAGE, 8, &[0, 5], &[], &[]));
@@ -96,7 +96,7 @@ fn the_only_image_with_pixels_is_taken() {
 }
 
 #[test]
-fn the_primary_image_goes_before_extensions() {
+fn the_primary_image_takes_precedence_over_extensions() {
     let scratch = Scratch::new();
     let mut bytes = image(SIMPLE, 16, &[2, 1], &[], &i16s(&[7, 8]));
     bytes.extend(image(IMAGE, 16, &[2, 1], &["EXTNAME = 'MASK'"], &i16s(&[1, 0])));
@@ -177,14 +177,14 @@ fn a_header_needs_no_pixels() {
     let both = [primary.clone(), frame.clone()].concat();
     assert!(has("b.fits", &both, None, "CTYPE1") && has("b.fits", &both, Some("FRAME"), "CTYPE1"));
     assert!(!has("b.fits", &both, Some("0"), "CTYPE1"));
-    // The image is preferred to headers without pixels, unless one of them is chosen.
+    // The image is preferred to headers without pixels, unless one of these headers is chosen.
     let all = [primary, frame, pixels].concat();
     assert!(!has("c.fits", &all, None, "CTYPE1") && has("c.fits", &all, Some("1"), "CTYPE1"));
     let result = read_cards(scratch.path("c.fits"), Some(&"3".parse().unwrap()));
     assert_error(
         result,
         IoErrorKind::Setting,
-        "HDU 3 is none of the images or headers",
+        "HDU 3 is none of the images (with or without pixels)",
     );
     let two = [&all[..], &image(IMAGE, 8, &[2, 2], &[], &[0; 4])].concat();
     let result = read_cards(scratch.put("d.fits", &two), None);
@@ -192,7 +192,7 @@ fn a_header_needs_no_pixels() {
 }
 
 #[test]
-fn what_is_not_an_image_is_refused_with_a_reason() {
+fn files_without_an_image_are_refused_with_a_reason() {
     let scratch = Scratch::new();
     let cube = scratch.put("cube.fits", &image(SIMPLE, 8, &[2, 1, 3], &[], &[0; 6]));
     let error = pixels(&cube).unwrap_err();
@@ -230,7 +230,7 @@ fn undefined_pixels_are_counted_and_located() {
         assert_error(
             pixels(&path),
             IoErrorKind::Data,
-            "the value is inf. In all 2 pixel(s) are NaN",
+            "the value is inf. In total, 2 pixel(s) are NaN",
         );
     }
     let blank = image(
@@ -244,7 +244,7 @@ fn undefined_pixels_are_counted_and_located() {
     assert_error(
         pixels(&blank),
         IoErrorKind::Data,
-        "pixel [0, 1] (0-based, x last): the value is NaN. In all 1 pixel(s)",
+        "pixel [0, 1] (0-based, x last): the value is NaN. In total, 1 pixel(s)",
     );
 }
 
@@ -301,6 +301,6 @@ fn forged_sizes_are_refused_before_memory_is_taken() {
     let path = scratch.put("a.fits", &image(SIMPLE, -32, &[1000, 1000], &[], &[0; 100]));
     let (needed, length) = (2880 * 1390, 2 * 2880);
     let cut =
-        format!("HDU 0: the file is cut short: at least {needed} bytes are needed, there are {length}.");
+        format!("HDU 0: the file is cut short: at least {needed} bytes are needed, but there are {length}.");
     assert_error(pixels(&path), IoErrorKind::Damaged, &cut);
 }

@@ -40,7 +40,7 @@ fn pixels_come_back_bit_by_bit() {
 }
 
 #[test]
-fn cards_go_over_and_new_ones_take_the_place_of_old() {
+fn cards_are_copied_and_added_cards_replace_them() {
     let scratch = Scratch::new();
     let cards = [
         "CRPIX1  =                 10.5 / [pix] reference",

@@ -7,7 +7,7 @@ use psf_io::{Card, HeaderCards, IntegerKind, IoErrorKind, read_image, write_inte
 use support::{Scratch, assert_error};
 
 #[test]
-fn every_kind_holds_its_ends() {
+fn every_kind_holds_the_ends_of_its_range() {
     let scratch = Scratch::new();
     let path = scratch.path("a.fits");
     for (kind, bitpix) in [
@@ -23,7 +23,7 @@ fn every_kind_holds_its_ends() {
         let back = read_image::<f64>(&path).unwrap();
         assert_eq!(back.image().pixels(), pixels);
         assert_eq!(back.header().get("BUNIT"), Some(&cards[0]));
-        assert!(back.header().get("BZERO").is_none(), "BZERO is of the file");
+        assert!(back.header().get("BZERO").is_none(), "BZERO is not copied");
         let text = std::fs::read(&path).unwrap();
         assert!(text[80..160].starts_with(format!("BITPIX  = {bitpix:>20}").as_bytes()));
 

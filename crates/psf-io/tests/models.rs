@@ -88,7 +88,7 @@ fn models_come_back_bit_by_bit() {
 }
 
 #[test]
-fn the_same_model_gives_the_same_bytes() {
+fn equal_models_give_equal_bytes() {
     let scratch = Scratch::new();
     let (a, b) = (scratch.path("a.fits"), scratch.path("b.fits"));
     for path in [&a, &b] {
@@ -110,7 +110,7 @@ fn the_same_model_gives_the_same_bytes() {
     );
 }
 
-/// Reads a good file in which a text of the header is replaced by another of equal length.
+/// Reads a good file in which a part of the header is replaced by a text of equal length.
 fn edited(from: &str, to: &str) -> IoError {
     assert_eq!(from.len(), to.len());
     let scratch = Scratch::new();
@@ -129,7 +129,7 @@ fn edited(from: &str, to: &str) -> IoError {
 }
 
 #[test]
-fn what_is_wrong_with_a_model_is_said() {
+fn errors_describe_the_defect_of_a_model() {
     let version = edited("PSFMODEL=                    1", "PSFMODEL=                    2");
     let newer =
         ": this is a psf-model file of version 2, but only versions 1 to 1 can be read: update psfield";

@@ -90,7 +90,7 @@ fn file_with(scratch: &Scratch, keyword: &str, card: &str) -> PathBuf {
 }
 
 #[test]
-fn a_model_is_read_as_psfex_means_it() {
+fn a_model_is_read_with_the_conventions_of_psfex() {
     let scratch = Scratch::new();
     let path = scratch.put("good.psf", &good());
     assert_eq!(detect(&path).unwrap(), FileKind::Psfex);
@@ -114,7 +114,8 @@ fn a_model_is_read_as_psfex_means_it() {
         (polynomial.degree(), polynomial.y().zero(), polynomial.y().scale()),
         (1, 20.0, 40.0)
     );
-    // A quarter of the scale above the 0-based offset, so the terms are 1, 0, 1/4.
+    // x is its 0-based offset. y is a quarter of its scale above its offset. So the terms are 1, 0
+    // and 1/4.
     let at = Position::new(polynomial.x().zero(), 30.0).unwrap();
     let psf = model.psf_at(at).unwrap();
     let expected = model.planes()[[0, 1, 1]] + 0.25 * model.planes()[[2, 1, 1]];
@@ -122,7 +123,7 @@ fn a_model_is_read_as_psfex_means_it() {
 }
 
 #[test]
-fn what_is_written_comes_back() {
+fn written_models_are_read_back() {
     let scratch = Scratch::new();
     let axis = |name, zero| PsfexAxis::new(name, zero, 2048.0).unwrap();
     for degree in [0, 1, 3] {
@@ -219,7 +220,7 @@ fn one_of_several_models_must_be_chosen() {
 }
 
 #[test]
-fn what_is_not_understood_is_named() {
+fn unsupported_keywords_are_named() {
     let scratch = Scratch::new();
     for (keyword, card, parts) in [
         ("POLNAXIS", "POLNAXIS= 1", &["POLNAXIS", "2", "got 1"][..]),
@@ -359,7 +360,7 @@ const NEEDED: [&str; 12] = [
 ];
 
 #[test]
-fn spoilt_models_are_refused_soon_and_without_much_memory() {
+fn damaged_models_are_refused_soon_and_without_much_memory() {
     let whole = good();
     let names: Vec<&str> = NEEDED
         .into_iter()
@@ -387,7 +388,7 @@ fn spoilt_models_are_refused_soon_and_without_much_memory() {
 }
 
 #[test]
-fn the_header_is_what_psfex_readers_look_for() {
+fn the_header_has_the_cards_that_psfex_readers_need() {
     let scratch = Scratch::new();
     let model = read_psfex(scratch.put("good.psf", &good()), None).unwrap();
     let path = scratch.path("again.psf");

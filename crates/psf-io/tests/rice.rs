@@ -14,7 +14,7 @@ use support::{SIMPLE, Scratch, hdu, i32s, image};
 
 const NX: usize = 70;
 const NY: usize = 60;
-/// Shapes of tiles: rows, one pixel across, blocks cut by the edges, one tile for the whole image.
+/// Shapes of tiles: rows, single columns, tiles cut by the edges, and the whole image.
 const SHAPES: [&str; 6] = ["", " 70,7", " 1,60", " 33,20", " 31,1", " 70,60"];
 /// Step of quantised floats, independent of their noise.
 const FIXED_STEP: f32 = 0.5;
@@ -30,8 +30,8 @@ fn noise(count: usize) -> impl Iterator<Item = u32> {
         .take(count)
 }
 
-/// 16-bit scenes for all codes of a block: equal pixels, noise of a few bits with rare outliers,
-/// noise of all bits.
+/// 16-bit scenes in which blocks have all codes: equal pixels, noise of a few bits with rare
+/// outliers, and noise of all bits.
 fn scenes() -> [Vec<i32>; 4] {
     let of = |value: fn(usize, i32) -> i32| {
         noise(NX * NY)
@@ -75,7 +75,7 @@ fn pixels(path: &Path) -> Result<Array2<f64>, IoError> {
 }
 
 #[test]
-fn what_cfitsio_writes_is_read() {
+fn tiles_of_cfitsio_are_read() {
     let scratch = Scratch::new();
     for (number, scene) in scenes().iter().enumerate() {
         for shape in SHAPES {
@@ -111,7 +111,7 @@ fn quantised_floats_of_cfitsio_are_read() {
                 let how = format!("{shape}{quantised}");
                 let path = written(&scratch.path(&name), &how, ImageType::Float, &floats);
                 let read = pixels(&path).unwrap_or_else(|e| panic!("{name}: {e}"));
-                // No other scene is as close. The size of a step is tested in compressed.rs.
+                // No other scene is within this limit. compressed.rs tests the size of a step.
                 let range = f64::from(*scene.iter().max().unwrap() - *scene.iter().min().unwrap());
                 let most = range / 4.0 + f64::from(FIXED_STEP);
                 let near = |(got, &value): (&f64, &f32)| (got - f64::from(value)).abs() <= most;
@@ -121,10 +121,10 @@ fn quantised_floats_of_cfitsio_are_read() {
     }
 }
 
-/// Images of astropy with other block sizes than CFITSIO's, each with its pixels: see
-/// `data/rice_blocks.py`.
+/// The file holds images of astropy with other block sizes than CFITSIO's. Each follows its
+/// uncompressed pixels (`data/rice_blocks.py`).
 #[test]
-fn what_astropy_writes_is_read() {
+fn tiles_of_astropy_are_read() {
     let scratch = Scratch::new();
     let path = scratch.put("blocks.fits.gz", include_bytes!("data/rice_blocks.fits.gz"));
     let read = |number: usize| {
@@ -140,7 +140,7 @@ fn what_astropy_writes_is_read() {
     }
 }
 
-/// Pixels of 1, 2 and 4 bytes, in blocks of 16 and 32.
+/// The number of images: pixels of 1, 2 and 4 bytes, each in blocks of 16 and 32.
 const ASTROPY_PAIRS: usize = 6;
 
 /// The code that the tests' encoder uses for a block.
@@ -148,7 +148,7 @@ const ASTROPY_PAIRS: usize = 6;
 enum Code {
     /// Uncoded differences.
     Plain,
-    /// This number of low bits, and the rest as zeros.
+    /// This number of low bits. The high bits are stored as a run of zeros.
     Low(u32),
 }
 

@@ -11,7 +11,7 @@ use psf_io::{
 use psf_types::{DataError, FrameShape, Position, PsfSamples, SamplePositions, StampGrid};
 use support::{IMAGE, SIMPLE, Scratch, assert_error, chain, f32s, f64s, i16s, image, names, table};
 
-/// Samples whose numbers need every bit.
+/// Samples whose numbers need all bits of a double.
 fn samples() -> PsfSamples {
     let stamps = Array3::from_shape_fn((3, 4, 5), |(i, y, x)| 1.0 / (1 + i + 2 * y + 3 * x) as f64);
     let at = |x, y| Position::new(x, y).unwrap();
@@ -52,7 +52,7 @@ fn double_precision_comes_back_bit_by_bit() {
 }
 
 #[test]
-fn single_precision_rounds_stamps_alone() {
+fn single_precision_rounds_only_stamps() {
     let scratch = Scratch::new();
     let path = scratch.path("a.fits");
     let samples = samples();
@@ -176,7 +176,7 @@ fn an_image_is_a_single_sample() {
         ..File::default()
     };
     assert!(two_positions.read(&scratch).is_err());
-    // An image that happens to have such a table is an image.
+    // With two positions for one stamp, the file is an image that happens to have a table.
     assert_eq!(detect(scratch.path("a.fits")).unwrap(), FileKind::Image);
 }
 

@@ -10,7 +10,7 @@ use support::mutations::{
 };
 use support::{Scratch, chain, f64s, table};
 
-/// Rounding error of one degree in steps of the map, in pixels of a quarter of an arcsecond.
+/// The largest error of a node in frame pixels of 0.25 arcseconds, due to coordinates in degrees.
 const ROUNDING: f64 = 1e-9;
 
 fn options() -> ScopesimOptions {
@@ -65,7 +65,7 @@ fn a_map_image_becomes_nodes_that_name_their_layer() {
         (2, psf.nodes().as_slice()[0])
     );
     let grid = layers.grid();
-    // Half an arcsecond in pixels of a quarter.
+    // PSF pixels have 0.5 arcseconds, frame pixels 0.25.
     assert_eq!(
         (grid.oversampling(), grid.centre_x(), grid.centre_y()),
         (0.5, 2.0, 2.0)
@@ -122,7 +122,7 @@ fn angles_are_degrees_unless_the_file_says_otherwise() {
     let kernels = with_value(&kernels, "CDELT2", "1.0E-5").bytes;
     let file = [scopesim_primary(), scopesim_map([0.0; 6]), kernels.clone()].concat();
     assert!((oversampling(&file) - 0.25 / 0.036).abs() < 1e-12);
-    // A twelfth of the frame's pixel, within the digits of the header.
+    // The PSF pixel is a twelfth of a frame pixel, to the precision of the header.
     let kernels = with_value(&kernels, "CDELT1", "5.7870370E-6").bytes;
     let kernels = with_value(&kernels, "CDELT2", "5.7870370E-6").bytes;
     let file = [scopesim_primary(), scopesim_map([0.0; 6]), kernels].concat();
@@ -189,7 +189,7 @@ fn errors_name_what_is_wrong() {
 }
 
 #[test]
-fn spoilt_files_are_refused_soon() {
+fn damaged_files_are_refused_soon() {
     let options = options().with_wavelength_um(1.5).unwrap();
     let good = scopesim();
     let numbers = ["ECAT", "EDATA", "CRPIX1", "CDELT1", "CDELT2", "WAVE0"];

@@ -4,9 +4,9 @@ use psf_io::{Card, CardValue, HeaderCards, SkyCoordinates, WorldCoordinatesError
 use psf_types::Position;
 use serde_json::Value;
 
-/// In pixels. astropy's own inverse of distortions is accurate to 1e-7.
+/// The largest error in pixels. astropy's own inverse of distortions is accurate to 1e-7.
 const PIXEL_ERROR: f64 = 1e-6;
-/// In degrees, for pixels of at least 0.18 arcseconds.
+/// The largest error in degrees, for pixels of at least 0.18 arcseconds.
 const SKY_ERROR: f64 = 1e-11;
 
 fn cases() -> Vec<Value> {
@@ -134,7 +134,7 @@ fn headers_that_are_not_understood_name_the_keyword() {
 }
 
 #[test]
-fn no_distortion_is_left_out() {
+fn no_distortion_is_ignored() {
     let cases = cases();
     let plain = header(&cases[0]);
     let with = |header: &HeaderCards, keyword: &str, value: CardValue| {
@@ -167,7 +167,7 @@ fn no_distortion_is_left_out() {
         with(&plain, "A_ORDER", 2.into()),
         Err(WorldCoordinatesError::Missing { keyword, .. }) if keyword == "B_ORDER"
     ));
-    // SIP is applied even if CTYPE does not say so.
+    // SIP is applied even if CTYPEi does not end in -SIP.
     let mut compared = 0;
     for case in &cases {
         let whole = header(case);
@@ -191,7 +191,7 @@ fn no_distortion_is_left_out() {
 }
 
 #[test]
-fn extremes_are_no_pixels() {
+fn extreme_positions_give_finite_pixels_or_none() {
     for case in cases() {
         let sky = SkyCoordinates::from_header(&header(&case)).unwrap();
         for (longitude, latitude) in [
@@ -211,11 +211,10 @@ fn extremes_are_no_pixels() {
 }
 
 #[test]
-fn places_too_far_off_to_be_numbers_are_none() {
+fn pixels_far_off_give_finite_positions_or_none() {
     for case in cases() {
         let sky = SkyCoordinates::from_header(&header(&case)).unwrap();
-        // mapproj returns vectors of length zero or NaN here, and panics at them with debug
-        // assertions.
+        // Here mapproj would return vectors of length zero or NaN, and panic with debug assertions.
         for (x, y) in [(1e15, 1e300), (-1e300, 0.0), (1e250, 1e250)] {
             let far = Position::new(x, y).unwrap();
             assert_eq!(sky.sky(far), None, "{} at {x}, {y}", case["name"]);

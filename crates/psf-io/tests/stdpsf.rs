@@ -48,7 +48,7 @@ fn positions_count_from_0_with_x_fastest_and_fillers_are_not_read() {
 }
 
 #[test]
-fn detectors_are_cut_out_and_their_positions_are_their_own() {
+fn positions_are_pixels_of_the_chosen_detector() {
     // ACS: the second detector begins at row 5 with y = 251.
     let wfc1 = read(&stdpsf(9, 10), Some(2)).unwrap();
     let found = places(&wfc1);
@@ -77,7 +77,7 @@ fn detectors_are_cut_out_and_their_positions_are_their_own() {
 }
 
 #[test]
-fn several_detectors_want_a_choice() {
+fn one_of_several_detectors_must_be_chosen() {
     for detector in [None, Some(0), Some(9)] {
         let error = read(&stdpsf(20, 10), detector).unwrap_err();
         assert_eq!(error.setting(), Some("detector"));
@@ -89,7 +89,7 @@ fn several_detectors_want_a_choice() {
     assert!(read(&stdpsf(3, 2), Some(2)).is_err());
 }
 
-/// 20 x 10 PSFs with positions in texts, as in NIRCam's short-wave files.
+/// 20 x 10 PSFs with positions in strings, as in NIRCam's short-wave files.
 fn listed() -> Vec<String> {
     let list = |stem: &str, letter: char, first: usize, step: usize| {
         let numbers: Vec<String> = (first..first + 5).map(|i| (i * step + 1).to_string()).collect();
@@ -111,7 +111,7 @@ fn listed() -> Vec<String> {
 }
 
 #[test]
-fn positions_may_stand_in_texts() {
+fn positions_may_be_in_strings() {
     let singly = read(&stdpsf(20, 10), Some(7)).unwrap();
     assert_eq!(read(&stdpsf_of(200, &listed()), Some(7)).unwrap(), singly);
 
@@ -155,7 +155,7 @@ fn errors_name_the_card() {
         ),
         (
             with_value(&good, "NXPSFs", "2"),
-            "NXPSFS times NYPSFS says 2 times 2",
+            "NXPSFS times NYPSFS states 2 times 2",
         ),
         (with_value(&good, "NXPSFs", "-3"), "NXPSFS"),
         (replaced(&good, "NYPSFs", "COMMENT"), "NYPSFS"),
@@ -177,7 +177,7 @@ fn errors_name_the_card() {
 }
 
 #[test]
-fn spoilt_files_are_refused_soon() {
+fn damaged_files_are_refused_soon() {
     let good = stdpsf(3, 2);
     let cards = ["NXPSFs", "NYPSFs", "IPSFX01", "IPSFX03", "JPSFY02"];
     let mut all = cut(&good);

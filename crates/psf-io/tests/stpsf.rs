@@ -41,7 +41,7 @@ const SORTED: [(f64, f64, f64); 6] = [
 ];
 
 #[test]
-fn the_grid_is_that_of_photutils() {
+fn the_stamp_grid_agrees_with_photutils() {
     let scratch = Scratch::new();
     let path = scratch.put("a.fits", &stpsf(&[]));
     assert_eq!(detect(&path).unwrap(), FileKind::Stpsf);
@@ -104,7 +104,7 @@ fn the_writer_or_the_caller_decides_the_order_of_the_planes() {
 }
 
 #[test]
-fn where_both_orders_are_one_nothing_has_to_tell_it() {
+fn equal_orders_need_no_choice() {
     let cards = ["OVERSAMP= 1", "DET_YX1 = '(5.0, 9.0)'", "DET_YX0 = '(5.0, 1.0)'"];
     let bytes = image(SIMPLE, -32, &[4, 4, 2], &cards, &f32s(&[1.0; 32]));
     let library = read(&bytes, PlaneOrder::Auto).unwrap();
@@ -125,7 +125,7 @@ fn positions_need_not_form_a_grid() {
 }
 
 #[test]
-fn numbers_of_three_digits_stand_in_long_keywords() {
+fn plane_numbers_of_three_digits_need_long_keywords() {
     let keyword = |i: usize| match i {
         0..100 => format!("{:<8}= '(0.0, {i}.0)'", format!("DET_YX{i}")),
         _ => format!("HIERARCH DET_YX{i} = '(0.0, {i}.0)'"),
@@ -139,7 +139,7 @@ fn numbers_of_three_digits_stand_in_long_keywords() {
 }
 
 #[test]
-fn of_two_samplings_the_one_that_fits_the_stamps_is_taken() {
+fn the_sampling_that_matches_the_stamps_is_used() {
     let differing = |across: &str| {
         let bytes = stpsf(&[across]);
         with_value(&bytes, "DET_SAMP", "5").bytes
@@ -180,7 +180,7 @@ fn errors_name_the_card() {
 }
 
 #[test]
-fn a_library_without_one_of_its_cards_is_told_for_what_it_is() {
+fn a_library_without_one_of_its_cards_is_still_recognised() {
     let bytes = without(&stpsf(&[]), &["OVERSAMP"]).remove(0).bytes;
     assert_eq!(
         detect(Scratch::new().put("a.fits", &bytes)).unwrap(),
@@ -190,20 +190,20 @@ fn a_library_without_one_of_its_cards_is_told_for_what_it_is() {
 }
 
 #[test]
-fn planes_without_light_are_named() {
-    let mut dark = stpsf(&[]);
-    let data = dark.len() - (6 * SIZE * SIZE * 8_usize).next_multiple_of(2880);
+fn planes_without_flux_are_named() {
+    let mut file = stpsf(&[]);
+    let data = file.len() - (6 * SIZE * SIZE * 8_usize).next_multiple_of(2880);
     let plane = SIZE * SIZE * 8;
-    for value in dark[data + 4 * plane..data + 5 * plane].chunks_mut(8) {
+    for value in file[data + 4 * plane..data + 5 * plane].chunks_mut(8) {
         // Changes the sign.
         value[0] ^= 0x80;
     }
-    let error = chain(&read(&dark, PlaneOrder::Auto).unwrap_err());
+    let error = chain(&read(&file, PlaneOrder::Auto).unwrap_err());
     assert!(error.contains("plane 4 has flux -"), "{error}");
 }
 
 #[test]
-fn spoilt_files_are_refused_soon() {
+fn damaged_files_are_refused_soon() {
     use support::mutations::{cut, huge_sizes, not_finite, wrong_types};
     let good = stpsf(&[]);
     let mut all = cut(&good);

@@ -41,7 +41,7 @@ fn the_first_table_with_the_columns_counts_whatever_their_types() {
 }
 
 #[test]
-fn ascii_tables_are_named_with_the_remedy() {
+fn the_error_for_an_ascii_table_says_what_to_do() {
     let ascii = hdu(
         &[
             "XTENSION= 'TABLE   '",

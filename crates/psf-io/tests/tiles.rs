@@ -85,7 +85,7 @@ fn is_a_broken_tile(bytes: &[u8], which: usize) -> bool {
 const FIVES: [i16; 9] = [0, 7, -100, 9, 0, 0, 0, 0x2004, 0x4004];
 
 #[test]
-fn the_makers_of_these_files_make_sound_ones() {
+fn the_files_of_these_tests_are_sound_if_unchanged() {
     let pixels: Vec<f64> = [1.0, -2.0, 3.0, 4.0].repeat(NY);
     assert_eq!(values(&zipped(32, &i32s(&[1, -2, 3, 4]))).unwrap(), pixels);
     assert_eq!(values(&zipped(16, &i16s(&[1, -2, 3, 4]))).unwrap(), pixels);
@@ -102,7 +102,7 @@ fn the_makers_of_these_files_make_sound_ones() {
 }
 
 #[test]
-fn tiles_that_unpack_to_other_than_their_pixels_are_refused() {
+fn tiles_that_unpack_to_a_wrong_length_are_refused() {
     // With eight bytes per whole number CFITSIO would leave the pixels uninitialised. The other
     // streams would give wrong numbers.
     for bytes in [
@@ -121,7 +121,7 @@ fn tiles_that_unpack_to_other_than_their_pixels_are_refused() {
 }
 
 #[test]
-fn tiles_that_are_not_compressed_have_as_many_pixels_as_they_should() {
+fn other_columns_must_hold_all_pixels_of_a_tile() {
     let columns = [COMPRESSED, ("UNCOMPRESSED_DATA", "1PD")];
     let of = |count: i32| {
         let rows = i32s(&[0, 0, 4, 0, 0, 0, count, 32]);
@@ -152,7 +152,7 @@ fn lists_and_blocks_without_pixels_are_refused() {
     assert!(is_a_broken_tile(&with_value(&list, "TFORM1", "'1PI'").bytes, 0));
     let block = twice(32, "RICE_1", &[0; 5], 5);
     assert_eq!(values(&block).unwrap(), [0.0; NX * NY]);
-    // One block more than the bytes have codes for. Then floats, which RICE_1 needs quantised.
+    // The pixels need one block more than the bytes hold. Then floats that are not quantised.
     let wide = with_value(&block, "ZNAXIS1", "1000").bytes;
     assert!(is_a_broken_tile(&with_value(&wide, "ZTILE1", "1000").bytes, 0));
     assert!(is_a_broken_tile(&twice(-32, "RICE_1", &[0; 40], 40), 0));
@@ -162,8 +162,8 @@ fn lists_and_blocks_without_pixels_are_refused() {
 
 #[test]
 fn blocks_of_rice_that_end_too_early_are_refused() {
-    // CFITSIO would read on after each tile: in search of the one of a code (found by fuzzing), a
-    // code, the first pixel, or low bits.
+    // CFITSIO would read beyond each tile. The tiles end before the bit 1 of a difference (found by
+    // fuzzing), before a code, in the first pixel, and in low bits.
     for tile in [
         &[0, 0, 0, 0x30, 0x10][..],
         &[0; 4],
@@ -206,7 +206,7 @@ fn tiles_that_cfitsio_would_convert_are_refused() {
 }
 
 #[test]
-fn headers_that_cfitsio_takes_on_trust_are_refused() {
+fn headers_that_cfitsio_does_not_check_are_refused() {
     let good = zipped(32, &i32s(&[1; NX]));
     let mut mutations = vec![
         with_value(&good, "ZBITPIX", "64"),

@@ -10,8 +10,8 @@ use crate::{FieldCoordinates, FieldPolynomial, OpticsError};
 
 /// Size and shape of a profile over the field.
 ///
-/// The isophotes are ellipses of axes `a >= b` at the angle `phi` from the x axis towards the y
-/// axis, with
+/// The isophotes are ellipses of axes `a >= b`. The angle `phi` of the major axis runs from the x
+/// axis towards the y axis. The polynomials give:
 ///
 /// * `fwhm_px`: the geometric mean of the full widths at half maximum along both axes, in frame
 ///   pixels.
@@ -21,7 +21,7 @@ use crate::{FieldCoordinates, FieldPolynomial, OpticsError};
 pub struct ProfileShape {
     /// Geometric-mean FWHM in frame pixels.
     pub fwhm_px: FieldPolynomial,
-    /// Distortion along the axes.
+    /// Distortion along the x and y axes.
     pub e1: FieldPolynomial,
     /// Distortion along the diagonals.
     pub e2: FieldPolynomial,
@@ -40,7 +40,7 @@ impl ProfileShape {
     }
 }
 
-/// Nodes and weights of the 8-point Gauss-Legendre rule on [-1, 1], positive half.
+/// Positive nodes and their weights of the 8-point Gauss-Legendre rule on [-1, 1].
 const GAUSS_LEGENDRE: [(f64, f64); 4] = [
     (0.183_434_642_495_649_8, 0.362_683_783_378_362),
     (0.525_532_409_916_329, 0.313_706_645_877_887_3),
@@ -74,8 +74,8 @@ impl ProfileField {
             shape,
             integrated: false,
         };
-        // Most mistakes show at the corners. Mistakes between them are refused when the stamp is
-        // drawn.
+        // Most impossible shapes occur at a corner or the centre. Others are refused when a stamp
+        // is drawn.
         let (right, top) = (field.nx() as i64 - 1, field.ny() as i64 - 1);
         for (x, y) in [(0, 0), (right, 0), (0, top), (right, top), (right / 2, top / 2)] {
             this.ellipse(Position::of_pixel(x, y))?;
@@ -111,7 +111,8 @@ impl ProfileField {
         })
     }
 
-    /// Draws `density(r^2, fwhm_px)`: flux per square frame pixel, `r` in units of half the FWHM.
+    /// Draws `density(r^2, fwhm_px)`, the flux per square frame pixel at the radius `r` in units of
+    /// half the FWHM.
     fn draw(
         &self,
         position: Position,
@@ -183,13 +184,13 @@ macro_rules! profile_source {
     };
 }
 
-/// An elliptical Gaussian PSF of unit flux over the infinite plane whose size and shape are
-/// polynomials of the field.
+/// An elliptical Gaussian PSF whose size and shape are polynomials of the field. Its flux over the
+/// infinite plane is 1.
 ///
 /// The density is `4 ln 2 / (pi F^2) 2^(-r^2)` with `F` the geometric-mean FWHM and `r` the
-/// elliptical radius in units of half the FWHM. By default values are the density at the pixel
-/// centres times the area of a frame pixel. The profile then is the effective PSF: it includes the
-/// pixel response if the given grid says so. To integrate over pixels, see
+/// elliptical radius in units of half the FWHM. By default, a stamp value is the density at the
+/// pixel's centre times the area of a frame pixel. The given grid then declares whether the profile
+/// includes the pixel response. To integrate over pixels, see
 /// [`with_pixel_integration`](Self::with_pixel_integration).
 ///
 /// ```
@@ -210,7 +211,7 @@ impl GaussianField {
     ///
     /// # Errors
     /// [`OpticsError::ProfileSize`] or [`OpticsError::ProfileShape`] when the shape is impossible
-    /// at a corner or at the centre of the field. At other positions drawing returns the error.
+    /// at a corner or at the centre of the field. Drawing returns the error for other positions.
     pub fn new(field: FrameShape, grid: StampGrid, shape: ProfileShape) -> Result<Self, OpticsError> {
         Ok(Self {
             profile: ProfileField::new(field, grid, shape)?,
@@ -234,8 +235,8 @@ impl GaussianField {
 
 profile_source!(GaussianField);
 
-/// An elliptical Moffat PSF (Moffat 1969, A&A 3, 455) of unit flux over the infinite plane whose
-/// size and shape are polynomials of the field.
+/// An elliptical Moffat PSF (Moffat 1969, A&A 3, 455) whose size and shape are polynomials of the
+/// field. Its flux over the infinite plane is 1.
 ///
 /// The density is `(beta - 1) / (pi alpha^2) (1 + q r^2)^(-beta)` with `q = 2^(1/beta) - 1` and
 /// `alpha = F / (2 sqrt(q))`. Here `r` is the elliptical radius in units of half the FWHM `F`, the
@@ -265,7 +266,7 @@ impl MoffatField {
     /// # Errors
     /// [`OpticsError::Setting`] for `beta`. [`OpticsError::ProfileSize`] or
     /// [`OpticsError::ProfileShape`] when the shape is impossible at a corner or at the centre of
-    /// the field. At other positions drawing returns the error.
+    /// the field. Drawing returns the error for other positions.
     pub fn new(
         field: FrameShape,
         grid: StampGrid,

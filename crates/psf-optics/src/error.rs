@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use psf_types::{DataError, Position};
 use thiserror::Error;
 
-/// An error in the description of a PSF source, or of the source at a position.
+/// An error in the description of a PSF source, or in the PSF that it gives at a position.
 ///
 /// Keys are written as in the TOML file, for example `aperture.diameter_m`. List entries are
 /// counted from 0.
@@ -43,10 +43,9 @@ pub enum OpticsError {
         /// The value that was given.
         got: String,
     },
-    /// A description that cannot be used. For example, an entry is repeated, or none or several are
-    /// given of keys of which exactly one is needed. Other examples are a computation that needs
-    /// too much memory, or a wavefront that sends light beyond the computed part of the focal
-    /// plane.
+    /// A description that cannot be used. Examples: an entry is repeated. Exactly one of two keys
+    /// is needed, but none or both are given. The computation needs too much memory. The wavefront
+    /// sends light beyond the computed part of the focal plane.
     #[error("{0}")]
     Unusable(String),
     /// The size of a profile is not finite or not above 0.
@@ -73,7 +72,7 @@ pub enum OpticsError {
 }
 
 impl OpticsError {
-    /// Returns the error for a repeated entry. `key` is the later of the two.
+    /// Returns the error for a repeated entry. `key` names the later entry.
     pub(crate) fn repeated(key: &str, what: &str) -> Self {
         Self::Unusable(format!("{key} repeats {what}: merge the two"))
     }

@@ -42,12 +42,12 @@ impl FieldCoordinates {
         }
     }
 
-    /// The column coordinate.
+    /// The normalised coordinate along x.
     pub fn u(self) -> f64 {
         self.u
     }
 
-    /// The row coordinate.
+    /// The normalised coordinate along y.
     pub fn v(self) -> f64 {
         self.v
     }
@@ -100,7 +100,7 @@ impl FieldPolynomial {
         Self::named("", terms)
     }
 
-    /// Like [`new`](Self::new), but errors name the keys below `key`.
+    /// Works like [`new`](Self::new), but puts `key` in front of the keys that errors name.
     pub(crate) fn named(key: &str, terms: Vec<FieldTerm>) -> Result<Self, OpticsError> {
         for (i, term) in terms.iter().enumerate() {
             let name = |last: &str| format!("{key}{}terms[{i}]{last}", if key.is_empty() { "" } else { "." });
@@ -121,12 +121,12 @@ impl FieldPolynomial {
     /// A polynomial with the same value everywhere.
     ///
     /// # Errors
-    /// [`OpticsError::Setting`] when it is not finite.
+    /// [`OpticsError::Setting`] when the value is not finite.
     pub fn constant(value: f64) -> Result<Self, OpticsError> {
         Self::new(vec![FieldTerm { x: 0, y: 0, value }])
     }
 
-    /// The value at `at`.
+    /// The value of the polynomial at `at`.
     pub fn evaluate(&self, at: FieldCoordinates) -> f64 {
         let power = |base: f64, exponent: u32| base.powi(exponent as i32);
         self.terms

@@ -1,5 +1,5 @@
-//! From the pupil to the stamp: two transforms give the optical transfer function, a third one the
-//! stamp.
+//! From the pupil to the stamp: two Fourier transforms give the optical transfer function, and a
+//! third transform gives the stamp.
 
 use std::sync::{Arc, Mutex};
 
@@ -10,7 +10,7 @@ use rustfft::{Fft, FftPlanner};
 use crate::pupil::PupilCells;
 use crate::wavefront::{PupilPolynomial, PupilRowPolynomial, PupilRowValues};
 
-/// Columns that are transformed together: 16 complex numbers are four cache lines.
+/// Number of columns that are transformed together: 16 complex numbers are four cache lines.
 const BLOCK: usize = 16;
 
 /// The data for the transforms of one telescope that do not depend on the field position.
@@ -21,24 +21,25 @@ const BLOCK: usize = 16;
 /// exactly at the stamp's pixels, for any ratio of pixel size to lambda / D.
 pub(crate) struct FocalPlane {
     pupil: PupilCells,
-    /// Length of the transforms that hold the autocorrelation without overlap.
+    /// Length of the transforms: long enough that the autocorrelation does not wrap around at the
+    /// lags in use.
     length: usize,
-    /// Highest lag that contributes.
+    /// Highest lag in use.
     lags: usize,
     /// Width of the computed focal plane in stamp pixels.
     pub(crate) period: usize,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
-    /// `1 / sinc^2(m / length)` along an axis: undoes the averaging of the amplitude over a pupil
-    /// cell.
+    /// `1 / sinc^2(m / length)` along an axis, which corrects for the averaging of the amplitude
+    /// over a pupil cell.
     cell_correction: Vec<f64>,
-    /// Transfer function of the seeing at lags `[ky][kx]`, both 0 to `lags`.
+    /// Transfer function of the seeing at the lags `[ky][kx]`, each from 0 to `lags`.
     seeing: Option<Vec<f64>>,
     scratch: Mutex<Vec<FocalScratch>>,
 }
 
-/// Transfer functions along one axis, lags 0 to `lags`, for one position of the source on the
-/// stamp.
+/// Transfer function along one axis at the lags 0 to `lags`: pixel, detector blur, and the phase
+/// for the position of the source on the stamp.
 pub(crate) struct AxisTransfer(pub(crate) Vec<Complex64>);
 
 impl std::fmt::Debug for FocalPlane {
@@ -80,7 +81,7 @@ impl FocalPlane {
         }
     }
 
-    /// Draws the stamp of a pupil phase. `gain` turns the unit-flux density on the period into
+    /// Draws the stamp of a pupil phase. `gain` is the factor from a PSF of unit flux per period to
     /// stamp values.
     ///
     /// Returns the steepest phase gradient in radians per cell. If it exceeds pi, the stamp is not
@@ -126,16 +127,16 @@ impl FocalPlane {
         }
     }
 
-    /// Transforms pupil rows to focal-plane columns. Rows beyond the pupil are zero and are not
-    /// transformed.
+    /// Transforms each row of the pupil along x. The index in a row then is a focal-plane column.
+    /// Rows beyond the pupil are zero and need no transform.
     fn transform_rows(&self, s: &mut FocalScratch) {
         for row in s.amplitude.chunks_exact_mut(self.length) {
             self.forward.process_with_scratch(row, &mut s.fft);
         }
     }
 
-    /// Transforms each column from amplitude to intensity and then to lags, two real columns in one
-    /// complex transform.
+    /// Transforms each column along y, squares the amplitude to the intensity, and transforms the
+    /// intensity to lags. Two real columns share one complex transform.
     fn correlate_columns(&self, s: &mut FocalScratch) {
         let (n, side) = (self.length, self.pupil.side);
         for first in (0..n).step_by(BLOCK) {
@@ -165,8 +166,8 @@ impl FocalPlane {
         }
     }
 
-    /// Transforms each row of lags to the transfer function, multiplies it by the other transfer
-    /// functions and folds it onto the period.
+    /// Transforms each row of lags along x, which gives the pupil's transfer function. Multiplies
+    /// this by the other transfer functions and folds the product onto the period.
     fn fold(&self, s: &mut FocalScratch, x: &AxisTransfer, y: &AxisTransfer) {
         let (n, m, top) = (self.length, self.period, self.lags);
         s.folded.fill(Complex64::ZERO);
@@ -174,7 +175,8 @@ impl FocalPlane {
             let row = &mut s.lags[ky * n..(ky + 1) * n];
             self.forward.process_with_scratch(row, &mut s.fft);
             let target = &mut s.folded[ky % m * m..(ky % m + 1) * m];
-            // Rows -ky hold the conjugate, so the result has twice the real part.
+            // Row -ky would add the conjugate. Doubling row ky instead gives an equal real part of
+            // the stamp, and only the real part is used.
             let weight = y.0[ky] * if ky == 0 { 1.0 } else { 2.0 };
             let reach = ((top * top - ky * ky) as f64).sqrt() as usize;
             let seeing = |kx: usize| self.seeing.as_ref().map_or(1.0, |t| t[ky * (top + 1) + kx]);
@@ -205,16 +207,16 @@ impl FocalPlane {
     }
 }
 
-/// Buffers that each drawing overwrites entirely, so that old content does not matter.
+/// Buffers that every call of `draw` overwrites entirely, so that old content does not matter.
 #[derive(Debug)]
 struct FocalScratch {
     /// Pupil rows `[row][length]`, then their transforms.
     amplitude: Vec<Complex64>,
     /// A block of columns, `[column][length]`.
     block: Vec<Complex64>,
-    /// `[lag in y][length]`.
+    /// Lags in y: `[lag][length]`.
     lags: Vec<Complex64>,
-    /// `[period][period]`.
+    /// The transfer function folded onto the period, `[period][period]`, then its transform.
     folded: Vec<Complex64>,
     /// Scratch of the transforms.
     fft: Vec<Complex64>,
@@ -224,9 +226,9 @@ struct FocalScratch {
 }
 
 impl FocalScratch {
-    /// Writes the amplitude of every cell: the mean of `exp(i phase)` over its lit part, with a
-    /// phase that is linear within the cell. Returns the steepest gradient along an axis in radians
-    /// per cell.
+    /// Writes the amplitude of every cell: the mean over the cell of `P exp(i phase)`, where `P` is
+    /// 1 on the lit part and 0 elsewhere. The phase is taken as linear within the cell. Returns the
+    /// steepest gradient along an axis in radians per cell.
     fn fill_amplitude(&mut self, pupil: &PupilCells, phase: &PupilPolynomial, length: usize) -> f64 {
         if !phase.is_finite() {
             return f64::INFINITY;
@@ -263,8 +265,8 @@ impl FocalScratch {
     }
 }
 
-/// The mean of `exp(i g t)` over `-1/2 <= t <= 1/2`, `sin(g/2) / (g/2)`, by its series. The error
-/// is at most 2e-6 for `|g| <= pi`.
+/// The mean of `exp(i g t)` over `-1/2 <= t <= 1/2`, which is `sin(g/2) / (g/2)`, by its series.
+/// The error is below 2.3e-6 for `|g| <= pi`.
 fn mean_over_cell(g: f64) -> f64 {
     let z2 = g * g / 4.0;
     1.0 - z2 / 6.0 * (1.0 - z2 / 20.0 * (1.0 - z2 / 42.0 * (1.0 - z2 / 72.0)))

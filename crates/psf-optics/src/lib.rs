@@ -4,8 +4,8 @@
 //! Every source implements [`psf_types::PsfSource`], which draws a stamp at any position of its
 //! field.
 //!
-//! * [`Telescope`]: a PSF computed from the pupil and the wavefront. A TOML file
-//!   ([`TelescopeParams`]) or code describes it. Presets: [`Telescope::survey_2m`] and
+//! * [`Telescope`]: a PSF computed from the pupil and the wavefront. [`TelescopeParams`] describe
+//!   the telescope, in a TOML file or in code. Presets: [`Telescope::survey_2m`] and
 //!   [`Telescope::wide_field_lens`].
 //! * [`GaussianField`], [`MoffatField`]: analytic profiles whose size and shape are
 //!   [`FieldPolynomial`]s.
@@ -14,8 +14,8 @@
 //!
 //! The pupil transmission is `P` (0 or 1), `W(u; x)` the wavefront error at the field position `x`,
 //! and `f` the spatial frequency in cycles per radian. The optical transfer function is the
-//! autocorrelation of the pupil times the transfer functions of the blurs by seeing, pixel and
-//! detector (Goodman, *Introduction to Fourier Optics*, ch. 6):
+//! autocorrelation of the complex pupil amplitude `A`, times the transfer functions of the seeing,
+//! the pixel and the detector's blur (Goodman, *Introduction to Fourier Optics*, ch. 6):
 //!
 //! ```text
 //! A(u) = P(u) exp(2 pi i W(u; x) / lambda),    W(u; x) = sum_j c_j(x) Z_j(2 u / D)
@@ -24,37 +24,41 @@
 //! h(theta) = p^2 integral OTF(f) exp(2 pi i f (theta - shift)) df
 //! ```
 //!
-//! Here `p` is the pixel scale, `sigma` the detector's Gaussian blur, `Z_j` are Noll's polynomials
-//! ([`Zernike`]) and `c_j(x)` polynomials of the field position. A positive tilt `c_2` moves the
-//! PSF to +x, `c_3` to +y: pupil, image and field share the same axes.
+//! Here `D` is the diameter of the aperture, `area` the lit area of the pupil, `p` the pixel scale
+//! and `sigma` the detector's Gaussian blur. `Z_j` are Noll's polynomials ([`Zernike`]), `c_j(x)`
+//! are polynomials of the field position, and `shift` is the sub-pixel position of the source. A
+//! positive tilt `c_2` moves the PSF to +x, `c_3` to +y, because pupil, image and field share their
+//! axes.
 //!
 //! # Sampling
 //!
 //! The pupil is cut into cells of `lambda / (M step)`, where `step` is the stamp's pixel size and
 //! `M` the width of the computed focal plane in stamp pixels. The lags of its discrete
 //! autocorrelation then are the frequencies of a transform of `M` points with exactly the stamp's
-//! step, for any ratio of pixel size to lambda / D. Under-sampled stamps are correct because the
-//! whole OTF is folded and nothing is cut off.
+//! step, for any ratio of pixel size to lambda / D. An undersampled stamp is correct too, because
+//! the frequencies of the OTF above its Nyquist limit are folded (aliased), not cut off.
 //!
-//! Shifts are phases, so a shift or an oversampling needs no interpolation: every `s`-th pixel of a
-//! stamp oversampled `s` times equals the native stamp to rounding. Cells that an edge crosses are
-//! grey. Each cell holds the *mean* of the amplitude over it (with a phase linear within the cell).
-//! Its effect on the focal plane, `sinc^2`, is divided out.
+//! A shift multiplies the OTF by a phase, so shifts and oversampling need no interpolation. Every
+//! `s`-th pixel of a stamp oversampled `s` times equals the native stamp to rounding, if both use
+//! an equal period in frame pixels. A cell that an edge of the aperture crosses is partly lit. Each
+//! cell holds the *mean* of the amplitude over its area (with a phase linear within the cell). This
+//! averaging multiplies the focal plane by `sinc^2`, which is divided out.
 //!
 //! # Normalisation and accuracy
 //!
 //! A stamp value is the fraction of the source's light that falls in a frame pixel centred there,
 //! also when the stamp is oversampled. With `detector.pixel_integration = false` it is the density
 //! at the centre times the area of a pixel. The flux over the infinite plane is 1, so **the flux of
-//! a stamp is the fraction that falls on it and is below 1**. For a perfect aperture,
-//! `2 / (pi^2 r)` of the light is outside the radius `r` times lambda / D.
+//! a stamp is the fraction that falls on it and is below 1**. For a perfect aperture, the fraction
+//! `2 / (pi^2 r)` of the light falls outside the radius `r lambda / D`.
 //!
-//! Approximation: the focal plane is computed on a period of `padding` times the stamp and at least
-//! 64 lambda / D. Light beyond the period reappears on the opposite side. At the default padding of
-//! 2 the error is up to 5e-5 in the flux and 2e-5 of the peak in the values (5e-5 for a ring of
-//! obscuration 0.6). This was measured on stamps of 30 lambda / D against the Airy formula.
-//! Doubling the padding divides the flux error by more than 2 and takes four times as long. A
-//! wavefront so steep that it sends light beyond the period is refused ([`OpticsError::Unusable`]).
+//! Approximation: the focal plane is computed on a period of `padding` times the stamp's larger
+//! side and at least 64 lambda / D. Light beyond the period reappears on the opposite side. At the
+//! default padding of 2, the error of the flux is up to 5e-5, and the error of a value is up to
+//! 2e-5 of the peak (5e-5 for an obscuration of 0.6). This was measured on stamps of 30 lambda / D
+//! against the Airy formula. Doubling the padding divides the flux error by more than 2 and takes
+//! four times as long. A wavefront so steep that it sends light beyond the period is refused
+//! ([`OpticsError::Unusable`]).
 //! The PSF is monochromatic, in the Fraunhofer approximation (scalar, small angles).
 
 mod analytic;

@@ -75,9 +75,9 @@ pub struct StampParams {
     /// Stamp pixels per frame pixel.
     #[serde(default = "one")]
     pub oversampling: usize,
-    /// Width of the computed focal plane divided by the stamp's larger side. Light beyond it
-    /// reappears on the opposite side, so this bounds the error of the far wings and of the flux
-    /// (see the crate's page).
+    /// Width of the computed focal plane divided by the stamp's larger side. Light beyond this
+    /// width reappears on the opposite side, so the padding bounds the error of the far wings and
+    /// of the flux (see the crate's page).
     #[serde(default = "two")]
     pub padding: f64,
 }
@@ -96,15 +96,15 @@ pub struct ApertureParams {
     pub spider: Option<SpiderParams>,
 }
 
-/// Vanes from the centre to the edge, at equal angles.
+/// Vanes from the centre of the aperture to its edge, at equal angles.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SpiderParams {
     /// Number of vanes, 1 to 64.
     pub vanes: usize,
-    /// Width of each in m, above 0 and below the diameter.
+    /// Width of a vane in m, above 0 and below the diameter.
     pub width_m: f64,
-    /// Direction of the first in degrees from the x axis towards the y axis.
+    /// Direction of the first vane in degrees from the x axis towards the y axis.
     #[serde(default)]
     pub angle_deg: f64,
 }
@@ -121,14 +121,15 @@ pub struct WavefrontParams {
     pub modes: Vec<ModeParams>,
 }
 
-/// The unit of Zernike coefficients, r.m.s. over the unobscured pupil.
+/// The unit of Zernike coefficients. A coefficient is the r.m.s. of its term over the unobscured
+/// pupil.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum WavefrontUnit {
     /// Nanometres.
     #[default]
     Nm,
-    /// Waves of the telescope's wavelength.
+    /// Multiples of the telescope's wavelength.
     Waves,
 }
 
@@ -142,19 +143,19 @@ pub struct ModeParams {
     pub terms: Vec<FieldTerm>,
 }
 
-/// Long-exposure seeing: give exactly one of `r0_m` and `fwhm_arcsec`.
+/// Long-exposure seeing. Exactly one of `r0_m` and `fwhm_arcsec` must be given.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SeeingParams {
     /// Fried's parameter in m at `at_wavelength_nm`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub r0_m: Option<f64>,
-    /// The Kolmogorov seeing in arcsec at `at_wavelength_nm`: `0.97586 lambda / r0`. (A finite
+    /// FWHM of Kolmogorov seeing in arcsec at `at_wavelength_nm`, `0.97586 lambda / r0`. (A finite
     /// outer scale makes the actual FWHM smaller.)
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub fwhm_arcsec: Option<f64>,
-    /// The wavelength in nm at which `r0_m` or `fwhm_arcsec` is given. r0 is proportional to its
-    /// power 6/5.
+    /// The wavelength in nm at which `r0_m` or `fwhm_arcsec` is given. r0 is proportional to the
+    /// wavelength to the power 6/5.
     #[serde(default = "reference_wavelength")]
     pub at_wavelength_nm: f64,
     /// The outer scale in m of von Karman turbulence. If it is absent, the turbulence is
@@ -168,7 +169,7 @@ pub struct SeeingParams {
 #[serde(deny_unknown_fields)]
 pub struct DetectorParams {
     /// If true, values are integrated over a frame pixel (a top hat). If false, they are the
-    /// intensity at the pixel's centre times its area.
+    /// intensity at the pixel's centre times the area of a frame pixel.
     #[serde(default = "yes")]
     pub pixel_integration: bool,
     /// Standard deviation along each axis, in frame pixels, of a Gaussian blur (charge diffusion,

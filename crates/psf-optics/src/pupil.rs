@@ -86,7 +86,7 @@ impl Aperture {
             })
     }
 
-    /// For each vane: coordinates along and across it, and its half width.
+    /// For each vane: the point's coordinates along and across the vane, and the vane's half width.
     fn vanes(&self, x: f64, y: f64) -> impl Iterator<Item = (f64, f64, f64)> {
         self.spider.into_iter().flat_map(move |s| {
             (0..s.vanes).map(move |i| {
@@ -97,7 +97,7 @@ impl Aperture {
     }
 }
 
-/// The aperture cut into cells, row by row: fully lit cells, and "grey" cells that an edge crosses.
+/// The aperture cut into cells, row by row: fully lit cells, and "grey" cells that are partly lit.
 #[derive(Debug)]
 pub(crate) struct PupilCells {
     /// Cells per axis of the grid.
@@ -120,7 +120,7 @@ pub(crate) struct PupilRow {
     grey: Range<usize>,
 }
 
-/// A cell that is not fully lit.
+/// A cell that is not fully lit: an edge crosses it, or it is unlit between lit cells of its row.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GreyCell {
     pub(crate) column: usize,
@@ -132,11 +132,11 @@ pub(crate) struct GreyCell {
     pub(crate) dy: f64,
 }
 
-/// Lattice points per quadrant used to measure a grey cell.
+/// Number of lattice points that sample a grey cell. Three mirror images of each point are added.
 const LATTICE: usize = 256;
 
 impl PupilCells {
-    /// Cuts an aperture whose diameter is `diameter` cells. The diameter need not be whole. The
+    /// Cuts an aperture whose diameter is `diameter` cells, which need not be a whole number. The
     /// grid is centred on the aperture.
     pub(crate) fn new(aperture: &Aperture, diameter: f64) -> Self {
         let side = diameter.ceil() as usize + 2;
@@ -202,8 +202,9 @@ impl PupilCells {
     }
 }
 
-/// Offsets over a cell: a golden-ratio lattice and its mirror images. Vertical, horizontal and
-/// slanted edges are all measured to better than 1/256, and symmetric apertures stay symmetric.
+/// Offsets over a cell: a golden-ratio lattice and its mirror images. The coverage is measured to
+/// better than 1/256 for vertical, horizontal and slanted edges, and symmetric apertures stay
+/// symmetric.
 fn lattice(cell: f64) -> Vec<(f64, f64)> {
     const GOLDEN: f64 = 0.618_033_988_749_894_9;
     (0..LATTICE)
@@ -254,20 +255,20 @@ mod tests {
         assert!(aperture.is_lit(0.8, 0.0), "no vane to the right");
         assert!(
             !aperture.is_lit(0.04, 0.8) && aperture.is_lit(0.06, 0.8),
-            "one upwards, 0.05 to each side"
+            "a vane upwards, 0.05 to each side"
         );
-        assert!(aperture.is_lit(0.0, -0.8), "none downwards");
+        assert!(aperture.is_lit(0.0, -0.8), "no vane downwards");
         let (sin, cos) = 210f64.to_radians().sin_cos();
         assert!(!aperture.is_lit(0.8 * cos, 0.8 * sin));
         assert!(!aperture.is_lit(0.3, -0.3) && !aperture.is_lit(0.8, -0.7));
         assert!(aperture.is_near_edge(0.0, -0.52, 0.03) && !aperture.is_near_edge(0.0, -0.75, 0.03));
     }
 
-    /// About a thousand grey cells, each measured to a few 1e-3.
+    /// The error of the area sums over about a thousand grey cells, each measured to a few 1e-3.
     const AREA: f64 = 2e-5;
 
     #[test]
-    fn the_lit_area_is_that_of_the_aperture() {
+    fn the_lit_cells_have_the_area_of_the_aperture() {
         let mut params = ApertureParams {
             diameter_m: 1.0,
             obscuration: 0.0,
@@ -284,7 +285,8 @@ mod tests {
             width_m: 0.013,
             angle_deg: 0.0,
         });
-        // A strip from radius 0.2 to 0.5. The error from the arcs at its ends is below 1e-4 of it.
+        // The vane is a strip from radius 0.2 to 0.5. Its curved ends change its area by less than
+        // 1e-4.
         let expected = PI / 4.0 * 0.84 - 0.3 * 0.013;
         assert!((area(&params, 145.37) / expected - 1.0).abs() < AREA);
     }

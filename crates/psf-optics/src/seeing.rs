@@ -50,7 +50,7 @@ impl Seeing {
         })
     }
 
-    /// The transfer function at the baseline `b_m` = wavelength times spatial frequency.
+    /// The transfer function at the baseline `b_m` in metres: wavelength times spatial frequency.
     pub(crate) fn transfer(&self, b_m: f64) -> f64 {
         (-0.5 * self.structure(b_m)).exp()
     }
@@ -71,7 +71,7 @@ fn bessel_deficit(z: f64) -> f64 {
     let limit = GAMMA_5_6 / 2f64.powf(1.0 / 6.0);
     if z < 2.0 {
         // K_nu = pi / (2 sin(nu pi)) (I_-nu - I_nu), sin(5 pi / 6) = 1/2. The first term of I_-nu
-        // equals `limit`.
+        // cancels `limit` and is left out.
         let q = z * z / 4.0;
         let (mut sum, mut minus, mut plus) = (
             0.0,
@@ -87,8 +87,8 @@ fn bessel_deficit(z: f64) -> f64 {
         }
         std::f64::consts::PI * sum
     } else {
-        // K_nu(z) = integral over t > 0 of exp(-z cosh t) cosh(nu t): the trapezoid rule converges
-        // exponentially.
+        // K_nu(z) = integral over t > 0 of exp(-z cosh t) cosh(nu t). The trapezoid rule converges
+        // exponentially for it.
         let step = 0.05;
         let k: f64 = (1..120)
             .map(|i| f64::from(i) * step)
@@ -129,8 +129,8 @@ mod tests {
 
     #[test]
     fn the_structure_function_saturates_at_twice_the_phase_variance() {
-        // The integral over the plane of 0.0229 r0^(-5/3) (k^2 + L0^-2)^(-11/6) (Noll 1976). The
-        // constant 0.0229 has three digits.
+        // The variance is the integral over the plane of 0.0229 r0^(-5/3) (k^2 + L0^-2)^(-11/6)
+        // (Noll 1976). The constant 0.0229 has three digits.
         let (r0, scale) = (0.2f64, 25.0f64);
         let variance = 0.5 * seeing(r0, Some(scale)).structure(1e4);
         let integral = 0.0229 * std::f64::consts::TAU * 0.6 * (scale / r0).powf(5.0 / 3.0);

@@ -20,8 +20,8 @@ pub const SURVEY_2M_TOML: &str = include_str!("../presets/survey_2m.toml");
 /// The TOML text of [`Telescope::wide_field_lens`].
 pub const WIDE_FIELD_LENS_TOML: &str = include_str!("../presets/wide_field_lens.toml");
 
-/// A telescope that draws its PSF anywhere on its frame, from pupil, wavefront over the field,
-/// seeing, pixel and blur.
+/// A telescope that draws its PSF at any position on its frame. The PSF is computed from the pupil,
+/// the wavefront over the field, the seeing, the pixel and the detector's blur.
 ///
 /// See the [crate's page](crate) for the equations, the sampling and the accuracy. Drawing is
 /// deterministic and takes `&self`: any number of threads may draw at the same time, each with its
@@ -51,8 +51,8 @@ pub struct Telescope {
     grid: StampGrid,
     wavefront: Wavefront,
     focal_plane: FocalPlane,
-    /// Transfer function along an axis that does not depend on the position: pixel and Gaussian
-    /// blur, at lags 0 to the highest.
+    /// Transfer function of the pixel and the Gaussian blur along an axis, at all lags from 0. It
+    /// does not depend on the position.
     detector: Vec<f64>,
 }
 
@@ -60,13 +60,13 @@ impl Telescope {
     /// The smallest width of the computed focal plane in units of lambda / D, so that the pupil is
     /// well resolved.
     const MIN_PUPIL_CELLS: f64 = 64.0;
-    /// The longest transform: 1.1 GB of work arrays per thread.
+    /// The longest transform. It needs about 1.2 GB of work arrays per thread.
     const MAX_TRANSFORM: usize = 6144;
     /// Lags where the transfer function of seeing and blur is below this value are dropped.
     const NEGLIGIBLE_TRANSFER: f64 = 1e-15;
 
-    /// Makes a telescope from its parameters. Checks all of them and computes the pupil, the plans
-    /// and the transfer functions.
+    /// Makes a telescope from its parameters. Checks all parameters and computes the pupil, the FFT
+    /// plans and the transfer functions.
     ///
     /// # Errors
     /// [`OpticsError`], which names the key and the allowed values.
@@ -86,7 +86,7 @@ impl Telescope {
 
         let oversampling = grid.oversampling();
         let step_rad = pixel_rad / oversampling;
-        // Pupil cells across the aperture for each stamp pixel of the period.
+        // Pupil cells across the aperture divided by stamp pixels in the period.
         let cells_per_pixel = params.aperture.diameter_m * step_rad / wavelength_m;
         let wanted = params.stamp.padding * grid.nx().max(grid.ny()) as f64;
         let period = wanted.max(Self::MIN_PUPIL_CELLS / cells_per_pixel).ceil();
@@ -142,8 +142,8 @@ impl Telescope {
     /// Makes a telescope from TOML text with the keys of [`TelescopeParams`].
     ///
     /// # Errors
-    /// [`OpticsError::Toml`] with line, column and key for text that is not such a file. Otherwise
-    /// the errors of [`new`](Self::new).
+    /// [`OpticsError::Toml`], with line, column and key, for text that is not TOML with these keys.
+    /// Otherwise the errors of [`new`](Self::new).
     pub fn from_toml_str(text: &str) -> Result<Self, OpticsError> {
         Self::new(toml::from_str(text).map_err(|e| OpticsError::Toml(Box::new(e)))?)
     }
@@ -165,18 +165,18 @@ impl Telescope {
     }
 
     /// A 2 m off-axis survey telescope in space, without obscuration, at 0.074 arcsec per pixel on
-    /// 9232 x 9216 pixels. Size and sampling are those of the CSST survey camera, the aberrations
-    /// are invented.
+    /// 9232 x 9216 pixels. Frame size and pixel scale are those of the CSST survey camera. The
+    /// aberrations are invented.
     ///
-    /// The file is [`SURVEY_2M_TOML`].
+    /// [`SURVEY_2M_TOML`] is its description.
     pub fn survey_2m() -> Self {
         Self::from_toml_str(SURVEY_2M_TOML).expect("the preset is valid")
     }
 
-    /// An under-sampled wide-field lens on the ground: 180 mm aperture, 11.7 arcsec per pixel on
+    /// An undersampled wide-field lens on the ground: 180 mm aperture, 11.7 arcsec per pixel on
     /// 4096 x 4096 pixels. It resembles the GWAC cameras, but the aberrations are invented.
     ///
-    /// The file is [`WIDE_FIELD_LENS_TOML`].
+    /// [`WIDE_FIELD_LENS_TOML`] is its description.
     pub fn wide_field_lens() -> Self {
         Self::from_toml_str(WIDE_FIELD_LENS_TOML).expect("the preset is valid")
     }
@@ -203,7 +203,8 @@ impl Telescope {
             .with_pixel_response_included(params.detector.pixel_integration))
     }
 
-    /// The transfer function along an axis for a source at index `centre` of the stamp.
+    /// The transfer function along an axis for a source at the index `centre` of the stamp,
+    /// including the pixel and the blur.
     fn axis_transfer(&self, centre: f64) -> AxisTransfer {
         let turn = -TAU * centre / self.focal_plane.period as f64;
         let lags = self.detector.iter().enumerate();

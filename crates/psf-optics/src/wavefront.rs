@@ -7,8 +7,8 @@ use crate::{FieldCoordinates, FieldPolynomial, OpticsError, WavefrontParams, Wav
 
 /// One Zernike polynomial in Noll's order and normalisation (Noll 1976, J. Opt. Soc. Am. 66, 207).
 ///
-/// With polar coordinates `(rho, theta)` of the unit disc, `n` the radial and `m >= 0` the
-/// azimuthal order,
+/// In polar coordinates `(rho, theta)` of the unit disc, with the radial order `n` and the
+/// azimuthal order `m >= 0`:
 ///
 /// ```text
 /// Z_j = sqrt(n + 1) R_n^0(rho)                           m = 0
@@ -19,8 +19,8 @@ use crate::{FieldCoordinates, FieldPolynomial, OpticsError, WavefrontParams, Wav
 ///
 /// The mean of `Z_i Z_j` over the disc is 1 for `i = j` and 0 otherwise, so a coefficient is the
 /// r.m.s. of its term over an unobscured pupil. `j` = 1 is piston, 2 and 3 tilts along x and y, 4
-/// defocus, 5 and 6 astigmatism, 7 and 8 coma, 11 spherical aberration. Over an obscured pupil the
-/// same full-disc polynomials are used, although they are not orthogonal there.
+/// defocus, 5 and 6 astigmatism, 7 and 8 coma, 11 spherical aberration. These polynomials are also
+/// used for an obscured pupil, although they are not orthogonal there.
 ///
 /// ```
 /// use psf_optics::Zernike;
@@ -40,7 +40,7 @@ pub struct Zernike {
 }
 
 impl Zernike {
-    /// The highest index, the last one of radial order 20.
+    /// The highest index, which is the last index of radial order 20.
     pub const MAX_NOLL: usize = 231;
 
     /// The polynomial of Noll's index `j`, 1 to [`Self::MAX_NOLL`].
@@ -55,7 +55,7 @@ impl Zernike {
         while (n + 1) * (n + 2) / 2 < j {
             n += 1;
         }
-        // Counted from 1 within radial order n. The azimuthal orders ascend in pairs.
+        // Position within radial order n, counted from 1. The azimuthal orders ascend in pairs.
         let in_row = j - n * (n + 1) / 2;
         let m = if n % 2 == 0 {
             in_row / 2 * 2
@@ -139,8 +139,8 @@ impl Zernike {
 
 /// `sum_{a + b <= degree} c_ab x^a y^b` over the pupil.
 ///
-/// A wavefront is summed in this form once for each PSF and then evaluated row by row, with its
-/// gradient, by Horner's rule. This is faster than a sum over maps of many Zernike polynomials and
+/// A wavefront is summed in this form once for each PSF. Horner's rule then evaluates the sum and
+/// its gradient row by row. This is faster than a sum over maps of many Zernike polynomials and
 /// needs no memory for the maps.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct PupilPolynomial {
@@ -149,7 +149,8 @@ pub(crate) struct PupilPolynomial {
     coefficients: Vec<f64>,
 }
 
-/// A [`PupilPolynomial`] at a fixed y: coefficients of ascending powers of x.
+/// A [`PupilPolynomial`] and its derivative in y, both at a fixed y: coefficients of ascending
+/// powers of x.
 #[derive(Debug, Default)]
 pub(crate) struct PupilRowPolynomial {
     value: Vec<f64>,
@@ -193,7 +194,7 @@ impl PupilPolynomial {
         }
     }
 
-    /// Reduces the polynomial and its derivative in y to a fixed y.
+    /// Reduces the polynomial and its derivative in y to polynomials of x at a fixed y.
     pub(crate) fn at_y(&self, y: f64, row: &mut PupilRowPolynomial) {
         let d = self.degree;
         row.value.clear();

@@ -34,13 +34,12 @@ fn error_over_peak(params: &TelescopeParams) -> f64 {
 
 /// Error from light beyond the computed focal plane (padding 2). Measured: 2e-5 of the peak.
 const AIRY: f64 = 3e-5;
-/// A narrow ring sends more light there. Measured: 5e-5.
+/// Error for a narrow ring, which sends more light beyond the focal plane. Measured: 5e-5.
 const OBSCURED_AIRY: f64 = 8e-5;
 
 #[test]
 fn airy_pattern_at_any_sampling() {
-    // 2.3 to 0.37 pixels per lambda / D, all with uneven numbers. The last one is far
-    // under-sampled.
+    // 2.3 to 0.37 pixels per lambda / D, never a round number. The last stamp is far undersampled.
     for (pixel, oversampling) in [(0.045, 1), (0.1, 3), (0.1, 1), (0.28, 1)] {
         let mut params = perfect(pixel, 64);
         params.stamp.oversampling = oversampling;

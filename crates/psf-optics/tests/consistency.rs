@@ -127,14 +127,14 @@ fn sub_pixel_shifts_move_between_pixels() {
         let expected = shifted(&*fine, at(250.0, 3.0), (0.0, 0.0));
         let got = shifted(&*coarse, at(250.0, 3.0), (0.5, -0.5));
         // Column c of the coarse stamp, (c - 15 - 0.5) pixels from the source, is column 2 c - 1 of
-        // the fine one. Row r, (r - 12 + 0.5) pixels, is row 2 r + 2.
+        // the fine stamp. Row r, (r - 12 + 0.5) pixels from the source, is row 2 r + 2.
         let error = largest_difference(got.slice(s![..24, 1..]), expected.slice(s![2..;2, 1..59;2]));
         assert!(error < ROUNDING, "{name}: {error:e}");
     }
 }
 
 #[test]
-fn an_oversampled_stamp_holds_the_native_one() {
+fn an_oversampled_stamp_contains_the_native_stamp() {
     for ((name, fine), (_, native)) in sources(96, 60, 3).into_iter().zip(sources(32, 20, 1)) {
         let (fine, native) = (
             fine.draw(at(10.0, 190.0)).unwrap(),

@@ -207,7 +207,7 @@ fn errors_of_files_name_the_file() {
 }
 
 #[test]
-fn a_wavefront_that_throws_light_off_the_computed_plane_is_refused_where_it_does() {
+fn a_too_steep_wavefront_is_refused_only_where_it_is_too_steep() {
     let steep = GOOD.replace("value = 40 }", "value = 60000 }");
     let telescope = Telescope::from_toml_str(&steep).unwrap();
     assert!(telescope.draw(Position::new(499.5, 0.0).unwrap()).is_ok());
@@ -221,7 +221,7 @@ fn a_wavefront_that_throws_light_off_the_computed_plane_is_refused_where_it_does
 }
 
 #[test]
-fn the_presets_are_what_they_say() {
+fn the_presets_are_as_documented() {
     let presets = [
         (Telescope::survey_2m(), SURVEY_2M_TOML, (9232, 9216), 2.0, 0.074),
         (

@@ -31,7 +31,7 @@ fn corner() -> Position {
 const SAMPLED: f64 = 1e-9;
 
 #[test]
-fn gaussian_moments_are_its_parameters() {
+fn the_moments_of_a_gaussian_equal_its_parameters() {
     let grid = StampGrid::new(96, 97).unwrap();
     let source = GaussianField::new(field(), grid, elliptical(7.0, 0.3, -0.2)).unwrap();
     let stamp = source.draw(corner()).unwrap();

@@ -17,15 +17,15 @@ use crate::sampling::{CapReached, SampleError, Sampling, SamplingMethod, Samplin
 ///
 /// A coarse grid over the whole field, corners and edges included, is refined cell by cell until a
 /// [`RefinementCriterion`] holds in every cell. The default is a [`NeighbourDifference`] of 1 %
-/// (relative L2). The [crate's page](crate) describes the mesh. Every PSF is drawn once: a PSF that
-/// a criterion has used becomes a sample without being drawn again when its cell is split.
+/// (relative L2). The [crate's page](crate) describes the mesh. Every PSF is drawn once: when a
+/// cell is split, the PSFs that the criterion used there become samples without being drawn again.
 ///
 /// ```
 /// use ndarray::ArrayViewMut2;
 /// use psf_sample::{AdaptiveSampling, SamplingMethod};
 /// use psf_types::{FrameShape, NoProgress, Position, PsfSource, SourceError, StampGrid};
 ///
-/// /// Light that moves from one pixel to the next towards the upper right corner.
+/// /// A PSF whose flux moves from one pixel to the next towards the upper right corner.
 /// struct Corner;
 /// impl PsfSource for Corner {
 ///     fn grid(&self) -> StampGrid { StampGrid::new(3, 1).unwrap() }
@@ -57,11 +57,11 @@ pub struct AdaptiveSampling {
 impl AdaptiveSampling {
     /// Default number of samples along each axis of the starting grid.
     pub const DEFAULT_START: usize = 5;
-    /// Default cap on the number of samples: 640 MB of 64 x 64 stamps.
+    /// Default cap on the number of samples: 655 MB of 64 x 64 stamps in double precision.
     pub const DEFAULT_MAX_SAMPLES: usize = 20_000;
     /// Default size of the smallest cell in pixels.
     pub const DEFAULT_MIN_CELL_PX: f64 = 1.0;
-    /// Default of the largest ratio of a cell's sides.
+    /// Default largest ratio of a cell's sides.
     pub const DEFAULT_MAX_ASPECT: f64 = 2.0;
 
     /// Adaptive sampling with a criterion and the defaults above.
@@ -77,14 +77,14 @@ impl AdaptiveSampling {
 
     /// Starts from `nx` x `ny` samples. Variations on a smaller scale than this grid may be missed.
     ///
-    /// Along an axis of one pixel there is one sample. A grid finer than the smallest cell is
-    /// thinned out.
+    /// Along an axis of one pixel there is one sample. If the cells of the grid would be smaller
+    /// than the smallest cell, the grid has fewer samples.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] unless both are from 2 to 4096.
+    /// [`SampleError::Setting`] unless both numbers are from 2 to 4096.
     pub fn with_start(self, nx: usize, ny: usize) -> Result<Self, SampleError> {
         for n in [nx, ny] {
-            let name = "samples of the starting grid along an axis";
+            let name = "the number of samples along an axis of the starting grid";
             SampleError::check((2..=4096).contains(&n), name, "from 2 to 4096", n)?;
         }
         Ok(Self {
@@ -104,9 +104,9 @@ impl AdaptiveSampling {
     /// `pixels`.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] unless it is from 0.001 to 1e9.
+    /// [`SampleError::Setting`] unless `pixels` is from 0.001 to 1e9.
     pub fn with_min_cell_px(self, pixels: f64) -> Result<Self, SampleError> {
-        let (name, allowed) = ("the smallest cell", "from 0.001 to 1e9 pixels");
+        let (name, allowed) = ("the size of the smallest cell", "from 0.001 to 1e9 pixels");
         SampleError::check((1e-3..=1e9).contains(&pixels), name, allowed, pixels)?;
         Ok(Self {
             min_cell_px: pixels,
@@ -115,12 +115,12 @@ impl AdaptiveSampling {
     }
 
     /// Lets the sides of a cell differ by up to this factor where the PSF varies more along one
-    /// axis than along the other. A larger ratio saves samples. However, triangulations of long
-    /// cells of different size may join samples that are far apart, and their error then exceeds
-    /// that of the criterion.
+    /// axis than along the other. A larger ratio saves samples. However, a triangulation of long
+    /// cells of different sizes may join samples that are far apart. Its interpolation error may
+    /// then exceed the criterion's threshold.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] unless it is from 1 to 1e6.
+    /// [`SampleError::Setting`] unless `ratio` is from 1 to 1e6.
     pub fn with_max_aspect(self, ratio: f64) -> Result<Self, SampleError> {
         let (name, allowed) = ("the largest ratio of a cell's sides", "from 1 to 1e6");
         SampleError::check((1.0..=1e6).contains(&ratio), name, allowed, ratio)?;
@@ -144,8 +144,8 @@ impl SamplingMethod for AdaptiveSampling {
         SampleError::check(
             mesh.node_count() <= self.max_samples,
             "the largest number of samples",
-            "at least that of the starting grid",
-            format_args!("{} for {}", self.max_samples, mesh.node_count()),
+            "at least the number of samples of the starting grid",
+            format_args!("{} for a grid of {}", self.max_samples, mesh.node_count()),
         )?;
         let mut run = AdaptiveRun {
             criterion: &*self.criterion,
@@ -179,7 +179,7 @@ impl SamplingMethod for AdaptiveSampling {
     }
 }
 
-/// The state of one sampling.
+/// The state of one adaptive sampling.
 struct AdaptiveRun<'a> {
     criterion: &'a dyn RefinementCriterion,
     source: &'a dyn PsfSource,
@@ -190,7 +190,7 @@ struct AdaptiveRun<'a> {
 }
 
 impl AdaptiveRun<'_> {
-    /// Indices of the 3 x 3 points of a cell that the criterion needs.
+    /// Column and row, each from 0 to 2, of the points of a cell that the criterion needs.
     fn probes(&self) -> impl Iterator<Item = (usize, usize)> + Clone + use<> {
         let all = self.criterion.probes() == CellProbes::CornersAndMidpoints;
         (0..9)
@@ -224,8 +224,8 @@ impl AdaptiveRun<'_> {
             .collect();
         for (cell, variation) in new.into_iter().zip(measured) {
             for value in [variation.along_x, variation.along_y] {
-                // The comparison is also false for NaN. Infinity cannot be ordered and has no
-                // meaning in a report.
+                // The comparison is also false for NaN. Infinities are refused because they cannot
+                // be ranked against each other and say nothing in a report.
                 if !(value >= 0.0 && value.is_finite()) {
                     let position = self.mesh.position(cell.node(1, 1))?;
                     return Err(SampleError::Criterion { position, value });
@@ -236,8 +236,8 @@ impl AdaptiveRun<'_> {
         Ok(())
     }
 
-    /// Cells that fail and can still be halved: the cell, the axes to halve and the value of the
-    /// criterion.
+    /// The cells that fail the criterion and can still be halved, each with the axes to halve and
+    /// with its larger variation.
     fn failing(&self) -> Vec<(Cell, Halving, f64)> {
         let threshold = self.criterion.threshold();
         let halving = |cell, v: CellVariation| {
@@ -254,7 +254,7 @@ impl AdaptiveRun<'_> {
             .collect()
     }
 
-    /// Halves as many cells as the cap allows, the worst first.
+    /// Halves as many of the failing cells as the cap on samples allows, the worst cells first.
     fn refine_the_worst(&mut self, mut failing: Vec<(Cell, Halving, f64)>, cap: usize) {
         failing.sort_by(|a, b| b.2.total_cmp(&a.2).then(a.0.cmp(&b.0)));
         let refined = |count: usize| {
@@ -262,17 +262,17 @@ impl AdaptiveRun<'_> {
             mesh.halve(failing[..count].iter().map(|&(cell, halving, _)| (cell, halving)));
             mesh
         };
-        // More cells never need fewer samples, so bisection finds the number.
-        let (mut fits, mut too_many) = (0, failing.len());
-        while too_many - fits > 1 {
-            let middle = fits.midpoint(too_many);
+        // Halving more cells never gives fewer samples, so bisection finds the number.
+        let (mut possible, mut too_many) = (0, failing.len());
+        while too_many - possible > 1 {
+            let middle = possible.midpoint(too_many);
             if refined(middle).node_count() <= cap {
-                fits = middle;
+                possible = middle;
             } else {
                 too_many = middle;
             }
         }
-        self.mesh = refined(fits);
+        self.mesh = refined(possible);
     }
 
     fn finish(self, outcome: Option<SamplingOutcome>) -> Result<Sampling, SampleError> {

@@ -8,30 +8,30 @@ use crate::sampling::SampleError;
 /// Decides whether a cell between samples is fine enough. The trait is object-safe, and other
 /// crates may implement it.
 ///
-/// A cell is a rectangle whose four corners are samples. It is split along an axis whose value
-/// exceeds the threshold.
+/// A cell is a rectangle whose four corners are samples. It is halved along each axis along which
+/// the measured variation exceeds the threshold.
 pub trait RefinementCriterion: std::fmt::Debug + Send + Sync {
     /// The largest value at which a cell is fine enough, finite and above 0.
     fn threshold(&self) -> f64;
 
-    /// Returns which PSFs of a cell the criterion needs.
+    /// Returns the points of a cell whose PSFs the criterion needs.
     fn probes(&self) -> CellProbes;
 
-    /// Measures a cell. The result must depend only on the stamps.
+    /// Measures the variation of the PSF in a cell. The result must depend only on the stamps.
     fn assess(&self, cell: &CellStamps<'_>) -> CellVariation;
 }
 
-/// The PSFs of a cell that are drawn for a criterion.
+/// The points of a cell whose PSFs a criterion needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CellProbes {
     /// The four corners, which are samples anyway.
     Corners,
-    /// The corners, the middles of the four edges and the cell's centre. They become samples where
-    /// the cell is split.
+    /// The corners, the middles of the four edges and the cell's centre. Where the cell is split,
+    /// these points become samples.
     CornersAndMidpoints,
 }
 
-/// The variation of the PSF in a cell, in the criterion's measure: numbers of 0 or above.
+/// The variation of the PSF in a cell, in the criterion's measure. Both numbers are 0 or above.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct CellVariation {
     /// Variation along x. If it exceeds the threshold, the cell is halved by a vertical line.
@@ -41,7 +41,7 @@ pub struct CellVariation {
 }
 
 impl CellVariation {
-    /// The larger of the two.
+    /// The larger of the two variations.
     pub fn largest(self) -> f64 {
         self.along_x.max(self.along_y)
     }
@@ -68,8 +68,8 @@ impl CellStamps<'_> {
     }
 }
 
-/// A relative difference of two stamps `a` and `b` on the same grid. It is symmetric in them and 0
-/// for equal stamps.
+/// A relative difference of two stamps `a` and `b` on the same grid. It does not change when the
+/// stamps are exchanged, and is 0 for equal stamps.
 ///
 /// ```
 /// use ndarray::array;
@@ -117,19 +117,19 @@ impl DifferenceMeasure {
         if self == Self::L2 {
             (d, na, nb) = (d.sqrt(), na.sqrt(), nb.sqrt());
         }
-        // The difference of two empty stamps is 0. Every stamp that is drawn holds light.
+        // The difference of two stamps of zeros is 0. A drawn stamp always has flux.
         if d == 0.0 { 0.0 } else { 2.0 * d / (na + nb) }
     }
 }
 
-/// Requires that neighbouring samples differ by less than a threshold. Neighbours are the ends of
-/// every edge of the mesh: the next sample to the left, right, above and below. Where a small cell
-/// meets a large one, both the small and the large edge count.
+/// Requires that neighbouring samples differ by at most a threshold. Neighbours are the two ends of
+/// an edge of a cell. Where a small cell meets a large cell, the edges of both count.
 ///
-/// The criterion does not examine points between two samples. It misses a PSF that returns to the
-/// same shape within one cell of the starting grid. It samples a PSF that varies linearly densely,
-/// although interpolation would be exact. [`InterpolationError`](crate::InterpolationError)
-/// examines points between samples, and usually needs far fewer samples for the same error.
+/// The criterion does not examine points between two samples. It therefore misses a variation that
+/// starts and ends with equal PSFs within one cell of the starting grid. A PSF that varies linearly
+/// is sampled densely, although interpolation would be exact.
+/// [`InterpolationError`](crate::InterpolationError) examines points between samples, and usually
+/// needs far fewer samples for the same error.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct NeighbourDifference {
     threshold: f64,
@@ -140,7 +140,7 @@ impl NeighbourDifference {
     /// The default threshold, 1 %.
     pub const DEFAULT_THRESHOLD: f64 = 0.01;
 
-    /// A criterion with a threshold on a measure of the difference.
+    /// A criterion with a threshold on the difference of neighbours.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless the threshold is finite and above 0.
@@ -183,18 +183,18 @@ impl RefinementCriterion for NeighbourDifference {
     }
 }
 
-/// Requires that linear interpolation between the samples has an error below a threshold at points
-/// that are not samples:
+/// Requires that the error of linear interpolation between the samples is at most a threshold. Each
+/// cell is checked at five points:
 ///
-/// * at the middle of each edge, against the mean of the edge's ends.
-/// * at the centre of the cell, against the mean of **either** pair of opposite corners, whichever
-///   error is larger: a Delaunay triangulation may draw either diagonal. Bilinear interpolation,
-///   the mean of both, is never worse than the worse of them.
+/// * at the middle of each edge, where the PSF is compared with the mean of the edge's two ends.
+/// * at the centre of the cell, where the PSF is compared with the mean of two opposite corners.
+///   The larger error of **both** diagonals counts, because a Delaunay triangulation may contain
+///   either. Bilinear interpolation is the mean over both diagonals, so its error is not larger.
 ///
 /// For a PSF that varies quadratically within a cell, the error in a right-angled triangle is
 /// largest at the middle of its longest side. The points above therefore bound the error in the
 /// cell. Where cells of different size meet, a triangulation may join other samples. Its error
-/// there is of the same order, but not strictly bounded.
+/// there is of similar size, but not strictly bounded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InterpolationError {
     threshold: f64,
@@ -202,8 +202,7 @@ pub struct InterpolationError {
 }
 
 impl InterpolationError {
-    /// A criterion with a threshold on a measure of the difference between interpolated and true
-    /// PSF.
+    /// A criterion with a threshold on the difference between the interpolated and the true PSF.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless the threshold is finite and above 0.
@@ -236,8 +235,8 @@ impl RefinementCriterion for InterpolationError {
         let y = error((0, 0), (0, 2), (0, 1)).max(error((2, 0), (2, 2), (2, 1)));
         let centre = error((0, 0), (2, 2), (1, 1)).max(error((2, 0), (0, 2), (1, 1)));
         // Halving an axis removes three quarters of a quadratic error along it, and half of the
-        // twist (the remaining error at the centre). If halving one axis is enough, that axis is
-        // charged with the error at the centre, else both are.
+        // twist (the part of the error at the centre beyond `x + y`). If halving one axis is
+        // enough, the error at the centre counts for this axis only, otherwise for both axes.
         let twist = (centre - x - y).max(0.0);
         let enough = |of: f64, other: f64| {
             of.max(centre) > self.threshold
@@ -270,7 +269,7 @@ mod tests {
     use ndarray::{Array2, array};
 
     #[test]
-    fn values() {
+    fn the_measures_give_values_computed_by_hand() {
         let (a, b) = (array![[3.0, 0.0], [0.0, 1.0]], array![[0.0, 4.0], [0.0, 1.0]]);
         let l1 = 2.0 * 7.0 / (4.0 + 5.0);
         let l2 = 2.0 * 5.0 / (10f64.sqrt() + 17f64.sqrt());
@@ -305,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn errors_are_charged_to_the_axis_that_causes_them() {
+    fn errors_count_for_the_axis_that_causes_them() {
         let v = assess(|x, _| x * x);
         assert!(v.along_x > 0.1 && v.along_y == 0.0, "{v:?}");
         let v = assess(|x, y| 0.1 * x * x + y * y);
@@ -313,7 +312,7 @@ mod tests {
         let v = assess(|x, y| x * y);
         assert!(
             v.along_x == v.along_y && v.along_x > 0.1,
-            "a twist shows at the centre alone: {v:?}"
+            "a twist has an error only at the centre: {v:?}"
         );
     }
 }

@@ -12,7 +12,7 @@ use crate::criteria::DifferenceMeasure;
 use crate::mesh::{Mesh, Node};
 use crate::sampling::{SampleError, Sampling, SamplingMethod, SamplingReport};
 
-/// Draws a PSF and checks that it is finite and has light.
+/// Draws a PSF and checks that its values are finite and its flux is positive.
 fn draw(source: &dyn PsfSource, position: Position, shift: (f64, f64)) -> Result<Array2<f64>, SampleError> {
     let grid = source.grid();
     let mut values = Array2::zeros(grid.dim());
@@ -31,8 +31,8 @@ fn draw(source: &dyn PsfSource, position: Position, shift: (f64, f64)) -> Result
     }
 }
 
-/// Draws in parallel. Returns the first error in the order of the positions, independent of the
-/// threads.
+/// Draws the PSFs at `positions` in parallel. If several fail, returns the error of the first
+/// position, whatever the number of threads.
 fn draw_all(
     source: &dyn PsfSource,
     positions: &[Position],
@@ -49,7 +49,7 @@ fn draw_all(
     drawn.into_iter().collect()
 }
 
-/// Every PSF drawn so far, by its node of the mesh.
+/// All PSFs drawn so far. The keys are their nodes of the mesh.
 #[derive(Debug, Default)]
 pub(crate) struct DrawnStamps {
     stamps: HashMap<Node, Array2<f64>>,
@@ -97,7 +97,7 @@ impl DrawnStamps {
         let nodes = mesh.sorted_nodes();
         let taken = nodes
             .iter()
-            .map(|n| self.stamps.remove(n).expect("samples are drawn"))
+            .map(|n| self.stamps.remove(n).expect("every sample was drawn"))
             .collect();
         drop(self);
         into_samples(source, mesh.positions(&nodes)?, taken)
@@ -142,7 +142,7 @@ impl UniformSampling {
     /// A grid of `nx` by `ny` samples.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] when either is 0.
+    /// [`SampleError::Setting`] when `nx` or `ny` is 0.
     pub fn new(nx: usize, ny: usize) -> Result<Self, SampleError> {
         for n in [nx, ny] {
             SampleError::check(n > 0, "samples along an axis", "at least 1", n)?;
@@ -154,7 +154,7 @@ impl UniformSampling {
         })
     }
 
-    /// Sets the measure in which the report states the largest difference of neighbours.
+    /// Sets the measure of the report's largest difference of neighbours.
     #[must_use]
     pub fn with_measure(self, measure: DifferenceMeasure) -> Self {
         Self { measure, ..self }
@@ -163,15 +163,15 @@ impl UniformSampling {
     /// The positions on a field, ordered by y, then x.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] when an axis of more than one pixel has a single sample, which
-    /// would not cover its two ends, or an axis of one pixel has several.
+    /// [`SampleError::Setting`] when an axis of several pixels has only one sample, or when an axis
+    /// of one pixel has several samples.
     pub fn positions(&self, field: FrameShape) -> Result<Vec<Position>, SampleError> {
         let axis = |name, samples: usize, pixels: usize| {
             let allowed = "1 for an axis of one pixel, at least 2 otherwise";
             let got = format_args!("{samples} for {pixels} pixels");
             SampleError::check((samples == 1) == (pixels == 1), name, allowed, got)?;
             let last = (samples - 1).max(1) as f64;
-            // The product is formed first, so that the last value is exactly the last pixel.
+            // Multiplying before dividing makes the last value exactly `pixels - 1`.
             Ok::<_, SampleError>((0..samples).map(move |i| (pixels - 1) as f64 * i as f64 / last))
         };
         let xs = axis("samples along x", self.nx, field.nx())?;
@@ -226,11 +226,11 @@ pub struct ShiftAugmentation {
     seed: u64,
 }
 
-/// Shifted stamps of samples.
+/// The shifted stamps of all samples.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct ShiftedStamps {
-    /// The stamps `[stamp, y, x]`: all copies of the first sample, then those of the next.
+    /// The stamps `[stamp, y, x]`: all copies of the first sample, then all copies of the next.
     pub stamps: Array3<f64>,
     /// For each stamp, the index of its sample and the shift (dx, dy) in frame pixels.
     pub shifts: Vec<(usize, (f64, f64))>,
@@ -263,7 +263,7 @@ impl ShiftAugmentation {
         let mut rng = ChaCha8Rng::seed_from_u64(self.seed);
         rng.set_stream(sample as u64);
         let mut uniform = move || {
-            // 53 random bits: every multiple of 2^-53 in [0, 1).
+            // 53 random bits: every multiple of 2^-53 in [0, 1) is equally likely.
             let unit = (rng.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
             (2.0 * unit - 1.0) * self.max_shift_px
         };
@@ -273,8 +273,8 @@ impl ShiftAugmentation {
     /// Draws the shifted stamps of the samples at `positions`, in parallel.
     ///
     /// # Errors
-    /// [`SampleError::Draw`] when the source cannot draw or cannot shift. [`SampleError::Stamp`] or
-    /// [`SampleError::NoLight`] when the stamp that it draws is not a PSF.
+    /// [`SampleError::Draw`] when the source cannot draw, or cannot shift. [`SampleError::Stamp`]
+    /// or [`SampleError::NoLight`] when a drawn stamp is not a valid PSF.
     pub fn draw(
         &self,
         source: &dyn PsfSource,

@@ -5,7 +5,7 @@
 //!
 //! * [`UniformSampling`]: a regular grid from corner to corner.
 //! * [`AdaptiveSampling`]: a coarse grid, refined until a [`RefinementCriterion`] holds. The
-//!   criterion is [`NeighbourDifference`] (the default, 1 %) or [`InterpolationError`], on a
+//!   criterion is [`NeighbourDifference`] (the default, 1 %) or [`InterpolationError`]. Both use a
 //!   [`DifferenceMeasure`].
 //!
 //! [`ShiftAugmentation`] draws the samples again at sub-pixel shifts, to train a basis.
@@ -14,15 +14,15 @@
 //!
 //! The field is covered by rectangular cells whose corners are samples. The outermost samples lie
 //! on the pixel centres of the field's corners, 0 and `n - 1`. A cell in which the criterion fails
-//! is halved along the axis along which it fails, or along both.
+//! is halved along each axis on which it fails.
 //!
-//! Two rules keep linear interpolation on any triangulation of the samples, in particular
-//! Delaunay's, close to the cells. First, the sides of a cell differ by at most a factor
-//! ([`AdaptiveSampling::with_max_aspect`], 2 by default). Second, no edge has more than one sample
-//! between its ends. Neighbouring cells therefore differ by at most one halving along their common
-//! edge.
+//! Interpolation uses a triangulation of the samples, usually Delaunay's, and not the cells. Two
+//! rules keep the triangles similar to the cells. First, the sides of a cell differ by at most a
+//! factor ([`AdaptiveSampling::with_max_aspect`], 2 by default). Second, no edge has more than one
+//! sample between its ends. Neighbouring cells therefore differ by at most one halving along their
+//! common edge.
 //!
-//! The sampling ends in one of three ways, and always reports which one:
+//! The sampling ends in one of three ways, and reports which one occurred:
 //!
 //! * The criterion holds everywhere ([`SamplingOutcome::Met`]).
 //! * Some cells reached the smallest size because the PSF jumps there

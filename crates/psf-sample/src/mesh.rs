@@ -11,7 +11,7 @@ pub(crate) struct Node {
     pub(crate) x: u64,
 }
 
-/// A rectangle of the lattice, ends included.
+/// A rectangle of the lattice: its first and last lattice point along y and x.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Cell {
     pub(crate) y: (u64, u64),
@@ -27,15 +27,15 @@ struct Axis {
     cells: u64,
     /// Lattice steps in a cell of the starting grid.
     steps: u64,
-    /// Lattice steps across the narrowest cell that may still be halved.
+    /// Lattice steps along the narrowest cell that may still be halved.
     halvable: u64,
 }
 
 /// Rectangular cells that cover the field. Their corners are the samples.
 ///
 /// Cells are halved along one axis or both. The mesh stays balanced: an edge holds at most one
-/// sample between its ends, at its middle. This is a "hanging node": the cell on the other side is
-/// halved and this one is not.
+/// sample between its ends, at its middle. Such a "hanging node" exists where only the cell on the
+/// other side of the edge is halved.
 #[derive(Debug, Clone)]
 pub(crate) struct Mesh {
     axes: [Axis; 2],
@@ -61,7 +61,7 @@ impl Axis {
     fn new(pixels: usize, samples: usize, min_cell_px: f64) -> Self {
         let last_px = (pixels - 1) as f64;
         if pixels == 1 {
-            // One lattice point: the cells have no extent and are never halved.
+            // One lattice point: the cells have no extent along this axis and are never halved.
             return Self {
                 last_px,
                 cells: 1,
@@ -75,8 +75,8 @@ impl Axis {
         while last_px / (cells << (levels + 1)) as f64 >= min_cell_px {
             levels += 1;
         }
-        // Two finer levels hold the midpoints of the smallest cells and the quarter points needed
-        // for balancing.
+        // Two finer levels of the lattice hold the midpoints of the smallest cells, and the
+        // quarter points that the balancing checks.
         Self {
             last_px,
             cells,
@@ -133,9 +133,9 @@ impl Cell {
 }
 
 impl Mesh {
-    /// The starting grid of about `start` samples along x and y. Its outermost samples lie on the
-    /// pixel centres of the field's corners. It has fewer samples if cells would be smaller than
-    /// `min_cell_px`.
+    /// The starting grid of `start` samples along x and y. Its outermost samples lie on the pixel
+    /// centres of the field's corners. It has fewer samples if its cells would otherwise be smaller
+    /// than `min_cell_px`.
     pub(crate) fn new(field: FrameShape, start: [usize; 2], min_cell_px: f64, max_aspect: f64) -> Self {
         let axes = [
             Axis::new(field.nx(), start[0], min_cell_px),
@@ -154,7 +154,7 @@ impl Mesh {
         }
     }
 
-    /// The cells in a fixed order.
+    /// The cells, in a fixed order.
     pub(crate) fn leaves(&self) -> &BTreeSet<Cell> {
         &self.leaves
     }
@@ -180,8 +180,8 @@ impl Mesh {
         nodes.iter().map(|&node| self.position(node)).collect()
     }
 
-    /// The part of the `wanted` halving that is possible. Includes the second axis if halving only
-    /// one would make the cell too long.
+    /// The axes of `wanted` along which the cell can be halved. Adds the other axis if halving only
+    /// one of them would make the halves too long.
     pub(crate) fn allowed(&self, cell: Cell, wanted: Halving) -> Halving {
         let size =
             |i: usize, ends: (u64, u64)| self.axes[i].coordinate(ends.1) - self.axes[i].coordinate(ends.0);
@@ -194,7 +194,7 @@ impl Mesh {
         }
     }
 
-    /// Halves the given cells, and then further cells until the mesh is balanced.
+    /// Halves the given cells, and then other cells until the mesh is balanced.
     pub(crate) fn halve(&mut self, cells: impl IntoIterator<Item = (Cell, Halving)>) {
         for (cell, halving) in cells {
             self.replace(cell, halving);
@@ -223,7 +223,7 @@ impl Mesh {
         }
     }
 
-    /// The axes along which an edge of the cell holds samples other than its middle.
+    /// The axes along which an edge of the cell holds samples other than its ends and its middle.
     fn crowded(&self, cell: Cell) -> Halving {
         let quarters = |ends: (u64, u64)| [(ends.0, middle(ends)), (middle(ends), ends.1)].map(middle);
         let at = |x, y| self.nodes.contains(&Node { y, x });
@@ -286,7 +286,7 @@ mod tests {
         assert_eq!(rounds, 6);
         assert!(
             mesh.node_count() < 120,
-            "{}: balancing adds graded cells, it does not fill the mesh",
+            "{} nodes: balancing must not refine the whole mesh",
             mesh.node_count()
         );
     }
@@ -302,7 +302,7 @@ mod tests {
         assert_eq!(
             mesh.allowed(half, x_alone),
             BOTH,
-            "a quarter by one would be too long"
+            "a cell of 1/4 by 1 would be too long"
         );
     }
 

@@ -13,7 +13,8 @@ pub enum Criterion {
     /// The error of interpolation between the samples ([`InterpolationError`]).
     #[default]
     Interpolation,
-    /// The difference of neighbouring samples, as in the paper ([`NeighbourDifference`]).
+    /// The difference of neighbouring samples, as in the method's paper
+    /// ([`NeighbourDifference`]).
     Neighbours,
 }
 
@@ -44,15 +45,16 @@ psf_types::named!(
 pub struct SamplingOptions {
     /// The quantity that is compared with the threshold.
     pub criterion: Criterion,
-    /// The norm in which PSFs are compared.
+    /// The measure of the difference of two PSFs.
     pub measure: DifferenceMeasure,
-    /// The threshold, relative to the PSF.
+    /// The threshold of the criterion, a relative difference of PSFs.
     pub threshold: f64,
     /// Columns and rows of the starting grid ([`AdaptiveSampling::with_start`]).
     pub start: (usize, usize),
     /// The cap on the number of samples ([`AdaptiveSampling::with_max_samples`]).
     pub max_samples: usize,
-    /// Columns and rows of a regular grid that replaces refinement.
+    /// Columns and rows of a regular grid. If given, the samples are on this grid, without
+    /// refinement.
     pub uniform: Option<(usize, usize)>,
 }
 

@@ -3,13 +3,13 @@
 use psf_types::{DataError, Position, Progress, PsfSamples, PsfSource, SourceError};
 use thiserror::Error;
 
-/// A method to choose the positions at which a PSF is sampled. The trait is object-safe.
+/// A method that chooses the positions at which a PSF is sampled. The trait is object-safe.
 pub trait SamplingMethod: std::fmt::Debug + Send + Sync {
     /// Samples `source` over its field, in parallel on the current rayon pool. The result does not
     /// depend on the number of threads.
     ///
     /// # Errors
-    /// [`SampleError`], with the position if the error belongs to one.
+    /// [`SampleError`], which contains the position of the PSF if the error concerns one PSF.
     fn sample(&self, source: &dyn PsfSource, progress: &dyn Progress) -> Result<Sampling, SampleError>;
 }
 
@@ -18,7 +18,7 @@ pub trait SamplingMethod: std::fmt::Debug + Send + Sync {
 pub struct Sampling {
     /// The samples, ordered by y, then x.
     pub samples: PsfSamples,
-    /// The report on how well the samples cover the field.
+    /// The report on the quality and the cost.
     pub report: SamplingReport,
 }
 
@@ -28,15 +28,16 @@ pub struct Sampling {
 pub struct SamplingReport {
     /// The reason why the sampling ended.
     pub outcome: SamplingOutcome,
-    /// PSFs drawn: the samples and the other points that a criterion needs.
+    /// Number of PSFs drawn: at the samples and at the other points that a criterion needs.
     pub draws: usize,
-    /// Cells between the samples.
+    /// Number of cells between the samples.
     pub cells: usize,
-    /// Cells in which the criterion does not hold.
+    /// Number of cells in which the criterion does not hold.
     pub unmet_cells: usize,
-    /// The largest value of the criterion over the cells.
+    /// The largest value of the criterion over the cells. For a uniform grid, the largest
+    /// difference of neighbours.
     pub worst: f64,
-    /// The value below which the criterion holds, if there is a criterion.
+    /// The largest value at which the criterion holds, if there is a criterion.
     pub threshold: Option<f64>,
 }
 
@@ -60,8 +61,8 @@ impl SamplingReport {
 pub enum SamplingOutcome {
     /// The criterion holds in every cell, or there was no criterion.
     Met,
-    /// Some cells are as small as allowed and the criterion still does not hold: the PSF jumps
-    /// there.
+    /// Some cells are as small as allowed, and the criterion still does not hold there: the PSF
+    /// jumps.
     CellSizeReached,
     /// The number of samples reached its cap before the criterion held.
     CapReached,
@@ -107,9 +108,9 @@ pub enum SampleError {
         /// The stamp's flux.
         flux: f64,
     },
-    /// A criterion returned a value that is not a number of 0 or above.
+    /// A criterion returned a negative value, NaN or infinity.
     #[error(
-        "the refinement criterion returned {value} for the cell around {position}: it must be a number of 0 or above"
+        "the refinement criterion returned {value} for the cell around {position}: it must be finite and 0 or above"
     )]
     Criterion {
         /// Centre of the cell.
@@ -117,8 +118,8 @@ pub enum SampleError {
         /// The value that it returned.
         value: f64,
     },
-    /// The criterion does not hold with as many samples as are allowed. The error contains the
-    /// samples drawn so far.
+    /// The criterion does not hold with the largest number of samples allowed. The error contains
+    /// the samples drawn so far.
     #[error(transparent)]
     CapReached(Box<CapReached>),
     /// Data that is not valid.
@@ -155,7 +156,7 @@ impl SampleError {
 #[derive(Debug, Error)]
 #[error(
     "the criterion does not hold with the {cap} samples allowed: the next refinement needs {wanted}. {unmet} of {cells} cells \
-     exceed {threshold}, the worst has {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
+     exceed the threshold {threshold}, the worst has {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
     unmet = sampling.report.unmet_cells,
     cells = sampling.report.cells,
     threshold = sampling.report.threshold.unwrap_or(f64::NAN),

@@ -45,7 +45,7 @@ fn corner(x: f64, y: f64) -> f64 {
 }
 
 #[test]
-fn a_constant_field_needs_the_starting_grid_alone() {
+fn a_constant_field_needs_only_the_starting_grid() {
     let source = Blob::new(500, 300, |_, _| 2.0);
     let sampling = sample(&AdaptiveSampling::default(), &source);
     assert_eq!(
@@ -73,7 +73,7 @@ fn a_constant_field_needs_the_starting_grid_alone() {
 }
 
 #[test]
-fn every_neighbour_is_close_and_corners_and_edges_are_there() {
+fn neighbours_differ_little_and_corners_and_edges_are_sampled() {
     for measure in [DifferenceMeasure::L1, DifferenceMeasure::L2] {
         let source = Blob::new(1000, 800, corner);
         let criterion = NeighbourDifference::new(0.03, measure).unwrap();
@@ -179,7 +179,7 @@ fn the_cap_is_an_error_that_carries_the_samples() {
     let sampling = reached.into_sampling();
     assert!(
         (250..=300).contains(&sampling.samples.len()),
-        "the cap is used: {}",
+        "the samples nearly reach the cap: {}",
         sampling.samples.len()
     );
     assert_eq!(sampling.report.outcome, SamplingOutcome::CapReached);
@@ -188,11 +188,11 @@ fn the_cap_is_an_error_that_carries_the_samples() {
         .with_max_samples(24)
         .sample(&source, &NoProgress)
         .unwrap_err();
-    assert!(too_few.to_string().contains("24 for 25"), "{too_few}");
+    assert!(too_few.to_string().contains("24 for a grid of 25"), "{too_few}");
 }
 
 #[test]
-fn a_psf_that_jumps_ends_at_the_smallest_cell_and_says_so() {
+fn a_psf_that_jumps_ends_at_the_smallest_cell_and_is_reported() {
     let source = Blob::new(65, 65, |x, _| if x < 0.4 { 1.5 } else { 2.5 });
     let sampling = sample(&neighbours(0.01), &source);
     assert_eq!(sampling.report.outcome, SamplingOutcome::CellSizeReached);

@@ -139,7 +139,7 @@ fn a_field_that_varies_over_half_the_frame_gains_too() {
 }
 
 #[test]
-fn the_check_sees_a_field_that_is_not_sampled_where_it_varies() {
+fn the_check_detects_a_field_that_is_not_sampled_where_it_varies() {
     let source = Blob::new(1000, 1000, |x, y| 1.5 + (0.5 * (x + y)).powi(20));
     let grid = UniformSampling::new(5, 5)
         .unwrap()

@@ -16,8 +16,8 @@ fn corner(x: f64, y: f64) -> f64 {
     1.5 + (-((x - 1.0).powi(2) + (y - 1.0).powi(2)) / 0.02).exp()
 }
 
-/// A criterion from outside the crate: it refines to cells whose corner PSFs have peaks within a
-/// factor.
+/// A criterion from outside the crate. It refines until the peaks of a cell's corner PSFs differ by
+/// less than a factor.
 #[derive(Debug)]
 struct PeakRatio(f64);
 
@@ -39,7 +39,7 @@ impl RefinementCriterion for PeakRatio {
 }
 
 #[test]
-fn criteria_from_outside_serve_and_are_checked() {
+fn criteria_from_other_crates_work_and_are_checked() {
     let source = Blob::new(400, 400, corner);
     let sampling = AdaptiveSampling::new(Arc::new(PeakRatio(0.1)))
         .sample(&source, &NoProgress)
@@ -64,7 +64,7 @@ fn criteria_from_outside_serve_and_are_checked() {
     );
 }
 
-/// Draws one pixel of a given value at [6, 6] and 1 next to it.
+/// Draws a pixel of a given value at [6, 6], and a pixel of value 1 next to it.
 struct Broken(fn(f64) -> f64);
 
 impl PsfSource for Broken {

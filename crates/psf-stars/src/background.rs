@@ -12,10 +12,10 @@ use crate::error::check;
 ///
 /// In each cell of the mesh, values are clipped at 3 sigma about their median until nothing
 /// changes. The background is the mode, `2.5 median - 1.5 mean`. In crowded cells, where mean and
-/// median differ by more than 0.3 sigma, it is the median. Its noise is the standard deviation of
-/// the remaining values. A median filter over the mesh then removes cells that a bright object
-/// fills. Bicubic splines interpolate both maps between the centres of the cells, and beyond the
-/// outermost centres they are constant.
+/// median differ by more than 0.3 sigma, the background is the median. The noise is the standard
+/// deviation of the remaining values. A median filter over the mesh then removes cells that a
+/// bright object fills. Bicubic splines interpolate both maps between the centres of the cells, and
+/// beyond the outermost centres they are constant.
 ///
 /// ```
 /// use ndarray::Array2;
@@ -36,9 +36,9 @@ impl BackgroundMesh {
     pub const DEFAULT_CELL: usize = 64;
     const SMALLEST_CELL: usize = 8;
 
-    /// A mesh of `cell` x `cell` pixels per cell with a median filter over 3 x 3 cells. The last
-    /// cell of a row or column may be larger. Cells should be several times wider than the stars,
-    /// and narrower than the changes of the sky.
+    /// A mesh of `cell` x `cell` pixels per cell with a median filter over 3 x 3 cells. Cells are
+    /// slightly larger if the frame's size is not a multiple of `cell`. Cells should be several
+    /// times wider than the stars, and narrower than the changes of the sky.
     ///
     /// # Errors
     /// [`StarError::Setting`] for cells below 8 pixels.
@@ -134,7 +134,7 @@ impl Background {
         self.level.view()
     }
 
-    /// The standard deviation of its noise at every pixel `[y, x]`, above 0.
+    /// The standard deviation of the background's noise at every pixel `[y, x]`, above 0.
     pub fn rms(&self) -> ArrayView2<'_, f64> {
         self.rms.view()
     }
@@ -345,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn it_passes_through_the_values_of_any_shape() {
+    fn a_spline_passes_through_the_values_of_any_shape() {
         for (ny, nx) in [(1, 1), (1, 4), (2, 3), (9, 6)] {
             let values = Array2::from_shape_fn((ny, nx), |(y, x)| ((5 * y + 3 * x) % 7) as f64 - 2.0);
             let spline = Spline::through(values.view());

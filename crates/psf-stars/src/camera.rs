@@ -11,10 +11,10 @@ use crate::error::{at_least, checked_setters};
 /// With a gain `g` (electrons per unit of the frame) the signal-to-noise ratio of a star follows
 /// the CCD equation (Howell 1989, PASP 101, 616):
 /// `SNR = N / sqrt(N + n_pix (N_sky + N_dark + N_read^2))`. Here `N = g F`, where `F` is the flux
-/// over the background in an aperture of `n_pix` pixels. The bracket is the noise of the background
-/// as measured in the frame, `(g sigma)^2`, which contains sky, dark current and read noise. A
-/// given read noise is its lower limit. Without a gain the photon noise of the star itself is not
-/// known, and `SNR = F / (sigma sqrt(n_pix))`.
+/// over the background in an aperture of `n_pix` pixels. The bracket is the variance of the
+/// background as measured in the frame, `(g sigma)^2`, which contains sky, dark current and read
+/// noise. A given read noise is the lower limit of `g sigma`. Without a gain the photon noise of
+/// the star itself is not known, and `SNR = F / (sigma sqrt(n_pix))`.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Camera {
     gain: Option<f64>,
@@ -102,7 +102,7 @@ impl Camera {
         };
         let largest = frame.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let at_largest = frame.iter().filter(|&&v| v == largest).count();
-        if at_largest >= PILE {
+        if at_largest >= MIN_SATURATED_PIXELS {
             found(Some(largest), SaturationOrigin::PileUp, ignored)
         } else {
             found(None, SaturationOrigin::Unknown, ignored)
@@ -110,8 +110,8 @@ impl Camera {
     }
 }
 
-/// If at least this number of pixels share the largest value, they are saturated.
-const PILE: usize = 2;
+/// If at least this number of pixels have the frame's largest value, they count as saturated.
+const MIN_SATURATED_PIXELS: usize = 2;
 
 /// The level at and above which pixels count as saturated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -130,13 +130,13 @@ pub struct Saturation {
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
 pub enum SaturationOrigin {
-    /// It was given.
+    /// The caller gave it.
     Given,
     /// The frame's header states it (`SATURATE`).
     Header,
     /// Two pixels or more have the frame's largest value.
     PileUp,
-    /// Nothing was given, and the frame's largest value occurs once.
+    /// No level was given, and the frame's largest value occurs only once.
     Unknown,
 }
 

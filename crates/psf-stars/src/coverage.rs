@@ -5,8 +5,8 @@ use psf_types::maths::ConvexHull;
 use psf_types::{FrameShape, Position};
 use serde::Serialize;
 
-/// The coverage of the field by samples: their number and the distance to the nearest sample, for
-/// each cell, and their convex hull.
+/// The coverage of the field by samples: for each cell, the number of samples and the distance to
+/// the nearest one. Also the convex hull of the samples.
 ///
 /// Cells are as square as the frame allows, with 16 along its longer side. Outside the hull a PSF
 /// model extrapolates.
@@ -25,8 +25,8 @@ pub struct CoverageMap {
 pub struct CoverageReport {
     /// Number of samples.
     pub samples: usize,
-    /// The mean distance of evenly spread samples of the same number, `sqrt(area / samples)`, in
-    /// pixels.
+    /// The spacing that this number of samples would have on a square grid, `sqrt(area / samples)`,
+    /// in pixels.
     pub mean_spacing_px: f64,
     /// The fraction of the frame's area outside the convex hull of the samples.
     pub outside_hull: f64,
@@ -35,7 +35,7 @@ pub struct CoverageReport {
     pub empty: f64,
     /// The largest distance from the centre of a cell to the nearest sample, in pixels.
     pub largest_gap_px: f64,
-    /// The centre of the cell with the largest gap, (x, y).
+    /// The centre (x, y) of the cell with this largest distance.
     pub largest_gap_at: (f64, f64),
     /// Distance from each corner to the nearest sample, in pixels: (0, 0), (nx - 1, 0), (0, ny -
     /// 1), (nx - 1, ny - 1).
@@ -44,7 +44,8 @@ pub struct CoverageReport {
 
 /// Cells along the frame's longer side.
 const ACROSS: usize = 16;
-/// The field counts as empty farther than this number of mean spacings from any sample.
+/// A part of the field counts as empty if it is farther than this number of mean spacings from any
+/// sample.
 const EMPTY: f64 = 2.0;
 /// If a larger fraction of the area is outside the hull or empty, there is a warning.
 const WARNED_AREA: f64 = 0.1;
@@ -158,7 +159,7 @@ impl CoverageMap {
         }
         if report.empty > WARNED_AREA {
             said.push(format!(
-                "{:.0} % of the field is farther than {:.0} pixels from any sample. The largest gap, {:.0} pixels, is at ({:.0}, {:.0})",
+                "{:.0} % of the field is farther than {:.0} pixels from any sample. The largest distance, {:.0} pixels, is at ({:.0}, {:.0})",
                 100.0 * report.empty,
                 EMPTY * report.mean_spacing_px,
                 report.largest_gap_px,
@@ -206,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn samples_in_one_half_are_warned_of() {
+    fn samples_in_one_half_give_warnings() {
         let frame = FrameShape::new(128, 128).unwrap();
         let positions: Vec<_> = (0..64)
             .map(|k| at(2.0 + 6.0 * f64::from(k % 8), 4.0 + 17.0 * f64::from(k / 8)))

@@ -78,7 +78,7 @@ impl Detection {
     /// Finds the peaks in a frame `[y, x]`, the most significant first.
     ///
     /// # Panics
-    /// When the background does not belong to the frame.
+    /// When the background and the frame have different shapes.
     pub fn find(&self, frame: ArrayView2<'_, f64>, background: &Background) -> Vec<Peak> {
         let significance = self.significance(frame, background);
         separate_peaks(&significance, self.threshold, self.prominence)
@@ -88,7 +88,7 @@ impl Detection {
         assert_eq!(
             frame.dim(),
             background.level().dim(),
-            "the background belongs to this frame"
+            "the background has the shape of the frame"
         );
         let sigma = self.kernel_fwhm_px / FWHM_PER_SIGMA;
         let reach = (REACH * sigma).ceil() as usize;
@@ -177,7 +177,7 @@ const NONE: u32 = u32::MAX;
 struct Hill {
     peak: usize,
     pixels: usize,
-    /// The hill that it was merged into.
+    /// The hill into which this one was merged, or this hill itself.
     parent: usize,
 }
 

@@ -32,16 +32,17 @@ struct FieldPsf {
     camera: Camera,
 }
 
-/// Rounds of fitting the PSF and then the stars.
+/// Number of rounds. Each fits the stars' positions and fluxes, and then the PSF.
 const ROUNDS: usize = 6;
 /// After this number of rounds the degree is chosen. From then on mismatched stars are excluded.
-const SETTLING: usize = 2;
+const ROUNDS_BEFORE_REJECTION: usize = 2;
 const HIGHEST_DEGREE: usize = 4;
 /// Stars that each term of the polynomial needs.
 const STARS_PER_TERM: usize = 5;
-/// Each star is predicted once from the others, in this number of groups.
+/// To choose the degree, stars are divided into this number of groups. Each group is predicted from
+/// a fit to the other groups.
 const FOLDS: usize = 5;
-/// A higher degree must reduce the prediction error by this fraction.
+/// A higher degree is chosen only if it reduces the prediction error by more than this fraction.
 const GAIN: f64 = 0.002;
 /// Residuals beyond this number of sigma get a lower weight (Huber 1964).
 const HUBER: f64 = 3.0;
@@ -50,7 +51,7 @@ const HUBER: f64 = 3.0;
 const MISMATCH_SIGMA: f64 = 5.0;
 const MISMATCH_RATIO: f64 = 3.0;
 /// A star may move from the position of its Gaussian fit by at most this distance, in pixels.
-const FARTHEST: f64 = 0.5;
+const MAX_SHIFT_PX: f64 = 0.5;
 
 impl Epsf {
     pub(crate) fn fit(
@@ -70,22 +71,23 @@ impl Epsf {
         };
         let mut mismatched = Vec::new();
         for round in 0..ROUNDS {
-            // The positions come first, because the first PSF is the Gaussian.
+            // The stars' positions are fitted first, since the PSF already is a Gaussian in the
+            // first round.
             let chi = psf.refine(&mut stars);
-            if round >= SETTLING {
+            if round >= ROUNDS_BEFORE_REJECTION {
                 let limit = mismatch_limit(&chi);
-                let fits: Vec<bool> = chi.iter().map(|c| *c <= limit).collect();
+                let agree: Vec<bool> = chi.iter().map(|c| *c <= limit).collect();
                 mismatched.extend(
                     stars
                         .iter()
-                        .zip(&fits)
+                        .zip(&agree)
                         .filter(|(_, f)| !**f)
                         .map(|(s, _)| s.source),
                 );
-                let mut fit = fits.iter();
-                stars.retain(|_| *fit.next().expect("one entry per star"));
+                let mut agree = agree.iter();
+                stars.retain(|_| *agree.next().expect("one flag per star"));
             }
-            let terms = if round == SETTLING {
+            let terms = if round == ROUNDS_BEFORE_REJECTION {
                 psf.choose_degree(&stars, &prior)
             } else {
                 psf.terms
@@ -101,8 +103,8 @@ impl Epsf {
         }
     }
 
-    /// Returns the PSF at a star, of unit flux, and the star's flux, or `None` if there is no
-    /// light. With `own_shape` the PSF of the field is adapted to the star's own pixels.
+    /// Returns the PSF at a star, of unit flux, and the star's flux. Returns `None` if a flux is
+    /// not positive. With `own_shape` the PSF of the field is adapted to the star's own pixels.
     pub(crate) fn sample(&self, star: &Star, own_shape: bool) -> Option<(Array2<f64>, f64)> {
         let (psf, surface) = (&self.psf, self.psf.surface);
         let mut coefficients = psf.at(star);
@@ -128,7 +130,7 @@ fn mismatch_limit(chi: &[f64]) -> f64 {
 }
 
 const STEPS: usize = 8;
-/// Longest step in pixels.
+/// Longest step of a star's position, in pixels.
 const LONGEST: f64 = 0.2;
 
 impl FieldPsf {
@@ -149,8 +151,8 @@ impl FieldPsf {
     /// Fits flux, position and background of every star under the current PSF. Returns the root of
     /// each star's reduced chi squared.
     ///
-    /// A shift of the PSF and an opposite shift of all stars are equivalent, so the mean shift is
-    /// removed.
+    /// A shift of the PSF is equivalent to an opposite shift of all stars, so the mean shift of the
+    /// stars is removed.
     fn refine(&self, stars: &mut [Star]) -> Vec<f64> {
         let chi = stars.par_iter_mut().map(|star| self.refine_one(star)).collect();
         let count = stars.len() as f64;
@@ -206,8 +208,10 @@ impl FieldPsf {
                 return f64::INFINITY;
             };
             star.flux += by[0];
-            star.x = (star.x + by[1].clamp(-LONGEST, LONGEST)).clamp(start.0 - FARTHEST, start.0 + FARTHEST);
-            star.y = (star.y + by[2].clamp(-LONGEST, LONGEST)).clamp(start.1 - FARTHEST, start.1 + FARTHEST);
+            star.x = (star.x + by[1].clamp(-LONGEST, LONGEST))
+                .clamp(start.0 - MAX_SHIFT_PX, start.0 + MAX_SHIFT_PX);
+            star.y = (star.y + by[2].clamp(-LONGEST, LONGEST))
+                .clamp(start.1 - MAX_SHIFT_PX, start.1 + MAX_SHIFT_PX);
             star.offset += by[3];
             if !(star.flux > 0.0 && star.flux.is_finite()) {
                 star.flux = flux;

@@ -1,5 +1,5 @@
-//! The linear step of the oversampled PSF: the spline between its nodes, and its coefficients from
-//! the stars' pixels.
+//! The linear step of the fit of an oversampled PSF: the spline between the nodes of the PSF, and
+//! the fit of its coefficients to the stars' pixels.
 
 use ndarray::Array2;
 use psf_types::maths::{FWHM_PER_SIGMA, spline_slopes, spline_weights};
@@ -10,15 +10,15 @@ use crate::frame::Star;
 use crate::registration::FineGrid;
 use crate::selection::FieldTerms;
 
-/// Rows and columns of B-spline coefficients beyond the grid: one before, two after. The second one
-/// has weight 0.
-const BEFORE: usize = 1;
-const AFTER: usize = 2;
+/// Rows and columns of B-spline coefficients beyond the grid: one before and two after. The second
+/// one after the grid always has weight 0.
+const TAPS_BEFORE: usize = 1;
+const TAPS_AFTER: usize = 2;
 
 /// Weights of the coefficients before, at and after a node for the value of a cubic B-spline there.
 const NODE: [f64; 3] = [1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0];
 
-/// The B-spline coefficients of a PSF on a grid, row by row, with a border.
+/// The layout of the B-spline coefficients of a PSF on a grid, row by row, with a border.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct SurfaceGrid {
     pub(crate) grid: FineGrid,
@@ -39,7 +39,7 @@ impl SurfaceGrid {
     }
 
     pub(crate) fn side(self) -> usize {
-        self.grid.side() + BEFORE + AFTER
+        self.grid.side() + TAPS_BEFORE + TAPS_AFTER
     }
 
     pub(crate) fn len(self) -> usize {
@@ -54,7 +54,7 @@ impl SurfaceGrid {
         let last = 2.0 * middle;
         ((0.0..=last).contains(&tx) && (0.0..=last).contains(&ty)).then(|| {
             // The node before the one at or below `t`.
-            let first = |t: f64| t.floor() as usize + BEFORE - 1;
+            let first = |t: f64| t.floor() as usize + TAPS_BEFORE - 1;
             let within = [tx - tx.floor(), ty - ty.floor()];
             Place {
                 first: first(ty) * self.side() + first(tx),
@@ -64,10 +64,11 @@ impl SurfaceGrid {
         })
     }
 
-    /// The offset of every coefficient from the star in pixels of the frame, in their order.
+    /// The offset of every coefficient from the star in pixels of the frame, in the order of the
+    /// coefficients.
     pub(crate) fn offsets(self) -> impl Iterator<Item = (f64, f64)> {
         let (side, middle, scale) = (self.side(), self.grid.middle() as f64, self.grid.scale as f64);
-        let offset = move |k: usize| (k as f64 - BEFORE as f64 - middle) / scale;
+        let offset = move |k: usize| (k as f64 - TAPS_BEFORE as f64 - middle) / scale;
         (0..side * side).map(move |k| (offset(k % side), offset(k / side)))
     }
 
@@ -155,15 +156,17 @@ pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
 #[derive(Debug)]
 pub(crate) struct Prior {
     pub(crate) mean: Vec<f64>,
-    /// Standard deviations of the constant term.
+    /// Expected errors (standard deviations) of the coefficients of the constant term.
     spread: Vec<f64>,
 }
 
-/// A coefficient may differ from the Gaussian by this fraction of itself ...
+/// The expected error of a coefficient is the sum of two parts. The first is this fraction of the
+/// coefficient.
 const OWN_PART: f64 = 0.5;
-/// ... plus this fraction of the peak, which allows for wings.
+/// The second part of the expected error is this fraction of the peak, which allows for wings.
 const PEAK_PART: f64 = 0.004;
-/// The variation of the PSF over the field relative to its difference from a Gaussian.
+/// The expected variation of the PSF over the field, relative to the PSF's expected difference from
+/// a Gaussian.
 const FIELD_PART: f64 = 0.5;
 
 /// A star's own PSF may differ from the PSF of the field by this fraction (colour, local
@@ -205,7 +208,8 @@ impl Prior {
 /// The iteration ends when the residual falls to this fraction of the first one.
 const CONVERGED: f64 = 1e-6;
 const MOST_ITERATIONS: usize = 300;
-/// Stars processed as one piece. Sums are taken in the order of pieces, independent of the threads.
+/// Stars whose sum one task computes. These partial sums are added in a fixed order, so that the
+/// result does not depend on the number of threads.
 const PIECE: usize = 32;
 
 /// Fits the planes `E_j` to the stars' current parameters. Minimises
@@ -225,7 +229,7 @@ pub(crate) fn solve(
         .collect();
     let spread = |j: usize, k: usize| prior.spread[k] * if j == 0 { 1.0 } else { FIELD_PART };
 
-    // In units of the spreads, the prior is the unit matrix.
+    // In units of the expected errors, the matrix of the prior is the unit matrix.
     let transposed = |of: &(dyn Fn(&StarRows) -> Vec<f64> + Sync)| -> Vec<Vec<f64>> {
         let pieces: Vec<Vec<Vec<f64>>> = rows
             .par_chunks(PIECE)
@@ -308,10 +312,10 @@ fn add(to: &mut [Vec<f64>], factor: f64, what: &[Vec<f64>]) {
     }
 }
 
-/// The equations of one star: its usable pixels, minus the prior.
+/// The equations of one star: the residuals of its usable pixels from the prior.
 struct StarRows {
     terms: Vec<f64>,
-    /// Place, weight and the residual from the prior.
+    /// Place, weight and residual of each pixel.
     pixels: Vec<(Place, f64, f64)>,
 }
 

@@ -22,10 +22,10 @@ pub enum StarError {
         "the background has no noise (r.m.s. 0): sources are found by their excess over the noise, so add noise to a noise-free image"
     )]
     NoNoise,
-    /// A frame that gives no samples with these settings. Either it is too small, no source is
-    /// bright enough, no source is suitable as a sample, or the stars are too few for an
-    /// oversampled PSF that was requested explicitly. Or a stamp does not fit at the requested
-    /// distance from the edge.
+    /// A frame that gives no samples with these settings. The frame may be too small, no source may
+    /// be bright enough or suitable as a sample, or the stars may be too few for an oversampled PSF
+    /// that was requested explicitly. Another reason is a requested distance from the edge that is
+    /// less than half a stamp.
     #[error("{0}")]
     NoSamples(String),
     /// Data that break an invariant.

@@ -13,8 +13,8 @@ const APERTURE_FWHM: f64 = 1.25;
 const APERTURE_PX: f64 = 2.0;
 /// The radius of the pixels used by a Gaussian fit, in FWHM.
 const FIT_FWHM: f64 = 1.5;
-/// Two fits closer than this distance in pixels are fits of one source.
-const SAME_PX: f64 = 1.0;
+/// Two fits count as fits of one source if they are closer than this distance in pixels.
+const SAME_SOURCE_PX: f64 = 1.0;
 
 /// The radius of the aperture for stars of the given FWHM.
 pub(crate) fn aperture_px(fwhm_px: f64) -> f64 {
@@ -33,7 +33,7 @@ pub(crate) struct FrameView {
 impl FrameView {
     pub(crate) fn shape(&self) -> FrameShape {
         let (ny, nx) = self.pixels.dim();
-        FrameShape::new(nx, ny).expect("the shape of an image")
+        FrameShape::new(nx, ny).expect("an image has a valid shape")
     }
 
     /// The pixels `(column, row)` whose centres lie within `radius` of (`x`, `y`).
@@ -65,7 +65,8 @@ impl FrameView {
         Ok(peaks)
     }
 
-    /// Measures the sources of the peaks. Their background and neighbours are not filled in yet.
+    /// Measures the sources of the peaks, except their background and neighbours, which
+    /// [`Self::complete`] fills in.
     pub(crate) fn measured(&self, peaks: &[Peak], fwhm_px: f64) -> Vec<Source> {
         let mut sources: Vec<Source> = peaks.par_iter().map(|p| self.measure(p, fwhm_px)).collect();
         // A fit that moved to a brighter neighbour does not measure the peak's own source.
@@ -74,7 +75,7 @@ impl FrameView {
             .filter(|&k| {
                 let s = &sources[k];
                 // More significant sources come first.
-                s.fwhm_px.is_some() && neighbours.within(s.x, s.y, SAME_PX).any(|(j, _)| j < k)
+                s.fwhm_px.is_some() && neighbours.within(s.x, s.y, SAME_SOURCE_PX).any(|(j, _)| j < k)
             })
             .collect();
         for k in slid {
@@ -221,7 +222,7 @@ pub(crate) struct Star {
 /// Pixels within this distance from a source, in FWHM, belong to it and not to its neighbours.
 const OWN_FWHM: f64 = 1.5;
 /// Neighbours with less than this fraction of a star's flux do not mask its pixels.
-const HARMLESS: f64 = 0.01;
+const NEGLIGIBLE_NEIGHBOUR: f64 = 0.01;
 
 /// The assignment of pixels to sources.
 #[derive(Debug)]
@@ -246,7 +247,7 @@ impl Ownership {
         !self
             .neighbours
             .within(x, y, self.radius)
-            .any(|(j, _)| j != source && self.fluxes[j] > HARMLESS * flux)
+            .any(|(j, _)| j != source && self.fluxes[j] > NEGLIGIBLE_NEIGHBOUR * flux)
     }
 }
 
@@ -311,7 +312,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn they_are_those_of_a_full_search() {
+    fn neighbours_agree_with_a_full_search() {
         let points: Vec<(f64, f64)> = (0..200u32)
             .map(|k| (f64::from(k * 37 % 101), f64::from(k * 53 % 97)))
             .collect();

@@ -10,9 +10,9 @@ use crate::error::check;
 
 /// The method that makes stamps with a common centre and grid from stars.
 ///
-/// If stars are well sampled, a star's own pixels determine its PSF between them. If they are not
-/// (FWHM below 2 pixels), a single star does not hold that information, and interpolation blurs it.
-/// Many stars at different pixel phases together do hold it.
+/// If stars are well sampled, a star's own pixels determine its PSF between them. If stars are
+/// undersampled (FWHM below 2 pixels), the pixels of a single star do not contain this information,
+/// and interpolation blurs the PSF. Many stars at different pixel phases together do contain it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "lowercase")]
 #[non_exhaustive]
@@ -22,9 +22,9 @@ pub enum RegistrationMethod {
     #[default]
     Auto,
     /// One oversampled PSF that varies over the field as a polynomial, fitted to the pixels of all
-    /// stars together. A sample is its value at a star. The approach is that of the effective PSF
-    /// (Anderson and King 2000, PASP 112, 1360), with the polynomial variation and the regularised
-    /// pixel basis of PSFEx (Bertin 2011, ASPC 442, 435).
+    /// stars together. A sample is this PSF at a star's position. The approach is that of the
+    /// effective PSF (Anderson and King 2000, PASP 112, 1360), with the polynomial variation and
+    /// the regularised pixel basis of PSFEx (Bertin 2011, ASPC 442, 435).
     ///
     /// Samples are nearly free of noise. They have at most as many independent shapes as the
     /// polynomial has terms. With [`Registration::with_own_shapes`] each sample is adapted to its
@@ -32,8 +32,9 @@ pub enum RegistrationMethod {
     Epsf,
     /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the
     /// star's noise. With one stamp pixel per pixel of the frame the noise stays nearly white, so
-    /// that a fit can separate it from the PSF. On a finer grid neighbouring values share the noise
-    /// of few pixels. A fit then cannot recognise the noise and keeps all of it.
+    /// that a fit can separate it from the PSF. On a finer grid, neighbouring stamp pixels have
+    /// correlated noise, because they come from the same few pixels of the frame. A fit then cannot
+    /// recognise the noise and keeps all of it.
     Stamps,
 }
 
@@ -62,14 +63,16 @@ impl Registration {
     const LARGEST_OVERSAMPLING: usize = 8;
     /// Below this FWHM in pixels, stars are undersampled.
     const UNDERSAMPLED_PX: f64 = 2.0;
-    /// Stamp pixels per FWHM with which the error of a cubic spline is some 1e-3 of the peak.
+    /// With this number of stamp pixels per FWHM, the error of a cubic spline is about 1e-3 of the
+    /// peak.
     const PIXELS_PER_FWHM: f64 = 3.0;
     /// The default distance from a stamp's centre to its edge, in FWHM.
     const REACH_FWHM: f64 = 3.0;
     const LEAST_REACH: usize = 5;
-    /// With fewer stars, their noise cannot be separated from their own shapes. A finer grid then
-    /// loses less of either.
-    const ENOUGH_FOR_FRAME_PIXELS: usize = 64;
+    /// With at least this number of stars, well-sampled stamps keep the frame's own pixels. With
+    /// fewer stars, a fit cannot separate their noise from their own shapes, and a finer grid
+    /// preserves the shapes better.
+    const MIN_STARS_FOR_FRAME_PIXELS: usize = 64;
 
     /// Sets the method.
     #[must_use]
@@ -137,7 +140,7 @@ impl Registration {
     pub(crate) fn grid(&self, fwhm_px: f64, stars: usize) -> FineGrid {
         let frame_pixels = self.method != RegistrationMethod::Epsf
             && !Self::is_undersampled(fwhm_px)
-            && stars >= Self::ENOUGH_FOR_FRAME_PIXELS;
+            && stars >= Self::MIN_STARS_FOR_FRAME_PIXELS;
         let scale = self.oversampling.unwrap_or_else(|| {
             if frame_pixels {
                 1
@@ -226,9 +229,9 @@ const MARGIN: usize = 3;
 /// Returns the star's pixels at the nodes of the grid, with unit flux, and its flux. Returns `None`
 /// for a star without light.
 ///
-/// Pixels that belong to a neighbour are replaced by those opposite the star. The error of the
-/// background map is estimated as the median along the stamp's edge. The spline interpolates the
-/// pixels exactly, so an oversampled stamp contains them unchanged.
+/// Pixels that belong to a neighbour are replaced by those opposite the star. The median along the
+/// stamp's edge estimates the error of the background map and is subtracted. The spline
+/// interpolates the pixels exactly, so an oversampled stamp contains them unchanged.
 pub(crate) fn own_stamp(
     excess: ArrayView2<'_, f64>,
     (star_x, star_y): (f64, f64),
@@ -292,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_centred_of_unit_flux_and_holds_the_stars_pixels() {
+    fn a_stamp_is_centred_and_has_unit_flux() {
         let (x, y, sigma) = (20.3, 19.6, 1.2);
         let grid = FineGrid { reach: 8, scale: 2 };
         let (stamp, flux) = own_stamp(frame(x, y, sigma).view(), (x, y), |_, _| true, grid).unwrap();
@@ -311,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_neighbours_pixels_are_those_opposite() {
+    fn a_neighbours_pixels_are_replaced_by_the_opposite_ones() {
         let clean = frame(20.0, 20.0, 1.5);
         let mut with_neighbour = clean.clone();
         with_neighbour.slice_mut(s![24..27, 19..22]).fill(1e4);

@@ -19,9 +19,10 @@ use crate::{Rejection, Source, StarError};
 /// * Shape: FWHM and distortion agree with those of the neighbouring stars.
 ///
 /// The reference for shapes is a polynomial over the field, of degree 0 to 2 depending on the
-/// number of stars. It is fitted to the sources near the most frequent FWHM of bright sources. They
-/// are clipped in units of the scatter and of each source's own error until nothing changes. The
-/// PSF may vary over the field, but a single star may not deviate.
+/// number of stars. It is fitted to the sources near the most frequent FWHM of bright sources.
+/// These sources are clipped, in units of their scatter and their own errors combined, until
+/// nothing changes. So the PSF may vary over the field, but a single star that deviates is
+/// rejected.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Selection {
     snr: f64,
@@ -130,11 +131,11 @@ impl Selection {
             .iter()
             .map(|s| (s.values[0] - mode).abs() <= FIRST_GUESS)
             .collect();
-        let mut judged = Vec::new();
+        let mut deviations = Vec::new();
         for _ in 0..MOST_ROUNDS {
-            judged = (0..3).map(|q| self.judge(&shapes, &kept, q, frame)).collect();
+            deviations = (0..3).map(|q| self.deviation(&shapes, &kept, q, frame)).collect();
             let now: Vec<bool> = (0..shapes.len())
-                .map(|k| judged.iter().all(|j: &Vec<f64>| j[k].abs() <= 1.0))
+                .map(|k| deviations.iter().all(|d: &Vec<f64>| d[k].abs() <= 1.0))
                 .collect();
             if now == kept || !now.contains(&true) {
                 break;
@@ -143,21 +144,21 @@ impl Selection {
         }
         for (k, shape) in shapes.iter().enumerate() {
             let reasons = &mut sources[shape.index].rejected;
-            if judged[0][k] < -1.0 {
+            if deviations[0][k] < -1.0 {
                 reasons.insert(Rejection::TooSharp);
             }
-            if judged[0][k] > 1.0 {
+            if deviations[0][k] > 1.0 {
                 reasons.insert(Rejection::TooBroad);
             }
-            if judged[1][k].abs() > 1.0 || judged[2][k].abs() > 1.0 {
+            if deviations[1][k].abs() > 1.0 || deviations[2][k].abs() > 1.0 {
                 reasons.insert(Rejection::Elongated);
             }
         }
     }
 
-    /// The distance of one quantity of every source from the trend of the kept ones, in units of
-    /// the allowed distance.
-    fn judge(&self, shapes: &[Shape], kept: &[bool], quantity: usize, frame: FrameShape) -> Vec<f64> {
+    /// The difference of one quantity of every source from the trend of the kept sources, in units
+    /// of the largest allowed difference.
+    fn deviation(&self, shapes: &[Shape], kept: &[bool], quantity: usize, frame: FrameShape) -> Vec<f64> {
         let good = || shapes.iter().zip(kept).filter(|(_, k)| **k).map(|(s, _)| s);
         let count = good().count();
         let degree = match count {
@@ -210,8 +211,8 @@ struct Shape {
 
 impl Shape {
     fn of(index: usize, source: &Source) -> Option<Self> {
-        // The relative error of a width is 1 / SNR of the fit, that of an axis difference sqrt(2)
-        // times as much.
+        // The relative error of a width is 1 / SNR of the fit. The error of the distortion is
+        // sqrt(2) times as large.
         let width = source.significance.powi(-2);
         Some(Self {
             index,
@@ -226,22 +227,30 @@ impl Shape {
 /// The clipping starts with sources within this distance of the most frequent ln FWHM. This keeps
 /// stars of a PSF that varies over the field, and excludes galaxies.
 const FIRST_GUESS: f64 = 0.25;
-/// The smallest scatter of stars in ln FWHM and in distortion beyond noise (pixel phase, colour).
+/// The smallest assumed scatter of stars in ln FWHM and in distortion, apart from noise (pixel
+/// phase, colour).
 const SCATTER: f64 = 0.05;
-/// The largest scatter of stars. A larger one means that galaxies are among them.
+/// The largest assumed scatter of stars. A larger one means that galaxies are among them.
 const MOST_SCATTER: f64 = 0.08;
 /// Default isolation radius in FWHM. Neighbours farther away are masked in the stamp.
 const ISOLATION_FWHM: f64 = 2.5;
 const MOST_ROUNDS: usize = 20;
 
-/// Returns the most frequent width among sources ordered from the brightest down, if there is any.
+/// Returns the most frequent width, if there is any. `widths` are those of the sources, the
+/// brightest first.
 ///
-/// This is the width with the most other widths within 10 %, among the brighter quarter of the
-/// sources. Bright stars share one width, whereas galaxies and noisy fits have any width. Of two
-/// widths with equal counts the narrower is chosen.
+/// The search is among the brightest quarter of the sources. It finds the width with the most other
+/// widths within 10 %, and returns the median of these widths. Bright stars share one width,
+/// whereas galaxies and noisy fits have any width. Of two widths with equal counts the narrower is
+/// chosen.
 pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     widths.truncate((widths.len() / 4).max(BRIGHT));
-    let company = |width: f64| widths.iter().filter(|w| (*w / width).ln().abs() <= ALIKE).count();
+    let company = |width: f64| {
+        widths
+            .iter()
+            .filter(|w| (*w / width).ln().abs() <= EQUAL_WIDTH)
+            .count()
+    };
     let centre = widths
         .iter()
         .copied()
@@ -249,15 +258,16 @@ pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     let mut alike: Vec<f64> = widths
         .iter()
         .copied()
-        .filter(|w| (w / centre).ln().abs() <= ALIKE)
+        .filter(|w| (w / centre).ln().abs() <= EQUAL_WIDTH)
         .collect();
     Some(median(&mut alike))
 }
 
-/// The most frequent width is taken from at least this number of sources, if there are as many.
+/// The most frequent width is searched among at least this many of the brightest sources, or among
+/// all if there are fewer.
 const BRIGHT: usize = 10;
 /// Widths count as equal within this distance in ln FWHM.
-const ALIKE: f64 = 0.1;
+const EQUAL_WIDTH: f64 = 0.1;
 
 /// The terms of a polynomial over the field, in coordinates that run from -1 to 1 over the frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -371,7 +381,7 @@ mod tests {
     }
 
     #[test]
-    fn shapes_are_judged_against_the_local_psf() {
+    fn shapes_are_compared_with_the_local_psf() {
         let frame = FrameShape::new(220, 220).unwrap();
         let mut sources = field();
         // This FWHM is normal on the right-hand side of the field, but not on the left.
@@ -414,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn sources_that_are_all_rejected_stay_so() {
+    fn if_all_sources_are_rejected_all_stay_rejected() {
         let mut sources = field();
         let strict = Selection::default().with_snr(1e6).unwrap();
         strict.apply(&mut sources, FrameShape::new(220, 220).unwrap(), 7, 1.8);

@@ -26,12 +26,12 @@ pub enum Rejection {
     TooBroad,
     /// Its elongation differs from the stars near it: a blend, a trail or a galaxy.
     Elongated,
-    /// It does not agree with the oversampled PSF made from the other stars.
+    /// It does not agree with the oversampled PSF fitted to all stars.
     PsfMismatch,
 }
 
 impl Rejection {
-    /// All reasons, in the order in which they are checked.
+    /// All reasons, in the order in which tables list them.
     pub const ALL: [Self; 9] = [
         Self::Saturated,
         Self::Edge,
@@ -60,7 +60,7 @@ impl Rejection {
     }
 }
 
-/// A set of reasons. It is empty for a source that serves as a sample. It is written as names
+/// A set of reasons, which is empty for a source that serves as a sample. Its text is the names
 /// joined by `+`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Rejections(u16);
@@ -149,7 +149,7 @@ pub struct Source {
     pub background_rms: f64,
     /// FWHM of the Gaussian fit in pixels (geometric mean of the axes). `None` if there is no fit.
     pub fwhm_px: Option<f64>,
-    /// Distortion of the Gaussian fit along the axes of the grid.
+    /// Distortion of the Gaussian fit along the axes of the frame.
     pub e1: Option<f64>,
     /// Distortion along the diagonals.
     pub e2: Option<f64>,
@@ -173,18 +173,19 @@ pub(crate) struct Gaussian {
     pub(crate) x: f64,
     pub(crate) y: f64,
     pub(crate) fwhm_px: f64,
-    /// Distortion along the axes of the grid.
+    /// Distortion along the axes of the frame.
     pub(crate) e1: f64,
     /// Distortion along the diagonals.
     pub(crate) e2: f64,
 }
 
-const MOST_ITERATIONS: usize = 60;
-/// The fit ends when a step changes nothing by more than this fraction of a pixel or of a width.
-const SETTLED: f64 = 1e-6;
+const MAX_ITERATIONS: usize = 60;
+/// The fit ends when a step changes the centre by less than this number of pixels, and the widths
+/// by less than this fraction.
+const CONVERGED: f64 = 1e-6;
 /// If the centre moves farther from the peak than this, in pixels, the fit has found another
 /// source.
-const FARTHEST: f64 = 2.0;
+const MAX_CENTRE_SHIFT_PX: f64 = 2.0;
 /// A fit with a smaller FWHM in pixels is not a valid measurement.
 const SMALLEST_FWHM: f64 = 0.3;
 
@@ -222,7 +223,7 @@ impl Gaussian {
             Parameters::from([peak, 0.0, 0.0, inverse_sigma, 0.0, inverse_sigma]),
         )?;
         let found = Self::of(&p, x0, y0)?;
-        let near = p[1].abs() <= FARTHEST && p[2].abs() <= FARTHEST;
+        let near = p[1].abs() <= MAX_CENTRE_SHIFT_PX && p[2].abs() <= MAX_CENTRE_SHIFT_PX;
         let sized = (SMALLEST_FWHM..=4.0 * reach as f64).contains(&found.fwhm_px);
         (near && sized && found.amplitude > 0.0).then_some(found)
     }
@@ -275,7 +276,7 @@ fn minimise(pixels: &[(f64, f64, f64)], start: Parameters) -> Option<Parameters>
     let mut p = start;
     let (mut cost, mut gradient, mut normal) = linearised(pixels, &p);
     let mut damping = 1e-3;
-    for _ in 0..MOST_ITERATIONS {
+    for _ in 0..MAX_ITERATIONS {
         let mut matrix = normal;
         for k in 0..6 {
             matrix[(k, k)] = normal[(k, k)] * (1.0 + damping) + f64::MIN_POSITIVE;
@@ -287,7 +288,7 @@ fn minimise(pixels: &[(f64, f64, f64)], start: Parameters) -> Option<Parameters>
         let trial = p + step;
         let at = linearised(pixels, &trial);
         if at.0.is_finite() && at.0 <= cost {
-            let settled = step.iter().skip(1).all(|s| s.abs() < SETTLED);
+            let settled = step.iter().skip(1).all(|s| s.abs() < CONVERGED);
             (p, (cost, gradient, normal)) = (trial, at);
             damping *= 0.2;
             if settled {
@@ -323,8 +324,8 @@ mod tests {
         assert!(reasons.to_string().starts_with("saturated+edge+low-snr"));
     }
 
-    /// A pixel-integrated Gaussian is not a Gaussian. This is the resulting error in position for a
-    /// FWHM of 1.5 pixels.
+    /// A pixel-integrated Gaussian is not a Gaussian. This is the largest resulting error in
+    /// position for a FWHM of 1.4 pixels.
     const CENTRE_PX: f64 = 0.01;
 
     #[test]
@@ -346,7 +347,7 @@ mod tests {
                 (fit.x - x).abs() < CENTRE_PX && (fit.y - y).abs() < CENTRE_PX,
                 "{fit:?}"
             );
-            // Pixel integration widens it: sigma^2 + 1/12.
+            // Pixel integration widens the star: sigma^2 + 1/12.
             let wide = FWHM_PER_SIGMA * (sigma * sigma + 1.0 / 12.0).sqrt();
             assert!((fit.fwhm_px / wide - 1.0).abs() < 0.03, "{fit:?} against {wide}");
         }
@@ -370,7 +371,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_peak_gives_nothing() {
+    fn a_frame_without_a_peak_gives_no_fit() {
         let flat = Array2::from_elem((11, 11), -1.0);
         assert_eq!(Gaussian::fit(flat.view(), (5, 5), 3, 2.0), None);
     }

@@ -24,9 +24,9 @@ pub struct PsfBasis {
 read_through_new!(RawPsfBasis => PsfBasis { mean: Option<Array2<f64>>, components: Array3<f64>, grid: StampGrid });
 
 impl PsfBasis {
-    /// The largest allowed difference of an inner product from 0 or 1. It admits bases that other
-    /// software stored in single precision, and rejects stamps that were never made orthonormal.
-    /// psfield's own bases are orthonormal to 1e-12.
+    /// The largest allowed difference of an inner product from 0 or 1. This tolerance accepts bases
+    /// that other software stored in single precision. It rejects stamps that were never made
+    /// orthonormal. psfield's own bases are orthonormal to 1e-12.
     pub const ORTHONORMALITY_TOLERANCE: f64 = 1e-5;
 
     /// A basis from its mean stamp (if mean-centred) and orthonormal components

@@ -41,10 +41,10 @@ pub enum Interpolation {
 }
 
 impl Interpolation {
-    /// The exponent of inverse distance weighting when none is given.
+    /// The exponent of inverse distance weighting if the caller gives none.
     pub const DEFAULT_POWER: f64 = 2.0;
-    /// The highest polynomial degree accepted. Real samplings of a field do not support higher
-    /// ones.
+    /// The highest polynomial degree accepted. Real sets of samples are too small for a higher
+    /// degree.
     pub const MAX_DEGREE: usize = 20;
 }
 
@@ -95,18 +95,18 @@ impl FromStr for Interpolation {
     }
 }
 
-/// The values of an interpolator outside the area that the samples cover. That area is their convex
-/// hull, or their grid for bilinear and bicubic.
+/// The policy for positions outside the area that the samples cover. This area is the convex hull
+/// of the samples. For the methods bilinear and bicubic, it is the samples' grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum OutsidePolicy {
-    /// The value at the nearest point of the covered area.
+    /// Use the value at the nearest point of the covered area.
     #[default]
     Nearest,
-    /// The linear continuation of the interpolant.
+    /// Continue the interpolant linearly.
     Extend,
-    /// An error.
+    /// Return an error.
     Error,
 }
 
@@ -122,7 +122,7 @@ pub enum Normalisation {
     Keep,
 }
 
-/// The position that selects the PSF.
+/// The position at which the PSF is evaluated: that of the source, or that of the output pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -143,13 +143,13 @@ pub enum StampInterpolation {
     /// ePSFs.
     #[default]
     CubicSpline,
-    /// The Lanczos kernel of three lobes, corrected to preserve constants, as GalSim draws PSFEx
-    /// models.
+    /// The Lanczos kernel of three lobes, corrected to preserve constants. GalSim draws PSFEx
+    /// models in this way.
     Lanczos3,
 }
 
-/// Implements `Display` and `FromStr` of a choice without parameters from one table. Any other text
-/// is [`DataError::Setting`], or another error made from the text.
+/// Implements `Display` and `FromStr` of an enum without fields, from one table of names. For any
+/// other text, `FromStr` returns [`DataError::Setting`], or the given error.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! named {
@@ -184,7 +184,8 @@ named!(Normalisation, "normalise", "unit or keep", "unit" => Unit, "keep" => Kee
 named!(StampInterpolation, "stamp interpolation", "cubic-spline or lanczos3", "cubic-spline" => CubicSpline, "lanczos3" => Lanczos3);
 named!(Anchor, "anchor", "source or output", "source" => Source, "output" => Output);
 
-/// Makes serde use the text forms above, so that files obey the rules of the command line.
+/// Makes serde read and write the text form of a type, so that files accept the same values as the
+/// command line.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! through_text {

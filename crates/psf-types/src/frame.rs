@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Makes serde build a type through its constructor, so that files obey the constructor's checks.
-/// The error is [`DataError`] or another type.
+/// The error type is [`DataError`] if none is given.
 #[doc(hidden)]
 #[macro_export]
 macro_rules! read_through_new {
@@ -28,7 +28,8 @@ macro_rules! read_through_new {
 }
 pub(crate) use crate::read_through_new;
 
-/// A position in pixels of the frame: 0-based, an integer is the centre of a pixel.
+/// A position in pixels of the frame. Coordinates are 0-based, and an integer is the centre of a
+/// pixel.
 ///
 /// Both coordinates are finite. Positions may lie between pixels and outside the frame.
 ///
@@ -59,8 +60,8 @@ impl Position {
         }
     }
 
-    /// The centre of the pixel in column `column` and row `row`. Both are negative for pixels left
-    /// of and below the frame.
+    /// The centre of the pixel in column `column` and row `row`. Columns left of the frame and rows
+    /// below the frame are negative.
     pub fn of_pixel(column: i64, row: i64) -> Self {
         Self {
             x: column as f64,
@@ -126,8 +127,8 @@ impl FrameShape {
     /// A frame of `nx` columns and `ny` rows.
     ///
     /// # Errors
-    /// [`DataError::EmptyFrame`] when either is 0, [`DataError::FrameTooLarge`] when the frame has
-    /// too many pixels for the address space.
+    /// [`DataError::EmptyFrame`] when `nx` or `ny` is 0, [`DataError::FrameTooLarge`] when the
+    /// frame has too many pixels for the address space.
     pub fn new(nx: usize, ny: usize) -> Result<Self, DataError> {
         if nx == 0 || ny == 0 {
             return Err(DataError::EmptyFrame { nx, ny });
@@ -232,7 +233,7 @@ impl PixelRegion {
     }
 }
 
-/// The kind of values that an error reports. It gives the meaning of the error's index.
+/// The kind of a value that an error reports. Its text form names the axes of the value's index.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Quantity {
@@ -270,7 +271,7 @@ impl DataError {
         Self::Setting { name, allowed, got }
     }
 
-    /// Checks that the number found is the number needed.
+    /// Checks that `got` equals `expected`. `what` describes the counted things.
     ///
     /// # Errors
     /// [`DataError::CountMismatch`].
@@ -282,7 +283,7 @@ impl DataError {
     }
 }
 
-/// Data that breaks an invariant of its type. Indices and counts are 0-based.
+/// Data that breaks an invariant of its type. Indices are 0-based.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[non_exhaustive]
 pub enum DataError {
@@ -319,7 +320,7 @@ pub enum DataError {
         ny: usize,
     },
     /// A stamp centre outside the stamp.
-    #[error("the stamp centre ({x}, {y}) does not lie on the {nx} x {ny} stamp")]
+    #[error("the stamp centre ({x}, {y}) (0-based) lies outside the stamp of {nx} x {ny} pixels")]
     StampCentre {
         /// Column index.
         x: f64,
@@ -353,11 +354,11 @@ pub enum DataError {
         got: (usize, usize),
     },
     /// NaN or infinity among the values.
-    #[error("{quantity} {index:?} is {value}")]
+    #[error("{quantity} = {index:?} is {value}, but it must be a finite number")]
     NonFinite {
-        /// The kind of values.
+        /// The kind of the value.
         quantity: Quantity,
-        /// Its index, 0-based.
+        /// Index of the value, 0-based, along the axes that `quantity` names.
         index: Vec<usize>,
         /// NaN or an infinity.
         value: f64,
@@ -367,7 +368,7 @@ pub enum DataError {
     CountMismatch {
         /// A description of the counted things.
         what: &'static str,
-        /// The number needed.
+        /// The number expected.
         expected: usize,
         /// The number found.
         got: usize,
@@ -426,15 +427,15 @@ pub enum DataError {
         /// The tolerance applied.
         tolerance: f64,
     },
-    /// A point source whose flux is NaN or infinite.
-    #[error("the point source at {position} has flux {flux}")]
+    /// A star or galaxy whose flux is NaN or infinite.
+    #[error("the source at {position} has flux {flux}, but it must be a finite number")]
     SourceFlux {
         /// Its position.
         position: Position,
         /// Its flux.
         flux: f64,
     },
-    /// A galaxy with a profile parameter out of range.
+    /// A galaxy whose profile has a parameter out of range.
     #[error("{parameter} must be {allowed}, got {got}")]
     Galaxy {
         /// The parameter.

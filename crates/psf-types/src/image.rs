@@ -58,9 +58,9 @@ impl<T: Real> Image<T> {
 /// An image `[y, x]` in flux per pixel with borrowed pixels, the counterpart of [`Image`]. It is
 /// not empty, and every pixel is finite.
 ///
-/// Any memory layout is accepted. The view borrows the pixels if those of each row are adjacent in
-/// memory. The rows may have any distance and either order. Other layouts are copied to row-major
-/// memory.
+/// Any memory layout is accepted. The view borrows the pixels if the pixels of each row are
+/// adjacent in memory. The rows may be any distance apart, in ascending or descending order. Pixels
+/// with another layout are copied to row-major memory.
 ///
 /// ```
 /// use ndarray::{Array2, s};
@@ -74,7 +74,7 @@ impl<T: Real> Image<T> {
 /// ```
 #[derive(Debug, Clone)]
 pub struct ImageView<'a, T = f64> {
-    /// The pixels of a row are adjacent in memory.
+    /// In each row, the pixels are adjacent in memory.
     pixels: CowArray<'a, T, Ix2>,
     shape: FrameShape,
 }
@@ -96,7 +96,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         Ok(Self { pixels, shape })
     }
 
-    /// A view of an image, which was checked when it was made.
+    /// Borrows an image. Its pixels were checked when it was made.
     pub(crate) fn of_image(image: &'a Image<T>) -> Self {
         Self {
             pixels: image.pixels().into(),
@@ -104,7 +104,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         }
     }
 
-    /// Borrows the pixels again.
+    /// Returns another view of the pixels, without a copy.
     pub fn view(&self) -> ImageView<'_, T> {
         ImageView {
             pixels: self.pixels.view().into(),
@@ -112,7 +112,7 @@ impl<'a, T: Real> ImageView<'a, T> {
         }
     }
 
-    /// The pixels `[y, x]`. Pixels of a row are adjacent in memory, while rows may be apart.
+    /// The pixels `[y, x]`. The pixels of a row are adjacent in memory. The rows need not be.
     pub fn pixels(&self) -> ArrayView2<'_, T> {
         self.pixels.view()
     }
@@ -122,19 +122,20 @@ impl<'a, T: Real> ImageView<'a, T> {
         self.shape
     }
 
-    /// Returns whether the pixels are borrowed, not copied because of their layout.
+    /// Returns whether the view borrows its pixels. If not, they were copied because of their
+    /// layout, or the view owns them.
     pub fn is_borrowed(&self) -> bool {
         self.pixels.is_view()
     }
 }
 
-/// A working precision: `f32` or `f64`. Sealed.
+/// A working precision: `f32` or `f64`. Other crates cannot implement this trait (it is sealed).
 pub trait Real: NdFloat + Default + sealed::Sealed {
-    /// `f32` or `f64`.
+    /// The name of the type: `f32` or `f64`.
     const NAME: &'static str;
-    /// The nearest value of this type.
+    /// Returns the value of this type that is nearest to `value`.
     fn nearest(value: f64) -> Self;
-    /// This value in double precision.
+    /// Returns this value in double precision.
     fn as_f64(self) -> f64;
 }
 
@@ -164,19 +165,20 @@ mod sealed {
     impl Sealed for f64 {}
 }
 
-/// Values tested in one loop before the first early exit. Enough values let the compiler vectorise
-/// the loop. Few enough values stay in the first-level cache.
-const AT_ONCE: usize = 1024;
+/// The number of values tested in one loop. The loop has no early exit, so the compiler can
+/// vectorise it.
+const VALUES_PER_TEST: usize = 1024;
 
-/// Returns whether all values are finite, at the speed of memory.
+/// Returns whether all values are finite. The speed is limited only by the memory.
 fn all_finite<T: Real>(values: &[T]) -> bool {
     values
-        .chunks(AT_ONCE)
+        .chunks(VALUES_PER_TEST)
         .all(|some| some.iter().fold(true, |finite, v| finite & v.is_finite()))
 }
 
 pub(crate) fn finite2<T: Real>(quantity: Quantity, values: ArrayView2<'_, T>) -> Result<(), DataError> {
-    // This loop without indices runs at the speed of memory and nearly always decides.
+    // For valid values, this fast test is enough. The slow search below finds the index of a bad
+    // value.
     let finite = match values.as_slice() {
         Some(values) => all_finite(values),
         None => values
@@ -207,7 +209,7 @@ pub(crate) fn finite3(quantity: Quantity, values: ArrayView3<'_, f64>) -> Result
     }
 }
 
-/// Returns the array in row-major order, and copies it only if its order differs.
+/// Returns the array in row-major order. Copies it only if its order differs.
 pub(crate) fn row_major<T: Clone, D: Dimension>(array: Array<T, D>) -> Array<T, D> {
     if array.is_standard_layout() {
         array
@@ -217,7 +219,7 @@ pub(crate) fn row_major<T: Clone, D: Dimension>(array: Array<T, D>) -> Array<T, 
 }
 
 impl<T: Real> From<Image<T>> for ImageView<'_, T> {
-    /// An image that the view owns.
+    /// Moves the image into the view, which then owns the pixels.
     fn from(image: Image<T>) -> Self {
         Self {
             shape: image.shape(),

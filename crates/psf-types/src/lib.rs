@@ -1,4 +1,5 @@
-//! The data that passes between the stages of psfield, and the traits that cross them.
+//! The data types that pass between the stages of psfield, and the traits that several stages
+//! share.
 //!
 //! ```text
 //! PsfSource --sample--> PsfSamples --basis--> PsfBasis + SampleCoefficients --field--> CoefficientField
@@ -11,7 +12,7 @@
 //! * Positions are `(x, y)` in pixels of the frame, 0-based. An integer is the centre of a pixel
 //!   ([`Position`]).
 //! * A stamp stores its centre, by default index `n / 2` ([`StampGrid`]). Its values are fractions
-//!   of the source's flux in a *frame* pixel. So a stamp oversampled `s` times holds unit flux when
+//!   of the source's flux per *frame* pixel. So a stamp oversampled `s` times holds unit flux when
 //!   its values sum to `s^2`.
 //! * Every type checks its invariants once, in its constructor. Serde runs the same check.
 

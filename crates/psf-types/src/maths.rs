@@ -17,8 +17,8 @@ pub fn mirrored_index(index: i64, length: usize) -> usize {
     folded.min(2 * last - folded) as usize
 }
 
-/// The coefficients of the cubic B-spline through values `[y, x]` that continue by mirroring
-/// ([`mirrored_index`]).
+/// The coefficients of the cubic B-spline through values `[y, x]`. Beyond the edges, the values are
+/// mirrored ([`mirrored_index`]).
 ///
 /// The value of the spline at `i + u` (`0 <= u <= 1`) along an axis is the sum of the coefficients
 /// at `i - 1` to `i + 2` with the weights [`spline_weights`]`(u)`. The recursive filter is from
@@ -72,8 +72,8 @@ fn spline_prefilter(line: &mut [f64]) {
     }
 }
 
-/// The weights of the four B-spline coefficients around a coordinate that lies `u` (0 to 1) above
-/// the second one.
+/// The weights of the four B-spline coefficients around a coordinate. `u` (0 to 1) is the distance
+/// from the second coefficient to the coordinate.
 #[inline]
 pub fn spline_weights(u: f64) -> [f64; 4] {
     let v = 1.0 - u;
@@ -161,8 +161,8 @@ impl ConvexHull {
         }
     }
 
-    /// The corners, counter-clockwise from the leftmost one. Points on a line have two, a single
-    /// point has one. No three corners lie on a line.
+    /// The corners, counter-clockwise from the leftmost one. A hull of points on a line has two
+    /// corners, and that of a single point has one. No three corners lie on a line.
     pub fn corners(&self) -> &[[f64; 2]] {
         &self.corners
     }
@@ -179,8 +179,8 @@ impl ConvexHull {
         edges.map(|(a, b)| a[0] * b[1] - a[1] * b[0]).sum::<f64>() / 2.0
     }
 
-    /// Returns whether a point lies in the closed hull, by bisection over the fan of the first
-    /// corner. A hull without area contains only its corners.
+    /// Returns whether a point lies in the hull or on its edge, by bisection over the triangles
+    /// that share the first corner. A hull without area contains only its corners.
     pub fn contains(&self, p: [f64; 2]) -> bool {
         let c = &self.corners;
         if c.len() < 3 {

@@ -1,4 +1,4 @@
-//! PSF models: a basis and the fields of its coefficients, for evaluation and for storage.
+//! PSF models, for evaluation and for storage: a basis and the fields of its coefficients.
 
 use std::borrow::Cow;
 use std::ops::Range;
@@ -16,8 +16,8 @@ use crate::stamp::{Stamp, StampGrid};
 /// Coefficient fields `a_k(x)`: a vector of `component_count()` values at any position of the
 /// field.
 ///
-/// Object-safe. Many threads evaluate one field at once. The values must not depend on the thread,
-/// the requested region or the requested range of components.
+/// Object-safe. Many threads may evaluate one field at the same time. The values must not depend on
+/// the thread, the requested region or the requested range of components.
 pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// The number of coefficients `K`.
     fn component_count(&self) -> usize;
@@ -34,7 +34,7 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// Writes the coefficients of a range of components at every pixel of a region,
     /// `[component, y, x]`.
     ///
-    /// The provided method evaluates pixel by pixel.
+    /// The default implementation evaluates pixel by pixel.
     ///
     /// # Errors
     /// [`FieldError`] if the field has no value at a pixel.
@@ -59,10 +59,11 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Ok(())
     }
 
-    /// The values `v` `[node, component]` that the field combines: `a_k(x) = sum_n w_n(x) v_nk`.
-    /// The weights `w_n` are those of [`weights_along_row`](Self::weights_along_row).
+    /// The values `v` `[node, component]` that the field combines: `a_k(x) = sum_n w_n(x) v_nk`. A
+    /// node is a row of `v`: a sample or, for example, a term of a polynomial.
+    /// [`weights_along_row`](Self::weights_along_row) returns the weights `w_n`.
     ///
-    /// The provided method returns the unit matrix, so that the weights are the coefficients
+    /// The default implementation returns the unit matrix, so that the weights are the coefficients
     /// themselves.
     fn node_values(&self) -> Cow<'_, Array2<f64>> {
         Cow::Owned(Array2::eye(self.component_count()))
@@ -71,9 +72,10 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// The x and y coordinates of the lines between which every weight is bilinear (or constant),
     /// both ascending, or `None` for a field without such cells.
     ///
-    /// A pixel on a line belongs to the cell above it. A row between two lines has the runs of both
-    /// lines. Convolution evaluates the weights of only the first and the last row between two
-    /// lines, and cuts its tiles at the lines.
+    /// A pixel on a line belongs to the cell above the line. Convolution evaluates the weights of
+    /// the first and the last pixel row between two lines. If both rows have runs of equal lengths,
+    /// it interpolates the weights of the rows between them, so all these rows must have such runs.
+    /// It also cuts its tiles at the lines.
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         None
     }
@@ -82,8 +84,8 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
     /// row is cut into runs along which every weight is linear in x. The runs follow each other
     /// without a gap. The cuts may differ from row to row.
     ///
-    /// Convolution is fast for a field with few nodes per run and long runs. The provided method
-    /// visits pixel by pixel.
+    /// Convolution is fast for a field with few nodes per run and long runs. The default
+    /// implementation visits pixel by pixel.
     ///
     /// # Errors
     /// [`FieldError`] at the first pixel where the field has no value, after all pixels before it
@@ -132,7 +134,8 @@ impl<'a> RowRun<'a> {
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum FieldError {
-    /// The position lies outside the samples' convex hull and the outside policy is `Error`.
+    /// The position lies outside the area that the samples cover, and the outside policy is
+    /// `Error`.
     #[error(
         "position {position} lies outside the area that the samples cover: choose an outside policy (nearest, extend) or \
          add samples there"
@@ -142,14 +145,14 @@ pub enum FieldError {
         position: Position,
     },
     /// The interpolated PSF has no positive flux, so it cannot be scaled to unit flux.
-    #[error("the PSF at {position} has flux {flux}: it cannot be normalised to unit flux")]
+    #[error("the PSF at {position} has flux {flux}, which cannot be scaled to 1: check the samples near it")]
     NonPositiveFlux {
         /// The requested position.
         position: Position,
         /// The PSF's flux there.
         flux: f64,
     },
-    /// An error of a field in another crate.
+    /// An error of a field that another crate implements.
     #[error("the coefficient field failed at {position}")]
     External {
         /// The requested position.
@@ -163,11 +166,11 @@ pub enum FieldError {
 /// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`.
 ///
 /// One array stores the stamps `B_0` (if the basis is mean-centred) and `B_1 ... B_K`, the mean
-/// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the bracket under
-/// [`Normalisation::Unit`] and 1 under [`Normalisation::Keep`].
+/// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the bracket for
+/// [`Normalisation::Unit`], and 1 for [`Normalisation::Keep`].
 #[derive(Debug, Clone)]
 pub struct PsfModel {
-    /// Mean first, `[stamp, y, x]`.
+    /// `[stamp, y, x]`, beginning with the mean if there is one.
     stamps: Array3<f64>,
     fluxes: Vec<f64>,
     mean_centred: bool,
@@ -178,13 +181,13 @@ pub struct PsfModel {
     needs_scaling: bool,
 }
 
-/// A PSF needs no scaling if its flux is this close to 1. Such a difference is rounding of the sum
-/// over a stamp's pixels.
+/// A PSF needs no scaling if its flux differs from 1 by at most this. Such a difference is a
+/// rounding error of the sum over a stamp's pixels.
 const UNIT_FLUX_TOLERANCE: f64 = 1e-14;
 
 impl PsfModel {
-    /// A model from a basis and its coefficient field, over a field of the given shape if it is
-    /// known.
+    /// A model from a basis and its coefficient field. `field_shape` is the shape of the field over
+    /// which the PSF is known, if it is given.
     ///
     /// # Errors
     /// [`DataError::CountMismatch`] when the field does not return one coefficient per component.
@@ -224,19 +227,19 @@ impl PsfModel {
     }
 
     /// Removes the scaling to unit flux if the samples' coefficients `[sample, component]` show
-    /// that it is not needed. If the mean has unit flux and the components change the flux at no
-    /// sample, they change it nowhere between the samples.
+    /// that it is not needed. This is so if the mean has unit flux and the components change the
+    /// flux at no sample. Then they change the flux nowhere between the samples.
     pub(crate) fn without_needless_scaling(self, coefficients: ArrayView2<'_, f64>) -> Self {
         let first = usize::from(self.mean_centred);
         let unit_mean = first == 1 && (self.fluxes[0] - 1.0).abs() <= UNIT_FLUX_TOLERANCE;
-        let taken = |row: ArrayView1<'_, f64>| -> f64 {
+        let flux_change = |row: ArrayView1<'_, f64>| -> f64 {
             row.iter().zip(&self.fluxes[first..]).map(|(a, f)| a * f).sum()
         };
-        let none_taken = coefficients
+        let unchanged = coefficients
             .outer_iter()
-            .all(|row| taken(row).abs() <= UNIT_FLUX_TOLERANCE);
+            .all(|row| flux_change(row).abs() <= UNIT_FLUX_TOLERANCE);
         Self {
-            needs_scaling: self.needs_scaling && !(unit_mean && none_taken),
+            needs_scaling: self.needs_scaling && !(unit_mean && unchanged),
             ..self
         }
     }
@@ -289,8 +292,8 @@ impl PsfModel {
         self.stamps.index_axis(ndarray::Axis(0), index)
     }
 
-    /// Returns whether `s(x)` differs from 1, so that callers must divide by
-    /// [`flux_region_into`](Self::flux_region_into).
+    /// Returns whether `s(x)` may differ from 1. If so, callers must divide by the `s(x)` that
+    /// [`flux_region_into`](Self::flux_region_into) writes.
     pub fn needs_flux_scaling(&self) -> bool {
         self.needs_scaling
     }
@@ -395,8 +398,8 @@ impl PsfModel {
     pub fn psf_at(&self, position: Position) -> Result<Stamp, FieldError> {
         let mut coefficients = vec![0.0; self.stamp_count()];
         self.scaled_coefficients_into(position, &mut coefficients)?;
-        // Stamp by stamp over contiguous memory: a product of a vector and a row-major matrix would
-        // read it with strides.
+        // Adds stamp by stamp, over contiguous memory. A product of a vector and a row-major matrix
+        // would read the matrix with strides.
         let mut values = Array2::zeros(self.grid.dim());
         for (&a, stamp) in coefficients.iter().zip(self.stamps.outer_iter()) {
             values.scaled_add(a, &stamp);
@@ -475,7 +478,7 @@ impl PsfModelRecord {
         self.interpolation
     }
 
-    /// The values outside the area that the samples cover.
+    /// The policy for positions outside the area that the samples cover.
     pub fn outside(&self) -> OutsidePolicy {
         self.outside
     }
@@ -485,7 +488,8 @@ impl PsfModelRecord {
         self.normalisation
     }
 
-    /// Truncates the model to its first `rank` components. A model with fewer is unchanged.
+    /// Truncates the model to its first `rank` components. A model with fewer components is
+    /// unchanged.
     ///
     /// # Errors
     /// [`DataError::EmptyBasis`] for rank 0 of a basis without a mean.

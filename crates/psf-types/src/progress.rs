@@ -4,23 +4,24 @@ use std::fmt;
 
 use thiserror::Error;
 
-/// Receives progress and can cancel. Called from many threads.
+/// Receives the progress of long work and can cancel it. Many threads call these methods.
 pub trait Progress: Sync {
-    /// The work has `total` steps. Called once before the first step, and again when the total
-    /// grows.
+    /// Sets the number of steps of the work. Called once before the first step, and again when the
+    /// number grows.
     fn start(&self, total: u64);
-    /// `steps` more steps are done.
+    /// Reports that `steps` more steps are done.
     fn advance(&self, steps: u64);
-    /// Returns whether the work should stop early. All threads ask every few milliseconds, so the
-    /// call must be cheap, such as reading an atomic flag. Once `true`, it stays `true`.
+    /// Returns whether the work should stop early. Each thread calls this every few milliseconds,
+    /// so the call must be cheap, such as reading an atomic flag. After the first `true`, it must
+    /// always return `true`.
     fn cancelled(&self) -> bool {
         false
     }
-    /// [`Self::cancelled`] as a `Result`, for use with `?`.
+    /// Returns [`Self::cancelled`] as a `Result`, for use with `?`.
     ///
     /// # Errors
     /// [`Cancelled`] when the work should stop.
-    fn still_wanted(&self) -> Result<(), Cancelled> {
+    fn check_cancelled(&self) -> Result<(), Cancelled> {
         if self.cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 }
@@ -39,8 +40,8 @@ impl Progress for NoProgress {
     fn advance(&self, _steps: u64) {}
 }
 
-/// Passes on another object's cancellation but not the progress, for work whose steps are not
-/// counted.
+/// Wraps a progress object for work whose steps are not counted. Passes on cancellation, but no
+/// progress.
 pub struct Uncounted<'a>(pub &'a dyn Progress);
 
 impl fmt::Debug for Uncounted<'_> {

@@ -1,4 +1,4 @@
-//! Sources that know the PSF at any position, and PSF samples: stamps at positions.
+//! Sources that draw the PSF at any position, and PSF samples: stamps at known positions.
 
 use std::collections::HashMap;
 
@@ -10,9 +10,11 @@ use crate::frame::{DataError, FrameShape, Position, Quantity, read_through_new};
 use crate::image::{finite3, row_major};
 use crate::stamp::{Stamp, StampGrid};
 
-/// A PSF known at every position of a field: an optical model, an analytic profile, a fitted model.
+/// A PSF that can be drawn at every position of a field: an optical model, an analytic profile, a
+/// fitted model.
 ///
-/// Object-safe. Many threads draw from one source at once. A position always yields the same stamp.
+/// Object-safe. Many threads may draw from one source at the same time. A source must always draw
+/// the same stamp for a position.
 pub trait PsfSource: Sync {
     /// The pixel grid of the stamps.
     fn grid(&self) -> StampGrid;
@@ -27,11 +29,12 @@ pub trait PsfSource: Sync {
     /// [`SourceError`] when the source cannot draw a PSF at this position.
     fn draw_into(&self, position: Position, stamp: ArrayViewMut2<'_, f64>) -> Result<(), SourceError>;
 
-    /// Like [`draw_into`](Self::draw_into), with the source moved from the grid's centre by `dx`,
-    /// `dy` frame pixels to the right and up.
+    /// Draws the PSF like [`draw_into`](Self::draw_into), but shifted from the grid's centre by
+    /// `dx` frame pixels to the right and `dy` up.
     ///
     /// # Errors
-    /// The provided method returns [`SourceError::ShiftUnsupported`] unless both are 0.
+    /// The default implementation returns [`SourceError::ShiftUnsupported`] unless `dx` and `dy`
+    /// are 0.
     fn draw_shifted_into(
         &self,
         position: Position,
@@ -72,7 +75,7 @@ pub enum SourceError {
         #[source]
         source: DataError,
     },
-    /// An error of a source in another crate.
+    /// An error of a source that another crate implements.
     #[error("the PSF at {position} could not be drawn")]
     External {
         /// The requested position.
@@ -181,7 +184,8 @@ impl PsfSamples {
 
 /// The distinct positions of the samples, in order, and the shape of their field if it is known.
 ///
-/// There is at least one position, and no two are equal. If a field is given, all lie on it.
+/// There is at least one position, and no two positions are equal. If the field is known, all
+/// positions lie on it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawSamplePositions")]
 pub struct SamplePositions {
@@ -192,7 +196,7 @@ pub struct SamplePositions {
 read_through_new!(RawSamplePositions => SamplePositions { positions: Vec<Position>, field: Option<FrameShape> });
 
 impl SamplePositions {
-    /// Positions of samples on a field of the given shape.
+    /// Positions of samples, on a field of the given shape if it is known.
     ///
     /// # Errors
     /// [`DataError::NoSamples`], [`DataError::DuplicatePosition`] or [`DataError::OutsideField`].

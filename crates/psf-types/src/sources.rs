@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Position, read_through_new};
 
-/// A star: a position in pixels of the scene and a finite flux. The position is sub-pixel and may
-/// lie outside the scene.
+/// A star: a position in pixels of the scene and a finite flux. The position may lie between pixels
+/// and outside the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawPointSource")]
 pub struct PointSource {
@@ -39,12 +39,13 @@ impl PointSource {
     }
 }
 
-/// The smallest Sersic index. Its profile is flatter than any galaxy.
+/// The smallest Sersic index. Real galaxies have a larger index.
 const SMALLEST_INDEX: f64 = 0.3;
-/// The largest Sersic index. Beyond it, fits of galaxies are not meaningful either.
+/// The largest Sersic index. Fits of real galaxies with a larger index are not meaningful.
 const LARGEST_INDEX: f64 = 8.0;
 /// The smallest axis ratio, a hundred times below that of edge-on discs. The time to integrate a
-/// profile over pixels grows as the inverse of the ratio. It is a large part of a second here.
+/// profile over pixels grows as the inverse of the ratio. At this ratio, it is a large part of a
+/// second per galaxy.
 const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 
 /// A Sersic profile with elliptical isophotes: the distribution of a galaxy's light.
@@ -57,7 +58,7 @@ const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 ///
 /// (Sersic 1968, in the form of Graham and Driver 2005, PASA 22, 118). `P` is the regularised lower
 /// incomplete gamma function, so half of the light lies within the ellipse of semi-major axis `re`.
-/// `n = 0.5` is a Gaussian, 1 an exponential disc, 4 a de Vaucouleurs profile.
+/// `n = 0.5` is a Gaussian, `n = 1` an exponential disc, and `n = 4` a de Vaucouleurs profile.
 ///
 /// ```
 /// use psf_types::SersicProfile;
@@ -145,7 +146,7 @@ impl SersicProfile {
 }
 
 /// A galaxy: a position in pixels of the scene, a finite total flux (to infinite radius) and a
-/// light profile. The position is sub-pixel and may lie outside the scene.
+/// light profile. The position may lie between pixels and outside the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SersicSource {
     light: PointSource,

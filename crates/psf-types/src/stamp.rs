@@ -7,14 +7,16 @@ use crate::choices::StampInterpolation;
 use crate::frame::{DataError, Quantity, read_through_new};
 use crate::image::{finite2, row_major};
 
-/// The pixel grid of a stamp: its shape, its centre, its oversampling, whether its values include
-/// the pixel response, and the interpolation between its pixels.
+/// The pixel grid of a stamp: shape, centre, oversampling and interpolation between the pixels. It
+/// also records whether the values include the pixel response.
 ///
 /// * A stamp value at index `(row, column)` belongs to the offset
 ///   `((column - centre_x) / oversampling, (row - centre_y) / oversampling)` in frame pixels from
 ///   the source.
-/// * A value is the fraction of the source's flux that falls in a *frame* pixel centred there. So a
-///   stamp oversampled `s` times holds unit flux when its values sum to `s^2`.
+/// * If the pixel response is included, a value is the fraction of the source's flux that falls in
+///   a *frame* pixel centred there. Otherwise it is the fraction of the flux per frame pixel at
+///   that point. In both cases a stamp oversampled `s` times holds unit flux when its values sum to
+///   `s^2`.
 ///
 /// ```
 /// use psf_types::StampGrid;
@@ -52,7 +54,7 @@ impl StampGrid {
     /// included. Its centre is index `(nx / 2, ny / 2)` (integer division).
     ///
     /// # Errors
-    /// [`DataError::EmptyStamp`] when either is 0.
+    /// [`DataError::EmptyStamp`] when `nx` or `ny` is 0.
     pub fn new(nx: usize, ny: usize) -> Result<Self, DataError> {
         if nx == 0 || ny == 0 {
             return Err(DataError::EmptyStamp { nx, ny });
@@ -91,8 +93,8 @@ impl StampGrid {
         }
     }
 
-    /// Returns this grid with `oversampling` stamp pixels per frame pixel: any positive number,
-    /// below 1 for stamps coarser than the frame.
+    /// Returns this grid with `oversampling` stamp pixels per frame pixel along each axis. It may
+    /// be any positive number. It is below 1 for stamps coarser than the frame.
     ///
     /// # Errors
     /// [`DataError::Oversampling`] when it is not finite and positive.
@@ -104,8 +106,7 @@ impl StampGrid {
         }
     }
 
-    /// Returns this grid with a new record of whether stamp values include the response of a frame
-    /// pixel.
+    /// Sets whether the stamp values include the response of a frame pixel.
     #[must_use]
     pub fn with_pixel_response_included(self, pixel_response_included: bool) -> Self {
         Self {
@@ -163,12 +164,12 @@ impl StampGrid {
         (self.ny, self.nx)
     }
 
-    /// Number of stamp pixels, or `usize::MAX` if it is too large to count.
+    /// Number of stamp pixels, or `usize::MAX` if the number does not fit into `usize`.
     pub fn pixel_count(self) -> usize {
         self.nx.saturating_mul(self.ny)
     }
 
-    /// [`DataError::StampShape`] unless arrays of this shape hold stamps of this grid.
+    /// Returns [`DataError::StampShape`] if `got` is not the shape of this grid's stamps.
     pub(crate) fn check_dim(self, got: (usize, usize)) -> Result<(), DataError> {
         if got == self.dim() {
             Ok(())
@@ -180,7 +181,7 @@ impl StampGrid {
         }
     }
 
-    /// Returns the centre as whole `(column, row)` indices if it lies on a pixel centre.
+    /// Returns the centre as integer indices `(column, row)` if it is the centre of a pixel.
     pub fn whole_centre(self) -> Option<(usize, usize)> {
         (self.centre_x.fract() == 0.0 && self.centre_y.fract() == 0.0)
             .then_some((self.centre_x as usize, self.centre_y as usize))
@@ -244,7 +245,8 @@ impl Stamp {
         self.values
     }
 
-    /// The fraction of the source's light in the stamp: the sum divided by `oversampling^2`.
+    /// The fraction of the source's light in the stamp: the sum of the values divided by
+    /// `oversampling^2`.
     pub fn flux(&self) -> f64 {
         self.grid.flux_of_sum(self.values.sum())
     }

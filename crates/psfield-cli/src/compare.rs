@@ -12,9 +12,11 @@ use super::context::{Context, object};
 
 /// Compare an image (or a cube) with a reference
 ///
-/// Prints MAE, MSE, relative L2 = |F - T| / |T|, the largest difference, and the largest difference
-/// over the peak of the reference. For cubes, prints the median of each measure over the planes and
-/// its value in the worst plane.
+/// Prints the mean absolute error (MAE), the mean squared error (MSE), relative L2 = |F - T| / |T|,
+/// the largest difference, the largest difference divided by the peak of the reference, MAE divided
+/// by the mean of the reference, and the signal-to-noise ratio (dB).
+///
+/// For cubes, prints the median of each measure over the planes, and its value in the worst plane.
 #[derive(Debug, clap::Args)]
 pub(crate) struct CompareArgs {
     /// Result F
@@ -23,10 +25,12 @@ pub(crate) struct CompareArgs {
     /// Reference T
     #[arg(value_name = "REFERENCE.fits")]
     reference: PathBuf,
-    /// HDU of the result: its number (0: primary), NAME or NAME,VERSION
+    /// HDU of the result: its number (0: primary), NAME or NAME,VERSION [default: the primary
+    /// image, else the only one]
     #[arg(long, value_name = "N|NAME")]
     extension: Option<HduChoice>,
-    /// HDU of the reference: its number (0: primary), NAME or NAME,VERSION
+    /// HDU of the reference: its number (0: primary), NAME or NAME,VERSION [default: the primary
+    /// image, else the only one]
     #[arg(long, value_name = "N|NAME")]
     reference_extension: Option<HduChoice>,
 }
@@ -77,7 +81,7 @@ impl CompareArgs {
                 let median = report.median.text();
                 let max = report.max.text();
                 format!(
-                    "{} planes\nmedian over the planes\n{median}\nworst plane in each\n{max}",
+                    "{} planes\nmedian over the planes\n{median}\nworst plane for each measure\n{max}",
                     report.planes
                 )
             })
@@ -112,8 +116,8 @@ impl Measures {
         Self(MEASURES.map(|(.., of)| of(comparison)))
     }
 
-    /// One statistic of the errors and one of the signal-to-noise ratio. None if a plane lacks the
-    /// measure.
+    /// Applies `of_errors` to each error over the planes, and `of_snr` to the signal-to-noise
+    /// ratio. A measure that a plane lacks is None.
     fn over(
         planes: &[Comparison],
         of_errors: fn(&Summary) -> f64,

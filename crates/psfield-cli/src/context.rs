@@ -1,4 +1,4 @@
-//! Shared by all commands: messages, progress bars, and the signature of files.
+//! Parts shared by all commands: messages, progress bars, and the signature of files.
 
 use std::io::Write;
 use std::path::Path;
@@ -32,8 +32,8 @@ macro_rules! object {
 }
 pub(crate) use object;
 
-/// The message of an error with its causes, in one line, and the option that mends it.
-pub(crate) fn told(error: &anyhow::Error) -> String {
+/// The message of an error with its causes, in one line, and the option that avoids the error.
+pub(crate) fn message_of(error: &anyhow::Error) -> String {
     let setting = error.chain().find_map(|cause| {
         let of_pipeline = || cause.downcast_ref().and_then(PsfieldError::setting);
         of_pipeline().or_else(|| cause.downcast_ref().and_then(IoError::setting))
@@ -41,7 +41,7 @@ pub(crate) fn told(error: &anyhow::Error) -> String {
     with_option(psfield::error_text(error.as_ref()), setting)
 }
 
-/// A message of the library, and the option for the setting that it names.
+/// A message of the library, with the option for the setting that the message is about.
 pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -> String {
     match setting.and_then(option_of) {
         Some(option) => format!("{text} (option {option})"),
@@ -52,7 +52,7 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
 /// The option for a setting of the library.
 fn option_of(setting: &str) -> Option<String> {
     Some(match setting {
-        // World coordinates come from a scene or from a file, and regions from no option.
+        // World coordinates come from a scene or from a file. No option gives a region.
         "sky" | "region" => return None,
         "hdu" | "table" => "--extension".to_owned(),
         "plane_order" => "--psf-order".to_owned(),
@@ -84,8 +84,8 @@ pub(crate) struct Context {
 }
 
 impl Context {
-    /// The context of one of several pieces of work. Messages name the piece, and it shows no
-    /// progress bars.
+    /// Returns the context of a part of the work. Messages start with the name of this part, and
+    /// progress bars are not shown.
     pub(crate) fn for_part(&self, name: &str) -> Self {
         Self {
             part: format!("{name}: "),
@@ -93,7 +93,7 @@ impl Context {
         }
     }
 
-    /// Prints the object under `--json`, else the text unless `--quiet`.
+    /// With `--json` prints the object. Otherwise prints the text, unless `--quiet` is given.
     pub(crate) fn report(
         &self,
         object: &impl Serialize,
@@ -154,7 +154,7 @@ impl Context {
 }
 
 /// Header cards with the program's version and the command line. Options that do not change the
-/// result are left out ([`matters`]), so that the same input, options and seed give the same bytes.
+/// result are left out ([`matters`]), so that equal input, options and seeds give equal bytes.
 pub(crate) fn signature() -> Vec<Card> {
     signature_of(&given_arguments())
 }

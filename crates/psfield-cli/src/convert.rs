@@ -16,6 +16,12 @@ use crate::psf_args::{PsfArgs, notes_of};
 /// Convert a PSF file to another format
 ///
 /// Reads PSF samples and models, PSFEx, STPSF, STDPSF, ScopeSim PSFs and plain stamps.
+///
+/// Examples:
+///
+/// psfield convert model.fits -o model.psf --to psfex=8
+///
+/// psfield convert model.fits -o library.fits --to gridded --grid 21,21
 #[derive(Debug, clap::Args)]
 pub(crate) struct ConvertArgs {
     /// PSF to read
@@ -24,26 +30,31 @@ pub(crate) struct ConvertArgs {
     /// File to write
     #[arg(short, long, value_name = "OUTPUT")]
     output: PathBuf,
-    /// Format: psf-samples, psf-model, psfex=DEGREE or gridded [default: psfex for OUTPUT.psf]
+    /// Format: psf-samples, psf-model, psfex=DEGREE or gridded [default: psfex if OUTPUT ends in
+    /// .psf, else required]
     ///
-    /// psfex=DEGREE is a polynomial in x and y. psfex without DEGREE keeps the degree of a
-    /// polynomial source. gridded is a library of PSFs that photutils reads.
+    /// psf-samples and psf-model are psfield's own FITS files. psfex=DEGREE is a polynomial in x
+    /// and y of degree 0 to 10. psfex without DEGREE keeps the degree of a PSF that is a
+    /// polynomial, and is refused for others. gridded is a FITS library of PSFs that photutils
+    /// reads.
     #[arg(long, value_name = "FORMAT")]
     to: Option<Target>,
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
-    /// psf-samples, gridded: evaluate on a regular grid [default: the PSF's own positions]
+    /// For psf-samples and gridded: evaluate on NX x NY positions over the field [default: the
+    /// PSF's own positions]
     ///
-    /// The grid has NX x NY positions over the field.
+    /// Default for gridded, if the own positions form no regular grid: a square grid of at least
+    /// 11 x 11.
     #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
     grid: Option<Pair>,
-    /// psf-samples, gridded: evaluate at the positions of this table
+    /// For psf-samples and gridded: evaluate at the positions of this table
     ///
     /// CSV or FITS table with columns x, y (0-based pixels).
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
-    /// psf-samples: precision of the stamps [default: f32]
+    /// For psf-samples: precision of the stamps [default: f32]
     #[arg(long, value_enum)]
     precision: Option<Precision>,
     #[command(flatten)]
@@ -87,7 +98,7 @@ impl Target {
         }
     }
 
-    /// The planes of a file in words.
+    /// The name of the planes of the written file, for messages.
     fn planes(self) -> &'static str {
         match self {
             Self::PsfSamples | Self::Gridded => "stamps",

@@ -11,10 +11,10 @@ use crate::values::bytes;
 #[cfg(feature = "gpu")]
 use crate::values::text_of_bytes;
 
-/// List the GPUs on which images can be convolved
+/// List the GPUs, and software devices, on which images can be convolved
 ///
-/// --device gpu takes the first one. --gpu-adapter chooses another, by a part of its name or
-/// backend. If there is no GPU, the command says so, with exit status 0.
+/// simulate --device gpu takes the first device. --gpu-adapter chooses another, by a part of its
+/// name or backend. If there is no device, the command says so, with exit status 0.
 #[derive(Debug, clap::Args)]
 pub(crate) struct DevicesArgs {}
 
@@ -95,7 +95,7 @@ fn auto(adapters: &[AdapterRow]) -> &'static str {
 impl Report {
     fn text(&self) -> String {
         if !self.gpu_support {
-            return "This psfield was built without GPU support: everything runs on the CPU. The feature gpu adds it (cargo build \
+            return "This psfield was built without GPU support: everything runs on the CPU. To add it, build with the feature gpu (cargo build \
                     --release -p psfield-cli --features gpu)."
                 .to_owned();
         }
@@ -163,11 +163,13 @@ fn size(bytes: u64) -> String {
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Device")]
 pub(crate) struct DeviceArgs {
-    /// Device for the convolution of images in f32
+    /// Device that convolves images
     ///
-    /// auto: a GPU if it is predicted to be faster, else the CPU. gpu: fail if there is no GPU.
-    /// Applies to the methods auto and lowrank. Results differ by the rounding of f32. Stars are
-    /// always drawn on the CPU.
+    /// auto: a GPU if it is predicted to be faster, else the CPU. gpu: the first device of psfield
+    /// devices, which may be a software device. Without any device the command fails.
+    ///
+    /// Only the methods auto and lowrank use a GPU. A GPU computes only in f32, so that results
+    /// differ by rounding. With --precision f64, auto uses the CPU. The CPU always draws the stars.
     #[arg(long, default_value_t, value_parser = device_parser(["auto", "cpu", "gpu"]))]
     device: Device,
     /// GPU to use: a part of its name or backend [default: the first of psfield devices]

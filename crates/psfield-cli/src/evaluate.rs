@@ -24,13 +24,13 @@ pub(crate) struct EvaluateArgs {
     /// Replace the output if it exists
     #[arg(long)]
     overwrite: bool,
-    /// Pixel grid of the stamps
+    /// Pixel grid of the stamps (model: the model's own, native: the frame's)
     #[arg(long, default_value = "model", value_enum)]
     grid: Grid,
-    /// Cut or pad to N x N pixels around the centre
+    /// Cut or pad to N x N pixels around the centre [default: the stamp's own size]
     #[arg(long, value_name = "N", value_parser = stamp_size)]
     size: Option<usize>,
-    /// Draw each PSF at the sub-pixel phase of its position, not centred (with --grid native)
+    /// Shift each PSF by the fraction of a pixel of its position (needs --grid native)
     #[arg(long)]
     sub_pixel: bool,
     /// Precision of the stamps
@@ -44,7 +44,7 @@ pub(crate) struct EvaluateArgs {
 enum Grid {
     /// The model's own sampling
     Model,
-    /// The frame's pixels, with their response even if the model's stamps lack it
+    /// The frame's pixels, integrated over their area
     Native,
 }
 

@@ -14,8 +14,9 @@ use super::values::{Precision, above_zero, at_least_zero};
 
 /// Add sky, noise and other effects of a detector to a noise-free image
 ///
-/// Sky, pixel response, dark current, bad pixels, photon noise, full well, read noise, gain, bias
-/// and digitisation: each step is applied only if the detector file or an option asks for it.
+/// Sky, pixel response non-uniformity, dark current, bad pixels, photon noise, full well, read
+/// noise, gain, bias and digitisation: each step is applied only if the detector file or an option
+/// asks for it.
 ///
 /// The flux of the image times electrons_per_flux (default 1) is the number of electrons in the
 /// exposure. Counts are in ADU if gain, bias or bits are given, else in electrons. Pixels below 0
@@ -25,8 +26,9 @@ pub(crate) struct ExposeArgs {
     /// Noise-free image
     #[arg(value_name = "IMAGE.fits")]
     image: PathBuf,
-    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
-    #[arg(long, value_name = "N|NAME", hide_short_help = true)]
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION [default: the primary image,
+    /// else the only one]
+    #[arg(long, value_name = "N|NAME")]
     extension: Option<HduChoice>,
     /// Exposure to write (whole numbers if it is digitised)
     #[arg(short, long, value_name = "RAW.fits")]
@@ -42,8 +44,14 @@ pub(crate) struct ExposeArgs {
     overwrite: bool,
     /// Detector file (TOML)
     ///
-    /// Its keys are given in square brackets below. More keys: response_rms, sky_gradient_e_per_px,
-    /// pattern_seed, bad_pixels.
+    /// The options below name its keys in square brackets. More keys: response_rms (relative),
+    /// sky_gradient_e_per_px = { x, y } (electrons per pixel, for each pixel), pattern_seed, and
+    /// the table bad_pixels with dead_fraction, hot_fraction, hot_dark_e_per_s,
+    /// bad_column_fraction.
+    ///
+    /// An example, one key per line in the file: photon_noise = true, exposure_s = 100.0, sky_e =
+    /// 200.0, dark_e_per_s = 0.02, read_noise_e = 5.0, gain_e_per_adu = 1.5, bias_adu = 300.0, bits
+    /// = 16.
     #[arg(long, value_name = "DETECTOR.toml")]
     detector: Option<PathBuf>,
     /// Image of bad pixels, in addition to those of the detector file
@@ -67,21 +75,21 @@ pub(crate) struct ExposeArgs {
 /// Settings of the detector that can be given without a file. They override the file.
 #[derive(Debug, clap::Args)]
 #[group(id = "Settings", multiple = true)]
-#[command(next_help_heading = "Detector (each option overrides the file)")]
+#[command(next_help_heading = "Detector (options override the file, [key] is the key in the file)")]
 struct Settings {
     /// Add photon noise: the charge is Poisson distributed [photon_noise]
     #[arg(long)]
     photon_noise: bool,
     /// Electrons in the exposure per unit of the image's flux [electrons_per_flux]
-    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
+    #[arg(long, value_name = "E", value_parser = above_zero, allow_negative_numbers = true)]
     electrons_per_flux: Option<f64>,
-    /// Sky (electrons per pixel) [sky_e]
+    /// Sky in the whole exposure (electrons per pixel) [sky_e]
     #[arg(long, value_name = "E", value_parser = at_least_zero, allow_negative_numbers = true)]
     sky: Option<f64>,
     /// Exposure time (s), for the dark current [exposure_s]
     #[arg(long, value_name = "S", value_parser = at_least_zero, allow_negative_numbers = true)]
     exposure: Option<f64>,
-    /// Dark current (electrons per pixel and second) [dark_e_per_s]
+    /// Dark current (electrons per pixel and second), needs --exposure [dark_e_per_s]
     #[arg(long, value_name = "E_PER_S", value_parser = at_least_zero, allow_negative_numbers = true)]
     dark: Option<f64>,
     /// Full well: the largest charge of a pixel (electrons) [full_well_e]
@@ -94,19 +102,14 @@ struct Settings {
     #[arg(long, value_name = "E_PER_ADU", value_parser = above_zero, allow_negative_numbers = true)]
     gain: Option<f64>,
     /// Level of a pixel without charge (ADU) [bias_adu]
-    #[arg(
-        long,
-        value_name = "ADU",
-        allow_negative_numbers = true,
-        hide_short_help = true
-    )]
+    #[arg(long, value_name = "ADU", allow_negative_numbers = true)]
     bias: Option<f64>,
     /// Digitise to whole numbers from 0 to 2^N - 1, N at most 24 [bits]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=24))]
     bits: Option<u32>,
 }
 
-/// Options by their keys in the detector file, for messages.
+/// Keys in the detector file with their options, for messages.
 const OPTIONS: [(&str, &str); 3] = [
     ("bias_adu", "--bias"),
     ("dark_e_per_s", "--dark"),
@@ -179,7 +182,7 @@ impl ExposeArgs {
             shape: [nx, ny],
             precision: T::NAME,
             unit: detector.unit(),
-            // The count of saturated pixels.
+            // The value of saturated pixels, in this unit.
             saturation: detector.saturation(),
             detector: params,
             #[serde(flatten)]

@@ -12,7 +12,7 @@ use crate::psf_args::{FIT_HEADING, PsfArgs};
 
 /// Fit a PSF model (basis and coefficient fields) to samples
 #[derive(Debug, clap::Args)]
-#[command(mut_args(in_short_help))]
+#[command(mut_args(for_fit))]
 pub(crate) struct FitCommandArgs {
     /// PSF samples, or another PSF file with stamps at positions
     ///
@@ -30,10 +30,16 @@ pub(crate) struct FitCommandArgs {
     fit: PsfArgs,
 }
 
-/// Shows the fit options in the short help too: here they are what the command is about.
-fn in_short_help(arg: clap::Arg) -> clap::Arg {
-    let shown = arg.get_help_heading() == Some(FIT_HEADING);
-    if shown { arg.hide_short_help(false) } else { arg }
+/// Shows in the short help the options that this command needs most, and hides those that it does
+/// not use.
+fn for_fit(arg: clap::Arg) -> clap::Arg {
+    match arg.get_id().as_str() {
+        // These apply only to files that need no fit.
+        "psf_wavelength" | "pixel_scale" | "field_centre" => arg.hide(true),
+        "psf_positions" | "psf_oversampling" => arg.hide_short_help(false),
+        _ if arg.get_help_heading() == Some(FIT_HEADING) => arg.hide_short_help(false),
+        _ => arg,
+    }
 }
 
 impl FitCommandArgs {
@@ -72,7 +78,7 @@ fn text(report: &FitReport, output: &str) -> String {
             "median {median:.2e}, largest {max:.2e}, of {} samples",
             left_out.predicted
         ),
-        _ => "not measured, no sample lies between others".to_owned(),
+        _ => "not measured, because no sample lies between others".to_owned(),
     };
     format!(
         "{output}: {} samples, {} components (elbow at {}), {} interpolation\n\

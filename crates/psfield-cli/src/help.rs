@@ -2,12 +2,12 @@
 
 use clap::{Command, CommandFactory};
 
-/// Commands by purpose. All others are listed under [`OTHERS`].
+/// Commands by purpose. All others are listed under [`LAST_GROUP`].
 const GROUPS: [(&str, &[&str]); 2] = [
     ("Make a PSF", &["sample", "fit", "convert"]),
     ("Simulate", &["simulate", "expose", "batch"]),
 ];
-const OTHERS: &str = "Look and check";
+const LAST_GROUP: &str = "Look and check";
 
 /// Builds the command line with its helps.
 pub(crate) fn command<C: CommandFactory>() -> Command {
@@ -30,7 +30,7 @@ fn groups(command: &Command) -> String {
         let about = found.and_then(Command::get_about).map(ToString::to_string);
         format!("  {name:10} {}\n", about.unwrap_or_default())
     };
-    let all = GROUPS.into_iter().chain([(OTHERS, others.as_slice())]);
+    let all = GROUPS.into_iter().chain([(LAST_GROUP, others.as_slice())]);
     let texts =
         all.map(|(heading, names)| format!("{heading}:\n{}\n", names.iter().map(line).collect::<String>()));
     texts.collect()

@@ -10,20 +10,20 @@ use signal_hook::flag;
 use signal_hook::iterator::Signals;
 use signal_hook::low_level::signal_name;
 
-/// The exit status of a process ended by a signal is this plus the signal's number, as in shells.
+/// The exit status after a signal is this number plus the number of the signal, as in shells.
 const SIGNALLED: i32 = 128;
 
 /// Ends the process on SIGINT, SIGTERM or SIGHUP with status 130, 143 or 129, after removing the
-/// temporary files. Further signals in the meantime have no effect: `timeout` and others send two
-/// at once. Signals that the parent process has set to be ignored (`nohup`, background jobs of a
-/// script) stay ignored.
+/// temporary files. Further signals in the meantime have no effect, because `timeout` and others
+/// send two at once. Signals that the parent process has set to be ignored (`nohup`, background
+/// jobs of a script) stay ignored.
 ///
 /// A limit on the size of files (`ulimit -f`) becomes an error like that of a full disk, so that
 /// temporary files are removed then too.
 ///
 /// # Errors
 /// The error of the system, if it refuses the handlers.
-pub(crate) fn remove_files_when_told_to_stop() -> std::io::Result<()> {
+pub(crate) fn handle() -> std::io::Result<()> {
     let ignored = ignored_signals();
     let wanted: Vec<i32> = [SIGINT, SIGTERM, SIGHUP]
         .into_iter()
@@ -72,8 +72,8 @@ fn tell(signal: i32, outputs: &[PathBuf]) {
     let _ = std::io::stderr().write_all(line.as_bytes());
 }
 
-/// The signals that the process was started to ignore, signal 1 in the lowest bit. 0 if the system
-/// does not tell.
+/// The signals that the process ignores since its start, as a bit mask (lowest bit: signal 1). 0 if
+/// the system does not report them.
 fn ignored_signals() -> u64 {
     std::fs::read_to_string("/proc/self/status")
         .ok()

@@ -30,7 +30,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::{FromArgMatches, Parser, Subcommand};
-use context::{Context, UsageError, told};
+use context::{Context, UsageError, message_of};
 
 /// Astronomical images with a point spread function that varies over the field
 ///
@@ -38,7 +38,19 @@ use context::{Context, UsageError, told};
 /// unless --overwrite is given.
 ///
 /// Exit status: 0 done, 1 failed, 2 bad usage, 128 + N stopped by signal N (130 after Ctrl-C). A
-/// run that is stopped leaves its outputs as they were before.
+/// stopped run leaves each output complete or as it was before.
+///
+/// A first run:
+///
+/// psfield demo
+///
+/// psfield sample psfield-demo/telescope.toml -o samples.fits
+///
+/// psfield fit samples.fits -o model.fits
+///
+/// psfield simulate psfield-demo/scene.fits --psf model.fits -o image.fits
+///
+/// psfield expose image.fits --photon-noise --sky 200 --read-noise 5 -o raw.fits
 #[derive(Debug, Parser)]
 #[command(name = "psfield", version, max_term_width = 100)]
 struct Cli {
@@ -88,7 +100,7 @@ impl Cli {
     /// Runs the command.
     fn run(self) -> anyhow::Result<()> {
         #[cfg(unix)]
-        interrupts::remove_files_when_told_to_stop().context("cannot watch for signals")?;
+        interrupts::handle().context("cannot install the handlers for Ctrl-C and termination signals")?;
         if let Some(threads) = self.global.threads {
             rayon::ThreadPoolBuilder::new()
                 .num_threads(usize::from(threads))
@@ -144,6 +156,6 @@ fn main() -> ExitCode {
     {
         return ExitCode::SUCCESS;
     }
-    eprintln!("psfield: error: {}", told(&error));
+    eprintln!("psfield: error: {}", message_of(&error));
     ExitCode::FAILURE
 }

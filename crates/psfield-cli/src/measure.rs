@@ -11,24 +11,25 @@ use super::context::{Context, object};
 
 /// Measure size, shape and flux of PSFs
 ///
-/// Writes CSV with the columns x, y, flux, x_centroid, y_centroid, fwhm_px, fwhm_major_px,
-/// fwhm_minor_px, angle_rad, ellipticity = sqrt(1 - b^2/a^2) from an elliptical Gaussian fit, e1,
-/// e2 (distortion), g1, g2 (reduced shear), sigma_px from adaptive moments, and note.
+/// Writes CSV. From an elliptical Gaussian fit: flux, x_centroid, y_centroid, fwhm_px,
+/// fwhm_major_px, fwhm_minor_px, angle_rad, ellipticity = sqrt(1 - b^2/a^2). From adaptive moments:
+/// e1, e2 (distortion), g1, g2 (reduced shear), sigma_px. Also x, y and note.
 ///
-/// Lengths are in pixels of the array. In a cube, centroids are 0-based stamp indices. The field of
-/// a measurement that failed is empty, and the note says why.
+/// Lengths are in pixels of the input: stamp pixels for stamps. In a cube, centroids are 0-based
+/// pixels of the stamp. The cell of a failed measurement is empty, and the note says why.
 #[derive(Debug, clap::Args)]
 pub(crate) struct MeasureArgs {
     /// PSF samples, cube of stamps, image with --at, or image that is a single stamp
     #[arg(value_name = "IMAGE.fits|STAMPS.fits")]
     input: PathBuf,
-    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION [default: the primary image,
+    /// else the only one]
     #[arg(long, value_name = "N|NAME")]
     extension: Option<HduChoice>,
     /// Positions in an image: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
-    /// Fit the Gaussian to N x N central pixels [default: whole stamp, for images 15]
+    /// Fit the Gaussian to the N x N pixels around the centre [default: whole stamp, with --at 15]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     window: Option<u16>,
     /// Fit a constant background too

@@ -19,9 +19,10 @@ use super::context::{Context, object};
 /// Shows any image that psfield reads, or one plane of a cube, plain or compressed (.gz, .fz). y
 /// points upwards as in ds9: row 0 is at the bottom.
 ///
-/// Images that are too large are binned by means, and the limits are those of the binned image. A
-/// bin is the mean of its pixels that have a value. Pixels without a value (NaN, infinite, BLANK)
-/// are magenta in grey, viridis and cividis, and cyan in the other colour maps.
+/// Images larger than --max-size are binned by means, and the black and white levels are computed
+/// from the binned image. A bin is the mean of its pixels that have a value. Pixels without a value
+/// (NaN, infinite, BLANK) are magenta with the colour maps grey, viridis and cividis, and cyan with
+/// the others.
 #[derive(Debug, clap::Args)]
 pub(crate) struct PreviewArgs {
     /// Image to show
@@ -33,20 +34,21 @@ pub(crate) struct PreviewArgs {
     /// Replace the picture if it exists
     #[arg(long)]
     overwrite: bool,
-    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION [default: the primary image,
+    /// else the only one]
     #[arg(long, value_name = "N|NAME")]
     extension: Option<HduChoice>,
     /// Plane of a cube, counted from 0
     #[arg(long, value_name = "N")]
     plane: Option<usize>,
-    /// Brightness between the limits, as in astropy
+    /// Brightness scale between the black and white levels, as in astropy
     #[arg(long, default_value = "asinh", value_parser = PossibleValuesParser::new(Stretch::ALL.map(Stretch::name))
         .try_map(|name| name.parse::<Stretch>()))]
     stretch: Stretch,
-    /// Black and white at these percentiles of the pixels
+    /// Black and white levels at these percentiles of the pixels
     #[arg(long, value_name = "LO,HI", default_value = "0.5,99.8", allow_hyphen_values = true, conflicts_with_all = ["range", "zscale"])]
     percentile: Percentiles,
-    /// Black and white at these values
+    /// Black and white levels at these values, instead of --percentile
     #[arg(
         long,
         value_name = "LO,HI",
@@ -54,7 +56,8 @@ pub(crate) struct PreviewArgs {
         conflicts_with = "zscale"
     )]
     range: Option<Limits>,
-    /// Black and white around the sky level, as in IRAF, ds9 and astropy
+    /// Black and white levels around the sky level (zscale of IRAF, ds9 and astropy), instead of
+    /// --percentile
     #[arg(long)]
     zscale: bool,
     /// Colour map (all suit colour-blind readers)
@@ -119,8 +122,9 @@ impl PreviewArgs {
             let [nx, ny] = report.picture_size;
             let mut text = format!("{}: {nx} x {ny} pixels", report.output.display());
             if report.binning > 1 {
-                let [nx, ny] = report.image_size;
-                let _ = write!(text, ", means of {0} x {0} pixels of {nx} x {ny}", report.binning);
+                let (n, [nx, ny]) = (report.binning, report.image_size);
+                let binned = format!(", each the mean of {n} x {n} pixels of the {nx} x {ny} image");
+                text.push_str(&binned);
             }
             let _ = write!(text, ", {} from {limits}", report.stretch);
             if report.undefined_pixels > 0 {
@@ -139,7 +143,7 @@ impl PreviewArgs {
     }
 }
 
-/// Adds the options that help to an error of limits.
+/// Adds the options that help to an error of the black and white levels.
 fn with_option(error: PreviewError) -> anyhow::Error {
     match error {
         PreviewError::Constant { .. } => anyhow::anyhow!("{error} (--range)"),

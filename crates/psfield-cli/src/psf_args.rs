@@ -13,7 +13,7 @@ use crate::context::{Context, with_option};
 use crate::values::{above_zero, at_least_zero, number, numbers};
 
 /// The heading of the fit options in helps.
-pub(crate) const FIT_HEADING: &str = "Fit options (for models only --outside and --normalise)";
+pub(crate) const FIT_HEADING: &str = "Fit options (a model accepts only --outside and --normalise)";
 
 /// The settings of a fit. The short help hides them, except in `psfield fit`.
 #[derive(Debug, Clone, clap::Args)]
@@ -21,10 +21,12 @@ pub(crate) const FIT_HEADING: &str = "Fit options (for models only --outside and
 pub(crate) struct FitArgs {
     /// Components to keep: auto, elbow, full, a number, energy=F or error=E [default: auto]
     ///
-    /// auto: at least up to the elbow of the singular values, more until the fit error is
-    /// 1e-4, but no components below the noise.
+    /// auto: up to the elbow of the singular values, then more until the fit error of every
+    /// sample is at most 1e-4.
+    /// elbow: up to the elbow. auto and elbow never keep components below the noise.
+    /// full: all.
     /// energy=F: enough for the fraction F of the squared singular values (energy=0.999).
-    /// error=E: enough for the relative L2 fit error E, as in error=1e-3.
+    /// error=E: enough for a fit error (relative L2) of at most E for every sample (error=1e-3).
     /// Default for STPSF and STDPSF: full.
     #[arg(long, value_name = "RANK", hide_short_help = true, verbatim_doc_comment)]
     rank: Option<RankSelection>,
@@ -33,18 +35,23 @@ pub(crate) struct FitArgs {
     centring: Option<Centring>,
     /// Noise per pixel of the samples (standard deviation) [default: estimated]
     ///
-    /// It refers to the samples after normalisation. 0: no noise.
+    /// Give it for samples scaled by --normalise. --rank auto and elbow drop components below this
+    /// noise. 0: no noise.
     #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     noise: Option<f64>,
     /// Interpolation of the coefficients over the field [default: auto]
     ///
     /// auto, delaunay, natural-neighbour, idw, idw=POWER (inverse distance weighting),
     /// bilinear, bicubic, polynomial=D or nearest.
-    /// auto: bicubic on a regular grid, else natural-neighbour.
+    /// auto: bicubic on a regular grid, else natural-neighbour. idw means idw=2.
+    /// bilinear and bicubic need samples on a regular grid. D: degree, at most 20.
     /// Default for STPSF and STDPSF: bilinear.
     #[arg(long, value_name = "METHOD", hide_short_help = true, verbatim_doc_comment)]
     interpolation: Option<Interpolation>,
     /// PSF outside the samples: nearest, extend or error [default: nearest]
+    ///
+    /// nearest: the PSF at the nearest point of the area that the samples cover. extend: continue
+    /// linearly (a polynomial continues as it is). error: stop with an error.
     ///
     /// Default for models: as stored in the file. Default for PSFEx: extend.
     #[arg(long, value_name = "POLICY", hide_short_help = true)]
@@ -85,7 +92,7 @@ impl FitArgs {
 }
 
 impl PsfArgs {
-    /// The files that are read for the PSF of a file.
+    /// The files that are read for a PSF: its own file, and the table of positions if one is given.
     pub(crate) fn files<'a>(&'a self, psf: &'a Path) -> Vec<&'a Path> {
         std::iter::once(psf)
             .chain(self.file.psf_positions.as_deref())
@@ -102,7 +109,7 @@ impl PsfArgs {
     }
 }
 
-/// The notes on how a PSF was read, each with the option that changes what it says.
+/// The notes on how a PSF was read, each with the option that could change it.
 pub(crate) fn notes_of(psf: &Psf) -> Vec<String> {
     let notes = psf.notes().iter();
     notes.map(|note| with_option(note, note.setting())).collect()
@@ -120,12 +127,13 @@ fn as_usage(error: PsfieldError) -> anyhow::Error {
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "PSF file options")]
 pub(crate) struct PsfFileArgs {
-    /// HDU of the PSF: its number (0: primary, 1: first extension) or EXTNAME
+    /// HDU of the PSF: its number (0: primary, 1: first extension) or EXTNAME (required if there
+    /// are several)
     ///
     /// PSFEx: one of several models. STPSF, STDPSF and plain stamps: one of several images.
     #[arg(long, value_name = "N|NAME", hide_short_help = true)]
     pub(crate) psf_extension: Option<HduChoice>,
-    /// STDPSF: number of the detector, if the file has several
+    /// STDPSF: number of the detector (required if there are several)
     #[arg(long, value_name = "N", value_parser = detector, hide_short_help = true)]
     psf_detector: Option<usize>,
     /// STPSF: order of the planes [default: auto]
@@ -140,21 +148,23 @@ pub(crate) struct PsfFileArgs {
         verbatim_doc_comment
     )]
     psf_order: Option<PlaneOrder>,
-    /// ScopeSim: use the PSFs nearest to this wavelength (micrometres)
+    /// ScopeSim: use the PSFs nearest to this wavelength (micrometres, required if there are
+    /// several)
     #[arg(long, value_name = "UM", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     psf_wavelength: Option<f64>,
-    /// ScopeSim: size of a frame pixel (arcsec)
+    /// ScopeSim: size of a frame pixel (arcsec, required)
     #[arg(long, value_name = "ARCSEC", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     pixel_scale: Option<f64>,
-    /// ScopeSim: position on the frame of the centre of the PSF's field (0-based pixels)
+    /// ScopeSim: position on the frame of the centre of the PSF's field (0-based pixels, required)
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
     field_centre: Option<Point>,
-    /// Cube without positions: table of the positions of its planes
+    /// Cube without positions: table of the positions of its planes (required for several planes)
     ///
     /// CSV or FITS table with columns x, y (0-based pixels), one row per plane.
     #[arg(long, value_name = "POSITIONS.csv", hide_short_help = true)]
     psf_positions: Option<PathBuf>,
-    /// Cube or single stamp without positions: stamp pixels per frame pixel
+    /// Cube or single stamp without positions: stamp pixels per frame pixel [default: card
+    /// OVERSAMP, else required]
     #[arg(long, value_name = "S", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     psf_oversampling: Option<f64>,
     /// Cube or single stamp without positions: centre of the PSF in a stamp (0-based stamp pixels)
@@ -162,7 +172,10 @@ pub(crate) struct PsfFileArgs {
     /// Default: CENX, CENY of the header, else NX / 2, NY / 2 rounded down.
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
     psf_centre: Option<Point>,
-    /// Response of a frame pixel: included in the stamps or missing [default: by header or format]
+    /// Integration over the area of a frame pixel: included in the stamps or missing [default: by
+    /// header or format]
+    ///
+    /// If it is missing, psfield adds it.
     #[arg(long, value_name = "included|missing", value_enum, hide_short_help = true)]
     pixel_response: Option<PixelResponse>,
 }

@@ -43,8 +43,8 @@ impl ReportFolder {
         Ok(())
     }
 
-    /// Writes everything, the page last, so that a page has all its files. Then ends the bar and
-    /// prints the report. `notes`: how the PSF was read.
+    /// Writes all files, the page last, so that a page exists only with all its files. Then ends
+    /// the bar and prints the report. `notes`: how the PSF was read.
     pub(super) fn publish(
         &self,
         document: &Document,
@@ -81,7 +81,7 @@ impl ReportFolder {
         psf_io::write_text(at(PAGE.to_owned()), &document.to_html(), self.overwrite)?;
         drop(bar);
         let folder = self.report.as_path();
-        // A flattened option that is none adds no keys.
+        // A flattened `None` adds no keys.
         let report = object! {
             folder,
             files,

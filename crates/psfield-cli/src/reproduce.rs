@@ -9,6 +9,9 @@ use super::values::Pair;
 
 /// Remake every figure and table of the method's paper
 ///
+/// The paper is Bai, Jia et al. 2025, AJ, "An Ultrafast Image Simulation Technique with Spatially
+/// Variable Point-spread Functions" (doi:10.3847/1538-3881/ad9b2e).
+///
 /// Uses the built-in survey telescope and no data. Shows singular values, sampling, FWHM and
 /// ellipticity of simulated and true objects, errors over the field and at several tolerances, an
 /// extended galaxy compared with patches of constant PSF, and Table 1. Takes some 10 minutes on two
@@ -29,13 +32,14 @@ pub(crate) struct ReproduceArgs {
     /// Objects along each axis [default: 54, with --quick 18]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=500), hide_short_help = true)]
     objects: Option<u16>,
-    /// Make a single image of Table 1, with N pixels along each side [default: 512 and 1024]
+    /// Measure Table 1 on one image of N x N pixels [default: two, of 512 and 1024]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=4096), hide_short_help = true)]
     image_side: Option<u16>,
     /// Side of the image of the large galaxy (pixels) [default: 512, with --quick 256]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=2048), hide_short_help = true)]
     galaxy_side: Option<u16>,
-    /// Interpolation error of the non-uniform sampling shown [default: 1e-3, with --quick 4e-3]
+    /// Threshold of the non-uniform sampling in the figure (relative L2) [default: 1e-3, with
+    /// --quick 4e-3]
     #[arg(long, value_name = "X", value_parser = super::values::above_zero, allow_negative_numbers = true, hide_short_help = true)]
     adaptive_threshold: Option<f64>,
 }

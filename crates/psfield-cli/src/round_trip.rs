@@ -16,14 +16,20 @@ use super::star_args::StarArgs;
 use super::values::above_zero;
 use crate::psf_args::FitArgs;
 
-/// Simulate a real frame from its own stars and compare
+/// Make a PSF from the stars of a frame, simulate the frame with it, and compare the stars
 ///
 /// Makes PSF samples from the frame's stars, fits a model, and simulates the frame: all sources
 /// found, at their measured positions and fluxes, on the measured background. Then compares FWHM
 /// and ellipticity of the same stars in both.
 ///
-/// Simulated frames get the noise of the background (with --gain also photon noise of the stars),
-/// because noise widens the distributions. Distributions are those of several simulated frames.
+/// Simulated frames get the background noise, and with --gain the photon noise of the stars,
+/// because noise widens the distributions of FWHM and ellipticity. The simulated distributions
+/// contain the stars of all simulated frames.
+///
+/// summary.json has, among others, the keys stars (stars that became PSF samples), measured (stars
+/// measured in both the frame and the first simulated frame), drawn (sources drawn into each
+/// simulated frame), and residual_over_noise (r.m.s. of the frame minus the first simulated frame,
+/// divided by the background noise).
 #[derive(Debug, clap::Args)]
 pub(crate) struct RoundTripArgs {
     /// Image with stars
@@ -151,7 +157,7 @@ impl RoundTripArgs {
     }
 }
 
-/// Cumulative distributions of the stars of the frame and of the simulated ones.
+/// Draws cumulative distributions of the stars of the frame and of the simulated stars.
 fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
     let both =
         |row: &&psfield_lab::RoundTripRow| row.fwhm_frame_px.is_some() && row.fwhm_simulated_px.is_some();
@@ -161,7 +167,7 @@ fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
             x: Axis::linear(quantity),
             y: Axis::linear("cumulative fraction of stars"),
             curves: vec![
-                Curve::distribution("frame", frame),
+                Curve::distribution("input frame", frame),
                 Curve::distribution("simulated", simulated.iter().copied()),
             ],
             marks: Vec::new(),

@@ -24,6 +24,12 @@ use crate::values::{Pair, above_zero};
 ///
 /// A frame (FITS) is sampled at its own stars: background, detection, selection, and registration
 /// to sub-pixel precision. The content of the file decides which of the two it is.
+///
+/// psfield demo writes an example of a telescope file, telescope.toml. More examples:
+///
+/// psfield sample --preset survey-2m -o samples.fits
+///
+/// psfield sample frame.fits -o samples.fits --gain 1.5 --sources sources.csv
 #[derive(Debug, clap::Args)]
 pub(crate) struct SampleArgs {
     /// Telescope file (aperture, wavefront over the field, seeing, detector), or image with stars
@@ -41,7 +47,7 @@ pub(crate) struct SampleArgs {
         value_parser = above_zero,
         allow_negative_numbers = true,
         help = format!(
-            "Threshold of --criterion [default: {}], for frames of the detection (sigma) [default: {}]",
+            "Telescope: limit of --criterion, relative to the PSF [default: {}]. Frame: detection threshold (sigma) [default: {}]",
             defaults().threshold,
             Detection::DEFAULT_THRESHOLD,
         )
@@ -113,7 +119,7 @@ fn criterion() -> impl TypedValueParser<Value = Criterion> {
     let values = [
         PossibleValue::new("interpolation").help("Error of interpolating between samples"),
         PossibleValue::new("neighbours")
-            .help("Difference of neighbouring samples, as in the paper (needs many more samples)"),
+            .help("Difference of neighbouring samples, as in the method's paper (needs many more samples)"),
     ];
     PossibleValuesParser::new(values).try_map(|text| text.parse::<Criterion>())
 }
@@ -123,9 +129,9 @@ fn measure() -> impl TypedValueParser<Value = DifferenceMeasure> {
     PossibleValuesParser::new(["l1", "l2"]).try_map(|text| text.parse::<DifferenceMeasure>())
 }
 
-/// Options for telescopes.
+/// Options that apply only to telescopes.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Telescopes")]
+#[command(next_help_heading = "Only for a telescope")]
 struct TelescopeArgs {
     /// Use a built-in telescope instead of a file
     #[arg(long, value_enum, conflicts_with = "input")]
@@ -154,7 +160,7 @@ struct TelescopeArgs {
     /// If --max-samples is reached, write the samples drawn so far, with a warning
     #[arg(long, hide_short_help = true)]
     accept_cap: bool,
-    /// Sample a uniform grid of NX x NY positions instead
+    /// Sample a regular grid of NX x NY positions, without --criterion and --threshold
     #[arg(long, value_name = "NX,NY", conflicts_with_all = ["criterion", "threshold", "start", "max_samples", "accept_cap"])]
     uniform: Option<Pair>,
 }
@@ -283,9 +289,9 @@ impl TelescopeArgs {
     }
 }
 
-/// Outputs for frames.
+/// Outputs that exist only for frames.
 #[derive(Debug, clap::Args)]
-#[command(next_help_heading = "Frames")]
+#[command(next_help_heading = "Only for a frame")]
 struct FrameArgs {
     /// Also write a table of all sources found, with the reasons for rejecting them
     #[arg(long, value_name = "SOURCES.csv")]
@@ -323,7 +329,7 @@ impl FrameArgs {
         }
         drop(spinner);
         warn_of(&found, context);
-        // Rejected sources by reason. A source may have several reasons.
+        // Number of rejected sources for each reason. A source may be rejected for several reasons.
         let counts = found.rejection_counts().into_iter();
         let rejected: BTreeMap<&str, usize> = counts.map(|(reason, count)| (reason.name(), count)).collect();
         let report = object! {
@@ -353,12 +359,12 @@ impl FrameArgs {
             });
             format!(
                 "{}: {} samples of {} sources\n\
-                 rejected:     {} (a source may have several reasons)\n\
+                 rejected:     {} (a source may be rejected for several reasons)\n\
                  FWHM:         {:.2} pixels\n\
                  background:   {:.2}, r.m.s. {:.2}\n\
                  saturation:   {saturation}\n\
                  registration: {}, {} x {} stamps at {} x{degree}\n\
-                 coverage:     {:.0} % of the field outside the samples' convex hull, largest gap {:.0} pixels",
+                 outside hull: {:.0} % of the field, at most {:.0} pixels to the nearest sample",
                 report.output.display(),
                 report.samples,
                 report.sources,
@@ -408,11 +414,7 @@ pub(crate) fn write_coverage(path: &Path, map: &CoverageMap, overwrite: bool) ->
         Card::new("CELLNX", width, "width of a cell, pixels of the frame")?,
         Card::new("CELLNY", height, "height of a cell, pixels of the frame")?,
         Card::new("PLANE1", "samples", "number of samples in the cell")?,
-        Card::new(
-            "PLANE2",
-            "distance",
-            "pixels from its centre to the nearest sample",
-        )?,
+        Card::new("PLANE2", "distance", "pixels from cell centre to nearest sample")?,
         Card::new("PLANE3", "inside", "1 inside the convex hull of the samples")?,
     ]);
     Ok(psf_io::write_cube(path, cube.view(), &cards, overwrite)?)

@@ -15,15 +15,17 @@ use super::values::{above_zero, at_least_zero};
 #[derive(Debug, Default, clap::Args)]
 #[command(next_help_heading = "Stars of a frame")]
 pub(crate) struct StarArgs {
-    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION
-    #[arg(long, value_name = "N|NAME", hide_short_help = true)]
+    /// HDU of the image: its number (0: primary), NAME or NAME,VERSION [default: the primary image,
+    /// else the only one]
+    #[arg(long, value_name = "N|NAME")]
     pub(crate) extension: Option<HduChoice>,
     /// Smallest signal-to-noise ratio of a star [default: 10]
     #[arg(long, value_name = "X", value_parser = at_least_zero, allow_negative_numbers = true)]
     snr: Option<f64>,
     /// Value at and above which pixels are saturated [default: the SATURATE card]
     ///
-    /// Without the card: the largest value, if two pixels have it.
+    /// Without the card: the largest value of the frame, if at least two pixels have it. Otherwise
+    /// no pixel counts as saturated.
     #[arg(long, value_name = "LEVEL", allow_negative_numbers = true)]
     saturation: Option<f64>,
     /// Gain (electrons per unit of the frame)
@@ -31,7 +33,9 @@ pub(crate) struct StarArgs {
     /// With it, the photon noise of the star counts in the signal-to-noise ratio.
     #[arg(long, value_name = "E/ADU", value_parser = above_zero, allow_negative_numbers = true)]
     pub(crate) gain: Option<f64>,
-    /// Read noise (electrons), the lower limit of the noise per pixel
+    /// Read noise (electrons), needs --gain
+    ///
+    /// The noise per pixel is never taken below this value.
     #[arg(long, value_name = "E", requires = "gain", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     read_noise: Option<f64>,
     /// Smallest distance to other sources (pixels) [default: 2.5 FWHM]
@@ -41,23 +45,25 @@ pub(crate) struct StarArgs {
     isolation: Option<f64>,
     /// Smallest distance from the frame's edge (pixels) [default: half a stamp]
     ///
-    /// A smaller value than the default has no effect.
+    /// A smaller value than half a stamp is an error.
     #[arg(long, value_name = "PIXELS", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     edge: Option<f64>,
-    /// Side of the stamp of a sample (frame pixels) [default: 3 FWHM each way, at least 11]
+    /// Side of a sample's stamp (frame pixels) [default: 3 FWHM to each side of the star, at least
+    /// 11 in total]
     #[arg(long, value_name = "N")]
     stamp_size: Option<usize>,
     /// Stamp pixels per frame pixel
     ///
-    /// Default: 1 if the stars' own pixels are used and there are at least 64 stars with a FWHM of
-    /// at least 2 pixels. Otherwise enough for three stamp pixels per FWHM.
+    /// Default: 1 for at least 64 stars and a FWHM of at least 2 pixels, unless --registration epsf
+    /// is given. Otherwise enough for 3 stamp pixels per FWHM.
     #[arg(long, value_name = "N", hide_short_help = true)]
     oversampling: Option<usize>,
     /// Method that makes stamps from stars: epsf, stamps or auto [default: auto]
     ///
-    /// epsf: one oversampled PSF over the field, from all stars.
-    /// stamps: the own pixels of each star.
-    /// auto: epsf if the FWHM is below 2 pixels and there are enough stars, else stamps.
+    /// epsf: an oversampled PSF that varies over the field as a polynomial, fitted to all stars.
+    /// stamps: each star's own pixels, shifted to a common centre.
+    /// auto: epsf if the FWHM is below 2 pixels and there are at least 12 stars (more for a high
+    /// --oversampling), else stamps.
     #[arg(long, value_name = "METHOD", verbatim_doc_comment)]
     registration: Option<RegistrationMethod>,
     /// Side of a cell of the background mesh (pixels) [default: 64]
@@ -66,7 +72,7 @@ pub(crate) struct StarArgs {
 }
 
 impl StarArgs {
-    /// Returns the first option given.
+    /// Returns the name of the first option that was given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         [
             ("--extension", self.extension.is_some()),
@@ -96,7 +102,7 @@ impl StarArgs {
         let (frame, header) = read
             .map_err(|error| match error.place() {
                 Some(Place::Pixel { .. }) => anyhow::Error::new(error).context(
-                    "give bad pixels a value at or above the saturation level (SATURATE, --saturation): stars that contain one are then left out",
+                    "give bad pixels a value at or above the saturation level (SATURATE, --saturation): stars with such a pixel are then left out",
                 ),
                 _ => error.into(),
             })?

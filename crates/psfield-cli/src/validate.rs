@@ -16,9 +16,11 @@ use crate::psf_args::{PsfArgs, notes_of};
 
 /// Compare a PSF model with known PSFs, or with the stars of a frame
 ///
-/// Compares FWHM, ellipticity, MAE and MSE at the positions of the true PSFs, with the figures of
-/// `reproduce`. For a frame, each good star is compared with the model's star, drawn at its
-/// measured position with its measured flux.
+/// Measures FWHM, ellipticity, mean absolute error (MAE) and mean squared error (MSE) at the
+/// positions of the true PSFs, and draws the same figures as psfield reproduce.
+///
+/// For a frame, psfield selects stars as psfield sample does by default. It draws each of them with
+/// the model at its measured position and flux, and compares the two.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ValidateArgs {
     /// PSF: a model, samples (which are fitted), or any PSF file that convert reads
@@ -61,7 +63,7 @@ impl ValidateArgs {
                     Validation::of_samples(model, samples).with_context(of_truth)?
                 }
                 None => anyhow::bail!(
-                    "{} is a model, but the truth must be samples (psfield evaluate writes those of a model)",
+                    "{} is a model, but the truth must be samples (psfield evaluate writes samples of a model)",
                     self.truth.display()
                 ),
             },
@@ -77,6 +79,8 @@ impl ValidateArgs {
         self.folder
             .publish(&document, of_psf, &tables, speaking, |folder| {
                 let summary = &measured.objects.summary;
+                let finer = measured.oversampling;
+                let fwhm = format!("difference of FWHM (pixels, {finer} per frame pixel)");
                 let line = |name: &str, spread: Option<psfield_lab::report::Spread>| {
                     spread.map_or_else(String::new, |s| {
                         format!("{name}: 90 % below {:.1e}, largest {:.1e}\n", s.q90, s.largest)
@@ -87,8 +91,8 @@ impl ValidateArgs {
                     summary.objects,
                     summary.failed,
                     line("difference of ellipticity", summary.ellipticity),
-                    line("difference of FWHM (pixels)", summary.fwhm_px),
-                    line("MAE / mean", summary.mae_over_mean),
+                    line(&fwhm, summary.fwhm_px),
+                    line("MAE / window mean", summary.mae_over_mean),
                     targets_text(&measured.targets),
                 )
             })

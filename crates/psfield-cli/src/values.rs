@@ -8,7 +8,7 @@ use psf_types::{FrameShape, PixelRegion};
 /// memory than there is.
 const MAX_STAMP: usize = 8192;
 
-/// The precision of written values, and of the computation where that has a choice.
+/// The precision of written values, and of the computation in commands that offer a choice.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub(crate) enum Precision {
     #[default]
@@ -121,7 +121,7 @@ pub(crate) fn bytes(text: &str) -> Result<usize, String> {
         .ok_or_else(|| "a whole number of bytes is needed, perhaps with K, M or G, as in 256M".to_owned())
 }
 
-/// Formats bytes for [`bytes`], in the largest unit that gives a whole number.
+/// Formats a number of bytes as [`bytes`] reads it, in the largest unit that gives a whole number.
 pub(crate) fn text_of_bytes(bytes: usize) -> String {
     let units = [("G", 30), ("M", 20), ("K", 10)];
     let whole = units

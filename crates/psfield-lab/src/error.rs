@@ -6,8 +6,8 @@ use thiserror::Error;
 
 use crate::plot::PlotError;
 
-/// Errors of measuring, comparing and showing simulations: those of the pipeline, and those of the
-/// steps after it.
+/// Errors of measuring, comparing and showing simulations. They come from the pipeline or from a
+/// later step.
 #[derive(Debug, Error)]
 #[non_exhaustive]
 pub enum LabError {
@@ -17,9 +17,9 @@ pub enum LabError {
     /// A figure that could not be drawn.
     #[error(transparent)]
     Plot(#[from] PlotError),
-    /// No star can be measured in a frame and its simulation.
+    /// No star can be measured in both the frame and its simulation.
     #[error(
-        "none of the {stars} stars could be measured in both frames in windows of {window} pixels: choose another window"
+        "none of the {stars} stars could be measured in both the frame and its simulation, in windows of {window} x {window} pixels: choose another window size"
     )]
     NothingMeasured {
         /// Stars that became samples.
@@ -29,7 +29,7 @@ pub enum LabError {
     },
     /// Objects that would overlap.
     #[error(
-        "{across} x {across} objects do not fit into a frame of {frame} pixels, because neighbours must be {least_apart} pixels apart: ask \
+        "{across} x {across} objects do not fit into a frame of {frame} pixels, because neighbours must be at least {least_apart} pixels apart: ask \
          for fewer objects or a larger frame"
     )]
     ObjectsTooClose {
@@ -40,10 +40,10 @@ pub enum LabError {
         /// Smallest distance of neighbours in pixels.
         least_apart: usize,
     },
-    /// True PSFs and a model that differ in the pixel response, so that they cannot be compared.
+    /// A model that includes the pixel response, and true PSFs that lack it.
     #[error(
-        "the true PSFs lack the pixel response and those of the model include it, so they cannot be compared: sample the model from PSFs \
-         without the pixel response (PIXCONV)"
+        "the true PSFs lack the pixel response, but the PSFs of the model include it, so they cannot be compared: give true PSFs with the \
+         pixel response, or a model of PSFs without it (PIXCONV)"
     )]
     TruthWithoutPixels,
 }

@@ -2,15 +2,15 @@
 //! figures and tables of the method's paper ([`report`]), the round trip from a frame to its
 //! simulation ([`RoundTrip`]), figures ([`plot`]) and pictures of images ([`preview`]).
 //!
-//! It builds on the library and does not depend on the command line.
+//! This crate builds on the library [`psfield`] and does not depend on the command line.
 //!
 //! # Features
 //! `gpu` (off by default): enables the feature `gpu` of [`psfield`].
 
-/// Declares a row of a table, and the names of its columns, which are those of its fields.
+/// Declares the struct of a table's rows, and a constant with its field names as column names.
 macro_rules! table_row {
     ($(#[$meta:meta])* $columns:ident $row:ident { $($field:ident: $type:ty,)+ }) => {
-        #[doc = concat!("The columns of a table of [`", stringify!($row), "`]s.")]
+        #[doc = concat!("The names of the columns of a table of [`", stringify!($row), "`]s.")]
         pub const $columns: &[&str] = &[$(stringify!($field)),+];
 
         $(#[$meta])*

@@ -2,12 +2,12 @@
 
 use std::fs;
 
-/// The largest number of bytes that this process has held, if the system tells.
+/// The largest number of bytes that this process has held. None if the system does not report it.
 pub fn peak_memory_bytes() -> Option<u64> {
     kibibytes("/proc/self/status", "VmHWM:")
 }
 
-/// The bytes of memory that are free for use, if the system tells.
+/// The bytes of memory that are free for use. None if the system does not report them.
 pub fn available_memory_bytes() -> Option<u64> {
     kibibytes("/proc/meminfo", "MemAvailable:")
 }
@@ -19,17 +19,17 @@ fn kibibytes(file: &str, key: &str) -> Option<u64> {
     Some(kibibytes * 1024)
 }
 
-/// Watches the memory of this process from one moment on, if the system tells (Linux).
+/// Measures the largest memory of this process from a chosen moment on (only on Linux).
 ///
-/// The growth of memory would say little: memory that earlier work has freed stays with the process
-/// and is used again.
+/// The difference of memory before and after would say little, because memory that earlier work has
+/// freed stays with the process and is used again.
 #[derive(Debug)]
 pub(super) struct PeakMemory {
     marked: bool,
 }
 
 impl PeakMemory {
-    /// Starts watching.
+    /// Starts measuring.
     pub(super) fn start() -> Self {
         // Resets the recorded peak to the memory held now.
         Self {
@@ -37,7 +37,7 @@ impl PeakMemory {
         }
     }
 
-    /// The largest number of bytes held since the start.
+    /// The largest number of bytes held since the start. None if the system does not report it.
     pub(super) fn bytes(&self) -> Option<u64> {
         self.marked.then(peak_memory_bytes).flatten()
     }

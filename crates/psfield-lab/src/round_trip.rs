@@ -1,5 +1,5 @@
-//! From a frame to samples, to a model, to a simulated frame, and a comparison of its stars with
-//! those of the frame.
+//! The round trip: samples from the stars of a frame, a model, simulated frames, and a comparison
+//! of the stars in both.
 
 use conv_core::StarPainter;
 use metrics::Summary;
@@ -18,18 +18,21 @@ use crate::LabError;
 ///
 /// 1. PSF samples are made from the stars of the frame ([`StarSampling`]), and a model is fitted to
 ///    them.
-/// 2. Frames are simulated: every source found is drawn by the model as a point source, with its
-///    measured position and flux, on the measured background, and truncated at the saturation
-///    level.
-/// 3. FWHM and ellipticity of the stars that became samples are measured in the same way in both:
-///    with an elliptical Gaussian and a background, in a small window about the same pixel.
+/// 2. Frames are simulated. Every source found is drawn by the model as a point source, at its
+///    measured position and with its measured flux, on the measured background. Values above the
+///    saturation level are set to that level.
+/// 3. FWHM and ellipticity of the stars that became samples are measured in the same way in the
+///    frame and in the simulated frames. An elliptical Gaussian and a constant background are
+///    fitted in a small window around the same pixel.
 ///
 /// Noise widens the distribution of measured values. Each simulated frame therefore gets the noise
 /// of the frame: the measured background noise, and the photon noise of the stars if the gain is
-/// known. One frame of noise is a single draw, so the distribution is that of
-/// [`realisations`](RoundTripOptions::realisations) frames. The stars compared are those from which
-/// the model was made. This judges the whole chain, not the PSF between the stars, which the
-/// leave-one-out errors of a fit measure.
+/// known. One frame of noise is a single draw, so the distributions combine the stars of several
+/// simulated frames ([`realisations`](RoundTripOptions::realisations)).
+///
+/// The compared stars are also the stars from which the model was made. The comparison therefore
+/// judges the whole chain, but not the PSF between the stars. The leave-one-out errors of the fit
+/// measure the PSF between the stars.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct RoundTrip {
@@ -37,7 +40,7 @@ pub struct RoundTrip {
     pub stars: StarSamples,
     /// The model fitted to the samples.
     pub model: PsfModelRecord,
-    /// The singular values of its basis.
+    /// The singular values of the fit.
     pub singular_values: Vec<f64>,
     /// The first simulated frame.
     pub simulated: Image<f64>,
@@ -49,7 +52,7 @@ pub struct RoundTrip {
     pub simulated_fwhm_px: Vec<f64>,
     /// Ellipticity of the stars in all simulated frames.
     pub simulated_ellipticity: Vec<f64>,
-    /// The figures.
+    /// The results in numbers.
     pub report: RoundTripReport,
 }
 
@@ -60,11 +63,11 @@ pub struct RoundTripOptions {
     pub sampling: StarSampling,
     /// Fits the model to the samples.
     pub fit: FitOptions,
-    /// Pixels along each side of the measuring window. Default: four FWHM, at least 7.
+    /// Pixels along each side of the measuring window. None: four FWHM, at least 7.
     pub window: Option<usize>,
     /// True if the simulated frames get noise.
     pub noise: bool,
-    /// Electrons per unit of the frame, for the photon noise of the stars.
+    /// Electrons per unit of the frame, for the photon noise of the stars. None: no photon noise.
     pub gain: Option<f64>,
     /// Number of simulated frames that are measured, at least 1. Without noise it is always 1.
     pub realisations: u32,
@@ -96,8 +99,8 @@ impl RoundTrip {
     ///
     /// # Errors
     /// [`ErrorKind::Stars`](psfield::ErrorKind::Stars) when the frame gives no samples,
-    /// [`LabError::NothingMeasured`] when no star can be measured in both
-    /// frames, and the errors of fitting and drawing.
+    /// [`LabError::NothingMeasured`] when no star can be measured in both the frame and its
+    /// simulation, and the errors of fitting and drawing.
     pub fn run(frame: &Image<f64>, options: &RoundTripOptions) -> Result<Self, LabError> {
         let stars = options.sampling.run(frame)?;
         let fitted = fit(stars.samples.clone(), &options.fit)?;
@@ -118,11 +121,8 @@ impl RoundTrip {
         };
         let in_frame = measuring.image(frame.pixels(), &positions);
 
-        let count = if options.noise {
-            options.realisations.max(1)
-        } else {
-            1
-        };
+        let with_noise = options.realisations.max(1);
+        let count = if options.noise { with_noise } else { 1 };
         let mut first = None;
         let (mut simulated_fwhm_px, mut simulated_ellipticity) = (Vec::new(), Vec::new());
         for realisation in 0..count {
@@ -183,7 +183,7 @@ impl RoundTrip {
     }
 }
 
-/// FWHM and ellipticity of a Gaussian fit.
+/// Returns FWHM and ellipticity of the Gaussian fit. None if it failed.
 fn shape(measurement: &Measurement) -> Option<(f64, f64)> {
     measurement.fwhm_px.zip(measurement.ellipticity)
 }
@@ -235,7 +235,7 @@ table_row! {
     }
 }
 
-/// A quantity of the stars in the frame and of the simulated stars.
+/// A quantity measured for the stars of the frame and for the simulated stars.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Agreement {
@@ -297,7 +297,7 @@ impl Agreement {
     }
 }
 
-/// The figures of a round trip.
+/// The results of a round trip in numbers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct RoundTripReport {
@@ -324,8 +324,8 @@ pub struct RoundTripReport {
     pub residual_over_noise: f64,
 }
 
-/// Returns the frame that shows `light` `[y, x]`, with background, noise and saturation, which the
-/// optics do not add. Each realisation has its own noise.
+/// Returns a simulated frame: `light` `[y, x]` with background, noise and saturation. Each
+/// realisation has its own noise.
 fn simulated_frame(
     light: &Array2<f64>,
     stars: &StarSamples,
@@ -374,7 +374,7 @@ fn kolmogorov_smirnov(a: &[f64], b: &[f64]) -> Option<f64> {
     Some(distances.fold(0.0, f64::max))
 }
 
-/// Side of the measuring window in FWHM. The window has at least [`LEAST_WINDOW`] pixels.
+/// Side of the measuring window in FWHM. It is at least [`LEAST_WINDOW`] pixels.
 const WINDOW_FWHM: f64 = 4.0;
 const LEAST_WINDOW: usize = 7;
 
@@ -395,7 +395,8 @@ pub(crate) fn drawn(
     Ok(light)
 }
 
-/// Returns every source with light on the frame. Sources that did not become samples are included.
+/// Returns every source on the frame with a positive flux, including sources that did not become
+/// samples.
 pub(crate) fn drawn_sources(stars: &StarSamples) -> Result<Vec<PointSource>, PsfieldError> {
     let field = stars.samples.positions().field();
     let mut sources = Vec::with_capacity(stars.sources.len());

@@ -1,4 +1,4 @@
-//! Catalogues from files and from columns of numbers.
+//! Catalogues of sources, from files and from columns of numbers.
 
 use std::path::PathBuf;
 
@@ -14,7 +14,8 @@ use crate::settings::parsed;
 type Column<'py> = Bound<'py, PyArray1<f64>>;
 
 /// Stars `(x, y, flux)`, galaxies `(x, y, flux, re, n, q, angle)`, the number of invalid rows that
-/// were skipped, and the number of rows outside the projection.
+/// were skipped, and the number of rows that were skipped because the projection of the frame does
+/// not reach their position on the sky.
 type Read<'py> = ([Column<'py>; 3], [Column<'py>; 7], usize, usize);
 
 /// Reads a catalogue from a file.
@@ -78,14 +79,14 @@ pub(crate) fn read_catalog<'py>(
     Ok((star_columns, galaxy_columns, skipped.0, skipped.1))
 }
 
-/// Sources with positions in pixels of the frame.
+/// Stars and galaxies, with positions in pixels of the frame.
 #[derive(Debug, Default)]
 pub(crate) struct Sources {
     pub(crate) stars: Vec<PointSource>,
     pub(crate) galaxies: Vec<SersicSource>,
 }
 
-/// The columns of a catalogue, all of one length. A row whose `re` is 0 or NaN is a star.
+/// The columns of a catalogue, all of the same length. A row whose `re` is 0 or NaN is a star.
 #[derive(FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct SourceColumns<'py> {
@@ -99,7 +100,7 @@ pub(crate) struct SourceColumns<'py> {
 }
 
 impl SourceColumns<'_> {
-    /// Builds the sources.
+    /// Makes the sources from the columns.
     ///
     /// # Errors
     /// `ValueError` that names the first invalid row.
@@ -121,7 +122,7 @@ impl SourceColumns<'_> {
         ] {
             if length != x.len() {
                 return Err(invalid(format!(
-                    "catalog: {name} has {length} rows, x has {}",
+                    "catalog: {name} has {length} rows, but x has {}",
                     x.len()
                 )));
             }

@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 use crate::error::{Failure, invalid};
 use crate::threads;
 
-/// A detector: the steps from light to counts.
+/// A detector: it converts light to counts in several steps.
 #[pyclass(frozen, module = "psfield._native")]
 pub(crate) struct Detector(detector::Detector);
 
@@ -86,7 +86,7 @@ impl Detector {
             Ok(exposer.expose(&light)?)
         })?;
         let exposure = made.map_err(Failure::from)?;
-        let report = serde_json::to_string(exposure.report()).expect("figures are plain numbers");
+        let report = serde_json::to_string(exposure.report()).expect("the report is plain numbers");
         let flags = exposure.flags().to_owned().into_pyarray(py);
         let counts = exposure.into_counts().into_pixels().into_pyarray(py).into_any();
         Ok((counts, flags, report))

@@ -1,4 +1,4 @@
-//! Errors of the library as exceptions of Python.
+//! Converts errors of the library to Python exceptions.
 
 use std::io::ErrorKind;
 
@@ -9,7 +9,7 @@ use pyo3::exceptions::{
 };
 use pyo3::prelude::*;
 
-/// An error of the library on its way to Python.
+/// An error of the library that becomes a Python exception.
 #[derive(Debug)]
 pub(crate) struct Failure {
     error: Box<PsfieldError>,
@@ -37,14 +37,15 @@ impl Failure {
 }
 
 impl From<Failure> for PyErr {
-    /// `OSError` if the cause is a file or a device, else `ValueError`. The text is the library's.
+    /// Returns an `OSError` if the cause is a file or a device, else a `ValueError`, with the text
+    /// of the library.
     fn from(Failure { error, argument }: Failure) -> Self {
         let cause = error.cause::<PyErr>();
         let clone = |cause: &PyErr| Python::attach(|py| cause.clone_ref(py));
-        let asks_for_an_end = |cause: &&PyErr| Python::attach(|py| !cause.is_instance_of::<PyException>(py));
-        if let Some(end) = cause.filter(asks_for_an_end) {
-            // KeyboardInterrupt and SystemExit pass through as they are.
-            return clone(end);
+        let is_exit = |cause: &&PyErr| Python::attach(|py| !cause.is_instance_of::<PyException>(py));
+        if let Some(exit) = cause.filter(is_exit) {
+            // KeyboardInterrupt and SystemExit are passed on unchanged.
+            return clone(exit);
         }
         let text = with_argument(psfield::error_text(&*error), error.setting());
         let text = argument.map_or_else(|| text.clone(), |argument| format!("{argument}: {text}"));
@@ -60,7 +61,7 @@ impl From<Failure> for PyErr {
             }
             _ => PyValueError::new_err(text),
         };
-        // An exception raised by a function of the caller.
+        // A function of the caller raised this exception.
         if let Some(cause) = cause {
             Python::attach(|py| raised.set_cause(py, Some(clone(cause))));
         }
@@ -68,7 +69,7 @@ impl From<Failure> for PyErr {
     }
 }
 
-/// A message of the library, and the argument of Python for the setting that it names.
+/// Appends to a message of the library the Python argument for the setting that the error names.
 pub(crate) fn with_argument(text: String, setting: Option<&str>) -> String {
     let argument = match setting {
         None => return text,
@@ -77,12 +78,12 @@ pub(crate) fn with_argument(text: String, setting: Option<&str>) -> String {
         Some("grid") => "pixels",
         Some("at") => "grid_shape",
         Some("normalisation") => "normalise",
-        Some(same) => same,
+        Some(unchanged) => unchanged,
     };
     format!("{text} ({argument}=)")
 }
 
-/// A `ValueError` for an argument.
+/// Makes the `ValueError` for an invalid argument.
 pub(crate) fn invalid(text: impl Into<String>) -> PyErr {
     PyValueError::new_err(text.into())
 }

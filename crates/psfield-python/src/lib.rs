@@ -1,9 +1,9 @@
-//! The native part of the Python package `psfield`: its module `psfield._native`.
+//! The native part of the Python package `psfield`: the module `psfield._native`.
 //!
-//! It is a thin layer. It checks arguments, calls [`psfield`] and releases the interpreter while
-//! the work runs. Errors become `ValueError` or `OSError` with the texts of the Rust library.
-//! Tables, units and documentation are handled in Python, in `python/psfield`. Only that package
-//! calls this module. It passes arrays of the types that the signatures name.
+//! This module is a thin layer. It checks arguments, calls [`psfield`] and releases the interpreter
+//! while the work runs. Errors become `ValueError` or `OSError` with the texts of the Rust library.
+//! The Python code in `python/psfield` handles tables and units, and holds the documentation. Only
+//! this code calls the module. It passes arrays of the types that the signatures name.
 
 #![allow(
     clippy::too_many_arguments,

@@ -10,10 +10,11 @@ use crate::error::Failure;
 use crate::settings::positions;
 use crate::threads;
 
-/// Figures by name.
-type Figures<'py> = PyResult<Bound<'py, PyDict>>;
+/// Measured values by name.
+type Measured<'py> = PyResult<Bound<'py, PyDict>>;
 
-/// A window of `size` x `size` pixels about the middle of the stamp, or about (column, row).
+/// Returns a window of `size` x `size` pixels about the middle of the stamp, or about the pixel
+/// (column, row).
 fn window(size: Option<usize>, about: Option<(usize, usize)>) -> Window {
     match (size, about) {
         (None, _) => Window::whole(),
@@ -22,12 +23,12 @@ fn window(size: Option<usize>, about: Option<(usize, usize)>) -> Window {
     }
 }
 
-fn figures<'py>(py: Python<'py>, named: &[(&str, f64)]) -> Figures<'py> {
-    let figures = PyDict::new(py);
+fn by_name<'py>(py: Python<'py>, named: &[(&str, f64)]) -> Measured<'py> {
+    let by_name = PyDict::new(py);
     for (name, value) in named {
-        figures.set_item(name, value)?;
+        by_name.set_item(name, value)?;
     }
-    Ok(figures)
+    Ok(by_name)
 }
 
 /// Fits a Gaussian to a stamp.
@@ -39,7 +40,7 @@ pub(crate) fn fit_gaussian<'py>(
     about: Option<(usize, usize)>,
     background: bool,
     round: bool,
-) -> Figures<'py> {
+) -> Measured<'py> {
     let fitter = if round {
         GaussianFitter::round()
     } else {
@@ -62,7 +63,7 @@ pub(crate) fn fit_gaussian<'py>(
         ("ellipticity", fit.ellipticity()),
         ("residual_rms", fit.residual_rms()),
     ];
-    let found = figures(py, &named)?;
+    let found = by_name(py, &named)?;
     found.set_item("background", fit.background())?;
     Ok(found)
 }
@@ -75,7 +76,7 @@ pub(crate) fn adaptive_moments<'py>(
     size: Option<usize>,
     about: Option<(usize, usize)>,
     start: Option<(f64, f64, f64)>,
-) -> Figures<'py> {
+) -> Measured<'py> {
     let mut finder = AdaptiveMomentFinder::new().with_window(window(size, about));
     if let Some((x, y, sigma)) = start {
         finder = finder.with_start(x, y, sigma);
@@ -91,7 +92,7 @@ pub(crate) fn adaptive_moments<'py>(
         ("g1", moments.g1()),
         ("g2", moments.g2()),
     ];
-    figures(py, &named)
+    by_name(py, &named)
 }
 
 /// Measures unweighted second moments of a stamp.
@@ -101,7 +102,7 @@ pub(crate) fn quadrupole_moments<'py>(
     stamp: PyReadonlyArray2<'py, f64>,
     size: Option<usize>,
     about: Option<(usize, usize)>,
-) -> Figures<'py> {
+) -> Measured<'py> {
     let moments = QuadrupoleMoments::measure(stamp.as_array(), window(size, about)).map_err(Failure::from)?;
     let named = [
         ("flux", moments.flux()),
@@ -113,16 +114,16 @@ pub(crate) fn quadrupole_moments<'py>(
         ("g1", moments.g1()),
         ("g2", moments.g2()),
     ];
-    figures(py, &named)
+    by_name(py, &named)
 }
 
-/// Compares two arrays of one shape. Figures that are undefined are `None`.
+/// Compares two arrays of the same shape. Undefined values are `None`.
 #[pyfunction]
 pub(crate) fn compare<'py>(
     py: Python<'py>,
     result: PyReadonlyArrayDyn<'py, f64>,
     reference: PyReadonlyArrayDyn<'py, f64>,
-) -> Figures<'py> {
+) -> Measured<'py> {
     let (result, reference) = (result.as_array(), reference.as_array());
     let found = py
         .detach(|| Comparison::of(result, reference))
@@ -132,7 +133,7 @@ pub(crate) fn compare<'py>(
         ("mse", found.mse()),
         ("max_abs", found.max_abs()),
     ];
-    let named = figures(py, &errors)?;
+    let named = by_name(py, &errors)?;
     named.set_item("max_abs_index", found.max_abs_index())?;
     named.set_item("relative_l2", found.relative_l2().ok())?;
     named.set_item("max_over_peak", found.max_over_peak().ok())?;

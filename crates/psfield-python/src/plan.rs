@@ -19,12 +19,12 @@ use crate::psf_model::PsfModel;
 use crate::settings::{parsed, region};
 use crate::threads::{self, Watch, pool};
 
-/// A plan for the simulation of scenes of one shape.
+/// A simulator for scenes of one shape, with its plan.
 #[pyclass(frozen, module = "psfield._native")]
 pub(crate) struct Plan {
     simulator: AnySimulator,
-    /// Held by a thread, outside the pool, that prepares the simulator for a new kind of scene.
-    /// Plans for other regions share it, as they share the plan for stars.
+    /// Locked while a thread outside the pool prepares the simulator for a new kind of scene. Plans
+    /// for other regions use the same lock, because they share the plan for stars.
     making: Arc<Mutex<()>>,
     /// The process that made this plan.
     process: u32,
@@ -35,7 +35,7 @@ enum AnySimulator {
     Double(Arc<Simulator<f64>>),
 }
 
-/// Runs the same body in single or double precision.
+/// Runs one body of code in single or double precision.
 macro_rules! in_precision {
     ($plan:expr, $simulator:ident => $body:expr) => {
         match &$plan.simulator {
@@ -51,9 +51,9 @@ macro_rules! in_precision {
 pub(crate) struct PlanSettings {
     /// (ny, nx) of the scene.
     shape: (usize, usize),
-    /// (x0, y0, nx, ny) in pixels of the image.
+    /// (x0, y0, nx, ny) in pixels of the image, counted from the scene's first pixel.
     frame: Option<(i64, i64, usize, usize)>,
-    /// (x0, y0, nx, ny) in pixels of the frame.
+    /// (x0, y0, nx, ny) in pixels of the image, counted from the frame's first pixel.
     region: Option<(i64, i64, usize, usize)>,
     tolerance: f64,
     precision: String,
@@ -89,7 +89,7 @@ impl PlanSettings {
     }
 }
 
-/// The image, or `None` if it was written to an array of the caller, and warnings in sentences.
+/// The image, or `None` if it was written to an array of the caller. Then warnings, in sentences.
 type Simulated<'py> = (Option<Bound<'py, PyAny>>, Vec<String>);
 
 #[pymethods]
@@ -143,31 +143,31 @@ impl Plan {
         (shape.ny(), shape.nx())
     }
 
-    /// The plan in figures.
+    /// Properties of the plan by name.
     fn summary<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let made = self.preparation()?;
         let (shape, method) =
             in_precision!(self, simulator => (simulator.scene_shape(), simulator.options().method));
-        let summary = made.plan.ok_or_else(|| invalid("the plan has no figures"))?;
-        let figures = PyDict::new(py);
-        figures.set_item("text", summary.to_string())?;
-        figures.set_item("shape", (shape.ny(), shape.nx()))?;
-        figures.set_item("frame_shape", self.frame_shape())?;
-        figures.set_item("precision", summary.precision)?;
-        figures.set_item("tolerance", summary.tolerance)?;
-        figures.set_item("anchor", summary.anchor.to_string())?;
-        figures.set_item("method", method.to_string())?;
-        figures.set_item("device", made.placement.to_string())?;
-        figures.set_item("gpu", made.placement.adapter())?;
-        figures.set_item("tile_shape", (summary.tile.1, summary.tile.0))?;
-        figures.set_item("transform_shape", (summary.transform.1, summary.transform.0))?;
-        figures.set_item("tiles", summary.tiles)?;
-        figures.set_item("blocks", summary.blocks)?;
-        figures.set_item("mean_modes", summary.mean_modes())?;
-        figures.set_item("most_modes", summary.most_modes())?;
-        figures.set_item("predicted_seconds", summary.predicted_seconds)?;
-        figures.set_item("kept_bytes", summary.kept_bytes.0 + summary.kept_bytes.1)?;
-        Ok(figures)
+        let summary = made.plan.ok_or_else(|| invalid("this plan has no summary"))?;
+        let found = PyDict::new(py);
+        found.set_item("text", summary.to_string())?;
+        found.set_item("shape", (shape.ny(), shape.nx()))?;
+        found.set_item("frame_shape", self.frame_shape())?;
+        found.set_item("precision", summary.precision)?;
+        found.set_item("tolerance", summary.tolerance)?;
+        found.set_item("anchor", summary.anchor.to_string())?;
+        found.set_item("method", method.to_string())?;
+        found.set_item("device", made.placement.to_string())?;
+        found.set_item("gpu", made.placement.adapter())?;
+        found.set_item("tile_shape", (summary.tile.1, summary.tile.0))?;
+        found.set_item("transform_shape", (summary.transform.1, summary.transform.0))?;
+        found.set_item("tiles", summary.tiles)?;
+        found.set_item("blocks", summary.blocks)?;
+        found.set_item("mean_modes", summary.mean_modes())?;
+        found.set_item("most_modes", summary.most_modes())?;
+        found.set_item("predicted_seconds", summary.predicted_seconds)?;
+        found.set_item("kept_bytes", summary.kept_bytes.0 + summary.kept_bytes.1)?;
+        Ok(found)
     }
 
     /// Simulates the image of a scene and sources.
@@ -216,7 +216,7 @@ impl Plan {
         })
     }
 
-    /// Checks an image against the direct sum. Returns the figures as JSON.
+    /// Checks an image against the direct sum. Returns the result as JSON.
     fn spot_check<'py>(
         &self,
         py: Python<'py>,
@@ -239,13 +239,14 @@ impl Plan {
                 })
             })?
         });
-        Ok(serde_json::to_string(&check?).expect("figures are plain numbers"))
+        Ok(serde_json::to_string(&check?).expect("the result is plain numbers"))
     }
 }
 
 impl Plan {
-    /// A scene for which the simulator is prepared. If several threads need the same preparation,
-    /// one makes it and the others wait for it until they are cancelled.
+    /// Makes a scene, prepares the simulator for it, and returns the scene. If several threads need
+    /// the same preparation, one thread makes it. The others wait for it, or until they are
+    /// cancelled.
     fn ready<'a, T: ConvReal>(
         &self,
         simulator: &Simulator<T>,
@@ -269,7 +270,7 @@ impl Plan {
         Ok(scene)
     }
 
-    /// Refuses a plan on a GPU in a child of the process that made it.
+    /// Refuses a plan on a GPU if this process is a child of the process that made the plan.
     fn check_process(&self) -> PyResult<()> {
         if self.process == std::process::id() || self.preparation()?.placement.adapter().is_none() {
             return Ok(());
@@ -280,7 +281,7 @@ impl Plan {
         ))
     }
 
-    /// The preparation for images.
+    /// Returns the preparation of the simulator for scenes with an image.
     fn preparation(&self) -> PyResult<Preparation<'_>> {
         let made = in_precision!(self, simulator => simulator.prepare(&Scene::dark(), true, &NoProgress));
         Ok(made.map_err(Failure::from)?)
@@ -305,7 +306,7 @@ fn simulated<T: ConvReal>(
         None => made.insert(simulator.zeros()).view_mut(),
     };
     simulator.simulate_into(scene, image.view_mut(), watch)?;
-    // The library checks its own results in the same way.
+    // Check that every pixel is finite, as the library does for images that it allocates.
     ImageView::new(image.view())?;
     Ok((made, simulator.warnings(scene)))
 }
@@ -325,7 +326,8 @@ fn planned<T: ConvReal>(
     Ok(made?)
 }
 
-/// Borrows a NumPy array for reading. Python has already converted it to the plan's precision.
+/// Borrows a NumPy array for reading. The Python code has already converted the array to the plan's
+/// precision.
 fn readonly<'py, T: Element>(array: &Bound<'py, PyAny>, name: &str) -> PyResult<PyReadonlyArray2<'py, T>> {
     let array = array.cast::<PyArray2<T>>()?;
     array.try_readonly().map_err(|_| {

@@ -31,13 +31,13 @@ type Plane<'py> = Bound<'py, PyArray2<f64>>;
 type Cube<'py> = Bound<'py, PyArray3<f64>>;
 /// A mean stamp, if there is one, components and coefficients.
 type Basis<'py> = (Option<Plane<'py>>, Cube<'py>, Plane<'py>);
-/// Interpolation, outside and normalise.
+/// The names of the interpolation, the outside policy and the normalisation.
 type Choices = (String, String, String);
 /// Columns x and y.
 type Points<'py> = (Bound<'py, PyArray1<f64>>, Bound<'py, PyArray1<f64>>);
 
 impl PsfModel {
-    /// Runs long work on a thread that can be interrupted.
+    /// Runs long work on another thread, so that Ctrl-C can interrupt the call.
     fn apart<R: Send + 'static>(
         &self,
         py: Python<'_>,
@@ -47,7 +47,7 @@ impl PsfModel {
         Ok(threads::run_apart(py, move |_, pool| pool.install(|| work(&psf)))?.map_err(Failure::from)?)
     }
 
-    /// The model as it is stored in files.
+    /// Returns the model in the form that files store.
     fn record(&self, py: Python<'_>) -> PyResult<&PsfModelRecord> {
         self.apart(py, |psf| psf.record().map(drop))?;
         Ok(self.0.record().map_err(Failure::from)?)
@@ -56,7 +56,7 @@ impl PsfModel {
 
 #[pymethods]
 impl PsfModel {
-    /// A model from samples `[sample, y, x]` at positions.
+    /// Makes a model from samples `[sample, y, x]` at positions.
     #[staticmethod]
     fn from_samples(
         py: Python<'_>,
@@ -84,7 +84,7 @@ impl PsfModel {
         Ok(Self(Psf::new(samples, options)))
     }
 
-    /// A model from a mean stamp, components `[component, y, x]` and their coefficients
+    /// Makes a model from a mean stamp, components `[component, y, x]` and their coefficients
     /// `[sample, component]` at positions.
     #[staticmethod]
     fn from_basis(
@@ -120,7 +120,7 @@ impl PsfModel {
         Ok(Self(psf.map_err(Failure::from)?))
     }
 
-    /// Sentences on how the file was read.
+    /// Notes on how the file was read, in sentences.
     fn notes(&self) -> Vec<String> {
         let notes = self.0.notes().iter();
         notes
@@ -128,7 +128,7 @@ impl PsfModel {
             .collect()
     }
 
-    /// The name of the constructor that makes an equal model, and its arguments.
+    /// The name of a constructor and the arguments with which it makes an equal model.
     fn state<'py>(&self, py: Python<'py>) -> PyResult<(&'static str, Bound<'py, PyAny>)> {
         let (x, y) = self.positions(py);
         let (field, grid) = (self.field(), self.grid(py)?);
@@ -171,13 +171,13 @@ impl PsfModel {
         points(py, self.0.positions())
     }
 
-    /// (ny, nx) of the field, if known.
+    /// (ny, nx) of the field, if it is known.
     fn field(&self) -> Option<(usize, usize)> {
         let field = self.0.positions().field()?;
         Some((field.ny(), field.nx()))
     }
 
-    /// Interpolation, outside and normalise by name.
+    /// The names of the interpolation, the outside policy and the normalisation of the model.
     fn choices(&self, py: Python<'_>) -> PyResult<Choices> {
         Ok(choices_of(self.record(py)?))
     }
@@ -187,13 +187,13 @@ impl PsfModel {
         Ok(arrays_of(py, self.record(py)?))
     }
 
-    /// The figures of the fit as JSON. `None` for a model without samples.
+    /// The report on the fit as JSON. `None` for a model without samples.
     fn fit_report(&self, py: Python<'_>) -> PyResult<Option<String>> {
         let report = self.apart(py, |psf| psf.fit()?.map(Fit::report).transpose())?;
-        Ok(report.map(|report| serde_json::to_string(&report).expect("figures are plain numbers")))
+        Ok(report.map(|report| serde_json::to_string(&report).expect("the report is plain numbers")))
     }
 
-    /// Stamps `[position, y, x]` at positions.
+    /// Evaluates the PSF. Returns stamps `[position, y, x]`.
     fn evaluate<'py>(
         &self,
         py: Python<'py>,
@@ -218,8 +218,8 @@ impl PsfModel {
         Ok(stamps.into_pyarray(py))
     }
 
-    /// A gridded library: stamps, x and y, oversampling, and the largest error of bilinear
-    /// interpolation.
+    /// Returns a gridded library: stamps, positions (x and y), oversampling, and the largest error
+    /// of bilinear interpolation.
     fn gridded<'py>(
         &self,
         py: Python<'py>,
@@ -303,7 +303,7 @@ struct WriteSettings {
     overwrite: bool,
 }
 
-/// The program named in the HISTORY of files.
+/// The program that the HISTORY of files names.
 const COMMAND: &str = "psfield for Python";
 
 impl WriteSettings {
@@ -332,7 +332,7 @@ impl WriteSettings {
     }
 }
 
-/// A grid of (ny, nx) positions, or those of the PSF.
+/// A grid of (ny, nx) positions, or the PSF's own positions.
 fn samples_at(at: Option<(usize, usize)>) -> SamplesAt {
     match at {
         Some((ny, nx)) => SamplesAt::Grid { nx, ny },

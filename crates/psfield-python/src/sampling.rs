@@ -1,4 +1,4 @@
-//! Sampling of a PSF that a Python function draws.
+//! Samples a PSF that a Python function draws.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -61,8 +61,8 @@ pub(crate) fn sample_function(
     if let Some((ny, nx)) = sampling.uniform {
         psfield::check_stack(nx.saturating_mul(ny), grid).map_err(Failure::from)?;
     }
-    // A pool of its own: the function may call psfield itself, and threads that wait for the
-    // function must not block that call.
+    // The sampling has a pool of its own. The function may call psfield itself, and threads that
+    // wait for the function must not block this call.
     let pool = threads::made(threads::threads()?)?;
     let sampled = threads::run_beside(py, progress.as_ref(), &pool, |watch, pool| {
         let source = FunctionSource {
@@ -103,15 +103,16 @@ pub(crate) fn sample_function(
     Ok((PsfModel(Psf::new(samples, options)), found))
 }
 
-/// A PSF drawn by the Python function `f(x, y)`, which returns the stamp `[y, x]` at a position in
-/// doubles. It is never called by two threads at once.
+/// A PSF that the Python function `f(x, y)` draws. The function returns the stamp `[y, x]` at a
+/// position, in double precision. Two threads never call it at the same time.
 struct FunctionSource<'a> {
     function: &'a Py<PyAny>,
     grid: StampGrid,
     field: FrameShape,
     watch: &'a Watch,
-    /// Held while the function runs. A thread locks it before it attaches to the interpreter.
-    /// Otherwise a thread could hold the interpreter while it waits for this lock, and deadlock.
+    /// Locked while the function runs. A thread takes this lock before it attaches to the
+    /// interpreter. Otherwise a thread could hold the interpreter while it waits for the lock,
+    /// which would be a deadlock.
     turn: Mutex<()>,
 }
 
@@ -141,7 +142,7 @@ impl PsfSource for FunctionSource<'_> {
             if values.dim() != stamp.dim() {
                 let (got, expected) = (values.dim(), stamp.dim());
                 return Err(failed(
-                    format!("its stamp has the shape {got:?}, others have {expected:?}").into(),
+                    format!("its stamp has the shape {got:?}, but others have {expected:?}").into(),
                 ));
             }
             stamp.assign(&values);

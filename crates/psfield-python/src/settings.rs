@@ -1,4 +1,4 @@
-//! Arguments of Python by name, and their defaults.
+//! Python arguments by name, and their defaults.
 
 use std::str::FromStr;
 
@@ -57,7 +57,7 @@ impl FitSettings {
     }
 }
 
-/// The geometry of stamps: how their pixels relate to those of the frame.
+/// The geometry of stamps: the relation between their pixels and the frame's pixels.
 #[derive(Debug, FromPyObject)]
 #[pyo3(from_item_all)]
 pub(crate) struct GridSettings {
@@ -119,21 +119,21 @@ impl FileSettings {
     }
 }
 
-/// A shape from `(ny, nx)`, the order of NumPy.
+/// Makes a shape from `(ny, nx)`, the order of NumPy.
 pub(crate) fn frame_shape((ny, nx): (usize, usize)) -> PyResult<FrameShape> {
     Ok(FrameShape::new(nx, ny).map_err(Failure::from)?)
 }
 
-/// A region from `(x0, y0, nx, ny)`.
+/// Makes a region from `(x0, y0, nx, ny)`.
 pub(crate) fn region((x0, y0, nx, ny): (i64, i64, usize, usize)) -> PyResult<PixelRegion> {
     Ok(PixelRegion::new(x0, y0, frame_shape((ny, nx))?))
 }
 
-/// Positions from as many x as y.
+/// Makes positions from columns x and y of the same length.
 pub(crate) fn positions(x: &[f64], y: &[f64]) -> PyResult<Vec<Position>> {
     if x.len() != y.len() {
         return Err(invalid(format!(
-            "x and y must have one length, got {} and {}",
+            "x and y must have the same length, got {} and {}",
             x.len(),
             y.len()
         )));
@@ -142,7 +142,7 @@ pub(crate) fn positions(x: &[f64], y: &[f64]) -> PyResult<Vec<Position>> {
     Ok(made.map_err(Failure::from)?)
 }
 
-/// The defaults of the library by the names of the arguments in Python.
+/// The defaults of the library, by the names of the Python arguments.
 pub(crate) fn defaults(py: Python<'_>) -> PyResult<Bound<'_, PyDict>> {
     let (simulation, fit) = (SimulateOptions::default(), FitOptions::default());
     let sampling = SamplingOptions::default();

@@ -1,4 +1,4 @@
-//! Threads that run the work without the interpreter, so that Python can interrupt it.
+//! Runs work on threads that do not hold the interpreter, so that Python can interrupt it.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, channel};
@@ -41,7 +41,8 @@ pub(crate) fn pool() -> PyResult<Arc<ThreadPool>> {
     Ok(made)
 }
 
-/// Makes a pool of `count` threads. For 0 the number is `RAYON_NUM_THREADS`, or one per core.
+/// Makes a pool of `count` threads. If `count` is 0, the environment variable `RAYON_NUM_THREADS`
+/// gives the number, or else there is one thread per core.
 pub(crate) fn made(count: usize) -> PyResult<Arc<ThreadPool>> {
     ThreadPoolBuilder::new()
         .num_threads(count)
@@ -71,7 +72,7 @@ pub(crate) fn threads() -> PyResult<usize> {
     Ok(pool()?.current_num_threads())
 }
 
-/// The interval between two checks of signals and progress.
+/// The interval between two checks for signals (Ctrl-C) and progress.
 const TICK: Duration = Duration::from_millis(50);
 
 /// The progress of some work, and a flag that cancels it.
@@ -112,7 +113,7 @@ impl<'a> Teller<'a> {
         }
     }
 
-    /// Calls `progress(done, total)` if the figures have changed.
+    /// Calls `progress(done, total)` if one of these numbers has changed.
     fn tell(&mut self, py: Python<'_>) -> PyResult<()> {
         let of = |count: &AtomicU64| count.load(Ordering::Relaxed);
         let steps = (of(&self.watch.done), of(&self.watch.total));
@@ -125,8 +126,8 @@ impl<'a> Teller<'a> {
         }
     }
 
-    /// Waits for the end of the work, without the interpreter. An exception, raised by a signal or
-    /// by the caller's function, cancels the work.
+    /// Waits for the end of the work, without holding the interpreter. If a signal or the caller's
+    /// function raises an exception, the work is cancelled.
     fn wait(&mut self, end: &Receiver<()>) -> PyResult<()> {
         while let Err(RecvTimeoutError::Timeout) = end.recv_timeout(TICK) {
             let told = Python::attach(|py| py.check_signals().and_then(|()| self.tell(py)));
@@ -153,10 +154,12 @@ pub(crate) fn run<R: Send>(
     })
 }
 
-/// Works like [`run`], but on a thread outside the pool. The work sends its parts to the pool.
+/// Works like [`run`], but runs the work on an extra thread outside the pool. The work itself sends
+/// its parallel parts to the pool.
 ///
-/// This thread may wait for a lock or for Python. A thread of the pool must not: while it waits it
-/// does no work, and while it holds a lock it may pick up a task that needs the same lock.
+/// The extra thread may wait for a lock or for Python. A thread of the pool must not wait, because
+/// it would do no work meanwhile. It must not hold a lock either, because it may start another task
+/// that needs the same lock.
 pub(crate) fn run_beside<R: Send>(
     py: Python<'_>,
     progress: Option<&Py<PyAny>>,
@@ -170,12 +173,13 @@ pub(crate) fn run_beside<R: Send>(
             let (ended, end) = channel::<()>();
             let watch = &watch;
             let worker = scope.spawn(move || {
-                // Dropping it signals the end, also when the work panics.
+                // The drop of `_ended` signals the end, also when the work panics.
                 let _ended = ended;
                 work(watch, pool)
             });
             let waited = teller.wait(&end);
-            // The work borrows arrays of the caller, so it must end before this function returns.
+            // The work borrows arrays of the caller. It must therefore end before this function
+            // returns.
             let result = worker
                 .join()
                 .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
@@ -186,8 +190,9 @@ pub(crate) fn run_beside<R: Send>(
     Ok(result)
 }
 
-/// Works like [`run_beside`], for work that borrows nothing of the caller. If it is interrupted, it
-/// runs to its end in the background and its result is dropped.
+/// Works like [`run_beside`], for work that borrows nothing from the caller. After an interruption
+/// this function returns at once. The work then runs to its end in the background, and its result
+/// is dropped.
 pub(crate) fn run_apart<R: Send + 'static>(
     py: Python<'_>,
     work: impl FnOnce(&Watch, &ThreadPool) -> R + Send + 'static,
@@ -211,7 +216,8 @@ pub(crate) fn run_apart<R: Send + 'static>(
 /// The interval between two attempts to take a lock.
 const RETRY_INTERVAL: Duration = Duration::from_millis(2);
 
-/// Waits for a lock until the work is cancelled. Call it on a thread outside the pool.
+/// Waits for a lock and takes it, or returns an error when the work is cancelled. Call it on a
+/// thread outside the pool.
 pub(crate) fn turn<'a>(mutex: &'a Mutex<()>, watch: &Watch) -> Result<MutexGuard<'a, ()>, ConvError> {
     loop {
         match mutex.try_lock() {

@@ -15,13 +15,13 @@ pub use open_gpus::{forget_gpus, open_gpu};
 use open_gpus::{place_on_gpu, place_where_faster};
 pub use placement::{CpuReason, GpuSeconds, Placement, PredictedSeconds};
 
-/// Work predicted to take less than this on the processor stays there. Looking for GPUs would take
-/// longer. It makes no difference whether a GPU is already open, so that a plan is executed in the
-/// same place whatever ran before it.
-pub const WORTH_A_LOOK_SECONDS: f64 = 0.05;
+/// With [`Device::Auto`], a plan stays on the processor if an execution there is predicted to take
+/// fewer seconds than this. A search for GPUs would take longer. An open GPU does not change this
+/// rule, so the choice of device does not depend on earlier work.
+pub const MIN_SECONDS_FOR_GPU: f64 = 0.05;
 
-/// Chooses the device that executes a plan, and gives the plan to it. The number of threads of the
-/// current pool decides the predicted speed of the processor.
+/// Chooses the device that executes a plan, and gives the plan to this device. The predicted speed
+/// of the processor is proportional to the number of threads of the current pool.
 pub(crate) fn place<T: ConvReal>(
     plan: Plan<T>,
     options: &SimulateOptions,
@@ -32,7 +32,7 @@ pub(crate) fn place<T: ConvReal>(
         Device::Cpu => CpuReason::Asked,
         Device::Auto if size_of::<T>() != size_of::<f32>() => CpuReason::Precision { precision: T::NAME },
         Device::Auto => match predicted() {
-            cpu_seconds if cpu_seconds < WORTH_A_LOOK_SECONDS => CpuReason::Small { cpu_seconds },
+            cpu_seconds if cpu_seconds < MIN_SECONDS_FOR_GPU => CpuReason::Small { cpu_seconds },
             cpu_seconds => return Ok(place_where_faster(plan, options, cpu_seconds)),
         },
     };

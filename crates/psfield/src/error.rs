@@ -6,13 +6,13 @@ use std::fmt;
 use conv_core::ConvError;
 use psf_types::{Cancelled, DataError};
 
-/// Why a simulation, or a step on the way to it, failed: the kind of the problem, and what was
-/// expected, what was found and what to do.
+/// The error of a simulation, or of a step on the way to it. It has a kind, and a message that says
+/// what was expected, what was found and what to do.
 ///
-/// The error of the stage that failed is the [`source`](Error::source). Use
-/// [`cause`](Self::cause) to match on it. If a setting of this library can mend the problem,
-/// [`setting`](Self::setting) names it. The program that offers the setting to its users adds a
-/// hint in its own terms.
+/// The error of the stage that failed is the [`source`](Error::source). Use [`cause`](Self::cause)
+/// to match on it. If another value of a setting can avoid the problem, [`setting`](Self::setting)
+/// names this setting. A program that offers the setting to its users can add a hint in its own
+/// terms.
 ///
 /// ```
 /// use psfield::psf_io::{IoError, IoErrorKind};
@@ -36,27 +36,27 @@ pub struct PsfieldError {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum ErrorKind {
-    /// A setting that is out of range, without effect here, or at odds with another one.
+    /// A setting is out of range, has no effect here, or contradicts another setting.
     Setting,
     /// Values, shapes or counts that break a rule.
     Data,
     /// A file could not be read or written. The cause is a [`psf_io::IoError`].
     Io,
-    /// A PSF file that does not say something, or a format that cannot hold something.
+    /// A PSF file lacks a value, or a file format cannot hold a property of the PSF.
     Format,
     /// The PSF is not known at a position, or not over the whole frame.
     Field,
-    /// Making the basis, or interpolating its coefficients, failed.
+    /// The basis could not be computed, or its coefficients could not be interpolated.
     Fit,
     /// A PSF could not be sampled over its field, or a source or a telescope could not be used.
     Sampling,
-    /// The stars of a frame gave no samples.
+    /// No PSF samples could be made from the stars of a frame.
     Stars,
     /// The convolution failed.
     Convolution,
     /// The progress object cancelled the work.
     Cancelled,
-    /// A GPU cannot be used. Do not use again what was handed to it.
+    /// A GPU cannot be used. Discard simulators that ran on it.
     Gpu,
     /// The result would take more memory than is allowed.
     TooLarge,
@@ -76,7 +76,7 @@ impl PsfieldError {
         }
     }
 
-    /// An error that the setting of this name mends.
+    /// An error that another value of this setting can avoid.
     pub(crate) fn of_setting(setting: &'static str, message: impl Into<String>) -> Self {
         Self::new(ErrorKind::Setting, message).with_setting(setting)
     }
@@ -97,7 +97,7 @@ impl PsfieldError {
         Self::of_setting("method", message)
     }
 
-    /// The error of a stage, with its own text.
+    /// Wraps the error of a stage and keeps its text.
     fn of_stage(kind: ErrorKind, error: impl Error + Send + Sync + 'static) -> Self {
         Self::new(kind, error.to_string()).because(error)
     }
@@ -107,14 +107,15 @@ impl PsfieldError {
         self.kind
     }
 
-    /// The name of the setting that mends the problem, as this library spells it: a field such as
-    /// [`SimulateOptions::frame`](crate::SimulateOptions::frame), or an argument such as
-    /// `overwrite`. `hdu` and `table` stand for the choice of an image and of a table.
+    /// The name of the setting that can avoid the problem, as this library spells it: a field such
+    /// as [`SimulateOptions::frame`](crate::SimulateOptions::frame), or an argument such as
+    /// `overwrite`. `hdu` stands for the choice of an image in a file, and `table` for the choice
+    /// of a table.
     pub fn setting(&self) -> Option<&'static str> {
         self.setting
     }
 
-    /// The first cause of this type: the error of a stage, or what caused it.
+    /// Returns the first cause that has the type `E`: the error of a stage, or one of its causes.
     pub fn cause<E: Error + 'static>(&self) -> Option<&E> {
         std::iter::successors(self.source(), |&cause| cause.source()).find_map(|cause| cause.downcast_ref())
     }
@@ -133,7 +134,7 @@ impl Error for PsfieldError {
     }
 }
 
-/// Makes the errors of a stage errors of the pipeline.
+/// Converts the errors of the stages to [`PsfieldError`].
 macro_rules! of_stages {
     ($($error:ty => $kind:ident),+ $(,)?) => {$(
         impl From<$error> for PsfieldError {
@@ -191,8 +192,8 @@ impl From<ConvError> for PsfieldError {
     }
 }
 
-/// An error with its causes in one line, `problem: cause: cause of the cause`. A cause whose text
-/// the error before it already contains is left out.
+/// Formats an error with its causes in one line, `problem: cause: cause of the cause`. A cause is
+/// left out if the text before it already contains its text.
 ///
 /// ```
 /// use psfield::{Psf, error_text};

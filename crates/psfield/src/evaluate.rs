@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::{ErrorKind, Psf, PsfieldError, check_stack};
 
-/// The pixels on which PSFs are given.
+/// The pixels at which PSFs are evaluated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum OutputGrid {
@@ -15,8 +15,8 @@ pub enum OutputGrid {
     /// ([`StampGrid::pixel_response_included`]).
     #[default]
     Model,
-    /// The frame's pixels, with the light that falls into each of them. A model whose stamps lack
-    /// the pixel response gets it here, as in a [`Simulator`](crate::Simulator).
+    /// The frame's pixels. A value is the light that falls into the pixel. If the stamps lack the
+    /// pixel response, it is added, as in a [`Simulator`](crate::Simulator).
     Native,
 }
 
@@ -25,18 +25,18 @@ pub enum OutputGrid {
 pub struct EvaluateOptions {
     /// The pixels of the stamps.
     pub grid: OutputGrid,
-    /// Number of columns and of rows. Stamps are cut or padded about the centre. None: their own
-    /// size.
+    /// Number of columns and of rows. Stamps are cut or padded about the centre. None: the stamps
+    /// keep their own size.
     pub size: Option<usize>,
     /// If true, each PSF is drawn at the sub-pixel phase of its position (its offset from the
-    /// nearest pixel's centre). This needs the frame's pixels. If false, PSFs are centred.
+    /// nearest pixel's centre). This needs [`OutputGrid::Native`]. If false, PSFs are centred.
     pub sub_pixel: bool,
 }
 
 /// Checks that all positions lie on the model's field, if it has one.
 ///
 /// # Errors
-/// [`ErrorKind::Field`] for the first position that does not.
+/// [`ErrorKind::Field`] for the first position that lies outside the field.
 pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), PsfieldError> {
     if let Some(field) = model.field_shape()
         && let Some(index) = positions.iter().position(|&p| !field.contains(p))
@@ -50,8 +50,8 @@ pub fn check_on_field(model: &PsfModel, positions: &[Position]) -> Result<(), Ps
     Ok(())
 }
 
-/// Checks that a frame is not larger than the field over which a PSF is known, if the field is
-/// known.
+/// Checks that a frame is not larger than the field over which a PSF is known. Accepts every frame
+/// if the field is not known.
 ///
 /// # Errors
 /// [`ErrorKind::Field`].
@@ -60,7 +60,7 @@ pub fn check_frame_on_field(frame: FrameShape, field: Option<FrameShape>) -> Res
         Some(field) if frame.nx() > field.nx() || frame.ny() > field.ny() => {
             let message = format!(
                 "the frame is {frame} pixels, but the PSF is known over a field of {field} pixels: cut the scene to the \
-                 field with a frame. Light of the scene beyond it still contributes"
+                 field with a frame. Light of the scene outside the frame still contributes"
             );
             Err(PsfieldError::new(ErrorKind::Field, message).with_setting("frame"))
         }
@@ -69,7 +69,7 @@ pub fn check_frame_on_field(frame: FrameShape, field: Option<FrameShape>) -> Res
 }
 
 impl Psf {
-    /// Evaluates the PSFs at positions, as samples, like [`evaluate`] with a model.
+    /// Evaluates the PSFs at positions and returns them as samples. See [`evaluate`].
     ///
     /// # Errors
     /// The errors of [`evaluate`] and of the fit.
@@ -82,11 +82,11 @@ impl Psf {
     }
 }
 
-/// Evaluates the PSFs of a model at positions, as samples.
+/// Evaluates the PSFs of a model at positions and returns them as samples.
 ///
 /// # Errors
-/// The errors of [`evaluate_stamps`], and [`ErrorKind::Data`] for no positions, two equal ones, or
-/// a PSF without positive flux.
+/// The errors of [`evaluate_stamps`], and [`ErrorKind::Data`] if there are no positions, if two
+/// positions are equal, or for a PSF without positive flux.
 pub fn evaluate(
     model: &PsfModel,
     positions: Vec<Position>,
@@ -114,8 +114,8 @@ pub fn evaluate(
 /// Evaluates the PSFs of a model at positions. Returns plain stamps `[position, y, x]` and the grid
 /// of their pixels. Positions may be repeated, and there may be none.
 ///
-/// On the frame's pixels with `sub_pixel`, a stamp is the image that
-/// [`Simulator`](crate::Simulator) draws of a star of unit flux at its position.
+/// With [`OutputGrid::Native`] and `sub_pixel`, each stamp is the image that
+/// [`Simulator`](crate::Simulator) draws of a star of unit flux at this position.
 ///
 /// # Errors
 /// [`ErrorKind::Field`] for a position outside the model's field or where the model has no value,
@@ -149,7 +149,7 @@ fn check(model: &PsfModel, positions: &[Position], options: EvaluateOptions) -> 
     check_on_field(model, positions)
 }
 
-/// Evaluates the PSFs at positions that were checked.
+/// Evaluates the PSFs at positions. The caller has checked the positions.
 fn stamps_at(
     model: &PsfModel,
     positions: &[Position],
@@ -187,7 +187,7 @@ fn target_grid(grid: StampGrid, options: EvaluateOptions) -> Result<StampGrid, P
         OutputGrid::Native => native_grid(grid_with_pixel_response(grid)?)?,
     };
     let Some(size) = options.size else { return Ok(base) };
-    // A centre between pixels stays between pixels, so that no value has to be interpolated.
+    // A centre between pixels stays between pixels, so that values need no interpolation.
     let centre = |c: f64| (size / 2) as f64 + c.fract();
     Ok(StampGrid::new(size, size)?
         .with_oversampling(base.oversampling())?

@@ -8,7 +8,8 @@ use psf_types::{Image, Real};
 
 use crate::{ErrorKind, PsfieldError, check_outputs};
 
-/// Keywords of [`exposure_cards`], which an exposure must not take over from its input image.
+/// Keywords that [`exposure_cards`] writes. An exposure does not copy these cards from its input
+/// image.
 const KEYWORDS: [&str; 24] = [
     "DETNAME", "DETSEED", "DETPSEED", "DETTRUTH", "DETEPF", "DETPHOT", "DETSKY", "DETSKYX", "DETSKYY",
     "DETDARK", "DETRESP", "DETDEAD", "DETHOT", "DETHOTD", "DETBCOL", "DETFULL", "DETBIAS", "DETBITS",
@@ -35,7 +36,7 @@ const KEYWORDS: [&str; 24] = [
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ExposureFiles {
-    /// The counts: `BITPIX` 8, 16 (with `BZERO`) or 32 when they are digitised, else -32 or -64.
+    /// The counts, with `BITPIX` 8, 16 (with `BZERO`) or 32 if they are digitised, else -32 or -64.
     pub raw: PathBuf,
     /// The noise-free image in the same unit ([`Detector::truth`]).
     pub truth: Option<PathBuf>,
@@ -46,7 +47,7 @@ pub struct ExposureFiles {
 }
 
 impl ExposureFiles {
-    /// Checks, before the work is done, that all files can be written, as far as this can be known.
+    /// Checks that all files can be written, as far as this can be known before the work is done.
     ///
     /// # Errors
     /// The errors of [`check_outputs`].
@@ -56,9 +57,9 @@ impl ExposureFiles {
         check_outputs(inputs, &outputs, self.overwrite)
     }
 
-    /// Writes an exposure of `light`. The headers hold `header`, the cards of the image that was
-    /// exposed, then `added`, then [`exposure_cards`]. The counts are written last: if they exist,
-    /// the other files are complete.
+    /// Writes an exposure of `light`. The headers hold first `header` (the cards of the image that
+    /// was exposed), then `added`, then [`exposure_cards`]. The counts are written last: if they
+    /// exist, the other files are complete.
     ///
     /// # Errors
     /// The errors of [`Detector::truth`] and of [`write_image`](psf_io::write_image).
@@ -81,7 +82,7 @@ impl ExposureFiles {
         if let Some(path) = &self.quality {
             let mut header = header.clone();
             header.remove("BUNIT");
-            let meaning = Card::comment("Sums of 1 dead, 2 hot, 4 bad column, 8 saturated");
+            let meaning = Card::comment("Sums of flags: 1 dead, 2 hot, 4 bad column, 8 saturated");
             let cards = [added, &[meaning]].concat();
             let kind = IntegerKind::Unsigned8;
             psf_io::write_integers(path, exposure.flags(), kind, &header, &cards, self.overwrite)?;
@@ -89,9 +90,9 @@ impl ExposureFiles {
         let cards = [added, &exposure_cards(detector, exposure.report())?].concat();
         let counts = exposure.counts();
         if let Some(bits) = detector.params().bits {
-            let whole = counts.pixels().mapv(|count| count.as_f64() as i32);
+            let integers = counts.pixels().mapv(|count| count.as_f64() as i32);
             let kind = IntegerKind::of_bits(bits);
-            psf_io::write_integers(&self.raw, whole.view(), kind, &header, &cards, self.overwrite)?;
+            psf_io::write_integers(&self.raw, integers.view(), kind, &header, &cards, self.overwrite)?;
         } else {
             psf_io::write_image(&self.raw, counts, &header, &cards, self.overwrite)?;
         }
@@ -103,7 +104,8 @@ impl ExposureFiles {
 /// pixels.
 ///
 /// # Errors
-/// The errors of [`read_image`](psf_io::read_image), and [`ErrorKind::Detector`] for other values.
+/// The errors of [`read_image`](psf_io::read_image), and [`ErrorKind::Detector`] for an image with
+/// other values.
 pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, PsfieldError> {
     let path = path.as_ref();
     let image = psf_io::read_image::<f32>(path)?;
@@ -120,14 +122,14 @@ pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, Psfie
 /// |---|---|
 /// | `BUNIT` | `electron` or `adu` |
 /// | `EXPTIME` | s, if known |
-/// | `GAIN`, `RDNOISE` | electrons per unit of the counts; electrons |
-/// | `SATURATE` | [`Detector::saturation`], if there is one |
-/// | `DETSEED`, `DETPSEED` | seeds of the noise and of the sensor's pattern, as texts (they may exceed FITS' integers) |
-/// | `DETEPF`, `DETPHOT`, `DETSKY`, `DETSKYX`, `DETSKYY`, `DETDARK`, `DETRESP`, `DETFULL`, `DETBIAS`, `DETBITS`, `DETDEAD`, `DETHOT`, `DETHOTD`, `DETBCOL`, `DETNAME` | the settings of [`DetectorParams`](detector::DetectorParams) that are on |
-/// | `DETNSAT`, `DETNNEG`, `DETNBAD` | numbers of saturated pixels, of pixels with negative light, of bad pixels |
+/// | `GAIN`, `RDNOISE` | electrons per unit of the counts; read noise in electrons |
+/// | `SATURATE` | count at which pixels saturate ([`Detector::saturation`]), if there is one |
+/// | `DETSEED`, `DETPSEED` | seeds of the noise and of the sensor's pattern, as strings, because they may exceed signed 64-bit integers |
+/// | `DETEPF`, `DETPHOT`, `DETSKY`, `DETSKYX`, `DETSKYY`, `DETDARK`, `DETRESP`, `DETFULL`, `DETBIAS`, `DETBITS`, `DETDEAD`, `DETHOT`, `DETHOTD`, `DETBCOL`, `DETNAME` | the settings of [`DetectorParams`](detector::DetectorParams) that are in use |
+/// | `DETNSAT`, `DETNNEG`, `DETNBAD` | numbers of saturated pixels, of pixels whose expected charge was negative, of bad pixels |
 ///
 /// # Errors
-/// None for a checked detector: every value is finite.
+/// No error for a checked detector, because all its values are finite.
 pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Vec<Card>, CardError> {
     let params = detector.params();
     let mut cards = level_cards(detector)?;
@@ -137,7 +139,7 @@ pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Ve
         Card::new("RDNOISE", params.read_noise_e, "[electron] read noise, r.m.s.")?,
     ]);
     if let Some(level) = detector.saturation() {
-        cards.push(Card::new("SATURATE", level, "level of saturated pixels")?);
+        cards.push(Card::new("SATURATE", level, "count at which pixels saturate")?);
     }
     if let Some(full) = params.full_well_e {
         cards.push(Card::new("DETFULL", full, "[electron] full well")?);
@@ -148,14 +150,14 @@ pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Ve
     let bad = params.bad_pixels;
     let pattern = [
         ("DETRESP", params.response_rms, "r.m.s. of the pixels' response"),
-        ("DETDEAD", bad.dead_fraction, "chance of a pixel to be dead"),
-        ("DETHOT", bad.hot_fraction, "chance of a pixel to be hot"),
+        ("DETDEAD", bad.dead_fraction, "probability of a dead pixel"),
+        ("DETHOT", bad.hot_fraction, "probability of a hot pixel"),
         (
             "DETHOTD",
             bad.hot_dark_e_per_s,
             "[electron/s] dark current of hot pixels",
         ),
-        ("DETBCOL", bad.bad_column_fraction, "chance of a column to be bad"),
+        ("DETBCOL", bad.bad_column_fraction, "probability of a bad column"),
     ];
     for (keyword, value, comment) in pattern.into_iter().filter(|p| p.1 > 0.0) {
         cards.push(Card::new(keyword, value, comment)?);
@@ -169,7 +171,7 @@ pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Ve
         Card::new(
             "DETNNEG",
             report.negative_pixels,
-            "pixels of negative light, taken as dark",
+            "pixels with negative expected charge, set to 0",
         )?,
         Card::new("DETNBAD", report.bad_pixels, "bad pixels")?,
     ]);
@@ -198,10 +200,10 @@ fn level_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
             params.electrons_per_flux,
             "[electron] per unit of the scene's flux",
         )?,
-        Card::new("DETSKY", params.sky_e, "[electron] sky")?,
+        Card::new("DETSKY", params.sky_e, "[electron] sky level per pixel")?,
     ];
     if !params.name.is_empty() {
-        cards.push(Card::new("DETNAME", params.name.as_str(), "detector")?);
+        cards.push(Card::new("DETNAME", params.name.as_str(), "detector name")?);
     }
     if let Some(seconds) = params.exposure_s {
         cards.push(Card::new("EXPTIME", seconds, "[s] exposure time")?);
@@ -226,7 +228,7 @@ fn level_cards(detector: &Detector) -> Result<Vec<Card>, CardError> {
         )?);
     }
     if let Some(bias) = params.bias_adu {
-        cards.push(Card::new("DETBIAS", bias, "[adu] level without charge")?);
+        cards.push(Card::new("DETBIAS", bias, "[adu] bias level")?);
     }
     Ok(cards)
 }

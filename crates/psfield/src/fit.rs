@@ -20,13 +20,13 @@ use crate::PsfieldError;
 pub struct FitOptions {
     /// Number of components to keep.
     pub rank: RankSelection,
-    /// The choice to subtract a mean stamp first, or none.
+    /// The choice whether to subtract the mean stamp first.
     pub centring: Centring,
     /// The known noise in the samples' pixels, in units of the samples after normalisation.
     pub noise: PixelNoise,
     /// The interpolation of the coefficients over the field.
     pub interpolation: Interpolation,
-    /// The policy for positions outside the samples.
+    /// The policy for positions outside the area of the samples.
     pub outside: OutsidePolicy,
     /// The scaling of samples and PSFs: to unit flux, or none.
     pub normalisation: Normalisation,
@@ -34,13 +34,14 @@ pub struct FitOptions {
 
 impl FitOptions {
     /// Options for a library of PSFs on a grid of positions (STPSF, STDPSF, photutils'
-    /// `GriddedPSFModel`). Every component is kept. PSFs are scaled as in the library, and
-    /// interpolated bilinearly between its positions, as by its other readers.
+    /// `GriddedPSFModel`). Every component is kept. PSFs keep the flux that they have in the
+    /// library. They are interpolated bilinearly between the positions of the library, as in other
+    /// software.
     pub fn of_gridded_library(positions: &SamplePositions) -> Self {
         Self {
-            // The fit must return its few planes unchanged.
+            // The fit must reproduce the few planes of the library.
             rank: RankSelection::Full,
-            // The scale is part of the library's calibration.
+            // The flux of a PSF is part of the library's calibration.
             normalisation: Normalisation::Keep,
             interpolation: match coeff_field::resolve(Interpolation::Auto, positions) {
                 Interpolation::Bicubic => Interpolation::Bilinear,
@@ -50,8 +51,8 @@ impl FitOptions {
         }
     }
 
-    /// Options for one stamp that is the PSF of the whole field. It has no others to interpolate
-    /// between.
+    /// Options for one stamp that is the PSF of the whole field. There are no other stamps for an
+    /// interpolation.
     pub fn of_single_stamp() -> Self {
         Self {
             interpolation: Interpolation::Nearest,
@@ -60,7 +61,7 @@ impl FitOptions {
     }
 }
 
-/// A model with the figures of its fit.
+/// A model that was fitted to samples, and the errors of the fit.
 #[derive(Debug, Clone)]
 pub struct Fit {
     record: PsfModelRecord,
@@ -69,7 +70,7 @@ pub struct Fit {
     norms: Vec<f64>,
 }
 
-/// The figures of a fit. Errors are relative L2 errors of stamps.
+/// The errors of a fit, and the choices that it made. Errors are relative L2 errors of stamps.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct FitReport {
@@ -81,9 +82,9 @@ pub struct FitReport {
     pub elbow: Option<usize>,
     /// Standard deviation of the white noise found in the samples, if any.
     pub noise_sigma: Option<f64>,
-    /// The interpolator that is used.
+    /// The interpolation that the model uses.
     pub interpolation: Interpolation,
-    /// The policy for positions outside the samples.
+    /// The policy for positions outside the area of the samples.
     pub outside: OutsidePolicy,
     /// The scaling of PSFs: to unit flux, or none.
     pub normalise: Normalisation,
@@ -97,22 +98,24 @@ pub struct FitReport {
     pub leave_one_out: LeaveOneOutReport,
     /// All singular values, in descending order.
     pub singular_values: Vec<f64>,
-    /// Their cumulative weights.
+    /// The cumulative weights of the singular values.
     pub cumulative_weights: Vec<f64>,
 }
 
-/// Leave-one-out errors of stamps, truncation included, relative to each sample's own norm.
+/// Leave-one-out errors of stamps, relative to each sample's own norm. They include the truncation
+/// error.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct LeaveOneOutReport {
-    /// Number of samples that their neighbours surround.
+    /// Number of samples that lie in the area which the other samples cover. Each is predicted by
+    /// interpolation.
     pub predicted: usize,
-    /// Median error of those. None if there are no such samples.
+    /// Median error of these samples. None if `predicted` is 0.
     pub median: Option<f64>,
-    /// Largest error of those.
+    /// Largest error of these samples. None if `predicted` is 0.
     pub max: Option<f64>,
-    /// Number of samples at the border, which the others can only extrapolate. They do not count
-    /// above.
+    /// Number of samples at the border, which can only be extrapolated from the others.
+    /// `predicted`, `median` and `max` do not include them.
     pub extrapolated: usize,
     /// Number of samples that cannot be predicted from the others.
     pub unpredictable: usize,
@@ -120,21 +123,22 @@ pub struct LeaveOneOutReport {
     pub errors: Vec<Option<f64>>,
 }
 
-/// Fits a model to samples: the basis by SVD, the coefficients by one of the interpolators of
-/// `coeff-field`.
+/// Fits a model to samples. Computes the basis by SVD, and interpolates the coefficients by a
+/// method of `coeff-field`.
 ///
 /// # Errors
-/// [`PsfieldError`] when the rank is not available or the interpolator does not suit the positions.
+/// [`PsfieldError`] when the samples do not have the requested rank, or the interpolation does not
+/// suit the positions.
 pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldError> {
     let (ny, nx) = samples.grid().dim();
     fit_trained(samples, Array3::zeros((0, ny, nx)), options)
 }
 
-/// Fits a model to samples, and trains the basis on more stamps `[stamp, y, x]`. They may be the
-/// samples' PSFs at sub-pixel shifts ([`psf_sample::ShiftAugmentation`]). The basis is computed
-/// from all stamps, coefficients and errors from the samples only.
+/// Fits a model to samples. The basis is computed from the samples and from the stamps in
+/// `training`, `[stamp, y, x]`. These may be the samples' PSFs at sub-pixel shifts
+/// ([`psf_sample::ShiftAugmentation`]). The coefficients and errors are those of the samples only.
 ///
-/// Under [`Normalisation::Unit`] the training stamps are scaled to unit flux, like the samples.
+/// With [`Normalisation::Unit`], the training stamps are scaled to unit flux, like the samples.
 ///
 /// # Errors
 /// The errors of [`fit()`], and [`ErrorKind::Fit`](crate::ErrorKind::Fit) for training stamps that
@@ -179,10 +183,10 @@ pub fn fit_trained(
     })
 }
 
-/// Fits a model with any basis method and any interpolator. Both may be implemented by the caller.
+/// Fits a model with any basis method and any interpolation. The caller may implement both.
 ///
 /// # Errors
-/// [`PsfieldError`] when either fails.
+/// [`PsfieldError`] when the basis method or the interpolation fails.
 pub fn fit_with(
     samples: PsfSamples,
     method: &dyn BasisMethod,
@@ -197,10 +201,11 @@ pub fn fit_with(
     Ok((model, fit))
 }
 
-/// Makes the model that a record describes: its coefficients with the interpolator that it names.
+/// Makes the model that a record describes. Interpolates the record's coefficients by the method
+/// that the record names.
 ///
 /// # Errors
-/// [`PsfieldError`] when the interpolator does not suit the positions.
+/// [`PsfieldError`] when the interpolation does not suit the positions.
 pub fn model_of(record: PsfModelRecord) -> Result<PsfModel, PsfieldError> {
     let field = field_of(record.coefficients(), record.interpolation(), record.outside())?;
     Ok(record.into_model(Arc::new(field))?)
@@ -237,11 +242,12 @@ impl Fit {
         self.spectrum.as_ref().map_or(&[], |s| &s.singular_values)
     }
 
-    /// Truncates the fit to at most `rank` components. The part of a sample that the other
-    /// components held adds to its error.
+    /// Truncates the fit to its first `rank` components, or keeps all if there are fewer. The error
+    /// of each sample grows by the part that the removed components represented.
     ///
     /// # Errors
-    /// [`DataError::EmptyBasis`](psf_types::DataError::EmptyBasis) for rank 0 of a basis without a mean.
+    /// [`DataError::EmptyBasis`](psf_types::DataError::EmptyBasis) for rank 0 of a basis without
+    /// mean.
     pub fn truncated(&self, rank: usize) -> Result<Self, PsfieldError> {
         let record = self.record.truncated(rank)?;
         let values = self.record.coefficients().values();
@@ -249,7 +255,7 @@ impl Fit {
         let tails = left_out.outer_iter().map(|tail| tail.dot(&tail).sqrt());
         let errors = tails.zip(&self.norms).zip(&self.errors);
         Ok(Self {
-            // Components are orthonormal.
+            // Components are orthonormal, so errors add in quadrature.
             errors: errors
                 .map(|((tail, norm), error)| error.hypot(tail / norm))
                 .collect(),
@@ -272,10 +278,10 @@ impl Fit {
         model_of(self.record)
     }
 
-    /// Measures the leave-one-out errors and collects all figures of the fit.
+    /// Measures the leave-one-out errors and collects all errors of the fit.
     ///
     /// # Errors
-    /// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the interpolator cannot serve these samples.
+    /// [`ErrorKind::Fit`](crate::ErrorKind::Fit) when the interpolation does not suit the samples.
     pub fn report(&self) -> Result<FitReport, PsfieldError> {
         let record = &self.record;
         let interpolation = coeff_field::interpolation(record.interpolation())?;

@@ -5,7 +5,7 @@ use psf_io::{Card, CardError, HeaderCards};
 
 use crate::{Preparation, Simulator, SpotCheck};
 
-/// The keyword for the digest of a batch job's options, in the files that the job made.
+/// The keyword that holds the digest of a batch job's options, in the files that the job made.
 pub const JOB_KEYWORD: &str = "PSFJOB";
 
 /// Cards of a file's origin: the version of psfield, and the `command` as a line of HISTORY.
@@ -22,14 +22,15 @@ pub fn provenance_cards(command: &str) -> Vec<Card> {
 }
 
 impl<T: ConvReal> Simulator<T> {
-    /// Cards that say how an image was made: method, anchoring, precision, device, the model's
-    /// components and normalisation, and the tolerance of methods that have one.
+    /// Returns cards that say how an image was made: method, anchor, precision, device, the model's
+    /// components and normalisation. For methods with a tolerance, a card holds it.
     ///
-    /// A simulated image holds the scene's own cards ([`carried_header`](Self::carried_header)),
-    /// then those of [`provenance_cards`], then these, then those of its [`SpotCheck`], if any.
+    /// The header of a simulated image holds, in this order: the scene's own cards
+    /// ([`carried_header`](Self::carried_header)), the cards of [`provenance_cards`], these cards,
+    /// and the cards of its [`SpotCheck`], if there is one.
     ///
     /// # Errors
-    /// [`CardError`] for the name of a GPU that a header cannot hold.
+    /// [`CardError`] if the name of the GPU has characters that a header cannot hold.
     pub fn cards(&self, made: &Preparation<'_>) -> Result<Vec<Card>, CardError> {
         let options = self.options();
         let mut cards = vec![
@@ -37,7 +38,7 @@ impl<T: ConvReal> Simulator<T> {
             Card::new(
                 "PSFANCH",
                 options.anchor.to_string(),
-                "whose PSF applies: source or output pixel",
+                "position of the PSF: source or output pixel",
             )?,
             Card::new("PSFPREC", T::NAME, "working precision")?,
             Card::new(
@@ -53,7 +54,7 @@ impl<T: ConvReal> Simulator<T> {
             Card::new(
                 "PSFNORM",
                 made.model.normalisation().to_string(),
-                "unit: every PSF has unit flux",
+                "unit: every PSF has unit flux, keep: as stored",
             )?,
         ];
         if options.method.has_plan() {
@@ -66,9 +67,10 @@ impl<T: ConvReal> Simulator<T> {
         Ok(cards)
     }
 
-    /// Returns the cards of a scene for its image: world coordinates refer to the frame's pixels,
-    /// and the cards about the making of the scene are removed. If `of_image` is true, `header` is
-    /// that of the scene's image and counts its pixels. Otherwise it counts frame pixels.
+    /// Converts the header of a scene to cards for the image of the scene. World coordinates then
+    /// refer to the frame's pixels. The cards of an earlier spot check and of a batch job are
+    /// removed. If `of_image` is true, the world coordinates of `header` refer to pixels of the
+    /// scene's image. Otherwise they refer to frame pixels.
     pub fn carried_header(&self, header: &HeaderCards, of_image: bool) -> HeaderCards {
         let (frame, s) = (self.frame(), self.options().oversample);
         let mut header = if of_image {
@@ -77,7 +79,8 @@ impl<T: ConvReal> Simulator<T> {
         } else {
             header.shifted_origin(frame.x0(), frame.y0())
         };
-        // A scene may itself be a result. Its check and its job do not apply to this image.
+        // The scene may be an image that psfield made. Its spot check and its batch job do not
+        // apply to the new image.
         for keyword in SpotCheck::KEYWORDS.into_iter().chain([JOB_KEYWORD]) {
             header.remove(keyword);
         }

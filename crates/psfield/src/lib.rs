@@ -1,4 +1,5 @@
-//! Simulates images whose point spread function (PSF) varies over the field. Joins the stages.
+//! Simulates images whose point spread function (PSF) varies over the field. This crate joins the
+//! stages of the simulation:
 //!
 //! ```text
 //! PSF source --psf_sample--> samples --psf_basis--> basis + coefficients --coeff_field--> model
@@ -8,12 +9,12 @@
 //!
 //! Each stage is a crate of its own, re-exported here. Four types join them:
 //!
-//! | type | is |
+//! | type | meaning |
 //! |---|---|
-//! | [`Psf`] | a PSF over a field, from samples, a model or a file of any format. Fitted when first needed |
+//! | [`Psf`] | a PSF over a field, from samples, a model or a file. Samples are fitted on demand |
 //! | [`Scene`] | the light before the PSF: an image at its own sampling, stars, galaxies |
 //! | [`SimulateOptions`] | every setting, with its default |
-//! | [`Simulator`] | a PSF with a scene's shape and settings. Makes images, and its plans when first needed |
+//! | [`Simulator`] | makes images of scenes of one shape, with one PSF and one choice of settings |
 //!
 //! ```no_run
 //! use psfield::prelude::*;
@@ -48,7 +49,8 @@
 //!
 //! # Features
 //! `gpu` (off by default): plans can run on any GPU that Vulkan, Metal, DirectX 12 or OpenGL drives
-//! ([`Device`]). Without it everything runs on the processor, and no GPU library is compiled.
+//! ([`Device`]). Without this feature, everything runs on the processor, and no GPU library is
+//! compiled.
 
 pub mod convert;
 mod device;
@@ -72,7 +74,7 @@ pub use {
 };
 
 pub use device::{
-    CpuReason, GpuSeconds, Placement, PredictedSeconds, WORTH_A_LOOK_SECONDS, forget_gpus, open_gpu,
+    CpuReason, GpuSeconds, MIN_SECONDS_FOR_GPU, Placement, PredictedSeconds, forget_gpus, open_gpu,
 };
 pub use error::{ErrorKind, PsfieldError, error_text};
 pub use evaluate::{

@@ -26,11 +26,13 @@ pub const MEASUREMENT_COLUMNS: [&str; 16] = [
     "note",
 ];
 
-/// The measurements of one PSF. A field is None if its measurement failed. `note` then says why.
+/// The measurements of one PSF. A field is None if its measurement failed. In this case, `note`
+/// says why.
 ///
-/// Lengths are in pixels of the array. `flux ... ellipticity` are those of an elliptical Gaussian
-/// fit (geometric-mean FWHM, `ellipticity = sqrt(1 - b^2 / a^2)`). `e1 ... sigma_px` are those of
-/// adaptive moments (`e`: distortion, `g`: reduced shear).
+/// Lengths are in pixels of the array. The fields from `flux` to `ellipticity` are from the fit of
+/// an elliptical Gaussian (`fwhm_px` is the geometric mean, `ellipticity = sqrt(1 - b^2 / a^2)`).
+/// The fields from `e1` to `sigma_px` are from adaptive moments (`e`: distortion, `g`: reduced
+/// shear).
 #[derive(Debug, Clone, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 #[allow(missing_docs, reason = "the columns of the table, described above")]
@@ -56,15 +58,15 @@ pub struct Measurement {
 /// Options for the measurement of PSFs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct MeasureOptions {
-    /// The Gaussian is fitted to this many central pixels along each axis. None: to the whole stamp
-    /// or, on an image, to [`MeasureOptions::IMAGE_WINDOW`] pixels.
+    /// The size of the central window, in pixels along each axis, to which the Gaussian is fitted.
+    /// None: the whole stamp or, on an image, [`MeasureOptions::IMAGE_WINDOW`] pixels.
     pub window: Option<usize>,
-    /// If true, the fit has a constant background.
+    /// If true, a constant background is fitted too.
     pub background: bool,
 }
 
 impl MeasureOptions {
-    /// The window about each position of an image if none is given.
+    /// The size of the window about each position of an image, in pixels, if the caller gives none.
     pub const IMAGE_WINDOW: usize = 15;
 
     /// Measures every plane of a cube `[plane, y, x]`. Centroids are 0-based stamp indices.
@@ -86,7 +88,7 @@ impl MeasureOptions {
     }
 
     /// Measures an image in a window about each position. Centroids are in pixels of the image.
-    /// Adaptive moments use the same window, so that neighbours do not count.
+    /// Adaptive moments use the same window, so that light outside it has no effect.
     pub fn image<T: Real>(self, image: ArrayView2<'_, T>, positions: &[Position]) -> Vec<Measurement> {
         let size = self.window.unwrap_or(Self::IMAGE_WINDOW);
         let (ny, nx) = image.dim();

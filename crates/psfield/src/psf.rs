@@ -19,8 +19,8 @@ use crate::{ErrorKind, FitOptions, PsfieldError};
 pub use format_records::record_of_psfex;
 pub use open::{FitChoices, PsfFileOptions};
 
-/// A PSF over a field: samples, a model, or a PSF file of any format. Samples are fitted when the
-/// model is first needed, and the fit is kept. Cloning is cheap: clones share the fit.
+/// A PSF over a field, from samples, a model, or a PSF file of any format. Samples are fitted when
+/// the model is first needed, and the fit is kept. Cloning is cheap: clones share the fit.
 ///
 /// ```
 /// use ndarray::Array3;
@@ -55,7 +55,8 @@ pub struct Note {
 }
 
 impl Note {
-    /// The field of [`PsfFileOptions`] that changes what the note says, if one does.
+    /// The field of [`PsfFileOptions`] that changes the choice which the note reports. None if no
+    /// field does.
     pub fn setting(&self) -> Option<&'static str> {
         self.setting
     }
@@ -72,7 +73,7 @@ impl std::fmt::Display for Note {
 struct SourceFile {
     kind: Option<FileKind>,
     notes: Vec<Note>,
-    /// The model of a PSFEx file, which is written unchanged.
+    /// The model of a PSFEx file. A conversion to PSFEx of equal degree writes it unchanged.
     psfex: Option<PsfexModel>,
 }
 
@@ -131,7 +132,7 @@ impl Psf {
         Ok(PsfSamples::new(stamps, positions, StampGrid::new(nx, ny)?)?.into())
     }
 
-    /// Samples over its field a PSF that can be evaluated at any position.
+    /// Samples a source, which can draw the PSF at any position, over the field.
     ///
     /// # Errors
     /// [`ErrorKind::Sampling`].
@@ -175,7 +176,7 @@ impl Psf {
         self.0.source.kind
     }
 
-    /// Notes on the reading of the file, in plain sentences for the user.
+    /// Notes for the user on how the file was read, in plain sentences.
     pub fn notes(&self) -> &[Note] {
         &self.0.source.notes
     }
@@ -194,8 +195,8 @@ impl Psf {
         }
     }
 
-    /// Positions of the samples, or of the model's nodes. A model whose coefficient field the
-    /// caller implements has no nodes: pixel (0, 0).
+    /// Positions of the samples, or of the model's nodes. Returns only pixel (0, 0) for a model
+    /// whose coefficient field the caller implements, because it has no nodes.
     pub fn positions(&self) -> &SamplePositions {
         match &self.0.origin {
             Origin::Samples(samples, _) => samples.positions(),
@@ -215,7 +216,7 @@ impl Psf {
         get_or_make(&self.0.fit, || fit(samples.clone(), options)).map(Some)
     }
 
-    /// The model as a file stores it: the fit of the samples, or the stored model.
+    /// The model in the form that a file stores: the fit of the samples, or the stored model.
     ///
     /// # Errors
     /// The errors of [`fit()`], and [`ErrorKind::Format`] for a model whose coefficient field the
@@ -243,9 +244,9 @@ impl Psf {
         }
     }
 
-    /// An upper bound, in pixels, on the distance from which light beyond the edges of the image
-    /// contributes: the width of a stamp plus one. With `stamp_size`, where stamps are cut or
-    /// padded, that size plus one ([`stamp_size`](crate::SimulateOptions::stamp_size)).
+    /// An upper bound, in frame pixels, on the distance over which the PSF spreads light: the
+    /// longer side of a stamp plus one. If stamps are cut or padded to
+    /// [`stamp_size`](crate::SimulateOptions::stamp_size), it is `stamp_size` plus one.
     pub fn reach(&self, stamp_size: Option<usize>) -> usize {
         let grid = self.grid();
         let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();
@@ -266,7 +267,7 @@ pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
         .saturating_mul(size_of::<f64>());
     if bytes > MAX_STACK_BYTES {
         let message = format!(
-            "{stamps} stamps of {} x {} pixels would fill more than {} GiB: ask for fewer or smaller ones",
+            "{stamps} stamps of {} x {} pixels would fill more than {} GiB: ask for fewer or smaller stamps",
             grid.nx(),
             grid.ny(),
             MAX_STACK_BYTES >> 30
@@ -276,11 +277,11 @@ pub fn check_stack(stamps: usize, grid: StampGrid) -> Result<(), PsfieldError> {
     Ok(())
 }
 
-/// Returns the value, and makes it first if it does not exist yet.
+/// Returns the kept value. Makes it first if it does not exist yet.
 ///
-/// No thread waits for another. Two threads that arrive at once both make the value, and one result
-/// is kept. A lock would be held while rayon works. A thread that takes up other work meanwhile
-/// could then wait for a lock that it holds itself.
+/// No thread waits for another. If two threads call at the same time, both make the value, and one
+/// result is kept. A lock could cause a deadlock: rayon may give a thread that holds the lock
+/// another task, and this task could wait for the same lock.
 pub(crate) fn get_or_make<V, E>(kept: &OnceLock<V>, make: impl FnOnce() -> Result<V, E>) -> Result<&V, E> {
     if let Some(value) = kept.get() {
         return Ok(value);

@@ -1,8 +1,8 @@
 //! Formats numbers for people to read.
 
 /// Formats a number with `figures` significant figures (at least 1) without trailing zeros: `0.05`,
-/// `9216`, `2.5e-7`. A number has an exponent if it is below a thousandth, or if it has more digits
-/// before the point than `figures` (and than five).
+/// `9216`, `2.5e-7`. A number is written with an exponent if it is below a thousandth, or if it has
+/// more than `figures` and more than five digits before the point.
 pub fn readable(value: f64, figures: usize) -> String {
     if value == 0.0 {
         return "0".to_owned();

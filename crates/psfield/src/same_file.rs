@@ -1,15 +1,15 @@
-//! Finds outputs that would replace an input, or each other.
+//! Finds outputs that would replace an input or another output.
 
 use std::path::{Path, PathBuf};
 
 use crate::{ErrorKind, PsfieldError};
 
-/// Checks, before the work is done, that all outputs of a run can be written, as far as this can be
-/// known.
+/// Checks that all outputs of a run can be written, as far as this can be known before the work is
+/// done.
 ///
 /// # Errors
-/// [`ErrorKind::Setting`] when two outputs are one file, or if an output is among `inputs`. Inputs
-/// are never replaced, whatever `overwrite` is. Also the errors of
+/// [`ErrorKind::Setting`] if two outputs are the same file, or if an output is among `inputs`.
+/// Inputs are never replaced, even if `overwrite` is true. Also the errors of
 /// [`check_output`](psf_io::check_output).
 pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Result<(), PsfieldError> {
     let mut taken: Vec<PathBuf> = inputs.iter().map(|path| resolved(path)).collect();
@@ -28,7 +28,8 @@ pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Re
     Ok(())
 }
 
-/// Returns one name for a file, however its path is written. The file need not exist.
+/// Returns an absolute path of a file. Different spellings of its path give equal results. The file
+/// need not exist.
 pub fn resolved(path: &Path) -> PathBuf {
     if let Ok(place) = path.canonicalize() {
         return place;

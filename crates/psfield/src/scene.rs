@@ -8,10 +8,10 @@ use psf_types::{DataError, Image, ImageView, PointSource, Real, SersicSource};
 /// The light before the PSF: an image `[y, x]` in flux per pixel at its own sampling, stars,
 /// galaxies, or any of them together.
 ///
-/// Positions and sizes of stars and galaxies are in pixels of the frame, 0-based. An integer is the
-/// centre of a pixel. They count from the first pixel of the scene and may lie outside it. The
-/// image may be finer than the frame ([`oversample`](crate::SimulateOptions::oversample)). Stars
-/// and galaxies are in pixels of the frame all the same.
+/// Positions and sizes of stars and galaxies are in pixels of the frame, even if the image is finer
+/// than the frame ([`oversample`](crate::SimulateOptions::oversample)). Positions count from the
+/// first pixel of the scene, 0-based, and an integer is the centre of a pixel. They may lie outside
+/// the scene.
 ///
 /// The image is owned or borrowed. A borrowed image is not copied if the pixels of each row are
 /// neighbours in memory.

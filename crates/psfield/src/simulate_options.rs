@@ -25,31 +25,35 @@ pub struct SimulateOptions {
     /// The largest relative L2 error that the engine may add to the PSF of any single pixel or
     /// star, from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan.
     pub tolerance: f64,
-    /// Chooses the PSF that applies: that of each source, or that of each pixel of the image.
+    /// Chooses the position at which the PSF is evaluated: that of each source, or that of each
+    /// pixel of the image.
     pub anchor: Anchor,
-    /// The most bytes that a plan keeps in memory ([`PlanOptions::with_memory`]). Applies to the
-    /// methods with a plan.
+    /// The largest number of bytes that a plan keeps in memory ([`PlanOptions::with_memory`]).
+    /// Applies to the methods with a plan.
     pub memory: usize,
     /// Pixels of the scene's image along each side of a pixel of the frame, 1 to
     /// [`MAX_OVERSAMPLE`](Self::MAX_OVERSAMPLE). Pixel `i` of the frame has its centre at
     /// `oversample i + (oversample - 1) / 2` of the scene.
     pub oversample: usize,
     /// Size of the stamps in pixels of the frame along each side, centred at `stamp_size / 2`.
-    /// Stamps of images are cut or padded to it, those of stars only cut. None: the stamps' own
-    /// size.
+    /// Stamps that convolve images are cut or padded to this size. Stamps that draw stars are only
+    /// cut. None: the stamps' own size.
     pub stamp_size: Option<usize>,
     /// The part of the scene that the image shows, in pixels of the frame counted from the scene's
-    /// first. None: all of it. Field positions of the PSF count from the first pixel of the frame.
+    /// first pixel. None: all of it. Field positions of the PSF count from the first pixel of the
+    /// frame.
     pub frame: Option<PixelRegion>,
     /// The part of the frame that is computed, in pixels of the frame counted from the frame's
-    /// first. None: all of it. Regions put together equal the image of the whole frame to rounding.
-    /// Applies to the methods with a plan.
+    /// first pixel. None: all of it. The images of all regions together equal the image of the
+    /// whole frame, to rounding. Applies to the methods with a plan.
     pub region: Option<PixelRegion>,
     /// The device that convolves images. Stars are drawn on the processor.
     pub device: Device,
-    /// A part of the name or of the backend of the only GPU to use. None: the preferred GPU.
+    /// A part of the name of the GPU to use, or its backend. No other GPU is used. None: the
+    /// preferred GPU.
     pub gpu_adapter: Option<String>,
-    /// The most bytes that a plan keeps on a GPU. None: the default of conv-core.
+    /// The largest number of bytes that a plan keeps on a GPU. None:
+    /// `GpuOptions::DEFAULT_MEMORY_BYTES` of conv-core.
     pub gpu_memory: Option<u64>,
 }
 
@@ -95,13 +99,13 @@ impl SimulateOptions {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Device {
-    /// A GPU where the plan is predicted to be faster there, else the processor. Never a driver
-    /// that runs shaders on the processor.
+    /// A GPU if the plan is predicted to be faster there, else the processor. Never an adapter that
+    /// runs shaders on the processor.
     #[default]
     Auto,
     /// The processor.
     Cpu,
-    /// A GPU. An error if that is not possible.
+    /// A GPU. It is an error if no GPU can be used.
     Gpu,
 }
 
@@ -112,16 +116,17 @@ named!(Device, "device", "auto, cpu or gpu", "auto" => Auto, "cpu" => Cpu, "gpu"
 #[non_exhaustive]
 pub enum Method {
     /// The fast engine. Each tile is computed in the cheapest way: by transforms, by the direct
-    /// sum, by single stamps, or skipped if it is dark.
+    /// sum, by single stamps, or skipped if it has no light.
     #[default]
     Auto,
     /// The fast engine, by transforms only.
     LowRank,
     /// One whole-image convolution per component ([`BasisConvolution`]).
     Basis,
-    /// One PSF per patch of this many pixels along each side ([`PatchConvolution`]). Not exact.
+    /// One PSF per patch of this many pixels along each side ([`PatchConvolution`]). This is an
+    /// approximation.
     Patch(usize),
-    /// The double sum in f64 ([`Direct`]).
+    /// The direct sum over pixels and PSF values, in f64 ([`Direct`]).
     Direct,
     /// A method that the caller implements, given to
     /// [`Psf::simulator_by`](crate::Psf::simulator_by).

@@ -31,17 +31,18 @@ use geometry::Geometry;
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub use check::SimulationWarning;
 
-/// Names the operation that a region of the frame needs, for an error.
+/// The operation that a region of the frame needs, in the words of an error message.
 const REGION: &str = "a region of the frame can be computed";
 
 /// Makes images of scenes of one shape through a PSF. Models and plans are made when the first
 /// scene needs them, and kept for all later scenes. [`prepare`](Self::prepare) makes them
-/// beforehand. Many threads may use one simulator at once, each with a scene of its own. Two
-/// threads that need a plan before it exists both make it, and one result is kept.
+/// beforehand. Many threads may use one simulator at the same time, each with its own scene. If two
+/// threads need a plan before it exists, both make it, and one result is kept.
 ///
-/// Images are convolved with stamps at the scene's pixels. Stars are drawn with the stamps
-/// unchanged: an oversampled stamp places a star between pixels more accurately than its resampled
-/// version would. The response of a frame pixel is applied once. Stamps that lack it get it here.
+/// The image in a scene is convolved with stamps that are resampled to the scene's pixels. Stars
+/// are drawn with the PSF's own stamps, because oversampled stamps place a star between pixels more
+/// accurately than resampled ones. The result includes the response of a frame pixel exactly once.
+/// If the stamps lack this response, the simulator adds it.
 ///
 /// Galaxies are integrated over the pixels of the scene and then convolved, so that the scene's
 /// pixels blur them. [`SimulationWarning::BlurredGalaxies`] says when this matters.
@@ -72,10 +73,10 @@ pub struct Simulator<T: ConvReal> {
     shared: Arc<Shared<T>>,
     options: SimulateOptions,
     geometry: Geometry,
-    /// For scenes without galaxies.
+    /// Convolves scenes without galaxies.
     images: OnceLock<Convolver<T>>,
-    /// For scenes with galaxies. Galaxies reach in from beyond the edges: dark pixels are put
-    /// around the scene.
+    /// Convolves scenes with galaxies. Pixels around the scene hold the light of galaxies beyond
+    /// its edges, which the PSF spreads into the image.
     padded: OnceLock<Convolver<T>>,
     /// True if `padded` ran last, false if `images` did.
     ran_padded: AtomicBool,
@@ -85,19 +86,20 @@ pub struct Simulator<T: ConvReal> {
 #[derive(Debug)]
 struct Shared<T: ConvReal> {
     psf: Psf,
-    /// None: the fast engine.
+    /// None for the fast engine.
     method: Option<Box<dyn ConvolutionMethod<T>>>,
-    /// The model on the scene's pixels, and the seconds that it took.
+    /// The model on the scene's pixels, and the seconds that its fit took.
     image_model: OnceLock<(PsfModel, f64)>,
     stars: OnceLock<Stars<T>>,
 }
 
-/// Convolves extended light.
+/// Convolves extended light: the image of the scene and the galaxies.
 #[derive(Debug)]
 struct Convolver<T: ConvReal> {
-    /// None: a method without a plan convolves.
+    /// None for a method without a plan.
     engine: Option<Engine<T>>,
     placement: Placement,
+    /// Pixels around the scene on every side.
     padding: usize,
     seconds: f64,
 }
@@ -113,17 +115,19 @@ impl<T: ConvReal> Convolver<T> {
 #[derive(Debug)]
 struct Stars<T: ConvReal> {
     model: PsfModel,
-    /// None: stars are drawn one by one from all components, in f64.
+    /// If None, stars are drawn one by one from all components, in f64.
     plan: Option<StarPlan<T>>,
     fit_seconds: f64,
     plan_seconds: f64,
 }
 
-/// The model and the plan for scenes of one kind, and the time that they took.
+/// The model and the plan for scenes of one kind (with or without an image, stars and galaxies),
+/// and the time that they took.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
 pub struct Preparation<'a> {
-    /// The model that convolves images. For scenes with only stars, the model that draws them.
+    /// The model for the convolution of images. For scenes with only stars, the model for drawing
+    /// the stars.
     pub model: &'a PsfModel,
     /// The plan for extended light. None for scenes with only stars, and for methods without a
     /// plan.
@@ -136,13 +140,13 @@ pub struct Preparation<'a> {
     pub plan_seconds: f64,
 }
 
-/// Extended light for a convolver, and the column and the row of the scene at which it begins. The
-/// scene is the padded one where there are galaxies.
+/// Extended light for a convolver, and the column and the row of the scene at which it begins. They
+/// count pixels of the padded scene if there are galaxies.
 type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
 
 impl<T: ConvReal> Simulator<T> {
     /// The largest number of pixels of a scene without an image: 4 GiB in f32. A larger number is
-    /// taken for a mistake.
+    /// an error, because it is probably a mistake.
     pub const MAX_PIXELS: usize = 1 << 30;
 
     /// The PSF.
@@ -165,7 +169,7 @@ impl<T: ConvReal> Simulator<T> {
         self.geometry.region.shape()
     }
 
-    /// The frame, in frame pixels counted from the scene's first.
+    /// The frame, in frame pixels counted from the scene's first pixel.
     pub fn frame(&self) -> PixelRegion {
         self.geometry.frame
     }
@@ -175,31 +179,31 @@ impl<T: ConvReal> Simulator<T> {
     /// # Errors
     /// The errors of [`simulate_into`](Self::simulate_into).
     pub fn simulate(&self, scene: &Scene<'_, T>) -> Result<Image<T>, PsfieldError> {
-        // Check before memory is allocated.
+        // Check the scene before memory is allocated.
         self.check_sources(scene, false)?;
         let mut image = self.zeros();
         self.simulate_into(scene, image.view_mut(), &NoProgress)?;
         Ok(Image::new(image)?)
     }
 
-    /// Returns a dark image `[y, x]` for [`simulate_into`](Self::simulate_into). Its memory pages
-    /// have been written to. Adding to it is therefore faster than adding to a large array of zeros
-    /// that was allocated in another way.
+    /// Returns an image of zeros, `[y, x]`, for [`simulate_into`](Self::simulate_into). Its memory
+    /// pages are already written. Additions to it are therefore faster than to a large array of
+    /// zeros from the allocator.
     pub fn zeros(&self) -> Array2<T> {
         let shape = self.image_shape();
         conv_core::zeros((shape.ny(), shape.nx()))
     }
 
-    /// Adds the image of a scene to `image`, `[y, x]` of the frame or of the region. Returns how
-    /// the tiles of the extended light were treated.
+    /// Adds the image of a scene to `image`, `[y, x]` of the frame or of the region. Returns the
+    /// number of tiles of extended light that were computed in each way.
     ///
     /// The scene's image has the shape of the simulator's scenes. If the simulator has a region, it
-    /// may also be the part of the scene that reaches the region
+    /// may also be only the part of the scene whose light reaches the region
     /// ([`light_region`](Self::light_region)).
     ///
     /// # Errors
-    /// [`PsfieldError`] for shapes that do not fit, light where the PSF is not known, a flux that
-    /// `T` cannot hold, and [`ErrorKind::Cancelled`], after which the image is incomplete.
+    /// [`PsfieldError`] for a wrong shape, light where the PSF is not known, or a flux that `T`
+    /// cannot hold. After [`ErrorKind::Cancelled`] the image is incomplete.
     #[inline(never)]
     pub fn simulate_into(
         &self,
@@ -223,13 +227,14 @@ impl<T: ConvReal> Simulator<T> {
         Ok(counts)
     }
 
-    /// Computes the transpose of [`simulate`](Self::simulate) for scenes that are images. Each
-    /// pixel of the result is the derivative, with respect to that pixel of the scene, of the
-    /// scalar product of the scene's image with `image`. `image` is `[y, x]` of the frame or of the
-    /// region. For every image scene `f`, `<A f, g> = <f, A^T g>`. For a finer scene, `A`
+    /// Computes `A^T g` for an image `g`, where `A` is [`simulate`](Self::simulate) for scenes
+    /// without stars and galaxies. For every such scene `f`, `<A f, g> = <f, A^T g>`. Each pixel of
+    /// the result is thus the derivative of `<A f, g>` with respect to this pixel of `f`. `image`
+    /// (`g`) is `[y, x]` of the frame or of the region. For a scene finer than the frame, `A`
     /// convolves, samples at the centres of the frame's pixels, and multiplies by their area in
-    /// pixels of the scene. The result is `[y, x]` of the scene or, if the simulator has a region,
-    /// of the part that reaches it ([`light_region`](Self::light_region)).
+    /// pixels of the scene. The result is `[y, x]` of the scene. If the simulator has a region, it
+    /// is only the part of the scene whose light reaches the region
+    /// ([`light_region`](Self::light_region)).
     ///
     /// # Errors
     /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a
@@ -262,7 +267,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Returns a simulator for another region of the same frame, in frame pixels counted from the
-    /// frame's first. It takes over the tiles chosen for this simulator, and shares its plan for
+    /// frame's first pixel. It uses the tiles chosen for this simulator, and shares its plan for
     /// stars. This is much faster than a new plan.
     ///
     /// # Errors
@@ -296,8 +301,8 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// The part of the scene whose light reaches the computed region, in pixels of the scene. All
-    /// of the scene for methods without a plan.
+    /// The part of the scene whose light reaches the computed region, in pixels of the scene. For
+    /// methods without a plan, it is the whole scene.
     ///
     /// # Errors
     /// The errors of [`prepare`](Self::prepare).
@@ -309,13 +314,13 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Makes the models and the plans that scenes of this kind need, unless they exist. `rows` says
-    /// that an image will be read by rows ([`stream`](Self::stream)), and that the scene does not
-    /// hold it.
+    /// Makes the models and the plans that scenes of this kind need, unless they exist. If `rows`
+    /// is true, the image of the scene will be read row by row ([`stream`](Self::stream)), and
+    /// `scene` does not hold it.
     ///
     /// # Errors
-    /// [`PsfieldError`] when a fit or a plan fails, or if the GPU that was asked for cannot be
-    /// used.
+    /// [`PsfieldError`] if a fit or a plan fails, or if [`Device::Gpu`] was chosen and no GPU can
+    /// be used.
     #[inline(never)]
     pub fn prepare(
         &self,
@@ -326,7 +331,7 @@ impl<T: ConvReal> Simulator<T> {
         self.check_sources(scene, rows)?;
         let extended = rows || has_extended_light(scene);
         let with_stars = !extended || !scene.stars().is_empty();
-        // Parts that exist already count 0 seconds.
+        // Models and plans that already exist count 0 seconds.
         let new_model = self.shared.image_model.get().is_none();
         let new_convolver = self.kept(scene).get().is_none();
         let new_stars = self.shared.stars.get().is_none();
@@ -389,14 +394,14 @@ impl<T: ConvReal> Simulator<T> {
         let (shape, s) = (self.geometry.shape, self.geometry.oversample);
         if !rows && scene.image().is_none() && shape.pixel_count() > Self::MAX_PIXELS {
             let (nx, ny) = (shape.nx() / s, shape.ny() / s);
-            let message = format!("a scene of {nx} x {ny} pixels without an image is too large");
+            let message = format!("a scene of {nx} x {ny} frame pixels without an image is too large");
             return Err(PsfieldError::new(ErrorKind::TooLarge, message).with_setting("shape"));
         }
         Ok(())
     }
 
-    /// Number of dark pixels to put around a scene on every side. Galaxies at its edges reach into
-    /// them.
+    /// Number of pixels to add around a scene on every side. They hold the light of galaxies beyond
+    /// its edges.
     fn padding(&self, scene: &Scene<'_, T>) -> usize {
         if scene.galaxies().is_empty() {
             0
@@ -406,7 +411,7 @@ impl<T: ConvReal> Simulator<T> {
         }
     }
 
-    /// The place of the convolver for scenes of this kind.
+    /// The cell that keeps the convolver for this scene and others of its kind.
     fn kept(&self, scene: &Scene<'_, T>) -> &OnceLock<Convolver<T>> {
         if scene.galaxies().is_empty() {
             &self.images
@@ -493,7 +498,8 @@ impl<T: ConvReal> Simulator<T> {
         progress: &dyn Progress,
     ) -> Result<Light<'a, T>, PsfieldError> {
         let (whole, padding) = (self.geometry.shape, convolver.padding);
-        // The shape of the image tells whether it is the whole scene or a part.
+        // The scene's image is the whole scene, or only the part whose light reaches the region.
+        // Its shape tells which.
         let mut of_image = (0, 0);
         if let Some(image) = scene.image()
             && image.shape() != whole
@@ -525,7 +531,8 @@ impl<T: ConvReal> Simulator<T> {
             );
         }
         let galaxies = self.geometry.fine_galaxies(scene.galaxies(), padding)?;
-        // The progress counts only the steps of the convolution.
+        // Steps of the drawing do not count, because the progress counts the steps of the
+        // convolution.
         let (first, uncounted) = ((part.x0(), part.y0()), Uncounted(progress));
         sersic::add_galaxies_with_progress(light.view_mut(), first, &galaxies, &uncounted)
             .map_err(ConvError::from)?;
@@ -547,7 +554,7 @@ impl<T: ConvReal> Simulator<T> {
                 .shared
                 .method
                 .as_ref()
-                .expect("without a plan there is a method");
+                .expect("a simulator without a plan has a method");
             let frame = self.geometry.fine_frame(convolver.padding)?;
             let fine = method.convolve(self.image_model()?.0, light, frame, progress)?;
             self.geometry.add_sampled(fine.pixels(), image);
@@ -595,10 +602,10 @@ fn has_extended_light<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
     scene.image().is_some() || !scene.galaxies().is_empty()
 }
 
-/// Copies an image onto a plane, where they overlap. The image's first pixel lies at column and row
-/// `first` of the plane.
+/// Copies the pixels of an image to a plane where both overlap. The image's first pixel lies at
+/// column and row `first` of the plane.
 fn assign_overlap<T: ConvReal>(mut plane: ArrayViewMut2<'_, T>, image: ArrayView2<'_, T>, first: (i64, i64)) {
-    // The range of overlap in both.
+    // Returns the overlapping range of the plane, and that of the image.
     let along = |first: i64, plane: usize, image: usize| {
         let (of_plane, of_image) = (first.clamp(0, plane as i64), (-first).clamp(0, image as i64));
         let length = (plane as i64 - of_plane).min(image as i64 - of_image).max(0);

@@ -8,16 +8,18 @@ use serde::Serialize;
 
 use crate::{Method, PsfieldError, SimulateOptions};
 
-/// Relative r.m.s. rounding errors of images by transforms. They are a few 1e-7 (f32) and 1e-15
-/// (f64), and more where a scene's light varies by decades.
+/// The largest relative r.m.s. rounding errors accepted. For images made by transforms, errors are
+/// a few times 1e-7 (f32) and 1e-15 (f64). They are larger if the scene's light varies by decades.
 const ROUNDING_F32: f64 = 1e-5;
 const ROUNDING_F64: f64 = 1e-10;
-/// The largest ratio of the error at single pixels to that of the PSF as a whole.
+/// The largest accepted ratio of the relative error at the checked pixels to the relative error of
+/// the whole PSF.
 const PIXELS_OVER_PSF: f64 = 3.0;
 
 /// The difference of an image from the direct sum in f64 at random pixels, half of them where the
-/// image is bright. It measures the error that the engine adds to the model. It does not measure
-/// the error of the model itself, nor that of stamps too coarse for stars between their pixels.
+/// image is bright. The check measures the error that the engine adds to the model. It does not
+/// measure the error of the model itself, nor the error of stamps that are too coarse to draw stars
+/// between pixels.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct SpotCheck {
@@ -29,11 +31,11 @@ pub struct SpotCheck {
     pub max_abs: f64,
     /// The root mean square of the differences.
     pub rms: f64,
-    /// The largest absolute difference over the image's largest absolute value. None for a dark
-    /// image.
+    /// The largest absolute difference, divided by the image's largest absolute value. None for an
+    /// image of zeros.
     pub max_over_peak: Option<f64>,
-    /// `rms` over the root mean square of the direct sum at the same pixels. None where all are
-    /// dark.
+    /// `rms`, divided by the root mean square of the direct sum at the same pixels. None if the
+    /// direct sum is 0 at all these pixels.
     pub relative_rms: Option<f64>,
     /// The largest `relative_rms` that the method promises. None if it promises nothing.
     pub limit: Option<f64>,
@@ -49,10 +51,11 @@ impl SpotCheck {
     /// The verdict on an image that differs by more than its method promises.
     pub const FAILED: &str = "failed";
 
-    /// The largest relative r.m.s. difference that a simulation with these options promises in the
-    /// working precision `T` ([`judged`](Self::judged)). It is that of rounding, plus three times
-    /// the tolerance for methods that have one. None for patches and for the caller's own method if
-    /// there is extended light (`extended`): they promise nothing.
+    /// The limit for [`judged`](Self::judged): the largest relative r.m.s. difference that a
+    /// simulation with these options and the working precision `T` promises. It is the limit for
+    /// rounding. Methods with a tolerance add three times the tolerance. `extended` says whether
+    /// the scene has extended light. If so, the limit is None for patches and for the caller's own
+    /// method, because they promise nothing.
     ///
     /// ```
     /// use psfield::{Method, SimulateOptions, SpotCheck};
@@ -122,8 +125,8 @@ impl SpotCheck {
         })
     }
 
-    /// Adds a verdict. The check passes if the relative r.m.s. difference is at most `limit`. Where
-    /// all compared pixels are dark, it passes only without any difference.
+    /// Adds a verdict. The check passes if the relative r.m.s. difference is at most `limit`. If
+    /// the direct sum is 0 at all compared pixels, the check passes only if all differences are 0.
     #[must_use]
     pub fn judged(self, limit: f64) -> Self {
         let passed = match self.relative_rms {
@@ -140,7 +143,7 @@ impl SpotCheck {
     /// Header cards with the result.
     ///
     /// # Errors
-    /// [`CardError`] for figures that are not finite.
+    /// [`CardError`] for differences that are not finite.
     pub fn cards(&self) -> Result<[Card; 5], CardError> {
         let [count, seed, largest, rms, verdict] = Self::KEYWORDS;
         let found = match self.passed {
@@ -150,23 +153,24 @@ impl SpotCheck {
         };
         Ok([
             Card::new(count, self.pixels, "pixels checked against the direct sum")?,
-            Card::new(seed, self.seed.to_string(), "seed that chose them")?,
+            Card::new(seed, self.seed.to_string(), "seed that chose the checked pixels")?,
             Card::new(largest, self.max_abs, "largest difference found")?,
             Card::new(rms, self.rms, "r.m.s. difference found")?,
-            Card::new(verdict, found, "against what the method promises")?,
+            Card::new(verdict, found, "is the error within the method's limit?")?,
         ])
     }
 }
 
-/// Picks pixels of an image that is read row by row. Half of them may lie anywhere, half lie where
-/// the image is bright (the chance of a pixel is proportional to its absolute value). The choice
-/// depends only on the image and the seed.
+/// Picks random pixels of an image that is read row by row. For half of them, all pixels of the
+/// image are equally probable. For the other half, the probability of a pixel is proportional to
+/// its absolute value. The choice depends only on the image and the seed.
 #[derive(Debug, Clone)]
 pub struct PixelPicker {
-    /// The pixels that lie anywhere: `(row, column)`, ascending, and their values so far.
+    /// The pixels of the first half: `(row, column)`, ascending.
     anywhere: Vec<(usize, usize)>,
+    /// The values of the pixels in `anywhere` whose rows have been read.
     values: Vec<f64>,
-    /// The bright pixels: `(row, column, value)`, replaced as more rows are read.
+    /// The pixels of the second half: `(row, column, value)`, replaced as more rows are read.
     bright: Vec<(usize, usize, f64)>,
     bright_count: usize,
     rng: ChaCha8Rng,
@@ -179,16 +183,16 @@ pub struct PixelPicker {
 /// A pixel and its value.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PickedPixel {
-    /// Column of the frame.
+    /// Column of the image.
     pub column: usize,
-    /// Row of the frame.
+    /// Row of the image.
     pub row: usize,
     /// The image's value.
     pub value: f64,
 }
 
 impl PixelPicker {
-    /// Makes a picker of `count` pixels of a frame.
+    /// Makes a picker of `count` pixels of an image with this shape.
     pub fn new(shape: FrameShape, count: usize, seed: u64) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         let bright_count = count / 2;
@@ -230,7 +234,7 @@ impl PixelPicker {
             .collect();
         if passed > 0.0 && passed.is_finite() {
             self.light += passed;
-            // A pick is replaced with a chance equal to this row's share of all light so far.
+            // Replaces each pixel with a probability equal to this row's share of all light so far.
             let chance = passed / self.light;
             let first = self.bright.is_empty();
             self.bright.resize(self.bright_count, (0, 0, 0.0));
@@ -288,7 +292,7 @@ mod tests {
         let (one, three) = (count((7, 3)), count((31, 44)));
         assert!((1990..2030).contains(&(one + three)), "{one} {three}");
         assert!((400..600).contains(&one), "{one}");
-        // The others are all over the frame.
+        // The other pixels lie all over the image.
         assert!(picked.iter().filter(|p| p.row < 20).count() > 900);
     }
 

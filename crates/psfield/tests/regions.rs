@@ -11,13 +11,14 @@ use psfield::{
     SimulatorBuilder,
 };
 
-/// Columns and rows of the frame, in its own pixels: primes.
+/// Columns and rows of the frame, in its own pixels. Both are prime numbers.
 const FRAME: (usize, usize) = (97, 83);
 /// Columns and rows of light around the frame, in pixels of the frame.
 const MARGIN: usize = 9;
 const ANCHORS: [Anchor; 2] = [Anchor::Source, Anchor::Output];
 
-/// Difference between the regions put together and the whole, relative L2: rounding of transforms.
+/// The largest relative L2 difference between the image made of all regions and the image of the
+/// whole frame. It is due to rounding of the transforms.
 const SAME_F32: f64 = 1e-6;
 const SAME_F64: f64 = 1e-12;
 
@@ -144,7 +145,7 @@ fn pieces_are_the_whole<T: ConvReal>(interpolation: Interpolation, finer: usize,
             let simulator = first.for_region(part, &NoProgress).unwrap();
             assert_eq!(simulator.options().region, Some(part));
             assert_eq!(simulator.image_shape(), part.shape());
-            // The light that a machine needs to make one region.
+            // The part of the scene that a machine needs to simulate one region.
             let reach = simulator.light_region(&NoProgress).unwrap();
             let at_hand = slice_of(light.pixels(), reach).to_owned();
             let at_hand = ImageView::new(at_hand.view()).unwrap();
@@ -152,7 +153,7 @@ fn pieces_are_the_whole<T: ConvReal>(interpolation: Interpolation, finer: usize,
             piece.fill(T::zero());
             let of_piece = Scene::from(at_hand).with_stars(&stars[..]);
             simulator.simulate_into(&of_piece, piece, &NoProgress).unwrap();
-            // Compare with a plan made directly for the region, and the whole scene.
+            // The result equals that of a plan made directly for the region, with the whole scene.
             let again = build(of_region(&options, part)).simulate(&scene).unwrap();
             assert_eq!(again.pixels(), slice_of(image.view(), part), "{case}");
         }
@@ -210,7 +211,7 @@ fn the_adjoint_is_that_of_light_sampled_at_the_frames_pixels() {
     }
 }
 
-/// Streams the image of a region row by row.
+/// A stream of rows from an array, which collects the rows of the image.
 struct Rows<'a, T> {
     light: ArrayView2<'a, T>,
     written: Vec<T>,
@@ -266,7 +267,7 @@ fn a_region_streams_and_is_checked_pixel_by_pixel() {
     }
 }
 
-/// Cancels everything at once.
+/// Cancels every call at once.
 struct Impatient;
 
 impl Progress for Impatient {

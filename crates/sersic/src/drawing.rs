@@ -1,5 +1,5 @@
-//! Draws galaxies on an image, tile by tile of the scene: pixels by integration rules, far blocks
-//! by polynomials.
+//! Draws galaxies on an image, one tile of the scene after another. Pixels near a galaxy's centre
+//! are integrated one by one, and blocks of pixels far from it are drawn as polynomials.
 
 use ndarray::{ArrayView2, ArrayViewMut2, s};
 use psf_types::{Cancelled, NoProgress, Progress, Real, SersicSource};
@@ -7,22 +7,22 @@ use rayon::prelude::*;
 
 use crate::profile::{Nearness, Profile};
 
-/// Number of tiles that are drawn in parallel at a time. It limits the memory.
-const AT_ONCE: usize = 64;
+/// Number of tiles that are drawn at the same time. A limit keeps the memory small.
+const TILES_AT_ONCE: usize = 64;
 
-/// Adds galaxies to an image `[y, x]`. Its first pixel is the pixel `(x0, y0) = first_pixel` of the
-/// scene. The galaxies' positions are in pixels of the scene (0-based, an integer is the centre of
-/// a pixel).
+/// Adds galaxies to an image `[y, x]`. The image's first pixel is the pixel `(x0, y0) =
+/// first_pixel` of the scene. The galaxies' positions are in pixels of the scene (0-based, an
+/// integer is the centre of a pixel).
 ///
 /// Each pixel receives the flux that falls on its area. Galaxies may lie partly or wholly outside
 /// the image. A galaxy's flux is the total to infinite radius, and light outside the image is lost.
 /// For the accuracy, see the [crate's page](crate).
 ///
 /// An image drawn in parts, each with its own first pixel, equals the image drawn at once. The
-/// number of threads does not change the result. The memory needed is that of at most 64 tiles of
-/// 128 x 128 pixels at a time. The time grows with the number of galaxies times the number of tiles
-/// that their light reaches. A galaxy with `re` of 3 pixels takes about 1 ms on one core, most of
-/// it for the pixels within about 50 pixels of its centre.
+/// number of threads does not change the result. The additional memory is that of 64 tiles of 128 x
+/// 128 pixels. The time grows with the number of galaxies times the number of tiles that their
+/// light reaches. A galaxy with a half-light radius of 3 pixels takes about 1 ms on one core. Most
+/// of this time is spent on the pixels within about 50 pixels of its centre.
 pub fn add_galaxies<T: Real>(
     image: ArrayViewMut2<'_, T>,
     first_pixel: (i64, i64),
@@ -35,7 +35,7 @@ pub fn add_galaxies<T: Real>(
 /// milliseconds.
 ///
 /// # Errors
-/// [`Cancelled`] if `progress` cancels. Some of the light may have been added by then.
+/// [`Cancelled`] if `progress` cancels. The image may then contain part of the light.
 pub fn add_galaxies_with_progress<T: Real>(
     mut image: ArrayViewMut2<'_, T>,
     first_pixel: (i64, i64),
@@ -49,7 +49,7 @@ pub fn add_galaxies_with_progress<T: Real>(
     let profiles: Vec<Profile> = galaxies
         .par_iter()
         .filter(|galaxy| galaxy.flux() != 0.0)
-        .map(|galaxy| progress.still_wanted().map(|()| Profile::new(galaxy)))
+        .map(|galaxy| progress.check_cancelled().map(|()| Profile::new(galaxy)))
         .collect::<Result<_, Cancelled>>()?;
     if profiles.is_empty() {
         return Ok(());
@@ -65,7 +65,7 @@ pub fn add_galaxies_with_progress<T: Real>(
         .flat_map(|y| tiles_along(first_pixel.0, nx).map(move |x| (x, y)))
         .collect();
     progress.start(corners.len() as u64);
-    for some in corners.chunks(AT_ONCE) {
+    for some in corners.chunks(TILES_AT_ONCE) {
         let drawn: Vec<Vec<f64>> = some
             .par_iter()
             .map(|&(x, y)| {
@@ -84,9 +84,10 @@ pub fn add_galaxies_with_progress<T: Real>(
     Ok(())
 }
 
-/// Adds the part of a tile that lies on the image.
+/// Adds the pixels of a tile that lie on the image. The tile begins at `row` and `column` of the
+/// image.
 fn add_tile<T: Real>(image: &mut ArrayViewMut2<'_, T>, column: i64, row: i64, pixels: &[f64]) {
-    let tile = ArrayView2::from_shape((TILE, TILE), pixels).expect("a tile's pixels");
+    let tile = ArrayView2::from_shape((TILE, TILE), pixels).expect("a tile has TILE x TILE pixels");
     let overlap = |first: i64, length: usize| {
         let start = first.max(0);
         let end = (first + TILE as i64).min(length as i64);
@@ -108,16 +109,16 @@ const TILE: usize = 128;
 /// Number of block sizes in a tile: 128, 64, 32, 16 and 8 pixels.
 const LEVELS: usize = 5;
 
-/// Relative error that a rule may have.
+/// Relative error that an integration rule or a polynomial may have.
 const RELATIVE_ERROR: f64 = 5e-5;
-/// Error that a rule may have for one pixel or a part of it, however faint, as a fraction of the
-/// flux.
+/// Error that is always allowed in a pixel or a part of it, as a fraction of the galaxy's flux.
 const ABSOLUTE_ERROR: f64 = 1e-10;
 /// Largest relative size for which the estimates below hold.
 const LARGEST_SIZE: f64 = 3.5;
 
-/// Estimates of the rules' relative errors on a square of relative size `t` (see [`Nearness`]), for
-/// both axes. `t^m` represents the m-th derivative.
+/// Estimate of the relative error of a block's polynomial of relative size `t` (see [`Nearness`]),
+/// for both axes together. The m-th derivative, times the size to the power m, is taken as `t^m`.
+/// The next three functions are estimates for the Gauss-Legendre rules.
 fn error_of_polynomial(t: f64) -> f64 {
     4.0 * (0.25 * t).powi(6) / 720.0
 }
@@ -134,10 +135,10 @@ fn error_of_gauss_4(t: f64) -> f64 {
     2.0 * t.powi(8) / 1.778e9
 }
 
-/// Data that the tiles of an image share.
+/// The nodes and the interpolation weights, which all tiles share.
 struct Rules {
     nodes: [f64; NODES],
-    /// One list for each level.
+    /// For each level, the interpolation weights of each pixel along a block.
     weights: Vec<Vec<[f64; NODES]>>,
 }
 
@@ -155,7 +156,8 @@ impl Rules {
 /// The values at the nodes of a block, rows first.
 type Block = [[f64; NODES]; NODES];
 
-/// The light on a square of [`TILE`] pixels: single pixels, and polynomials on blocks.
+/// The light on a square of [`TILE`] x [`TILE`] pixels: values of single pixels, and polynomials on
+/// blocks.
 struct Tile<'a> {
     rules: &'a Rules,
     /// First column and row in pixels of the scene.
@@ -177,7 +179,7 @@ impl<'a> Tile<'a> {
         }
     }
 
-    /// Adds a galaxy.
+    /// Adds a galaxy's light on the whole tile.
     fn add(&mut self, galaxy: &Profile, progress: &dyn Progress) -> Result<(), Cancelled> {
         self.add_block(galaxy, 0, (0, 0), progress)
     }
@@ -190,13 +192,13 @@ impl<'a> Tile<'a> {
         (row, column): (usize, usize),
         progress: &dyn Progress,
     ) -> Result<(), Cancelled> {
-        progress.still_wanted()?;
+        progress.check_cancelled()?;
         let size = TILE >> level;
         let centre = |first: f64, index: usize| first + (index * size) as f64 + 0.5 * (size - 1) as f64;
         let dx = centre(self.x0, column) - galaxy.x;
         let dy = centre(self.y0, row) - galaxy.y;
         let nearness = galaxy.nearness(dx, dy, size as f64);
-        // The test is also false for positions so far away that the distance is not finite.
+        // The comparison is also false for a galaxy so far away that the radius is not finite.
         let in_reach = nearness.radius < galaxy.last_radius.min(f64::MAX);
         if !in_reach {
             return Ok(());
@@ -217,8 +219,8 @@ impl<'a> Tile<'a> {
                 self.add_block(galaxy, level + 1, (2 * row + j, 2 * column + i), progress)?;
             }
         } else {
-            // If one rule suffices for every pixel of the block, it need not be chosen pixel by
-            // pixel.
+            // If one rule is accurate enough for every pixel of the block, no pixel needs a choice
+            // of its own.
             let of_pixels = Nearness {
                 relative_size: nearness.relative_size / size as f64,
                 ..nearness
@@ -261,12 +263,14 @@ impl<'a> Tile<'a> {
     }
 }
 
-/// The allowed relative error of a light of at most this fraction of the flux.
+/// The allowed relative error where the light is at most the fraction `at_most` of the galaxy's
+/// flux.
 fn allowed_error(at_most: f64) -> f64 {
     RELATIVE_ERROR.max(ABSOLUTE_ERROR / at_most)
 }
 
-/// The light on a square of at most one pixel around an offset from the centre, for a flux of 1.
+/// The light on a square, for a galaxy of flux 1. The square is at most one pixel large. Its centre
+/// is at (`dx`, `dy`) from the galaxy's centre.
 fn light_on_square(galaxy: &Profile, dx: f64, dy: f64, size: f64) -> f64 {
     let nearness = galaxy.nearness(dx, dy, size);
     if let Some(rule) = rule_for(galaxy, &nearness, size) {
@@ -279,8 +283,8 @@ fn light_on_square(galaxy: &Profile, dx: f64, dy: f64, size: f64) -> f64 {
         .sum()
 }
 
-/// The rule for a square of at most one pixel, or `None` if no rule is accurate enough and the
-/// square must be divided.
+/// The integration rule for a square of at most one pixel, or `None` if no rule is accurate enough
+/// and the square must be divided.
 fn rule_for(galaxy: &Profile, nearness: &Nearness, size: f64) -> Option<&'static [(f64, f64)]> {
     let at_most = galaxy.brightness_at(nearness.radius) * size * size;
     let (t, allowed) = (nearness.relative_size, allowed_error(at_most));
@@ -296,7 +300,7 @@ fn rule_for(galaxy: &Profile, nearness: &Nearness, size: f64) -> Option<&'static
     }
 }
 
-/// The integral over a square around an offset from the centre.
+/// The integral by a rule over a square whose centre is at (`dx`, `dy`) from the galaxy's centre.
 fn product(rule: &[(f64, f64)], galaxy: &Profile, dx: f64, dy: f64, size: f64) -> f64 {
     let mut sum = 0.0;
     for &(y, weight_y) in rule {
@@ -309,18 +313,18 @@ fn product(rule: &[(f64, f64)], galaxy: &Profile, dx: f64, dy: f64, size: f64) -
     sum * size * size
 }
 
-/// Number of values along an axis that determine the polynomial of a block.
+/// Number of nodes along an axis. The values at the nodes determine the polynomial of a block.
 const NODES: usize = 6;
 
 /// Two Gauss-Legendre nodes with weights for an interval of length 1 around 0.
 const GAUSS_2: [(f64, f64); 2] = [(-0.288_675_134_594_812_9, 0.5), (0.288_675_134_594_812_9, 0.5)];
-/// Three Gauss-Legendre nodes with weights for that interval.
+/// Three Gauss-Legendre nodes with weights for an interval of length 1 around 0.
 const GAUSS_3: [(f64, f64); 3] = [
     (-0.387_298_334_620_741_7, 5.0 / 18.0),
     (0.0, 8.0 / 18.0),
     (0.387_298_334_620_741_7, 5.0 / 18.0),
 ];
-/// Four Gauss-Legendre nodes with weights for that interval.
+/// Four Gauss-Legendre nodes with weights for an interval of length 1 around 0.
 const GAUSS_4: [(f64, f64); 4] = [
     (-0.430_568_155_797_026_3, 0.173_927_422_568_726_9),
     (-0.169_990_521_792_428_1, 0.326_072_577_431_273_1),
@@ -336,8 +340,8 @@ fn chebyshev_nodes() -> [f64; NODES] {
     })
 }
 
-/// For each pixel along a block of `size` pixels, the weights of the values at the nodes, by
-/// Lagrange's polynomials.
+/// For each pixel along a block of `size` pixels, Lagrange's interpolation weights of the values at
+/// the nodes.
 fn interpolation_weights(size: usize) -> Vec<[f64; NODES]> {
     let nodes = chebyshev_nodes();
     let weights_at = |at: f64| {

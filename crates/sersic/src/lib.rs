@@ -17,16 +17,18 @@
 //! ```
 //!
 //! # Accuracy
-//! Every pixel is within `1e-6` of the galaxy's total flux, and within `1e-5` of its own value plus
-//! `1e-10` of the flux. The total light of an image is within `1e-5` (`tests/accuracy.rs`). Drawing
-//! stops only at the radius outside which the fraction [`FLUX_LEFT_OUT`] of the total flux lies.
+//! The error of a pixel is below `1e-6` of the galaxy's total flux. It is also below `1e-5` of the
+//! pixel's value plus `1e-10` of the total flux. The error of the sum over an image is below `1e-5`
+//! of the sum (`tests/accuracy.rs`). In addition, drawing stops at a radius outside which the
+//! fraction [`FLUX_LEFT_OUT`] of the total flux lies.
 //!
 //! # Method
-//! A square is integrated by one rule if it is small compared with its distance from the galaxy's
-//! centre, measured in units in which the profile is smooth. Within a pixel the rule is a
-//! Gauss-Legendre product. For blocks of pixels far out it is a polynomial through 6 x 6 of their
-//! values. All other squares are divided into four. The polynomials of all galaxies are added
-//! before they are evaluated, so that far wings cost very little.
+//! A square of the image is treated as one if it is small compared with the length over which the
+//! profile changes there. Otherwise it is divided into four squares. For a pixel or a part of a
+//! pixel, a Gauss-Legendre product rule integrates the profile. For a block of pixels far from the
+//! centre, a polynomial interpolates the flux per pixel, which is computed at 6 x 6 points. The
+//! polynomials of all galaxies are added before they are evaluated, so that far wings cost very
+//! little.
 
 mod drawing;
 mod profile;

@@ -8,20 +8,20 @@ use statrs::function::gamma::{gamma_ur, ln_gamma};
 /// Fraction of a galaxy's flux that lies outside the radius at which drawing stops.
 pub const FLUX_LEFT_OUT: f64 = 1e-9;
 
-/// A galaxy smaller than this is drawn at this size. Even for `n = 8` almost no light then leaves
-/// its pixel.
+/// A smaller half-light radius is replaced by this one. Even for `n = 8`, almost all light then
+/// falls in one pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
-/// The m-th derivative along a line is at most about `I ((k + this) / r)^m` for the orders used
-/// here (up to 8), with `k = -d ln I / d ln r`. The derivatives of a power `r^-k` have the factors
-/// `k, k + 1 ... k + 7`.
+/// The m-th derivative along a line is at most about `I ((k + DERIVATIVE_OFFSET) / r)^m` for the
+/// orders used here (up to 8), with `k = -d ln I / d ln r`. The reason is that the derivatives of a
+/// power `r^-k` have the factors `k, k + 1 ... k + 7`.
 const DERIVATIVE_OFFSET: f64 = 3.0;
 
 /// Smallest and largest radius in the table of brightness, in units of the longest pixel step. At
-/// other radii the brightness is computed.
+/// other radii the brightness is computed from the formula.
 const TABLE_RADII: [f64; 2] = [0.1, 2000.0];
 
-/// `I(r) = central * exp(-b (r / re)^(1/n))` with `r = |(u, v)|`. Here (u, v) are pixel offsets
-/// rotated to the major axis. Those across the axis are divided by the axis ratio.
+/// `I(r) = central * exp(-b (r / re)^(1/n))` with `r = |(u, v)|`. Here `u` is the pixel offset
+/// along the major axis, and `v` is the offset across the major axis divided by the axis ratio.
 #[derive(Debug)]
 pub(crate) struct Profile {
     /// The galaxy's centre, in pixels of the scene.
@@ -36,25 +36,27 @@ pub(crate) struct Profile {
     inverse_index: f64,
     inverse_radius_squared: f64,
     inverse_axis_ratio_squared: f64,
-    /// (u, v) of a step of one pixel in x. `step_y` is the same in y.
+    /// (u, v) of a step of one pixel in x.
     step_x: [f64; 2],
+    /// (u, v) of a step of one pixel in y.
     step_y: [f64; 2],
-    /// The longest length in (u, v) of a step of one pixel along an axis.
+    /// Length in (u, v) of a step of one pixel in x or y, whichever is longer.
     longest_step: f64,
-    /// Radius of the circle in (u, v) around a pixel.
+    /// Largest distance in (u, v) from a pixel's centre to its corners.
     pixel_reach: f64,
     /// Radius in (u, v) outside which the fraction [`FLUX_LEFT_OUT`] of the light lies.
     pub(crate) last_radius: f64,
-    /// Made when first needed. Galaxies that do not reach the image never need it.
+    /// The table is made when it is first needed. A galaxy that does not reach the image never
+    /// needs it.
     table: OnceLock<RadialTable>,
 }
 
 /// The size of a square compared with the profile around it.
 pub(crate) struct Nearness {
-    /// The square's size divided by the length over which the profile changes at the square's
-    /// nearest point.
+    /// The square's size divided by the length over which the profile changes at the point of the
+    /// square that is nearest to the galaxy's centre.
     pub(crate) relative_size: f64,
-    /// Radius of the square's nearest point to the centre.
+    /// Radius in (u, v) of this nearest point.
     pub(crate) radius: f64,
 }
 
@@ -142,7 +144,8 @@ impl Profile {
             Some(derivatives) => derivatives,
             None => self.derivatives(r_squared),
         };
-        // With derivatives by the squared radius w: I_uu = 2 I_w + 4 u^2 I_ww, and I_vv likewise.
+        // I_w and I_ww are derivatives with respect to the squared radius w = u^2 + v^2. Then
+        // I_uu = 2 I_w + 4 u^2 I_ww, and likewise for v.
         let across = self.inverse_axis_ratio_squared;
         brightness + (2.0 * (1.0 + across) * first + 4.0 * (u2 + across * v2) * second) / 24.0
     }
@@ -159,7 +162,9 @@ impl Profile {
         ]
     }
 
-    /// Compares a square of `size` pixels around an offset from the centre with the profile.
+    /// Returns the radius of a square's nearest point, and the square's size relative to the length
+    /// over which the profile changes there. The square has sides of `size` pixels. Its centre is
+    /// at (`dx`, `dy`) from the galaxy's centre.
     pub(crate) fn nearness(&self, dx: f64, dy: f64, size: f64) -> Nearness {
         let (u, v) = self.turned(dx, dy);
         let (middle, reach) = (u.hypot(v), self.pixel_reach * size);
@@ -172,13 +177,14 @@ impl Profile {
     }
 }
 
-/// Returns `b` with `P(2n, b) = 1/2`.
+/// Returns the `b` for which half of the light lies within `re`: `P(2n, b) = 1/2`, with the
+/// regularised lower incomplete gamma function `P`.
 fn half_light_constant(n: f64) -> f64 {
     solve_decreasing(|b| gamma_ur(2.0 * n, b) - 0.5, 40.0)
 }
 
-/// Returns `x` with `Q(2n, x) = outside`: the exponent at the radius outside which this fraction of
-/// the light lies.
+/// Returns the exponent `x` at the radius outside which the fraction `outside` of the light lies:
+/// `Q(2n, x) = outside`, with `Q = 1 - P`.
 fn argument_with_outside(n: f64, outside: f64) -> f64 {
     solve_decreasing(|x| gamma_ur(2.0 * n, x).ln() - outside.ln(), 200.0)
 }
@@ -199,24 +205,27 @@ fn solve_decreasing(function: impl Fn(f64) -> f64, limit: f64) -> f64 {
     }
 }
 
-/// Number of pieces, as a power of two, over a factor of two in the squared radius. The error of a
-/// piece relative to the brightness is about `(k / 2 / 32)^4 / 384` with `k = -d ln I / d ln r`:
-/// 6e-7 at `k = 8`.
+/// The table has `2^PIECES_LOG2` pieces for each factor of two in the squared radius. A piece's
+/// error relative to the brightness is about `(k / 2 / 32)^4 / 384` with `k = -d ln I / d ln r`,
+/// which is 6e-7 at `k = 8`.
 const PIECES_LOG2: u32 = 5;
-/// Bits of a double's mantissa within a piece.
+/// Number of mantissa bits of a double that give the position within a piece.
 const BITS_WITHIN: u32 = 52 - PIECES_LOG2;
 
-/// Cubic pieces over the squared radius. The leading bits of a double give the index of its piece.
+/// A function of the squared radius, as a table of cubic pieces. The leading bits of the squared
+/// radius, a double, give the number of its piece.
 #[derive(Debug)]
 pub(crate) struct RadialTable {
+    /// The number of the first piece.
     first: u64,
-    /// Coefficients of the powers 0 to 3 of the position within the piece, from 0 to 1.
+    /// Coefficients of the powers 0 to 3 of the position within the piece. The position is from 0
+    /// to 1.
     pieces: Vec<[f64; 4]>,
 }
 
 impl RadialTable {
-    /// Makes a table between two positive, finite ends. `function` returns the value and its
-    /// derivative with respect to the squared radius.
+    /// Makes a table between two squared radii, which must be positive and finite. `function`
+    /// returns the value and its derivative with respect to the squared radius.
     pub(crate) fn new(
         lowest_squared: f64,
         highest_squared: f64,
@@ -268,7 +277,8 @@ impl RadialTable {
         ])
     }
 
-    /// Returns the number of the piece, its coefficients, and the position within it.
+    /// Returns the number and the coefficients of a squared radius's piece, and the position within
+    /// the piece.
     #[inline]
     fn piece(&self, squared: f64) -> Option<(u64, [f64; 4], f64)> {
         const WITHIN: u64 = (1 << BITS_WITHIN) - 1;
@@ -308,7 +318,7 @@ mod tests {
     }
 
     #[test]
-    fn curvature_is_that_of_the_brightness() {
+    fn pixel_flux_contains_the_curvature_of_the_brightness() {
         let profile = SersicProfile::new(5.0, 2.3, 0.4, 25.0).unwrap();
         let galaxy = SersicSource::new(Position::of_pixel(0, 0), 1.0, profile).unwrap();
         let profile = Profile::new(&galaxy);
@@ -323,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn powers_are_met_and_the_outside_is_told() {
+    fn the_table_matches_a_power_law_and_returns_none_outside() {
         let table = RadialTable::new(0.3, 1e5, |w| (w.powi(-4), -4.0 * w.powi(-5)));
         for i in 0..1000 {
             let w = 0.3 * (3e5_f64).powf(f64::from(i) / 1000.0);

@@ -9,7 +9,7 @@ use sersic::add_galaxies;
 
 /// The crate's documented error of a pixel, as a fraction of the galaxy's flux.
 const PIXEL_ERROR: f64 = 1e-6;
-/// The crate's documented error of a pixel and of the total, relative to its own value.
+/// The crate's documented error of a pixel, or of a sum, relative to its own value.
 const RELATIVE_ERROR: f64 = 1e-5;
 /// Errors below this fraction of the flux are not compared with a pixel's own value. The rules
 /// allow them, and the independent method loses digits by subtraction.
@@ -21,8 +21,8 @@ fn drawn(galaxy: &SersicSource, size: usize, first: (i64, i64)) -> Array2<f64> {
     image
 }
 
-/// Largest errors over pixels near the centre and some elsewhere: in units of the flux, and of the
-/// pixel itself.
+/// Largest errors over all pixels near the centre and some pixels elsewhere: relative to the flux,
+/// and relative to the pixel's value.
 fn worst(image: &Array2<f64>, first: (i64, i64), truth: &SersicSource) -> (f64, f64) {
     let (mut by_flux, mut by_value) = (0.0_f64, 0.0_f64);
     for ((j, i), &value) in image.indexed_iter() {
@@ -40,7 +40,7 @@ fn worst(image: &Array2<f64>, first: (i64, i64), truth: &SersicSource) -> (f64, 
 }
 
 #[test]
-fn the_other_way_knows_the_gaussian() {
+fn the_independent_method_is_right_for_a_gaussian() {
     // n = 0.5 is a Gaussian of sigma = re / sqrt(2 ln 2), whose pixels are products of error
     // functions.
     let re = 2.0;
@@ -85,7 +85,7 @@ fn every_pixel_is_as_accurate_as_promised() {
 }
 
 #[test]
-fn a_slightly_different_galaxy_is_told_apart() {
+fn a_slightly_different_galaxy_is_detected() {
     let drawn_as = galaxy(
         (64.0, 64.0),
         1.0,
@@ -108,7 +108,7 @@ fn a_slightly_different_galaxy_is_told_apart() {
 }
 
 #[test]
-fn the_light_of_an_image_is_that_of_its_area() {
+fn the_sum_of_an_image_is_the_flux_in_its_area() {
     for n in [0.4, 1.0, 2.0, 4.0, 8.0] {
         for (re, q) in [(1e-3, 1.0), (3.0, 0.6), (40.0, 0.05), (5000.0, 0.8)] {
             for first in [(-300, -280), (2, -100), (150, 40)] {
@@ -116,7 +116,7 @@ fn the_light_of_an_image_is_that_of_its_area() {
                 let total = drawn(&truth, 600, first).sum();
                 let low = (first.0 as f64 - 0.5, first.1 as f64 - 0.5);
                 let expected = flux_within(&truth, low, (low.0 + 600.0, low.1 + 600.0));
-                // Away from the galaxy there is hardly any light to compare.
+                // The second term is for images far from the galaxy, with hardly any light.
                 let allowed = RELATIVE_ERROR * expected + 2.0 * sersic::FLUX_LEFT_OUT;
                 assert!(
                     (total - expected).abs() <= allowed,

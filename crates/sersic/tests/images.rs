@@ -29,7 +29,7 @@ fn field(count: usize, size: f64) -> Vec<SersicSource> {
 }
 
 #[test]
-fn parts_are_the_whole() {
+fn an_image_drawn_in_parts_equals_the_image_drawn_at_once() {
     let galaxies = field(30, 300.0);
     let mut whole = Array2::<f64>::zeros((300, 280));
     add_galaxies(whole.view_mut(), (-10, 5), &galaxies);
@@ -76,7 +76,7 @@ impl Progress for Enough {
 }
 
 #[test]
-fn work_that_is_no_longer_wanted_stops() {
+fn drawing_stops_when_it_is_cancelled() {
     let galaxies = field(20, 600.0);
     let draw = |tiles: u64| {
         let enough = Enough {
@@ -120,7 +120,7 @@ fn light_is_added_and_scales_with_flux() {
 }
 
 #[test]
-fn no_pixel_is_dark_or_negative() {
+fn every_pixel_gets_positive_flux() {
     let mut image = Array2::<f64>::zeros((500, 500));
     let profile = SersicProfile::new(4.0, 8.0, 0.05, 20.0).unwrap();
     add_galaxies(image.view_mut(), (0, 0), &[galaxy((100.0, 120.0), 1.0, profile)]);
@@ -128,7 +128,7 @@ fn no_pixel_is_dark_or_negative() {
 }
 
 #[test]
-fn extremes_end_in_numbers() {
+fn extreme_galaxies_give_finite_images() {
     for (at, re) in [
         ((1e300, -1e300), 3.0),
         ((5.0, 5.0), 1e300),
@@ -146,7 +146,7 @@ fn extremes_end_in_numbers() {
             if re < 1.0 {
                 assert!(
                     (image[[5, 5]] - 1.0).abs() < 1e-6,
-                    "a point stays in its pixel: {}",
+                    "a tiny galaxy stays in its pixel: {}",
                     image[[5, 5]]
                 );
             }

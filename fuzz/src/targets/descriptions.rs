@@ -27,7 +27,7 @@ fn record<T: PartialEq + Serialize + DeserializeOwned>(data: &[u8]) -> usize {
     1
 }
 
-/// `TELESCOPE.toml`.
+/// Descriptions of telescopes, `TELESCOPE.toml`.
 pub fn telescope(data: &[u8]) -> usize {
     let Ok(text) = std::str::from_utf8(data) else {
         return 0;

@@ -26,7 +26,7 @@ pub fn image(data: &[u8]) -> usize {
     case.reads()
 }
 
-/// An image that can be read at once can also be read by bands, with equal pixels.
+/// Checks that an image read at once can also be read by bands, with equal pixels.
 fn whole_and_by_bands(case: &mut Case) {
     let whole = case.read(|path| read_image::<f64>(path));
     let bands = case.read(|path| {

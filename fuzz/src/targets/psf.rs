@@ -9,7 +9,7 @@ use psf_types::Position;
 
 use super::case::Case;
 
-/// `psf-samples`.
+/// Files in the format `psf-samples`.
 pub fn samples(data: &[u8]) -> usize {
     let mut case = Case::new("samples", data);
     if let Some(samples) = case.read(|path| read_samples(path)) {
@@ -22,7 +22,7 @@ pub fn samples(data: &[u8]) -> usize {
     case.reads()
 }
 
-/// `psf-model`.
+/// Files in the format `psf-model`.
 pub fn model(data: &[u8]) -> usize {
     let mut case = Case::new("model", data);
     if let Some(file) = case.read(|path| read_model_file(path)) {

@@ -17,8 +17,8 @@ fn frame() -> SkyCoordinates {
         ("CDELT2", 5e-4),
     ];
     let texts = [("CTYPE1", "RA---TAN"), ("CTYPE2", "DEC--TAN")];
-    let numbers = numbers.map(|(keyword, value)| psf_io::Card::new(keyword, value, "").expect("sound cards"));
-    let texts = texts.map(|(keyword, value)| psf_io::Card::new(keyword, value, "").expect("sound cards"));
+    let numbers = numbers.map(|(keyword, value)| psf_io::Card::new(keyword, value, "").expect("valid cards"));
+    let texts = texts.map(|(keyword, value)| psf_io::Card::new(keyword, value, "").expect("valid cards"));
     let header: HeaderCards = numbers.into_iter().chain(texts).collect();
     SkyCoordinates::from_header(&header).expect("a tangential projection")
 }

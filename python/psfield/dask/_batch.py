@@ -85,8 +85,8 @@ def batch(
         Detector that exposes the images. Each job then needs a seed. The output is the counts and
         the ``flags`` of the pixels.
     keep : sequence of {'scene', 'truth'}
-        Additional output for each frame: the pixels of the scene, the image without noise. They are
-        extensions of the FITS file, or arrays of the Zarr group.
+        Additional output for each frame: the pixels of the scene (``scene``), the image without
+        noise (``truth``). They are extensions of the FITS file, or arrays of the Zarr group.
     overwrite : bool
         Make all frames and replace existing output. By default finished frames are kept.
     client : distributed.Client, optional
@@ -120,12 +120,12 @@ def batch(
 
     Notes
     -----
-    Without a client, worker processes are started that import the script that started them. The
-    script therefore needs ``if __name__ == "__main__":``.
+    Without a client, new worker processes are started, and each imports the script of the caller.
+    The script therefore needs ``if __name__ == "__main__":``.
 
-    Dask gives up a job that was on a worker each time one was lost, more often than its setting
-    ``distributed.scheduler.allowed-failures`` (3). Such jobs run one at a time at the end, so that
-    only the job that kills workers fails.
+    Dask gives up a job if its worker was lost more often than the setting
+    ``distributed.scheduler.allowed-failures`` (3) allows. Such jobs run one at a time at the end,
+    so that only the job that kills workers fails.
 
     Examples
     --------

@@ -67,7 +67,7 @@ class JobResult:
     index : int
         Index of the job, from 0.
     status : {'written', 'kept', 'failed'}
-        The output was made now, existed before, or could not be made.
+        The output was made now (written), existed before (kept), or could not be made (failed).
     output : str
         The FITS file, or the Zarr group with the frame's index, as in ``frames.zarr[17]``.
     seconds : float

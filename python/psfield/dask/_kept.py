@@ -1,4 +1,4 @@
-"""A cache for the tasks of one process."""
+"""A cache that the tasks of one process share."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Slot:
 
 
 class Kept(Generic[T]):
-    """The values used last, up to a largest number.
+    """A cache of the values that were used last. It holds a limited number of them.
 
     Several threads may ask at once. One thread makes a value, and threads that need it wait.
     """

@@ -17,7 +17,7 @@ from psfield.dask._reach import reach
 Region = tuple[int, int, int, int]
 Columns = dict[str, NDArray[np.float64]]
 
-#: Plans for the next scene with the same chunks. They are few, as each may keep ``memory`` bytes.
+#: Plans for the next scene with these chunks. They are few: each may keep ``memory`` bytes.
 _PLANS: Kept[Plan] = Kept(4)
 #: Plans for the first pixel of a frame. Their tiles are those of the whole frame. Choosing tiles is
 #: most of the work of making a plan for a region.
@@ -74,7 +74,7 @@ def _reaching(light: NDArray[Any], origin: tuple[int, int], region: Region) -> N
     first_row, first_column = y0 - y, x0 - x
     part = light[max(first_row, 0) : first_row + ny, max(first_column, 0) : first_column + nx]
     if part.shape != (ny, nx):
-        # Missing light would make the image too dark.
+        # Without the missing light, the image would be too faint.
         given = (x, y, *light.shape[::-1])
         raise RuntimeError(f"the image needs the light of {region}, but only {given} is given")
     return part
@@ -83,9 +83,9 @@ def _reaching(light: NDArray[Any], origin: tuple[int, int], region: Region) -> N
 def _near(
     catalog: Columns, region: Region, model: PsfModel, settings: dict[str, Any]
 ) -> Columns | None:
-    """Return the stars that can reach a region, and all galaxies, whose wings have no clear end.
+    """Return the stars that can reach a region, and all galaxies, as their wings have no clear end.
 
-    None if there are none.
+    None if there are no such sources.
     """
     x0, y0, nx, ny = region
     (below, above), (left, right) = reach(model, 1, settings["stamp_size"])

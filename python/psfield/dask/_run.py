@@ -15,13 +15,13 @@ from psfield.dask._job import Job, JobResult, Task, checked
 from psfield.dask._targets import Files, ZarrGroup
 from psfield.dask._worker import BatchSettings, run_jobs
 
-#: Parcels on the scheduler for each thread of the workers: enough that no thread is idle, few
-#: enough that scenes do not fill its memory.
+#: Number of parcels (groups of jobs that run as one task) on the scheduler for each thread of the
+#: workers. Fewer would leave threads idle. More would fill the scheduler's memory with scenes.
 _WAITING = 4
 #: Seconds between two counts of the workers, whose number may change.
 _BETWEEN_COUNTS = 2.0
-#: Duration of a parcel of small frames in seconds, and its largest number of frames. The scheduler
-#: needs some milliseconds for each parcel.
+#: Duration of a parcel of small frames in seconds, and its largest number of frames. Longer parcels
+#: are better, because the scheduler needs some milliseconds for each.
 _PARCEL_SECONDS = 0.25
 _PARCEL_MOST = 64
 
@@ -48,8 +48,8 @@ class Run:
         self._running: dict[Any, tuple[Any, list[Task]]] = {}
         #: Jobs to run again, each in a parcel of its own.
         self._again: deque[Task] = deque()
-        #: Jobs that were on lost workers too often. Each runs while no other does, so that only the
-        #: job that kills workers fails.
+        #: Jobs whose workers were lost too often. Each runs while no other job does, so that only
+        #: the job that kills workers fails.
         self._suspects: deque[Task] = deque()
         self._alone = False
         self._taken = 0

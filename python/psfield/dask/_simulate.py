@@ -129,7 +129,7 @@ def simulate(
     parts = da.overlap.overlap(parts, depth, boundary, allow_rechunk=False)
     image = parts.map_blocks(
         _chunk,
-        # Each is one key of the graph, so that a worker receives it once.
+        # Model and catalogue are single keys of the graph, so that a worker receives each once.
         model=delayed(model, name=f"psfield-model-{token}", traverse=False),
         catalog=None
         if sources is None
@@ -153,7 +153,7 @@ class _Piece(NamedTuple):
     #: First pixel of the image, and number of pixels.
     first: int
     pixels: int
-    #: First pixel of the scene whose light reaches it.
+    #: First pixel of the scene whose light reaches the chunk.
     origin: int
 
 

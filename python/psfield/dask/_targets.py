@@ -21,7 +21,7 @@ class Files:
         self.writer = writer
         self._template = template
         self._overwrite = overwrite
-        #: The outputs so far, and the index of the job of each.
+        #: The outputs so far, each with the index of its job.
         self._taken: dict[str, int] = {}
         if template is not None and "{index" not in template and "{seed" not in template:
             raise ValueError(
@@ -88,7 +88,7 @@ def frames_of(
     detector: Any,
     keep: Sequence[str],
 ) -> tuple[Sequence[Job], dict[str, tuple[tuple[int, int], np.dtype[Any]]]]:
-    """Return the jobs as a sequence, and the shapes and types of the arrays for their frames."""
+    """Return the jobs as a sequence, and the shapes and types of the arrays that hold frames."""
     if not isinstance(jobs, Sequence):
         if not isinstance(jobs, Sized):
             raise TypeError("jobs: the number of frames in a Zarr array must be known: give a list")
@@ -108,7 +108,7 @@ def frames_of(
     dtype: np.dtype[Any] = DTYPES[settings["precision"]]
     frames: dict[str, tuple[tuple[int, int], np.dtype[Any]]] = {"image": (image, dtype)}
     if detector is not None:
-        # The types of counts and flags.
+        # An exposure of one pixel tells the types of counts and flags.
         exposure = detector.expose(np.zeros((1, 1), dtype), 0)
         frames = {"image": (image, exposure.counts.dtype), "flags": (image, exposure.flags.dtype)}
         if "truth" in keep:

@@ -22,7 +22,7 @@ from psfield.dask._zarr import ZarrFrames
 #: The batches that this process works on.
 _BATCHES: dict[str, BatchSettings] = {}
 _MODELS: Kept[PsfModel] = Kept(4)
-#: By batch and shape of the scene.
+#: Plans, by batch and shape of the scene.
 _PLANS: Kept[Plan] = Kept(4)
 
 

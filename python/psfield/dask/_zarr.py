@@ -40,7 +40,7 @@ class ZarrFrames:
             shape = group[name].shape[1:]
             if np.shape(array) != shape:
                 raise ValueError(
-                    f"{name}: the frames of {self.path} have the shape {shape}, this one has"
+                    f"{name}: the frames of {self.path} have the shape {shape}, but this one has"
                     f" {np.shape(array)}"
                 )
         for name, array in frames.items():
@@ -99,7 +99,7 @@ class ZarrLedger:
                     fill_value=empty,
                     dimension_names=("job", "y", "x"),
                 )
-            # It is created last: if it exists, the other arrays do.
+            # This array is created last, so that the other arrays exist if it does.
             group.create_array(
                 "done",
                 shape=(count,),

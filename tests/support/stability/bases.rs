@@ -14,9 +14,9 @@ const ROUNDING: f64 = 1e-12;
 /// In steep spectra, faer's decomposition treats singular values below 1e-12 of the largest as
 /// zero.
 const AT_SAMPLES: f64 = 2e-11;
-/// A spectrum that falls to rounding has no certain number of components.
+/// A spectrum that falls to the level of rounding errors has no definite number of components.
 const NO_END: &str = "the spectrum falls below rounding before the samples end";
-/// The reason why a refused row has only one figure.
+/// The reason why a row with a refused input has only one cell with content.
 const REASON_OF_REFUSAL: &str = "there is no basis";
 
 struct Figures {

@@ -232,7 +232,7 @@ pub(super) fn section() -> Section {
     }
 }
 
-/// One star through stamps with wings, judged where only the wings reach.
+/// One star through stamps with wings, compared where only the wings reach.
 fn wings() -> Vec<Case> {
     PRECISIONS
         .map(|precision| {

@@ -5,7 +5,8 @@ use std::fmt::Write;
 use super::outcome::{Cell, Outcome};
 use super::{Section, sections};
 
-/// The mark between a measured figure and its limit. The figure before it differs between machines.
+/// The mark between a measured error and its limit. The error before the mark differs between
+/// machines.
 const AT_MOST: &str = " ≤ ";
 
 const HEAD: &str = "# Numerical stability\n\n\
@@ -105,7 +106,7 @@ fn of_cell(cell: &Cell, notes: &mut Notes) -> String {
     text + failed
 }
 
-/// Lines that differ in more than measured figures.
+/// The lines that differ in more than measured errors.
 pub fn differences(page: &str, expected: &str) -> Vec<String> {
     let (a, b): (Vec<String>, Vec<String>) = (masked(page), masked(expected));
     let longest = a.len().max(b.len());
@@ -116,7 +117,7 @@ pub fn differences(page: &str, expected: &str) -> Vec<String> {
         .collect()
 }
 
-/// The lines of a page, without the figures before limits.
+/// The lines of a page, without the measured errors before the limits.
 fn masked(page: &str) -> Vec<String> {
     let cell = |text: &str| match text.split_once(AT_MOST) {
         Some((_, limit)) => format!("{AT_MOST}{limit}"),

@@ -1,4 +1,4 @@
-//! A model like those of telescopes: samples on a regular grid, bilinear between them.
+//! A model as for a telescope: samples on a regular grid, with bilinear interpolation between them.
 
 #[path = "../../tests/common/grid_field.rs"]
 mod grid_field;

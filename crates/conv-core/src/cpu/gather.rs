@@ -1,4 +1,4 @@
-//! Gathering: from the other side to the weighted side.
+//! Gathering: the weighted side, to whose pixels PSFs belong, collects light of the other side.
 
 use ndarray::{Array2, ArrayViewMut2, s};
 use rayon::prelude::*;
@@ -96,7 +96,7 @@ fn gather_block<T: ConvReal, S: Lanes<T>>(
                 };
                 match treatment.back {
                     None => gather(workspace, &mut output),
-                    // The values already in the output are not scaled.
+                    // Scales back only the tile's result, not the values already in the output.
                     Some(back) => {
                         let mut near_one = Array2::zeros(output.dim());
                         gather(workspace, &mut near_one.view_mut());

@@ -16,8 +16,8 @@ use crate::plan::geometry::TilePart;
 use crate::simd::Lanes;
 use crate::transform::TileTransform;
 
-/// A plan and the data with which threads of the processor execute it. A plan on a GPU has one as
-/// well: there the threads inspect the light.
+/// A plan and the data with which threads of the processor execute it. A plan on a GPU needs these
+/// data too, because threads of the processor inspect the light.
 #[derive(Debug)]
 pub(crate) struct Processor<T: ConvReal> {
     pub(crate) plan: Plan<T>,
@@ -83,7 +83,7 @@ impl<'a, T: ConvReal> LightPass<'a, T> {
     }
 }
 
-/// Coefficients, stamps and spectra of a block. They are computed when the first tile needs them.
+/// Coefficients, stamps and spectra of a block. Each is computed when a tile first needs it.
 pub(crate) struct BlockKernels<'a, T: ConvReal> {
     plan: &'a Plan<T>,
     pub(crate) block: &'a Block<T>,
@@ -115,7 +115,7 @@ impl<'a, T: ConvReal> BlockKernels<'a, T> {
             .get_or_init(|| self.block.stamps_or_new(&self.plan.whole.space))
     }
 
-    /// The block's data for a tile.
+    /// A tile with the coefficients and stamps of the block.
     pub(crate) fn local(&self, part: TilePart) -> LocalTile<'_, T> {
         let (table, stamps) = (self.table(), self.stamps());
         LocalTile { part, table, stamps }

@@ -1,4 +1,4 @@
-//! Scattering: from the weighted side to the other side.
+//! Scattering: light of the weighted side, to whose pixels PSFs belong, spreads to the other side.
 
 use ndarray::ArrayViewMut2;
 use rayon::prelude::*;
@@ -14,15 +14,16 @@ use crate::{ConvError, ConvReal};
 /// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`, or `k(p - q)`
 /// if stamps are turned.
 ///
-/// Blocks whose outputs overlap never run at the same time. In each band of rows of blocks, every
-/// n-th row and every n-th column run together, one set after the other. So the order of additions
-/// to a pixel is always the same.
+/// Blocks whose outputs overlap never run at the same time. In each band of rows of blocks, the
+/// blocks at every n-th row and every n-th column have one colour and run together. The colours run
+/// one after the other. So the order of additions to a pixel is always the same.
 pub(crate) struct Scatter<'j, 'o, T: ConvReal> {
     pub(crate) pass: LightPass<'j, T>,
     pub(crate) output: ArrayViewMut2<'o, T>,
 }
 
-/// Begin and end of each column or row of blocks on the other side.
+/// The first pixel and the end of the range that each column or row of blocks reaches on the other
+/// side.
 type Extents = Vec<(usize, usize)>;
 
 /// A block's part of the output, and the part's first column and row on the other side.
@@ -40,7 +41,8 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
         let plan = &self.pass.processor.plan;
         let extents = (plan.extents(0), plan.extents(1));
         let columns = &extents.0;
-        // Colours are those of all rows, so that a part of a frame is computed like the whole.
+        // The colours are counted over all rows of blocks, so that a band is computed like the
+        // whole frame.
         let (column_colours, row_colours) = (colours(columns), colours(&extents.1));
         let bands: Vec<usize> = self.pass.rows.clone().step_by(plan.tiling.band()).collect();
         let mut counts = TileCounts::default();
@@ -64,7 +66,7 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
 }
 
 impl<T: ConvReal> Scatter<'_, '_, T> {
-    /// Executes the blocks at some rows and columns, which do not touch each other.
+    /// Executes the blocks at some rows and columns. Their outputs do not overlap.
     fn together<S: Lanes<T>>(
         &mut self,
         simd: S,

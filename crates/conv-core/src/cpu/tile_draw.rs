@@ -31,8 +31,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
                 local.table.weigh(kernel, row, column, &[value], self.ramp, one);
             }
         }
-        // Row by row of the stamps: one row of all stamps stays in the first-level cache while
-        // every pixel uses it.
+        // Draws row by row of the stamps, so that one row of all stamps stays in the first-level
+        // cache while every pixel uses it.
         for j in 0..sy {
             for (&(y, x, _), all) in pixels.iter().zip(coefficients.chunks_exact(kernels)) {
                 let (column, row) = (corner.0 + x as i64, corner.1 + (y + j) as i64);
@@ -74,8 +74,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         let (sx, sy) = self.geometry.stamp;
         let mut line = vec![T::zero(); sx];
         for &(y, x, value) in pixels {
-            // Pixel p of the tile takes stamp pixel (p + size - 1) - q from pixel q of the light
-            // around it.
+            // Light at pixel q, counted in the area around the tile, reaches pixel p of the tile
+            // with the value at stamp pixel (p + size - 1) - q.
             let (from, to) = ((x + 1).saturating_sub(sx), (x + 1).min(columns));
             if from >= to {
                 continue;
@@ -107,7 +107,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
     }
 }
 
-/// Adds `sum_k c_k values_k` to `target`. `values_k` starts at `first` of the k-th `stride` values.
+/// Adds `sum_k c_k values_k` to `target`. `values_k` starts at index `k stride + first` of
+/// `values`.
 #[inline(always)]
 fn add_combination<T: ConvReal, S: Lanes<T>>(
     simd: S,

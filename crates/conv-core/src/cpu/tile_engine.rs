@@ -9,7 +9,8 @@ use crate::plan::geometry::{Geometry, TilePart};
 use crate::simd::{Aligned, Lanes};
 use crate::transform::{TileTransform, X_STEP};
 
-/// Planes and spectra of one transform size. Their content between tiles is undefined.
+/// Planes and spectra of one transform size. From one tile to the next, only `kernels` keeps its
+/// content.
 #[derive(Debug)]
 pub(crate) struct Workspace<T> {
     /// The tile's light.
@@ -60,8 +61,8 @@ pub(crate) struct LocalTile<'a, T> {
 }
 
 impl<T: ConvReal> TileEngine<'_, T> {
-    /// Copies a rectangle from `source`, with its first pixel at (`column`, `row`), and pads it
-    /// with zeros.
+    /// Copies a rectangle of `source` that begins at (`column`, `row`). Pixels outside `source`,
+    /// and the padding of rows, become zeros.
     #[inline(always)]
     pub(crate) fn load<S: Lanes<T>>(
         &self,
@@ -91,8 +92,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// Adds the first values of a plane to `output`, with the first at (`column`, `row`). Values
-    /// beyond `output` are ignored.
+    /// Adds the first `columns` and `rows` of a plane to `output`, beginning at (`column`, `row`).
+    /// Values beyond `output` are ignored.
     #[inline(always)]
     pub(crate) fn add<S: Lanes<T>>(
         &self,
@@ -146,9 +147,9 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// Spreads the light of a tile (`workspace.light`) by the kernels whose spectra are in the
-    /// workspace. The result is in `workspace.weighted`. It is larger than the tile by the stamp's
-    /// size less one pixel.
+    /// Spreads the light of a tile (`workspace.light`) with the kernels whose spectra are in the
+    /// workspace. Writes the result to `workspace.weighted`. The result is larger than the tile by
+    /// the stamp's size less one pixel.
     #[inline(always)]
     pub(crate) fn scatter<S: Lanes<T>>(
         &self,
@@ -196,9 +197,9 @@ impl<T: ConvReal> TileEngine<'_, T> {
         );
     }
 
-    /// Gathers the light around a tile by the kernels and adds it to `output`, which has the tile's
-    /// size. The light (`workspace.light`) is larger than the tile by the stamp's size less one
-    /// pixel.
+    /// Convolves the light around a tile with the kernels and adds the result to `output`, which
+    /// has the tile's size. The light (`workspace.light`) is larger than the tile by the stamp's
+    /// size less one pixel.
     #[inline(always)]
     pub(crate) fn gather<S: Lanes<T>>(
         &self,

@@ -1,4 +1,5 @@
-//! The treatment of a tile: inspects its light and chooses a method of convolution.
+//! The treatment of a tile, which is the way in which its light is convolved. Inspects the light
+//! and chooses the treatment.
 
 use std::ops::AddAssign;
 
@@ -10,7 +11,7 @@ use crate::simd::Lanes;
 use crate::working_range::Rescaling;
 use crate::{ConvError, ConvReal};
 
-/// The light of a tile.
+/// Statistics of the light of a tile.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Light {
     /// Pixels that are not zero.
@@ -24,8 +25,8 @@ struct Light {
 /// The factor by which a pixel may exceed the mean of a tile: a transform spreads rounding noise of
 /// a pixel's light over the whole tile.
 fn brightest_allowed<T: ConvReal>() -> f64 {
-    // 256 in f32, 1e11 in f64. The noise stays below a few 1e-6 of the faint light in f32, and
-    // below 1e-5 in f64.
+    // About 250 in f32 and 1e11 in f64. The noise stays below a few 1e-6 of the faint light in f32,
+    // and below 1e-5 in f64.
     3e-5 / T::epsilon().as_f64()
 }
 
@@ -66,7 +67,7 @@ fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, u
     let mut pixels = Vec::new();
     for (row, values) in plane.chunks(pitch).take(rows).enumerate() {
         for (n, some) in values[..columns].chunks(LANES).enumerate() {
-            // Most are dark: one test of a group is faster than one test per pixel.
+            // Most pixels are dark, so one test per group is faster than one test per pixel.
             if some.iter().fold(false, |lit, v| lit | !v.is_zero()) {
                 let lit = some.iter().enumerate().filter(|(_, v)| !v.is_zero());
                 pixels.extend(lit.map(|(i, &value)| (row, n * LANES + i, value)));
@@ -76,11 +77,11 @@ fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, u
     pixels
 }
 
-/// Removes the pixels from a tile that would drown the rest of it in the noise of a transform, at
-/// most `most` of them, the brightest first.
+/// Removes very bright pixels from a tile, because the rounding noise of their transform would
+/// exceed the faint light. Removes at most `most` pixels, the brightest first.
 ///
-/// The noise is compared with the mean over the whole tile without its `most` brightest pixels. So
-/// a bright galaxy of a few hundred pixels does not raise the mean that it is compared with.
+/// Each pixel is compared with the mean of the tile without its `most` brightest pixels. So a
+/// bright galaxy of a few hundred pixels does not raise this mean.
 fn take_bright<T: ConvReal>(
     plane: &mut [T],
     pitch: usize,
@@ -90,13 +91,13 @@ fn take_bright<T: ConvReal>(
 ) -> Vec<LitPixel<T>> {
     let pixels = (rows * columns) as f64;
     let contrast = brightest_allowed::<T>();
-    // In most fully lit tiles no pixel stands out, and nothing else is to be done.
+    // In most fully lit tiles no pixel is too bright, and this quick test is enough.
     if light.largest <= contrast * (light.total - most as f64 * light.largest) / pixels {
         return Vec::new();
     }
     let rest = match total_of_faint(plane, pitch, (rows, columns), most) {
         rest if rest > 0.0 => rest,
-        // There are only those few pixels. They are compared with their own mean.
+        // No other pixels are lit. The bright pixels are compared with their own mean.
         _ => light.total,
     };
     let limit = contrast * rest / pixels;
@@ -111,7 +112,7 @@ fn take_bright<T: ConvReal>(
             }
         }
     }
-    // Keeps the brightest. The sort is stable, so that equals keep their order.
+    // Keeps the brightest. The sort is stable, so pixels of equal brightness keep their order.
     taken.sort_by(|a, b| b.2.abs().as_f64().total_cmp(&a.2.abs().as_f64()));
     taken.truncate(most);
     for &(row, column, _) in &taken {
@@ -120,8 +121,8 @@ fn take_bright<T: ConvReal>(
     taken
 }
 
-/// The sum of the absolute values without the brightest pixels, of which there are at most `most`.
-/// The limit between faint and bright is a power of 2.
+/// The sum of the absolute values of the faint pixels. At most `most` pixels are bright, and the
+/// limit between faint and bright is a power of 2.
 fn total_of_faint<T: ConvReal>(
     plane: &[T],
     pitch: usize,
@@ -151,7 +152,8 @@ fn total_of_faint<T: ConvReal>(
 pub(crate) struct Treatment<T> {
     /// The method for the tile's light as a whole. `None` if nothing remains to be convolved.
     pub(crate) method: Option<TileMethod>,
-    /// Pixels drawn stamp by stamp. They have been removed from the tile's light.
+    /// Pixels drawn stamp by stamp. If there is a method, they have been removed from the tile's
+    /// light.
     pub(crate) drawn: Vec<LitPixel<T>>,
     /// The power of two that scales the result of `method` back, if the light was scaled to values
     /// near 1.
@@ -165,8 +167,8 @@ pub(crate) enum TileMethod {
     ByTransforms,
 }
 
-/// Scales a tile's light to values near 1, in place, where transforms would leave the range of the
-/// working precision. Returns the power of two that scales the result back.
+/// Scales a tile's light to values near 1, in place, if transforms would overflow or underflow in
+/// the working precision. Returns the power of two that scales the result back.
 fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
     let scale = Rescaling::<T>::for_largest(light.largest)?;
     for value in plane {
@@ -177,9 +179,9 @@ fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
     Some(scale.back)
 }
 
-/// Returns the method for the light in `workspace.light` as a whole, and the pixels to be drawn,
-/// which it removes from that light. The light has `size` columns and rows. Drawing one pixel costs
-/// `draw` seconds.
+/// Returns the method for the light in `workspace.light` as a whole, and the pixels to be drawn
+/// stamp by stamp. If there are both, removes these pixels from the light. The light has `size`
+/// columns and rows. Drawing one pixel costs `draw` seconds.
 fn choose<T: ConvReal>(
     pass: &LightPass<'_, T>,
     light: Light,
@@ -201,7 +203,7 @@ fn choose<T: ConvReal>(
         let drawn = lit_pixels(workspace.light.get(), pitch, (rows, columns));
         return (None, drawn);
     }
-    // The direct sum spreads no noise.
+    // The direct sum spreads no noise, so bright pixels stay in the tile.
     if direct && pass.direct_sums {
         return (Some(TileMethod::Directly), Vec::new());
     }
@@ -211,8 +213,8 @@ fn choose<T: ConvReal>(
 }
 
 /// Loads the light of a tile, or the light around it, into `workspace.light` and chooses its
-/// treatment. Returns `None` if it is dark. Pixels that are drawn are removed from that light. The
-/// progress object is polled here, once per tile.
+/// treatment. Returns `None` if the light is zero everywhere. The progress object is polled here,
+/// once per tile.
 pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     simd: S,
     pass: &LightPass<'_, T>,
@@ -221,7 +223,7 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     tile: PlacedTile,
     workspace: &mut Workspace<T>,
 ) -> Result<Option<Treatment<T>>, ConvError> {
-    pass.progress.still_wanted()?;
+    pass.progress.check_cancelled()?;
     let plan = &pass.processor.plan;
     let engine = pass.tile_engine();
     let pitch = engine.fft.pitch();
@@ -269,11 +271,11 @@ pub(crate) fn treated<T: ConvReal, S: Lanes<T>>(
     Ok(Some(Treatment { method, drawn, back }))
 }
 
-/// The number of tiles per treatment, and the work that they needed.
+/// The number of tiles for each way of convolving their light, and the work that they needed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct TileCounts {
-    /// Tiles without light.
+    /// Tiles without light, or with PSFs that are zero.
     pub dark: usize,
     /// Tiles whose few lit pixels were drawn stamp by stamp.
     pub drawn: usize,
@@ -281,10 +283,10 @@ pub struct TileCounts {
     pub direct: usize,
     /// Tiles convolved by transforms.
     pub transformed: usize,
-    /// All pixels drawn stamp by stamp, including pixels that would have drowned the rest of a tile
-    /// in rounding noise.
+    /// All pixels drawn stamp by stamp. This includes very bright pixels of transformed tiles,
+    /// whose rounding noise would have exceeded the faint light.
     pub drawn_pixels: usize,
-    /// Transforms of light multiplied by a mode's coefficient.
+    /// The sum of the numbers of modes of all transformed tiles, the reference included.
     pub modes: usize,
 }
 

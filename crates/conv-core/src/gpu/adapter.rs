@@ -117,7 +117,8 @@ impl Adapter {
         })
     }
 
-    /// Returns whether it has room for transforms of planes of `nx` columns and `ny` rows.
+    /// Returns whether a workgroup has enough memory for transforms of planes of `nx` columns and
+    /// `ny` rows.
     pub(crate) fn can_transform(&self, nx: usize, ny: usize) -> bool {
         nx.max(ny / 2) <= FftSource::longest(self.workgroup_memory as usize)
     }
@@ -143,8 +144,8 @@ pub fn adapters() -> Vec<Adapter> {
 /// Adapters with their handles, the preferred one first.
 fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
     let mut adapters = adapters_of(wgpu::Backends::PRIMARY);
-    // GL drives the GPUs that the others drive as well, but with lower limits, and its libraries
-    // print complaints where there is no screen.
+    // OpenGL reaches the same GPUs as the other interfaces, but with lower limits. Its libraries
+    // print warnings on machines without a screen.
     if adapters.is_empty() {
         adapters = adapters_of(wgpu::Backends::GL);
     }

@@ -147,8 +147,8 @@ impl<'a> BatchCalls<'a> {
     }
 }
 
-/// The tile and the kernel of each plane to be loaded. There is one plane per kernel if light is
-/// multiplied by coefficients first, otherwise one per tile.
+/// The tile and the kernel of each plane to be transformed along x. There is one plane per kernel
+/// if the light is multiplied by coefficients first, otherwise one plane per tile.
 fn planes_of<'t>(tiles: impl Iterator<Item = &'t Tile>, each_kernel: bool) -> Vec<u32> {
     tiles
         .enumerate()
@@ -166,7 +166,7 @@ fn handed_over(device: &GpuDevice, buffer: &mut Growing, words: &[u32]) -> wgpu:
     buffer
 }
 
-/// The ranges of equal colours.
+/// The ranges of neighbours with equal colours.
 fn colours<V>(of_all: &[(usize, V)]) -> Vec<Range<usize>> {
     let mut end = 0;
     let runs = of_all.chunk_by(|a, b| a.0 == b.0).map(|run| {

@@ -124,7 +124,7 @@ impl BatchData {
         self.tables.size() + self.stamps.size() + self.spectra.size()
     }
 
-    /// Bytes that were copied from the host.
+    /// Bytes that the host copied to the GPU.
     pub(super) fn host_bytes(&self) -> u64 {
         self.tables.size() + self.stamps.size()
     }

@@ -14,8 +14,8 @@ pub(super) const STORAGE: wgpu::BufferUsages = wgpu::BufferUsages::STORAGE
     .union(wgpu::BufferUsages::COPY_SRC);
 
 impl GpuDevice {
-    /// A buffer of at least one word with undefined content. Only [`check`](Self::check) tells
-    /// whether there was memory for it.
+    /// A buffer of at least 16 bytes with undefined content. Only [`Attempt::check`] tells whether
+    /// there was memory for it.
     pub(super) fn buffer(&self, label: &str, bytes: u64, usage: wgpu::BufferUsages) -> wgpu::Buffer {
         self.device().create_buffer(&wgpu::BufferDescriptor {
             label: Some(label),
@@ -90,7 +90,7 @@ impl Staging {
     pub(super) fn take(&mut self, device: &GpuDevice, bytes: u64) -> wgpu::Buffer {
         let receiver = self.receiver.get_mut().unwrap_or_else(PoisonError::into_inner);
         self.free.extend(receiver.try_iter());
-        // The smallest that is large enough.
+        // Takes the smallest buffer that is large enough.
         let fitting = self
             .free
             .iter()
@@ -99,7 +99,7 @@ impl Staging {
         if let Some((place, _)) = fitting.min_by_key(|(_, buffer)| buffer.size()) {
             return self.free.swap_remove(place);
         }
-        // A buffer that is too small will not be needed again soon.
+        // All free buffers are too small. If there are many, drops one.
         if self.free.len() > KEPT {
             self.free.swap_remove(0);
         }
@@ -202,7 +202,7 @@ impl InFlight {
     ) -> Result<R, GpuError> {
         device.wait(self.submission.clone())?;
         for _ in 0..2 {
-            // Another thread may deliver the message a little later.
+            // Another thread may send the message a little later.
             let mapped = self.mapped.recv();
             let mapped = mapped.map_err(|_| device.failed(&"the result was not received"))?;
             mapped.map_err(|error| device.failed(&error))?;

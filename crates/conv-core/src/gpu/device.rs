@@ -38,20 +38,20 @@ struct Inner {
 #[derive(Debug, Default)]
 struct Trouble {
     lost: Option<String>,
-    /// The number of times that its memory was full.
+    /// The number of times that the GPU's memory was full.
     out_of_memory: u64,
     /// The number of other errors, and the text of the last.
     complaints: u64,
     last: String,
 }
 
-/// Work on a GPU. It fails with any error that the driver reports after its beginning. Others may
-/// use the GPU at the same time. An error then makes all of them fail, because the driver does not
-/// report which work caused it.
+/// Work on a GPU. It fails with any error that the driver reports after the work began. Several
+/// attempts may use the GPU at the same time. An error then makes all of them fail, because the
+/// driver does not report which work caused the error.
 #[derive(Debug)]
 pub(super) struct Attempt {
     device: GpuDevice,
-    /// Errors before the beginning: the number of times that memory was full, and of other errors.
+    /// Errors before the work began: the number of times that memory was full, and of other errors.
     before: (u64, u64),
 }
 
@@ -61,7 +61,8 @@ impl GpuDevice {
     /// preferred to integrated ones, and software is last.
     ///
     /// # Errors
-    /// [`GpuError`] if there is no GPU, none matches the name, or its driver refuses.
+    /// [`GpuError`] if there is no GPU, if none matches the name, or if the driver cannot open the
+    /// GPU.
     pub fn new(name: Option<&str>) -> Result<Self, GpuError> {
         let (handle, adapter) = choose(name).map_err(|present| match name {
             Some(name) if !present.is_empty() => GpuError::NoSuchAdapter {
@@ -145,7 +146,7 @@ impl std::ops::Deref for Attempt {
 }
 
 impl Attempt {
-    /// Returns the error that the driver has reported since the beginning, if any.
+    /// Returns the error that the driver has reported since the work began, if any.
     pub(super) fn check(&self) -> Result<(), GpuError> {
         let adapter = &self.device.adapter().name;
         locked(&self.device.0.trouble).since(self.before, adapter)
@@ -240,11 +241,12 @@ pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The pipelines of one size of planes.
+/// The compiled shaders for one size of planes, and their roots of unity.
 #[derive(Debug)]
 pub(super) struct Pipelines {
     pub(super) source: PlaneSource,
-    /// In the order of [`Shader::ALL`], which is that of the enum.
+    /// One pipeline per shader, in the order of [`Shader::ALL`], which is also the order of the
+    /// enum.
     of_shaders: [wgpu::ComputePipeline; Shader::ALL.len()],
     pub(super) row_roots: wgpu::Buffer,
     pub(super) column_roots: wgpu::Buffer,
@@ -259,7 +261,7 @@ impl Pipelines {
                 let source = &source;
                 scope.spawn(move || pipeline(device, source, shader))
             });
-            made.map(|thread| thread.join().expect("errors go to the device"))
+            made.map(|thread| thread.join().expect("compilation does not panic"))
         });
         let row_roots = device.filled("row roots", cast_slice(source.row_roots().as_flattened()));
         let column_roots = device.filled("column roots", cast_slice(source.column_roots().as_flattened()));

@@ -17,7 +17,7 @@ use crate::error::GpuError;
 use crate::plan::Plan;
 use crate::{ConvError, ConvReal};
 
-/// The data of a plan that stay on a GPU.
+/// A plan on a GPU, with the data that stay there from one execution to the next.
 #[derive(Debug)]
 pub(crate) struct GpuEngine {
     pub(crate) device: GpuDevice,
@@ -25,7 +25,8 @@ pub(crate) struct GpuEngine {
     forward: Layout,
     /// Layout of the transpose, made when it is first needed.
     adjoint: OnceLock<Layout>,
-    /// Buffers of finished executions. Executions that run at the same time use one each.
+    /// Sets of buffers that no execution uses at present. Each execution takes one set and puts it
+    /// back.
     working: Mutex<Vec<WorkBuffers>>,
     times: Mutex<Option<GpuTimes>>,
 }
@@ -83,7 +84,8 @@ impl GpuEngine {
         };
         let plan = (&self.plan, layout);
         let (counts, times) = T::dispatch(Run::new(&attempt, plan, pass, &mut working, output))?;
-        // Dropped after an error, because work in progress may still write to it.
+        // After an error the buffers are not put back, because work in progress may still write to
+        // them.
         locked(&self.working).push(working);
         *locked(&self.times) = Some(times);
         Ok(counts)

@@ -1,14 +1,15 @@
 //! Generates the source text of one-dimensional transforms in a workgroup's memory.
 //!
 //! Stockham's algorithm with radices 3, 4, 5 and 8: natural order in and out. A stage reads each
-//! butterfly's values, which lie `n / radix` apart, multiplies them by the roots of unity and
-//! writes them next to each other. Between stages values pass through the memory that the workgroup
-//! shares. The shader supplies the load of the first stage, and the last stage leaves its results
-//! in registers. So loading, products and storing need no extra pass.
+//! butterfly's values, which lie `n / radix` apart, multiplies them by the roots of unity,
+//! transforms them and writes the results in the order that the next stage needs. Between stages
+//! values pass through the memory that the workgroup shares. The shader supplies the load of the
+//! first stage, and the last stage leaves its results in registers. So loading, products and
+//! storing need no extra pass.
 //!
 //! A product of spectra is computed in registers, and the transform back begins with the values in
-//! the registers where the forward transform left them. It uses the radices in reverse order, so
-//! that both assign values to the same threads.
+//! the registers where the forward transform left them. The transform back uses the radices in
+//! reverse order, so that both transforms assign values to the same threads.
 
 use std::fmt::Write as _;
 
@@ -39,7 +40,7 @@ pub(super) struct Register<'a> {
 /// workgroups to share a processor.
 const VALUES: usize = 2048;
 /// The number of values per thread.
-const VALUES_A_THREAD: usize = 8;
+const VALUES_PER_THREAD: usize = 8;
 /// The most lines: neighbouring columns that are read together, 128 bytes.
 const MOST_LINES: usize = 16;
 /// The most threads: every adapter supports this number, by the standard.
@@ -63,7 +64,7 @@ impl FftSource {
         Some(Self {
             n,
             lines,
-            threads: (values / VALUES_A_THREAD).min(MOST_THREADS).min(most_threads),
+            threads: (values / VALUES_PER_THREAD).min(MOST_THREADS).min(most_threads),
             interleaved,
             radices: radices(n)?,
             padded: padded(values) <= room,
@@ -208,8 +209,8 @@ impl FftSource {
         })
     }
 
-    /// Code of each thread for its butterflies. `text` gets the number of the first register, the
-    /// line, and the number of the butterfly along the line.
+    /// Code with which each thread computes its butterflies. `text` gets the number of the first
+    /// register, the line, and the number of the butterfly along the line.
     fn at_each_butterfly(&self, radix: usize, text: impl Fn(usize, &str, &str) -> String) -> String {
         let along = self.n / radix;
         let count = self.lines * along;

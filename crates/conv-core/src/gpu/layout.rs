@@ -24,8 +24,8 @@ impl GpuOptions {
     pub const DEFAULT_PIECE_BYTES: u64 = 64 << 20;
 
     /// Limits the GPU memory that the plan keeps for spectra and coefficients. Each execution
-    /// computes again those that do not fit. The limit excludes the working memory, which is a few
-    /// pieces of [`with_pieces`](Self::with_pieces).
+    /// computes again the spectra and coefficients that do not fit. The limit does not include the
+    /// working memory, which is a few pieces of [`with_pieces`](Self::with_pieces).
     #[must_use]
     pub fn with_memory(self, bytes: u64) -> Self {
         Self {
@@ -34,7 +34,8 @@ impl GpuOptions {
         }
     }
 
-    /// Sets the size of pieces of work, in bytes. The adapter's own limit also applies.
+    /// Sets the size of pieces of work: the most bytes of a buffer of a piece. The adapter's own
+    /// limit also applies.
     #[must_use]
     pub fn with_pieces(self, bytes: u64) -> Self {
         Self {
@@ -43,12 +44,12 @@ impl GpuOptions {
         }
     }
 
-    /// The most bytes that a plan keeps on the GPU.
+    /// The most bytes that the plan keeps on the GPU.
     pub fn memory_bytes(&self) -> u64 {
         self.memory_bytes
     }
 
-    /// The most bytes of a piece of work.
+    /// The most bytes of a buffer of a piece of work.
     pub fn piece_bytes(&self) -> u64 {
         self.piece_bytes
     }
@@ -70,7 +71,7 @@ pub(super) struct Layout {
     /// True if stamps are turned by 180 degrees.
     pub(super) flip: bool,
     pub(super) panels: Vec<Panel>,
-    /// Data per panel and batch, as far as they fit into the memory.
+    /// The data of each batch of each panel, as far as they fit into the memory.
     pub(super) kept: Vec<Vec<Option<BatchData>>>,
     /// The size of the kept data in bytes.
     pub(super) bytes: u64,
@@ -124,9 +125,9 @@ impl GpuPlan {
                     // Each execution computes the data that do not fit.
                     Err(GpuError::OutOfMemory { .. }) => {
                         device.forgive();
-                        // wgpu may have closed the whole device.
+                        // Fails if wgpu has closed the whole device.
                         device.check()?;
-                        // Some of its buffers may be invalid.
+                        // Some of the working buffers may be invalid.
                         *working = WorkBuffers::new(device);
                         return Ok(layout);
                     }

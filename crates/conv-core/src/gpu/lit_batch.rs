@@ -14,13 +14,14 @@ use crate::plan::geometry::{Direction, Geometry};
 use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
-/// Lit tiles by colour, and the single pixels to be drawn. At first the field for the place of a
-/// table holds the number of the part.
+/// Lit tiles with their colours, and the single pixels to be drawn. Before
+/// [`find_tables`](Self::find_tables), `place.table` of a tile holds the index of its part, not the
+/// place of a table.
 #[derive(Debug, Default)]
 pub(super) struct LitBatch {
     pub(super) tiles: Vec<(usize, Tile)>,
     pub(super) drawn: Vec<(usize, DrawnTile)>,
-    /// First values and lengths of the light written.
+    /// Index of the first value and number of values of each tile's light in the mapped buffer.
     pub(super) light: Vec<(usize, usize)>,
     pub(super) counts: TileCounts,
 }
@@ -30,7 +31,7 @@ impl LitBatch {
         self.tiles.is_empty() && self.drawn.is_empty()
     }
 
-    /// Replaces the numbers of parts by the places of their tables.
+    /// Replaces the indices of parts by the places of their tables.
     pub(super) fn find_tables(&mut self, starts: &[u32]) {
         let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.place.table);
         let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.place.table);
@@ -43,14 +44,14 @@ impl LitBatch {
 /// Single pixels of a tile, and the data needed to draw them.
 #[derive(Debug)]
 pub(super) struct DrawnTile {
-    /// Without the places of pixels and amounts.
+    /// The places of its pixels and amounts are not set yet.
     pub(super) draw: Draw,
     /// Row and column of each stamp's first pixel within the result.
     pub(super) pixels: Vec<[i32; 2]>,
     pub(super) amounts: Vec<f32>,
 }
 
-/// Inspection of the light of a batch's tiles, which is written to a mapped buffer.
+/// Inspects the light of a batch's tiles and writes it to a mapped buffer.
 pub(super) struct Examination<'a, 'j, T: ConvReal> {
     pub(super) device: &'a Attempt,
     pub(super) layout: &'a Layout,
@@ -63,7 +64,8 @@ pub(super) struct Examination<'a, 'j, T: ConvReal> {
 impl<T: ConvReal> Examination<'_, '_, T> {
     pub(super) fn examine<S: Lanes<T>>(&self, simd: S) -> Result<LitBatch, ConvError> {
         let parts = self.batch.parts.iter();
-        // Each tile is a task, unless a block's tiles share data computed for them.
+        // Each tile is a task. But if the plan does not keep a block's data, the block's tiles are
+        // one task, which computes the data once.
         let tasks: Vec<(&Part, &[TileSlot])> = parts
             .flat_map(|part| {
                 let together = if self.pass.processor.plan.keeps(part.block) {
@@ -158,7 +160,8 @@ impl<T: ConvReal> Examination<'_, '_, T> {
         Ok(())
     }
 
-    /// The kernels of a part for a tile, and the tile's result within the panel.
+    /// The part's kernels and coefficients for a tile, and the place of the tile's result within
+    /// the panel.
     fn place(&self, part: &Part, slot: &TileSlot) -> Place {
         let geometry = self.geometry();
         let (first, size) = match self.layout.direction {

@@ -3,8 +3,9 @@
 //! A *panel* is a rectangle of tiles whose result fits into one buffer. It lies within one band of
 //! the plan's blocks. Its tiles are processed in *batches*, whose planes, spectra, light and
 //! coefficients fit into one buffer each. A *part* is the share of a block in a batch: some of its
-//! tiles and some of its kernels, mostly all of both. The result is the sum over parts, so a tile
-//! whose planes do not fit at once is processed in several batches.
+//! tiles and some of its kernels, in most cases all of both. A tile's result is the sum over all
+//! parts that hold the tile. So a tile whose planes do not fit at once is processed in several
+//! batches.
 
 use std::ops::Range;
 
@@ -18,10 +19,10 @@ use crate::plan::axis_cuts::Stretch;
 use crate::plan::block::Block;
 use crate::plan::geometry::{Direction, Geometry, PlacedTile, TilePart};
 
-/// A plan's tiles along both axes, one by one.
+/// A plan's tiles, listed along x and along y.
 #[derive(Debug)]
 pub(crate) struct TileGrid {
-    /// Along x and along y.
+    /// The tiles along x, and the tiles along y.
     pub(crate) tiles: [Vec<AxisTile>; 2],
     geometry: Geometry,
     /// The number of kernels per block, row by row.
@@ -168,23 +169,24 @@ pub(super) struct Panel {
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub(super) parts: Vec<Part>,
-    /// The numbers of values of light, planes, spectra, and values of stamps.
+    /// The number of values of light, of planes, of spectra, and of values of stamps, in this
+    /// order.
     pub(super) light: usize,
     pub(super) planes: usize,
     pub(super) spectra: usize,
     pub(super) stamps: usize,
 }
 
-/// Tiles and kernels of a block.
+/// Some tiles and some kernels of one block.
 #[derive(Debug, Clone)]
 pub(super) struct Part {
     /// Column and row of the block.
     pub(super) block: (usize, usize),
-    /// Its number within its batch.
+    /// The index of this part in its batch.
     pub(super) number: u32,
     pub(super) kernels: Range<usize>,
     pub(super) tiles: Vec<TileSlot>,
-    /// The first of its spectra and the first value of its stamps.
+    /// The indices of its first spectrum and of the first value of its stamps in the batch.
     pub(super) spectrum: usize,
     pub(super) stamp: usize,
 }
@@ -195,7 +197,7 @@ pub(super) struct TileSlot {
     pub(super) tile: PlacedTile,
     /// Tiles of one colour do not overlap.
     pub(super) colour: usize,
-    /// The first value of its light and the first of its planes.
+    /// The indices of the first value of its light and of its first plane in the batch.
     pub(super) light: usize,
     pub(super) plane: usize,
 }
@@ -204,8 +206,8 @@ pub(super) struct TileSlot {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Limits<'a> {
     pub(super) adapter: &'a Adapter,
-    /// The most bytes that a piece should have. If it cannot be that small, the adapter's limit
-    /// applies.
+    /// The most bytes that a buffer of a piece should have. If a piece cannot be that small, only
+    /// the adapter's limit applies.
     pub(super) piece: u64,
 }
 
@@ -336,7 +338,7 @@ impl Packing<'_> {
             return Ok(());
         }
         if kernels == 0 {
-            // There are no kernels, but light without a PSF must still be found.
+            // There are no kernels, but an execution must still find light without a PSF.
             for tile in tiles {
                 let mut batch = Batch::default();
                 self.force(&mut batch, block, std::slice::from_ref(tile), 0..0);
@@ -344,8 +346,8 @@ impl Packing<'_> {
             }
             return Ok(());
         }
-        // Adds as many tiles at once as fit with all kernels. If one tile does not fit, its kernels
-        // are divided among several batches.
+        // Adds the tiles one by one, each with all its kernels. If a tile does not fit into a
+        // batch, its kernels are divided among several batches.
         for tile in tiles {
             let mut first = 0;
             while first < kernels {
@@ -395,7 +397,7 @@ impl Packing<'_> {
         }
     }
 
-    /// Adds a part to a batch if it fits.
+    /// Adds a part to a batch if it fits. Returns whether it did.
     fn place(
         &self,
         batch: &mut Batch,

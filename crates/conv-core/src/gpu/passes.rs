@@ -17,7 +17,8 @@ pub(super) struct Calls<'a> {
     device: &'a GpuDevice,
     pipelines: &'a Pipelines,
     params: wgpu::Buffer,
-    /// The bytes of all parameters. Those of each call are at an offset that the adapter allows.
+    /// The bytes of all parameters. The parameters of each call begin at an offset that the adapter
+    /// allows.
     bytes: Vec<u8>,
     step: usize,
     list: Vec<Call>,
@@ -61,8 +62,9 @@ impl<'a> Calls<'a> {
         }
     }
 
-    /// Adds a call of some workgroups with the words of its [`Params`](super::shader::Params).
-    /// Buffers are bound in the order of the shader's bindings, after the parameters.
+    /// Adds a call of some workgroups. `params` are the words of its
+    /// [`Params`](super::shader::Params). Buffers are bound in the order of the shader's bindings,
+    /// after the parameters.
     pub(super) fn add(
         &mut self,
         shader: Shader,
@@ -143,9 +145,10 @@ pub struct ShaderTrial<'a> {
     pub buffers: Vec<Option<Vec<u32>>>,
     /// The number of tiles, or of planes if the shader works on single planes.
     pub count: u32,
-    /// The number of rows of the highest result that stamps are drawn to.
+    /// The number of rows of the tallest result to which stamps are drawn.
     pub highest: u32,
-    /// If true, one root of unity is wrong.
+    /// If true, one root of unity is made wrong, so that a test can check that it notices the
+    /// error.
     pub spoilt: bool,
 }
 

@@ -64,9 +64,9 @@ impl PlaneSource {
         roots(self.nx, self.nx, 1.0)
     }
 
-    /// Roots of unity for the columns, then the factors before and after them. These are
-    /// `exp(i pi y / ny)`, and `exp(-i pi y / ny)` divided by the number of complex values. They
-    /// make planes negacyclic in y.
+    /// Roots of unity for the columns, then the factors before and after transforms along y. These
+    /// factors make planes negacyclic in y: `exp(i pi y / ny)` before, and `exp(-i pi y / ny)`
+    /// divided by the number of complex values after.
     pub(super) fn column_roots(&self) -> Vec<[f32; 2]> {
         let half = self.half();
         let mut all = roots(half, half, 1.0);
@@ -196,7 +196,7 @@ fn parts(shader: Shader, fft: &FftSource) -> Vec<(&'static str, String)> {
     parts
 }
 
-/// The first `count` of `exp(-2 pi i m / n)`, divided by a gain.
+/// `exp(-2 pi i m / n)` divided by `gain`, for `m` from 0 to `count - 1`.
 fn roots(n: usize, count: usize, gain: f64) -> Vec<[f32; 2]> {
     (0..count)
         .map(|m| {

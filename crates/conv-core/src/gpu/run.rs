@@ -22,7 +22,7 @@ use crate::error::GpuError;
 use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
-/// The most batches submitted and not finished. It bounds the memory for their data.
+/// The most batches submitted and not finished. It limits the memory for their data.
 const MOST_BATCHES: usize = 3;
 
 /// An execution.
@@ -123,7 +123,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
             }
             while self.batches.len() >= MOST_BATCHES {
                 let oldest = self.batches.pop_front();
-                self.device.wait(oldest.expect("there are some"))?;
+                self.device.wait(oldest.expect("batches are in progress"))?;
             }
             let made;
             let data = if let Some(data) = kept {
@@ -247,7 +247,7 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
         device.check()
     }
 
-    /// Waits for the panel before and adds it to the image.
+    /// Waits for the panel that the GPU computes, and adds it to the image.
     fn finish(&mut self) -> Result<(), GpuError> {
         let Some(pending) = self.pending.take() else {
             return Ok(());
@@ -279,12 +279,13 @@ impl<'a, 'j, T: ConvReal> Run<'a, 'j, T> {
     }
 }
 
-/// Merges neighbouring ranges.
+/// Merges neighbouring ranges `(first, count)`.
 fn joined(ranges: &[(usize, usize)]) -> Vec<(usize, usize)> {
     let mut joined: Vec<(usize, usize)> = Vec::new();
     for &(first, count) in ranges {
         match joined.last_mut() {
-            // Places are rounded up, and the values between ranges are never read.
+            // Merges over gaps of up to 3 values, which are left because the light of a tile begins
+            // at a multiple of 4. The values in gaps are never read.
             Some(last) if first - (last.0 + last.1) < 4 => last.1 = first + count - last.0,
             _ => joined.push((first, count)),
         }

@@ -9,7 +9,7 @@ use super::device::GpuDevice;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuTimes {
-    /// From the light in the host's memory to the image there.
+    /// The whole execution, from light in the host's memory to the image in the host's memory.
     pub total: Duration,
     /// Shaders, by the GPU's own clock. `None` if it has no readable clock.
     pub kernels: Option<Duration>,
@@ -77,7 +77,7 @@ impl Stopwatch {
         })
     }
 
-    /// Does some copies, between two marks if there is a stopwatch.
+    /// Runs `copies`. If there is a stopwatch, sets a time mark before and after them.
     pub(super) fn transfers(
         stopwatch: Option<&Self>,
         marks: &mut Marks,

@@ -7,8 +7,8 @@ use crate::plan::Plan;
 use crate::plan::geometry::Direction;
 
 /// The bytes that an execution on a GPU moves if every pixel is lit. Divided by the hardware's
-/// bandwidths, they give a lower bound of this engine's time, except for the gain from caches that
-/// hold planes.
+/// bandwidths, they give a lower bound of the engine's time. Caches that hold whole planes may make
+/// the engine faster than that.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuWork {
@@ -22,8 +22,8 @@ pub struct GpuWork {
 const F32: u64 = 4;
 
 impl GpuWork {
-    /// Adds a tile with some kernels. Counts the values of a plane, of the part of a plane that the
-    /// tile's light fills, of its light and of its result.
+    /// Adds a tile with some kernels. The pairs are numbers of values: of a plane and of the part
+    /// of it that the tile's light fills, of the tile's light and of its result.
     pub(crate) fn add_tile(
         &mut self,
         kernels: u64,
@@ -32,11 +32,11 @@ impl GpuWork {
         direction: Direction,
     ) {
         let planes = match direction {
-            // Along x, writes planes of all kernels. Along y, reads these and writes one. Back
-            // along x, reads that one.
+            // Along x: writes a plane per kernel. Along y: reads these planes and writes one plane.
+            // Back along x: reads that plane.
             Direction::Scatter => 2 * kernels * filled + 2 * plane,
-            // Along x, writes one. Along y, reads it and writes those of all kernels. Back along x,
-            // reads these.
+            // Along x: writes one plane. Along y: reads it and writes a plane per kernel. Back
+            // along x: reads these planes.
             Direction::Gather => 2 * filled + 2 * kernels * plane,
         };
         // Reads the light, reads and writes the image.
@@ -66,8 +66,8 @@ impl GpuWork {
     /// Predicted seconds on a kind of adapter. The constants are rounded guesses for such hardware,
     /// not measurements. They are only good enough to choose a device.
     pub(crate) fn seconds(&self, kind: AdapterKind) -> f64 {
-        // Bytes per second over the bus, including the work of the host, bytes per second of the
-        // GPU's memory, and seconds to start.
+        // Three constants: bytes per second over the bus, including the work of the host; bytes per
+        // second of the GPU's memory; seconds to start.
         let (bus, memory, start) = match kind {
             AdapterKind::Discrete | AdapterKind::Virtual => (8e9, 2e11, 1e-3),
             AdapterKind::Integrated | AdapterKind::Other => (8e9, 3e10, 1e-3),

@@ -7,8 +7,8 @@ use std::ops::Range;
 pub(crate) struct Stretch {
     /// First pixel and length of each tile, in order.
     pub(crate) tiles: Vec<(usize, usize)>,
-    /// Pixels from the first pixel of the local basis to the first tile. A plan of a region omits
-    /// them.
+    /// The number of pixels from the first pixel of the block to the first tile. It is above 0 only
+    /// if a plan of a region omits these pixels.
     pub(crate) lead: usize,
 }
 

@@ -17,14 +17,14 @@ pub(crate) struct Block<T> {
     modes: LocalModes,
     role: FluxRole,
     flux: f64,
-    /// Kept if the plan has memory for it. Otherwise each execution computes it.
+    /// The coefficients, if the plan has memory for them. Otherwise each execution computes them.
     pub(crate) table: Option<Arc<CoefficientTable<T>>>,
-    /// `[kernel, y, x]`.
+    /// The stamps `[kernel, y, x]`, if the plan has memory for them.
     pub(crate) stamps: Option<Arc<Vec<T>>>,
 }
 
 impl<T: ConvReal> Block<T> {
-    /// Computes the block, with its coefficients if `keep_table`.
+    /// Computes the modes of a block, and its coefficients if `keep_table` is true.
     pub(crate) fn new(
         model: &PsfModel,
         space: &PsfSpace,
@@ -71,7 +71,7 @@ impl<T: ConvReal> Block<T> {
     pub(crate) fn stamps_or_new(&self, space: &PsfSpace) -> Arc<Vec<T>> {
         self.stamps.clone().unwrap_or_else(|| {
             let made = stamps_of(space.stamps.view(), &[self]).pop();
-            Arc::new(made.expect("one block's stamps"))
+            Arc::new(made.expect("the stamps of one block"))
         })
     }
 
@@ -82,7 +82,7 @@ impl<T: ConvReal> Block<T> {
             None => modes.to_owned(),
             Some(reference) => {
                 let reference = (&reference * self.flux).insert_axis(Axis(0));
-                ndarray::concatenate(Axis(0), &[reference.view(), modes]).expect("as many directions")
+                ndarray::concatenate(Axis(0), &[reference.view(), modes]).expect("equally many directions")
             }
         }
     }
@@ -93,7 +93,7 @@ pub(crate) fn stamps_of<T: ConvReal>(stamps: ArrayView2<'_, f64>, blocks: &[&Blo
     let directions: Vec<Array2<f64>> = blocks.iter().map(|block| block.directions()).collect();
     let views: Vec<ArrayView2<'_, f64>> = directions.iter().map(|d| d.view()).collect();
     let all = ndarray::concatenate(Axis(0), &views)
-        .expect("as many directions")
+        .expect("equally many directions")
         .dot(&stamps);
     let mut first = 0;
     directions

@@ -27,7 +27,7 @@ pub enum FluxRole {
 pub struct CoefficientTable<T> {
     pub(crate) region: PixelRegion,
     pub(crate) role: FluxRole,
-    /// The number of functions: the flux first, unless it is constant, then the modes.
+    /// The number of functions: the flux first, if the role uses it at every pixel, then the modes.
     pub(crate) functions: usize,
     pub(crate) values: Values<T>,
     /// `(row, column)` of the pixels without a PSF.
@@ -43,7 +43,7 @@ pub(crate) enum Values<T> {
         runs: Vec<(u32, u32)>,
         ramps: Vec<[T; 2]>,
     },
-    /// Values per function and pixel.
+    /// Values `[function, y, x]`.
     Dense(Vec<T>),
 }
 
@@ -51,7 +51,8 @@ pub(crate) enum Values<T> {
 const SAME_FLUX: f64 = 4e-16;
 
 impl FluxRole {
-    /// Returns the role in a region, and the flux if it is constant.
+    /// Returns the role of the flux in a region, and the flux of the reference: the PSFs' flux if
+    /// that is constant, otherwise 1.
     pub fn of(model: &PsfModel, modes: &LocalModes, cells: &RegionCells) -> (Self, f64) {
         let scaled = model.needs_flux_scaling();
         if modes.reference().is_none() {
@@ -179,15 +180,15 @@ impl<T: ConvReal> CoefficientTable<T> {
                 model.scaled_coefficients_into(position, &mut coefficients)?;
                 return Err(FieldError::External {
                     position,
-                    source: "the field's weights are not finite or do not cover the row".into(),
+                    source: "the weights of the field are not finite, or missing for some pixels".into(),
                 });
             }
         }
         Ok(())
     }
 
-    /// Multiplies pixels of a row by the coefficient of a kernel. `row` and the first column count
-    /// from the region's first pixel. `ramp` holds 0, 1, 2 ... .
+    /// Multiplies the light of a row's pixels by the coefficient of a kernel. `row` and the first
+    /// column count from the region's first pixel. `ramp` holds 0, 1, 2 ... .
     #[inline(always)]
     pub fn weigh(
         &self,
@@ -301,16 +302,17 @@ enum Piece<'a, T> {
 struct Builder<'a> {
     modes: &'a LocalModes,
     ends: [Vec<f64>; 2],
-    /// The number of leading values that are not functions.
+    /// The number of leading values that are not stored: 1 if the flux is not a function, otherwise
+    /// 0.
     skip: usize,
     divides: bool,
     undefined: Vec<(u32, u32)>,
 }
 
 impl Builder<'_> {
-    /// Visits the cells row by row, with row, first column, length, the functions' values at the
-    /// first column and their slopes. A cell whose flux is not positive everywhere is visited pixel
-    /// by pixel.
+    /// Calls `visit` for each cell of each row, with row, first column, length, the functions'
+    /// values at the first column and their slopes. If functions are divided by the flux, a cell is
+    /// visited pixel by pixel where its flux is not positive.
     fn each_piece(
         &mut self,
         cells: &RegionCells,
@@ -327,8 +329,8 @@ impl Builder<'_> {
                 for (cell, corners) in cells.cells_of(band).iter().zip(values) {
                     if cells.corners(cell).is_none() {
                         self.undefined(row, cell.column, cell.length);
-                        // These pixels must stay dark, so any finite factor will do: a divisor of 1
-                        // avoids 1 / 0.
+                        // These pixels must be dark, so any finite factor is allowed. A divisor of
+                        // 1 avoids 0 / 0.
                         self.ends[0].fill(0.0);
                         self.ends[0][0] = 1.0;
                         visit(row, cell.column, cell.length, &self.ends[0][self.skip..], &|_| {

@@ -3,8 +3,8 @@
 use crate::ConvReal;
 use crate::transform::{X_STEP, Y_STEP};
 
-/// Predicted seconds of one thread, from constants in the source code, so that plans are the same
-/// on every machine. They were measured in f32 on one core of an AVX-512 machine
+/// Predicted seconds of one thread. The constants are in the source code, so that plans are the
+/// same on every machine. They were measured in f32 on one core of an AVX-512 machine
 /// (`cargo bench -p conv-core`). Only ratios matter for choices.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CostModel {
@@ -12,24 +12,24 @@ pub(crate) struct CostModel {
     width: f64,
 }
 
-/// Seconds per value and per doubling of the transform's size, while a plane and its spectra stay
-/// in the L2 cache.
+/// Seconds of a transform of `n` values, divided by `n log2 n`, if a plane and its spectra stay in
+/// the L2 cache.
 const TRANSFORM: f64 = 17e-12;
-/// Seconds for larger planes, which do not stay in the L2 cache.
+/// Like [`TRANSFORM`], for larger planes, which do not stay in the L2 cache.
 const TRANSFORM_LARGE: f64 = 21e-12;
 const TRANSFORM_HUGE: f64 = 24e-12;
 /// A complex multiply-add, per value of the plane.
 const MULTIPLY: f64 = 0.09e-9;
 /// Multiplication of a pixel's light by the coefficient of one mode.
-const WEIGH: f64 = 0.10e-9;
+const MULTIPLY_LIGHT: f64 = 0.10e-9;
 /// Reading a pixel's light, and adding a pixel to the image.
-const LOOK: f64 = 0.15e-9;
+const READ_OR_ADD_PIXEL: f64 = 0.15e-9;
 const ADD: f64 = 0.20e-9;
 /// Drawing a stamp and adding it to the image, per stamp pixel and mode.
 const DRAW: f64 = 0.05e-9;
 /// Factor for drawing where coefficients change from pixel to pixel.
 const DRAW_GATHERED: f64 = 6.0;
-/// Computing a stamp, per stamp pixel and stamp of the model.
+/// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.1e-9;
 /// One product and sum of the direct convolution.
 const DIRECT: f64 = 0.012e-9;
@@ -75,9 +75,9 @@ impl CostModel {
         let pixels = (tile.0 * tile.1) as f64;
         let plane = (size.0 * size.1) as f64;
         let r = kernels;
-        r * (self.transform(size) + self.multiply(size) + self.width * WEIGH * pixels)
+        r * (self.transform(size) + self.multiply(size) + self.width * MULTIPLY_LIGHT * pixels)
             + self.transform(size)
-            + self.width * (LOOK * pixels + ADD * plane)
+            + self.width * (READ_OR_ADD_PIXEL * pixels + ADD * plane)
     }
 
     /// Drawing one lit pixel.
@@ -95,7 +95,7 @@ impl CostModel {
         let out = ((tile.0 + stamp.0 - 1) * (tile.1 + stamp.1 - 1)) as f64;
         self.width
             * kernels as f64
-            * (DIRECT * out * (stamp.0 * stamp.1) as f64 + WEIGH * (tile.0 * tile.1) as f64)
+            * (DIRECT * out * (stamp.0 * stamp.1) as f64 + MULTIPLY_LIGHT * (tile.0 * tile.1) as f64)
     }
 }
 

@@ -11,7 +11,7 @@ use crate::view::Reach;
 pub(crate) enum Direction {
     /// From the side that PSFs belong to: the tile's own light spreads.
     Scatter,
-    /// To that side: the light around a tile is gathered.
+    /// To the side that PSFs belong to: a tile gathers the light around it.
     Gather,
 }
 

@@ -1,4 +1,4 @@
-//! The few local PSFs whose combinations are all PSFs of a region.
+//! The few modes whose linear combinations represent all PSFs of a region.
 
 use nalgebra::{DMatrix, SymmetricEigen};
 use ndarray::{Array1, Array2, ArrayView1, ArrayView2, Axis, s};
@@ -24,7 +24,7 @@ pub struct PsfSpace {
 
 /// The part of the mean outside the components' span is ignored if its norm is below this fraction
 /// of the mean's norm.
-const IN_SPAN: f64 = 1e-14;
+const NEGLIGIBLE_REMAINDER: f64 = 1e-14;
 
 impl PsfSpace {
     /// The space of a model's PSFs.
@@ -38,8 +38,8 @@ impl PsfSpace {
         let components = flat.slice(s![first.., ..]);
         let rank = components.nrows();
         let values = model.field().node_values();
-        // The mean's part along the components, and the rest. Two passes are enough (Kahan, in
-        // Parlett 1980, section 6-9).
+        // Divides the mean into its part along the components and the rest. Two passes are enough
+        // (Kahan, in Parlett 1980, section 6-9).
         let mut along = Array1::zeros(rank);
         let mut rest: Array1<f64> = if first == 1 {
             flat.row(0).to_owned()
@@ -55,7 +55,7 @@ impl PsfSpace {
             }
         }
         let left = norm(rest.view());
-        let extra = usize::from(left > IN_SPAN * whole);
+        let extra = usize::from(left > NEGLIGIBLE_REMAINDER * whole);
         let mut stamps = Array2::zeros((rank + extra, ny * nx));
         stamps.slice_mut(s![..rank, ..]).assign(&components);
         let mut mean = Array1::zeros(rank + extra);
@@ -88,16 +88,20 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
 }
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
-/// truncation keeps the flux.
+/// leaving out modes keeps the flux.
 ///
-/// The modes are orthonormal and ordered by weight. If there is no reference, the one mode that
-/// carries all flux comes first. The fewest modes are kept that leave every PSF of the region
-/// within the tolerance, relative to its own norm. PSFs are bilinear in a cell, so testing its
-/// corners is enough: along any row or column of the cell the norm of the residual is convex. A
-/// PSF's norm is at least its projection on the region's mean, which is linear there.
+/// The modes are orthonormal, and ordered by their mean squared coefficient, the largest first. If
+/// there is no reference, the first mode is the only one that holds flux. The fewest modes are kept
+/// for which the error of every PSF of the region, relative to its own norm, is within the
+/// tolerance.
+///
+/// It is enough to test the corners of each cell. PSFs are bilinear in a cell, so along any row or
+/// column of the cell the norm of the error is convex. It is compared with the PSF's projection on
+/// the region's mean. This projection is linear there, and at most the PSF's norm.
 #[derive(Debug)]
 pub struct LocalModes {
-    /// The PSF of unit flux, `[direction]`. `None` if the region's PSFs hold too little flux.
+    /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little
+    /// flux.
     reference: Option<Array1<f64>>,
     /// `[mode, direction]`.
     pub(crate) modes: Array2<f64>,
@@ -114,17 +118,17 @@ const SUPPORT_BANDS: usize = 5;
 const SUPPORT_CELLS: usize = 16;
 /// The region's mean is the reference if it holds at least this fraction of the largest flux that a
 /// vector of its norm can hold.
-const FLUX_TO_SPEAK_OF: f64 = 1e-3;
-/// After removal of the flux, parts of nodes along the flux direction are rounding up to this,
-/// relative to the nodes' norms.
+const MIN_REFERENCE_FLUX: f64 = 1e-3;
+/// A part along the flux direction counts as rounding if it is at most this fraction of the largest
+/// norm.
 const NO_FLUX: f64 = 1e-12;
-/// Directions in which no node reaches farther than this, relative to the nodes' norms, are
-/// rounding.
+/// A direction counts as rounding if no node's part along it exceeds this fraction of the largest
+/// norm of the nodes.
 const ROUNDING: f64 = 2e-16;
 
-/// The remainder of a node is rounding if less than this fraction of it is orthogonal to the
+/// The remainder of a node counts as rounding if less than this fraction of it is orthogonal to the
 /// earlier directions.
-const MOSTLY_NEW: f64 = 0.5;
+const MIN_NEW_PART: f64 = 0.5;
 
 impl LocalModes {
     /// Computes the modes of a region. The tolerance must not be below the rounding of f64.
@@ -140,14 +144,15 @@ impl LocalModes {
         }
         let support = Support::of(cells);
         let centre = support.mean_weights(nodes.nrows()).dot(&nodes) + &offset;
-        // beta(x) = <h(x), centre> / |centre| is linear and at most |h(x)|.
+        // beta(x) = <h(x), centre> / |centre| is linear in the weights of the nodes. It is at most
+        // the norm of h(x).
         let along = &centre / norm(centre.view()).max(f64::MIN_POSITIVE);
         let (beta, beta_offset) = (nodes.dot(&along), offset.dot(&along));
         let fluxes = nodes.dot(&space.fluxes);
         let flux_offset = offset.dot(&space.fluxes);
         let flux = centre.dot(&space.fluxes);
         let possible = norm(centre.view()) * norm(space.fluxes.view());
-        let reference = (flux.abs() > FLUX_TO_SPEAK_OF * possible).then(|| &centre / flux);
+        let reference = (flux.abs() > MIN_REFERENCE_FLUX * possible).then(|| &centre / flux);
         let scale = nodes
             .outer_iter()
             .chain([offset.view()])
@@ -169,12 +174,12 @@ impl LocalModes {
         };
         let (rotation, forced) = match flux_axis(&span, space.fluxes.view()) {
             None => (principal_axes(&covariance), 0),
-            // Without a reference, this one mode carries all flux and must be kept.
+            // Without a reference, the mode along the flux axis carries all flux and must be kept.
             Some(axis) if reference.is_none() => {
                 let rest = beside(&axis);
                 let axis = axis.insert_axis(Axis(1));
                 (
-                    ndarray::concatenate(Axis(1), &[axis.view(), rest.view()]).expect("as many rows"),
+                    ndarray::concatenate(Axis(1), &[axis.view(), rest.view()]).expect("equally many rows"),
                     1,
                 )
             }
@@ -199,7 +204,7 @@ impl LocalModes {
         }));
         let modes = rotation.slice(s![.., ..rank]).t().dot(&span);
         let with_flux = |flux: ArrayView2<'_, f64>, values: ArrayView2<'_, f64>| {
-            ndarray::concatenate(Axis(1), &[flux, values]).expect("as many rows")
+            ndarray::concatenate(Axis(1), &[flux, values]).expect("equally many rows")
         };
         let kept = offset.slice(s![..rank]).insert_axis(Axis(0)).to_owned();
         let offset = with_flux(ndarray::aview2(&[[flux_offset]]), kept.view());
@@ -231,7 +236,7 @@ impl LocalModes {
     }
 }
 
-/// The node weights at corners of cells, spread over a region.
+/// The node weights at the corners of some cells, which are spread over the region.
 struct Support<'a>(Vec<&'a [(usize, f64)]>);
 
 impl<'a> Support<'a> {
@@ -254,7 +259,7 @@ impl<'a> Support<'a> {
             ends.extend(chosen.flat_map(|of_cell| of_cell.into_iter().take(corners)));
         }
         if ends.is_empty() {
-            // The field has values only in few places of the region.
+            // The chosen cells have no values. Takes the first cell that has values.
             ends.extend(cells.all_corners().next().into_iter().flatten());
         }
         Self(ends)
@@ -293,7 +298,7 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
         return Array2::eye(dimension);
     }
     let mut rest =
-        ndarray::concatenate(Axis(0), &[nodes, offset.insert_axis(Axis(0))]).expect("as many columns");
+        ndarray::concatenate(Axis(0), &[nodes, offset.insert_axis(Axis(0))]).expect("equally many columns");
     let mut basis: Vec<Array1<f64>> = Vec::new();
     while basis.len() < dimension {
         let norms = rest.outer_iter().map(norm);
@@ -311,7 +316,7 @@ fn span(nodes: ArrayView2<'_, f64>, offset: ArrayView1<'_, f64>, least: f64) -> 
             direction.scaled_add(-p, earlier);
         }
         let new = norm(direction.view());
-        if new < MOSTLY_NEW {
+        if new < MIN_NEW_PART {
             continue;
         }
         direction /= new;
@@ -350,7 +355,7 @@ fn complement(axis: &Array1<f64>) -> Array2<f64> {
 /// Returns the eigenvectors of a covariance as columns, the largest eigenvalue first.
 fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     let n = covariance.nrows();
-    // If the covariance overflows, there are no axes. Any axes will do then, as all are kept.
+    // If the covariance overflows, it has no axes. Returns the coordinate axes.
     if n == 0 || covariance.iter().any(|v| !v.is_finite()) {
         return Array2::eye(n);
     }
@@ -381,7 +386,7 @@ fn needed(
         let least = least.powi(2);
         for (i, corner) in corners.iter().enumerate() {
             if corners[..i].iter().any(|before| std::ptr::eq(*before, *corner)) {
-                // These corners repeat others in a band of one row or a cell of one column.
+                // This corner repeats an earlier one: the band has one row, or the cell one column.
                 continue;
             }
             // Only coordinates beyond `needed` can raise the number.

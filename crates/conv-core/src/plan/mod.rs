@@ -1,10 +1,11 @@
 //! Plans: everything about a convolution that depends neither on the light nor on the device that
 //! executes it.
 //!
-//! A plan divides the side to which PSFs belong into blocks ([`tiling`]). For each block it finds
+//! PSFs belong to the pixels of one side: the light (source-anchored) or the image
+//! (output-anchored). A plan divides this side into blocks ([`tiling`]). For each block it finds
 //! the few modes that represent every PSF within the tolerance ([`local_modes`]), from the weights
-//! of the field's nodes along rows ([`region_cells`]). It keeps stamps and coefficients
-//! ([`coefficient_table`]).
+//! of the coefficient field's nodes along rows ([`region_cells`]). It keeps the stamps and
+//! coefficients of these modes ([`coefficient_table`]).
 
 pub(crate) mod axis_cuts;
 pub(crate) mod block;
@@ -39,17 +40,19 @@ use crate::{ConvError, ConvReal};
 /// The number of blocks planned in parallel.
 const BLOCKS_AT_ONCE: usize = 64;
 /// The number of blocks whose stamps are computed by one matrix product.
-const BLOCKS_A_PRODUCT: usize = 32;
+const BLOCKS_PER_PRODUCT: usize = 32;
 
 /// A planned convolution of light of one shape with one model: tiles, the modes of each tile, their
 /// stamps and coefficients.
 ///
-/// A plan is data. An [`Engine`](crate::Engine) executes it, any number of times. It is a linear
-/// operator: the modes of a tile depend on the model and the tolerance, never on the light.
+/// A plan is data. An [`Engine`](crate::Engine) executes it, any number of times. A plan describes
+/// a linear operator, because the modes of a tile depend on the model and the tolerance, never on
+/// the light.
 ///
-/// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`, with the fewest modes
-/// that represent each PSF within the tolerance. The modes hold no flux, so flux is kept at any
-/// tolerance.
+/// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The reference is a PSF
+/// of unit flux. There are only as many modes as represent each PSF within the tolerance. The modes
+/// hold no flux, so flux is kept at any tolerance. If the PSFs of a tile hold too little flux for a
+/// reference, a single mode carries all flux and is always kept.
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(crate) model: PsfModel,
@@ -58,7 +61,7 @@ pub struct Plan<T: ConvReal> {
     options: PlanOptions,
     pub(crate) tiling: Tiling,
     pub(crate) cost: CostModel,
-    /// Row by row.
+    /// The blocks, row by row.
     pub(crate) blocks: Vec<Block<T>>,
     /// The part of the frame that the plan computes, in pixels of the frame.
     region: PixelRegion,
@@ -72,7 +75,7 @@ impl<T: ConvReal> Plan<T> {
     ///
     /// # Errors
     /// [`ConvError`] if the model's stamps do not suit an image, or the frame reaches beyond the
-    /// light. A missing PSF is an error of the execution, and only where there is light.
+    /// light. A missing PSF is no error here. An execution fails if its light needs that PSF.
     pub fn new(
         model: &PsfModel,
         shape: FrameShape,
@@ -84,12 +87,12 @@ impl<T: ConvReal> Plan<T> {
 
     /// Plans a region of the frame, in pixels of the frame, so that many machines can share a
     /// frame. The plan uses the tiles and modes of the whole frame, and keeps those that reach the
-    /// region. The pieces put together equal the image of the whole plan up to rounding, at any
-    /// tolerance: their edges leave no trace.
+    /// region. The images of regions, put together, equal the image of the whole plan up to
+    /// rounding, at any tolerance. So the edges of regions are not visible.
     ///
-    /// Executions accept the whole light or only that of [`light_region`](Self::light_region), and
-    /// return images of the region. `progress` is polled and may cancel the planning. It receives
-    /// no steps.
+    /// Executions accept the whole light or only its part in [`light_region`](Self::light_region).
+    /// Their image is that of the region. `progress` is polled and may cancel the planning. It
+    /// receives no steps.
     ///
     /// This function chooses the tiles again, as for the whole frame.
     /// [`for_other_region`](Self::for_other_region) reuses them.
@@ -192,7 +195,7 @@ impl<T: ConvReal> Plan<T> {
     }
 
     /// Plans the blocks at some columns and rows of the whole frame's blocks, row by row. Keeps
-    /// their coefficients as long as memory is left, and returns the memory that remains.
+    /// their coefficients as long as memory is left. Returns the bytes of memory that remain.
     fn add_blocks(
         &mut self,
         [columns, rows]: &[Range<usize>; 2],
@@ -203,12 +206,12 @@ impl<T: ConvReal> Plan<T> {
         let count = across * rows.len();
         let mut left = self.options.memory_bytes();
         let mut full = false;
-        // A few blocks at a time, so that only few tables that cannot be kept are in memory.
+        // Plans a few blocks at a time, because tables that will not be kept need memory too.
         for first in (0..count).step_by(BLOCKS_AT_ONCE) {
             let made: Vec<Block<T>> = (first..(first + BLOCKS_AT_ONCE).min(count))
                 .into_par_iter()
                 .map(|i| {
-                    progress.still_wanted()?;
+                    progress.check_cancelled()?;
                     let whole = &self.whole;
                     let region = whole.block(columns.start + i % across, rows.start + i / across);
                     Ok(Block::new(&self.model, &whole.space, region, tolerance, !full))
@@ -228,7 +231,7 @@ impl<T: ConvReal> Plan<T> {
         Ok(left)
     }
 
-    /// Computes the stamps for which there is memory.
+    /// Computes and keeps the stamps of the first blocks, as far as the memory left allows.
     fn keep_stamps(&mut self, mut left: usize) {
         let stamp = self.geometry.stamp.0 * self.geometry.stamp.1 * size_of::<T>();
         let mut room = 0;
@@ -241,7 +244,7 @@ impl<T: ConvReal> Plan<T> {
         }
         let stamps = self.whole.space.stamps.view();
         self.blocks[..room]
-            .par_chunks_mut(BLOCKS_A_PRODUCT)
+            .par_chunks_mut(BLOCKS_PER_PRODUCT)
             .for_each(|blocks| {
                 let made = stamps_of(stamps, &blocks.iter().collect::<Vec<_>>());
                 for (block, stamps) in blocks.iter_mut().zip(made) {
@@ -280,7 +283,7 @@ impl<T: ConvReal> Plan<T> {
     /// light.
     pub fn light_region(&self) -> PixelRegion {
         let [columns, rows] = &self.light;
-        let shape = FrameShape::new(columns.len(), rows.len()).expect("a region's own light reaches it");
+        let shape = FrameShape::new(columns.len(), rows.len()).expect("the part contains the region");
         PixelRegion::new(columns.start as i64, rows.start as i64, shape)
     }
 
@@ -291,8 +294,8 @@ impl<T: ConvReal> Plan<T> {
         zeros((self.region.shape().ny(), self.region.shape().nx()))
     }
 
-    /// The columns and rows that reach the region, for light with the shape of the whole light or
-    /// of the part that reaches it.
+    /// The columns and rows that reach the region, in an array of light with shape `got`: the whole
+    /// light, or only the part that reaches the region.
     pub(crate) fn light_part(&self, got: FrameShape) -> Result<[Range<usize>; 2], ConvError> {
         let (part, whole) = (self.light_region(), self.scene_shape());
         if got == part.shape() {
@@ -301,12 +304,12 @@ impl<T: ConvReal> Plan<T> {
             Ok(self.light.clone())
         } else {
             let part = in_words(part);
-            let expected = format!("the whole scene, {whole}, or its part that reaches the image, {part}");
+            let expected = format!("the whole scene of {whole} or its part of {part} that reaches the image");
             Err(ConvError::LightShape { expected, got })
         }
     }
 
-    /// The direction of the light, reversed if `transposed`.
+    /// The direction in which light passes, reversed if `transposed` is true.
     pub(crate) fn direction(&self, transposed: bool) -> Direction {
         match (self.options.anchor(), transposed) {
             (Anchor::Output, false) | (Anchor::Source, true) => Direction::Gather,

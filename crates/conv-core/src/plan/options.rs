@@ -8,10 +8,11 @@ use crate::{ConvError, ConvReal};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Paths {
-    /// The cheapest of: transforms, the direct sum, single stamps, or skipping a dark tile.
+    /// The cheapest method for each tile: transforms, the direct sum or single stamps. Dark tiles
+    /// are skipped.
     #[default]
     Cheapest,
-    /// Only transforms, wherever there is light.
+    /// Only transforms. Dark tiles are skipped.
     Transforms,
 }
 
@@ -44,7 +45,7 @@ impl PlanOptions {
     /// rounding. The rounding of the working precision is added to the error.
     ///
     /// # Errors
-    /// [`ConvError::Tolerance`] unless it is a number of at least 0 and below 1.
+    /// [`ConvError::Tolerance`] unless the tolerance is a number of at least 0 and below 1.
     pub fn new(tolerance: f64) -> Result<Self, ConvError> {
         if (0.0..1.0).contains(&tolerance) {
             Ok(Self {
@@ -62,17 +63,17 @@ impl PlanOptions {
         Self { anchor, ..self }
     }
 
-    /// Sets the paths.
+    /// Sets the allowed methods for tiles.
     #[must_use]
     pub fn with_paths(self, paths: Paths) -> Self {
         Self { paths, ..self }
     }
 
-    /// Limits the coefficients and stamps that the plan keeps. Each execution computes again those
-    /// that do not fit, which takes time. The choice of tiles takes that into account, so another
-    /// limit may give other tiles: the result then differs within the tolerance. The limit excludes
-    /// the model, the modes (a few kB per block) and the working memory of threads (a few MB each,
-    /// with a spectrum for each mode of a tile).
+    /// Limits the memory for the coefficients and stamps that the plan keeps. Each execution
+    /// computes again the coefficients and stamps that do not fit, which takes time. So another
+    /// limit may lead to other tiles. The result then differs within the tolerance. The limit does
+    /// not include the model, the modes (a few kB per block) and the working memory of threads (a
+    /// few MB each, with a spectrum for each mode of a tile).
     #[must_use]
     pub fn with_memory(self, bytes: usize) -> Self {
         Self {
@@ -86,11 +87,11 @@ impl PlanOptions {
         self.tolerance
     }
 
-    /// The tolerance of plans in a working precision. PSF errors below it are rounding, and no mode
-    /// is kept for them.
+    /// The tolerance, but at least the rounding of a working precision: no mode is kept for PSF
+    /// errors that are only rounding.
     pub(crate) fn tolerance_in<T: ConvReal>(&self) -> f64 {
-        // A sixteenth of the precision in f32. In f64 the coordinates themselves are only accurate
-        // to a few times the precision.
+        // The rounding is a sixteenth of epsilon in f32. In f64 it is 1e-15, because the
+        // coordinates themselves are only accurate to a few epsilon.
         self.tolerance.max((T::epsilon().as_f64() / 16.0).max(1e-15))
     }
 
@@ -99,7 +100,7 @@ impl PlanOptions {
         self.anchor
     }
 
-    /// The paths.
+    /// The allowed methods for tiles.
     pub fn paths(&self) -> Paths {
         self.paths
     }

@@ -1,4 +1,4 @@
-//! The weights of the nodes over a region.
+//! The weights of a coefficient field's nodes over a region.
 
 use std::ops::Range;
 
@@ -19,19 +19,19 @@ pub struct RegionCells {
 /// Neighbouring rows of a region that are divided at the same columns.
 #[derive(Debug, Clone)]
 pub(crate) struct Band {
-    /// Counted from the region's first row.
+    /// The rows, counted from the region's first row.
     pub(crate) rows: Range<usize>,
     cells: Range<usize>,
 }
 
-/// Neighbouring pixels of a band's rows.
+/// A rectangle of pixels: neighbouring columns of a band.
 #[derive(Debug, Clone)]
 pub(crate) struct Cell {
     /// First column, counted from the region's first column.
     pub(crate) column: usize,
     pub(crate) length: usize,
-    /// The weights at the first and the last pixel of the first row, then of the last row. `None`
-    /// where the field has no value.
+    /// The places of the weights at the first and the last pixel of the first row, then of the last
+    /// row. `None` if the field has no value there.
     corners: Option<[Range<usize>; CORNERS]>,
 }
 
@@ -74,8 +74,8 @@ impl RegionCells {
         all
     }
 
-    /// The cells of a few rows of a region, with the first and the last row, treated as all its
-    /// rows.
+    /// The cells of a few rows of a region, which include the first and the last row. Each is a
+    /// band of its own. The other rows have no cells.
     pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let ny = region.shape().ny();
         let count = SAMPLED_ROWS.min(ny);
@@ -88,8 +88,8 @@ impl RegionCells {
         all
     }
 
-    /// Adds the rows between neighbouring lines of the field. The first and the last row are enough
-    /// if they are divided at the same columns. Otherwise rows are added one by one.
+    /// Adds the rows between two neighbouring grid lines of the field. The first and the last row
+    /// are enough if they are divided at the same columns. Otherwise rows are added one by one.
     fn add_band(&mut self, field: &dyn CoefficientField, region: PixelRegion, rows: Range<usize>) {
         let nx = region.shape().nx();
         let runs_of =
@@ -138,7 +138,7 @@ impl RegionCells {
         let mut column = 0;
         while column < length {
             let outcome = field.weights_along_row((x + column as i64, y), length - column, &mut |run| {
-                // Runs may overrun the row. It must be covered only once.
+                // A run may extend beyond the row. Such a run is cut, and its pixels have no value.
                 let pixels = run.length.min(length - column);
                 let finite = |end: &[(usize, f64)]| end.iter().all(|(_, w)| w.is_finite());
                 let ends = if finite(run.first) && finite(run.last) && pixels == run.length {
@@ -162,7 +162,7 @@ impl RegionCells {
                 column += pixels;
             });
             if outcome.is_err() || column < length {
-                // A pixel without light needs no PSF. A lit one causes an error in the execution.
+                // This pixel has no PSF. That is an error of the execution if the pixel is lit.
                 runs.push(Run {
                     column,
                     length: 1,
@@ -192,8 +192,8 @@ impl RegionCells {
             if nodes.len() > room {
                 nodes.sort_unstable();
                 nodes.dedup();
-                // Doubles the room before the next sort: some regions have tens of thousands of
-                // nodes.
+                // Doubles the room before the next sort, because some regions have tens of
+                // thousands of nodes.
                 room = ROOM_FOR_NODES.max(2 * nodes.len());
             }
         }
@@ -209,8 +209,8 @@ impl RegionCells {
         &self.cells[band.cells.clone()]
     }
 
-    /// The weights of [`nodes`](Self::nodes) at the corners of a cell. `None` where the field has
-    /// no value.
+    /// The weights of [`nodes`](Self::nodes) at the corners of a cell. `None` if the field has no
+    /// value there.
     pub(crate) fn corners(&self, cell: &Cell) -> Option<Corners<'_>> {
         let corners = cell.corners.as_ref()?;
         Some(corners.each_ref().map(|range| &self.weights[range.clone()]))
@@ -221,8 +221,8 @@ impl RegionCells {
         self.cells.iter().filter_map(|cell| self.corners(cell))
     }
 
-    /// Returns whether rows are divided into runs of only a few pixels, so that a region takes much
-    /// memory.
+    /// Returns whether runs have so few pixels that it takes less memory to store coefficients
+    /// pixel by pixel.
     pub(crate) fn are_short(&self) -> bool {
         let (mut runs, mut pixels) = (0, 0);
         for band in &self.bands {
@@ -244,11 +244,12 @@ impl RegionCells {
     }
 }
 
-/// The list of nodes may hold repetitions up to this length. It limits the memory, not the nodes.
+/// The list of nodes may hold repetitions up to this length. This limits the memory of the list,
+/// not the number of nodes.
 const ROOM_FOR_NODES: usize = 1 << 12;
 /// The number of rows that represent a region.
 const SAMPLED_ROWS: usize = 5;
-/// Runs shorter than this on average are not worth their bookkeeping.
+/// If runs are shorter than this on average, coefficients are stored pixel by pixel.
 const SHORT_RUN: usize = 4;
 /// The largest rounding error of a sum of weights.
 const ROUNDING_OF_WEIGHTS: f64 = 1e-12;
@@ -260,7 +261,8 @@ mod tests {
 
     const SIDE: usize = 120;
 
-    /// Each pixel has its own node and its right neighbour's, the last pixel first.
+    /// Every pixel is a node, numbered from the last pixel to the first. The weights of a pixel
+    /// belong to its own node and to its left neighbour's node.
     #[derive(Debug)]
     struct NodesOfPixels;
 
@@ -276,7 +278,7 @@ mod tests {
             1
         }
         fn evaluate_into(&self, _: Position, _: &mut [f64]) -> Result<(), FieldError> {
-            unreachable!("weights alone are asked for")
+            unreachable!("only weights are requested")
         }
         fn weights_along_row(
             &self,

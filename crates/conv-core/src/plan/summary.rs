@@ -30,18 +30,19 @@ pub struct PlanSummary {
     pub tiles: usize,
     /// The number of local bases. Tiles of a block share one.
     pub blocks: usize,
-    /// The number of blocks per number of modes, the reference included.
+    /// The number of blocks that have 0, 1, 2 ... modes, the reference included.
     pub blocks_by_modes: Vec<usize>,
-    /// Tiles with at most this many lit pixels are drawn stamp by stamp, for the mean number of
-    /// modes.
+    /// Tiles with at most this many lit pixels are drawn stamp by stamp. The number is for a block
+    /// with the mean number of modes.
     pub drawn_up_to: usize,
     /// True if fully lit tiles are convolved by the direct sum, without transforms.
     pub direct: bool,
     /// Predicted seconds of one execution on one thread if every pixel is lit.
     pub predicted_seconds: f64,
-    /// Bytes kept for coefficients and for stamps.
+    /// Bytes kept for coefficients, and bytes kept for stamps.
     pub kept_bytes: (usize, usize),
-    /// The number of blocks whose coefficients, and whose stamps, each execution computes again.
+    /// The number of blocks whose coefficients are not kept, and the number of blocks whose stamps
+    /// are not kept. Each execution computes these again.
     pub made_anew: (usize, usize),
 }
 
@@ -92,13 +93,13 @@ impl std::fmt::Display for PlanSummary {
                 let most = self.drawn_up_to;
                 writeln!(
                     f,
-                    "lit tiles: {method}; at most {most} lit pixels: stamp by stamp"
+                    "tiles with at most {most} lit pixels: stamp by stamp; other lit tiles: {method}"
                 )?;
             }
         }
         write!(
             f,
-            "kept: coefficients {:.1} MiB, stamps {:.1} MiB; computed by each execution: coefficients of {} blocks, stamps of {}",
+            "kept: coefficients {:.1} MiB, stamps {:.1} MiB; computed by each execution: coefficients of {} blocks, stamps of {} blocks",
             mebibytes(self.kept_bytes.0),
             mebibytes(self.kept_bytes.1),
             self.made_anew.0,

@@ -1,5 +1,5 @@
-//! The choice of tiles: their sizes, and whether they follow the cells of the field. All regions of
-//! a frame share it.
+//! The choice of tiles: their sizes, and whether they follow the grid cells of the coefficient
+//! field. Plans of all regions of a frame use the same choice.
 
 use std::ops::Range;
 
@@ -24,26 +24,29 @@ pub(crate) struct Tiling {
     pub(crate) size: (usize, usize),
 }
 
-/// The number of blocks whose rank is computed to predict the cost of a tiling.
+/// The number of blocks whose modes are counted to predict the cost of a tiling.
 const SAMPLES: usize = 5;
-/// Transforms larger than this many stamps gain nothing: padding is small already, and ranks grow.
+/// The largest size of transforms, in stamps. Larger transforms gain nothing, because padding is
+/// already small and tiles need more modes.
 const LARGEST_IN_STAMPS: usize = 10;
+/// [`LARGEST_IN_STAMPS`] never limits transforms to less than this size.
 const LARGEST_AT_LEAST: usize = 640;
 /// Only very large stamps use transforms above this size. Such transforms exceed the caches, and
 /// the memory that a GPU's threads share.
 const LARGEST_BY_CHOICE: usize = 2048;
 /// The smallest tile, as a fraction of the stamp's size.
 const SMALLEST_IN_STAMPS: f64 = 0.4;
-/// The number of threads that the blocks must keep busy. It is a constant, so plans do not depend
-/// on the machine.
+/// The number of threads for which the time of a tiling is predicted. It is a constant, so that
+/// plans do not depend on the machine.
 const THREADS: usize = 4;
 /// The number of pixel rows processed together: few enough for the outer caches, enough to keep
 /// threads busy.
 const BAND_ROWS: usize = 1024;
-/// The part of the memory for stamps. The rest is for coefficients.
-const TABLES: f64 = 0.85;
-/// The number of tiles of a block in each direction, if blocks do not follow cells.
-const TOGETHER: [usize; 3] = [1, 2, 4];
+/// The fraction of the plan's memory that is assumed to be for stamps. The rest is for
+/// coefficients.
+const STAMP_MEMORY: f64 = 0.85;
+/// The number of tiles of a block in each direction, if blocks do not follow grid cells.
+const BLOCK_SIDES: [usize; 3] = [1, 2, 4];
 
 /// Returns the tiling with the lowest predicted cost.
 fn best_tiling<T: ConvReal>(
@@ -68,7 +71,7 @@ fn best_tiling<T: ConvReal>(
             (n + 1).saturating_sub(stamp.0).max(1),
             (n + 1).saturating_sub(stamp.1).max(1),
         );
-        for together in TOGETHER {
+        for together in BLOCK_SIDES {
             candidates.push((even(nx, tile.0, together), even(ny, tile.1, together)));
         }
         if let Some([xs, ys]) = cuts(model, geometry) {
@@ -80,10 +83,10 @@ fn best_tiling<T: ConvReal>(
             break;
         }
     }
-    let judged: Vec<(f64, Tiling)> = candidates
+    let timed: Vec<(f64, Tiling)> = candidates
         .into_par_iter()
         .map(|(columns, rows)| {
-            progress.still_wanted()?;
+            progress.check_cancelled()?;
             let at_least = (longest(&columns) + stamp.0 - 1, longest(&rows) + stamp.1 - 1);
             let tiling = Tiling {
                 columns,
@@ -94,13 +97,14 @@ fn best_tiling<T: ConvReal>(
             Ok((seconds, tiling))
         })
         .collect::<Result<_, ConvError>>()?;
-    // The first of equals, so that the choice does not depend on the order of threads.
-    let best = judged.into_iter().reduce(|a, b| if b.0 < a.0 { b } else { a });
+    // Of equally fast tilings, takes the first, so that the choice does not depend on the order of
+    // threads.
+    let best = timed.into_iter().reduce(|a, b| if b.0 < a.0 { b } else { a });
     Ok(best.expect("at least one size is tried").1)
 }
 
-/// The first pixels of the field's cells, counted from the weighted side's first pixel. `None` if
-/// the field has no cells.
+/// The first pixels of the field's grid cells, counted from the weighted side's first pixel. `None`
+/// if the field has no grid.
 fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
     let [xs, ys] = model.field().grid_lines()?;
     let cuts = |lines: &[f64], first: i64, length: usize| {
@@ -118,8 +122,9 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
 }
 
 impl Tiling {
-    /// The tiling truncated to some columns and rows and counted from the first of them, and the
-    /// columns and rows of the blocks that it includes. Transforms keep their size.
+    /// Returns the tiling truncated to some columns and rows, and counted from the first of them.
+    /// Also returns the columns and rows of the blocks that it includes. Transforms keep their
+    /// size.
     pub(crate) fn within(&self, columns: &Range<usize>, rows: &Range<usize>) -> (Self, [Range<usize>; 2]) {
         let (columns, across) = within(&self.columns, columns);
         let (rows, up) = within(&self.rows, rows);
@@ -127,7 +132,7 @@ impl Tiling {
         (Self { columns, rows, size }, [across, up])
     }
 
-    /// The region of a block, in field positions.
+    /// The region of a block, in pixel coordinates of the frame.
     pub(crate) fn region(&self, geometry: &Geometry, column: usize, row: usize) -> PixelRegion {
         let (x, y) = (&self.columns[column], &self.rows[row]);
         PixelRegion::new(
@@ -137,7 +142,7 @@ impl Tiling {
         )
     }
 
-    /// Predicted seconds if every pixel is lit, from the ranks of a few blocks.
+    /// Predicted seconds if every pixel is lit, from the numbers of modes of a few blocks.
     fn seconds<T: ConvReal>(
         &self,
         model: &PsfModel,
@@ -154,7 +159,7 @@ impl Tiling {
         let mut short_runs = false;
         let kernels: usize = (0..samples)
             .map(|i| {
-                // Samples are spread over rows and columns.
+                // The sampled blocks are spread over rows and columns.
                 let row = (2 * i + 1) * up / (2 * samples);
                 let column = ((3 * i + 1) % samples * 2 + 1) * across / (2 * samples);
                 let region = self.region(geometry, column.min(across - 1), row.min(up - 1));
@@ -164,8 +169,8 @@ impl Tiling {
             })
             .sum();
         if short_runs && count > blocks {
-            // Coefficients are stored pixel by pixel: blocks of several tiles would take too much
-            // memory.
+            // Coefficients would be stored pixel by pixel, so blocks of several tiles would take
+            // too much memory.
             return f64::INFINITY;
         }
         let kernels = kernels as f64 / samples as f64;
@@ -174,15 +179,15 @@ impl Tiling {
         let tiles_a_block = count as f64 / blocks as f64;
         // Each execution computes again the stamps that do not fit into the memory.
         let stamps = cost.stamp_bytes(geometry.stamp) * kernels * blocks as f64;
-        let made_anew = (1.0 - TABLES * options.memory_bytes() as f64 / stamps).clamp(0.0, 1.0);
+        let made_anew = (1.0 - STAMP_MEMORY * options.memory_bytes() as f64 / stamps).clamp(0.0, 1.0);
         let block = kernels * cost.kernel(self.size, geometry.stamp)
             + made_anew * kernels * CostModel::make_stamp(geometry.stamp, space.stamps.nrows())
             + tiles_a_block * cost.tile(tile, self.size, kernels);
         self.rounds() as f64 * block
     }
 
-    /// The number of rows of blocks processed together: about [`BAND_ROWS`] rows of pixels. It
-    /// determines the order of additions, so it must not depend on the machine.
+    /// The number of rows of blocks processed together: about [`BAND_ROWS`] rows of pixels. This
+    /// number determines the order of additions, so it must not depend on the machine.
     pub(crate) fn band(&self) -> usize {
         let pixels: usize = self.rows.iter().map(Stretch::length).sum();
         (BAND_ROWS * self.rows.len())
@@ -190,8 +195,8 @@ impl Tiling {
             .clamp(1, self.rows.len())
     }
 
-    /// The number of rounds in which [`THREADS`] threads take one block each. Neighbours must wait
-    /// for each other.
+    /// The number of rounds in which [`THREADS`] threads take one block each. Neighbouring blocks
+    /// are not in the same round.
     fn rounds(&self) -> usize {
         let halves = |n: usize| [n.div_ceil(2), n / 2];
         let band = self.band();
@@ -203,8 +208,8 @@ impl Tiling {
     }
 }
 
-/// The vectors of a model's PSFs, and the tiles of the whole frame. All regions of a frame share
-/// them, so that they have the same modes.
+/// The vectors of a model's PSFs, and the tiles of the whole frame. Plans of all regions of the
+/// frame share these data, so that they have the same modes.
 #[derive(Debug)]
 pub(crate) struct WholeFrame {
     pub(crate) view: View,
@@ -220,9 +225,9 @@ pub(crate) struct Part {
     /// Columns and rows of the scene that reach the region.
     pub(crate) light: [Range<usize>; 2],
     pub(crate) geometry: Geometry,
-    /// Truncated to the weighted side of `geometry`.
+    /// The tiling, truncated to the weighted side of `geometry`.
     pub(crate) tiling: Tiling,
-    /// The columns and rows of the whole frame's blocks that the plan has tiles of.
+    /// The columns and rows of the plan's blocks among the blocks of the whole frame.
     pub(crate) blocks: [Range<usize>; 2],
 }
 
@@ -272,7 +277,7 @@ impl WholeFrame {
         })
     }
 
-    /// The pixels of a block, in field positions.
+    /// The region of a block, in pixel coordinates of the frame.
     pub(crate) fn block(&self, column: usize, row: usize) -> PixelRegion {
         self.tiling.region(&self.geometry, column, row)
     }
@@ -284,8 +289,8 @@ impl WholeFrame {
     }
 }
 
-/// The columns and rows of the light that reach a region of the frame, and the two sides of the
-/// operator between them.
+/// The columns and rows of the light that reach a region of the frame, and the geometry of the
+/// operator from this light to the region.
 fn sides(
     view: View,
     region: PixelRegion,

@@ -21,11 +21,11 @@ use crate::{ConvError, ConvReal};
 ///   only one inverse transform.
 /// - [`Anchor::Output`]: `F = sum_k a_k (f * B_k)`. The spectrum of the scene is computed once.
 ///
-/// The method of Bai, Jia et al. ("An Ultra-Fast Image Simulation Technique with Spatially Variable
-/// PSFs"), in either anchoring and without their coefficient cube: fields are evaluated tile by
-/// tile, a few stamps at a time. Planes are padded by the stamp's reach, so nothing wraps around.
-/// Memory holds the scene, two or three spectra and a group of coefficient planes (at least 4, at
-/// most 16, about 512 MiB).
+/// This is the method of Bai, Jia et al. ("An Ultra-Fast Image Simulation Technique with Spatially
+/// Variable PSFs"), for both anchorings. It does not store their coefficient cube, because it
+/// evaluates coefficients tile by tile, for a few stamps at a time. Planes are padded by the
+/// stamp's reach, so nothing wraps around. Memory holds the scene, two or three spectra and a group
+/// of coefficient planes (at least 4, at most 16, about 512 MiB).
 ///
 /// ```
 /// use std::sync::Arc;
@@ -61,7 +61,8 @@ pub struct BasisConvolution {
     anchor: Anchor,
 }
 
-/// Coefficient planes in memory at the same time take about this much, within the bounds below.
+/// The approximate memory of the coefficient planes that are held at the same time. The number of
+/// these planes is also limited by the constants below.
 const PLANE_BYTES: usize = 512 << 20;
 const FEWEST_PLANES: usize = 4;
 const MOST_PLANES: usize = 16;
@@ -152,8 +153,8 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         progress.start(model.stamp_count() as u64);
         let reach = Reach::of(model.grid())?;
         let shape = view.shape;
-        // The plane is large enough that differences of two positions in the scene never reach a
-        // wrapped value of the stamp.
+        // The plane is large enough that light that wraps around its edges falls only on the
+        // padding.
         let fft = RealFft2::at_least(
             shape.ny() + reach.below.max(reach.above),
             shape.nx() + reach.left.max(reach.right),
@@ -173,7 +174,8 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         region.shifted(self.to_field.0, self.to_field.1)
     }
 
-    /// `sum_k (a_k / s light) * B_k`, on the region `output`.
+    /// `sum_k (a_k light / s) * B_k` on the region `output`. `s` is the flux of the unscaled PSF,
+    /// or 1 if PSFs are not scaled to unit flux.
     fn weight_then_convolve(
         &self,
         input: PixelRegion,
@@ -232,7 +234,8 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         Ok(result)
     }
 
-    /// `1 / s sum_k a_k (light * B_k)`, on the region `output`.
+    /// `(1 / s) sum_k a_k (light * B_k)` on the region `output`. `s` is the flux of the unscaled
+    /// PSF, or 1 if PSFs are not scaled to unit flux.
     fn convolve_then_weight(
         &self,
         input: PixelRegion,
@@ -293,8 +296,9 @@ impl<'a, T: ConvReal> Plane<'a, T> {
         if self.correlate { value.conj() } else { value }
     }
 
-    /// Calls `work` with each stamp's coefficients over a region of the field and its kernel. Each
-    /// stamp is a step. After a cancellation the results of `work` are not used.
+    /// Calls `work` for each stamp, with the stamp's coefficients over a region of the field and
+    /// the stamp's kernel. Each stamp is a step of the progress. After a cancellation the results
+    /// of `work` are not used.
     fn each_stamp(
         &self,
         field: PixelRegion,
@@ -315,7 +319,7 @@ impl<'a, T: ConvReal> Plane<'a, T> {
             for (plane, stamp) in planes.outer_iter().zip(group) {
                 let kernel = KernelRows::new(&self.fft, self.model.stamp(stamp), self.reach);
                 work(plane, &kernel);
-                self.progress.still_wanted()?;
+                self.progress.check_cancelled()?;
                 self.progress.advance(1);
             }
         }
@@ -338,7 +342,7 @@ const TILE_COLUMNS: usize = 256;
 /// Writes the coefficients of a range of stamps over a region, `[stamp, y, x]`, before the division
 /// by the flux.
 ///
-/// If `light` is given, dark tiles are left unchanged. Then a missing PSF is an error only at lit
+/// If `light` is given, dark tiles are left unchanged, and a missing PSF is an error only at lit
 /// pixels.
 pub(crate) fn coefficient_planes<T: ConvReal>(
     model: &PsfModel,
@@ -388,7 +392,7 @@ fn for_tiles<T: ConvReal>(
 ) -> Result<(), ConvError> {
     let (count, _, nx) = planes.dim();
     let strip_work = |strip: usize, mut planes: ArrayViewMut3<'_, T>| {
-        progress.still_wanted()?;
+        progress.check_cancelled()?;
         let (y, rows) = (strip * TILE_ROWS, planes.dim().1);
         for x in (0..nx).step_by(TILE_COLUMNS) {
             let columns = TILE_COLUMNS.min(nx - x);
@@ -402,7 +406,8 @@ fn for_tiles<T: ConvReal>(
             let tile = region_of(region, x, y, columns, rows);
             let mut values = Array3::zeros((count, rows, columns));
             if let Err(error) = evaluate(tile, &mut values) {
-                // The field may lack values only where it is dark, which is no error.
+                // If the field lacks values only at dark pixels, that is no error. So each lit
+                // pixel is evaluated separately.
                 let Some(light) = light else {
                     return Err(error.into());
                 };
@@ -426,6 +431,6 @@ fn for_tiles<T: ConvReal>(
         .enumerate()
         .map(|(strip, planes)| strip_work(strip, planes))
         .collect();
-    // The first error in reading order, whichever thread found one first.
+    // Returns the error of the first strip that has one, not the error that occurred first.
     strips.into_iter().collect()
 }

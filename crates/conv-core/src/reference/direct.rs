@@ -30,11 +30,11 @@ impl Direct {
         Self { anchor }
     }
 
-    /// The values of single pixels `(column, row)` of the image, in f64 for light of any precision.
+    /// Computes single pixels `(column, row)` of the image, in f64 for light of any precision.
     ///
-    /// `shape` is the shape of the light, seen through a frame. `light` may be only a part of it,
-    /// given as its pixels and its first column and row. The part must hold all light that reaches
-    /// the pixels. Each pixel is one step of the progress.
+    /// `shape` is the shape of the whole light, and `frame` is a region of it. `light` may be only
+    /// a part of the whole light: an array, and the column and row of the array's first pixel. The
+    /// part must hold all light that reaches the pixels. Each pixel is one step of the progress.
     ///
     /// # Errors
     /// [`ConvError`] as for [`ConvolutionMethod::convolve`], and [`ConvError::PixelOutsideFrame`].
@@ -64,7 +64,7 @@ impl Direct {
         let sums: Vec<Result<f64, ConvError>> = pixels
             .par_iter()
             .map(|&pixel| {
-                progress.still_wanted()?;
+                progress.check_cancelled()?;
                 let sum = self.pixel(model, view, light, reach, pixel)?;
                 progress.advance(1);
                 Ok(sum)
@@ -142,7 +142,7 @@ impl Direct {
                 .collect();
             let mut values = Array2::<f64>::zeros((rows.len() + height - 1, nx + width - 1));
             for some in lit.chunks(PSFS_AT_ONCE) {
-                progress.still_wanted()?;
+                progress.check_cancelled()?;
                 let psfs = psfs(model, field, some)?;
                 for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
                     let y_in_band = y - rows.start;
@@ -188,7 +188,7 @@ impl Direct {
             .par_chunks_exact_mut(nx)
             .enumerate()
             .map(|(row, out)| {
-                progress.still_wanted()?;
+                progress.check_cancelled()?;
                 let y = row + frame.y0() as usize;
                 let lit: Vec<(usize, usize)> = (0..nx)
                     .map(|column| (column + frame.x0() as usize, y))
@@ -202,10 +202,10 @@ impl Direct {
                     })
                     .collect();
                 for some in lit.chunks(PSFS_AT_ONCE) {
-                    progress.still_wanted()?;
+                    progress.check_cancelled()?;
                     let psfs = psfs(model, field, some)?;
                     for (&(x, y), psf) in some.iter().zip(psfs.outer_iter()) {
-                        let ((from_x, x0, w), (from_y, y0, h)) = under(x, y).expect("lit");
+                        let ((from_x, x0, w), (from_y, y0, h)) = under(x, y).expect("light reaches it");
                         let mirrored = stamp_of(&psf, model);
                         let mirrored = mirrored.slice(s![..;-1, ..;-1]);
                         let psf = mirrored.slice(s![from_y..from_y + h, from_x..from_x + w]);

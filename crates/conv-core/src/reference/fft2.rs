@@ -1,8 +1,8 @@
 //! Real two-dimensional transforms. Their spectra stay transposed.
 //!
 //! A plane of `rows x columns` real values has the half spectrum `[columns / 2 + 1, rows]`. So the
-//! transforms along the plane's columns run over contiguous memory, and no plane is ever transposed
-//! as a whole (DESIGN: transposing back costs 10 to 40 %). Rows are read and written in blocks of
+//! transforms along the plane's columns run over contiguous memory. No plane is ever transposed as
+//! a whole, because that takes 10 to 40 % more time. Rows are read and written in blocks of
 //! [`BLOCK`], so that the transposed side is accessed in whole cache lines. Rows without light are
 //! never transformed. Nothing is normalised: a forward and an inverse transform multiply by
 //! `rows * columns`.
@@ -21,8 +21,8 @@ use crate::view::Reach;
 
 /// The number of rows processed together: 16 complex values are two to four cache lines.
 const BLOCK: usize = 16;
-/// Planes with fewer values are transformed on one thread: the caller processes many of them in
-/// parallel.
+/// Planes with fewer values are transformed on one thread, because the caller processes many such
+/// planes in parallel.
 const PARALLEL_FROM: usize = 1 << 18;
 
 pub(crate) struct RealFft2<T: ConvReal> {
@@ -46,7 +46,7 @@ struct Block<T> {
 pub(crate) struct Column<'a, T> {
     pub(crate) index: usize,
     pub(crate) values: &'a mut [Complex<T>],
-    /// Has the length of `values`. The content is undefined.
+    /// Two buffers, each as long as `values`. Their content is undefined.
     pub(crate) spare: [&'a mut [Complex<T>]; 2],
     /// Buffer for the transforms. The content is undefined.
     pub(crate) scratch: &'a mut [Complex<T>],
@@ -93,8 +93,8 @@ impl<T: ConvReal> RealFft2<T> {
     }
 
     /// Transforms rows into the spectrum. `fill(row, values)` gets zeros, writes the light of the
-    /// row into them and returns whether there is any. The transforms of the columns are not done
-    /// here.
+    /// row into them and returns whether the row has any light. The transforms of the columns are
+    /// not done here.
     pub(crate) fn rows_forward(
         &self,
         spectrum: &mut Array2<Complex<T>>,
@@ -197,7 +197,8 @@ impl<T: ConvReal> RealFft2<T> {
     }
 
     /// Transforms rows `first_row ..` back from a spectrum whose columns are already transformed.
-    /// `store(output_row, values)` writes each full row of the plane into its row of `output`.
+    /// `store(row, out, values)` gets the full row `values` of the plane and writes it into `out`,
+    /// which is row `row` of `output`.
     pub(crate) fn rows_inverse(
         &self,
         spectrum: &Array2<Complex<T>>,
@@ -218,8 +219,8 @@ impl<T: ConvReal> RealFft2<T> {
                 }
                 for (row, mut out) in target.outer_iter_mut().enumerate() {
                     let transformed = &mut rows[row * half..(row + 1) * half];
-                    // The transform of a real plane is real here. Removes rounding, which the
-                    // planner would reject.
+                    // For a real plane, these two values are real. Sets their imaginary rounding
+                    // errors to 0, because `realfft` would reject them.
                     transformed[0].im = T::zero();
                     if self.columns.is_multiple_of(2) {
                         transformed[half - 1].im = T::zero();
@@ -272,8 +273,8 @@ impl<T: ConvReal> KernelRows<T> {
         let mut transformed = Array2::zeros((columns / 2 + 1, stamp.nrows()));
         fft.rows_forward(&mut transformed, |row, values| {
             for (i, &value) in stamp.row(row).iter().enumerate() {
-                // A stamp wider than the plane overlaps itself. The plane is large enough to keep
-                // the overlap off the result.
+                // A stamp that is wider than the plane overlaps itself. The plane is large enough
+                // that the overlap does not reach the result.
                 values[(i + columns - reach.left) % columns] += T::nearest(value / fft.gain());
             }
             true

@@ -1,4 +1,5 @@
-//! Methods that others are compared with, and the trait of all methods.
+//! Reference methods, with which the fast engine is compared, and the trait of all convolution
+//! methods.
 
 mod basis;
 mod direct;
@@ -14,15 +15,16 @@ use crate::{ConvError, ConvReal};
 
 /// Convolves light with a PSF that varies over the field.
 ///
-/// Object-safe. Results of an implementation are the same, bit by bit, for any number of threads.
+/// The trait is object-safe. Results of an implementation are the same, bit by bit, for any number
+/// of threads.
 pub trait ConvolutionMethod<T: ConvReal>: std::fmt::Debug + Send + Sync {
     /// The anchoring.
     fn anchor(&self) -> Anchor;
 
-    /// The image of `light` through `model`, seen through `frame`, a region of the light in its
-    /// pixels. The result has the frame's shape, and the frame's first pixel is the origin of field
-    /// positions. Point sources are drawn separately ([`StarPlan`](crate::StarPlan),
-    /// [`StarPainter`](crate::StarPainter)).
+    /// Convolves `light` with the PSFs of `model`. Returns the image in `frame`, which is a region
+    /// in pixels of the light. The result has the frame's shape, and the frame's first pixel is the
+    /// origin of field positions. Point sources are drawn separately
+    /// ([`StarPlan`](crate::StarPlan), [`StarPainter`](crate::StarPainter)).
     ///
     /// `progress` receives the steps and may cancel the work.
     ///

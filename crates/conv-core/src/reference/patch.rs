@@ -13,7 +13,7 @@ use crate::{ConvError, ConvReal};
 /// Divides the frame into square patches and convolves each with the PSF of its centre. Patches are
 /// padded and overlap-added ([`Anchor::Source`]) or overlap-saved ([`Anchor::Output`]).
 ///
-/// The method is not exact: the PSF jumps at every patch border. It is here for comparison. Patches
+/// The method is not exact: the PSF jumps at every patch border. It serves for comparison. Patches
 /// without light cost nothing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PatchConvolution {
@@ -36,7 +36,8 @@ impl PatchConvolution {
     }
 
     /// Divides `length` pixels of an axis at the frame's first pixel, `origin`, and at every
-    /// multiple of `size` from it, both ways. Returns `(first, pixels)` of each piece.
+    /// multiple of `size` pixels from there, in both directions. Returns `(first, pixels)` of each
+    /// piece.
     fn cut(self, origin: usize, length: usize) -> Vec<(usize, usize)> {
         let first_cut = origin % self.size;
         let cuts = (first_cut..length).step_by(self.size);
@@ -75,8 +76,8 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
             field: view.field_region(),
             frame: view.frame,
         };
-        // The patches that hold the light (source) or make up the frame (output), in pixels of the
-        // light.
+        // The region that is divided into patches, and the frame's first pixel in it. This region
+        // is the frame if PSFs belong to the image, otherwise all light.
         let (region, origin) = match self.anchor {
             Anchor::Output => (view.frame, (0, 0)),
             _ => (view.shape.region(), view.first_pixel()),
@@ -88,7 +89,7 @@ impl<T: ConvReal> ConvolutionMethod<T> for PatchConvolution {
             let (y, height) = rows[row];
             let mut pieces = Vec::new();
             for &(x, width) in &columns {
-                progress.still_wanted()?;
+                progress.check_cancelled()?;
                 let corner = (x + region.x0() as usize, y + region.y0() as usize);
                 pieces.extend(match self.anchor {
                     Anchor::Output => work.gather(corner, (width, height))?,
@@ -124,7 +125,7 @@ impl<T: ConvReal> Work<'_, T> {
         Ok(whole.map(|whole| Piece {
             first_column: x as i64 - self.reach.left as i64 - self.frame.x0(),
             first_row: y as i64 - self.reach.below as i64 - self.frame.y0(),
-            // Rows are circular: those below the first row of the patch are wrapped to the end.
+            // The plane is circular: rows below the first row of the patch are at the plane's end.
             values: Array2::from_shape_fn((ny + height - 1, nx + width - 1), |(j, i)| {
                 let row = (j + self.fft.rows - self.reach.below) % self.fft.rows;
                 let column = (i + self.fft.columns - self.reach.left) % self.fft.columns;

@@ -16,18 +16,19 @@ use rustfft::FftNum;
 pub trait ConvReal: Real + FftNum + SimdReal {}
 impl<T: Real + FftNum + SimdReal> ConvReal for T {}
 
-/// Real and imaginary parts of complex numbers, as many as a vector has lanes.
+/// The real and the imaginary part of a complex number, or vectors of these parts with one complex
+/// number per lane.
 pub(crate) type Pair<V> = [V; 2];
 
 /// An instruction set.
 pub trait Isa: Simd {
-    /// Transposes a square of complex vectors, as many as each has lanes.
+    /// Transposes a square matrix of complex values. Each pair of vectors is a row.
     #[inline(always)]
     fn transpose_f32(self, from: &[Pair<Self::f32s>], into: &mut [Pair<Self::f32s>]) {
         transpose::through_memory::<f32, _>(from, into, Self::F32_LANES);
     }
 
-    /// Transposes a square of complex vectors, as many as each has lanes.
+    /// Transposes a square matrix of complex values. Each pair of vectors is a row.
     #[inline(always)]
     fn transpose_f64(self, from: &[Pair<Self::f64s>], into: &mut [Pair<Self::f64s>]) {
         transpose::through_memory::<f64, _>(from, into, Self::F64_LANES);
@@ -74,7 +75,7 @@ pub trait Lanes<T>: Isa {
     fn partial_load(self, from: &[T]) -> Self::V;
     /// Stores the first values of a vector, at most as many as it has lanes.
     fn partial_store(self, into: &mut [T], values: Self::V);
-    /// Transposes a square of complex vectors, as many as each has lanes.
+    /// Transposes a square matrix of complex values. Each pair of vectors is a row.
     fn transpose(self, from: &[Pair<Self::V>], into: &mut [Pair<Self::V>]);
 }
 
@@ -196,7 +197,7 @@ where
     work.run(pulp::Scalar);
     T::dispatch(work);
 }
-/// Values whose first is aligned to a cache line.
+/// A list of values that begins at a cache line.
 #[derive(Debug)]
 pub struct Aligned<T> {
     values: Vec<T>,
@@ -210,7 +211,7 @@ impl<T: ConvReal> Aligned<T> {
     /// Returns `length` zeros.
     pub fn zeros(length: usize) -> Self {
         let values = vec![T::zero(); length + CACHE_LINE / size_of::<T>()];
-        // A vector is aligned at least to the size of its values.
+        // A `Vec` is aligned at least to the size of its values.
         let past = values.as_ptr() as usize % CACHE_LINE;
         Self {
             start: (CACHE_LINE - past) % CACHE_LINE / size_of::<T>(),
@@ -229,7 +230,7 @@ impl<T: ConvReal> Aligned<T> {
         &mut self.values[self.start..self.start + self.length]
     }
 
-    /// Grows to at least `length` values, whose content is then undefined.
+    /// Makes room for at least `length` values. Their content is then undefined.
     pub(crate) fn at_least(&mut self, length: usize) {
         if self.length < length {
             *self = Self::zeros(length);

@@ -4,7 +4,7 @@ use pulp::bytemuck::{Pod, cast_slice, cast_slice_mut};
 
 use super::Pair;
 
-/// Transposes any square, value by value.
+/// Transposes any square matrix, value by value.
 #[inline(always)]
 pub(super) fn through_memory<T: Pod, V: Pod>(from: &[Pair<V>], into: &mut [Pair<V>], side: usize) {
     let (from, into) = (cast_slice::<_, T>(from), cast_slice_mut::<_, T>(into));
@@ -37,8 +37,8 @@ mod x86 {
                 for i in 1..16 {
                     r[i] = cast!(from[i][part]);
                 }
-                // In each quarter of 128 bits, squares of 4 x 4 are transposed: `t[4 g + c]` holds
-                // column `4 q + c` of rows 4 g ... in its quarter q.
+                // In each quarter of 128 bits, squares of 4 x 4 are transposed: in its quarter `q`,
+                // `t[4 g + c]` holds column `4 q + c` of rows `4 g` to `4 g + 3`.
                 let mut t = r;
                 for g in 0..4 {
                     let (a, b, c, d) = (r[4 * g], r[4 * g + 1], r[4 * g + 2], r[4 * g + 3]);
@@ -74,7 +74,8 @@ mod x86 {
                 for i in 1..8 {
                     r[i] = cast!(from[i][part]);
                 }
-                // `t[2 g + c]` holds column `2 q + c` of rows 2 g, 2 g + 1 in its quarter q.
+                // In its quarter `q`, `t[2 g + c]` holds column `2 q + c` of rows `2 g` and
+                // `2 g + 1`.
                 let mut t = r;
                 for g in 0..4 {
                     t[2 * g] = s._mm512_unpacklo_pd(r[2 * g], r[2 * g + 1]);

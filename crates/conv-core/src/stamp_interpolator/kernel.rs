@@ -1,5 +1,5 @@
-//! Interpolation kernels of stamps, and the weights of the coefficients in interpolated values
-//! along an axis.
+//! Interpolation kernels of stamps along one axis, and the weights with which coefficients
+//! contribute to interpolated values.
 
 use std::f64::consts::PI;
 
@@ -17,8 +17,8 @@ pub(crate) enum Kernel {
 /// The most coefficients that contribute to a value.
 pub(crate) const MOST_TAPS: usize = 6;
 
-/// A coordinate this far beyond the outermost pixel still counts as on it: the difference is
-/// rounding.
+/// A coordinate at most this far beyond the outermost pixel counts as on that pixel: the difference
+/// is rounding.
 const EDGE: f64 = 1e-9;
 
 impl Kernel {
@@ -29,7 +29,7 @@ impl Kernel {
         }
     }
 
-    /// Computes the coefficients that the weights multiply from the values of a stamp.
+    /// Computes, from the values of a stamp, the coefficients that the weights multiply.
     pub(crate) fn coefficients(self, values: ArrayView2<'_, f64>) -> Array2<f64> {
         match self {
             Self::CubicSpline => spline_coefficients(values),
@@ -45,12 +45,14 @@ impl Kernel {
         }
     }
 
-    /// The first of these coefficients, counted from the pixel below the coordinate.
+    /// The first coefficient that contributes to a value, counted from the pixel at or below the
+    /// coordinate.
     pub(crate) fn first_tap(self) -> i64 {
         1 - self.tap_count() as i64 / 2
     }
 
-    /// The weights of these coefficients at a fraction of a pixel, 0 to 1, above that pixel.
+    /// The weights of the contributing coefficients, in ascending order, for a coordinate that lies
+    /// a fraction `u` (0 to 1) of a pixel above a pixel.
     pub(crate) fn weights(self, u: f64) -> [f64; MOST_TAPS] {
         match self {
             Self::CubicSpline => {
@@ -84,7 +86,7 @@ impl Kernel {
         }
     }
 
-    /// The number of pixels beyond the outermost ones where values are not zero.
+    /// The distance from the outermost pixels up to which values are not zero, in pixels.
     pub(crate) fn reach(self) -> f64 {
         match self {
             Self::CubicSpline => 0.0,
@@ -92,8 +94,8 @@ impl Kernel {
         }
     }
 
-    /// The index of a coefficient for an index that may lie outside the stamp. `None` if the
-    /// coefficient is zero.
+    /// Converts an index that may lie outside the stamp to the index of a coefficient. `None` if
+    /// the coefficient is zero.
     pub(crate) fn index(self, index: i64, length: usize) -> Option<usize> {
         match self {
             Self::CubicSpline => Some(mirrored_index(index, length)),
@@ -101,7 +103,8 @@ impl Kernel {
         }
     }
 
-    /// The pixel at or below a coordinate, and the fraction above it.
+    /// The pixel at or below a coordinate, and the fraction of a pixel from there to the
+    /// coordinate.
     pub(crate) fn split(self, t: f64, length: usize) -> (i64, f64) {
         let t = match self {
             Self::CubicSpline => t.clamp(0.0, (length - 1) as f64),
@@ -115,15 +118,16 @@ fn sinc(t: f64) -> f64 {
     if t == 0.0 { 1.0 } else { (PI * t).sin() / (PI * t) }
 }
 
-/// Index and weight of every coefficient, value by value. A value beyond the stamp has none.
+/// The coefficients that contribute to each of several values: their indices and weights. No
+/// coefficient contributes to a value beyond the stamp.
 #[derive(Debug)]
 pub(crate) struct Taps {
     starts: Vec<usize>,
     taps: Vec<(usize, f64)>,
 }
 
-/// Gauss-Legendre nodes and weights on [-1, 1]: exact for the pieces of a cubic spline, and to 1e-7
-/// for the pieces of a Lanczos kernel.
+/// Gauss-Legendre nodes and weights on [-1, 1]: exact for the pieces of a cubic spline, and
+/// accurate to 1e-7 for the pieces of a Lanczos kernel.
 const GAUSS: [(f64, f64); 4] = [
     (-0.861_136_311_594_052_6, 0.347_854_845_137_453_86),
     (-0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
@@ -133,7 +137,8 @@ const GAUSS: [(f64, f64); 4] = [
 
 impl Taps {
     /// The taps of `count` values at the coordinates that `coordinate` returns, along a stamp of
-    /// `length` pixels. If `width` is above 0, values are averages over `width` pixels around them.
+    /// `length` pixels. If `width` is above 0, each value is the average over `width` pixels around
+    /// its coordinate.
     pub(crate) fn new(
         kernel: Kernel,
         length: usize,
@@ -249,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_beyond_the_stamp_has_no_taps() {
+    fn values_beyond_the_stamp_have_no_taps() {
         for kernel in [Kernel::CubicSpline, Kernel::Lanczos3] {
             let taps = Taps::new(kernel, 5, 0.0, 2, |i| [-3.5, 7.5][i]);
             assert!(taps.of(0).is_empty() && taps.of(1).is_empty());

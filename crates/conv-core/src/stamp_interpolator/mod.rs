@@ -12,11 +12,12 @@ pub(crate) use kernel::{Kernel, MOST_TAPS, Taps};
 ///
 /// - Cubic spline: exact at the pixels, twice continuously differentiable between them. It is a
 ///   cubic B-spline whose coefficients are computed by the recursive filter of Unser, Aldroubi and
-///   Eden 1993 (IEEE Trans. Signal Process. 41, 834). The stamp is continued by mirroring at its
-///   outermost pixels. Beyond them the spline is 0.
+///   Eden 1993 (IEEE Trans. Signal Process. 41, 834). For this filter, the stamp is mirrored at its
+///   outermost pixels. Beyond these pixels the interpolated stamp is 0.
 /// - Lanczos-3: `sinc(t) sinc(t / 3)` over three pixels on either side. Its weights are scaled to
 ///   sum to 1, so that a constant stays constant (Bernstein and Gruen 2014, PASP 126, 287, section
-///   4). The stamp is 0 beyond the outermost pixels, so it falls to 0 over three more pixels.
+///   4). Pixels beyond the outermost ones count as 0, so the interpolated stamp falls to 0 over
+///   three more pixels.
 ///
 /// ```
 /// use conv_core::StampInterpolator;
@@ -31,7 +32,8 @@ pub(crate) use kernel::{Kernel, MOST_TAPS, Taps};
 /// ```
 #[derive(Debug, Clone)]
 pub struct StampInterpolator {
-    /// The factors of the kernel's weights: the values, or the spline's coefficients.
+    /// The coefficients that the kernel's weights multiply: the stamp's values, or those of its
+    /// spline.
     coefficients: Array2<f64>,
     grid: StampGrid,
     kernel: Kernel,
@@ -54,7 +56,7 @@ impl StampInterpolator {
 
     /// The PSF of a source shifted by `(dx, dy)` frame pixels from the centre of `target`, at the
     /// pixels of `target` `[y, x]`. The values remain fractions of the flux per frame pixel, for
-    /// any two oversamplings.
+    /// all oversamplings of the two grids.
     ///
     /// If `target` includes the pixel response and the stamp does not, the values are averages over
     /// a frame pixel, which is the response of a square pixel. A response that the stamp includes
@@ -90,7 +92,8 @@ impl StampInterpolator {
 /// Resamples every sample to another grid, like [`StampInterpolator::resample`].
 ///
 /// # Errors
-/// [`DataError`] if a resampled stamp holds no flux, as on a target far smaller than the PSF.
+/// [`DataError`] if a resampled stamp holds no flux, for example because the target is far smaller
+/// than the PSF.
 pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSamples, DataError> {
     let ours = samples.grid();
     let mut stamps = Array3::zeros((samples.len(), target.ny(), target.nx()));
@@ -104,11 +107,11 @@ pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSa
     PsfSamples::new(stamps, samples.positions().clone(), target)
 }
 
-/// The grid at the frame's own pixel scale that covers a stamp, centred on a pixel. Returns a grid
-/// that already has these properties unchanged.
+/// The grid at the frame's own pixel scale that covers a stamp, centred on a pixel. A grid that
+/// already has these properties is returned unchanged.
 ///
 /// # Errors
-/// No error for a valid grid. The constructor of the grid checks it.
+/// None for a valid grid. The error type is that of the new grid's constructor.
 pub fn native_grid(grid: StampGrid) -> Result<StampGrid, DataError> {
     let s = grid.oversampling();
     let native = grid_reaching(grid, |room, _| (room / s).floor() as usize)?;
@@ -117,9 +120,9 @@ pub fn native_grid(grid: StampGrid) -> Result<StampGrid, DataError> {
         .with_interpolation(grid.interpolation()))
 }
 
-/// A grid at the frame's own pixel scale, centred on a pixel. `reach` converts the room of a stamp
-/// on a side of its centre from stamp pixels to frame pixels. Its second argument is 0 for the side
-/// of smaller indices and 1 for the side of larger ones.
+/// A grid at the frame's own pixel scale, centred on a pixel. `reach` gets the number of stamp
+/// pixels on one side of the centre and returns the number of frame pixels for that side. Its
+/// second argument is 0 on the side of smaller indices and 1 on the other side.
 pub(crate) fn grid_reaching(
     grid: StampGrid,
     reach: impl Fn(f64, usize) -> usize,
@@ -134,11 +137,11 @@ pub(crate) fn grid_reaching(
 }
 
 /// The grid of the stamps after the response of a frame pixel is added: half a frame pixel wider on
-/// every side, so that no light is lost. Returns a grid that already includes the response
+/// every side, so that no light is lost. A grid that already includes the response is returned
 /// unchanged.
 ///
 /// # Errors
-/// No error for a valid grid. The constructor of the grid checks it.
+/// None for a valid grid. The error type is that of the new grid's constructor.
 pub fn grid_with_pixel_response(grid: StampGrid) -> Result<StampGrid, DataError> {
     if grid.pixel_response_included() {
         return Ok(grid);

@@ -1,5 +1,5 @@
-//! Draws the stars of a block together: row by row into a tile, then tiles into bands of image
-//! rows.
+//! Draws the stars of each block together into a tile, row by row. Then adds the tiles to bands of
+//! image rows.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -19,11 +19,13 @@ use crate::{ConvError, ConvReal};
 /// Rows of the image to which one task adds.
 const BAND: usize = 32;
 
-/// The order of stars. Pixel values depend on it, so it depends only on the stars.
+/// The order in which stars are drawn. Rounding depends on this order, so the order depends only on
+/// the stars.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct StarKey {
     pub(super) block: BlockKey,
-    /// The number of the part of the catalogue. Parts limit the number of stars prepared at a time.
+    /// The index of the star's part of the catalogue. Parts limit the number of stars prepared at a
+    /// time.
     pub(super) part: usize,
     /// Stars of the same phases use the same coefficients.
     pub(super) phases: (i64, i64),
@@ -35,7 +37,7 @@ pub(super) struct Group<T> {
     block: Arc<StarBlock<T>>,
     stars: Vec<PhasedStar<T>>,
     weights: Vec<T>,
-    /// The columns and rows that they may light.
+    /// The columns and rows that the stars may light.
     columns: Range<i64>,
     rows: Range<i64>,
 }
@@ -52,7 +54,8 @@ impl<T> Group<T> {
     }
 }
 
-/// Draws groups into an image: each into its own tile, then the tiles in order into bands of rows.
+/// Draws each group into a tile of its own. Then adds the tiles, in order, to bands of rows of an
+/// image.
 pub(super) struct DrawGroups<'a, T> {
     pub(super) axes: &'a [PhasedAxis; 2],
     pub(super) layout: RowLayout,
@@ -76,7 +79,7 @@ impl<T: ConvReal> WithIsa<T> for DrawGroups<'_, T> {
         } = self;
         let height = image.nrows() as i64;
         let draw = |group: &Group<T>| {
-            progress.still_wanted()?;
+            progress.check_cancelled()?;
             let rows = group.rows.start.max(first_row)..group.rows.end.min(first_row + height);
             let length = |range: &Range<i64>| (range.end - range.start).max(0) as usize;
             let mut tile = Piece {
@@ -129,14 +132,14 @@ struct BlockDraw<'a, T> {
     progress: &'a dyn Progress,
 }
 
-/// The number of stars per poll of the progress object.
-const STARS_A_QUESTION: usize = 1 << 10;
+/// Groups of at least this many stars poll the progress object at every row.
+const STARS_PER_POLL: usize = 1 << 10;
 
 impl<T: ConvReal> BlockDraw<'_, T> {
-    /// Adds the stars to a tile that holds all their columns. Draws row by row of the stamps, so
-    /// that a row of all kernels stays in the first-level cache while every star uses it.
+    /// Adds the stars to a tile that holds all their columns. Adds row `j` of every star before row
+    /// `j + 1`, so that row `j` of all kernels stays in the first-level cache.
     ///
-    /// The order of additions to a pixel does not depend on the rows of the tile.
+    /// The order of additions to a pixel does not depend on which rows the tile holds.
     #[inline(always)]
     fn draw<S: Lanes<T>, const TAPS: usize>(&self, simd: S, tile: &mut Piece<T>) -> Result<(), ConvError> {
         let Group {
@@ -151,8 +154,8 @@ impl<T: ConvReal> BlockDraw<'_, T> {
         let values = tile.values.as_slice_mut().expect("new arrays are row-major");
         let row_of_kernels = block.kernel_count() * self.layout.kernel;
         for j in 0..longest.unwrap_or(0) {
-            if stars.len() >= STARS_A_QUESTION {
-                self.progress.still_wanted()?;
+            if stars.len() >= STARS_PER_POLL {
+                self.progress.check_cancelled()?;
             }
             for star in stars {
                 let row = star.rows.start + j;

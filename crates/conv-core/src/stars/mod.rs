@@ -2,9 +2,9 @@
 //!
 //! If the oversampling is a whole number `s`, a star uses the same sub-pixel phases of an
 //! oversampled stamp in all its pixels: the kernel's weights apply to every `s`-th coefficient. So
-//! coefficients are stored by residues modulo `s`. A star is then a combination of contiguous
-//! values, with kernels and rows of taps in one sum. In a block of the field the few PSFs of a
-//! local basis, as in [`crate::Plan`], represent all components.
+//! coefficients are stored by residues modulo `s`. A row of a star is then a linear combination of
+//! contiguous values, and one sum runs over kernels and rows of taps. In each block of the field,
+//! the few PSFs of a local basis replace the model's components, as in [`crate::Plan`].
 
 mod draw;
 mod painter;

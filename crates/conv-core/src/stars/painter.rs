@@ -12,9 +12,9 @@ use crate::stamp_interpolator::{Kernel, StampInterpolator, grid_reaching};
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
-const AT_ONCE: usize = 32;
+const SOURCES_PER_TASK: usize = 32;
 /// The number of painted sources in memory at a time.
-const PAINTED_AT_ONCE: usize = 1024;
+const SOURCES_IN_MEMORY: usize = 1024;
 
 /// Draws stars one by one in f64, each from all components of the model. It is the reference for
 /// [`crate::StarPlan`], and supports every model and anchoring.
@@ -22,14 +22,14 @@ const PAINTED_AT_ONCE: usize = 1024;
 pub struct StarPainter<'a> {
     model: &'a PsfModel,
     frame: PixelRegion,
-    /// Output-anchored: the spline of every stamp.
+    /// The interpolators of all stamps, for output-anchored painters.
     pub(crate) splines: Option<StampSplines>,
     /// A grid at the frame's scale that holds the stamp for any position of the source in its
     /// pixel.
     target: StampGrid,
 }
 
-/// The spline of every stamp, computed when first needed. Painters of one model share them.
+/// The interpolators of all stamps, computed when first needed. Painters of one model share them.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct StampSplines(Arc<OnceLock<Vec<StampInterpolator>>>);
 
@@ -47,8 +47,8 @@ impl StampSplines {
 
 impl<'a> StarPainter<'a> {
     /// Draws on a frame, a region of the scene. Sources are given in pixels of the scene. If `size`
-    /// is given, stars are truncated to `size` columns and rows around the pixel that each lies on,
-    /// which is at index `size / 2`.
+    /// is given, each star is truncated to `size` columns and rows. The pixel that the star lies on
+    /// has index `size / 2` in both.
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
@@ -105,7 +105,7 @@ impl<'a> StarPainter<'a> {
         };
         let hit: Vec<&PointSource> = sources.iter().filter(hit).collect();
         let mut values = vec![0.0; pixels.len()];
-        for some in hit.chunks(PAINTED_AT_ONCE) {
+        for some in hit.chunks(SOURCES_IN_MEMORY) {
             let painted: Vec<Result<_, ConvError>> =
                 some.par_iter().map(|source| self.paint(source)).collect();
             for painted in painted {
@@ -121,8 +121,8 @@ impl<'a> StarPainter<'a> {
         Ok(values)
     }
 
-    /// Adds sources to a part of the image: `image` is `[y, x]` of `region`, in pixels of the
-    /// frame. `progress` is polled and may cancel the work. It receives no steps.
+    /// Adds sources to a part of the image. `image` holds the pixels `[y, x]` of `region`, which is
+    /// in pixels of the frame. `progress` is polled and may cancel the work. It receives no steps.
     ///
     /// # Errors
     /// [`ConvError`] if the PSF has no value at a source that reaches the region, and
@@ -139,11 +139,14 @@ impl<'a> StarPainter<'a> {
         progress: &dyn Progress,
     ) -> Result<(), ConvError> {
         let shape = region.shape();
-        assert_eq!(image.dim(), (shape.ny(), shape.nx()), "an image of the region");
+        assert_eq!(image.dim(), (shape.ny(), shape.nx()), "the region's shape");
         let reaches = |source: &&PointSource| self.reaches(source) && self.lights(source, region);
-        let tasks = sources.len().div_ceil(AT_ONCE);
+        let tasks = sources.len().div_ceil(SOURCES_PER_TASK);
         add_in_order(image, tasks, &Uncounted(progress), |task| {
-            let sources = sources[task * AT_ONCE..].iter().take(AT_ONCE).filter(reaches);
+            let sources = sources[task * SOURCES_PER_TASK..]
+                .iter()
+                .take(SOURCES_PER_TASK)
+                .filter(reaches);
             sources
                 .map(|source| {
                     let (lit, values) = self.paint(source)?;

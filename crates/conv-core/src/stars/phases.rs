@@ -7,13 +7,14 @@ use psf_types::{PixelRegion, PointSource, StampGrid};
 use crate::overlap::overlap;
 use crate::stamp_interpolator::{Kernel, MOST_TAPS};
 
-/// Coordinates this close to a pixel of the stamp are taken as on it: the difference is rounding.
+/// A coordinate at most this far from a pixel of the stamp counts as on that pixel: the difference
+/// is rounding.
 const ON_PIXEL: f64 = 1e-9;
 
-/// One axis of a stamp `s` times finer than the frame. Its coefficients, including those that the
-/// kernel needs beyond its ends, are stored by residue modulo `s`: coefficient `p = s q + r` at
-/// `[r][q]`. A star uses the same residues in every pixel of the frame, and neighbouring pixels use
-/// neighbouring `q`.
+/// One axis of a stamp `s` times finer than the frame. Its coefficients, with the ones that the
+/// kernel needs beyond the ends of the axis, are stored by residue modulo `s`: coefficient
+/// `p = s q + r` at `[r][q]`. A star uses the same residues in every pixel of the frame, and
+/// neighbouring pixels use neighbouring `q`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhasedAxis {
     kernel: Kernel,
@@ -23,8 +24,8 @@ pub(super) struct PhasedAxis {
     /// The pixels that a star may light, relative to its own pixel.
     window: (i64, i64),
     /// The position in the stamp of the first coefficient kept, and the number of coefficients
-    /// kept. Only those that stars may use are kept, so that vectors of the first residues start at
-    /// cache lines.
+    /// kept. Only coefficients that stars may use are kept, so that vectors of the first residues
+    /// start at cache lines.
     first: i64,
     pub(super) kept: usize,
 }
@@ -34,7 +35,7 @@ pub(super) struct PhasedAxis {
 pub(super) struct Phase {
     /// The first coefficient of the pixel that the star lies on, counted from the first one kept.
     first: i64,
-    /// The pixels that the stamp reaches, relative to that pixel.
+    /// The pixels `from..to` that the stamp reaches, relative to the pixel that the star lies on.
     pub(super) from: i64,
     pub(super) to: i64,
     pub(super) weights: [f64; MOST_TAPS],
@@ -79,8 +80,8 @@ impl PhasedAxis {
         self.kernel.index(kept as i64 + self.first, self.length)
     }
 
-    /// The number of the first coefficient that a star's own pixel uses. Stars of one number use
-    /// the same coefficients everywhere.
+    /// The number of the first coefficient that a star's own pixel uses. Stars with equal numbers
+    /// use the same coefficients along this axis.
     pub(super) fn phase_number(&self, shift: f64) -> i64 {
         self.first_of(self.at(shift))
     }
@@ -137,7 +138,7 @@ pub(super) struct Star {
     pub(super) flux: f64,
 }
 
-/// The pixels that a star's stamp may light, relative to its own: columns and rows `from..to`.
+/// The pixels that a star may light: columns and rows `from..to`, relative to the star's own pixel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Window {
     pub(crate) columns: (i64, i64),
@@ -153,8 +154,8 @@ pub(super) struct PhasedStar<T> {
     /// The first coefficients that its first pixel uses: the row, and the residue of the column.
     pub(super) first_row: usize,
     pub(super) first_residue: usize,
-    /// The range of its weights: for each tap of the rows, those of the kernels times the star's
-    /// flux.
+    /// The range of its weights, `[row, kernel]`: the weight of each tap of the rows times the
+    /// coefficient of each kernel times the star's flux.
     pub(super) weights: Range<usize>,
     /// The columns' weights.
     pub(super) taps: [T; MOST_TAPS],
@@ -175,7 +176,7 @@ impl Star {
         }
     }
 
-    /// Returns whether it may light a pixel of a region of the frame.
+    /// Returns whether the star may light a pixel of a region of the frame.
     pub(super) fn reaches(&self, window: Window, region: PixelRegion) -> bool {
         let (column, row) = self.pixel;
         let on = |pixel: i64, (from, to): (i64, i64), start: i64, count: usize| {
@@ -196,7 +197,7 @@ impl Star {
         )
     }
 
-    /// Its phases along columns and rows. `None` if it lights no pixel.
+    /// The star's phases along columns and rows. `None` if it lights no pixel.
     pub(super) fn phases(&self, [columns, rows]: &[PhasedAxis; 2]) -> Option<[Phase; 2]> {
         Some([columns.phase(self.shift.0)?, rows.phase(self.shift.1)?])
     }
@@ -211,7 +212,7 @@ mod tests {
 
     const SHIFTS: [f64; 6] = [-0.5, -0.25, 0.0, 0.1, 0.37, 0.499_999_999_999];
 
-    /// Coefficients and weights equal those of the general rule, pixel by pixel.
+    /// Pixel by pixel, coefficients and weights equal those of [`Taps`].
     #[test]
     fn phases_are_the_taps_of_every_pixel() {
         for interpolation in [StampInterpolation::CubicSpline, StampInterpolation::Lanczos3] {
@@ -263,8 +264,8 @@ mod tests {
                             "{interpolation} {length} {s} {shift} {pixel}: {dense:?}"
                         );
                     }
-                    // `None` only if a stamp smaller than a pixel misses every centre, as the taps
-                    // above show.
+                    // There is no phase only if a stamp smaller than a pixel contains no pixel
+                    // centre, as the taps above show.
                     assert!(phase.is_some() || length < s as usize || length == 1);
                     assert!(phase.is_none_or(|phase| {
                         phase.first_of(phase.from, axis.oversampling) <= axis.oversampling

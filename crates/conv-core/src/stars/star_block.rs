@@ -13,7 +13,7 @@ use crate::plan::region_cells::RegionCells;
 use crate::simd::Aligned;
 use crate::stamp_interpolator::Kernel;
 
-/// The local basis of a block as interpolation coefficients, by phases.
+/// The local basis of a block, as interpolation coefficients that are sorted by sub-pixel phase.
 #[derive(Debug)]
 pub(super) struct StarBlock<T> {
     pub(super) modes: LocalModes,
@@ -64,7 +64,8 @@ impl RowLayout {
 }
 
 impl<T: ConvReal> StarBlock<T> {
-    /// Computes a block from a few of its rows. Each star is tested separately.
+    /// Finds the block's modes from a few of its rows. Other rows may need more modes, so every
+    /// star is checked against the tolerance when it is drawn.
     pub(super) fn new(
         model: &PsfModel,
         space: &PsfSpace,
@@ -128,11 +129,11 @@ fn coefficients_of(
     }
     let values = values
         .into_shape_with_order(grid.dim())
-        .expect("a stamp's pixels");
+        .expect("the size of a stamp");
     Kernel::of(grid.interpolation()).coefficients(values.view())
 }
 
-/// Column and row of a block of the field. The row is first so that blocks are sorted by rows.
+/// Row and column of a block of the field. The row is first, so that blocks are sorted by rows.
 pub(super) type BlockKey = (i64, i64);
 
 /// Blocks, and their size in bytes.
@@ -153,7 +154,7 @@ impl<T: ConvReal> BlockCache<T> {
         }
     }
 
-    /// The block, kept or computed now. Its content is the same in both cases.
+    /// Returns the block, kept or computed now. Its content is the same in both cases.
     pub(super) fn get(&self, key: BlockKey, make: impl FnOnce() -> StarBlock<T>) -> Arc<StarBlock<T>> {
         let kept = self.blocks.lock().ok();
         if let Some(block) = kept.and_then(|kept| kept.0.get(&key).cloned()) {

@@ -15,15 +15,16 @@ use crate::{ConvError, ConvReal};
 
 /// A plan for drawing point sources through one model.
 ///
-/// If it is source-anchored and the stamps' oversampling is a whole number, a star is drawn from
-/// the few PSFs of its block of the field that the tolerance requires, in the working precision.
-/// The relative L2 error of its PSF, at the stamps' own sampling, is at most the tolerance. Every
-/// star is tested. A star that would exceed the tolerance is drawn from all components in f64, like
-/// all stars of other models. The choice depends only on the star's position, so the image is
-/// linear in the fluxes. The image is the same, bit by bit, for any number of threads.
+/// If the plan is source-anchored and the stamps' oversampling is a whole number, stars are drawn
+/// in the working precision from local bases. Each block of the field has a local basis: the few
+/// PSFs that the tolerance requires. The relative L2 error of a star's PSF, at the stamps' own
+/// sampling, is at most the tolerance. Every star is tested. A star that would exceed the tolerance
+/// is drawn from all components in f64. All stars of other plans are drawn in this way too. The
+/// choice depends only on the star's position, so the image is linear in the fluxes. The image is
+/// the same, bit by bit, for any number of threads.
 ///
 /// Blocks of the field are prepared when the first star falls on them. They are kept for the next
-/// catalogue as far as the options' memory allows.
+/// catalogue, as far as the memory limit in the options allows.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -82,7 +83,7 @@ struct Phased<T> {
     blocks: BlockCache<T>,
 }
 
-/// Stars in pixels of a scene, and the frame that they are seen through.
+/// Stars, in pixels of a scene, and the frame, which is a region of the scene.
 #[derive(Clone, Copy)]
 struct Catalogue<'a> {
     stars: &'a [PointSource],
@@ -90,20 +91,20 @@ struct Catalogue<'a> {
     progress: &'a dyn Progress,
 }
 
-/// Columns and rows of the blocks of the field that share a local basis. Smaller blocks need fewer
-/// kernels, but the values of all blocks pass through the caches once per catalogue.
+/// Columns and rows of a block of the field. Smaller blocks need fewer kernels. But a catalogue
+/// reads the values of all blocks once, and smaller blocks have more values in total.
 const BLOCK: i64 = 256;
 /// The approximate number of stars prepared at a time.
 const MOST_AT_ONCE: usize = 1 << 15;
-/// The number of blocks of the field drawn at a time.
+/// The most groups of stars drawn at a time. A group belongs to one block of the field.
 const TILES_AT_ONCE: usize = 64;
 /// The least number of stars for a task.
-const LEAST_AT_ONCE: usize = 1 << 10;
+const MIN_STARS_PER_TASK: usize = 1 << 10;
 
 impl<T: ConvReal> StarPlan<T> {
-    /// Plans stars through a model. If `size` is given, a star is drawn on `size` by `size` pixels
-    /// around the pixel that it lies on, which is at index `size / 2`. Otherwise it is drawn as far
-    /// as its stamp reaches. Light beyond these pixels is lost.
+    /// Plans stars through a model. If `size` is given, a star is drawn on `size` columns and rows.
+    /// The pixel that the star lies on has index `size / 2` in both. Otherwise the star is drawn as
+    /// far as its stamp reaches. Light beyond these pixels is lost.
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
@@ -138,12 +139,14 @@ impl<T: ConvReal> StarPlan<T> {
         &self.model
     }
 
-    /// Columns and rows to which stars are truncated, if they are.
+    /// The number of columns and rows to which stars are truncated. `None` if they are not
+    /// truncated.
     pub fn size(&self) -> Option<usize> {
         self.size
     }
 
-    /// Adds stars to a part of an image: `image` is `[y, x]` of `region`, in pixels of the frame.
+    /// Adds stars to a part of an image. `image` holds the pixels `[y, x]` of `region`, which is in
+    /// pixels of the frame.
     ///
     /// Stars are given in pixels of the scene, and `frame` is a region of the scene. Stars outside
     /// the frame contribute light as far as their stamps reach. The light of a pixel does not
@@ -187,7 +190,7 @@ impl<T: ConvReal> StarPlan<T> {
             .stars
             .par_iter()
             .enumerate()
-            .with_min_len(LEAST_AT_ONCE)
+            .with_min_len(MIN_STARS_PER_TASK)
             .filter_map(|(index, source)| {
                 let star = Star::new(index, source, catalogue.frame);
                 let lights = star.reaches(self.window, region);
@@ -217,7 +220,7 @@ impl<T: ConvReal> StarPlan<T> {
                 })
                 .count();
             let (now, later) = rest.split_at(count);
-            catalogue.progress.still_wanted()?;
+            catalogue.progress.check_cancelled()?;
             let first = (region.x0(), region.y0());
             missed.extend(self.draw(phased, catalogue, now, (first, image.view_mut()))?);
             rest = later;
@@ -228,8 +231,8 @@ impl<T: ConvReal> StarPlan<T> {
         self.draw_exactly(Catalogue { stars, ..catalogue }, region, image)
     }
 
-    /// Draws groups of stars. Returns the stars that would exceed the tolerance, which are not
-    /// drawn.
+    /// Draws groups of stars. Does not draw stars that would exceed the tolerance, but returns
+    /// their indices.
     fn draw(
         &self,
         phased: &Phased<T>,
@@ -253,14 +256,15 @@ impl<T: ConvReal> StarPlan<T> {
         Ok(missed.into_iter().flatten().collect())
     }
 
-    /// Returns the block of some stars, and the phases and weights of each.
+    /// Returns the block of some stars with the phases and weights of each, and the indices of the
+    /// stars that would exceed the tolerance.
     fn prepare(
         &self,
         phased: &Phased<T>,
         catalogue: Catalogue<'_>,
         stars: &[StarKey],
     ) -> Result<(Group<T>, Vec<usize>), ConvError> {
-        catalogue.progress.still_wanted()?;
+        catalogue.progress.check_cancelled()?;
         let key = stars[0].block;
         let (region, space, axes) = (region_of(key), &phased.space, &phased.axes);
         let make = || StarBlock::new(&self.model, space, region, axes, phased.tolerance);
@@ -271,8 +275,8 @@ impl<T: ConvReal> StarPlan<T> {
         let mut weights = Vec::with_capacity(stars.len() * taps * block.kernel_count());
         let (mut prepared, mut missed) = (Vec::with_capacity(stars.len()), Vec::new());
         for (number, &StarKey { index, .. }) in stars.iter().enumerate() {
-            if number.is_multiple_of(LEAST_AT_ONCE) {
-                catalogue.progress.still_wanted()?;
+            if number.is_multiple_of(MIN_STARS_PER_TASK) {
+                catalogue.progress.check_cancelled()?;
             }
             let star = Star::new(index, &catalogue.stars[index], catalogue.frame);
             let Some([columns, rows]) = star.phases(&phased.axes) else {
@@ -329,7 +333,7 @@ fn region_of((row, column): BlockKey) -> PixelRegion {
     PixelRegion::new(column * BLOCK, row * BLOCK, shape)
 }
 
-/// The vectors of stars, one star at a time, in memory that is used again.
+/// Computes the vectors of stars' PSFs, one star at a time, in memory that is used again.
 #[derive(Debug)]
 pub(super) struct StarVectors<'a> {
     model: &'a PsfModel,
@@ -350,7 +354,8 @@ impl<'a> StarVectors<'a> {
         }
     }
 
-    /// Sets the PSF at a position, before any scaling to unit flux, and returns that scale.
+    /// Computes the PSF at a position, not scaled to unit flux. Returns the factor that scales it
+    /// to unit flux, or 1 if the model does not need it.
     pub(super) fn set(&mut self, position: Position) -> Result<f64, FieldError> {
         self.model.coefficients_into(position, &mut self.coefficients)?;
         let first = usize::from(self.model.is_mean_centred());
@@ -375,8 +380,8 @@ impl<'a> StarVectors<'a> {
         self.psf.dot(&self.psf).sqrt()
     }
 
-    /// Computes the coefficients of a block's kernels for this PSF, and leaves the remainder in its
-    /// place.
+    /// Computes the coefficients of a block's kernels for this PSF. Replaces the PSF by the
+    /// remainder that the kernels do not represent.
     pub(super) fn project(&mut self, modes: &LocalModes, coefficients: &mut Vec<f64>) {
         coefficients.clear();
         if let Some(reference) = modes.reference() {

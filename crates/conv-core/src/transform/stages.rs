@@ -18,8 +18,8 @@ pub(crate) struct Stages<T> {
 #[derive(Debug)]
 struct Stage<T> {
     radix: usize,
-    /// The number of values that a transform of this stage takes: `radix` times that of the next
-    /// stage.
+    /// The number of values that a transform of this stage takes: `radix` times the number of the
+    /// next stage.
     block: usize,
     /// `exp(-2 pi i j s / block)` for `j < block / radix`, `0 < s < radix`.
     twiddles: Vec<Pair<T>>,
@@ -67,8 +67,8 @@ impl<T: ConvReal> Stages<T> {
     }
 
     /// The inverse transform times `len`, for values whose real and imaginary parts are swapped.
-    /// They are swapped in the result too. The inverse transform of swapped values is the swapped
-    /// forward transform.
+    /// The parts are swapped in the result too. The inverse transform of swapped values is the
+    /// swapped forward transform.
     #[inline(always)]
     pub(crate) fn inverse_of_swapped<S: Lanes<T>>(&self, simd: S, values: &mut [Pair<S::V>]) {
         let values = &mut values[..self.len];
@@ -84,7 +84,8 @@ impl<T: ConvReal> Stages<T> {
     }
 }
 
-/// Divides `$block` into legs of `$step` values, one for each name.
+/// Divides `$block` into legs of `$step` values, one for each name. A butterfly combines one value
+/// of each leg.
 macro_rules! cut {
     ($block:ident, $step:ident, $($leg:ident),+) => {
         let rest = $block;
@@ -186,8 +187,8 @@ fn radices(len: usize) -> Vec<usize> {
         }
     }
     assert!(rest.is_power_of_two(), "lengths are products of 2, 3 and 5");
-    // Few stages, because each passes over all values. The stage for the rest (2 or 4) comes before
-    // the stages of 8, where zeros can be skipped.
+    // Uses few stages, because each passes over all values. The stage for the rest (2 or 4) comes
+    // before the stages of 8, because the first stage can skip zeros.
     match rest.trailing_zeros() % 3 {
         1 if rest > 8 => radices.extend([4, 4]),
         1 => radices.push(2),

@@ -39,7 +39,7 @@ impl<T: ConvReal> TileTransform<T> {
     pub fn new(nx: usize, ny: usize) -> Self {
         assert!(
             nx.is_multiple_of(X_STEP) && ny.is_multiple_of(Y_STEP),
-            "{nx} x {ny}"
+            "{nx} x {ny} is not a multiple of {X_STEP} x {Y_STEP}"
         );
         let half = ny / 2;
         let gain = T::nearest((nx * half) as f64);
@@ -55,7 +55,7 @@ impl<T: ConvReal> TileTransform<T> {
     }
 
     /// The number of values from one row of a plane to the next. It is not a power of two, because
-    /// such steps map to few sets of a cache.
+    /// then the rows would share few sets of the cache.
     pub(crate) fn pitch(&self) -> usize {
         self.nx + X_STEP
     }
@@ -82,9 +82,9 @@ impl<T: ConvReal> TileTransform<T> {
         self.ny * X_STEP
     }
 
-    /// The spectrum of a plane `[y, x]` with [`pitch`](Self::pitch) values per row, of which the
-    /// first `rows x columns` are used. The values of these rows from `columns` up to the next
-    /// multiple of [`X_STEP`] must be zero. The rest is not read.
+    /// Computes the spectrum of a plane `[y, x]`. Its rows begin every [`pitch`](Self::pitch)
+    /// values, and only the first `rows x columns` values are used. The values of these rows from
+    /// `columns` up to the next multiple of [`X_STEP`] must be zero. The rest is not read.
     #[inline(always)]
     pub fn forward<S: Lanes<T>>(
         &self,
@@ -102,11 +102,11 @@ impl<T: ConvReal> TileTransform<T> {
     }
 
     /// Multiplies the spectrum of a plane, as from [`forward`](Self::forward), by another spectrum
-    /// and swaps real and imaginary parts. The product is added to `sum`, or replaces it. Each
-    /// group stays in the first-level cache from its transform to the sum. `spectrum` is
-    /// overwritten.
+    /// and swaps real and imaginary parts. The product is added to `sum` if `add` is true,
+    /// otherwise it replaces `sum`. Each group stays in the first-level cache from its transform to
+    /// the sum. `spectrum` is overwritten.
     #[inline(always)]
-    #[allow(clippy::too_many_arguments, reason = "three planes of input, two of output")]
+    #[allow(clippy::too_many_arguments, reason = "two inputs, a sum and two buffers")]
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(
         &self,
         simd: S,
@@ -220,8 +220,8 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The product of two spectra, with real and imaginary parts swapped. It is added to `sum`, or
-    /// replaces it.
+    /// The product of two spectra, with real and imaginary parts swapped. The product is added to
+    /// `sum` if `add` is true, otherwise it replaces `sum`.
     #[inline(always)]
     pub fn multiply_swapped<S: Lanes<T>>(&self, simd: S, a: &[T], b: &[T], sum: &mut [T], add: bool) {
         let a: &[Pair<S::V>] = cast_slice(&a[..self.spectrum_len()]);

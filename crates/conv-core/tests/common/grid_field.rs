@@ -1,12 +1,12 @@
-//! A field on a regular grid, like those of models of telescopes.
+//! A coefficient field on a regular grid, as in models of telescopes.
 
 use std::borrow::Cow;
 
 use ndarray::Array2;
 use psf_types::{CoefficientField, FieldError, Position, RowRun};
 
-/// Coefficients that are bilinear in the cells of a square grid of nodes. The first node is at (0,
-/// 0).
+/// Coefficients that are bilinear in the cells of a square grid of nodes. The first node is at
+/// pixel `(0, 0)`.
 #[derive(Debug)]
 pub(crate) struct GridField {
     /// Pixels from one node to the next.

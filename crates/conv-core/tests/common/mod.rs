@@ -1,4 +1,4 @@
-//! A small model with a PSF that varies strongly, and the double sum in its plainest form.
+//! Small models with PSFs that vary strongly, and the double sum in its simplest form.
 
 pub(crate) mod grid_field;
 
@@ -27,7 +27,7 @@ pub(crate) const KINDS: [(bool, Normalisation); 3] = [
     (false, Normalisation::Keep),
 ];
 
-/// Even, odd, off-centre, one pixel, wider than the scene.
+/// Sizes and centres of stamps: even, odd, off-centre, one pixel wide, wider than the scene.
 pub(crate) const STAMPS: [((usize, usize), (usize, usize)); 5] = [
     ((6, 4), (3, 2)),
     ((5, 7), (2, 3)),
@@ -43,7 +43,7 @@ pub(crate) fn options(tolerance: f64, anchor: Anchor, paths: Paths) -> PlanOptio
         .with_paths(paths)
 }
 
-/// Light, and the frame that it is seen through.
+/// Light, and the frame, which is a region of the light.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Scene<T = f64> {
     pub(crate) light: Image<T>,
@@ -85,7 +85,7 @@ impl<T: ConvReal> Scene<T> {
         method.convolve(model, &self.light.view(), self.frame, &NoProgress)
     }
 
-    /// Single pixels by the direct sum.
+    /// Computes single pixels by the direct sum.
     pub(crate) fn at_pixels(
         &self,
         model: &PsfModel,
@@ -221,7 +221,7 @@ pub(crate) fn model_with(
 
 pub(crate) fn scene(nx: usize, ny: usize, seed: u64) -> Scene<f64> {
     let mut light = noise(ny, nx, seed);
-    // A part of it is dark, so that skipping is tested too.
+    // A part of the light is dark, so that skipping is tested too.
     light.slice_mut(ndarray::s![ny / 3..ny / 2, ..]).fill(0.0);
     Scene::new(light)
 }

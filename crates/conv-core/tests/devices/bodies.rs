@@ -15,7 +15,7 @@ use crate::common::{
 };
 use crate::on_device::OnDevice;
 
-/// Transforms of a few thousand values in f32, relative to the peak of the image.
+/// Rounding of transforms of a few thousand values in f32, relative to the peak of the image.
 pub(crate) const ROUNDING: f64 = 3e-6;
 
 type Body = fn(&OnDevice);
@@ -25,7 +25,7 @@ pub(crate) const ALL: [(&str, Body); 11] = [
     ("the_adjoint_is_the_transpose", adjoints),
     ("every_pixel_sees_a_psf_within_the_tolerance", tolerances),
     ("flux_is_kept_at_any_tolerance", fluxes),
-    ("a_bright_star_does_not_drown_faint_light", bright_stars),
+    ("a_bright_star_adds_no_noise_to_faint_light", bright_stars),
     ("light_beyond_the_range_is_brought_near_1", ranges),
     ("threads_and_streaming_change_nothing", same_bytes),
     ("executions_at_the_same_time_do_not_mix", at_once),
@@ -60,7 +60,7 @@ fn double_sums(device: &OnDevice) {
             let model = model_with(Arc::new(Waves), shape, centre, mean, normalisation);
             let mut scene = scene(nx, ny, (nx * ny + n) as u64);
             if m % 2 == 0 {
-                // Every fifth pixel is lit, so that every path is used.
+                // Only every fifth pixel is lit, so that every method for tiles is used.
                 let mut light = scene.pixels().to_owned();
                 for ((y, x), value) in light.indexed_iter_mut() {
                     *value *= f64::from(u8::from((3 * y + x) % 5 == 0));
@@ -111,7 +111,7 @@ fn adjoints(device: &OnDevice) {
     }
 }
 
-/// Single units of light through transforms. The modes of transforms do not depend on the light.
+/// Convolves single units of light by transforms. The modes do not depend on the light.
 fn tolerances(device: &OnDevice) {
     let (nx, ny) = (120, 90);
     let model = model_with(Arc::new(Waves), (9, 8), (4, 4), true, Normalisation::Unit);
@@ -125,8 +125,8 @@ fn tolerances(device: &OnDevice) {
                 let (x, y) = ((n * 37 + 11) % nx, (n * 53 + 7) % ny);
                 let mut one = Array2::zeros((ny, nx));
                 one[[y, x]] = 1.0;
-                // Output-anchored, the kernel of one output pixel is a row of the operator, which
-                // is a column of its transpose.
+                // If output-anchored, the kernel of one output pixel is a row of the operator,
+                // which is a column of its transpose.
                 let (response, sign) = if anchor == Anchor::Source {
                     (engine.image_of(&of_light(one)).unwrap(), 1)
                 } else {
@@ -140,7 +140,8 @@ fn tolerances(device: &OnDevice) {
                         exact[[row as usize, column as usize]] = h;
                     }
                 }
-                // The tolerance is relative to the whole PSF, which is truncated at the edge.
+                // The tolerance is relative to the whole PSF. The response is truncated at the
+                // image's edge.
                 let error = norm(&(doubles(&response) - &exact)) / norm(&psf.values().to_owned());
                 assert!(
                     error <= tolerance + ROUNDING,
@@ -150,7 +151,7 @@ fn tolerances(device: &OnDevice) {
             }
         }
     }
-    // If the tolerance were not used, the test would prove nothing.
+    // Some errors must be large: without truncation, the test would prove nothing.
     assert!(coarsest > 1e-3, "{coarsest:e}");
 }
 
@@ -193,7 +194,7 @@ fn bright_stars(device: &OnDevice) {
             (squares.sum::<f64>() / truth.iter().map(|v| v * v).sum::<f64>()).sqrt()
         };
         assert!(error(Paths::Cheapest) < 1e-6, "{anchor}");
-        // If only transforms were used, it would.
+        // If only transforms are used, the star adds noise.
         assert!(error(Paths::Transforms) > 1e-3, "{anchor}");
     }
 }
@@ -256,7 +257,7 @@ fn same_bytes(device: &OnDevice) {
                 let other = of_light(half).with_frame(scene.frame);
                 assert!(engine.image_of(&other).unwrap() != image);
                 let again = engine.image_of(&scene).unwrap();
-                assert_eq!(image, again, "buffers are dirty by then");
+                assert_eq!(image, again, "buffers are dirty the second time");
                 (engine, image)
             })
         };
@@ -271,7 +272,7 @@ fn same_bytes(device: &OnDevice) {
     }
 }
 
-/// Many executions at the same time, on the pool in which each of them works too.
+/// Runs many executions at the same time, on the thread pool that each of them uses too.
 fn at_once(device: &OnDevice) {
     let model = model_with(Arc::new(Waves), (16, 12), (8, 6), true, Normalisation::Unit);
     let scenes: Vec<Scene<f32>> = (0..60).map(|seed| single(&scene(150, 130, seed))).collect();
@@ -327,7 +328,7 @@ fn no_psf(device: &OnDevice) {
     }
 }
 
-/// Computes pieces of a frame from the light that reaches each, forward and adjoint.
+/// Computes regions of a frame, each from the light that reaches it, forward and adjoint.
 fn regions(device: &OnDevice) {
     let scene = single(&scene(201, 157, 8).with_frame(region(5, 9, 173, 131)));
     let model = model_with(Arc::new(Waves), (11, 7), (4, 3), true, Normalisation::Unit);

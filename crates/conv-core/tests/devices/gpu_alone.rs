@@ -14,9 +14,9 @@ use crate::shaders;
 
 /// Relative L2 difference of the devices in f32, which use different transforms.
 const PARITY: f64 = 3e-6;
-/// A shader against its twin in f64.
+/// Relative error of a shader in f32, compared with its twin in f64: rounding.
 const TWIN: f64 = 1e-6;
-/// Other pieces only change the order of additions.
+/// Relative difference between pieces of different sizes: only the order of additions changes.
 const ORDER: f64 = 1e-6;
 
 type Body = Box<dyn FnOnce(&OnDevice) + Send>;
@@ -29,12 +29,12 @@ pub(crate) fn all() -> Vec<(String, Body)> {
         })
         .collect();
     let mut add = |name: &str, body: fn(&OnDevice)| all.push((name.to_owned(), Box::new(body)));
-    add("it_is_the_processor_at_all_sizes_of_transforms", sizes);
-    add("it_is_the_processor_on_every_kind_of_light", lights);
+    add("it_equals_the_processor_at_all_sizes_of_transforms", sizes);
+    add("it_equals_the_processor_on_every_kind_of_light", lights);
     add("pieces_of_any_size_give_the_same", pieces);
     add("a_lost_gpu_is_an_error", lost);
-    add("what_it_cannot_do_is_an_error", refused);
-    add("it_tells_how_long_it_took", times);
+    add("an_impossible_plan_is_an_error", refused);
+    add("it_reports_durations", times);
     all
 }
 
@@ -60,7 +60,7 @@ fn twin(gpu: &GpuDevice, name: &str) {
     }
 }
 
-/// The images of both devices from one plan.
+/// The images of the processor and of the GPU from one plan.
 fn both(gpu: &GpuDevice, plan: Plan<f32>, scene: &Scene<f32>) -> [Array2<f64>; 2] {
     let image = |engine: Engine<f32>| engine.image_of(scene).unwrap().pixels().mapv(f64::from);
     let whole = plan.region();
@@ -146,8 +146,8 @@ fn lights(device: &OnDevice) {
     }
 }
 
-/// Nothing is kept, and pieces are so small that a tile's kernels are processed one by one. Stamps
-/// and coefficients are computed by each execution. Light of every kind, forward and adjoint.
+/// Compares limits at which nothing is kept, or pieces are so small that a tile's kernels are
+/// processed one by one, with the default limits. Uses full and sparse light, forward and adjoint.
 fn pieces(device: &OnDevice) {
     let model = model_with(Arc::new(Waves), (33, 29), (16, 11), true, Normalisation::Unit);
     let full = single(&scene(307, 211, 3));

@@ -1,8 +1,8 @@
 //! Tests of the fast engine in f32 on the processor and the GPU. Both run the same tests with the
 //! same tolerances against the same references.
 //!
-//! Without a usable GPU, its tests are shown as ignored. If `PSFIELD_REQUIRE_GPU` is set, they fail
-//! instead. A driver that runs shaders on the processor (Mesa's lavapipe) is enough.
+//! Without a usable GPU, the tests on the GPU are shown as ignored. If `PSFIELD_REQUIRE_GPU` is
+//! set, they fail instead. A driver that runs shaders on the processor (Mesa's lavapipe) is enough.
 
 mod bodies;
 #[allow(dead_code, reason = "each test binary uses a part")]

@@ -49,6 +49,6 @@ impl OnDevice {
 
     #[cfg(feature = "gpu")]
     pub(crate) fn handle(&self) -> &conv_core::gpu::GpuDevice {
-        self.gpu.as_ref().expect("only called on the GPU")
+        self.gpu.as_ref().expect("only called by tests on the GPU")
     }
 }

@@ -60,7 +60,7 @@ pub(crate) fn assert_within(what: &str, got: f64, expected: f64, deviation: f64)
     );
 }
 
-/// Correlation of two images. For independent ones, 1 / sqrt(pixels) is its standard deviation.
+/// Correlation of two images. For independent images its standard deviation is 1 / sqrt(pixels).
 pub(crate) fn correlation(a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>) -> f64 {
     let (ma, mb) = (a.mean().unwrap(), b.mean().unwrap());
     let sum = |f: &dyn Fn(f64, f64) -> f64| a.iter().zip(b).map(|(a, b)| f(a - ma, b - mb)).sum::<f64>();

@@ -22,11 +22,11 @@ use crate::fits::hdu::HduChoice;
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
 /// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 without such a column |
 ///
-/// A role may be given a column. Any other role uses the column of its own name, if it exists. If
-/// both are available, positions in pixels are used rather than those on the sky, and flux rather
-/// than magnitude. A zero point together with fluxes is an error, so with both columns and a zero
-/// point the role `mag` must be given its column. A catalogue with a column for `re` has galaxies
-/// and needs a column for `n`. Case is ignored in names.
+/// A role may be given a column. Any other role uses its default column, if it exists. If the
+/// default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y` are used. Likewise, `flux` is
+/// used rather than `mag`. A zero point together with fluxes is an error. So if a table has both
+/// default columns and a zero point is set, the role `mag` must be given its column. A catalogue
+/// with a column for `re` has galaxies and needs a column for `n`. Case is ignored in names.
 ///
 /// Text form: `role=COLUMN`, separated by commas.
 ///
@@ -34,7 +34,7 @@ use crate::fits::hdu::HduChoice;
 /// use psf_io::CatalogColumns;
 /// let columns: CatalogColumns = "x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO".parse()?;
 /// assert_eq!(columns.to_string(), "x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO");
-/// assert!("x=X_IMAGE".parse::<CatalogColumns>().is_err()); // and y?
+/// assert!("x=X_IMAGE".parse::<CatalogColumns>().is_err()); // y is missing
 /// # Ok::<(), psf_types::DataError>(())
 /// ```
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -149,7 +149,7 @@ impl CatalogColumns {
         self.given[role as usize].is_some()
     }
 
-    /// Describes roles that contradict each other, if any.
+    /// If the given roles contradict each other, returns the rule that they break.
     fn conflict(&self) -> Option<&'static str> {
         let given = |role| self.is_given(role);
         if given(Role::X) != given(Role::Y) {
@@ -251,7 +251,8 @@ impl CatalogOptions {
     }
 
     /// Sets whether invalid rows are skipped and counted (`true`) or are errors. A row is invalid
-    /// if its position or flux is missing or not finite, or if its galaxy is out of range.
+    /// if its position or flux is missing or not finite, or if the parameters of its galaxy are out
+    /// of range.
     #[must_use]
     pub fn with_invalid_skipped(self, skip_invalid: bool) -> Self {
         Self { skip_invalid, ..self }
@@ -269,7 +270,7 @@ impl CatalogOptions {
     /// Sets the zero point, the magnitude of flux 1.
     ///
     /// # Errors
-    /// [`DataError::Setting`] if it is not finite.
+    /// [`DataError::Setting`] if `zero_point` is not finite.
     pub fn with_zero_point(self, zero_point: f64) -> Result<Self, DataError> {
         if !zero_point.is_finite() {
             return Err(DataError::setting(
@@ -315,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_go_before_the_sky_and_flux_before_magnitude() {
+    fn pixels_precede_the_sky_and_flux_precedes_magnitude() {
         let path = Path::new("a.csv");
         let of = |columns: &str, table: &str| {
             let columns: CatalogColumns = if columns.is_empty() {

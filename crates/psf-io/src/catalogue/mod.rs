@@ -2,7 +2,8 @@
 //!
 //! # Layout
 //!
-//! A text table or a binary table of a FITS file. Its kind is found from its content, not its name.
+//! A file holds a text table, or it is a FITS file with a binary table. The content of the file
+//! decides which, not its name.
 //!
 //! | column | meaning |
 //! |---|---|
@@ -34,7 +35,7 @@ use std::path::Path;
 use psf_types::{DataError, PointSource, Position, SersicProfile, SersicSource};
 
 use crate::error::{IoError, IoErrorKind, Place, invalid};
-use crate::fits::columns::{Gaps, NumberColumns, Table, bad_value, positions};
+use crate::fits::columns::{Nans, NumberColumns, Table, bad_value, positions};
 use crate::fits::structure::FitsStructure;
 use columns::{CatalogColumns, CatalogOptions, Picked, Role};
 use table_file::{TableFile, read_columns};
@@ -59,8 +60,9 @@ pub(crate) mod world_header;
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Table`] for a missing column, [`IoErrorKind::Data`] with the row and column of a
-/// value that is not a finite number, and the errors of any FITS or CSV file.
+/// [`IoErrorKind::Table`] for a missing column or a malformed text table, [`IoErrorKind::Setting`]
+/// if several tables of a FITS file have the columns, [`IoErrorKind::Data`] with the row and column
+/// of a value that is not a finite number, and the [errors of any FITS file](crate#bad-files).
 pub fn read_catalog(path: impl AsRef<Path>) -> Result<Vec<PointSource>, IoError> {
     let path = path.as_ref();
     let [x, y, flux] = read_columns(path, ["x", "y", "flux"])?;
@@ -106,13 +108,13 @@ impl Catalog {
     }
 
     /// Number of rows skipped because they are not valid sources. It is 0 unless
-    /// [`with_invalid_skipped`](CatalogOptions::with_invalid_skipped) allows them.
+    /// [`with_invalid_skipped`](CatalogOptions::with_invalid_skipped) was set.
     pub fn invalid_rows(&self) -> usize {
         self.invalid_rows
     }
 
-    /// Number of rows skipped because their position on the sky is outside the projection of the
-    /// frame, and so far off the frame.
+    /// Number of rows skipped because the projection of the frame does not reach their position on
+    /// the sky. Such a position is far off the frame.
     pub fn rows_off_projection(&self) -> usize {
         self.rows_off_projection
     }
@@ -146,9 +148,11 @@ impl Catalog {
 /// - [`IoErrorKind::Data`] with the row and column of a position or brightness that is missing or
 ///   not finite, and with the row of a galaxy whose parameters are out of range
 /// - [`IoErrorKind::Setting`] for magnitudes without a zero point, a zero point without magnitudes,
-///   sky coordinates counted from 1, sky coordinates without
-///   [`with_sky`](CatalogOptions::with_sky), and several tables of a FITS file that have the columns
-/// - the errors of any FITS or text table
+///   sky coordinates with [`with_one_based`](CatalogOptions::with_one_based), sky coordinates
+///   without [`with_sky`](CatalogOptions::with_sky), and several tables of a FITS file that have
+///   the columns
+/// - [`IoErrorKind::Table`] for a text table whose rows do not match the column names
+/// - the [errors of any FITS file](crate#bad-files)
 pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Result<Catalog, IoError> {
     let rows = Rows::read(path.as_ref(), options, "x, y, flux", CatalogColumns::sources)?;
     let mut catalog = Catalog::default();
@@ -165,8 +169,8 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 /// Reads the positions of a catalogue, one per row.
 ///
 /// # Errors
-/// The errors of [`read_catalog_with`]. An invalid row is always an error, even if the options
-/// allow it. So is a position outside the projection.
+/// - the errors of [`read_catalog_with`], also for an invalid row that the options allow to skip
+/// - [`IoErrorKind::Data`] for a position that the projection of the frame does not reach
 pub fn read_positions_with(
     path: impl AsRef<Path>,
     options: &CatalogOptions,
@@ -207,12 +211,13 @@ impl<'a> Rows<'a> {
         Ok(Self {
             path,
             options,
-            numbers: table.read(&columns.names(), Gaps::Kept)?,
+            numbers: table.read(&columns.names(), Nans::Kept)?,
             columns,
         })
     }
 
-    /// Adds the source of a row to the catalogue. A source outside the projection is only counted.
+    /// Adds the source of a row to the catalogue. A source that the projection does not reach is
+    /// only counted.
     fn add_source(&self, row: usize, catalog: &mut Catalog) -> Result<(), IoError> {
         let position = self.position(row)?;
         let flux = match self.options.zero_point {
@@ -232,7 +237,7 @@ impl<'a> Rows<'a> {
         Ok(())
     }
 
-    /// The position of a source, or `None` outside the projection.
+    /// The position of a source, or `None` if the projection does not reach it.
     fn position(&self, row: usize) -> Result<Option<Position>, IoError> {
         let Some(sky) = self
             .options
@@ -263,7 +268,7 @@ impl<'a> Rows<'a> {
             return Ok(None);
         }
         let q = value(Role::Q).unwrap_or(1.0);
-        // A circle has no angle.
+        // A circle needs no angle.
         let angle = value(Role::Angle).filter(|_| q != 1.0).unwrap_or(0.0);
         SersicProfile::new(re, n, q, angle)
             .map(Some)
@@ -298,7 +303,7 @@ impl<'a> Rows<'a> {
     }
 }
 
-/// Checks that the options fit the columns.
+/// Checks that the options suit the columns.
 fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Result<(), IoError> {
     let refused = |setting, problem: String| {
         Err(IoError::new(path, IoErrorKind::Setting, problem).with_setting(setting))
@@ -310,8 +315,8 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
     ) {
         (Some(flux), _, Some(_)) => {
             let problem = format!(
-                "the column {flux:?} holds fluxes, for which a zero point has no meaning: leave it out, or name the column \
-                 of magnitudes (mag)"
+                "the column {flux:?} holds fluxes, for which a zero point has no meaning: leave the zero point out, or name the \
+                 column of magnitudes (mag)"
             );
             return refused("zero_point", problem);
         }
@@ -328,14 +333,14 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
     };
     if options.one_based {
         let problem = format!(
-            "the columns {ra:?} and {dec:?} are sky coordinates, which are not counted from 1: leave that out, or name \
+            "the columns {ra:?} and {dec:?} are sky coordinates, which are not counted from 1: leave this setting out, or name \
              columns of pixels (x and y)"
         );
         return refused("one_based", problem);
     }
     if options.sky.is_none() {
         let problem = format!(
-            "the columns {ra:?} and {dec:?} are sky coordinates, and no world coordinates of the frame are given: give a \
+            "the columns {ra:?} and {dec:?} are sky coordinates, but the world coordinates of the frame are missing: give a \
              scene whose header has them, or positions in pixels"
         );
         return refused("sky", problem);

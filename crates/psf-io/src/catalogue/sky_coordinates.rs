@@ -12,11 +12,12 @@ use crate::catalogue::world_header::{
 use crate::fits::card::{Card, CardValue};
 use crate::fits::header_cards::HeaderCards;
 
-/// The longitude of the celestial pole in a zenithal projection, if the header does not state it.
+/// The usual LONPOLE of a zenithal projection: the longitude of the celestial pole in the
+/// projection.
 const USUAL_POLE_LONGITUDE: f64 = 180.0;
-/// The largest coordinate on the projection, in radians. Beyond it squares overflow, and mapproj
-/// returns invalid vectors.
-const FARTHEST: f64 = 1e150;
+/// The largest allowed coordinate on the projection, in radians. The squares of larger ones would
+/// overflow, and mapproj would return invalid vectors.
+const MAX_PROJECTED: f64 = 1e150;
 
 /// The world coordinates of a frame, which convert positions on the sky to pixels and back.
 ///
@@ -79,7 +80,7 @@ impl SkyCoordinates {
             _ => {
                 return Err(unsupported(
                     "CTYPE1",
-                    "RA--- or DEC-- with a projection, and CTYPE2 the other",
+                    "RA--- or DEC-- with a projection, and CTYPE2 the other of the two",
                     &types[0],
                 ));
             }
@@ -160,8 +161,8 @@ impl SkyCoordinates {
         })
     }
 
-    /// The pixel position (0-based) of a position on the sky in degrees, or `None` outside the
-    /// projection.
+    /// The pixel position (0-based) of a position on the sky in degrees, or `None` if the
+    /// projection does not reach it.
     pub fn pixel(&self, longitude_deg: f64, latitude_deg: f64) -> Option<Position> {
         if !longitude_deg.is_finite() || !(-90.0..=90.0).contains(&latitude_deg) {
             return None;
@@ -179,14 +180,14 @@ impl SkyCoordinates {
     }
 
     /// The sky position of a pixel position: longitude from 0 to 360 and latitude, in degrees.
-    /// Returns `None` outside the sky.
+    /// Returns `None` if the pixel is outside the projection of the sky.
     pub fn sky(&self, position: Position) -> Option<(f64, f64)> {
         let offset = [position.x() - self.reference[0], position.y() - self.reference[1]];
         let plane = product(&self.matrix, self.distortion.in_pixels(offset));
         let [x, y] = self.distortion.in_plane(plane);
         let [x, y] = [x.to_radians(), y.to_radians()];
-        // The test is false for NaN too, since a distortion may overflow.
-        if !(x.abs() < FARTHEST && y.abs() < FARTHEST) {
+        // A distortion may overflow to NaN, which fails these comparisons and is refused too.
+        if !(x.abs() < MAX_PROJECTED && y.abs() < MAX_PROJECTED) {
             return None;
         }
         let turned = self.projection.unproj_xyz(&ProjXY::new(x, y))?;
@@ -222,8 +223,8 @@ fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// Rotates a position on the sky to (1, 0, 0), east to +y and north to +z. Then rotates east and
-/// north by `turn_deg` about the first axis.
+/// Returns a rotation that takes a position on the sky to (1, 0, 0), the direction east to +y and
+/// north to +z. East and north are then turned by `turn_deg` about the first axis.
 fn rotation(longitude_deg: f64, latitude_deg: f64, turn_deg: f64) -> [[f64; 3]; 3] {
     let (sin_l, cos_l) = longitude_deg.to_radians().sin_cos();
     let (sin_b, cos_b) = latitude_deg.to_radians().sin_cos();

@@ -1,4 +1,4 @@
-//! Reads tables of numbers from files of any kind, with a choice among several, and writes CSV.
+//! Reads tables of numbers from text files and FITS files, and writes CSV.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use crate::catalogue::text_table::{NOT_CSV, TextTable};
 use crate::error::{IoError, IoErrorKind, unwritable};
-use crate::fits::columns::{Gaps, NumberColumns, Table, missing_column};
+use crate::fits::columns::{Nans, NumberColumns, Table, missing_column};
 use crate::fits::hdu::HduChoice;
 use crate::fits::structure::{self, FitsStructure, is_fits};
 use crate::output::write_atomically;
@@ -82,11 +82,11 @@ impl TableFile {
 
 impl AnyTable<'_> {
     /// Reads columns by name, in upper or lower case.
-    pub(crate) fn read(&self, names: &[&str], gaps: Gaps) -> Result<NumberColumns, IoError> {
+    pub(crate) fn read(&self, names: &[&str], nans: Nans) -> Result<NumberColumns, IoError> {
         match self {
-            Self::Text(table) => table.read(names, gaps),
+            Self::Text(table) => table.read(names, nans),
             Self::Fits(table) => {
-                let columns = names.iter().map(|name| table.read_with(name, 1, gaps));
+                let columns = names.iter().map(|name| table.read_with(name, 1, nans));
                 Ok(NumberColumns {
                     values: columns.collect::<Result<_, _>>()?,
                     rows: table.rows,
@@ -114,8 +114,8 @@ pub fn read_columns<const N: usize>(
             .find(|name| !found.iter().any(|f| f.eq_ignore_ascii_case(name)));
         missing.map_or(Ok(()), |name| Err(missing_column(path, found, name)))
     })?;
-    let columns = table.read(&names, Gaps::Refused)?.values;
-    Ok(columns.try_into().expect("a column for each name"))
+    let columns = table.read(&names, Nans::Refused)?.values;
+    Ok(columns.try_into().expect("one column per name"))
 }
 
 /// Writes rows as a CSV file with a line of column names. The file appears complete or not at all.
@@ -133,8 +133,9 @@ pub fn read_columns<const N: usize>(
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Table`] if a row does not have one field per column, [`IoErrorKind::Exists`]
-/// unless `overwrite`, [`IoErrorKind::NotFound`] without the directory, or [`IoErrorKind::Write`].
+/// [`IoErrorKind::Table`] if a row does not have one field per column, [`IoErrorKind::Exists`] if
+/// the file exists and `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not
+/// exist, or [`IoErrorKind::Write`].
 pub fn write_csv<R: Serialize>(
     path: impl AsRef<Path>,
     columns: &[&str],
@@ -166,7 +167,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_must_have_one_field_a_column() {
+    fn rows_must_have_one_field_per_column() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a.csv");
         let failed = write_csv(&path, &["a", "b"], [(1, 2, 3)], false);

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 use csv::{ByteRecord, Position, ReaderBuilder, Trim};
 
 use crate::error::{IoError, IoErrorKind, Place, Row, unreadable};
-use crate::fits::columns::{Gaps, NumberColumns, bad_value, find, shown};
+use crate::fits::columns::{Nans, NumberColumns, bad_value, find, shown};
 
-pub(super) const NOT_CSV: &str = "not a well-formed CSV table";
+pub(super) const NOT_CSV: &str = "this is not a well-formed CSV table";
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 
 /// A text table in memory with named columns.
@@ -15,11 +15,12 @@ const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 pub(crate) struct TextTable {
     path: PathBuf,
     text: Vec<u8>,
-    /// The names of the columns. A column without a name has an empty one.
+    /// The names of the columns. A column without a name has an empty string.
     pub(crate) names: Vec<String>,
     separator: Separator,
-    /// The position of the first byte of the rows. `first_line` is its line number, from 1.
+    /// The position of the first byte of the rows.
     rows_from: usize,
+    /// The line number of this byte, counted from 1.
     first_line: u64,
 }
 
@@ -31,8 +32,8 @@ impl TextTable {
     /// only numbers, the last comment before it gives them, provided that it has the same number of
     /// fields.
     ///
-    /// Fields are separated by commas, tabs or blanks: the first of these found in the first line
-    /// that is not a comment.
+    /// The first line that is not a comment decides how fields are separated: by commas if it has
+    /// one, else by tabs if it has one, else by blanks.
     pub(crate) fn open(path: &Path) -> Result<Self, IoError> {
         let mut text = std::fs::read(path).map_err(unreadable(path))?;
         if text.starts_with(BYTE_ORDER_MARK) {
@@ -75,7 +76,7 @@ impl TextTable {
     }
 
     /// Reads columns by name, in upper or lower case.
-    pub(crate) fn read(&self, names: &[&str], gaps: Gaps) -> Result<NumberColumns, IoError> {
+    pub(crate) fn read(&self, names: &[&str], nans: Nans) -> Result<NumberColumns, IoError> {
         let places = names.iter().map(|name| find(&self.path, self.names.iter(), name));
         let places: Vec<usize> = places.collect::<Result<_, _>>()?;
         let mut columns = vec![Vec::new(); names.len()];
@@ -83,7 +84,7 @@ impl TextTable {
         self.for_each_row(|line, fields| {
             for ((column, &place), name) in columns.iter_mut().zip(&places).zip(names) {
                 let bad = || bad_value(&self.path, Row::Line(line), name, &shown(fields[place]));
-                column.push(number(fields[place], gaps).ok_or_else(bad)?);
+                column.push(number(fields[place], nans).ok_or_else(bad)?);
             }
             rows.push(line);
             Ok(())
@@ -95,8 +96,8 @@ impl TextTable {
         })
     }
 
-    /// Calls a function with the line number and the fields of each row. A row with another number
-    /// of fields than the column names is an error.
+    /// Calls a function with the line number and the fields of each row. A row must have as many
+    /// fields as there are column names.
     fn for_each_row(
         &self,
         mut function: impl FnMut(u64, &[&[u8]]) -> Result<(), IoError>,
@@ -139,13 +140,13 @@ impl TextTable {
 }
 
 /// The number in a field, or `None` if it is not a number or not allowed.
-fn number(field: &[u8], gaps: Gaps) -> Option<f64> {
+fn number(field: &[u8], nans: Nans) -> Option<f64> {
     let number = match std::str::from_utf8(field) {
         Ok("") => Some(f64::NAN),
         Ok(text) => text.parse::<f64>().ok(),
         Err(_) => None,
     };
-    number.filter(|number| gaps == Gaps::Kept || number.is_finite())
+    number.filter(|number| nans == Nans::Kept || number.is_finite())
 }
 
 /// The line of a record. The parser's position is before any comments and empty lines that precede
@@ -262,7 +263,7 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), text).unwrap();
         TextTable::open(file.path())?
-            .read(&["x", "y"], Gaps::Refused)
+            .read(&["x", "y"], Nans::Refused)
             .map(|columns| columns.values)
     }
 
@@ -321,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn names_stand_where_the_usual_programs_put_them() {
+    fn names_are_found_where_common_programs_write_them() {
         let expected = vec![vec![1.0, 3.0], vec![2.0, 4.0]];
         for text in [
             // A line of names, with blanks or tabs.
@@ -347,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn blanks_keep_count_of_lines_and_fields() {
+    fn errors_of_blank_separated_tables_name_line_and_fields() {
         for (text, line, expected, length) in [
             ("# x y\n1 2\n\n3\n", 4, 2, 1),
             ("x y\n1 2 3\n", 2, 2, 3),
@@ -372,16 +373,16 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_nan_where_allowed() {
+    fn missing_values_are_nan_where_allowed() {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), "x,y\n1,\nnan,4\ninf,5\n").unwrap();
         let table = TextTable::open(file.path()).unwrap();
-        let read = table.read(&["x", "y"], Gaps::Kept).unwrap();
+        let read = table.read(&["x", "y"], Nans::Kept).unwrap();
         assert_eq!((read.rows, read.place(1)), (3, Row::Line(3)));
         assert!(read.values[1][0].is_nan() && read.values[0][1].is_nan() && read.values[0][2].is_infinite());
         std::fs::write(file.path(), "x,y\n1,2px\n").unwrap();
         let table = TextTable::open(file.path()).unwrap();
-        let error = table.read(&["x", "y"], Gaps::Kept).unwrap_err();
+        let error = table.read(&["x", "y"], Nans::Kept).unwrap_err();
         assert_eq!(
             (error.kind(), error.place()),
             (IoErrorKind::Data, Some(&value_at(2, "y")))

@@ -8,14 +8,14 @@ use crate::fits::header_cards::HeaderCards;
 
 /// The highest supported order of SIP, which is the highest that the convention allows.
 const LARGEST_SIP_ORDER: usize = 9;
-/// Number of terms of TPV: orders 1 to 7, where each odd order has a further term in the radius.
+/// Number of terms of TPV: orders 0 to 7, where each odd order has a further term in the radius.
 const TPV_TERMS: usize = 40;
-/// The search for an inverse ends when a step is smaller than this fraction of the offset (plus one
-/// unit), or after [`INVERSE_STEPS`].
+/// The search for an inverse ends when a step is smaller than this fraction of the offset (plus
+/// 1e-6), or after [`INVERSE_STEPS`].
 const INVERSE_ACCURACY: f64 = 1e-13;
 const INVERSE_STEPS: usize = 50;
-/// An inverse whose image deviates by more than this fraction is rejected: the distortion folds the
-/// plane there.
+/// An inverse whose image deviates by more than this fraction is rejected, because the distortion
+/// folds the plane there.
 const INVERSE_TOLERANCE: f64 = 1e-9;
 
 /// The reason why a header does not give world coordinates.
@@ -136,8 +136,8 @@ impl World<'_> {
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Distortion {
     None,
-    /// Adds `A(u, v)` and `B(u, v)` to offsets `(u, v)` in pixels. Each term is a coefficient and
-    /// two powers (Shupe et al. 2005).
+    /// Adds `A(u, v)` and `B(u, v)` to offsets `(u, v)` in pixels (Shupe et al. 2005). Each term is
+    /// a coefficient, a power of u and a power of v.
     Sip([Vec<(f64, i32, i32)>; 2]),
     /// Replaces coordinates on the projection, in degrees, by polynomials of them: `PV1_m` and
     /// `PV2_m`.
@@ -162,8 +162,8 @@ impl Distortion {
                 ctype,
             ));
         }
-        // Headers processed by several programs may hold SIP without saying so. astropy then
-        // applies SIP and ignores the terms of SCAMP, and so does this code.
+        // Headers processed by several programs may hold SIP although CTYPEi does not end in -SIP.
+        // astropy then applies SIP and ignores the terms of SCAMP, and so does this code.
         let order = ["A_ORDER", "B_ORDER"]
             .into_iter()
             .find(|keyword| header.get(keyword).is_some());
@@ -177,8 +177,8 @@ impl Distortion {
         if suffix == "-SIP" || order.is_some() {
             return Ok(Self::Sip([sip(&world, "A")?, sip(&world, "B")?]));
         }
-        // SCAMP's headers say TAN. With TAN, terms of the latitude have no other meaning, and
-        // neither have terms of the longitude from 5 on.
+        // SCAMP's headers say TAN. With TAN, terms `PVi_m` of the latitude, and terms of the
+        // longitude from m = 5 on, have no other meaning than TPV.
         let has = |axis: &str, from: usize| {
             (from..TPV_TERMS).any(|m| header.get(&format!("PV{axis}_{m}")).is_some())
         };
@@ -252,18 +252,18 @@ fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
         None => Ok(()),
         Some(card) => Err(unsupported(
             &card.keyword(),
-            "absent: distortions by tables are not supported (give a header with SIP or TPV, or positions in pixels)",
+            "absent (distortions by tables are not supported: give a header with SIP or TPV, or positions in pixels)",
             &card.value().map_or_else(String::new, |value| value.to_string()),
         )),
     }
 }
 
-/// Returns an error if `PVi_0` to `PVi_4` of the longitude move the reference point or the pole
+/// Returns an error if `PVi_0` to `PVi_3` of the longitude move the reference point or the pole
 /// (Calabretta and Greisen 2002, section 2.5).
 fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoordinatesError> {
     let pole = world.number("LONPOLE")?;
-    // The reference point of a zenithal projection is its pole, at latitude 90. There the latitude
-    // of the celestial pole has no effect.
+    // The reference point of a zenithal projection is its pole, at latitude 90. There `PVi_4`, the
+    // latitude of the celestial pole, has no effect.
     for (m, usual) in [(0, 0.0), (1, 0.0), (2, 90.0), (3, pole.unwrap_or(0.0))] {
         let keyword = format!("PV{axis}_{m}");
         if let Some(value) = world
@@ -280,7 +280,7 @@ fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoor
     Ok(())
 }
 
-/// Reads the terms `A_p_q` up to `A_ORDER`.
+/// Reads the terms `A_p_q` up to `A_ORDER`, or the terms of B.
 fn sip(world: &World<'_>, name: &str) -> Result<Vec<(f64, i32, i32)>, WorldCoordinatesError> {
     let keyword = format!("{name}_ORDER");
     let order = world.needed(
@@ -337,7 +337,7 @@ fn inverse(mapping: impl Fn([f64; 2]) -> [f64; 2], to: [f64; 2]) -> Option<[f64;
         let error = error_at(at);
         let along_x = error_at([at[0] + step, at[1]]);
         let along_y = error_at([at[0], at[1] + step]);
-        // The slope of the mapping, so with the opposite sign of that of the error.
+        // The slope of the mapping has the opposite sign of the slope of the error.
         let slope = |moved: [f64; 2], i: usize| (error[i] - moved[i]) / step;
         let matrix = [
             [slope(along_x, 0), slope(along_y, 0)],

@@ -9,10 +9,10 @@ pub(crate) type Record = [u8; RECORD];
 
 /// The length of the text in a COMMENT or HISTORY record.
 const COMMENTARY_TEXT: usize = 72;
-/// The column where the value starts.
+/// The index of the first byte of the value in a record.
 const VALUE: usize = 10;
 
-/// A card of a FITS header: one record of 80 characters, or several for a long text.
+/// A card of a FITS header: one record of 80 characters, or several for a long string.
 ///
 /// A card read from a file keeps its records byte by byte.
 ///
@@ -114,7 +114,8 @@ impl Card {
         &self.records
     }
 
-    /// The keyword. For ESO's HIERARCH cards the words between HIERARCH and `=`.
+    /// The keyword. In one of ESO's HIERARCH cards it consists of the words between HIERARCH and
+    /// `=`.
     pub fn keyword(&self) -> String {
         let record = &self.records[0];
         let name = match self.hierarch_equals() {
@@ -150,14 +151,14 @@ impl Card {
         (&record[8..VALUE] == b"= " && !commentary.contains(&&record[..8])).then_some(VALUE)
     }
 
-    /// Returns whether the keyword has characters that FITS does not allow, and which CFITSIO would
-    /// not write.
+    /// Returns whether the keyword has characters that FITS does not allow. CFITSIO would not write
+    /// such a card.
     pub(crate) fn is_foreign(&self) -> bool {
         let keyword = self.records[0][..8].trim_ascii_end();
         !keyword.iter().copied().all(is_keyword_byte)
     }
 
-    /// The value, if the card has one and it is a logical, a number or a text.
+    /// The value, if the card has one and it is a logical value, a number or a string.
     pub fn value(&self) -> Option<CardValue> {
         let record = &self.records[0];
         let field = record[self.value_start()?..].trim_ascii();
@@ -166,7 +167,7 @@ impl Card {
         }
         let (mut text, _) = quoted(field)?;
         for record in &self.records[1..] {
-            // If another part follows, this part ends in `&`, which does not belong to the text.
+            // If another part follows, this part ends in `&`, which does not belong to the string.
             if text.pop() != Some('&') {
                 return None;
             }
@@ -220,7 +221,7 @@ pub enum CardValue {
     Integer(i64),
     /// A real number, written with as many digits as are needed to read the same bits back.
     Real(f64),
-    /// A text. A long one is continued in CONTINUE records.
+    /// A string. A long string is continued in CONTINUE records.
     Text(String),
 }
 
@@ -280,7 +281,7 @@ from_value! {
     String: Text(value) => value;
 }
 
-/// Parses a logical or a number in front of any comment.
+/// Parses a logical value or a number, which a comment may follow.
 fn plain_value(field: &[u8]) -> Option<CardValue> {
     let end = field.iter().position(|&b| b == b'/').unwrap_or(field.len());
     let text = std::str::from_utf8(field[..end].trim_ascii()).ok()?;
@@ -312,9 +313,10 @@ fn real_text(value: f64) -> String {
     }
 }
 
-/// The length of the longest text, with quotes doubled, in a record that another one continues.
+/// The largest length of a string, with its quotes doubled, in a record that another record
+/// continues.
 const CONTINUED_TEXT: usize = 67;
-/// The length of the longest text, with quotes doubled, in a single record.
+/// The largest length of a string, with its quotes doubled, in a single record.
 const SINGLE_TEXT: usize = 68;
 
 /// Keeps printable ASCII and escapes all other characters.
@@ -332,7 +334,8 @@ pub(crate) fn padded(text: &[u8]) -> Record {
     record
 }
 
-/// Makes a record from a text and as much of the comment as fits.
+/// Makes a record from keyword and value in `text`, and as much of the comment as there is room
+/// for.
 fn with_comment(mut text: String, comment: &str) -> Record {
     if !comment.is_empty() && text.len() + 4 < RECORD {
         text.push_str(" / ");
@@ -350,7 +353,8 @@ pub(crate) fn text_records(keyword: &str, text: &str, comment: &str) -> Vec<Reco
             comment,
         )];
     }
-    // A doubled quote must not be split, so the text is split between its characters.
+    // The two halves of a doubled quote must stay in one record, so the split is between characters
+    // of `text`.
     let mut parts = vec![String::new()];
     for c in text.chars() {
         let piece = if c == '\'' { "''".to_owned() } else { c.to_string() };
@@ -375,7 +379,7 @@ pub(crate) fn text_records(keyword: &str, text: &str, comment: &str) -> Vec<Reco
     parts.iter().enumerate().map(record).collect()
 }
 
-/// Parses a quoted text. Returns it without trailing blanks, and the rest of the field.
+/// Parses a quoted string. Returns it without trailing blanks, and the rest of the field.
 fn quoted(field: &[u8]) -> Option<(String, &[u8])> {
     let mut rest = field.strip_prefix(b"'")?;
     let mut text = Vec::new();
@@ -423,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn long_texts_go_on_and_are_recognised_as_such() {
+    fn long_strings_are_continued_and_recognised() {
         let card = Card::new("A", "x".repeat(100), "").unwrap();
         assert_eq!(card.records().len(), 2);
         let first = Card::from_record(card.records()[0]);

@@ -3,8 +3,8 @@
 //!
 //! Files are opened and created through the disk-file entry points (`ffdkopn`, `ffdkinit`), so that
 //! brackets, `+` and `!` in a name have no special meaning. CFITSIO is built reentrant, which a
-//! test asserts. Handles of different threads are independent, also on one file, since a read-only
-//! open never shares state. A [`Fits`] cannot be sent to another thread.
+//! test asserts. Handles of different threads are independent, even if they read one file, because
+//! files opened for reading never share state. A [`Fits`] cannot be sent to another thread.
 #![allow(
     unsafe_code,
     reason = "CFITSIO is a C library; every call is wrapped here and nowhere else"
@@ -28,8 +28,8 @@ const NAME_LIMIT: usize = sys::FLEN_FILENAME as usize - 1;
 /// CFITSIO's status for a value that the requested type cannot hold.
 const NUM_OVERFLOW: c_int = 412;
 
-/// CFITSIO's statuses for a failed system call while writing: creating, writing, closing, and
-/// seeking (which flushes buffers).
+/// CFITSIO's statuses for a failed system call when a file is written: creating, writing, closing,
+/// and seeking (which flushes buffers).
 const SYSTEM_FAILURES: [c_int; 4] = [105, 106, 110, 116];
 
 /// The largest number of records that may be reserved. CFITSIO counts their bytes in an `int`, and
@@ -44,7 +44,7 @@ pub(crate) struct Fits {
     path: PathBuf,
     /// True if the current HDU is an image that this handle writes.
     writes_image: bool,
-    /// Keeps an unpacked copy on the disk while it is open.
+    /// Keeps an unpacked copy on the disk while it is open. `None` for a file that is written.
     source: Option<FitsSource>,
 }
 
@@ -99,7 +99,7 @@ impl Fits {
     pub(crate) fn close(mut self) -> Result<(), IoError> {
         let path = std::mem::take(&mut self.path);
         let writes = self.source.take().is_none();
-        // The rest of `self` owns no memory, and the handle must not be closed twice.
+        // `drop` must not close the handle a second time. The other fields own no memory now.
         let this = std::mem::ManuallyDrop::new(self);
         let mut status = 0;
         // SAFETY: the handle is open and not used again. CFITSIO frees it even if closing fails.
@@ -117,7 +117,7 @@ impl Fits {
     }
 
     /// Reads `pixels.len()` pixels of the image from pixel `first` (0-based) on. With `blank`,
-    /// undefined integer pixels become NaN.
+    /// pixels that the file marks as undefined become NaN.
     pub(crate) fn read_pixels<T: Real>(
         &mut self,
         first: usize,
@@ -142,8 +142,8 @@ impl Fits {
         self.check(status, "reading pixels")
     }
 
-    /// Reads the first `values.len()` numbers of a column, counted from 1. With `null`, undefined
-    /// integers become NaN.
+    /// Reads the first `values.len()` numbers of a column. `column` is counted from 1. With `null`,
+    /// undefined integers become NaN.
     pub(crate) fn read_column(
         &mut self,
         column: usize,
@@ -172,7 +172,7 @@ impl Fits {
         })
     }
 
-    /// Adds an image HDU for pixels of this BITPIX, or of another image type of CFITSIO. `shape` is
+    /// Adds an image HDU. `bitpix` is a BITPIX, or CFITSIO's code of another image type. `shape` is
     /// in array order (x last). CFITSIO writes the BZERO of unsigned numbers.
     pub(crate) fn create_image(&mut self, shape: &[usize], bitpix: c_int) -> Result<(), IoError> {
         let mut axes: Vec<sys::LONGLONG> = shape.iter().rev().map(|&n| n as sys::LONGLONG).collect();
@@ -233,7 +233,7 @@ impl Fits {
         })
     }
 
-    /// Adds a binary table with these columns, each a name and a TFORM.
+    /// Adds a binary table. `columns` are the name and the TFORM of each column.
     pub(crate) fn create_table(
         &mut self,
         name: &str,
@@ -268,7 +268,7 @@ impl Fits {
         })
     }
 
-    /// Writes a column, counted from 1, from its first row on.
+    /// Writes values to a column, starting at its first row. `column` is counted from 1.
     pub(crate) fn write_column(&mut self, column: usize, values: &[f64]) -> Result<(), IoError> {
         let (column, count) = (column as c_int, values.len() as sys::LONGLONG);
         let data = values.as_ptr().cast_mut().cast();
@@ -323,8 +323,8 @@ fn check(path: &Path, status: c_int, doing: &'static str, writes: bool) -> Resul
     }
 }
 
-/// The error for a status, with CFITSIO's text and the messages on its stack. If writing a file
-/// fails, the error has the system's reason instead.
+/// The error for a status, with CFITSIO's text and the messages on its stack. If a system call
+/// fails while a file is written, the error has the reason of the operating system instead.
 fn failure(path: &Path, doing: &'static str, status: c_int, writes: bool) -> IoError {
     // CFITSIO does not keep the system's reason. It returns at once when the C library fails, so
     // `errno` still holds the reason. This line must be the first of the function.
@@ -366,7 +366,7 @@ fn datatype<T: 'static>() -> c_int {
     found.expect("pixels are f32, f64 or i32").1 as c_int
 }
 
-/// The absolute name, because CFITSIO would drop leading blanks and expand a leading `~`.
+/// Returns the absolute name, because CFITSIO would drop leading blanks and expand a leading `~`.
 fn c_name(at: &Path, path: &Path) -> Result<CString, IoError> {
     let refused = || {
         let problem = format!(

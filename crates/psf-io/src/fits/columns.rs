@@ -26,7 +26,7 @@ pub(crate) struct Column {
     pub(crate) code: u8,
 }
 
-/// A binary table whose columns fill its rows exactly. So the length of the file limits the number
+/// A binary table. Its columns fill each row exactly, so the length of the file limits the number
 /// of rows.
 #[derive(Debug)]
 pub(crate) struct Table<'a> {
@@ -39,7 +39,7 @@ pub(crate) struct Table<'a> {
 impl<'a> Table<'a> {
     pub(crate) fn new(hdu: &'a Hdu) -> Result<Self, IoError> {
         let &[row_bytes, rows] = hdu.axes.as_slice() else {
-            return Err(hdu.header_error("NAXIS", "a table has 2 axes"));
+            return Err(hdu.header_error("NAXIS", "must be 2 for a table"));
         };
         let columns = columns(hdu, row_bytes)?;
         Ok(Self { hdu, columns, rows })
@@ -58,11 +58,11 @@ impl<'a> Table<'a> {
 
     /// Reads a column that has `repeat` numbers in each row. NaN and infinities are errors.
     pub(crate) fn read(&self, name: &str, repeat: usize) -> Result<Vec<f64>, IoError> {
-        self.read_with(name, repeat, Gaps::Refused)
+        self.read_with(name, repeat, Nans::Refused)
     }
 
-    /// Works like [`read`](Self::read), but `gaps` may allow undefined values.
-    pub(crate) fn read_with(&self, name: &str, repeat: usize, gaps: Gaps) -> Result<Vec<f64>, IoError> {
+    /// Works like [`read`](Self::read), but `nans` may allow values that are missing or not finite.
+    pub(crate) fn read_with(&self, name: &str, repeat: usize, nans: Nans) -> Result<Vec<f64>, IoError> {
         let column = self.column(name)?;
         if !b"BIJKED".contains(&column.code) || column.repeat != repeat {
             let problem = format!(
@@ -79,7 +79,7 @@ impl<'a> Table<'a> {
         if !values.is_empty() {
             fits.read_column(column.number, &mut values, null)?;
         }
-        let refused = |value: &f64| gaps == Gaps::Refused && !value.is_finite();
+        let refused = |value: &f64| nans == Nans::Refused && !value.is_finite();
         match values.iter().position(refused) {
             None => Ok(values),
             Some(flat) => {
@@ -99,13 +99,13 @@ pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoErro
         let keyword = format!("TFORM{number}");
         let form = hdu
             .text(&keyword)
-            .ok_or_else(|| hdu.header_error(&keyword, "must be a text"))?;
+            .ok_or_else(|| hdu.header_error(&keyword, "must be a string"))?;
         let column = Column::new(
             number,
             hdu.text(&format!("TTYPE{number}")).unwrap_or_default(),
             form,
         );
-        let column = column.ok_or_else(|| hdu.header_error(&keyword, "is not a column format"))?;
+        let column = column.ok_or_else(|| hdu.header_error(&keyword, "must be a column format"))?;
         let bytes = column.bytes().and_then(|bytes| width.checked_add(bytes));
         width = bytes.ok_or_else(|| hdu.header_error(&keyword, "the column is wider than any table"))?;
         columns.push(column);
@@ -209,7 +209,8 @@ pub(crate) fn bad_value(path: &Path, row: Row, column: &str, got: &str) -> IoErr
     .at(Place::Value { row, column })
 }
 
-/// Names for an error message: the first ones that are not empty.
+/// The names for an error message. Empty names are left out, and so are names after the first
+/// [`LISTED`].
 fn listed<'a>(names: impl IntoIterator<Item = &'a String>) -> Vec<String> {
     let mut named = names.into_iter().filter(|name| !name.is_empty());
     let quoted = |name: &String| format!("{:?}", shown(name.as_bytes()));
@@ -226,9 +227,9 @@ pub(crate) fn shown(field: &[u8]) -> String {
     String::from_utf8_lossy(field).chars().take(QUOTED).collect()
 }
 
-/// The treatment of values that are missing or not finite.
+/// Whether values that are missing or not finite are errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Gaps {
+pub(crate) enum Nans {
     /// Such values are errors.
     Refused,
     /// Missing values become NaN and infinities are kept. Text that is not a number is still an

@@ -74,7 +74,7 @@ impl Hdu {
         hdu.data_length = hdu
             .checked_length()?
             .ok_or_else(|| hdu.header_error("NAXIS", "the data would be larger than any file"))?;
-        // CFITSIO allocates memory for this many columns whenever it passes the HDU.
+        // CFITSIO allocates memory for this number of columns whenever it passes the HDU.
         hdu.ensure(
             (0..=MOST_COLUMNS).contains(&hdu.structural("TFIELDS", Some(0))?),
             "TFIELDS",
@@ -137,7 +137,7 @@ impl Hdu {
         self.text("XTENSION").as_deref() == Some("TABLE")
     }
 
-    /// The EXTNAME.
+    /// The EXTNAME, unless it is the default name for the table of a compressed image.
     pub(crate) fn name(&self) -> Option<String> {
         self.text("EXTNAME")
             .map(|name| name.trim().to_owned())
@@ -177,7 +177,7 @@ impl Hdu {
             .at(Place::Keyword { hdu, keyword })
     }
 
-    /// Returns an error about this keyword unless `sound`.
+    /// Returns an error about this keyword unless `sound` is true.
     pub(crate) fn ensure(&self, sound: bool, keyword: &str, problem: &'static str) -> Result<(), IoError> {
         if sound {
             Ok(())
@@ -228,7 +228,7 @@ impl Hdu {
         self.header.value(keyword)
     }
 
-    /// The text of a keyword, if the keyword exists and its value is a text.
+    /// The string of a keyword, if the keyword exists and its value is a string.
     pub(crate) fn text(&self, keyword: &str) -> Option<String> {
         self.value(keyword)
     }
@@ -248,8 +248,8 @@ impl Hdu {
         }
     }
 
-    /// The value of a keyword, which must exist. A value of another type is an error, too, and the
-    /// error says `expected`.
+    /// The value of a keyword. A missing keyword is an error, and so is a value of another type.
+    /// The error states what was `expected`.
     pub(crate) fn required<T: FromValue>(
         &self,
         keyword: &'static str,
@@ -267,7 +267,7 @@ impl Hdu {
         self.optional(keyword, "T or F")
     }
 
-    /// A number above 0 that must be present.
+    /// A whole number above 0. A missing keyword is an error.
     pub(crate) fn required_length(
         &self,
         keyword: &'static str,
@@ -279,7 +279,7 @@ impl Hdu {
             .ok_or_else(|| self.keyword_error(keyword, expected))
     }
 
-    /// A text keyword that holds one name from a list of choices, if it exists.
+    /// The choice that a string keyword names, if the keyword exists.
     pub(crate) fn optional_choice<T: std::str::FromStr<Err = DataError>>(
         &self,
         keyword: &'static str,
@@ -332,7 +332,7 @@ pub enum HduChoice {
 }
 
 impl HduChoice {
-    /// Returns whether the choice is this HDU. By name it may be true for several HDUs.
+    /// Returns whether the choice matches this HDU. A name may match several HDUs.
     pub(crate) fn matches(&self, hdu: &Hdu) -> bool {
         match self {
             Self::Number(number) => hdu.index == *number,
@@ -381,7 +381,7 @@ impl std::fmt::Display for HduChoice {
 }
 
 /// A FITS file that can be read at any position: the file itself, or an unpacked copy. The copy is
-/// removed with its last user.
+/// removed when the last clone of this value is dropped.
 #[derive(Debug, Clone)]
 pub(crate) struct FitsSource {
     path: PathBuf,

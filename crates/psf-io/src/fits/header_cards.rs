@@ -4,7 +4,7 @@ use std::collections::HashSet;
 
 use crate::fits::card::{Card, FromValue, Record};
 
-/// Keywords about the storage of the data. A new file has its own.
+/// Keywords about the storage of the data. They are not copied, since a new file has its own.
 const STRUCTURE: &[&str] = &[
     "SIMPLE", "XTENSION", "BITPIX", "NAXIS", "EXTEND", "NEXTEND", "PCOUNT", "GCOUNT", "GROUPS", "INHERIT",
     "BLOCKED", "BSCALE", "BZERO", "BLANK", "DATAMIN", "DATAMAX", "CHECKSUM", "DATASUM", "LONGSTRN", "END",
@@ -12,11 +12,11 @@ const STRUCTURE: &[&str] = &[
     "ZPCOUNT", "ZGCOUNT", "ZBLANK", "ZSCALE", "ZZERO", "ZQUANTIZ", "ZDITHER0", "ZMASKCMP", "ZHECKSUM",
     "ZDATASUM",
 ];
-/// Keywords about the storage of the data that end in a number.
+/// Further keywords about the storage of the data, without the number at their end.
 const NUMBERED_STRUCTURE: &[&str] = &[
     "NAXIS", "ZNAXIS", "ZTILE", "ZNAME", "ZVAL", "PTYPE", "PSCAL", "PZERO",
 ];
-/// Keywords of the table of a compressed image that end in a number.
+/// Keywords about the table of a compressed image, without the number at their end.
 const NUMBERED_TABLE: &[&str] = &[
     "TTYPE", "TFORM", "TUNIT", "TNULL", "TSCAL", "TZERO", "TDISP", "TDIM",
 ];
@@ -132,12 +132,13 @@ impl HeaderCards {
         self.cards.retain(|card| card.keyword() != keyword);
     }
 
-    /// The cards for a cut image whose first pixel is pixel (`x0`, `y0`), 0-based, of this one.
+    /// The cards for a cut image. Its first pixel is pixel (`x0`, `y0`), 0-based, of the image that
+    /// these cards describe.
     ///
     /// The reference pixels of the world coordinates become `CRPIX1 - x0` and `CRPIX2 - y0`, also
-    /// in alternate systems (`CRPIX1A` ...). If a world coordinate has no CRPIX, its value is 0 and
-    /// the shifted card is added. IRAF's `LTV1` and `LTV2` are shifted in the same way, if present.
-    /// A card whose value is not a number is kept as it is.
+    /// in alternate systems (`CRPIX1A` ...). If a world coordinate has no CRPIX, the default
+    /// 0 of FITS is shifted and added as a card. IRAF's `LTV1` and `LTV2` are shifted in the same
+    /// way, if present. A card whose value is not a number is kept as it is.
     #[must_use]
     pub fn shifted_origin(&self, x0: i64, y0: i64) -> Self {
         let mut shifted = self.clone();
@@ -150,14 +151,15 @@ impl HeaderCards {
                 if shifted.get(&keyword).is_some() {
                     shifted.change(&keyword, |value| value - by);
                 } else if has("CRVAL") || has("CTYPE") {
-                    shifted.push(Card::new(&keyword, -by, "reference pixel").expect("a keyword"));
+                    shifted.push(Card::new(&keyword, -by, "reference pixel").expect("a valid card"));
                 }
             }
         }
         shifted
     }
 
-    /// Changes every number with this keyword and keeps its comment.
+    /// Applies `changed` to the number in each card with this keyword, and keeps the comment of the
+    /// card.
     fn change(&mut self, keyword: &str, changed: impl Fn(f64) -> f64) {
         for card in self.cards.iter_mut().filter(|card| card.has_keyword(keyword)) {
             if let Some(value) = card.value().and_then(f64::from_value)
@@ -203,9 +205,9 @@ impl HeaderCards {
     }
 
     /// The cards of an extension together with those that it inherits from its primary header (the
-    /// convention of `INHERIT = T`). The inherited cards are listed first. Not inherited are cards
-    /// that the extension has too, text cards, names of HDUs, and the world coordinates if the
-    /// extension has its own.
+    /// convention of `INHERIT = T`). The inherited cards are listed first. A card of the primary
+    /// header is not inherited if the extension has a card with its keyword, or if it is a text
+    /// card or names an HDU. World coordinates are not inherited if the extension has its own.
     pub(crate) fn inheriting(&self, primary: &Self) -> Self {
         let own: HashSet<String> = self.cards.iter().map(Card::keyword).collect();
         let has_world = own.iter().any(|keyword| keyword.starts_with("CTYPE"));
@@ -223,8 +225,8 @@ impl HeaderCards {
         }
     }
 
-    /// Adds cards to a copy of this list, without any cards about structure. Each added card
-    /// replaces the cards with its keyword.
+    /// Adds cards to a copy of this list. Each added card replaces the cards with its keyword.
+    /// Cards about the structure of a file are removed.
     pub(crate) fn with(&self, added: &[Card]) -> Self {
         let mut all = self.clone();
         added.iter().cloned().for_each(|card| all.set(card));
@@ -232,7 +234,8 @@ impl HeaderCards {
     }
 }
 
-/// The suffixes of the keywords in each system of world coordinates.
+/// The suffixes of world coordinate keywords: none for the primary system, `A` to `Z` for alternate
+/// systems.
 fn world_versions() -> impl Iterator<Item = String> {
     std::iter::once(String::new()).chain(('A'..='Z').map(String::from))
 }
@@ -274,8 +277,8 @@ impl HeaderCards {
     /// reference pixels. Steps in the world (`CDELTi`, `CDi_j`) are multiplied by `factor`. SIP
     /// distortions (`A_p_q`, `B_p_q`, `AP_p_q`, `BP_p_q`), which are polynomials in pixels, are
     /// multiplied by `factor^(p+q-1)`. Alternate systems change in the same way. If a world
-    /// coordinate has no step, its step is 1 and the new one is added. IRAF's `LTVi` and `LTMi_i`
-    /// change accordingly.
+    /// coordinate has no step, the default 1 of FITS is multiplied and added as a card. IRAF's
+    /// `LTVi` and `LTMi_i` change accordingly.
     ///
     /// ```
     /// use psf_io::{Card, HeaderCards};
@@ -312,11 +315,11 @@ impl HeaderCards {
                 }
                 if missing_pixel {
                     binned.push(
-                        Card::new(&keyword("CRPIX"), pixel(0.0), "reference pixel").expect("a keyword"),
+                        Card::new(&keyword("CRPIX"), pixel(0.0), "reference pixel").expect("a valid card"),
                     );
                 }
                 if missing_step {
-                    binned.push(Card::new(&keyword("CDELT"), s, "step").expect("a keyword"));
+                    binned.push(Card::new(&keyword("CDELT"), s, "step").expect("a valid card"));
                 }
             }
         }
@@ -353,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn structure_stays_behind_and_the_rest_goes_over() {
+    fn cards_about_structure_are_not_copied() {
         let carried = header(&[
             "SIMPLE  =                    T",
             "NAXIS   =                    2",
@@ -412,7 +415,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_of_a_compressed_image_stays_behind() {
+    fn cards_about_the_table_of_a_compressed_image_are_not_copied() {
         let lines = [
             "TTYPE1  = 'COMPRESSED_DATA'",
             "TFORM1  = '1PB(7)  '",
@@ -430,7 +433,7 @@ mod tests {
     }
 
     #[test]
-    fn extensions_inherit_what_describes_the_exposure() {
+    fn extensions_inherit_cards_about_the_exposure() {
         let primary = header(&[
             "SIMPLE  =                    T",
             "EXPTIME =                 30.0",
@@ -466,7 +469,7 @@ mod tests {
     }
 
     #[test]
-    fn a_card_replaces_its_namesakes() {
+    fn a_card_replaces_the_cards_with_its_keyword() {
         let mut cards = header(&[
             "A       =                    1",
             "B       =                    2",

@@ -7,7 +7,7 @@
 //! | HDU | the primary if it has pixels, else the only image extension, or the one chosen ([`HduChoice`]) | the primary |
 //! | axes | `NAXIS = 2`, or more if the further axes have length 1 | `NAXIS = 2` |
 //! | pixels | any `BITPIX`; `BSCALE` and `BZERO` are applied; NaN, infinities and `BLANK` pixels are refused | `BITPIX` -32 (f32) or -64 (f64) |
-//! | header | all cards except those about the structure of the file; an extension inherits those of an empty primary HDU, unless `INHERIT = F` | the cards of the input, then those of the caller |
+//! | header | all cards except those about the structure of the file; an extension inherits the cards of an empty primary HDU, unless `INHERIT = F` | the cards of the input, then those of the caller |
 //!
 //! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`. World
 //! coordinates, which count in FITS pixels, are copied without a change. Files compressed by gzip
@@ -39,7 +39,7 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::structure::FitsStructure;
 use crate::fits::tiles;
 
-/// The axes expected of an image that may be a stack.
+/// The expected axes, for errors about an image that may be a stack.
 const STACK: &str = "an image [y, x] or a cube [plane, y, x]";
 
 /// An image with its header cards.
@@ -66,7 +66,7 @@ impl<T: Real> FitsImage<T> {
     }
 }
 
-/// Reads the image of a FITS file of any BITPIX in the requested precision. It calls
+/// Reads the image of a FITS file in the precision of `T`. The file may have any BITPIX. This is
 /// [`read_image_hdu`] without a choice.
 ///
 /// # Errors
@@ -79,9 +79,10 @@ pub fn read_image<T: Real>(path: impl AsRef<Path>) -> Result<FitsImage<T>, IoErr
 /// image.
 ///
 /// # Errors
-/// [`IoErrorKind::Setting`] with a list where a choice is needed or wrong, [`IoErrorKind::Axes`]
-/// for a cube, [`IoErrorKind::Data`] for a pixel that is not finite, [`IoErrorKind::Limit`] if a
-/// value of a double-precision file is too large for f32, and the errors of any FITS file.
+/// [`IoErrorKind::Setting`] if a choice is needed or wrong (the message lists the HDUs),
+/// [`IoErrorKind::Axes`] for a cube, [`IoErrorKind::Data`] for a pixel that is not finite,
+/// [`IoErrorKind::Limit`] if a value of a double-precision file is too large for f32, and the
+/// [errors of any FITS file](crate#bad-files).
 pub fn read_image_hdu<T: Real>(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -130,7 +131,8 @@ pub fn read_header(path: impl AsRef<Path>) -> Result<HeaderCards, IoError> {
 /// Reads the header cards of the chosen image, without those about the structure of the file.
 ///
 /// # Errors
-/// The errors of [`read_image_hdu`], except those about pixels, which are not read.
+/// [`IoErrorKind::Setting`] if a choice is needed or wrong, and the
+/// [errors of any FITS file](crate#bad-files). Axes and pixels are not checked.
 pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
     Ok(structure.cards(structure.image(choice)?))
@@ -139,9 +141,9 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 /// Reads the header cards that describe a frame, such as its world coordinates, from an HDU that
 /// need not have pixels.
 ///
-/// Without a choice they are the cards of the image, as in [`read_header_hdu`]. In a file without
-/// pixels they are those of the first HDU with world coordinates (`CTYPE1`), or else of the primary
-/// HDU.
+/// Without a choice, these are the cards of the image, as in [`read_header_hdu`]. If the file has
+/// no pixels, they are the cards of the first HDU with world coordinates (`CTYPE1`), or else of the
+/// primary HDU.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -157,15 +159,15 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Setting`] where a choice among images with pixels is needed or the choice is not
-/// an image, and the errors of any FITS file.
+/// [`IoErrorKind::Setting`] if several images have pixels and none is chosen, or if the choice is
+/// not an image, and the [errors of any FITS file](crate#bad-files).
 pub fn read_cards(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
     Ok(structure.cards(structure.header_of_frame(choice)?))
 }
 
-/// The shape in array order, without leading axes of length 1 (the last ones in FITS) beyond two
-/// axes.
+/// Returns the shape in array order. If there are more than two axes, leading axes of length 1 (the
+/// last ones in FITS) are left out.
 pub(crate) fn squeezed(hdu: &Hdu) -> Vec<usize> {
     let shape = hdu.shape();
     let extra = shape.len().saturating_sub(2);
@@ -184,7 +186,7 @@ pub(crate) fn stack_shape(hdu: &Hdu, expected: &'static str) -> Result<(usize, u
 
 /// The error for a band of rows whose width differs from that of the image.
 pub(crate) fn band_width(path: &Path, expected: usize, got: usize) -> IoError {
-    let problem = format!("a band of rows must be as wide as the image, {expected} columns, got {got}");
+    let problem = format!("a band of rows must have the {expected} columns of the image, got {got}");
     IoError::new(path, IoErrorKind::Request, problem)
 }
 
@@ -192,7 +194,7 @@ pub(crate) fn band_width(path: &Path, expected: usize, got: usize) -> IoError {
 pub(crate) fn bad_rows(path: &Path, rows: &Range<usize>, ny: usize) -> IoError {
     let (first, end) = (rows.start, rows.end);
     let problem =
-        format!("rows {first} to {end} (not included, 0-based) are not all in an image of {ny} rows");
+        format!("the image has only {ny} rows, got rows {first} to {end} (0-based, the end not included)");
     IoError::new(path, IoErrorKind::Request, problem)
 }
 
@@ -204,10 +206,10 @@ pub(crate) fn beyond_single(path: &Path) -> IoError {
 
 /// An open image that is read one band of rows at a time, so that it may be larger than memory.
 ///
-/// Files, axes, pixels and errors are those of [`read_image`](crate::read_image). The bands
-/// together are equal bit by bit to the image that it returns. Rows may be read in any order and
-/// any number of times. Only the band takes memory. A reader cannot be sent to another thread, but
-/// several readers may be open on one file.
+/// A reader accepts the files that [`read_image`](crate::read_image) accepts. The bands together
+/// equal the image of [`read_image`](crate::read_image) bit by bit. Rows may be read in any order
+/// and any number of times. Only the band takes memory. A reader cannot be sent to
+/// another thread, but several readers may be open on one file.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -248,8 +250,8 @@ impl ImageReader {
     /// read.
     ///
     /// # Errors
-    /// [`IoErrorKind::Setting`] with a list where a choice is needed or wrong,
-    /// [`IoErrorKind::Axes`] for a cube, and the errors of any FITS file.
+    /// [`IoErrorKind::Setting`] if a choice is needed or wrong (the message lists the HDUs),
+    /// [`IoErrorKind::Axes`] for a cube, and the [errors of any FITS file](crate#bad-files).
     pub fn open_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<Self, IoError> {
         Self::open_part(path.as_ref(), choice, |hdu| match squeezed(hdu)[..] {
             [ny, nx] => Ok((0, ny, nx)),
@@ -278,8 +280,8 @@ impl ImageReader {
         })
     }
 
-    /// Opens a part of the chosen HDU. `part` returns the index of its first pixel, its rows and
-    /// its columns.
+    /// Opens a part of the chosen HDU. `part` returns the index of the part's first pixel, its
+    /// number of rows and its number of columns.
     fn open_part(
         path: &Path,
         choice: Option<&HduChoice>,
@@ -324,9 +326,10 @@ impl ImageReader {
     ///
     /// # Errors
     /// [`IoErrorKind::Request`] for rows that the image does not have or a band of another width,
-    /// [`IoErrorKind::Data`] with the first pixel of the image that is not finite and the number of
-    /// them in these rows, [`IoErrorKind::Limit`] if a value of a double-precision file is too large
-    /// for f32, and the errors of CFITSIO.
+    /// [`IoErrorKind::Data`] if pixels are not finite, [`IoErrorKind::Limit`] if a value of a
+    /// double-precision file is too large for f32, and the errors of CFITSIO. The
+    /// [`IoErrorKind::Data`] error has the place of the first pixel that is not finite, and states
+    /// how many such pixels these rows have.
     pub fn read_rows_into<T: Real>(
         &mut self,
         first_row: usize,
@@ -360,7 +363,7 @@ impl ImageReader {
         let mut band = Array2::zeros((rows.len(), self.shape.nx()));
         let first = self.origin + rows.start * self.shape.nx();
         let values = band.as_slice_mut().expect("a new array is contiguous");
-        // Returns whether all are finite, which does not matter here.
+        // `load` also returns whether all values are finite, which does not matter here.
         self.pixels.load(first, values)?;
         Ok(band)
     }
@@ -405,8 +408,8 @@ struct Pixels {
 }
 
 impl Pixels {
-    /// Opens an HDU of a [`FitsStructure`](FitsStructure), which has checked that the file holds
-    /// its data.
+    /// Opens an HDU of a [`FitsStructure`](FitsStructure). The structure has checked that the file
+    /// holds the data of the HDU.
     fn open(hdu: &Hdu) -> Result<Self, IoError> {
         tiles::check(hdu)?;
         let mut fits = Fits::open(&hdu.source)?;
@@ -415,9 +418,9 @@ impl Pixels {
             fits,
             hdu: hdu.index,
             shape: hdu.shape(),
-            // For floats CFITSIO must not search undefined values, because it would set subnormal
-            // numbers to zero. In compressed images, however, only CFITSIO knows which number
-            // stands for NaN, and without the search it would return that number as a value.
+            // For floats CFITSIO must not search for undefined values, because the search would set
+            // subnormal numbers to zero. In compressed images, however, only CFITSIO knows which
+            // number stands for NaN, and without the search it would return that number as a value.
             blank: hdu.is_tiled() || (hdu.bitpix > 0 && hdu.header.get("BLANK").is_some()),
         })
     }
@@ -435,7 +438,7 @@ impl Pixels {
         match self.non_finite(first, count) {
             Ok(Some((flat, value, count))) => {
                 let problem = format!(
-                    "the value is {value}. In all {count} pixel(s) are NaN, infinite or BLANK: replace them by numbers"
+                    "the value is {value}. In total, {count} pixel(s) are NaN, infinite or BLANK: replace them by numbers"
                 );
                 let (hdu, index) = (self.hdu, self.index(flat));
                 IoError::new(self.fits.path(), IoErrorKind::Data, problem).at(Place::Pixel { hdu, index })
@@ -478,8 +481,8 @@ impl Pixels {
 /// Reads all pixels of an image HDU, with BSCALE and BZERO applied. NaN, infinities and BLANK are
 /// errors.
 ///
-/// The HDU is part of a [`FitsStructure`](FitsStructure), which has checked that the file holds its
-/// data. So memory is bounded by the length of the file.
+/// The HDU is part of a [`FitsStructure`](FitsStructure), which has checked that the file holds the
+/// data of the HDU. So memory is bounded by the length of the file.
 fn read_pixels<T: Real>(hdu: &Hdu) -> Result<Vec<T>, IoError> {
     // The tiles are checked on opening, before memory is allocated for the size that they claim.
     let mut pixels = Pixels::open(hdu)?;
@@ -493,5 +496,5 @@ fn read_pixels<T: Real>(hdu: &Hdu) -> Result<Vec<T>, IoError> {
 
 /// Reads all pixels of an image HDU as a stack of this shape.
 pub(crate) fn read_stack<T: Real>(hdu: &Hdu, shape: (usize, usize, usize)) -> Result<Array3<T>, IoError> {
-    Ok(Array3::from_shape_vec(shape, read_pixels(hdu)?).expect("as many pixels as the axes say"))
+    Ok(Array3::from_shape_vec(shape, read_pixels(hdu)?).expect("the pixels fill the axes"))
 }

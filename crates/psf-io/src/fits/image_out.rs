@@ -1,4 +1,4 @@
-//! Writing images: at once, by bands of rows, as whole numbers, and cubes.
+//! Writes images: whole images, images by bands of rows, whole numbers, and cubes.
 
 use std::marker::PhantomData;
 use std::path::Path;
@@ -15,9 +15,9 @@ use crate::output::PendingFile;
 
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.
 ///
-/// `header` holds cards copied from an input (cut frames: [`HeaderCards::shifted_origin`]). The
-/// cards of `added` follow. Each replaces the cards with its keyword. Text cards (HISTORY, COMMENT)
-/// are appended at the end. The file appears complete or not at all
+/// `header` holds cards copied from an input. For a cut frame see [`HeaderCards::shifted_origin`].
+/// Each card of `added` replaces the cards with its keyword, or is appended if there are none. Text
+/// cards (HISTORY, COMMENT) are always appended. The file appears complete or not at all
 /// ([`write_atomically`](crate::write_atomically)).
 ///
 /// ```
@@ -35,8 +35,8 @@ use crate::output::PendingFile;
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Exists`] unless `overwrite`, [`IoErrorKind::NotFound`] without the directory, or
-/// an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, [`IoErrorKind::NotFound`]
+/// if the directory does not exist, or an error of the file system or of CFITSIO.
 pub fn write_image<T: Real>(
     path: impl AsRef<Path>,
     image: &Image<T>,
@@ -53,9 +53,9 @@ pub fn write_image<T: Real>(
 /// memory.
 ///
 /// The file is equal byte by byte to the file that [`write_image`](crate::write_image) would write.
-/// It appears complete under its name when [`finish`](Self::finish) has succeeded. A writer that is
-/// dropped before that leaves nothing behind, and an old file at the path stays untouched. Memory:
-/// the caller's band and buffers of some 100 kB. A writer cannot be sent to another thread.
+/// It gets its final name when [`finish`](Self::finish) succeeds. A writer that is dropped before
+/// that leaves nothing behind, and an old file at the path stays untouched. Besides the caller's
+/// band, the writer needs buffers of some 100 kB. A writer cannot be sent to another thread.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -85,12 +85,13 @@ pub struct ImageWriter<T> {
 }
 
 impl<T: Real> ImageWriter<T> {
-    /// Starts an image of `shape`: `BITPIX` -32 for f32, -64 for f64, with the cards of
-    /// [`write_image`](crate::write_image).
+    /// Starts an image of `shape`: `BITPIX` -32 for f32, -64 for f64. `header` and `added` have the
+    /// same meaning as in [`write_image`](crate::write_image).
     ///
     /// # Errors
-    /// [`IoErrorKind::Exists`] unless `overwrite`, [`IoErrorKind::NotFound`] without the directory,
-    /// or an error of the file system or of CFITSIO.
+    /// [`IoErrorKind::Exists`] if the file exists and `overwrite` is false,
+    /// [`IoErrorKind::NotFound`] if the directory does not exist, or an error of the file system or
+    /// of CFITSIO.
     pub fn create(
         path: impl AsRef<Path>,
         shape: FrameShape,
@@ -104,12 +105,12 @@ impl<T: Real> ImageWriter<T> {
     /// Works like [`create`](Self::create), and reserves room in the header for the `late` records
     /// that [`finish_with`](Self::finish_with) will add.
     ///
-    /// A card is one record of 80 characters. A text of more than 68 characters, or a line of
+    /// A card is one record of 80 characters. A string of more than 68 characters, or a line of
     /// HISTORY of more than 72, needs more records. Unused room is filled with blank records, which
     /// FITS allows at the end of a header. At most 100 000 records (8 MB) are reserved.
     ///
     /// # Errors
-    /// As [`create`](Self::create).
+    /// The errors of [`create`](Self::create).
     pub fn create_reserving(
         path: impl AsRef<Path>,
         shape: FrameShape,
@@ -149,14 +150,15 @@ impl<T: Real> ImageWriter<T> {
     ///
     /// # Errors
     /// [`IoErrorKind::Request`] for more rows than the image has or a band of another width,
-    /// [`IoErrorKind::Data`] with [`DataError::NonFinite`] for the first pixel `[y, x]`, counted in
-    /// the whole image, that is NaN or infinite, or an error of the file system or of CFITSIO.
+    /// [`IoErrorKind::Data`] for a pixel that is NaN or infinite, or an error of the file system or
+    /// of CFITSIO. The source of the [`IoErrorKind::Data`] error is [`DataError::NonFinite`] with
+    /// the index `[y, x]` of the first such pixel in the whole image.
     pub fn write_rows(&mut self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
         let clean = |row: ArrayView1<'_, T>| row.fold(true, |clean, value| clean & value.is_finite());
         self.check_shape(rows)?;
         if !rows.rows().into_iter().all(clean) {
             let bad = rows.indexed_iter().find(|(_, value)| !value.is_finite());
-            let ((y, x), value) = bad.expect("one was found");
+            let ((y, x), value) = bad.expect("a row is not finite");
             return Err(invalid(self.file.fits.path())(DataError::NonFinite {
                 quantity: Quantity::Pixel,
                 index: vec![self.rows_written + y, x],
@@ -178,7 +180,7 @@ impl<T: Real> ImageWriter<T> {
             for (y, row) in rows.rows().into_iter().enumerate() {
                 // Copies one row at a time, and only if its pixels are not contiguous.
                 let row = row.as_standard_layout();
-                fits.write_pixels(first + y * nx, row.as_slice().expect("now they do"))?;
+                fits.write_pixels(first + y * nx, row.as_slice().expect("the layout is standard"))?;
             }
         }
         self.rows_written += rows.nrows();
@@ -211,18 +213,17 @@ impl<T: Real> ImageWriter<T> {
     /// Works like [`finish`](Self::finish), and adds cards whose values depend on the pixels. Each
     /// card replaces the cards with its keyword, as in [`create`](Self::create).
     ///
-    /// Cards are written even if neither the last header block of 36 records nor
-    /// [`create_reserving`](Self::create_reserving) has left room for them. CFITSIO then moves all
-    /// pixels by a block of 2880 bytes, once for every 36 records. Each move is a pass over the
-    /// file, in little memory.
+    /// If the header has no room left for these cards, CFITSIO moves all pixels by a block of 2880
+    /// bytes, once for every 36 records. Each move is a pass over the file, in little memory.
+    /// [`create_reserving`](Self::create_reserving) avoids this.
     ///
     /// # Errors
-    /// As [`finish`](Self::finish).
+    /// The errors of [`finish`](Self::finish).
     pub fn finish_with(mut self, added: &[Card]) -> Result<(), IoError> {
         if self.rows_written < self.shape.ny() {
             let (expected, got) = (self.shape.ny(), self.rows_written);
             let problem =
-                format!("the image has {expected} rows, only {got} were written: write the rest first");
+                format!("the image has {expected} rows, but only {got} were written: write the rest first");
             return Err(IoError::new(self.file.fits.path(), IoErrorKind::Request, problem));
         }
         let cards = self.cards.with(added);
@@ -241,8 +242,8 @@ fn records(cards: &HeaderCards) -> Vec<&Record> {
     cards.iter().flat_map(Card::records).collect()
 }
 
-/// A FITS file under a temporary name. [`finish`](Self::finish) gives it its final name, and
-/// dropping it removes it.
+/// A new FITS file that still has a temporary name. [`finish`](Self::finish) gives it the final
+/// name. A file that is dropped before that is removed.
 #[derive(Debug)]
 pub(crate) struct NewFits {
     // The file is closed before it is removed: fields are dropped in this order.
@@ -277,7 +278,7 @@ pub(crate) fn write_fits(
     file.finish()
 }
 
-/// BITPIX of floats.
+/// The BITPIX of the float type `T`.
 fn bitpix<T: Real>() -> i32 {
     -8 * size_of::<T>() as i32
 }
@@ -311,7 +312,7 @@ pub(crate) fn write_image_hdu<T: Real>(
     fits.write_pixels(0, pixels)
 }
 
-/// Converts values to single precision. Returns an error if one of them is too large for it.
+/// Converts values to single precision. Returns an error if one of them is too large.
 pub(crate) fn in_single_precision<'a>(
     path: &Path,
     values: impl IntoIterator<Item = &'a f64>,
@@ -355,7 +356,8 @@ impl IntegerKind {
         }
     }
 
-    /// The smallest kind that holds the counts of a converter with this many bits, at most 31.
+    /// The smallest kind that holds the counts of an analogue-to-digital converter with this many
+    /// bits, at most 31.
     pub fn of_bits(bits: u32) -> Self {
         match bits {
             0..=8 => Self::Unsigned8,
@@ -374,9 +376,11 @@ impl IntegerKind {
     }
 }
 
-/// Writes an image `[y, x]` of whole numbers, which may be held in any type.
+/// Writes an image `[y, x]` of whole numbers. In memory they may have any number type that converts
+/// to f64.
 ///
-/// Cards and file are treated as in [`write_image`](crate::write_image).
+/// `header`, `added` and `overwrite` have the same meaning as in
+/// [`write_image`](crate::write_image).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -441,9 +445,9 @@ pub fn write_integers<V: Copy + Into<f64>>(
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Limit`] for a value beyond single precision, [`IoErrorKind::Exists`] unless
-/// `overwrite`, [`IoErrorKind::NotFound`] without the directory, or an error of the file system or
-/// of CFITSIO.
+/// [`IoErrorKind::Limit`] for a value beyond single precision, [`IoErrorKind::Exists`] if the file
+/// exists and `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not exist, or
+/// an error of the file system or of CFITSIO.
 pub fn write_cube(
     path: impl AsRef<Path>,
     cube: ArrayView3<'_, f64>,

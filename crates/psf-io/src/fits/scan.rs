@@ -13,7 +13,7 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::tiles;
 use crate::output::temporary::{Temporary, entries};
 
-/// A header of this many blocks (20 MB) is an error: its END is missing.
+/// A header of this many blocks (20 MB) is an error, because its END must be missing.
 const HEADER_BLOCK_LIMIT: usize = 7000;
 
 /// The records of a header, collected block by block.
@@ -50,7 +50,7 @@ impl<'a> HeaderRecords<'a> {
             hdu: self.hdu,
             keyword: "END".to_owned(),
         };
-        Err(IoError::new(self.path, IoErrorKind::Header, "the header does not end").at(place))
+        Err(IoError::new(self.path, IoErrorKind::Header, "the keyword is missing").at(place))
     }
 
     /// Makes the HDU of this header.
@@ -98,7 +98,7 @@ impl<'a> Scanner<'a> {
         Ok(b"XTENSION".starts_with(&start))
     }
 
-    /// Reads the header at the offset and moves the offset to the end of the data.
+    /// Reads the header at the current offset and moves the offset to the end of the HDU's data.
     pub(crate) fn read_hdu(&mut self, index: usize) -> Result<Hdu, IoError> {
         let mut hdu = self.read_header(index)?.into_hdu(self.source)?;
         hdu.data_start = self.offset;
@@ -136,17 +136,18 @@ impl<'a> Scanner<'a> {
 /// The error for an HDU in a file that ends too early, after `length` bytes.
 fn truncated(path: &Path, hdu: usize, needed: u64, length: u64) -> IoError {
     let message = format!(
-        "the file is cut short: at least {needed} bytes are needed, there are {length}. Fetch or write it again"
+        "the file is cut short: at least {needed} bytes are needed, but there are {length}. Fetch or write it again"
     );
     IoError::new(path, IoErrorKind::Damaged, message).at(Place::Hdu(hdu))
 }
 
 /// The first bytes of every gzip file.
 pub(crate) const GZIP: &[u8] = b"\x1f\x8b";
-/// A file may unpack to this many bytes (1 GiB) for any size of its own, as masks of one value do,
+/// A gzip file of any size may unpack to this many bytes (1 GiB), because an image of a single
+/// value shrinks to almost nothing.
 const ALWAYS_ALLOWED: u64 = 1 << 30;
-/// and to this many more for each of its own bytes. Images shrink to a half or a tenth, those with
-/// few different values to a hundredth.
+/// In addition, a gzip file may unpack to this many bytes for each of its own bytes. Images shrink
+/// to a half or a tenth, and images with few different values to a hundredth.
 const ALLOWED_PER_BYTE: u64 = 100;
 const BUFFER: usize = 1 << 16;
 
@@ -165,7 +166,7 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
     let source = FitsSource::new(path, None);
     let failed = |source| {
         const UNPACKING: &str =
-            "cannot unpack to the folder for temporary files: set TMPDIR to one with room";
+            "cannot unpack to the folder for temporary files: set TMPDIR to a folder with more space";
         IoError::new(path, IoErrorKind::Write, UNPACKING).because(source)
     };
     let mut unpacker = Unpacker::open(path)?;
@@ -189,8 +190,8 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
             let length = unpacker.read_up_to(&mut block)?;
             let hdu_starts = header.blocks == 0 && index > 0;
             if hdu_starts && !block[..length].starts_with(b"XTENSION") {
-                // The bytes after the last HDU belong to no HDU. They are read only for the check
-                // sum of gzip.
+                // The bytes after the last HDU belong to no HDU. They are read only because gzip's
+                // checksum includes them.
                 unpacker.drain(&mut buffer)?;
                 out.flush().map_err(failed)?;
                 return Ok(copy);
@@ -278,7 +279,7 @@ impl<'a> Unpacker<'a> {
             return Ok(());
         }
         let message = format!(
-            "{} bytes of gzip data would unpack to more than {allowed}: if this is right, run gunzip first",
+            "{} bytes of gzip data would unpack to more than {allowed} bytes: if this is right, run gunzip first",
             self.length
         );
         Err(IoError::new(self.path, IoErrorKind::Limit, message))

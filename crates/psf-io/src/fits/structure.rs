@@ -10,7 +10,7 @@ use crate::fits::hdu::{FitsSource, Hdu, HduChoice, HduKind};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::scan::{self, GZIP, Scanner};
 
-/// The settings that choose an HDU, for errors: an image, a table, or a PSF.
+/// The names of the settings that choose an image, a table or a PSF, for errors.
 const IMAGE: &str = "hdu";
 pub(crate) const TABLE: &str = "table";
 pub(crate) const PSF: &str = "extension";
@@ -36,8 +36,8 @@ pub(crate) struct FitsStructure {
 
 impl FitsStructure {
     /// Reads every header and checks that the file is long enough for every HDU. A gzip file is
-    /// unpacked to a temporary file. It lives as long as the structure and everything that is
-    /// opened through it.
+    /// unpacked to a temporary file, which exists as long as the structure and everything that is
+    /// opened through the structure.
     pub(crate) fn scan(path: &Path) -> Result<Self, IoError> {
         if !is_fits(path)? {
             const NOT_FITS: &str = "this is not a FITS file (a FITS file starts with \"SIMPLE  =\")";
@@ -71,35 +71,36 @@ impl FitsStructure {
             .find(|hdu| hdu.name().is_some_and(|n| n.eq_ignore_ascii_case(name)))
     }
 
-    /// Works like [`table`](Self::table), but a missing table is an error. `what` describes the
-    /// table.
+    /// Works like [`table`](Self::table), but a missing table is an error, in which `what`
+    /// describes the table.
     pub(crate) fn needed_table(&self, name: &str, what: &str) -> Result<&Hdu, IoError> {
         self.table(name).ok_or_else(|| self.missing(what))
     }
 
-    /// The chosen HDU, which `fits` must accept. `setting` names the choice.
+    /// The chosen HDU, for which `accepts` must be true. In errors, `setting` names the choice, and
+    /// `what` describes the accepted HDUs.
     fn chosen(
         &self,
         choice: &HduChoice,
         setting: &'static str,
         what: &str,
-        fits: impl Fn(&Hdu) -> bool,
+        accepts: impl Fn(&Hdu) -> bool,
     ) -> Result<&Hdu, IoError> {
         match self.hdus.iter().find(|hdu| choice.matches(hdu)) {
-            Some(hdu) if fits(hdu) => Ok(hdu),
-            _ => Err(self.no_such(choice, setting, what, fits)),
+            Some(hdu) if accepts(hdu) => Ok(hdu),
+            _ => Err(self.no_such(choice, setting, what, accepts)),
         }
     }
 
-    /// The only HDU that `fits` accepts. If there are several, the error says that `setting` chooses
-    /// one.
+    /// The only HDU for which `accepts` is true. If there are several, the error says that
+    /// `setting` chooses one.
     pub(crate) fn only(
         &self,
         what: &str,
         setting: &'static str,
-        fits: impl Fn(&Hdu) -> bool,
+        accepts: impl Fn(&Hdu) -> bool,
     ) -> Result<&Hdu, IoError> {
-        let found: Vec<&Hdu> = self.hdus.iter().filter(|hdu| fits(hdu)).collect();
+        let found: Vec<&Hdu> = self.hdus.iter().filter(|hdu| accepts(hdu)).collect();
         match found[..] {
             [hdu] => Ok(hdu),
             _ => Err(self.several(what, setting, found.into_iter())),
@@ -125,7 +126,7 @@ impl FitsStructure {
     pub(crate) fn header_of_frame(&self, choice: Option<&HduChoice>) -> Result<&Hdu, IoError> {
         let is_image = |hdu: &Hdu| hdu.kind == HduKind::Image;
         if let Some(choice) = choice {
-            return self.chosen(choice, IMAGE, "images or headers of images", is_image);
+            return self.chosen(choice, IMAGE, "images (with or without pixels)", is_image);
         }
         if self.first_image().is_ok() {
             return self.image(None);
@@ -135,7 +136,7 @@ impl FitsStructure {
     }
 
     /// The cards of an image that may be copied to another file. An image in an extension inherits
-    /// those of an empty primary HDU, unless `INHERIT = F`.
+    /// the cards of an empty primary HDU, unless `INHERIT = F`.
     pub(crate) fn cards(&self, hdu: &Hdu) -> HeaderCards {
         let primary = &self.hdus[0];
         if hdu.index == 0 || primary.has_pixels() || hdu.value("INHERIT") == Some(false) {
@@ -165,19 +166,19 @@ impl FitsStructure {
 
     fn ascii_table(&self, hdu: &Hdu) -> IoError {
         const ASCII: &str = "this is an ASCII table (XTENSION = 'TABLE'), which is not supported: write it as a binary table or \
-                             as CSV, as astropy's Table.read(FILE).write(OTHER) does";
+                             as CSV, for example by astropy's Table.read(FILE).write(OTHER)";
         IoError::new(&self.path, IoErrorKind::Format, ASCII).at(Place::Hdu(hdu.index))
     }
 
-    /// The error for a choice that `fits` does not accept.
+    /// The error for a choice that names no HDU, or one for which `accepts` is false.
     pub(crate) fn no_such(
         &self,
         choice: &HduChoice,
         setting: &'static str,
         what: &str,
-        fits: impl Fn(&Hdu) -> bool,
+        accepts: impl Fn(&Hdu) -> bool,
     ) -> IoError {
-        let found = list(self.hdus.iter().filter(|hdu| fits(hdu)));
+        let found = list(self.hdus.iter().filter(|hdu| accepts(hdu)));
         let message =
             format!("HDU {choice} is none of the {what} in the file, which are in the HDUs {found}");
         IoError::new(&self.path, IoErrorKind::Setting, message).with_setting(setting)
@@ -214,7 +215,7 @@ impl FitsStructure {
     }
 }
 
-/// Number and name of each HDU.
+/// Number, name and size of each HDU, for error messages.
 fn list<'a>(hdus: impl Iterator<Item = &'a Hdu>) -> String {
     hdus.map(Hdu::described).collect::<Vec<_>>().join(", ")
 }

@@ -1,23 +1,25 @@
 //! Checks of the codes in compressed tiles, before CFITSIO decodes them.
 //!
 //! # RICE_1
-//! CFITSIO checks for the end of a tile's bytes only once per block of pixels, and may read beyond
-//! them within a block. A tile (Pence et al., FITS standard 4.0, section 10.4.1) is its first
-//! pixel, uncoded, and then blocks of differences between pixels. A block begins with a code. Code
-//! 0 stands for a block of equal pixels. Code FS + 1 stands for differences that are split at FS
-//! low bits: each is as many zeros as its high bits say, a one, and the FS low bits. The largest
-//! code stands for differences that are stored uncoded.
+//! CFITSIO checks only once per block of pixels whether the bytes of a tile have ended, and may
+//! read beyond the end within a block. A tile (Pence et al., FITS standard 4.0, section 10.4.1) is
+//! its first pixel, uncoded, and then blocks of differences between pixels. A block begins with a
+//! code. Code 0 stands for a block of equal pixels. Code FS + 1 stands for differences that are
+//! split into high bits and FS low bits. Such a difference is stored as a run of zeros, whose
+//! length is the number in the high bits, then a one, then the FS low bits. The largest code stands
+//! for differences that are stored uncoded.
 //!
 //! # PLIO_1
-//! CFITSIO does not check the lengths of lists of runs. A list consists of 16-bit words (Pence et
-//! al., FITS standard 4.0, section 10.4.3). Its header holds its length and the place of the first
-//! instruction. The instructions follow, one of which (`SH`, set high value) uses the next word
-//! too.
+//! This algorithm stores a tile as a list of runs of equal pixels. CFITSIO does not check the
+//! length of a list. A list consists of 16-bit words (Pence et al., FITS standard 4.0, section
+//! 10.4.3). Its header holds its length and the place of the first instruction. The instructions
+//! follow. One of them (`SH`, set high value) takes up two words.
 
 use crate::error::IoError;
 use crate::fits::hdu::Hdu;
 
-/// Parameters of an algorithm are searched in `ZNAME1` up to `ZNAME` with this number.
+/// The parameters of an algorithm are searched in the keywords `ZNAME1` up to `ZNAME` with this
+/// number.
 const MOST_PARAMETERS: usize = 9;
 
 /// The parameters of the `RICE_1` code of an image.
@@ -34,8 +36,8 @@ pub(crate) struct Rice {
 }
 
 impl Rice {
-    /// Checks the block size and the bytes per pixel that CFITSIO will use. CFITSIO goes mostly by
-    /// the position of `ZVALi` and almost never by `ZNAMEi`.
+    /// Checks the block size and the bytes per pixel that CFITSIO will use. CFITSIO identifies
+    /// these parameters mostly by the number of `ZVALi`, and almost never by the name in `ZNAMEi`.
     pub(crate) fn of(table: &Hdu) -> Result<Self, IoError> {
         let name = |number: usize| table.text(&format!("ZNAME{number}"));
         // An old convention, in which pixels have 4 bytes.
@@ -133,8 +135,8 @@ impl Bits<'_> {
         self.at <= 8 * self.bytes.len() as u64
     }
 
-    /// Returns the next bits at the top of a word, and their number, 56 to 63. The bits below them,
-    /// and bits beyond the end of the tile, are zero.
+    /// Returns a word that starts with the next bits, and the number of its bits that may be used,
+    /// 56 to 63. Bits beyond the end of the tile are zero.
     #[inline]
     fn ahead(&self) -> (u64, u32) {
         let (byte, bit) = ((self.at / 8) as usize, (self.at % 8) as u32);
@@ -149,25 +151,26 @@ impl Bits<'_> {
         (word << bit, u64::BITS - 1 - bit)
     }
 
-    /// Reads a number of `count` bits. Returns `None` where the tile ends.
+    /// Reads a number of `count` bits. Returns `None` if the tile ends before.
     fn take(&mut self, count: u32) -> Option<u32> {
         let (word, _) = self.ahead();
         self.at += u64::from(count);
         self.within().then_some((word >> (u64::BITS - count)) as u32)
     }
 
-    /// Skips `count` codes of zeros, a one and `low` bits. Returns false where the tile ends within
-    /// them. The low bits of the last code may lie beyond the end.
+    /// Skips `count` codes. Each is a run of bits 0, a bit 1, and `low` further bits. Returns false
+    /// if the tile ends before the bit 1 of the last code. The further bits of the last code may
+    /// lie beyond the end, so the caller must check this.
     fn pass_codes(&mut self, count: u64, low: u32) -> bool {
         let (mut left, per_word) = (count, codes_per_word(low));
         while left > 0 {
             let (mut word, length) = self.ahead();
             let (mut passed, then) = (0, left.saturating_sub(per_word));
             loop {
-                // The lowest bit of the word is not one of the `length` bits.
+                // The lowest bit may be set, because it is not one of the `length` usable bits.
                 let zeros = (word | 1).leading_zeros();
                 if passed + zeros >= length {
-                    // The rest of a run of zeros is in the next word.
+                    // The run of zeros may continue in the next word.
                     passed = passed.max(length);
                     break;
                 }
@@ -193,8 +196,8 @@ fn codes_per_word(low: u32) -> u64 {
     u64::from((56 / (low + 3)).max(1))
 }
 
-/// The instruction that uses the next word too.
-const SET_HIGH: i16 = 1;
+/// The code of `SH`, the only instruction that takes up two words.
+const USES_NEXT_WORD: i16 = 1;
 
 /// Returns whether the instructions of a `PLIO_1` list stay within its words.
 pub(crate) fn is_sound_plio(list: &[u8]) -> bool {
@@ -218,11 +221,11 @@ pub(crate) fn is_sound_plio(list: &[u8]) -> bool {
         }
         (i64::from(high) << 15) + i64::from(low)
     };
-    // For an empty list CFITSIO leaves the pixels uninitialised.
+    // CFITSIO would leave the pixels of an empty list uninitialised.
     let Some(length) = usize::try_from(length).ok().filter(|&length| length > 0) else {
         return false;
     };
-    let ends_open = length == words && word(words - 1).is_some_and(|last| last / 4096 == SET_HIGH);
+    let ends_open = length == words && word(words - 1).is_some_and(|last| last / 4096 == USES_NEXT_WORD);
     length <= words && !ends_open
 }
 
@@ -231,7 +234,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lists_that_leave_their_words_are_told() {
+    fn lists_that_leave_their_words_are_refused() {
         let list = |words: &[i16]| {
             words
                 .iter()

@@ -1,5 +1,5 @@
 //! Checks the tiles of a compressed image before CFITSIO unpacks them. CFITSIO does not check their
-//! lengths or their unpacked sizes. Where these are wrong it writes beyond its buffers or leaves
+//! lengths or their unpacked sizes. If these are wrong, CFITSIO writes beyond its buffers or leaves
 //! them uninitialised.
 
 use std::fs::File;
@@ -16,15 +16,15 @@ const BUFFER: usize = 1 << 13;
 /// Number of bytes read ahead of the tiles, most of which lie one after the other.
 const HEAP_BUFFER: usize = 1 << 16;
 
-/// An image may take this many bytes (16 MiB) for any size of its tiles,
+/// An image may always take this many bytes (16 MiB), even if its tiles are small.
 const ALWAYS_ALLOWED: u64 = 16 << 20;
-/// and this many more for each byte of the table. It is the best compression that PLIO reaches, for
-/// a mask of one value.
+/// In addition, an image may take this many bytes for each byte of its table. This is the
+/// best compression that PLIO reaches, for a mask of one value.
 const ALLOWED_PER_BYTE: u64 = 4096;
 /// The supported algorithms. CFITSIO also knows `HCOMPRESS_1`, but it writes beyond its memory when
 /// such data are damaged.
 const ALGORITHMS: &[&str] = &["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", PLIO];
-/// The algorithm for masks, stored as lists of runs.
+/// The algorithm for masks, which stores them as lists of runs.
 pub(crate) const PLIO: &str = "PLIO_1";
 
 /// Makes the table that holds the tiles of a compressed image count as the image. Other HDUs stay
@@ -49,9 +49,9 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
         Rice::of(table)?;
     }
     let bitpix = table.structural("ZBITPIX", None)?;
-    // CFITSIO does not write whole numbers of 64 bits, and would leave its buffers uninitialised.
+    // CFITSIO does not unpack whole numbers of 64 bits, and would leave its buffers uninitialised.
     table.ensure([8, 16, 32, -32, -64].contains(&bitpix), "ZBITPIX", BITPIX)?;
-    // CFITSIO would read the bits of whole numbers as floats.
+    // With `NONE`, CFITSIO would read the bits of whole numbers as floats.
     let none = table.text("ZQUANTIZ").is_some_and(|how| how.trim() == "NONE");
     table.ensure(bitpix < 0 || !none, "ZQUANTIZ", NOT_NONE)?;
     let count = table.structural("ZNAXIS", None)?;
@@ -67,7 +67,7 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
                 .ok_or_else(|| table.header_error(keyword, "must be above 0 and below 2^31"))
         };
         let length = positive(&format!("ZNAXIS{axis}"), None)?;
-        // By default each row is a tile.
+        // By default each row of the image is a tile.
         let default = if axis == 1 { length } else { 1 };
         let across = positive(&format!("ZTILE{axis}"), Some(default as i64))?;
         tiles = tiles
@@ -87,8 +87,8 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
     };
     table.ensure(fits(&axes), "ZNAXIS", IMAGE_SIZE)?;
     table.ensure(fits(&tile), "ZTILE1", TILE_SIZE)?;
-    let told = table.axes.get(1) == Some(&tiles);
-    table.ensure(told, "NAXIS2", "must be the number of tiles")?;
+    let agrees = table.axes.get(1) == Some(&tiles);
+    table.ensure(agrees, "NAXIS2", "must be the number of tiles")?;
     (hdu.kind, hdu.bitpix, hdu.axes) = (HduKind::Image, bitpix, axes);
     Ok(())
 }
@@ -109,7 +109,8 @@ enum Algorithm {
     Plio,
 }
 
-/// A column of descriptors: number of elements and position in the heap.
+/// A column of descriptors. Each holds the number of elements of a tile and their position in the
+/// heap.
 #[derive(Clone, Copy)]
 struct Descriptors {
     /// Offset in bytes from the start of a row.
@@ -125,7 +126,7 @@ struct Tiles<'a> {
     table: Places,
     packed: Places,
     algorithm: Algorithm,
-    /// True if floats are stored without quantisation.
+    /// True if the pixels are floats that are stored without quantisation.
     unquantised: bool,
     /// `ZTILE1` first.
     tile: Vec<usize>,
@@ -256,8 +257,8 @@ impl<'a> Tiles<'a> {
         Ok(bytes)
     }
 
-    /// Returns whether a gzip stream holds exactly `expected` bytes. At most about that many are
-    /// unpacked.
+    /// Returns whether a gzip stream holds exactly `expected` bytes. It unpacks hardly more than
+    /// `expected` bytes.
     fn unpacks_to(&mut self, start: u64, count: u64, expected: u64) -> Result<bool, IoError> {
         if !self.holds(start, count, 1) {
             return Ok(false);
@@ -309,9 +310,9 @@ impl Places {
     }
 }
 
-/// The column with this name, if there is one. Two such columns are an error. With `element` the
-/// column must hold elements of this type, unscaled: CFITSIO would convert others, so that it would
-/// use values that have not been checked.
+/// The column with this name, if there is one. Two such columns are an error. If `element` is
+/// given, the column must hold unscaled elements of this type. CFITSIO would convert any others,
+/// and so use values that have not been checked.
 fn descriptors(
     hdu: &Hdu,
     columns: &[Column],
@@ -344,7 +345,7 @@ fn descriptors(
             }
             found = Some(Descriptors { place, width });
         }
-        place += column.bytes().expect("columns have been added up");
+        place += column.bytes().expect("the widths were added up before");
     }
     Ok(found)
 }

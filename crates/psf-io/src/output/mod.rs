@@ -14,12 +14,12 @@ use crate::fits::structure::NOT_A_FILE;
 /// Writes a file under a temporary name in its own directory and renames it when it is complete.
 ///
 /// `write` gets the temporary name. An empty file has been created there, which `write` may open,
-/// truncate or remove. The name ends like `path`, so that libraries which look at the extension do
-/// the right thing. When `write` fails, the temporary file is removed and an old file at `path`
-/// stays untouched. The content is flushed to the disk (fsync) before the renaming. So a loss of
-/// power leaves either the old file or the new one. Temporary files that a killed process has left
-/// for this output are removed, unless the file system does not support locks. A program that
-/// handles signals calls [`remove_unfinished`](crate::remove_unfinished). The new file has the
+/// truncate or remove. The name ends like `path`, so that libraries which look at the extension
+/// choose the right format. When `write` fails, the temporary file is removed and an old file at
+/// `path` stays untouched. The content is flushed to the disk (fsync) before the renaming. So a
+/// loss of power leaves either the old file or the new one. Temporary files that a killed process
+/// has left for this output are removed, unless the file system does not support locks. A program
+/// that handles signals calls [`remove_unfinished`](crate::remove_unfinished). The new file has the
 /// permissions of any new file (umask). A symbolic link is followed: the file it points to is
 /// replaced.
 ///
@@ -52,7 +52,7 @@ pub fn write_atomically<R, E: From<IoError>>(
 /// Writes a text file atomically: it appears complete or not at all.
 ///
 /// # Errors
-/// As [`write_atomically`].
+/// The errors of [`write_atomically`].
 pub fn write_text(path: impl AsRef<Path>, content: &str, overwrite: bool) -> Result<(), IoError> {
     write_bytes(path, content.as_bytes(), overwrite)
 }
@@ -60,7 +60,7 @@ pub fn write_text(path: impl AsRef<Path>, content: &str, overwrite: bool) -> Res
 /// Writes bytes, such as a picture, to a file, which appears complete or not at all.
 ///
 /// # Errors
-/// As [`write_atomically`].
+/// The errors of [`write_atomically`].
 pub fn write_bytes(path: impl AsRef<Path>, content: &[u8], overwrite: bool) -> Result<(), IoError> {
     let path = path.as_ref();
     write_atomically(path, overwrite, |temporary| {
@@ -68,19 +68,21 @@ pub fn write_bytes(path: impl AsRef<Path>, content: &[u8], overwrite: bool) -> R
     })
 }
 
-/// Checks before any work is done that `path` can be written.
+/// Checks that `path` can be written. Call it before long work.
 ///
 /// Its directory must exist. The file must be new, or a regular file that may be replaced. A write
 /// may still fail later, for example because the disk is full.
 ///
 /// # Errors
-/// [`IoErrorKind::NotFound`] without the directory, [`IoErrorKind::Format`] if the path is not that
-/// of a regular file, [`IoErrorKind::Exists`] or [`IoErrorKind::Write`].
+/// [`IoErrorKind::NotFound`] if the directory does not exist, [`IoErrorKind::Format`] if `path` is
+/// not a regular file, [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, or
+/// [`IoErrorKind::Write`].
 pub fn check_output(path: impl AsRef<Path>, overwrite: bool) -> Result<(), IoError> {
     checked_target(path.as_ref(), overwrite).map(drop)
 }
 
-/// The file that is replaced in the end: `path`, or the target of a symbolic link.
+/// Does the checks of [`check_output`]. Returns the file that the output will replace: `path`, or
+/// the target of a symbolic link.
 pub(crate) fn checked_target(path: &Path, overwrite: bool) -> Result<PathBuf, IoError> {
     let not_a_file = || Err(IoError::new(path, IoErrorKind::Format, NOT_A_FILE));
     if path.file_name().is_none() {
@@ -109,8 +111,8 @@ fn exists(path: &Path) -> IoError {
     IoError::new(path, IoErrorKind::Exists, EXISTS).with_setting("overwrite")
 }
 
-/// An output under a temporary name in its own directory. [`commit`](Self::commit) renames it, and
-/// dropping it removes it.
+/// An output file that still has a temporary name, in its own directory. [`commit`](Self::commit)
+/// gives it the final name. A pending file that is dropped is removed.
 #[derive(Debug)]
 pub(crate) struct PendingFile {
     temporary: Temporary,
@@ -118,7 +120,7 @@ pub(crate) struct PendingFile {
     claim: Option<File>,
     /// The path given by the caller, for error messages.
     path: PathBuf,
-    /// The file that is replaced in the end: `path`, or the target of a symbolic link.
+    /// The file that the output will replace: `path`, or the target of a symbolic link.
     target: PathBuf,
     overwrite: bool,
 }
@@ -153,8 +155,8 @@ impl PendingFile {
         self.temporary.path()
     }
 
-    /// Flushes the content to the disk and gives the file its final name. If another file has
-    /// appeared there in the meantime, it is kept unless it may be replaced.
+    /// Flushes the content to the disk and gives the file its final name. If another process has
+    /// created a file of that name in the meantime, that file is kept unless `overwrite` is true.
     pub(crate) fn commit(self) -> Result<(), IoError> {
         let Self {
             temporary,
@@ -191,8 +193,8 @@ impl PendingFile {
     }
 }
 
-/// Flushes the names in a directory to the disk. A failure is ignored: after a loss of power the
-/// old file may then be back, which is complete as well.
+/// Flushes the names in a directory to the disk. A failure is ignored: the worst effect of a later
+/// loss of power is that the old file is back, which is complete as well.
 fn sync_directory(directory: &Path) {
     if cfg!(unix) {
         let _ = File::open(directory).and_then(|directory| directory.sync_all());
@@ -226,7 +228,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn what_a_killed_process_has_left_goes() {
+    fn temporary_files_of_killed_processes_are_removed() {
         let directory = tempfile::tempdir().unwrap();
         let left = directory.path().join(".psfield-99-abcdef-a.png");
         fs::write(&left, "half").unwrap();
@@ -238,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_renamed_goes() {
+    fn a_file_that_cannot_be_renamed_is_removed() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("a");
         let failed = write_atomically(&path, true, |_| {
@@ -257,7 +259,7 @@ mod tests {
         assert_eq!(put(&path, "2", false).unwrap_err().kind(), IoErrorKind::Exists);
         put(&path, "3", true).unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "3");
-        // One that appears while the work is done is kept as well.
+        // A file that another process creates during the work is kept as well.
         let late = directory.path().join("late");
         let result = write_atomically(&late, false, |_| {
             fs::write(&late, "theirs").unwrap();

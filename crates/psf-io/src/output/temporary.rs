@@ -1,10 +1,11 @@
-//! The temporary files of outputs. A program that is told to stop can remove those of its own
-//! process. Those of killed processes are removed by the next process that writes the same output.
+//! The temporary files of outputs. A program that is told to stop can remove the temporary files of
+//! its own process. The files of a killed process are removed by the next process that writes the
+//! same output.
 //!
 //! A temporary file is called `.psfield-PROCESS-RANDOM-OUTPUT` and lies next to its output. The
 //! process that writes it holds an advisory lock on it. The system releases the lock when the
-//! process ends for any reason, also on another machine that shares the folder. So an unlocked
-//! temporary file belongs to no running process.
+//! process ends for any reason, even if it ran on another machine that shares the folder. So an
+//! unlocked temporary file belongs to no running process.
 
 use std::collections::HashMap;
 use std::ffi::{OsStr, OsString};
@@ -20,24 +21,26 @@ type Entries = Vec<(PathBuf, Option<PathBuf>)>;
 
 static ENTRIES: Mutex<Entries> = Mutex::new(Vec::new());
 
-/// Locks the list. [`remove_unfinished`] takes the same lock, so it never runs at the same time as
-/// the holder of this guard.
+/// Locks the list. [`remove_unfinished`] needs this lock too, so it waits while a caller holds the
+/// guard.
 pub(crate) fn entries() -> MutexGuard<'static, Entries> {
     // Each change of the list is a single step, so a panic elsewhere cannot leave it half done.
     ENTRIES.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A temporary file in the list. Dropping it removes it from the disk and from the list.
+/// A temporary file in the list. Dropping this value removes the file from the disk and from the
+/// list.
 #[derive(Debug)]
 pub(crate) struct Temporary {
-    /// `Some` until the file is dropped or renamed.
+    /// `Some` until the file is renamed or removed.
     file: Option<TempPath>,
-    /// Its name in the list.
+    /// The name of the file in the list.
     absolute: PathBuf,
 }
 
 impl Temporary {
-    /// Adds a temporary file to the list. It must have been created while the list was locked.
+    /// Adds a temporary file to the list. The caller must have locked the list before it created
+    /// the file.
     pub(crate) fn new(file: TempPath, output: Option<&Path>, entries: &mut Entries) -> Self {
         let absolute = std::path::absolute(&file).unwrap_or_else(|_| file.to_path_buf());
         entries.push((absolute.clone(), output.map(Path::to_owned)));
@@ -46,18 +49,20 @@ impl Temporary {
     }
 
     pub(crate) fn path(&self) -> &Path {
-        self.file.as_ref().expect("there until it is renamed")
+        self.file.as_ref().expect("the file exists until it is renamed")
     }
 
-    /// Lets `rename` give the file its name. If `rename` fails, it must have removed the file.
+    /// Calls `rename`, which gives the file its final name. If `rename` fails, it must remove the
+    /// file.
     pub(crate) fn rename<R>(mut self, rename: impl FnOnce(TempPath) -> R) -> R {
         self.finish(rename)
     }
 
-    /// Takes the file out and removes its entry from the list, as a single step.
+    /// Gives the file to `end` and removes its entry from the list. The list stays locked
+    /// meanwhile.
     fn finish<R>(&mut self, end: impl FnOnce(TempPath) -> R) -> R {
         let mut entries = entries();
-        let ended = end(self.file.take().expect("there until it is renamed"));
+        let ended = end(self.file.take().expect("the file exists until it is renamed"));
         entries.retain(|(absolute, _)| *absolute != self.absolute);
         ended
     }
@@ -107,8 +112,8 @@ pub fn remove_unfinished<R>(then: impl FnOnce(&[PathBuf]) -> R) -> R {
 const MARK: &str = ".psfield-";
 /// Number of characters that [`tempfile`] puts between prefix and suffix.
 const RANDOM: usize = 6;
-/// The temporary name does not repeat a longer name, because some file systems allow no more than
-/// 143 bytes.
+/// The longest name of an output, in bytes, that the temporary name repeats. Some file systems
+/// allow names of at most 143 bytes.
 const LONGEST_REPEATED: usize = 100;
 
 /// The directory of a file, or the current one for a bare name.
@@ -119,7 +124,7 @@ pub(crate) fn directory_of(path: &Path) -> &Path {
     }
 }
 
-/// Creates the temporary file of an output, which is empty.
+/// Creates the empty temporary file of an output.
 pub(crate) fn create(target: &Path) -> std::io::Result<TempPath> {
     let file = tempfile::Builder::new()
         .prefix(&format!("{MARK}{}-", std::process::id()))
@@ -132,8 +137,8 @@ pub(crate) fn create(target: &Path) -> std::io::Result<TempPath> {
     Ok(file.into_temp_path())
 }
 
-/// The end of the name of an output's temporary file: the name of the output, or a placeholder with
-/// its extension if that name is too long.
+/// The last part of the name of a temporary file: the name of the output. A placeholder with the
+/// same extension replaces a name that is too long.
 fn suffix(target: &Path) -> OsString {
     let name = target.file_name().unwrap_or_default();
     let mut suffix = OsString::from("-");
@@ -146,8 +151,8 @@ fn suffix(target: &Path) -> OsString {
     suffix
 }
 
-/// Locks a new temporary file for as long as the handle is open. On a file system without locks,
-/// the temporary file of a killed process stays.
+/// Locks a new temporary file for as long as the handle is open. A file system without locks
+/// returns `None`, and the temporary file of a killed process then stays.
 pub(crate) fn claim(temporary: &Path) -> Option<File> {
     // On systems other than Unix a lock would keep CFITSIO, which opens the file a second time,
     // from writing.
@@ -215,8 +220,8 @@ fn remove_if_abandoned(temporary: &Path) {
     if !is_file {
         return;
     }
-    // Network file systems require a file open for writing for an exclusive lock, and a file open
-    // for reading for a shared one.
+    // On network file systems an exclusive lock needs a file that is open for writing, and a shared
+    // lock needs a file that is open for reading.
     let opened = File::options().read(true).write(true).open(temporary);
     if opened.is_ok_and(|file| file.try_lock().is_ok()) {
         let _ = fs::remove_file(temporary);
@@ -247,7 +252,7 @@ mod tests {
 
     #[cfg(unix)]
     #[test]
-    fn what_nobody_holds_is_removed_and_nothing_else() {
+    fn only_unlocked_files_of_the_output_are_removed() {
         let directory = tempfile::tempdir().unwrap();
         let at = |name: &str| directory.path().join(name);
         let names = [

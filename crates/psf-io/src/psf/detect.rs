@@ -59,7 +59,7 @@ impl std::fmt::Display for FileKind {
 /// A kind and the test for it.
 type Test = (FileKind, fn(&FitsStructure) -> bool);
 
-/// The most specific tests are first. A new format adds its file and a line here.
+/// The most specific tests are first.
 const TESTS: &[Test] = &[
     (FileKind::PsfModel, model::is_model),
     (FileKind::PsfSamples, samples::is_samples),
@@ -76,13 +76,13 @@ const TESTS: &[Test] = &[
 /// error.
 ///
 /// # Errors
-/// The errors of any FITS file.
+/// The [errors of any FITS file](crate#bad-files).
 pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
     detect_hdu(path, None)
 }
 
-/// Finds the kind of a file with a chosen image. In a file of images it is the kind of that image,
-/// an image or a cube.
+/// Finds the kind of a file, as [`detect`] does. If the file only holds images, the kind is that of
+/// the chosen image: an image or a cube.
 ///
 /// # Errors
 /// The errors of [`detect`], and [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) if the file

@@ -16,11 +16,11 @@ use crate::fits::image::stack_shape;
 ///
 /// - [`samples`](Self::samples): positions are 0-based pixels of the detector. The reference point
 ///   of the stamps is their middle, index `(n - 1) / 2`. The stamps include the pixel response.
-///   Between their pixels the interpolating cubic spline applies. The values are those of the file,
-///   not scaled to unit flux.
-/// - The makers' own tools (photutils' `GriddedPSFModel`) interpolate bilinearly between the
-///   positions and use the nearest point of the grid outside:
-///   [`Interpolation::Bilinear`](psf_types::Interpolation::Bilinear) with
+///   Between their pixels the interpolating cubic spline applies. The values are the values in the
+///   file, not scaled to unit flux.
+/// - photutils' `GriddedPSFModel` interpolates bilinearly between the positions and uses the
+///   nearest point of the grid outside. In psfield these are
+///   [`Interpolation::Bilinear`](psf_types::Interpolation::Bilinear) and
 ///   [`OutsidePolicy::Nearest`](psf_types::OutsidePolicy::Nearest).
 #[derive(Debug, Clone, PartialEq)]
 pub struct GriddedPsf {
@@ -111,9 +111,9 @@ pub(crate) fn check_flux(
     Ok(())
 }
 
-/// The header of an HDU, for keywords that are made at run time.
+/// The header of an HDU, for keywords that the code builds, such as numbered ones.
 ///
-/// Case is ignored, because real STDPSF files have `NXPSFs`.
+/// Case is ignored in keywords, because real STDPSF files have `NXPSFs`.
 #[derive(Debug)]
 pub(crate) struct LibraryCards<'a> {
     pub(crate) hdu: &'a Hdu,
@@ -185,7 +185,7 @@ impl<'a> LibraryCards<'a> {
             .ok_or_else(|| self.missing(keyword, expected))
     }
 
-    /// A text, if the keyword exists.
+    /// A string, if the keyword exists.
     pub(crate) fn text(&self, keyword: &str, expected: &str) -> Result<Option<String>, IoError> {
         self.optional(keyword, expected, |text: String| Some(text.trim().to_owned()))
     }
@@ -211,7 +211,7 @@ impl<'a> LibraryCards<'a> {
     /// The error for a number of planes that differs from the number in the cards.
     pub(crate) fn plane_count(&self, planes: usize, cards: &str, stated: &str) -> IoError {
         let problem = format!(
-            "there are {planes} planes, but {cards} says {stated}: the file is damaged or of another format"
+            "there are {planes} planes, but {cards} states {stated}: the file is damaged or of another format"
         );
         self.hdu.error(IoErrorKind::Data, problem)
     }

@@ -25,12 +25,13 @@ const MIN_SIZE: usize = 4;
 /// # Planes
 /// Releases of photutils disagree on which card holds the position of plane `i`. Up to 3.0 it is
 /// the `i`-th card in the header, and its two numbers are read as (x, y). In later releases it is
-/// `DET_YXi`, and the numbers are read as (y, x), as written. Both agree if x and y of the grid
-/// have the same values and the cards have a certain order, so the library is written in this way.
+/// `DET_YXi`, and the numbers are read as (y, x), as written. All releases agree if the grid has
+/// the same coordinates in x and in y, and if the planes have x fastest while the cards have y
+/// fastest. The library is written in this way.
 ///
-/// A grid with other values in x than in y gets more planes: one at every crossing of all these
-/// values, bilinear between the samples and constant outside them. Readers interpolate in the same
-/// way, so the PSF is unchanged everywhere.
+/// If the coordinates in x and in y differ, more planes are written: one at every crossing of all
+/// these coordinates. Such a plane is interpolated bilinearly between the samples, and constant
+/// outside them. Readers interpolate in the same way, so the PSF is unchanged everywhere.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -52,8 +53,9 @@ const MIN_SIZE: usize = 4;
 /// [`IoErrorKind::Request`] for samples that the layout or its readers cannot hold: they are not on
 /// a grid, or the oversampling is not a whole number. It is also returned for stamps that are not
 /// centred in their middle, lack the pixel response, are not interpolated by the cubic spline, or
-/// are smaller than 4 x 4. Other errors are [`IoErrorKind::Exists`] unless `overwrite`,
-/// [`IoErrorKind::NotFound`] without the directory, or an error of the file system or of CFITSIO.
+/// are smaller than 4 x 4. Other errors are [`IoErrorKind::Exists`] if the file exists and
+/// `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not exist, or an error of
+/// the file system or of CFITSIO.
 pub fn write_gridded(
     path: impl AsRef<Path>,
     samples: &PsfSamples,
@@ -147,8 +149,8 @@ fn own_cards(
     }
     if square.is_refined() {
         own.push(Card::comment(&format!(
-            "The samples were on a grid of {} x {} with other values in x than in y. The planes are interpolated bilinearly from them \
-             at every crossing of all these values.",
+            "The samples were on a grid of {} x {} lines, with different coordinates in x and in y. Here both axes have all these \
+             coordinates, and the planes are interpolated bilinearly from the samples.",
             square.xs.len(),
             square.ys.len()
         )));
@@ -172,18 +174,18 @@ fn position_card(plane: usize, x: f64, y: f64) -> Card {
 /// The largest number of planes that is written. Readers process a card for each plane.
 const MAX_PLANES: usize = 10_000;
 
-/// The crossings of lines with the same values in x and y, and the samples from which each crossing
-/// is interpolated.
+/// A grid whose lines have the same coordinates in x and in y, and the samples from which the stamp
+/// at each crossing is interpolated.
 #[derive(Debug)]
 struct SquareGrid {
-    /// The x and y values of the samples, ascending.
+    /// The x and y coordinates of the samples, ascending.
     xs: Vec<f64>,
     ys: Vec<f64>,
     /// The sample at each crossing of `ys` and `xs`, with x fastest.
     sample_at: Vec<usize>,
-    /// The values of x and y together, ascending.
+    /// All coordinates of `xs` and `ys`, ascending.
     lines: Vec<f64>,
-    /// The position of a single sample. It stays a single plane at any position.
+    /// The position of a single sample, which is written as a single plane.
     single: Option<Position>,
 }
 
@@ -217,8 +219,8 @@ impl SquareGrid {
         };
         match grid.planes() {
             planes if planes > MAX_PLANES && grid.is_refined() => Err(format!(
-                "x and y of the samples have different values, so the library would need {planes} planes (at most {MAX_PLANES} are possible): evaluate the PSF on \
-                 a grid with the same lines in x and y"
+                "the samples have different coordinates in x and in y, so the library would need {planes} planes (at most {MAX_PLANES} are possible): evaluate the PSF on \
+                 a grid with the same coordinates in x and y"
             )),
             _ => Ok(grid),
         }
@@ -248,8 +250,7 @@ impl SquareGrid {
         }
     }
 
-    /// The planes in the order of their cards in the header: the card of plane (y, x) is in the
-    /// place of plane (x, y).
+    /// The planes in the order of their cards in the header, with y fastest.
     fn card_order(&self) -> impl Iterator<Item = usize> {
         let side = match self.single {
             Some(_) => 1,
@@ -288,8 +289,8 @@ fn ascending(values: impl Iterator<Item = f64>) -> Vec<f64> {
     values
 }
 
-/// The lines below and above a value, and the weight of the second. Outside, the nearest line has
-/// all the weight.
+/// The lines below and above a value, and the weight of the line above. Outside, the nearest line
+/// has all the weight.
 fn between(lines: &[f64], value: f64) -> (usize, usize, f64) {
     let above = lines.partition_point(|&line| line < value).min(lines.len() - 1);
     let below = above.saturating_sub(1);

@@ -18,8 +18,8 @@
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
 //!
-//! The PSF at a sample is `mean + sum_k A[k] * plane[k]`. Every number is read back bit by bit:
-//! doubles in the header are written with as many digits as needed.
+//! The PSF at a sample is `mean + sum_k A[k] * plane[k]`. Every number is read back bit by bit,
+//! because doubles in the header are written with as many digits as needed.
 //!
 //! A model made in Python:
 //!
@@ -101,8 +101,9 @@ pub fn read_model(path: impl AsRef<Path>) -> Result<PsfModelRecord, IoError> {
 ///
 /// # Errors
 /// [`IoErrorKind::Format`] for a newer version of the layout or a missing table,
-/// [`IoErrorKind::Header`], [`IoErrorKind::Data`] for a basis that is not orthonormal or for counts
-/// that disagree, and the errors of any FITS file.
+/// [`IoErrorKind::Header`] for a keyword that is missing or not valid, [`IoErrorKind::Axes`] if
+/// `NCOMP` and `CENTRED` do not match the cube, [`IoErrorKind::Data`] for a basis that is not
+/// orthonormal or for counts that disagree, and the [errors of any FITS file](crate#bad-files).
 pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -137,13 +138,13 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     } else {
         table.read("A", rank)?
     };
-    let values = Array2::from_shape_vec((table.rows, rank), values).expect("NCOMP values in a row");
+    let values = Array2::from_shape_vec((table.rows, rank), values).expect("a row has NCOMP values");
     let coefficients = SampleCoefficients::new(values, positions).map_err(invalid(path))?;
 
     let planes = read_stack(hdu, shape)?;
     let mean = centred.then(|| planes.index_axis(Axis(0), 0).to_owned());
-    // Moves the array instead of copying a part: ndarray's debug assertions fail for a copy of a
-    // part without planes.
+    // Moves the array instead of copying the components, because a copy without planes fails
+    // ndarray's debug assertions.
     let components = planes.slice_move(s![usize::from(centred).., .., ..]);
     let basis = PsfBasis::new(mean, components, grid).map_err(invalid(path))?;
     let record = PsfModelRecord::new(basis, coefficients, interpolation, outside, normalisation)
@@ -165,9 +166,9 @@ pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
 /// cards of the layout.
 ///
 /// # Errors
-/// [`IoErrorKind::Data`] for a singular value that is not finite, [`IoErrorKind::Exists`] unless
-/// `overwrite`, [`IoErrorKind::NotFound`] without the directory, or an error of the file system or
-/// of CFITSIO.
+/// [`IoErrorKind::Data`] for a singular value that is not finite, [`IoErrorKind::Exists`] if the
+/// file exists and `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not exist,
+/// or an error of the file system or of CFITSIO.
 pub fn write_model(
     path: impl AsRef<Path>,
     record: &PsfModelRecord,
@@ -193,9 +194,9 @@ pub fn write_model(
         (VERSION_KEYWORD, MODEL_VERSION.into(), "version of this layout"),
         ("NCOMP", rank.into(), "number of components"),
         ("CENTRED", centred.into(), "plane 0 is the mean stamp"),
-        ("INTERPOL", interpolation, "of the coefficients"),
+        ("INTERPOL", interpolation, "interpolation of the coefficients"),
         ("OUTSIDE", outside, "policy outside the samples"),
-        ("NORMALIS", normalisation, "flux of every PSF"),
+        ("NORMALIS", normalisation, "normalisation of every PSF"),
     ];
     let own = cards(path, own)?;
     let header = HeaderCards::new()

@@ -15,10 +15,11 @@
 //! | `STAMPINT` | interpolation between the pixels of a stamp: `cubic-spline` or `lanczos3` | `cubic-spline` |
 //! | `FIELDNX`, `FIELDNY` | size of the frame in pixels; both or none | unknown |
 //!
-//! A value is the fraction of a source's flux in a *frame* pixel centred there: a stamp with
-//! `OVERSAMP = s` holds unit flux if its sum is `s^2`. Every value is finite, every stamp has
-//! positive flux, no two positions are equal, and all are on the frame if its size is given.
-//! Single-precision and integer columns are read too. Other columns, HDUs and keywords are ignored.
+//! If the stamps include the pixel response, a value is the fraction of a source's flux in a
+//! *frame* pixel centred there. A stamp with `OVERSAMP = s` holds unit flux if its sum is `s^2`.
+//! Every value is finite, every stamp has positive flux, and no two positions are equal. If the
+//! size of the frame is given, all positions are on the frame. Single-precision and integer columns
+//! are read too. Other columns, HDUs and keywords are ignored.
 //!
 //! Such a file is written by six lines of astropy:
 //!
@@ -45,7 +46,7 @@ use crate::fits::image::{read_stack, squeezed, stack_shape};
 use crate::fits::image_out::{in_single_precision, write_fits, write_image_hdu};
 use crate::fits::structure::FitsStructure;
 
-/// The table that turns a cube into PSF samples.
+/// The name of the table with the positions of the samples.
 const POSITIONS: &str = "POSITIONS";
 
 /// The precision of floats in a file.
@@ -73,8 +74,8 @@ pub(crate) fn is_samples(structure: &FitsStructure) -> bool {
 /// Reads PSF samples in the [`psf-samples` layout](self).
 ///
 /// # Errors
-/// [`IoErrorKind::Data`](crate::IoErrorKind::Data) for samples that break a rule of the layout,
-/// and the errors of any FITS file.
+/// [`IoErrorKind::Data`](crate::IoErrorKind::Data) for samples that break a rule of the layout, and
+/// the [errors of any FITS file](crate#bad-files).
 pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -92,8 +93,8 @@ pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
 
 /// Writes PSF samples in the [`psf-samples` layout](self).
 ///
-/// Positions are doubles and are read back exactly, as are the stamps with [`Precision::Double`].
-/// `cards` are added to the primary header, before the cards of the layout.
+/// Positions are doubles and are read back exactly. Stamps are read back exactly only with
+/// [`Precision::Double`]. `cards` are added to the primary header, before the cards of the layout.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -152,7 +153,8 @@ pub(crate) fn write_positions_of(fits: &mut Fits, positions: &SamplePositions) -
     fits.write_column(2, &coordinate(Position::y))
 }
 
-/// The grid of `nx` by `ny` stamps from `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and `STAMPINT`.
+/// The grid of stamps of `nx` by `ny` pixels, from `OVERSAMP`, `CENX`, `CENY`, `PIXCONV` and
+/// `STAMPINT`.
 pub(crate) fn stamp_grid(hdu: &Hdu, nx: usize, ny: usize) -> Result<StampGrid, IoError> {
     let data = |result: Result<StampGrid, _>| result.map_err(invalid(hdu.path()));
     let grid = data(StampGrid::new(nx, ny))?;
@@ -166,7 +168,7 @@ pub(crate) fn stamp_grid(hdu: &Hdu, nx: usize, ny: usize) -> Result<StampGrid, I
         .with_interpolation(interpolation.unwrap_or_default()))
 }
 
-/// The field from `FIELDNX` and `FIELDNY`, which need both or none.
+/// The size of the frame from `FIELDNX` and `FIELDNY`. If one of them exists, both must exist.
 pub(crate) fn field(hdu: &Hdu) -> Result<Option<FrameShape>, IoError> {
     const EXPECTED: &str = "the size of the frame in pixels, a whole number above 0";
     if ["FIELDNX", "FIELDNY"]
@@ -181,11 +183,11 @@ pub(crate) fn field(hdu: &Hdu) -> Result<Option<FrameShape>, IoError> {
         .map_err(invalid(hdu.path()))
 }
 
-/// The cards of a grid and a field, which [`stamp_grid`] and [`field`] can read.
+/// The cards of a grid and of the size of the frame, which [`stamp_grid`] and [`field`] can read.
 pub(crate) fn grid_cards(grid: StampGrid, field: Option<FrameShape>) -> Vec<Card> {
     const CENTRE: &str = "stamp index of the PSF reference point, 0-based";
     let card = |keyword, value: CardValue, comment| {
-        Card::new(keyword, value, comment).expect("sound keywords, finite values")
+        Card::new(keyword, value, comment).expect("the keywords and values are valid")
     };
     let (oversampling, x, y) = (grid.oversampling(), grid.centre_x(), grid.centre_y());
     let (included, between) = (grid.pixel_response_included(), grid.interpolation().to_string());
@@ -194,7 +196,7 @@ pub(crate) fn grid_cards(grid: StampGrid, field: Option<FrameShape>) -> Vec<Card
         card("CENX", x.into(), CENTRE),
         card("CENY", y.into(), CENTRE),
         card("PIXCONV", included.into(), "the pixel response is in the stamps"),
-        card("STAMPINT", between.into(), "values between the pixels of a stamp"),
+        card("STAMPINT", between.into(), "interpolation between stamp pixels"),
     ];
     if let Some(field) = field {
         cards.push(card("FIELDNX", field.nx().into(), "columns of the frame"));

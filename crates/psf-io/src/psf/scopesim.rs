@@ -12,17 +12,18 @@
 //! # Interpretation
 //!
 //! - **The field** is piecewise constant: at each position the layer of the nearest pixel (or row)
-//!   of the map applies. Such a node of the map is at `field_centre + offset / pixel_scale` in
-//!   pixels of the frame. x and y of the frame increase with those of the map, which must not be
-//!   rotated. Celestial projections are treated as linear, as in ScopeSim.
+//!   of the map applies. A pixel or row of the map is called a node. It is at
+//!   `field_centre + offset / pixel_scale` in pixels of the frame. x and y of the frame increase
+//!   with x and y of the map, which must not be rotated. Celestial projections are treated as
+//!   linear, as in ScopeSim.
 //! - **Stamps** have `s = pixel_scale / CDELT1` pixels per frame pixel. `s` is rounded to a whole
-//!   number if it differs from one only by the digits of the header. The values of the stamps are
-//!   those of the file times `s^2`, so that a kernel of unit sum holds unit flux. ScopeSim itself
-//!   scales every kernel to unit sum, after it has set negative values to zero. This reader keeps
-//!   negative values. Scale the PSF to unit flux for a comparable result.
-//! - **The centre** is the middle of the stamp, `(n - 1) / 2`, as in ScopeSim where it rescales
+//!   number if the difference is due only to the limited number of digits in headers. The values of
+//!   the stamps are the values in the file times `s^2`, so that a kernel of unit sum holds unit
+//!   flux. ScopeSim itself scales every kernel to unit sum, after it has set negative values to
+//!   zero. This reader keeps negative values. Scale the PSF to unit flux for a comparable result.
+//! - **The centre** is the middle of the stamp, `(n - 1) / 2`, as ScopeSim assumes when it rescales
 //!   kernels. Neither ScopeSim nor this reader uses `CRPIX1` of the PSFs.
-//! - **The pixel response** is assumed to be included. The file does not say, and ScopeSim
+//! - **The pixel response** is assumed to be included. The file does not state it, and ScopeSim
 //!   convolves with its kernels unchanged.
 
 use std::collections::BTreeMap;
@@ -38,8 +39,8 @@ use crate::fits::image::{read_stack, squeezed};
 use crate::fits::structure::FitsStructure;
 use crate::psf::gridded::{LibraryCards, centred_grid, check_flux, cube_shape};
 
-/// A field-varying PSF of ScopeSim: a few layers, and the nodes of a map that states where each
-/// layer applies.
+/// A field-varying PSF of ScopeSim: a few layers, and a map that states where each layer applies. A
+/// node is a pixel or row of the map.
 ///
 /// At a position the layer of the nearest node applies
 /// ([`Interpolation::Nearest`](psf_types::Interpolation::Nearest)). To make a model, fit a basis to
@@ -86,7 +87,7 @@ pub(crate) fn is_scopesim(structure: &FitsStructure) -> bool {
     kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("FVPSF"))
 }
 
-/// A ratio this close to a whole number is rounded to it, because headers hold arcseconds in
+/// A ratio this close to a whole number is rounded to it, because headers state arcseconds as
 /// degrees with a limited number of digits. (ScopeSim itself rounds to five decimals.)
 const NEAR_WHOLE: f64 = 1e-6;
 
@@ -117,7 +118,7 @@ fn near_whole(ratio: f64) -> f64 {
 ///   flux
 /// - [`IoErrorKind::Format`] or [`IoErrorKind::Axes`] if the map or the PSFs are missing or have the
 ///   wrong axes
-/// - the errors of any FITS file
+/// - the [errors of any FITS file](crate#bad-files)
 pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Result<ScopesimPsf, IoError> {
     const MAP: &str = "the number of the HDU with the map of layers, counted from 0";
     const DATA: &str = "the number of the first HDU with PSFs, counted from 0";
@@ -190,8 +191,8 @@ pub struct ScopesimOptions {
 }
 
 impl ScopesimOptions {
-    /// Sets frame pixels of `pixel_scale_arcsec` arcseconds and the centre of the field at
-    /// `field_centre` (0-based).
+    /// Sets the size of a frame pixel in arcseconds, and the position of the centre of the field in
+    /// 0-based pixels of the frame.
     ///
     /// # Errors
     /// [`DataError::Setting`] unless the scale is a finite number above 0.
@@ -203,10 +204,11 @@ impl ScopesimOptions {
         })
     }
 
-    /// Chooses the PSFs of the nearest wavelength, in micrometres. Needed if there are several.
+    /// Chooses the PSFs whose wavelength is nearest to this one, in micrometres. A file with
+    /// several wavelengths needs this choice.
     ///
     /// # Errors
-    /// [`DataError::Setting`] unless it is a finite number above 0.
+    /// [`DataError::Setting`] unless the wavelength is a finite number above 0.
     pub fn with_wavelength_um(self, wavelength_um: f64) -> Result<Self, DataError> {
         Ok(Self {
             wavelength_um: Some(positive("wavelength in micrometres", wavelength_um)?),
@@ -299,7 +301,7 @@ impl<'a> Kernels<'a> {
 
 fn wavelength(cards: &LibraryCards<'_>) -> Result<f64, IoError> {
     const EXPECTED: &str = "the wavelength of the PSFs in micrometres, a number above 0";
-    const UNIT: &str = "um: wavelengths are in micrometres";
+    const UNIT: &str = "um (wavelengths must be in micrometres)";
     if let Some(unit) = cards.text("WAVEUNIT", UNIT)?
         && !["um", "micron", "microns", "micrometer", ""].contains(&unit.to_ascii_lowercase().as_str())
     {
@@ -413,7 +415,7 @@ struct MapAxis {
 
 impl MapAxis {
     fn new(cards: &LibraryCards<'_>, axis: usize) -> Result<Self, IoError> {
-        const ROTATED: &str = "0: rotated maps are not supported";
+        const ROTATED: &str = "0 (rotated maps are not supported)";
         const PIXEL: &str = "the reference pixel of the map, a number";
         const STEP: &str = "the size of a pixel of the map, a number other than 0";
         const VALUE: &str = "the coordinate of the reference pixel, a number";
@@ -460,7 +462,7 @@ impl MapAxis {
     }
 }
 
-/// Arcseconds per unit named by a card. Without the card the unit is a degree.
+/// Returns how many arcseconds the unit named by a card has. Without the card the unit is a degree.
 fn arcsec_in_unit(cards: &LibraryCards<'_>, keyword: &str) -> Result<f64, IoError> {
     const EXPECTED: &str = "an angular unit: deg, arcmin, arcsec, mas or rad";
     let Some(text) = cards.text(keyword, EXPECTED)? else {

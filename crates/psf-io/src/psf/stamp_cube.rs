@@ -74,12 +74,12 @@ impl StampCubeOptions {
     }
 }
 
-/// Reads plain stamps as PSF samples: a cube `[plane, y, x]` or an image `[y, x]`. It is the chosen
-/// image, or the only one with pixels.
+/// Reads plain stamps as PSF samples: a cube `[plane, y, x]` or an image `[y, x]`. They are in the
+/// chosen image, or in the only image with pixels.
 ///
-/// Keywords of the [`psf-samples` layout](crate::samples) are used if present, with the same
-/// defaults. `options` override them. A single stamp needs no position: it is the PSF everywhere,
-/// and its sample gets the position (0, 0).
+/// Keywords of the [`psf-samples` layout](crate::samples) are used if present, otherwise the
+/// defaults of that layout. `options` override both. A single stamp needs no position: it is the
+/// PSF everywhere, and its sample gets the position (0, 0).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -98,7 +98,8 @@ impl StampCubeOptions {
 ///   planes without positions
 /// - [`IoErrorKind::Data`] if there is not one position per plane, two positions are equal, a stamp
 ///   has no flux, or oversampling or centre are out of range
-/// - [`IoErrorKind::Axes`], and the errors of any FITS file
+/// - [`IoErrorKind::Axes`] unless the image has two or three axes
+/// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Result<PsfSamples, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -113,7 +114,7 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
         None if shape.0 == 1 => vec![Position::of_pixel(0, 0)],
         None => {
             let problem = format!(
-                "there are {} stamps without positions: give one for each",
+                "there are {} stamps without positions: give one position per stamp",
                 shape.0
             );
             return Err(hdu.error(IoErrorKind::Setting, problem).with_setting("positions"));
@@ -136,8 +137,8 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
 /// Reads the header cards of the image that [`read_stamp_cube`] reads.
 ///
 /// # Errors
-/// [`IoErrorKind::Setting`] for a choice that is needed or wrong, and the errors of any FITS file.
-/// The pixels are not read.
+/// [`IoErrorKind::Setting`] for a choice that is needed or wrong, and the
+/// [errors of any FITS file](crate#bad-files). The pixels are not read.
 pub fn read_stamp_header(
     path: impl AsRef<Path>,
     extension: Option<&HduChoice>,

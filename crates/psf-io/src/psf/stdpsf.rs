@@ -10,12 +10,13 @@
 //! | `NXPSFS`, `NYPSFS` | columns and rows of the grid of PSFs |
 //! | `IPSFX01`, `IPSFX02` ... | x of each column in detector pixels, counted from 1 |
 //! | `JPSFY01`, `JPSFY02` ... | y of each row in detector pixels, counted from 1 |
-//! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the positions as texts of several numbers (WFPC2, all of NIRCam's short-wave detectors) |
+//! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the positions as strings of several numbers (WFPC2, all of NIRCam's short-wave detectors) |
 //!
 //! Keywords may be in lower case, as some are in real files. Only the first `NXPSFS` and `NYPSFS`
-//! positions are read. Unused positions hold 9999, which is an error among the first ones. Stamps
-//! are centred at index `(n - 1) / 2` and include the response of a pixel. They are normalised to 1
-//! within a radius that a comment states, so they do not sum to 16. They are not rescaled.
+//! positions are read. Unused positions hold 9999. If one of the positions that are read holds
+//! 9999, it is an error. Stamps are centred at index `(n - 1) / 2` and include the response of a
+//! pixel. They are normalised to 1 within a radius that a comment states, so they do not sum to 16.
+//! The reader does not rescale them.
 //!
 //! # Detectors
 //!
@@ -29,7 +30,8 @@
 //! | 6 x 6 | WFPC2 | 1: PC, 2: WF2, 3: WF3, 4: WF4, arranged as `2 1` above `3 4` | 800 |
 //! | 20 x 10 | NIRCam short-wave | 1 to 4: A1 to A4, 5 to 8: B1 to B4, arranged as `2 4 7 5` above `1 3 8 6` | 2048 |
 //!
-//! The numbers are those of photutils' `detector_id`. Any other grid belongs to a single detector.
+//! Detectors have the numbers of photutils' `detector_id`. Any other grid belongs to a single
+//! detector.
 
 use std::ops::Range;
 use std::path::Path;
@@ -70,11 +72,11 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 /// # Errors
 /// - [`IoErrorKind::Setting`] if several images have pixels, or if one of several detectors must be
 ///   chosen
-/// - [`IoErrorKind::Header`] with the keyword that is missing or malformed, or for two lines of the
-///   grid that are equal
+/// - [`IoErrorKind::Header`] with the keyword that is missing or malformed, or if two columns or
+///   two rows of the grid have the same position
 /// - [`IoErrorKind::Data`] if the number of planes differs from that of the grid, or a plane has no
 ///   flux
-/// - the errors of any FITS file
+/// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<GriddedPsf, IoError> {
     read_stdpsf_hdu(path, None, detector)
 }
@@ -153,7 +155,7 @@ struct Layout {
     size: usize,
     /// The names of the detectors.
     names: &'static [&'static str],
-    /// The place of each detector, counted along x, then y.
+    /// The place of each detector in the arrangement, counted along x, then y.
     places: &'static [usize],
 }
 
@@ -162,7 +164,7 @@ struct Layout {
 struct Block {
     columns: Range<usize>,
     rows: Range<usize>,
-    /// The start of the detector in the positions of the file.
+    /// The offset of the detector in the pixel coordinates of the file.
     x0: f64,
     y0: f64,
 }
@@ -170,7 +172,7 @@ struct Block {
 const SINGLE: Layout = Layout::new((1, 1), 0, &[], &[]);
 
 /// The grids (columns, rows) of files with several detectors.
-const SEVERAL: &[((usize, usize), Layout)] = &[
+const DETECTOR_GRIDS: &[((usize, usize), Layout)] = &[
     ((9, 10), Layout::new((1, 2), 2048, &["WFC2", "WFC1"], &[0, 1])),
     ((7, 8), Layout::new((1, 2), 2048, &["UVIS2", "UVIS1"], &[0, 1])),
     (
@@ -201,7 +203,7 @@ impl Layout {
 
     /// The arrangement for a grid of this size.
     fn of_grid(columns: usize, rows: usize) -> Self {
-        SEVERAL
+        DETECTOR_GRIDS
             .iter()
             .find(|(grid, _)| *grid == (columns, rows))
             .map_or(SINGLE, |&(_, layout)| layout)
@@ -212,7 +214,8 @@ impl Layout {
         self.across.0 * self.across.1
     }
 
-    /// The index of the detector with this number, counted from 1.
+    /// The index of the detector with this number, counted from 1. Without a number, the file must
+    /// hold a single detector.
     fn choose(self, detector: Option<usize>) -> Result<usize, String> {
         let number = match detector {
             None if self == SINGLE => 1,
@@ -251,12 +254,12 @@ impl Layout {
 }
 
 /// The value of an unused position.
-const FILLER: f64 = 9999.0;
+const UNUSED: f64 = 9999.0;
 const NUMBER_EXPECTED: &str = "a position of the grid in pixels (9999 marks unused ones)";
-const LIST_EXPECTED: &str = "a text of positions of the grid in pixels (9999 marks unused ones)";
+const LIST_EXPECTED: &str = "a string of positions of the grid in pixels (9999 marks unused ones)";
 
-/// Reads the first `count` positions along an axis, as in the file, and returns the range `wanted`
-/// of them. `stem` is `IPSFX` or `JPSFY`.
+/// Reads the first `count` positions along an axis, in pixels counted from 1, and returns the range
+/// `wanted` of them. `stem` is `IPSFX` or `JPSFY`.
 fn read_lines(
     cards: &LibraryCards<'_>,
     stem: &str,
@@ -268,8 +271,8 @@ fn read_lines(
     } else {
         single(cards, stem, count)?
     };
-    if let Some((_, keyword)) = lines.iter().find(|(value, _)| *value == FILLER) {
-        return Err(cards.bad_value(keyword, "a position, since the grid has as many lines", FILLER));
+    if let Some((_, keyword)) = lines.iter().find(|(value, _)| *value == UNUSED) {
+        return Err(cards.bad_value(keyword, "a position (9999 marks unused ones)", UNUSED));
     }
     let lines: Vec<(f64, String)> = lines.drain(wanted).collect();
     for (i, (value, second)) in lines.iter().enumerate() {
@@ -281,7 +284,7 @@ fn read_lines(
     Ok(lines.into_iter().map(|(value, _)| value).collect())
 }
 
-/// Reads positions from one card per line.
+/// Reads positions from cards that hold one number each.
 fn single(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64, String)>, IoError> {
     (1..=count)
         .map(|line| {
@@ -291,7 +294,7 @@ fn single(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64
         .collect()
 }
 
-/// Reads positions from texts with several numbers each.
+/// Reads positions from strings that hold several numbers each.
 fn listed(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64, String)>, IoError> {
     let mut lines = Vec::new();
     let mut list = 0;
@@ -311,7 +314,8 @@ fn listed(cards: &LibraryCards<'_>, stem: &str, count: usize) -> Result<Vec<(f64
     Ok(lines)
 }
 
-/// The keyword of a list: `IPSFXA5`, `IPSFXB5` and so on. Beyond Z it is not valid.
+/// The keyword of a list: `IPSFXA5`, `IPSFXB5` and so on. After Z it is not a valid keyword, so no
+/// file has it.
 fn list_keyword(stem: &str, list: u8) -> String {
     format!("{stem}{}5", char::from(b'A'.saturating_add(list)))
 }
@@ -319,15 +323,15 @@ fn list_keyword(stem: &str, list: u8) -> String {
 /// A value this far below zero, relative to the peak, is not the wing of a PSF. The negative values
 /// of real libraries are a thousand times smaller.
 const NEGATIVE: f64 = 0.01;
-/// A border pixel this many times brighter than its inner neighbour is not the wing of a PSF, which
-/// becomes fainter outwards.
+/// A border pixel this many times brighter than its inner neighbour is not in the wing of a PSF,
+/// because wings become fainter outwards.
 const JUMP: f64 = 10.0;
 /// A border pixel fainter than this, relative to the peak, is not tested for a jump.
 const FAINT: f64 = 0.01;
-/// A row is bad if more than this fraction of its pixels are bad. Bad rows on the adjacent sides do
-/// not reach this fraction.
+/// A row is bad if more than this fraction of its pixels are bad. The bad rows of an
+/// adjacent side cross this row too, but in fewer pixels.
 const PART: f64 = 0.25;
-/// One out of this many rows of the stamp is tested, starting at the border.
+/// The number of rows divided by this gives how many of the outermost rows are tested.
 const DEPTH: usize = 10;
 
 /// Returns a note for each side of the stamps with bad rows. `numbers` are the planes of the file.
@@ -398,7 +402,7 @@ mod tests {
 
     #[test]
     fn every_detector_has_a_place_of_its_own_and_a_whole_number_of_psfs() {
-        for &((columns, rows), layout) in SEVERAL {
+        for &((columns, rows), layout) in DETECTOR_GRIDS {
             let mut places = layout.places.to_vec();
             places.sort_unstable();
             assert_eq!(layout.names.len(), places.len());
@@ -408,7 +412,7 @@ mod tests {
     }
 
     #[test]
-    fn detectors_lie_where_the_sky_has_them() {
+    fn detectors_have_their_documented_places() {
         let block = |columns, rows, detector: usize| {
             Layout::of_grid(columns, rows).block(detector - 1, columns, rows)
         };
@@ -427,7 +431,7 @@ mod tests {
     }
 
     #[test]
-    fn a_choice_is_needed_among_several_and_must_be_one_of_them() {
+    fn one_of_several_detectors_must_be_chosen() {
         assert_eq!(Layout::of_grid(5, 5).choose(None), Ok(0));
         assert_eq!(Layout::of_grid(5, 5).choose(Some(1)), Ok(0));
         assert!(Layout::of_grid(5, 5).choose(Some(2)).is_err());

@@ -7,7 +7,7 @@
 //!
 //! | keyword | meaning |
 //! |---|---|
-//! | `DET_YX0`, `DET_YX1` ... | for each plane a text `(y, x)`: the position in detector pixels, 0-based |
+//! | `DET_YX0`, `DET_YX1` ... | for each plane a string `(y, x)`: the position in detector pixels, 0-based |
 //! | `OVERSAMP` | stamp pixels per detector pixel, a whole number |
 //! | `DET_SAMP` | stamp pixels per detector pixel; if it differs from `OVERSAMP`, `FOVPIXEL` decides (see below) |
 //! | `NUM_PSFS` | number of planes, not required |
@@ -22,8 +22,8 @@
 //! its position.
 //!
 //! A writer may use one sampling for its transforms and another for the stamps, and writes both
-//! (`OVERSAMP`, `DET_SAMP`). The reader uses the one that gives the width of the stamps when
-//! multiplied by `FOVPIXEL`. If there is none, the file is refused.
+//! (`OVERSAMP`, `DET_SAMP`). The reader uses the sampling that gives the width of the stamps when
+//! multiplied by `FOVPIXEL`. If neither does, the file is refused.
 //!
 //! # The order of the planes
 //!
@@ -48,7 +48,7 @@ use crate::psf::gridded::{GriddedPsf, LibraryCards, Planes, cube_shape};
 /// The stem of the keywords that hold positions.
 pub(crate) const POSITION: &str = "DET_YX";
 const POSITION_EXPECTED: &str =
-    "a text \"(y, x)\" with the detector position of a plane in pixels, such as '(0.0, 682.0)'";
+    "a string \"(y, x)\" with the detector position of a plane in pixels, such as '(0.0, 682.0)'";
 const OVERSAMPLING_EXPECTED: &str = "stamp pixels per detector pixel, a whole number above 0";
 
 /// Returns whether a file is an STPSF library, that is, whether its cube has positions. The reader
@@ -78,7 +78,7 @@ pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
 /// - [`IoErrorKind::Header`] with the keyword that is missing, malformed or repeated
 /// - [`IoErrorKind::Data`] if the number of planes differs from that in the cards, a plane has no
 ///   flux, or two planes are at one position
-/// - the errors of any FITS file
+/// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPsf, IoError> {
     read_stpsf_hdu(path, None, order)
 }
@@ -100,7 +100,7 @@ pub fn read_stpsf_hdu(
     let positions = positions(cards, shape.0)?;
     let oversampling = oversampling(cards, shape.2)?;
     let (positions, note) = assign(cards, order, positions)?;
-    let detector = cards.text("DETECTOR", "the name of the detector, a text")?;
+    let detector = cards.text("DETECTOR", "the name of the detector, a string")?;
     let planes = Planes {
         stamps: read_stack(hdu, shape)?,
         numbers: (0..shape.0).collect(),
@@ -134,7 +134,7 @@ fn positions(cards: &LibraryCards<'_>, planes: usize) -> Result<Vec<Position>, I
         };
         let keyword = card.keyword();
         let Some(place) = found.get_mut(number) else {
-            return Err(cards.plane_count(planes, "a card", &keyword));
+            return Err(cards.plane_count(planes, "the header", &format!("a position {keyword}")));
         };
         if place.is_some() {
             const TWICE: &str = "the card exists more than once: remove the wrong one";
@@ -189,14 +189,14 @@ fn oversampling(cards: &LibraryCards<'_>, nx: usize) -> Result<usize, IoError> {
         })
 }
 
-/// The keyword in psfield's own files that states the order.
+/// The keyword in psfield's own files that states the order of the planes.
 pub(crate) const PLANE_ORDER: &str = "PLANEORD";
 /// The date since which the writer has sorted the planes.
-const SORTED_SINCE: &str = "2023-12-11";
+const SORTED_SINCE_DATE: &str = "2023-12-11";
 /// The first version (major, minor) that sorts the planes.
-const SORTED_FROM: (u32, u32) = (1, 3);
+const SORTED_SINCE_VERSION: (u32, u32) = (1, 3);
 
-/// The order in which the positions of an [STPSF library](crate::stpsf) belong to its planes.
+/// The rule that assigns the positions of an [STPSF library](crate::stpsf) to its planes.
 ///
 /// Text form: `auto`, `cards` or `sorted`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -250,7 +250,7 @@ fn assign(
     })
 }
 
-/// The order according to the header, and the reason.
+/// The order of the planes according to the header, and the reason for it.
 fn by_writer(cards: &LibraryCards<'_>) -> Result<Option<(PlaneOrder, String)>, IoError> {
     const ORDER: &str = "cards or sorted";
     if let Some(text) = cards.text(PLANE_ORDER, ORDER)? {
@@ -258,15 +258,15 @@ fn by_writer(cards: &LibraryCards<'_>) -> Result<Option<(PlaneOrder, String)>, I
         let order = order.ok_or_else(|| cards.bad_value(PLANE_ORDER, ORDER, text.clone()))?;
         return Ok(Some((order, format!("{PLANE_ORDER} says so"))));
     }
-    let version = cards.text("VERSION", "the version of the software, a text")?;
-    let date = cards.text("DATE", "the date of the calculation, a text")?;
+    let version = cards.text("VERSION", "the version of the software, a string")?;
+    let date = cards.text("DATE", "the date of the calculation, a string")?;
     Ok(of_writer(version.as_deref(), date.as_deref()))
 }
 
 fn of_writer(version: Option<&str>, date: Option<&str>) -> Option<(PlaneOrder, String)> {
     let number = version.and_then(release);
     if let (Some(text), Some((number, development))) = (version, number) {
-        if number >= SORTED_FROM {
+        if number >= SORTED_SINCE_VERSION {
             return Some((PlaneOrder::Sorted, format!("written by version {text}")));
         }
         if !development {
@@ -274,9 +274,9 @@ fn of_writer(version: Option<&str>, date: Option<&str>) -> Option<(PlaneOrder, S
         }
     }
     let day = date
-        .and_then(|text| text.get(..SORTED_SINCE.len()))
+        .and_then(|text| text.get(..SORTED_SINCE_DATE.len()))
         .filter(|day| is_day(day))?;
-    let order = if day < SORTED_SINCE {
+    let order = if day < SORTED_SINCE_DATE {
         PlaneOrder::Cards
     } else {
         PlaneOrder::Sorted
@@ -294,7 +294,7 @@ fn release(version: &str) -> Option<((u32, u32), bool)> {
     Some(((major, minor), !parts.all(plain)))
 }
 
-/// Returns whether a text looks like 2023-12-11.
+/// Returns whether a text has the form of 2023-12-11.
 fn is_day(text: &str) -> bool {
     text.bytes().enumerate().all(|(i, b)| match i {
         4 | 7 => b == b'-',

@@ -37,8 +37,8 @@ pub(crate) fn stpsf(more: &[&str]) -> Vec<u8> {
     image(SIMPLE, -64, &[SIZE, SIZE, 6], &cards, &f64s(&cube(6)))
 }
 
-/// An STDPSF library of this grid: x = 1, 101, 201 ..., y = 1, 51, 101 ..., one card each, then
-/// 9999.
+/// An STDPSF library of this grid: x = 1, 101, 201 ..., y = 1, 51, 101 ... Each position has a
+/// card, and a card with 9999 follows.
 pub(crate) fn stdpsf(columns: usize, rows: usize) -> Vec<u8> {
     let mut cards = vec![format!("NXPSFs  = {columns}"), format!("NYPSFs  = {rows}")];
     for (stem, count, step) in [("IPSFX", columns, 100), ("JPSFY", rows, 50)] {

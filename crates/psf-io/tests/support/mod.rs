@@ -67,7 +67,7 @@ pub(crate) fn image(first_card: &str, bitpix: i32, axes: &[usize], cards: &[&str
 pub(crate) const SIMPLE: &str = "SIMPLE  = T";
 pub(crate) const IMAGE: &str = "XTENSION= 'IMAGE   '";
 
-/// A binary table of columns (name, TFORM), its rows as bytes.
+/// A binary table of columns (name, TFORM). `data` holds its rows as bytes.
 pub(crate) fn table(
     name: &str,
     columns: &[(&str, &str)],

@@ -108,7 +108,8 @@ pub(crate) fn without(good: &[u8], keywords: &[&str]) -> Vec<Mutation> {
         .collect()
 }
 
-/// Gives each of these cards values of wrong types. Numbers also become texts, and texts numbers.
+/// Gives each of these cards values of wrong types. Numbers also become strings, and strings become
+/// numbers.
 pub(crate) fn wrong_types(good: &[u8], numbers: &[&str], texts: &[&str]) -> Vec<Mutation> {
     let of = |keywords: &[&str], values: &[&str]| -> Vec<Mutation> {
         keywords

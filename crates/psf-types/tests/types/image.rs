@@ -44,7 +44,8 @@ fn any_layout_shows_the_same_pixels() {
 
 #[test]
 fn nothing_gets_by_that_is_no_number() {
-    // Values tested in one loop, the ends of such loops, and rows that are apart.
+    // Rows shorter and longer than one inner loop (1024 values), and rows that are not adjacent in
+    // memory.
     for (ny, nx) in [(1, 1), (3, 1023), (2, 1025), (5, 700)] {
         for bad in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY] {
             for (y, x) in [(0, 0), (ny - 1, nx - 1), (ny / 2, nx / 2)] {

@@ -1,4 +1,4 @@
-//! The checks of the data types, through what other crates see of them.
+//! Tests the checks of the data types through their public interface.
 
 mod basis;
 mod image;

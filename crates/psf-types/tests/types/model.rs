@@ -35,8 +35,8 @@ fn the_psf_is_the_weighted_sum_of_the_stamps() {
     assert_eq!(keep.values(), array![[2.0, 1.0, 5.0]]);
     let unit = model(None, Normalisation::Unit).psf_at(p).unwrap();
     assert!((unit.values()[[0, 2]] - 5.0 / 7.0).abs() < 1e-15);
-    let dark = model(None, Normalisation::Unit).psf_at(Position::new(1.0, -1.0).unwrap());
-    assert!(matches!(dark, Err(FieldError::NonPositiveFlux { .. })));
+    let negative = model(None, Normalisation::Unit).psf_at(Position::new(1.0, -1.0).unwrap());
+    assert!(matches!(negative, Err(FieldError::NonPositiveFlux { .. })));
 }
 
 #[test]
@@ -60,7 +60,7 @@ fn every_range_of_stamps_gives_the_same_planes() {
 
 #[test]
 fn truncation_keeps_the_first_components() {
-    // One lit pixel each, so that they are orthonormal.
+    // Each component has one pixel of 1, so that the components are orthonormal.
     let components = Array3::from_shape_fn((3, 2, 2), |(k, y, x)| f64::from(u8::from(2 * y + x == k)));
     let values = Array2::from_shape_fn((2, 3), |(sample, k)| (10 * sample + k) as f64);
     let positions = [(0, 0), (5, 0)].map(|(x, y)| Position::of_pixel(x, y));

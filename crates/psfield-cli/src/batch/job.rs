@@ -19,17 +19,17 @@ const SCENE: &str = "scene";
 /// The options of the files that a job writes. The first one is always given.
 const OUTPUTS: [&str; 3] = ["output", "truth", "quality"];
 /// Options that do not change the results.
-const SILENT: [&str; 1] = ["stream"];
+const WITHOUT_EFFECT_ON_RESULTS: [&str; 1] = ["stream"];
 
 /// A run of `simulate`.
 #[derive(Debug)]
 pub(super) struct Job {
     /// The number of the job, counted from 1.
     pub(super) number: usize,
-    /// The given name, else the output.
+    /// The name that was given, or else the output.
     pub(super) name: String,
     pub(super) output: PathBuf,
-    /// All files that it writes.
+    /// All files that the job writes.
     pub(super) files: Vec<PathBuf>,
     /// The digest of the options on which its results depend.
     pub(super) digest: String,
@@ -40,8 +40,8 @@ pub(super) struct Job {
 }
 
 impl Job {
-    /// Parses all jobs of a file, and checks all that can be checked before the work. `stronger`
-    /// are defaults that precede those of the file.
+    /// Parses all jobs of a file, and checks all that can be checked before the work. The defaults
+    /// `stronger` override the defaults of the file.
     ///
     /// # Errors
     /// [`UsageError`] that names the job and the option: for options that `simulate` does not have,
@@ -119,7 +119,7 @@ impl Job {
         })
     }
 
-    /// Returns the run of the job. The files carry its mark.
+    /// Returns the arguments that run the job. Its files will carry its mark.
     pub(super) fn marked(&self, overwrite: bool) -> SimulateArgs {
         let arguments = self
             .arguments
@@ -133,7 +133,7 @@ impl Job {
     }
 }
 
-/// The files of the jobs so far, and the jobs to which they belong.
+/// The files that the jobs so far read and write, and the job of each file.
 #[derive(Default)]
 struct Places {
     reads: HashMap<PathBuf, String>,
@@ -184,8 +184,8 @@ fn flag(name: &str, setting: &Setting) -> Result<bool, String> {
     }
 }
 
-/// The options as arguments of `simulate`. Unknown options are included, so that the parser reports
-/// them.
+/// Returns the options as arguments of `simulate`. Unknown options are kept, so that the parser
+/// reports them.
 fn arguments(settings: &Settings, command: &Command) -> Result<Vec<OsString>, String> {
     let mut arguments = Vec::new();
     let mut scene = None;
@@ -215,26 +215,26 @@ fn arguments(settings: &Settings, command: &Command) -> Result<Vec<OsString>, St
     Ok(arguments)
 }
 
-/// The digest of the options on which the results depend. Paths enter as they are written, so that
-/// a batch can be moved. FNV-1a of 64 bits, which is the same on every machine and in every
-/// release.
+/// Returns the digest of the options on which the results depend. Paths enter as they are written,
+/// so that a batch can be moved. The digest is FNV-1a of 64 bits, which never changes between
+/// machines or releases.
 fn digest(settings: &Settings, command: &Command) -> String {
     let mut hasher = fnv::FnvHasher::default();
     for (name, setting) in settings.iter() {
         let off = option(command, name).is_some_and(is_flag) && setting.value == "false";
-        if off || OUTPUTS.contains(&name) || SILENT.contains(&name) {
+        if off || OUTPUTS.contains(&name) || WITHOUT_EFFECT_ON_RESULTS.contains(&name) {
             continue;
         }
         for text in [name, &setting.value] {
             hasher.write(text.as_bytes());
-            // A mark after each text keeps ("ab", "c") apart from ("a", "bc").
+            // A mark after each string keeps ("ab", "c") apart from ("a", "bc").
             hasher.write(&[0xff]);
         }
     }
     format!("{:016x}", hasher.finish())
 }
 
-/// The parser's message, without its advice on the command line.
+/// Returns the message of the parser in one line, without its advice for the command line.
 fn in_one_line(error: &clap::Error) -> String {
     let text = error.to_string();
     let end = ["\n\nUsage:", "\n\nFor more information"]
@@ -261,7 +261,7 @@ pub(super) enum JobState {
 impl JobState {
     pub(super) fn of(job: &Job) -> Self {
         let mut there = 0;
-        // Without following links: a dangling link is in the way too.
+        // Links are not followed, because a dangling link is in the way too.
         for file in job.files.iter().filter(|file| file.symlink_metadata().is_ok()) {
             if let Err(why) = judge(file, &job.digest) {
                 return Self::Refused(why);
@@ -276,7 +276,7 @@ impl JobState {
     }
 }
 
-/// Checks that a file is a good one of the job with this digest.
+/// Checks that a file was made by the job with this digest, and did not fail its spot check.
 fn judge(file: &Path, digest: &str) -> Result<(), String> {
     let header = psf_io::read_header(file).map_err(|e| {
         format!(
@@ -300,7 +300,7 @@ fn judge(file: &Path, digest: &str) -> Result<(), String> {
         )),
         Some(_) if text(SpotCheck::VERDICT_KEYWORD).as_deref() == Some(SpotCheck::FAILED) => Err(format!(
             "{} exists but failed its spot check when it was made: it differs from the direct sum by more than the method promises. \
-             --overwrite makes it again",
+             Choose another method for this job, then --overwrite replaces the file",
             file.display()
         )),
         Some(_) => Ok(()),

@@ -1,4 +1,4 @@
-//! Jobs files, and options as they are written there.
+//! Jobs files, and the options of their jobs before they are parsed.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -50,7 +50,7 @@ impl JobsFile {
         })
     }
 
-    /// Parses `[defaults]` and `[[job]]` tables.
+    /// Parses TOML: a table `[defaults]`, and a table `[[job]]` for each job.
     pub(super) fn from_toml(text: &str, folder: &Path) -> Result<Self, String> {
         let table: Table = text.parse().map_err(|e: toml::de::Error| e.to_string())?;
         let mut defaults = Settings::default();
@@ -89,7 +89,7 @@ impl JobsFile {
         })
     }
 
-    /// Parses a line of option names and a row per job.
+    /// Parses CSV: a line of option names, and a row for each job.
     pub(super) fn from_csv(bytes: &[u8], folder: &Path) -> Result<Self, String> {
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
@@ -120,7 +120,7 @@ impl JobsFile {
     }
 }
 
-/// Returns the line of a record. Its position is that of the blank lines and comments before it.
+/// Returns the line of a record. `position` is where the blank lines and comments before it begin.
 fn line_of(bytes: &[u8], position: &csv::Position) -> u64 {
     let rest = &bytes[position.byte() as usize..];
     let skipped = rest
@@ -152,7 +152,7 @@ fn settings(table: Table, folder: &Path) -> Result<Settings, String> {
     Ok(settings)
 }
 
-/// Converts a value to the text of an argument.
+/// Converts a value to the string of an argument.
 fn text(name: &str, value: &Value) -> Result<String, String> {
     match value {
         Value::String(text) => Ok(text.clone()),
@@ -160,7 +160,7 @@ fn text(name: &str, value: &Value) -> Result<String, String> {
         Value::Float(number) => Ok(number.to_string()),
         Value::Boolean(flag) => Ok(flag.to_string()),
         other => Err(format!(
-            "{name}: expected a text, a number, true or false, or a list of them, found a value of type {}",
+            "{name}: expected a string, a number, true or false, or a list of them, found a value of type {}",
             other.type_str()
         )),
     }
@@ -216,7 +216,7 @@ impl Settings {
         }
     }
 
-    /// Returns these options, completed by those of `weaker`.
+    /// Returns these options, and those of `weaker` that are not set here.
     pub(super) fn or(mut self, weaker: &Self) -> Self {
         for (name, setting) in &weaker.0 {
             self.0.entry(name.clone()).or_insert_with(|| setting.clone());

@@ -14,20 +14,23 @@ use serde::Serialize;
 
 use crate::batch::job::{Job, JobState};
 use crate::batch::jobs_file::{Assignment, JobsFile, Settings};
-use crate::context::{Context, told};
+use crate::context::{Context, message_of};
 use crate::simulate::{Report, Simulators};
 
-/// Simulate many scenes, and prepare only once what they share
+/// Simulate many scenes, and reuse PSF models and plans between them
 ///
 /// A job is a set of options of simulate by their long names, with `scene` for the scene itself and
 /// optionally a `name`. Relative paths in the jobs file refer to its folder. All jobs are checked
-/// before the first one runs. Each job ends with a line of JSON on standard output. A job that
-/// fails does not stop the others, and the exit status is then 1.
+/// before the first one runs. A job that fails does not stop the others, and the exit status is
+/// then 1.
+///
+/// For each job, one line of JSON is printed on standard output. With --quiet, only the lines of
+/// failed jobs are printed, and with --quiet --json all of them.
 ///
 /// A batch that is run again continues where it was interrupted: a job whose files exist is
-/// skipped. Images carry a digest of their options (PSFJOB), and a job whose options have changed
-/// since then fails unless --overwrite is given. Changes in the content of its inputs are not
-/// detected.
+/// skipped. Images carry a digest of the options of their job (PSFJOB). A job whose options have
+/// changed since then fails unless --overwrite is given. Changes in the content of input files are
+/// not detected.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = SAMPLE)]
 pub(crate) struct BatchArgs {
@@ -39,7 +42,8 @@ pub(crate) struct BatchArgs {
     jobs: PathBuf,
     /// Set an option for all jobs that do not set it themselves (repeatable)
     ///
-    /// It overrides `[defaults]`. Relative paths refer to the working directory.
+    /// This overrides `[defaults]`. Relative paths refer to the working directory. Flags are set by
+    /// --set one-based or --set one-based=true, and in a jobs file by one-based = true.
     #[arg(long, value_name = "OPTION=VALUE")]
     set: Vec<Assignment>,
     /// Run all jobs, and replace outputs that exist
@@ -48,9 +52,9 @@ pub(crate) struct BatchArgs {
     /// Also append the lines of all jobs to this file
     #[arg(long, value_name = "LOG.jsonl")]
     log: Option<PathBuf>,
-    /// Number of models and plans that are kept for later jobs of the same kind
+    /// Number of PSF models with their plans that are kept in memory for later jobs
     ///
-    /// Each takes the memory of its PSF and its plan (--memory).
+    /// Each takes the memory of its PSF and of its plan (--memory).
     #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=1000))]
     keep: u16,
 }
@@ -77,7 +81,7 @@ const SAMPLE: &str = r#"A jobs file in TOML:
   output = "field2.fits"
   seed = 2
 
-and one in CSV, with the common options as --set psf=telescope.fits --set shape=1024,1024:
+and one in CSV, run as psfield batch jobs.csv --set psf=telescope.fits --set shape=1024,1024:
 
   output,catalog,seed,detector
   field1.fits,field1.csv,,
@@ -131,7 +135,7 @@ impl BatchArgs {
 /// The number of failed jobs that are named at the end.
 const MOST_NAMED: usize = 10;
 
-/// Runs a job, unless its files exist.
+/// Runs a job unless its files exist, and returns its report.
 fn report_of<'a>(
     job: &'a Job,
     overwrite: bool,
@@ -165,12 +169,12 @@ fn report_of<'a>(
                 Ok(simulated) => {
                     match simulated.verdict() {
                         Ok(()) => report.status = Status::Done,
-                        Err(error) => report.error = Some(told(&error)),
+                        Err(error) => report.error = Some(message_of(&error)),
                     }
                     report.reused = Some(simulators.made == made);
                     report.report = Some(simulated);
                 }
-                Err(error) => report.error = Some(told(&error)),
+                Err(error) => report.error = Some(message_of(&error)),
             }
         }
     }
@@ -200,11 +204,11 @@ struct JobReport<'a> {
     report: Option<Report>,
 }
 
-/// Writes to standard output and to the log.
+/// Writes the lines of the jobs to standard output and to the log.
 struct LineWriter {
     log: Option<(File, PathBuf)>,
     failures_only: bool,
-    /// True once standard output has no reader.
+    /// True after standard output has lost its reader.
     closed: bool,
 }
 
@@ -234,7 +238,7 @@ impl LineWriter {
         }
         let mut out = std::io::stdout().lock();
         match out.write_all(line.as_bytes()).and_then(|()| out.flush()) {
-            // The jobs go on without a reader: the images are the result.
+            // The jobs continue without a reader, because the images are the result.
             Err(e) if e.kind() == ErrorKind::BrokenPipe => self.closed = true,
             other => other.context("cannot write to standard output")?,
         }
@@ -245,7 +249,7 @@ impl LineWriter {
 /// Opens a log. If its last line is incomplete, because the process was killed, ends that line.
 fn open(path: &Path) -> std::io::Result<File> {
     let log = File::options().create(true).append(true).open(path)?;
-    // A pipe or a device holds nothing. A log that cannot be read is taken as complete.
+    // Pipes and devices have no last line. A log that cannot be read counts as complete.
     let found = log.metadata()?;
     if found.is_file() && found.len() > 0 && !ends_a_line(path).unwrap_or(true) {
         append(&log, "\n")?;
@@ -342,7 +346,7 @@ mod tests {
         ] {
             assert_ne!(digest(&format!("output = 'a.fits'\n{other}")), plain, "{other}");
         }
-        // Equal texts, with the boundary between them elsewhere.
+        // Equal characters, divided differently between the options.
         assert_ne!(
             digest("output = 'a.fits'\nanchor = 'source'\nprecision = 'f64'"),
             digest("output = 'a.fits'\nanchor = 'output'\nprecision = 'f64'")

@@ -35,9 +35,9 @@ pub(crate) use crate::bench::settings::JsonTo;
 /// The PSF is drawn from a preset on grids of samples and stretched to the frame, so that it varies
 /// by the same amount over a frame of any size. In the scene every pixel has light.
 ///
-/// The unit of the ratios, `single`, always runs. It is one convolution with the PSF of the middle
-/// of the frame by the tiles of the engine (a plan of a constant field with a single mode and no
-/// coefficients), the fastest convolution with one PSF in psfield.
+/// All run times are also given as ratios to `single`, which always runs. `single` convolves the
+/// frame with one PSF: the PSF of its middle. It is the fastest convolution with one PSF in
+/// psfield.
 #[derive(Debug, clap::Args)]
 pub(crate) struct BenchArgs {
     /// Sides of the frames (pixels) [default: 512,1024,2048]
@@ -135,10 +135,11 @@ pub(crate) struct BenchArgs {
         hide_short_help = true
     )]
     seed: u64,
-    /// Shorten the defaults: 256 pixels, 5 x 5 samples, two tolerances, one run
+    /// Use smaller defaults: frame 256 x 256, 5 x 5 samples, patch 64, rank 10, tolerances 1e-2 and
+    /// 1e-4, one run, 100 pixels
     #[arg(long, help_heading = MEASUREMENT)]
     quick: bool,
-    /// Write all figures as JSON to FILE, or without FILE to standard output instead of the table
+    /// Write all numbers as JSON to FILE. Without FILE: print them instead of the table
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-", value_parser = OsStringValueParser::new().map(JsonTo::of_argument))]
     json: Option<JsonTo>,
     /// Plot run time against error (SVG)
@@ -164,19 +165,19 @@ enum MethodName {
     Single,
     /// The fast engine with transforms for all tiles, at each of --tolerances
     Lowrank,
-    /// The fast engine with the cheapest way for each tile, at each of --tolerances
+    /// The fast engine with the cheapest computation for each tile, at each of --tolerances
     Auto,
     /// One PSF per patch, for each of --patches
     Patch,
     /// One convolution of the whole image per component, for each of --ranks
     Basis,
-    /// The double sum, only where it takes seconds
+    /// The exact sum over all pixels, skipped where it would take more than a few seconds
     Direct,
 }
 
 /// Default number of components of a fitted model.
 const RANK: usize = 100;
-/// A larger number is a typing error.
+/// The largest number of pixels at which errors are measured. A larger number is a typing error.
 const MAX_PIXELS: i64 = 1_000_000;
 /// The largest side of a frame. A larger number is a typing error.
 const MAX_SIDE: usize = 1 << 15;
@@ -210,7 +211,7 @@ impl BenchArgs {
             ..BenchOptions::default()
         };
         if options.device == Device::Gpu {
-            // An error here comes before samples are drawn.
+            // A missing GPU is reported before samples are drawn.
             psfield::open_gpu(options.gpu_adapter.as_deref())?;
         }
         let mut scene = None;
@@ -282,7 +283,8 @@ impl BenchArgs {
         }
     }
 
-    /// Returns a model for each grid, or the model of the file. Each is made when it is needed.
+    /// Returns a model for each grid, or the model of the file. Each model is made when it is
+    /// needed.
     fn records<'a>(
         &'a self,
         settings: &'a Settings,
@@ -325,7 +327,7 @@ impl BenchArgs {
         })
     }
 
-    /// Returns the options in force, without those that a file replaces.
+    /// Returns the options in force, without the options that a file replaces.
     fn options<T: ConvReal>(&self, settings: &Settings) -> impl Serialize {
         object! {
             #[serde(flatten)]
@@ -350,7 +352,7 @@ impl BenchArgs {
     }
 }
 
-/// A fit that keeps every component. The first ones are used.
+/// A fit that keeps every component, so that models can be truncated later.
 fn every_component() -> FitOptions {
     FitOptions {
         rank: RankSelection::Full,

@@ -1,4 +1,4 @@
-//! The figures of a benchmark as JSON, as text and as a plot.
+//! The results of a benchmark as JSON, as text and as a plot.
 
 use std::fmt::Write;
 
@@ -44,7 +44,7 @@ impl<O> Report<O> {
                 let _ = writeln!(text, "{}", line(&cells(row)[..shown]));
             }
             for row in rows {
-                text.push_str(&floor(row));
+                text.push_str(&least_bytes(row));
             }
             for skipped in self
                 .skipped
@@ -75,7 +75,7 @@ pub(super) fn size_of(row: &BenchRow) -> String {
 fn settings_of(row: &BenchRow) -> String {
     let threads = if row.threads == 1 { "thread" } else { "threads" };
     format!(
-        "{}, {}-anchored, {} {threads}",
+        "{}, each {} pixel uses its own PSF, {} {threads}",
         row.precision, row.anchor, row.threads
     )
 }
@@ -84,8 +84,8 @@ fn or_dash(text: Option<String>) -> String {
     text.unwrap_or_else(|| "-".to_owned())
 }
 
-/// The bytes that any hardware has to move, if a GPU did the work.
-fn floor(row: &BenchRow) -> String {
+/// A line with the smallest number of bytes that any hardware must move, if a GPU did the work.
+fn least_bytes(row: &BenchRow) -> String {
     let Some([bus, memory]) = row.gpu_seconds.as_ref().map(|times| times.least_bytes) else {
         return String::new();
     };
@@ -99,7 +99,7 @@ fn floor(row: &BenchRow) -> String {
     )
 }
 
-/// The names of the columns. The last ones tell how the time of the fastest run on a GPU is spent.
+/// The names of the columns. The last four are the parts of the time of the fastest run on a GPU.
 const COLUMNS: [&str; 14] = [
     "method", "setting", "plan s", "min s", "median s", "ratio", "rel. L2", "modes", "tile", "memory",
     "kernel s", "copy s", "host s", "total s",
@@ -143,7 +143,7 @@ fn line(cells: &[impl AsRef<str>]) -> String {
 /// Errors below this value, and errors of 0, are drawn here.
 const LEAST_ERROR: f64 = 1e-17;
 
-/// The methods in the order of the key, each with its marker and the index of its colour.
+/// The methods in the order of the legend, each with its marker and the index of its colour.
 const METHODS: [(&str, Marker, usize); 6] = [
     (UNIT, Marker::Cross, 3),
     ("lowrank", Marker::Circle, 0),
@@ -155,12 +155,15 @@ const METHODS: [(&str, Marker, usize); 6] = [
 /// The method whose time is the unit of the ratios.
 const UNIT: &str = "single";
 
+/// The meaning of the labels next to points.
+const LABELS: &str = "numbers: tolerance (lowrank), pixels (patch), rank (basis)";
+
 /// Draws a panel for each case. The first row of a case is the single PSF.
 pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
     let panels: Vec<(String, Curves)> = cases
         .iter()
         .map(|rows| {
-            let title = format!("{}\n{}", size_of(&rows[0]), settings_of(&rows[0]));
+            let title = format!("{}\n{}\n{LABELS}", size_of(&rows[0]), settings_of(&rows[0]));
             (title, curves(rows))
         })
         .collect();
@@ -169,7 +172,7 @@ pub(super) fn plot(cases: &[&[BenchRow]]) -> Result<Figure, PlotError> {
 
 fn curves(rows: &[BenchRow]) -> Curves {
     let of = |name| rows.iter().filter(move |row| row.method == name);
-    // The time of one convolution, at any error.
+    // The time of one convolution with a single PSF is a line over all errors.
     let marks = of(UNIT)
         .map(|row| Mark::Horizontal(row.seconds, UNIT.to_owned()))
         .collect();
@@ -180,7 +183,8 @@ fn curves(rows: &[BenchRow]) -> Curves {
             let points: Vec<(f64, f64, Option<&str>)> = of(name)
                 .filter_map(|row| Some((error(row)?, row.seconds, row.setting.as_deref())))
                 .collect();
-            // `auto` has the settings of `lowrank`, at nearby points.
+            // `auto` has no labels of its own, because it has the settings of `lowrank` at nearby
+            // points.
             let named = name != "auto" || of("lowrank").next().is_none();
             Curve {
                 marker: Some(marker),
@@ -198,7 +202,7 @@ fn curves(rows: &[BenchRow]) -> Curves {
     }
 }
 
-/// The values of the settings. Points that lie close together share a text.
+/// Labels with the values of the settings. Points that lie close together share a label.
 fn labels(points: &[(f64, f64, Option<&str>)]) -> Vec<((f64, f64), String)> {
     points
         .chunk_by(|a, b| close(a.0, b.0) && close(a.1, b.1))
@@ -214,7 +218,7 @@ fn close(a: f64, b: f64) -> bool {
     (a / b).ln().abs() < 0.3
 }
 
-/// The error as it is drawn, if there is one.
+/// The error at which a row is drawn, if it has an error.
 fn error(row: &BenchRow) -> Option<f64> {
     row.relative_l2.map(|e| e.max(LEAST_ERROR))
 }

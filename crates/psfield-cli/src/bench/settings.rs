@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::bench::{BenchArgs, MethodName};
 use crate::devices::device_parser;
 
-/// The lists and numbers in force: the arguments, else those of `--quick`, else the defaults.
+/// The settings in force: the arguments, or else the values of `--quick`, or else the defaults.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct Settings {
     /// Pixels along each side of the frame.
@@ -103,7 +103,8 @@ impl Settings {
     }
 }
 
-/// The device is never chosen automatically, because figures belong to a device.
+/// The device of the fast engine. It is never chosen automatically, because times are compared on a
+/// known device.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Device")]
 pub(super) struct BenchDeviceArgs {
@@ -128,8 +129,8 @@ impl BenchDeviceArgs {
 
 /// The destination of a command's JSON, if any.
 ///
-/// For every command `--json` takes no value, but for `bench` it may also take a file. The parser
-/// wants one type for both.
+/// `--json` of `bench` may take a file, but that of other commands takes no value. The parser needs
+/// one type for both.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum JsonTo {
     Nowhere,

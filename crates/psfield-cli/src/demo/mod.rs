@@ -40,8 +40,8 @@ pub(crate) struct DemoArgs {
 const TELESCOPE: &str = include_str!("../../assets/demo_telescope.toml");
 /// Interpolation error (relative L2) at which the sampling stops.
 const SAMPLING_THRESHOLD: f64 = 0.01;
-/// Number of PSFs drawn by the telescope to judge the model.
-const JUDGED: usize = 100;
+/// Number of PSFs with which the model is compared.
+const TEST_PSFS: usize = 100;
 /// Number of pixels checked against the direct sum.
 const SPOT_CHECK: usize = 300;
 const PATCH: usize = 128;
@@ -50,7 +50,7 @@ impl DemoArgs {
     pub(crate) fn run(self, context: &Context) -> anyhow::Result<()> {
         let start = Instant::now();
         let mut out = Output::new(self.out, self.overwrite)?;
-        // Nothing is written if any file is in the way.
+        // Nothing is written if one of the files exists and must be kept.
         for name in FILES {
             psf_io::check_output(out.folder.join(name), self.overwrite)?;
         }
@@ -76,7 +76,7 @@ impl DemoArgs {
             self.overwrite,
         )?;
         let model = psf.model()?;
-        let model_errors = judge(&telescope, model, self.seed)?;
+        let model_errors = measure_model(&telescope, model, self.seed)?;
         let (fwhm, ellipticity) = out.psf_map(model, frame)?;
         drop(spinner);
 
@@ -92,18 +92,18 @@ impl DemoArgs {
             psfs_drawn,
             rank: fit_report.rank,
             elbow: fit_report.elbow,
-            fit_max_error: fit_report.max_error,
-            // Relative L2 of the model's PSFs against the telescope's own, at random positions.
-            model_error_median: model_errors.median(),
-            model_error_max: model_errors.max(),
+            truncation_max_relative_l2: fit_report.max_error,
+            // Errors of the model's PSFs against the telescope's own, at random positions.
+            model_median_relative_l2: model_errors.median(),
+            model_max_relative_l2: model_errors.max(),
             galaxies: GALAXIES + 1,
             stars: STARS,
             fwhm_px_min: fwhm.min(),
             fwhm_px_max: fwhm.max(),
             ellipticity_max: ellipticity.max(),
             spot_check,
-            // Relative L2 of the image made by patches against the exact one.
-            patch: PATCH,
+            // Relative L2 difference of the image made by patches from the default image.
+            patch_px: PATCH,
             patch_relative_l2: patch_error,
             seconds: object! {
                 sample: sample_seconds,
@@ -118,22 +118,22 @@ impl DemoArgs {
             let check = &report.spot_check;
             format!(
                 "sampled   {} PSFs over {frame} pixels ({} drawn) in {:.2} s\n\
-                 fitted    {} components (elbow at {}), largest fit error {:.1e}, in {:.2} s\n\
-                 model     differs by {:.1e} (median), {:.1e} (largest) from the telescope's own PSFs\n\
+                 fitted    {} components (elbow at {}), largest truncation error {:.1e}, in {:.2} s\n\
+                 model     PSFs differ from the telescope's own by {:.1e} (median), {:.1e} (largest, relative L2)\n\
                  PSF       FWHM {:.2} to {:.2} pixels, ellipticity up to {:.2}\n\
                  simulated {} galaxies and {} stars in {:.2} s\n\
                  checked   {} pixels against the direct sum: largest difference {:.1e}{}\n\
-                 patches   of {} pixels differ by {:.1e} (relative L2): see patch_error.png\n\
+                 patches   of {} pixels give an image that differs by {:.1e} (relative L2): see patch_error.png\n\
                  wrote     {} files to {} in {:.1} s: start with image.png, psf_field.png and report.json\n",
                 report.samples,
                 report.psfs_drawn,
                 s.sample,
                 report.rank,
                 report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),
-                report.fit_max_error,
+                report.truncation_max_relative_l2,
                 s.fit,
-                report.model_error_median,
-                report.model_error_max,
+                report.model_median_relative_l2,
+                report.model_max_relative_l2,
                 report.fwhm_px_min,
                 report.fwhm_px_max,
                 report.ellipticity_max,
@@ -145,7 +145,7 @@ impl DemoArgs {
                 check
                     .max_over_peak
                     .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)")),
-                report.patch,
+                report.patch_px,
                 report.patch_relative_l2,
                 report.files.len(),
                 report.folder.display(),
@@ -164,8 +164,9 @@ fn sample(telescope: &Telescope, progress: &dyn Progress) -> anyhow::Result<(Psf
     Ok((sampling.samples, sampling.report.draws, seconds))
 }
 
-/// Simulates a scene, with the default method and by patches. Returns the spot check of the image,
-/// the relative L2 error of the image made by patches, and the seconds that the first image took.
+/// Simulates a scene with the default method and by patches. Returns the spot check of the default
+/// image, the relative L2 error of the image made by patches, and the seconds for the default
+/// image.
 fn image(
     out: &mut Output,
     record: &PsfModelRecord,
@@ -184,9 +185,7 @@ fn image(
     let simulator = by(Method::Auto)?;
     let image = simulator.simulate(&scene)?;
     let simulate_seconds = clock.elapsed().as_secs_f64();
-    let spot_check = SpotCheck::run(&image, SPOT_CHECK, seed, |pixels| {
-        simulator.exact_at(&scene, pixels, &NoProgress)
-    })?;
+    let spot_check = simulator.spot_check(&scene, &image, (SPOT_CHECK, seed), &NoProgress)?;
     out.image("image.fits", &image, &spot_check.cards()?)?;
     let by_patches = by(Method::Patch(PATCH))?.simulate(&scene)?;
     let patch_error = Comparison::of(by_patches.pixels(), image.pixels())?.relative_l2()?;
@@ -195,8 +194,8 @@ fn image(
 }
 
 /// Relative L2 errors of the model's PSFs at random positions, against PSFs drawn by the telescope.
-fn judge(telescope: &Telescope, model: &PsfModel, seed: u64) -> anyhow::Result<Summary> {
-    let positions = sky::random_positions(telescope.field(), JUDGED, seed)?;
+fn measure_model(telescope: &Telescope, model: &PsfModel, seed: u64) -> anyhow::Result<Summary> {
+    let positions = sky::random_positions(telescope.field(), TEST_PSFS, seed)?;
     let errors = positions.into_iter().map(|position| {
         let drawn = telescope.draw(position)?;
         let unit_flux = drawn.values().mapv(|v| v / drawn.flux());

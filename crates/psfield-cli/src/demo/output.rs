@@ -10,12 +10,13 @@ use psf_types::{FrameShape, Image, PointSource, Position, PsfModel};
 use psfield::{EvaluateOptions, MEASUREMENT_COLUMNS, MeasureOptions, OutputGrid, evaluate};
 use psfield_lab::plot::{Figure, Picture, PictureAxes, Scale, pictures, positions_figure};
 
+use super::PATCH;
 use super::sky::Sky;
 use crate::context::signature;
 
 /// Flux per pixel above which pictures of the scene are logarithmic.
 const SOFT: f64 = 30.0;
-/// Number of PSFs shown along each side of the field.
+/// Number of PSFs that are shown along each side of the field.
 const ACROSS: usize = 9;
 
 /// All files that are written.
@@ -117,14 +118,14 @@ impl Output {
         image: &Image<f32>,
         by_patches: &Image<f32>,
     ) -> anyhow::Result<()> {
-        // One stretch for both, so that they can be compared.
+        // Both pictures have one scale, so that they can be compared.
         let image = image.pixels().mapv(f64::from);
         let high = Summary::of(image.iter().copied())?
             .quantile(0.9995)?
             .max(2.0 * SOFT);
         let stretch = Scale::Asinh { soft: SOFT, high };
         let sharp = sky.sharp().mapv(f64::from);
-        let flux = "flux per pixel";
+        let flux = "flux per pixel (asinh scale)";
         self.figure(
             "scene.png",
             &single_picture("input scene", sharp.view(), stretch, flux)?,
@@ -138,10 +139,12 @@ impl Output {
         let scale = Scale::Difference {
             most: most.max(f64::MIN_POSITIVE),
         };
-        let title = "image with one PSF per patch - image by psfield";
+        let title = format!(
+            "one PSF per {PATCH}-pixel patch minus psfield\n(galaxies only; 0.5 % of the pixels exceed the bar)"
+        );
         self.figure(
             "patch_error.png",
-            &single_picture(title, difference.view(), scale, flux)?,
+            &single_picture(&title, difference.view(), scale, "flux per pixel")?,
         )
     }
 }
@@ -180,8 +183,9 @@ fn psf_field(stamps: ArrayView3<'_, f64>, frame: FrameShape) -> anyhow::Result<F
         let step = (pixels - 1) as f64 / (ACROSS - 1) as f64;
         -0.5 * step..(ACROSS as f64 - 0.5) * step
     };
+    let title = format!("PSF over the field, one brightness scale\n(each square: {nx} x {ny} pixels)");
     Ok(pictures(&[Picture {
-        title: "PSF over the field, on one scale",
+        title: &title,
         pixels: whole.view(),
         scale: Scale::Asinh {
             soft: peak * 1e-3,

@@ -71,9 +71,9 @@ impl Sky {
     }
 }
 
-/// Draws from a power law of fluxes, `N(> f) ~ f^-slope`, between `faintest` and `brightest`.
-fn power_law(rng: &mut ChaCha8Rng, slope: f64, faintest: f64, brightest: f64) -> f64 {
-    let (a, b) = (faintest.powf(-slope), brightest.powf(-slope));
+/// Draws a value from the power law `N(> f) ~ f^-slope`, between `smallest` and `largest`.
+fn power_law(rng: &mut ChaCha8Rng, slope: f64, smallest: f64, largest: f64) -> f64 {
+    let (a, b) = (smallest.powf(-slope), largest.powf(-slope));
     (a + rng.random::<f64>() * (b - a)).powf(-1.0 / slope)
 }
 

@@ -1,4 +1,4 @@
-//! From a scene to its image: in memory, or by rows from one FITS file to another.
+//! Makes the image of a scene: in memory, or by rows from one FITS file to another.
 
 use std::ops::Range;
 use std::time::Instant;
@@ -16,7 +16,7 @@ use crate::simulate::exposure_args::Exposing;
 use crate::simulate::report::Seconds;
 use crate::simulate::scene::ReadScene;
 
-/// The outcome for a scene whose image is written.
+/// The results of a simulation whose image has been written.
 pub(super) struct Outcome {
     pub(super) counts: TileCounts,
     pub(super) spot_check: Option<SpotCheck>,
@@ -84,8 +84,8 @@ impl SimulateArgs {
     ) -> anyhow::Result<Outcome> {
         let header = simulator.carried_header(&read.header, true);
         let cards = self.cards(simulator, made)?;
-        // Without a check nothing is reserved, so that the header equals that of an image written
-        // at once.
+        // Cards of a later check need room in the header. Without a check no room is reserved, so
+        // that the header equals the header of an image from memory.
         let late = if self.spot_check > 0 {
             SpotCheck::KEYWORDS.len()
         } else {
@@ -136,8 +136,8 @@ impl SimulateArgs {
     }
 }
 
-/// Reads rows of the scene from its file, writes rows of the image to its file, and picks the
-/// pixels of the spot check on the way.
+/// Reads rows of the scene from its file and writes rows of the image to its file. Picks the pixels
+/// of the spot check from the rows that it writes.
 struct FitsRows<T: ConvReal> {
     reader: ImageReader,
     writer: ImageWriter<T>,

@@ -14,15 +14,16 @@ use super::super::expose::check_detector;
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Detector")]
 pub(super) struct ExposureArgs {
-    /// Expose the image with this detector, and write its counts
+    /// Write detector counts instead of flux, and the noise-free image as IMAGE_truth.fits
     ///
     /// Sky, photon noise, dark current, read noise, gain, digitisation: psfield expose --help lists
-    /// the keys of the file. The noise follows --seed.
+    /// the keys of the file. --seed is the seed of the noise. --no-truth leaves the second file
+    /// out.
     #[arg(long, value_name = "DETECTOR.toml")]
     pub(super) detector: Option<PathBuf>,
     /// Noise-free image to write with --detector [default: IMAGE_truth.fits next to the image]
     ///
-    /// It has the unit of the detector's counts, and includes the sky.
+    /// This image has the unit of the detector's counts, and includes the sky.
     #[arg(
         long,
         value_name = "TRUTH.fits",

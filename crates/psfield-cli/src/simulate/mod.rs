@@ -15,7 +15,7 @@ use psfield::{ErrorKind, JOB_KEYWORD, Method, Preparation, PsfieldError, Simulat
 use psfield_lab::{available_memory_bytes, peak_memory_bytes};
 
 use crate::UsageError;
-use crate::context::{Context, signature, signature_of, told, with_option};
+use crate::context::{Context, message_of, signature, signature_of, with_option};
 use crate::devices::DeviceArgs;
 use crate::psf_args::PsfArgs;
 use crate::simulate::exposure_args::ExposureArgs;
@@ -31,6 +31,11 @@ pub(crate) use crate::simulate::report::Report;
 ///
 /// The scene is an image (flux in each pixel), a catalogue of stars and galaxies, or both. Field
 /// positions of the PSF count from the first pixel of the image that is written.
+///
+/// An example with the catalogue of a source extractor:
+///
+/// psfield simulate --catalog cat.fits --columns x=X_IMAGE,y=Y_IMAGE,mag=MAG_AUTO --one-based
+/// --zero-point 25 --shape 2048,2048 --psf model.fits -o image.fits
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct SimulateArgs {
     /// PSF: a model, samples (which are fitted), or any PSF file that convert reads
@@ -60,8 +65,9 @@ pub(crate) struct SimulateArgs {
     tolerance: Option<f64>,
     /// Check N random pixels against the direct sum in double precision
     ///
-    /// Half of them are where the image is bright. If a difference exceeds what the method
-    /// promises, the command fails after it has written the image.
+    /// Half of them are bright pixels. If the relative r.m.s. difference is above 3 x --tolerance
+    /// plus rounding, the image is still written and the command fails. For basis and direct the
+    /// limit is rounding. patch=N has no limit for light in images and galaxies.
     #[arg(
         long,
         value_name = "N",
@@ -75,11 +81,11 @@ pub(crate) struct SimulateArgs {
     seed: u64,
     /// Method of the convolution
     ///
-    /// auto: each tile in the cheapest way.
-    /// lowrank: all tiles by Fourier transforms.
-    /// basis: one convolution per component, exact.
-    /// patch=N: one PSF for each N x N pixels, not exact.
-    /// direct: the double sum.
+    /// auto: the cheapest computation for each tile, within --tolerance.
+    /// lowrank: Fourier transforms for all tiles, within --tolerance.
+    /// basis: one convolution of the image per component, exact.
+    /// patch=N: one PSF for each N x N pixels, approximate.
+    /// direct: sum over all pixels, exact and very slow.
     #[arg(
         long,
         default_value_t,
@@ -111,11 +117,11 @@ pub(crate) struct SimulateArgs {
         hide_short_help = true
     )]
     precision: Precision,
-    /// Cut or pad the PSF stamps to N x N pixels of the image
+    /// Cut or pad the PSF stamps to N x N pixels of the image [default: the stamp's own size]
     ///
-    /// The PSF is centred at pixel N / 2. For light in an image, stamps are cut before they are
-    /// scaled to unit flux. The stamp of a star is cut around the pixel on which the star lies, and
-    /// the light outside is lost.
+    /// The PSF is centred at pixel N / 2. For light in an image, stamps are cut or padded, then
+    /// scaled to unit flux. For stars, stamps are cut around the star's pixel and not scaled again,
+    /// so that light outside is lost.
     #[arg(
         long,
         value_name = "N",
@@ -132,15 +138,15 @@ pub(crate) struct SimulateArgs {
         hide_short_help = true,
         help = memory_help(),
         long_help = format!(
-            "{}\n\nIt comes on top of scene and image. Applies only to the methods auto and lowrank.",
+            "{}\n\nThis is in addition to the memory of scene and image. Applies only to the methods auto and lowrank.",
             memory_help()
         )
     )]
     memory: Option<usize>,
     /// Read the scene and write the image in bands of rows
     ///
-    /// Neither is ever entirely in memory, and the image has the same bytes. Chosen automatically
-    /// if they would fill most of the free memory.
+    /// psfield then never holds the whole scene or image in memory. The result does not change.
+    /// psfield streams by itself if scene and image would fill more than 70 % of the free memory.
     #[arg(long, help_heading = MEMORY, hide_short_help = true)]
     stream: bool,
     #[command(flatten)]
@@ -171,7 +177,7 @@ fn memory_help() -> String {
     )
 }
 
-/// A larger number is a typing error.
+/// The largest number of pixels of a spot check. A larger number is a typing error.
 const MAX_SPOT_CHECK: i64 = 10_000_000;
 
 /// Larger scenes and images than this fraction of the free memory are streamed.
@@ -184,10 +190,9 @@ impl SimulateArgs {
         report.verdict()
     }
 
-    /// Runs the simulation, with the simulator of an earlier run where it fits.
+    /// Runs the simulation, with the simulator of an earlier run if that suits this run.
     ///
-    /// A failed spot check is in the report ([`Report::verdict`]). The image is written all the
-    /// same.
+    /// The image is written even if its spot check fails. [`Report::verdict`] returns this failure.
     pub(crate) fn simulate(&self, simulators: &mut Simulators, context: &Context) -> anyhow::Result<Report> {
         if let Some(what) = self.misused() {
             return Err(UsageError(what).into());
@@ -200,7 +205,7 @@ impl SimulateArgs {
             let kind = error.downcast_ref().map(PsfieldError::kind);
             if kind == Some(ErrorKind::Gpu) {
                 simulators.forget_gpus();
-                anyhow::anyhow!("{} (--device cpu needs no GPU)", told(&error))
+                anyhow::anyhow!("{} (--device cpu needs no GPU)", message_of(&error))
             } else {
                 error
             }
@@ -315,7 +320,7 @@ impl SimulateArgs {
     }
 
     /// Turns an error about an option into a usage error, and names the file in other errors.
-    fn told_of(&self, error: PsfieldError) -> anyhow::Error {
+    fn explained(&self, error: PsfieldError) -> anyhow::Error {
         match (error.kind(), error.setting(), &self.scene.catalog) {
             (ErrorKind::Setting, Some("frame"), _) => UsageError(with_option(&error, error.setting())).into(),
             (ErrorKind::Data, Some("frame"), _) => error.into(),

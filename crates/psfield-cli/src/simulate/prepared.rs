@@ -18,7 +18,7 @@ pub(crate) struct Simulators {
     kept: Vec<(String, Rc<dyn Any>)>,
     /// The largest number of simulators kept. 0 for a single scene.
     most: usize,
-    /// The number of scenes for which a model or plan was made rather than reused.
+    /// The number of scenes for which a model or plan was made, not reused.
     pub(crate) made: usize,
     /// The last PSF that was read.
     psf: Option<(String, Psf)>,
@@ -33,14 +33,14 @@ impl Simulators {
         }
     }
 
-    /// Forgets all simulators after an error of a GPU: the GPU may be lost, and with it their
+    /// Forgets all simulators after an error of a GPU, because the GPU may be lost, with their
     /// plans.
     pub(super) fn forget_gpus(&mut self) {
         self.kept.clear();
         psfield::forget_gpus();
     }
 
-    /// Returns the PSF that `key` describes: the last one, or read anew.
+    /// Returns the PSF that `key` describes. It is the last PSF or read anew.
     fn psf(&mut self, key: &str, read: impl FnOnce() -> anyhow::Result<Psf>) -> anyhow::Result<Psf> {
         match &self.psf {
             Some((kept, psf)) if kept == key => Ok(psf.clone()),
@@ -52,7 +52,7 @@ impl Simulators {
         }
     }
 
-    /// Returns the simulator that `key` describes in full: a kept one, or built anew.
+    /// Returns the simulator that `key` describes completely. It is a kept simulator or built anew.
     fn get<T: ConvReal>(
         &mut self,
         key: &str,
@@ -83,9 +83,9 @@ pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Resu
 }
 
 impl SimulateArgs {
-    /// Opens the requested GPU before the rest of the work, which is useless without it.
+    /// Opens the requested GPU first, because without it the rest of the work is useless.
     pub(super) fn open_gpu(&self, context: &Context) -> Result<(), PsfieldError> {
-        // A scene of stars only needs no GPU.
+        // A scene with only stars needs no GPU.
         let needed = self.scene.scene.is_some() || !cfg!(feature = "gpu");
         let options = self.options();
         if options.device == Device::Gpu && needed {
@@ -95,7 +95,7 @@ impl SimulateArgs {
         Ok(())
     }
 
-    /// Returns the PSF of the file, kept or read.
+    /// Returns the PSF of the file: kept, or read anew.
     pub(super) fn psf(
         &self,
         simulators: &mut Simulators,
@@ -111,7 +111,7 @@ impl SimulateArgs {
         })
     }
 
-    /// Returns the simulator for scenes of a shape, kept or built.
+    /// Returns the simulator for scenes of a shape: kept, or built anew.
     pub(super) fn simulator<T: ConvReal>(
         &self,
         psf: &Psf,
@@ -122,7 +122,7 @@ impl SimulateArgs {
         // Everything on which a simulator depends.
         let key = format!("{:?}", (&self.psf, &self.fit, shape, &options, T::NAME));
         let build = || psf.simulator((shape.ny(), shape.nx())).options(options).build();
-        simulators.get(&key, build).map_err(|e| self.told_of(e))
+        simulators.get(&key, build).map_err(|e| self.explained(e))
     }
 
     /// Makes the models and the plan that a scene needs, unless they exist. `rows`: the image of
@@ -141,7 +141,7 @@ impl SimulateArgs {
         }
         let spinner = context.spinner("fitting and planning");
         let made = simulator.prepare(scene, rows, &NoProgress);
-        let made = made.map_err(|e| self.told_of(e))?;
+        let made = made.map_err(|e| self.explained(e))?;
         drop(spinner);
         if new {
             simulators.made += 1;

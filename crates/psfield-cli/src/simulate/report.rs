@@ -30,13 +30,13 @@ pub(crate) struct Report {
     pub(super) galaxies: usize,
     /// Invalid rows of the catalogue, which were skipped.
     pub(super) invalid_rows: usize,
-    /// Rows of the catalogue on a part of the sky that the projection does not show.
+    /// Rows of the catalogue at positions on the sky that the projection does not reach.
     pub(super) rows_off_projection: usize,
     /// True if the scene was read and the image written in bands of rows.
     pub(super) streamed: bool,
     #[serde(serialize_with = "plan_figures")]
     pub(super) plan: Option<PlanSummary>,
-    /// Tiles by the way in which they were computed, if there is a plan.
+    /// Number of tiles for each way of computing them, if there is a plan.
     #[serde(serialize_with = "tile_figures")]
     pub(super) tiles: Option<TileCounts>,
     #[serde(serialize_with = "with_text")]
@@ -48,7 +48,7 @@ pub(crate) struct Report {
     pub(super) exposure: Option<ExposureReport>,
 }
 
-/// Seconds by stage. `plan` is the time in which the engine prepares itself.
+/// Seconds of each stage. `plan` is the time in which the engine is prepared.
 #[derive(Debug, Default, Serialize)]
 pub(super) struct Seconds {
     pub(super) read: f64,
@@ -58,7 +58,7 @@ pub(super) struct Seconds {
     pub(super) write: f64,
 }
 
-/// Writes the device of the convolution, with a text for readers.
+/// Writes the device of the convolution, with its description as text.
 fn with_text<S: Serializer>(placement: &Placement, serializer: S) -> Result<S::Ok, S::Error> {
     object! {
         #[serde(flatten)]
@@ -108,7 +108,7 @@ impl Report {
             .is_some_and(|check| check.passed == Some(false))
         {
             anyhow::bail!(
-                "{} was written, but it failed its spot check: it differs from the direct sum by more than the method promises",
+                "{} was written, but it failed its spot check: it differs from the direct sum by more than the method promises. Do not use the image: --method direct computes the direct sum",
                 self.output.display()
             );
         }
@@ -123,7 +123,7 @@ impl Report {
         });
         let tiles = self.tiles.as_ref().map_or_else(String::new, |t| {
             format!(
-                "tiles: {} by transforms, {} directly, {} by drawing stamps, {} without light, {} pixels drawn\n",
+                "tiles: {} by transforms, {} by direct sums, {} by drawing stamps, {} without light; {} lit pixels drawn as stamps\n",
                 t.transformed, t.direct, t.drawn, t.dark, t.drawn_pixels
             )
         });
@@ -166,7 +166,7 @@ impl Report {
         });
         let streamed = if self.streamed { ", streamed" } else { "" };
         format!(
-            "{}: {nx} x {ny} pixels, {} components, method {}, {}-anchored, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
+            "{}: {nx} x {ny} pixels, {} components, method {}, anchor {}, {}{streamed}\n{sources}{plan}{tiles}{exposure}\
              device: {}\n\
              seconds: read {:.3}, fit {:.3}, plan {:.3}, convolve {:.3}, write {:.3}\n{check}",
             self.output.display(),

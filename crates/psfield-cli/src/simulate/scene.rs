@@ -13,13 +13,17 @@ use crate::values::{Frame, Pair, number};
 /// The scene: an image, a catalogue, or both.
 #[derive(Debug, Clone, clap::Args)]
 pub(super) struct SceneArgs {
-    /// Scene: a FITS image with the flux in each pixel [without it: --catalog and --shape]
+    /// FITS image with the flux in each pixel. Without it, give --catalog and --shape
     #[arg(value_name = "SCENE.fits")]
     pub(super) scene: Option<PathBuf>,
     /// Stars and galaxies: CSV, text or FITS table with columns x, y (0-based pixels) and flux
     ///
-    /// x and y are in pixels of the image, and may lie outside it. Rows with re, n, q and angle are
-    /// galaxies with Sersic profiles. --columns gives other names of columns.
+    /// x and y count from the first pixel of the scene, in pixels of the image, and may lie outside
+    /// it. --columns gives other names of columns.
+    ///
+    /// Rows with re and n are galaxies with Sersic profiles. re: half-light radius along the major
+    /// axis (pixels of the image). n: Sersic index, 0.3 to 8. q: axis ratio [default: 1]. angle:
+    /// degrees from +x towards +y [default: 0].
     #[arg(long, value_name = "CATALOG", help_heading = SCENE)]
     pub(super) catalog: Option<PathBuf>,
     /// Columns and rows of a scene without an image (pixels)
@@ -31,10 +35,10 @@ pub(super) struct SceneArgs {
         help_heading = SCENE
     )]
     pub(super) shape: Option<Pair>,
-    /// The scene is S times finer than the image along each axis
+    /// Scene pixels per image pixel along each axis [default: 1]
     ///
-    /// S x S pixels of the scene are one pixel of the image. The catalogue, --shape and --frame are
-    /// still in pixels of the image, and the response of its pixels is applied once.
+    /// From 1 to 64. Use at least 4 for galaxies of a catalogue, or the pixels of the scene blur
+    /// them. The catalogue, --shape and --frame stay in pixels of the image.
     #[arg(
         long,
         value_name = "S",
@@ -43,6 +47,9 @@ pub(super) struct SceneArgs {
     )]
     oversample: Option<u16>,
     /// Part of the scene to write: first column, first row, columns, rows (pixels)
+    ///
+    /// X0, Y0 and the catalogue count from the first pixel of the scene. The positions of the PSF
+    /// count from the first pixel of this part. All are in pixels of the image.
     #[arg(
         long,
         value_name = "X0,Y0,NX,NY",
@@ -51,13 +58,9 @@ pub(super) struct SceneArgs {
         hide_short_help = true
     )]
     pub(super) frame: Option<Frame>,
-    /// HDU of the scene (or of --wcs): its number (0: primary), NAME or NAME,VERSION
-    #[arg(
-        long,
-        value_name = "N|NAME",
-        help_heading = SCENE,
-        hide_short_help = true
-    )]
+    /// HDU of the scene (or of --wcs): its number (0: primary), NAME or NAME,VERSION [default: the
+    /// primary image, else the only one]
+    #[arg(long, value_name = "N|NAME", help_heading = SCENE)]
     pub(super) extension: Option<HduChoice>,
     /// FITS file with the world coordinates of a scene without an image
     ///
@@ -83,11 +86,11 @@ pub(super) struct ReadScene<T: ConvReal> {
     pub(super) scene: Scene<'static, T>,
     /// The shape of the scene, in its own pixels.
     pub(super) shape: FrameShape,
-    /// The header of the scene's image, or of --wcs.
+    /// The header of the scene's image or of the file `--wcs`.
     pub(super) header: HeaderCards,
     /// Invalid rows of the catalogue, which were skipped.
     pub(super) invalid_rows: usize,
-    /// Rows of the catalogue on a part of the sky that the projection does not show.
+    /// Rows of the catalogue at positions on the sky that the projection does not reach.
     pub(super) rows_off_projection: usize,
 }
 
@@ -182,8 +185,8 @@ impl SceneArgs {
 
     /// Reads the catalogue, in pixels of the image.
     fn read_catalog(&self, path: &Path, header: &HeaderCards) -> anyhow::Result<Catalog> {
-        // The header of a scene refers to pixels of the scene, that of --wcs to pixels of the
-        // image.
+        // The header of a scene refers to pixels of the scene, but the header of --wcs to pixels of
+        // the image.
         let sky = match self.scene {
             Some(_) => SkyCoordinates::from_header(&header.binned(self.finer())),
             None => SkyCoordinates::from_header(header),
@@ -208,24 +211,26 @@ impl SceneArgs {
     }
 }
 
-/// Columns, origin and magnitudes of a catalogue.
+/// Options for the columns, positions and magnitudes of a catalogue.
 #[derive(Debug, Clone, Default, clap::Args)]
 #[command(next_help_heading = "Catalogue")]
 struct CatalogArgs {
     /// Names of the columns, as in x=X_IMAGE,y=Y_IMAGE,flux=FLUX_AUTO
     ///
     /// Roles: x, y (or ra, dec), flux (or mag), and for galaxies re, n, q, angle.
-    #[arg(long, value_name = "ROLE=COLUMN,...", hide_short_help = true)]
+    #[arg(long, value_name = "ROLE=COLUMN,...")]
     columns: Option<CatalogColumns>,
     /// Positions count from 1, as in SExtractor and FITS
-    #[arg(long, hide_short_help = true)]
+    #[arg(long)]
     one_based: bool,
-    /// Magnitude of flux 1, for catalogues with magnitudes
+    /// Magnitude of flux 1 (required with a column mag)
+    ///
+    /// flux = 10^(-0.4 (mag - MAG)).
     #[arg(long, value_name = "MAG", allow_negative_numbers = true, value_parser = finite, hide_short_help = true)]
     zero_point: Option<f64>,
-    /// Skip and count invalid rows
+    /// Skip invalid rows and count them [default: an invalid row is an error]
     ///
-    /// A row is invalid if its position or flux is missing, or if its galaxy is out of range.
+    /// A row is invalid if position or flux is missing, or if re, n, q or angle is out of range.
     #[arg(long, hide_short_help = true)]
     skip_invalid: bool,
 }
@@ -244,7 +249,7 @@ impl CatalogArgs {
         Ok(options)
     }
 
-    /// Returns the first option given.
+    /// Returns the name of the first option that was given.
     pub(crate) fn given(&self) -> Option<&'static str> {
         [
             ("--columns", self.columns.is_some()),

@@ -251,7 +251,7 @@ fn what_other_options_made_is_not_taken_as_done() {
     );
     assert!(desk.content() == before);
 
-    // Results of other programs, and files that are not images.
+    // Images made without a batch and files that are not images are not overwritten.
     desk.write("jobs.csv", "output\nscene2.fits\nnotes.fits\nnew.fits\n");
     desk.done("simulate scene.fits --psf samples.fits -o scene2.fits");
     desk.write("notes.fits", "not an image");
@@ -317,7 +317,7 @@ fn paths_count_from_the_folder_of_the_file() {
     let desk = Desk::new();
     std::fs::create_dir(desk.path("night")).unwrap();
     std::fs::copy(desk.path("scene.fits"), desk.path("night/field.fits")).unwrap();
-    // A byte-order mark, a comment, blanks around values.
+    // The file has a byte-order mark, a comment, and blanks around values.
     desk.write(
         "night/jobs.csv",
         "\u{feff}scene, output\n# the first\nfield.fits, out.fits\n",
@@ -350,7 +350,7 @@ fn images_say_which_command_repeats_them() {
         text(&desk, "out.fits", "PSFJOB").map(|digest| digest.len()),
         Some(16)
     );
-    // A file made from it is not a result of that job.
+    // An image made from the output of a job is not a result of that job.
     desk.done("simulate out.fits --psf samples.fits -o next.fits");
     assert_eq!(text(&desk, "next.fits", "PSFJOB"), None);
     // The recorded command gives the same image.

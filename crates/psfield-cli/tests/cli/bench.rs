@@ -86,7 +86,7 @@ fn every_method_has_its_row_and_its_error() {
             found.windows(2).all(|pair| pair[1] <= pair[0] + ROUNDING_F32),
             "{found:?}"
         );
-        // The error is that of the tolerance.
+        // The tolerance causes the error, not rounding.
         assert!(found[0] > 10.0 * found[3], "{method}: {found:?}");
     }
     // A single PSF, large patches and few components have errors, which decrease in each list.

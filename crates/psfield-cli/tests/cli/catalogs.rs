@@ -223,7 +223,8 @@ fn sky_coordinates_and_headers() {
     );
 }
 
-/// A finer scene against stars at the centres of its pixels. It is streamed and checked too.
+/// Compares a finer scene with stars at the centres of its pixels. The scene is streamed and
+/// checked too.
 #[test]
 fn finer_scenes() {
     let desk = desk();
@@ -440,14 +441,14 @@ fn small_galaxies_need_finer_pixels() {
         format!("simulate --psf fine.fits {SHAPE} --precision f64 {options} -o {out}")
     };
     desk.done(&run("--catalog star.csv", "star.fits"));
-    let blurred = "1 galaxies are blurred a second time";
+    let blurred = "1 galaxy is blurred a second time";
     desk.warned(&run("--catalog small.csv", "coarse.fits"), blurred);
     desk.warned(&run("--catalog small.csv --oversample 15", "finer.fits"), blurred);
     let star = desk.image("star.fits");
     let (coarse, finer) = (desk.image("coarse.fits"), desk.image("finer.fits"));
     assert!(difference(&coarse, &star) > 0.02);
     assert!(difference(&finer, &star) < 5e-3, "{}", difference(&finer, &star));
-    // One of many pixels too, until there are four or more in a pixel of the image.
+    // A large galaxy is blurred too, unless the scene has four or more pixels per image pixel.
     desk.write("large.csv", "x,y,flux,re,n\n30.4,25,100,3,1\n");
     desk.warned(
         &run("--catalog large.csv --oversample 3", "large.fits"),

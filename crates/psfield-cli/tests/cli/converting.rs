@@ -211,7 +211,7 @@ fn samples_become_a_library_and_come_back() {
         .done("convert samples.fits -o library.fits --to gridded --json")
         .json();
     assert_eq!(report["oversampling"], 4.0);
-    // 60 = 4 x 15 pixels, centred at 30: one more on each axis.
+    // 60 = 4 x 15 pixels, centred at pixel 30, get one more pixel along each axis.
     assert_eq!(report["shape"], json!([61, 61]));
     let library = read_stpsf(desk.path("library.fits"), PlaneOrder::Auto).unwrap();
     assert_eq!(

@@ -10,7 +10,7 @@ use psfield::psf_types::{FrameShape, Image, Position, PsfSamples, SamplePosition
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// The field, chosen so that the middle one of 3 x 3 samples is a pixel.
+/// The field. The middle one of 3 x 3 samples over it lies at the centre of a pixel.
 pub(crate) const NX: usize = 61;
 pub(crate) const NY: usize = 51;
 /// Columns and rows of a stamp at the frame's pixels.

@@ -90,7 +90,7 @@ fn native_grid_sizes_and_phases() {
         };
         (of(|(_, x)| x), of(|(y, _)| y), sum)
     };
-    // A thousandth of a pixel, because the stamps are well sampled.
+    // The shift is right to a thousandth of a pixel, because the stamps are well sampled.
     let near = |(x, y, sum): (f64, f64, f64), at: (f64, f64), flux: f64| {
         assert!((x - at.0).abs() < 1e-3 && (y - at.1).abs() < 1e-3, "{x} {y}");
         assert!((sum / flux - 1.0).abs() < 1e-3, "{sum}");

@@ -246,7 +246,7 @@ fn photons_alone() {
     let photons = desk.image("photons.fits");
     assert!(photons.iter().all(|n| *n >= 0.0 && n.fract() == 0.0));
     assert_eq!(desk.image("truth.fits"), desk.image("scene.fits"));
-    // Its photons are those of a detector without other effects.
+    // The photon noise equals that of a detector without other effects.
     desk.done("expose scene.fits --photon-noise --seed 3 -o same.fits --precision f64");
     assert_eq!(desk.image("same.fits"), photons);
 }

@@ -56,7 +56,7 @@ fn files_that_may_not_grow() {
 struct SmallDisk(PathBuf);
 
 impl SmallDisk {
-    /// None if it may not be made, which needs the rights of an administrator.
+    /// Makes the disk. None without the rights of an administrator.
     fn new(folder: PathBuf, size: &str) -> Option<Self> {
         std::fs::create_dir(&folder).unwrap();
         let mounted = Command::new("mount")
@@ -79,8 +79,8 @@ impl Drop for SmallDisk {
 #[test]
 fn a_disk_that_fills_up() {
     let desk = desk();
-    // An image of half a disk stands there, and another does not fit beside it. (61 x 51 in f64 are
-    // 24.9 kB, with headers 28.8 kB.)
+    // The old image fills half of the disk, and a second one does not fit beside it. (61 x 51
+    // pixels in f64 are 24.9 kB, with headers 28.8 kB.)
     let Some(disk) = SmallDisk::new(desk.path("disk"), "44k") else {
         eprintln!("skipped: a disk for the test needs the rights to mount one");
         return;

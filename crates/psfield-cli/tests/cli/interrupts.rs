@@ -83,7 +83,7 @@ fn stopped_while_writing(desk: &Desk, child: &mut Child) -> bool {
     if !send("STOP", child) {
         return false;
     }
-    // It stops a moment later.
+    // The process stops a moment after the signal.
     std::thread::sleep(Duration::from_millis(50));
     child.try_wait().unwrap().is_none() && length().is_some()
 }
@@ -108,7 +108,7 @@ fn run_until(signal: &str, desk: &Desk) -> Run {
     let child = begun(desk, &format!("exec \"$PSFIELD\" {SIMULATE}"));
     send(signal, &child);
     send("CONT", &child);
-    // Twice, as `timeout` does.
+    // Sends the signal twice, as `timeout` does.
     send(signal, &child);
     Run::of(child.wait_with_output().unwrap())
 }
@@ -141,7 +141,7 @@ fn signals_leave_the_old_file_and_nothing_else() {
     );
     assert!(!desk.path("out.fits").exists());
 
-    // A killed process cannot remove its file. The next run with this output does.
+    // A killed process cannot remove its file. The next run with this output removes it.
     desk.write("out.fits", OLD);
     let run = run_until("KILL", &desk);
     assert_eq!(run.code, None, "{run:?}");

@@ -126,7 +126,7 @@ fn what_fails_is_empty_and_says_why() {
 #[test]
 fn cubes_without_positions_and_single_stamps() {
     let desk = Desk::new();
-    // Only the cube: the primary HDU ends where that of the table begins.
+    // Keeps only the cube: the primary HDU ends where the HDU of the table begins.
     let bytes = desk.bytes("samples.fits");
     let table = bytes.windows(8).position(|w| w == b"XTENSION").unwrap();
     desk.write("cube.fits", &bytes[..table]);

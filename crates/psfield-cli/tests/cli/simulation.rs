@@ -236,7 +236,7 @@ fn the_report_counts_what_was_done() {
         .done("simulate scene.fits --psf samples.fits -o patches.fits --method patch=40 --spot-check 200 --json")
         .json();
     assert!(report["spot_check"]["max_over_peak"].as_f64().unwrap() > VISIBLE);
-    // They promise no accuracy.
+    // Patches promise no accuracy.
     assert!(report["spot_check"]["passed"].is_null());
 }
 

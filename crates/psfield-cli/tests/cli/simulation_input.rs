@@ -6,7 +6,7 @@ use crate::desk::{Desk, difference, points, samples};
 
 /// Rounding of f64 transforms.
 const DOUBLE: f64 = 1e-12;
-/// Interpolating a well-sampled Gaussian three times oversampled to pixels and back.
+/// Error of interpolating a well-sampled Gaussian, three times oversampled, to pixels and back.
 const RESAMPLING: f64 = 1e-3;
 
 const OPTIONS: &str = "--precision f64 --rank full";

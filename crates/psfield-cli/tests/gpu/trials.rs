@@ -1,11 +1,11 @@
-//! The tests.
+//! The tests of the command line on a GPU.
 
 use ndarray::{Array2, Array3};
 use psfield::conv_core::gpu::{AdapterKind, adapters};
 use psfield::conv_core::{ConvReal, Plan};
 use psfield::psf_io::{Card, CardValue};
 use psfield::psf_types::NoProgress;
-use psfield::{CpuReason, Device, Placement, Psf, Scene, SimulateOptions, Simulator, WORTH_A_LOOK_SECONDS};
+use psfield::{CpuReason, Device, MIN_SECONDS_FOR_GPU, Placement, Psf, Scene, SimulateOptions, Simulator};
 use serde_json::Value;
 
 use crate::desk::{Desk, Run, assert_keys, difference};
@@ -274,7 +274,7 @@ pub(crate) fn auto() {
     let of_auto = simulator(LARGE, SimulateOptions::default());
     let made = one_thread.install(|| of_auto.prepare(&scene, false, &NoProgress).unwrap());
     let cpu = made.plan.unwrap().predicted_seconds;
-    assert!(cpu > WORTH_A_LOOK_SECONDS, "a larger frame is needed: {cpu}");
+    assert!(cpu > MIN_SECONDS_FOR_GPU, "a larger frame is needed: {cpu}");
     let first = &adapters()[0];
     let shape = of_auto.scene_shape();
     let options = of_auto.options().plan_options().unwrap().unwrap();

@@ -1,4 +1,4 @@
-//! A model, the scene with which a benchmark convolves it, and functions that make both.
+//! A model and the scene that a benchmark convolves with it, and functions that make both.
 
 use std::sync::Arc;
 
@@ -22,7 +22,7 @@ pub struct BenchCase<T> {
 }
 
 impl<T> BenchCase<T> {
-    /// Combines a model with stamps at the frame's pixels and a scene.
+    /// Combines a scene and a model, whose stamps are on the frame's pixels.
     pub fn new(record: PsfModelRecord, scene: Image<T>) -> Self {
         Self { record, scene }
     }
@@ -31,8 +31,8 @@ impl<T> BenchCase<T> {
 /// A scene in which every pixel has light: exponential noise of mean 1 on a smooth background
 /// between 1 and 3.
 ///
-/// No part of it is empty or sparse, so that no method gains by skipping pixels. A seed always
-/// gives the same scene.
+/// No part of the scene is empty or sparse, so that no method gains by skipping pixels. Equal seeds
+/// give equal scenes.
 ///
 /// # Errors
 /// [`DataError`] of the constructor of [`Image`], never for a valid shape.
@@ -51,12 +51,12 @@ pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, Data
     Image::new(pixels)
 }
 
-/// Radians of the background's wave over the frame.
+/// Range of the phase of the background's wave over the frame, in radians.
 const WAVE: f64 = 7.0;
 
-/// Stretches the positions of a model's samples to a frame: the outermost ones to pixel 0 and to
-/// the last pixel along each axis. The PSF then varies over a frame of any size as over the whole
-/// field.
+/// Stretches the positions of a model's samples to a frame. Along each axis, the outermost
+/// positions become pixel 0 and the last pixel. The PSF then varies over a frame of any size as
+/// over the whole field.
 ///
 /// # Errors
 /// [`DataError`] if different positions become equal.
@@ -122,7 +122,7 @@ pub(super) fn constant(model: &PsfModel, position: Position) -> Result<PsfModel,
     let coefficient = SampleCoefficients::new(Array2::from_elem((1, 1), norm), at)?;
     let field = InterpolatedField::new(&coefficient, &Nearest, OutsidePolicy::Nearest)?;
     let shape = model.field_shape();
-    // The stamp is scaled already, if at all.
+    // `psf_at` has scaled the stamp already, if the model is scaled.
     Ok(PsfModel::new(
         &basis,
         Arc::new(field),

@@ -1,4 +1,4 @@
-//! The methods that are measured, and each of them planned and ready to run.
+//! The methods that are measured, and a method that is planned and ready to run.
 
 use std::time::Instant;
 
@@ -14,9 +14,9 @@ use crate::bench::{BenchCase, BenchOptions, BenchRow};
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[non_exhaustive]
 pub enum Contender {
-    /// One PSF for the whole frame, that of its middle: a [`Plan`](conv_core::Plan) of a model with
-    /// a constant field. It has a single mode and no coefficients, and is the fastest convolution
-    /// with one PSF in psfield.
+    /// One PSF for the whole frame: the PSF of its middle. It is a [`Plan`](conv_core::Plan) of a
+    /// model with a constant field. This plan has a single mode and no coefficients, and is the
+    /// fastest convolution with one PSF in psfield.
     Single,
     /// The fast engine with transforms for all tiles
     /// ([`Paths::Transforms`](conv_core::Paths::Transforms)).
@@ -24,7 +24,7 @@ pub enum Contender {
         /// The tolerance.
         tolerance: f64,
     },
-    /// The fast engine with the cheapest way for each tile.
+    /// The fast engine with the cheapest computation for each tile.
     Auto {
         /// The tolerance.
         tolerance: f64,
@@ -37,7 +37,8 @@ pub enum Contender {
     /// One convolution of the whole image per component
     /// ([`BasisConvolution`](conv_core::BasisConvolution)).
     Basis {
-        /// The largest number of components kept. The error is relative to the whole model.
+        /// The largest number of components kept. The error is against the model with all
+        /// components.
         rank: usize,
     },
     /// The double sum in f64 ([`Direct`](conv_core::Direct)).
@@ -80,11 +81,11 @@ impl Contender {
     }
 }
 
-/// A contender with everything that does not depend on the light.
+/// A contender for which everything that does not depend on the light is prepared.
 #[derive(Debug)]
 pub(super) struct PlannedContender<T: ConvReal> {
     simulator: Simulator<T>,
-    /// The figures that are known before the first run.
+    /// The results, with the values that are known before the first run.
     pub(super) row: BenchRow,
 }
 
@@ -92,7 +93,7 @@ pub(super) struct PlannedContender<T: ConvReal> {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct RunTime {
     pub(super) seconds: f64,
-    /// The parts of the time, on a GPU.
+    /// The parts of this time, if a GPU computed.
     pub(super) gpu: Option<GpuSeconds>,
 }
 

@@ -23,8 +23,8 @@ pub struct BenchOptions {
     pub pixels: usize,
     /// Seed for these pixels.
     pub seed: u64,
-    /// The direct sum is measured only if its products (lit pixels x stamp pixels x stamps of the
-    /// model) do not exceed this number.
+    /// The direct sum takes part only if its number of products (lit pixels x stamp pixels x stamps
+    /// of the model) is at most this number.
     pub direct_products: f64,
     /// The device of [`Contender::LowRank`] and [`Contender::Auto`]. The others, including the
     /// single PSF, run on the processor.
@@ -62,7 +62,7 @@ impl Default for BenchOptions {
     }
 }
 
-/// The figures of one contender.
+/// The results of one contender.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct BenchRow {
@@ -74,7 +74,7 @@ pub struct BenchRow {
     pub tolerance: Option<f64>,
     /// Columns and rows of the frame.
     pub size: [usize; 2],
-    /// Samples of the PSF.
+    /// Number of PSF samples.
     pub samples: usize,
     /// Components of the contender's model, the mean not counted.
     pub rank: usize,
@@ -82,18 +82,18 @@ pub struct BenchRow {
     pub precision: &'static str,
     /// The anchor of the PSF.
     pub anchor: Anchor,
-    /// Seconds to plan, once. None for methods that prepare nothing.
+    /// Seconds to make the plan. None for methods without a plan.
     pub seconds_plan: Option<f64>,
     /// Seconds of the fastest run.
     pub seconds: f64,
     /// Median seconds of the runs.
     pub seconds_median: f64,
-    /// [`seconds`](Self::seconds) over the seconds of the single PSF.
+    /// [`seconds`](Self::seconds) divided by the seconds of the single PSF.
     pub ratio_to_single: f64,
-    /// Relative L2 difference from the direct sum over the whole model, `|F - E| / |E|` over the
-    /// pixels compared. None if these are all zero.
+    /// Relative L2 difference `|F - E| / |E|` of the image `F` from the direct sum `E` with all
+    /// components, over the compared pixels. None if `E` is 0 at all of them.
     pub relative_l2: Option<f64>,
-    /// Mean number of convolutions per tile, for `basis` of the whole frame. None for `direct`.
+    /// Mean number of convolutions per tile (for `basis`: of the whole frame). None for `direct`.
     pub modes: Option<f64>,
     /// Columns and rows of the largest tile, if there are tiles.
     pub tile: Option<[usize; 2]>,
@@ -101,11 +101,12 @@ pub struct BenchRow {
     pub transform: Option<[usize; 2]>,
     /// Number of threads that shared the work.
     pub threads: usize,
-    /// The largest memory that the process held from before the plan to the end of the first run,
-    /// if the system tells (Linux). It includes plans made before and memory that they left, so
-    /// that only a run without other methods gives a method's own figure.
+    /// The largest memory that the process held between the start of planning and the end of the
+    /// first run. None if the system does not report it (only Linux does). It includes the plans of
+    /// earlier contenders. To measure the memory of one method, run the benchmark with this method
+    /// alone.
     pub peak_memory_bytes: Option<u64>,
-    /// The GPU on which it ran: name, kind and backend. None on the processor.
+    /// The GPU on which the contender ran: name, kind and backend. None for the processor.
     pub gpu: Option<String>,
     /// The parts of the time of the fastest run on the GPU.
     pub gpu_seconds: Option<GpuSeconds>,
@@ -115,13 +116,13 @@ pub struct BenchRow {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct Skipped {
-    /// Its method.
+    /// The method of the contender.
     pub method: &'static str,
-    /// Its setting.
+    /// The setting of the contender.
     pub setting: Option<String>,
     /// Columns and rows of the frame.
     pub size: [usize; 2],
-    /// Samples of the PSF.
+    /// Number of PSF samples.
     pub samples: usize,
     /// The reason.
     pub reason: String,
@@ -144,16 +145,18 @@ struct Entry<T: ConvReal> {
     runs: Vec<RunTime>,
 }
 
-/// A run shorter than this is repeated within a turn, because clock and scheduler disturb it more.
-const TURN_SECONDS: f64 = 0.02;
+/// A run that takes fewer seconds is repeated within a turn, because clock and scheduler disturb
+/// short runs more.
+const MIN_SECONDS_PER_TURN: f64 = 0.02;
 const MOST_RUNS: f64 = 20.0;
 
-/// Plans and runs every contender, and the single PSF first if it is not among them.
+/// Plans and runs the single PSF, then every other contender.
 ///
-/// The first run of each warms up. It is compared with the direct sum and not timed. Then all run
-/// in turn, [`BenchOptions::repeat`] times. In each turn a contender runs as often as fits into 20
-/// ms, at most 20 times. All plans are held at once. The seconds of a plan include the transfer to
-/// the GPU, but not the opening of a requested GPU.
+/// The first run of each contender warms up: it is not timed, but its image is compared with the
+/// direct sum. Then all contenders run in turn, [`BenchOptions::repeat`] times. In each turn a
+/// contender runs as often as fits into 20 ms, at least once and at most 20 times. All plans are
+/// held at once. The seconds of a plan include the transfer to the GPU, but not the time to open a
+/// requested GPU.
 ///
 /// # Errors
 /// [`PsfieldError`] if the frame is larger than the field of the PSF, if the model's stamps do not
@@ -197,7 +200,7 @@ pub fn run<T: ConvReal>(
         .collect();
     let (direct, light) = (Direct::new(options.anchor), (case.scene.pixels(), (0, 0)));
     let exact = direct.at_pixels(model, light, frame, frame.region(), &pixels, &NoProgress)?;
-    // `|F - E| / |E|` over the pixels. None if these are all zero.
+    // The field `relative_l2` of a row.
     let relative_l2 = |image: &Array2<T>| {
         let (mut error, mut norm) = (0.0, 0.0);
         for (&(x, y), exact) in pixels.iter().zip(&exact) {
@@ -214,7 +217,7 @@ pub fn run<T: ConvReal>(
         let memory = PeakMemory::start();
         let mut contender = PlannedContender::new(contender, case, &psf, options)?;
         let warm = contender.run(&scene, &mut image)?;
-        let runs = (TURN_SECONDS / warm.seconds.max(f64::MIN_POSITIVE)).clamp(1.0, MOST_RUNS);
+        let runs = (MIN_SECONDS_PER_TURN / warm.seconds.max(f64::MIN_POSITIVE)).clamp(1.0, MOST_RUNS);
         contender.row.relative_l2 = relative_l2(&image);
         contender.row.peak_memory_bytes = memory.bytes();
         entries.push(Entry {
@@ -265,7 +268,7 @@ fn reason_to_skip<T: ConvReal>(
     let products = lit as f64 * stamp as f64 * stamps as f64;
     (products > options.direct_products).then(|| {
         format!(
-            "{lit} pixels with light x {stamp} stamp pixels x {stamps} stamps are {products:.1e} products, more than {:.1e}",
+            "{lit} pixels with light x {stamp} stamp pixels x {stamps} stamps are {products:.1e} products, more than the limit of {:.1e}",
             options.direct_products
         )
     })

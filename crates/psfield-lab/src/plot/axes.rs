@@ -67,8 +67,8 @@ pub(super) fn draw_axes<'a, 'b: 'a, X: Counting, Y: Counting>(
     Ok(())
 }
 
-/// Draws the key to the lines, over the plot.
-pub(super) fn draw_key<'a, 'b: 'a, X: Counting, Y: Counting>(
+/// Draws the legend, over the plot.
+pub(super) fn draw_legend<'a, 'b: 'a, X: Counting, Y: Counting>(
     chart: &mut Chart<'a, 'b, X, Y>,
     at: SeriesLabelPosition,
 ) -> Result<(), PlotError> {
@@ -87,7 +87,7 @@ pub(super) fn text_style(size: i32) -> TextStyle<'static> {
     ("sans-serif", size).into_font().color(&BLACK)
 }
 
-/// Returns the height of a heading.
+/// Returns the height of a heading and of the margin above it.
 pub(super) fn title_room(title: &str) -> u32 {
     (MARGIN as usize + title.lines().count() * (TITLE as usize + 5)) as u32
 }
@@ -95,7 +95,7 @@ pub(super) fn title_room(title: &str) -> u32 {
 /// Writes a heading over the plot, and returns the rest of the area.
 pub(super) fn under_title<'a>(area: &Area<'a>, title: &str) -> Result<Area<'a>, PlotError> {
     let (head, rest) = area.split_vertically(title_room(title));
-    // The middle of the plot, which has numbers on its left.
+    // The middle of the plot. The room for the numbers on its left is part of the area.
     let middle = (area.dim_in_pixel().0 + LABEL_ROOM_Y) as i32 / 2;
     let style = text_style(TITLE).pos(Pos::new(HPos::Center, VPos::Top));
     for (row, line) in title.lines().enumerate() {
@@ -112,8 +112,8 @@ pub(super) fn number(value: f64, (low, high): (f64, f64)) -> String {
     readable(if is_rounding { 0.0 } else { value }, FIGURES)
 }
 
-/// Returns the smallest and the largest of the finite values. Without finite values: infinities,
-/// the larger one first.
+/// Returns the smallest and the largest of the finite values, or `(infinity, -infinity)` if there
+/// are none.
 pub(super) fn bounds(values: impl Iterator<Item = f64>) -> (f64, f64) {
     let finite = values.filter(|v| v.is_finite());
     finite.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| {
@@ -141,12 +141,12 @@ pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     10f64.powf(low)..10f64.powf(high.max(low + 1.0))
 }
 
-/// The largest number of decades that get a number.
+/// The largest number of decades of which each has a number at the axis.
 const DECADES: i32 = 7;
 /// Approximate number of steps of an even axis.
 const STEPS: f64 = 5.0;
 /// Smallest distance between the numbers of a stretched bar, as a fraction of its length.
-const APART: f64 = 0.09;
+const SPACING: f64 = 0.09;
 /// Largest number of decades of a stretched bar that are considered.
 const MOST_DECADES: i32 = 40;
 
@@ -170,9 +170,9 @@ pub(super) fn even_ticks(low: f64, high: f64) -> Vec<f64> {
     (first..=last).map(|k| k as f64 * step).collect()
 }
 
-/// Ticks of a range above 0. They are whole decades, of many decades only every second, third, and
-/// so on. If fewer than two decades fit, 1, 2 and 5 within them. If hardly any of these fit, even
-/// steps.
+/// Ticks of a range above 0. A range of at least two decades has ticks at powers of ten (if there
+/// are many, only at every second, third, and so on). A shorter range has ticks at 1, 2 and 5 times
+/// powers of ten, or even steps if fewer than two of these fit.
 pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
     let low = low.max(f64::MIN_POSITIVE);
     let first = (low.log10() - ROUNDING).ceil() as i32;
@@ -193,17 +193,18 @@ pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
 }
 
 /// Ticks of a bar from 0 to `high` that is linear up to `soft` and logarithmic above (`asinh(v /
-/// soft)`): 0, and 1, 2, 5 of each decade, unless they are too close.
+/// soft)`). They are 0, and 1, 2 and 5 times powers of ten, without those that are too close to
+/// others.
 pub(super) fn asinh_ticks(soft: f64, high: f64) -> Vec<f64> {
     let along = |v: f64| (v / soft).asinh() / (high / soft).asinh();
     let last = high.log10().floor() as i32;
     let first = ((soft / 10.0).log10().floor() as i32).max(last.saturating_sub(MOST_DECADES));
     let mut ticks = vec![0.0];
-    // Whole decades first.
+    // Powers of ten come first, so that no other tick displaces them.
     let mut candidates = one_two_five(first, last, 0.0, high);
     candidates.sort_by_key(|&v| (v.log10() - v.log10().round()).abs() > ROUNDING);
     for value in candidates {
-        if ticks.iter().all(|&t| (along(value) - along(t)).abs() >= APART) {
+        if ticks.iter().all(|&t| (along(value) - along(t)).abs() >= SPACING) {
             ticks.push(value);
         }
     }
@@ -285,7 +286,7 @@ mod tests {
             let along = |v: f64| (v / soft).asinh() / (high / soft).asinh();
             assert!(ticks.len() >= 3, "{ticks:?}");
             assert!(
-                ticks.windows(2).all(|w| along(w[1]) - along(w[0]) >= APART),
+                ticks.windows(2).all(|w| along(w[1]) - along(w[0]) >= SPACING),
                 "{ticks:?}"
             );
         }

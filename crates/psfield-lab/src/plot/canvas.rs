@@ -167,7 +167,7 @@ impl DrawingBackend for Canvas<'_> {
         self.svg.fill_polygon(points, style)
     }
 
-    /// Draws text where the SVG has it, with the size and the offsets of plotters' SVG backend.
+    /// Draws text into both, with the size and the offsets of plotters' SVG backend.
     fn draw_text<S: BackendTextStyle>(&mut self, text: &str, style: &S, at: BackendCoord) -> Drawn {
         let em = style.size() as f32 / 1.24;
         let unit = em / f32::from(FONT.units_per_em());
@@ -201,7 +201,7 @@ impl DrawingBackend for Canvas<'_> {
     }
 }
 
-/// A picture laid over a figure, in the figure's pixels.
+/// A picture that is laid over a figure. Its place and size are in pixels of the figure.
 #[derive(Debug)]
 pub(super) struct Overlay {
     pub(super) left: i32,
@@ -212,7 +212,7 @@ pub(super) struct Overlay {
 }
 
 impl Overlay {
-    /// A picture over the inner part of a chart.
+    /// Lays a picture over the plotting area of a chart.
     pub(super) fn over<C: CoordTranslate>(plot: &DrawingArea<Canvas<'_>, C>, pixels: RgbImage) -> Self {
         let (x, y) = plot.get_pixel_range();
         Self {
@@ -237,7 +237,8 @@ impl Overlay {
         ))
     }
 
-    /// Draws a picture over an image, with its pixels as squares, and a grey line around it.
+    /// Draws the picture over an image, with a grey line around it. The pixels of the picture
+    /// become sharp rectangles.
     pub(super) fn lay_over(&self, image: &mut Pixmap) {
         let rgba = DynamicImage::from(self.pixels.clone()).into_rgba8();
         let (columns, rows) = rgba.dimensions();
@@ -268,8 +269,8 @@ impl Overlay {
     }
 }
 
-/// Returns the outlines of a text that starts at (0, 0), and its width, in the font's units with y
-/// upwards.
+/// Returns the outlines of the glyphs of a string that starts at (0, 0), and the width of the
+/// string. Both are in the font's units, with y upwards.
 fn outline(text: &str) -> (Option<Path>, f32) {
     let mut outline = Outline {
         path: PathBuilder::new(),

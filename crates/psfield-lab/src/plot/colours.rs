@@ -70,12 +70,12 @@ fn between(stops: &[[u8; 3]], value: f64) -> [u8; 3] {
     })
 }
 
-/// Width of the area of a bar, including its numbers and its name.
+/// Width of the area of a colour bar, including its numbers and its name.
 pub(super) const BAR_AREA: u32 = 150;
 const BAR: u32 = 18;
 const NUMBERS: u32 = 78;
 
-/// The colours of values. Pictures and maps that are compared have equal scales.
+/// The colours of values. Pictures and maps that are compared should have equal scales.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Scale {
     /// Grey from 0 to `high`: linear below `soft`, logarithmic above (`asinh(v / soft)`).
@@ -109,7 +109,7 @@ impl Scale {
         }
     }
 
-    /// The position of a value along the bar, in any unit.
+    /// The position of a value along the bar, up to an offset and a factor.
     fn along(self, value: f64) -> f64 {
         match self {
             Self::Asinh { soft, .. } => (value / soft).asinh(),
@@ -118,7 +118,7 @@ impl Scale {
         }
     }
 
-    /// The values that get a number.
+    /// The values that have a number at the bar.
     fn ticks(self) -> Vec<f64> {
         match self {
             Self::Asinh { soft, high } => asinh_ticks(soft, high),
@@ -142,16 +142,16 @@ impl Scale {
         self.at((self.along(value) - low) / (high - low).max(f64::MIN_POSITIVE))
     }
 
-    /// Draws the bar of a quantity at the left of `area`, which is as high as the area of the plot
-    /// next to it. `name` includes the unit.
+    /// Draws the colour bar of a quantity at the left of `area`, which must be as high as the area
+    /// of the plot next to it. `name` includes the unit.
     pub(super) fn draw_bar(self, name: &str, area: &Area<'_>) -> Result<Overlay, PlotError> {
         let (low, high) = self.range();
         let ticks = self.ticks();
         let places: Vec<f64> = ticks.iter().map(|&v| self.along(v)).collect();
         let shown = |place: &f64| {
             let tick = places.iter().position(|p| p == place);
-            // A no-break space keeps the number away from the tick, which looks like a point. SVG
-            // drops plain blanks.
+            // Without a space, the tick looks like a decimal point before the number. SVG drops
+            // plain spaces, so this is a no-break space.
             tick.map_or_else(String::new, |k| {
                 format!("\u{a0}{}", number(ticks[k], (low, high)))
             })
@@ -192,7 +192,7 @@ impl Scale {
     }
 }
 
-/// The axis of a bar, with numbers at given places. On other axes plotters chooses the places.
+/// The axis of a colour bar, with numbers at given places (plotters would choose its own).
 struct Length {
     range: Range<f64>,
     places: Vec<f64>,

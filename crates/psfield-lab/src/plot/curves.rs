@@ -13,26 +13,26 @@ use plotters::style::text_anchor::{HPos, Pos, VPos};
 use plotters::style::{BLACK, Color};
 
 use crate::plot::axes::{
-    Chart, Counting, LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, SMALL, TEXT, decades, draw_axes, draw_key, extent,
-    logarithmic_ticks, text_style, under_title,
+    Chart, Counting, LABEL_ROOM_X, LABEL_ROOM_Y, MARGIN, SMALL, TEXT, decades, draw_axes, draw_legend,
+    extent, logarithmic_ticks, text_style, under_title,
 };
 use crate::plot::canvas::Canvas;
 use crate::plot::colours::SERIES;
 use crate::plot::figure::{Area, Figure, PlotError};
 
-/// A line through points, with a name in the key.
+/// A line through points, with a name in the legend.
 #[derive(Debug, Clone)]
 pub struct Curve {
-    /// The name in the key.
+    /// The name in the legend.
     pub name: String,
     /// The points, in this order.
     pub points: Vec<(f64, f64)>,
-    /// The index of its colour in [`SERIES`](crate::plot::SERIES), modulo their number. None: its
-    /// place among the curves.
+    /// The index of its colour in [`SERIES`](crate::plot::SERIES), modulo the number of colours.
+    /// None: the index of the curve in its plot.
     pub colour: Option<usize>,
     /// The shape of every point, if points are drawn.
     pub marker: Option<Marker>,
-    /// Texts next to points, in the curve's colour.
+    /// Positions and texts of labels, in the curve's colour.
     pub labels: Vec<((f64, f64), String)>,
 }
 
@@ -75,7 +75,7 @@ impl Curve {
         Self::new(name, points)
     }
 
-    /// Its colour as the `place`-th curve of its plot.
+    /// Its colour if it has the index `place` in its plot.
     fn colour_at(&self, place: usize) -> RGBColor {
         SERIES[self.colour.unwrap_or(place) % SERIES.len()]
     }
@@ -120,18 +120,18 @@ impl Axis {
     }
 }
 
-/// A value to which the reader's attention is drawn.
+/// A value that is marked in a plot, with a text.
 #[derive(Debug, Clone)]
 pub enum Mark {
-    /// A line at x from bottom to top, with a text at its upper end.
+    /// A line at x from bottom to top, with a text above the plot.
     Vertical(f64, String),
     /// A line at y from left to right, with a text at its left end.
     Horizontal(f64, String),
-    /// A dot.
+    /// A dot at (x, y), with a text to its lower right.
     Point(f64, f64, String),
 }
 
-/// Lines over one pair of axes, with marks and a key.
+/// Lines over one pair of axes, with marks and a legend.
 #[derive(Debug, Clone)]
 pub struct Curves {
     /// The horizontal axis.
@@ -146,11 +146,13 @@ pub struct Curves {
 
 const SIZE: (u32, u32) = (760, 460);
 const MARK: RGBColor = RGBColor(90, 90, 90);
-/// Half the length of a line in a key.
-const KEY_LINE: i32 = 14;
+/// Half the length of a line in a legend.
+const LEGEND_LINE: i32 = 14;
+/// The texts of points nearer to each other than these fractions of the axes would overlap.
+const NEAR: (f64, f64) = (0.3, 0.06);
 
 impl Curves {
-    /// Draws the curves, with a key if there are several.
+    /// Draws the curves, with a legend if there are several.
     ///
     /// # Errors
     /// [`PlotError`] when the drawing fails.
@@ -161,8 +163,8 @@ impl Curves {
         })
     }
 
-    /// Draws axes, curves and marks, and a key if one is requested.
-    fn draw_in(&self, area: &Area<'_>, key: bool) -> Result<(), PlotError> {
+    /// Draws axes, curves and marks, and a legend if one is requested.
+    fn draw_in(&self, area: &Area<'_>, legend: bool) -> Result<(), PlotError> {
         let points = || self.curves.iter().flat_map(|c| c.points.iter());
         let marked_x = self.marks.iter().filter_map(|mark| match mark {
             Mark::Vertical(x, _) | Mark::Point(x, ..) => Some(*x),
@@ -181,17 +183,17 @@ impl Curves {
             .x_label_area_size(LABEL_ROOM_X)
             .y_label_area_size(LABEL_ROOM_Y);
         let (xs, ys) = (x.clone(), y.clone());
-        let decades = |range: &Range<f64>| {
+        let log = |range: &Range<f64>| {
             range
                 .clone()
                 .log_scale()
                 .with_key_points(logarithmic_ticks(range.start, range.end))
         };
         match (self.x.logarithmic, self.y.logarithmic) {
-            (false, false) => self.fill(chart.build_cartesian_2d(xs, ys)?, &x, &y, key),
-            (true, false) => self.fill(chart.build_cartesian_2d(decades(&x), ys)?, &x, &y, key),
-            (false, true) => self.fill(chart.build_cartesian_2d(xs, decades(&y))?, &x, &y, key),
-            (true, true) => self.fill(chart.build_cartesian_2d(decades(&x), decades(&y))?, &x, &y, key),
+            (false, false) => self.fill(chart.build_cartesian_2d(xs, ys)?, &x, &y, legend),
+            (true, false) => self.fill(chart.build_cartesian_2d(log(&x), ys)?, &x, &y, legend),
+            (false, true) => self.fill(chart.build_cartesian_2d(xs, log(&y))?, &x, &y, legend),
+            (true, true) => self.fill(chart.build_cartesian_2d(log(&x), log(&y))?, &x, &y, legend),
         }
     }
 
@@ -200,7 +202,7 @@ impl Curves {
         mut chart: Chart<'a, 'b, X, Y>,
         x: &Range<f64>,
         y: &Range<f64>,
-        key: bool,
+        legend: bool,
     ) -> Result<(), PlotError> {
         draw_axes(&mut chart, &self.x.name, &self.y.name)?;
         let shown = |p: &(f64, f64)| (!self.x.logarithmic || p.0 > 0.0) && (!self.y.logarithmic || p.1 > 0.0);
@@ -208,7 +210,7 @@ impl Curves {
             let colour = curve.colour_at(place);
             let points: Vec<(f64, f64)> = curve.points.iter().copied().filter(shown).collect();
             let line = chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2)))?;
-            if key {
+            if legend {
                 line.label(curve.name.clone()).legend(move |(x, y)| {
                     PathElement::new(vec![(x, y), (x + 22, y)], colour.stroke_width(3))
                 });
@@ -228,24 +230,26 @@ impl Curves {
                 }),
             )?;
         }
-        let mut points_so_far = 0;
+        let mut last_point = None;
         for mark in &self.marks {
             let mut lower = 0;
             let (line, at, text, h, v) = match mark {
                 Mark::Vertical(at, text) => {
-                    // The text is on the side with more room.
+                    // The text is on the side with more room, above the plot.
                     let right = self.x.part(*at, x) > 0.6;
                     let h = if right { HPos::Right } else { HPos::Left };
-                    ([(*at, y.start), (*at, y.end)], (*at, y.end), text, h, VPos::Top)
+                    let line = [(*at, y.start), (*at, y.end)];
+                    (line, line[1], text, h, VPos::Bottom)
                 }
                 Mark::Horizontal(at, text) => {
                     let line = [(x.start, *at), (x.end, *at)];
                     (line, line[0], text, HPos::Left, VPos::Bottom)
                 }
                 Mark::Point(px, py, text) => {
-                    // The names of points near each other would overlap.
-                    lower = points_so_far * 2 * (TEXT + 5);
-                    points_so_far += 1;
+                    let p = (self.x.part(*px, x), self.y.part(*py, y));
+                    let near = |(u, v): (f64, f64)| (p.0 - u).abs() < NEAR.0 && (p.1 - v).abs() < NEAR.1;
+                    lower = i32::from(last_point.is_some_and(near)) * 2 * (TEXT + 5);
+                    last_point = Some(p);
                     let at = (*px, *py);
                     chart.draw_series([Circle::new(at, 5, BLACK.filled())])?;
                     ([at, at], at, text, HPos::Left, VPos::Top)
@@ -253,19 +257,19 @@ impl Curves {
             };
             chart.draw_series([PathElement::new(line.to_vec(), MARK.stroke_width(1))])?;
             let shift = if matches!(h, HPos::Right) { -6 } else { 6 };
-            let down = if matches!(v, VPos::Top) { 5 } else { -4 };
+            let down = if matches!(v, VPos::Top) { 5 } else { -1 };
             let style = text_style(TEXT).pos(Pos::new(h, v));
             let text = Text::new(text.clone(), (shift, down + lower), style);
             chart.draw_series([EmptyElement::at(at) + text])?;
         }
-        if key {
-            draw_key(&mut chart, SeriesLabelPosition::LowerRight)?;
+        if legend {
+            draw_legend(&mut chart, SeriesLabelPosition::LowerRight)?;
         }
         Ok(())
     }
 }
 
-/// Draws a marker about a point. Its size is in pixels.
+/// Draws a marker at a point. The size of the marker is in pixels.
 fn draw_marker<C: CoordTranslate>(
     area: &DrawingArea<Canvas<'_>, C>,
     marker: Marker,
@@ -285,13 +289,13 @@ fn draw_marker<C: CoordTranslate>(
 
 /// Width and height of a panel. Two next to each other stay readable at the width of a page.
 const PANEL: (u32, u32) = (560, 440);
-/// Height of the strip that holds the key.
-const KEY: u32 = 44;
-/// Width of a name in the key, in pixels.
+/// Height of the strip that holds the legend.
+const LEGEND: u32 = 44;
+/// Width of a name in the legend, in pixels.
 const NAME_WIDTH: i32 = 118;
 
-/// Draws plots with headings, two in a row, below one key for all of them. Curves of one name
-/// should have one colour and one marker.
+/// Draws plots with headings, two per row, below one legend for all of them. Curves with equal
+/// names should have equal colours and markers.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.
@@ -300,8 +304,8 @@ pub fn curve_panels(panels: &[(String, Curves)]) -> Result<Figure, PlotError> {
     let down = panels.len().div_ceil(across).max(1);
     let names = names(panels);
     let width = (across as u32 * PANEL.0).max(NAME_WIDTH as u32 * names.len() as u32 + 2 * MARGIN);
-    Figure::draw((width, KEY + down as u32 * PANEL.1), |root| {
-        let (top, rest) = root.split_vertically(KEY);
+    Figure::draw((width, LEGEND + down as u32 * PANEL.1), |root| {
+        let (top, rest) = root.split_vertically(LEGEND);
         draw_names(&top, &names)?;
         for ((title, curves), area) in panels.iter().zip(rest.split_evenly((down, across))) {
             curves.draw_in(&under_title(&area, title)?, false)?;
@@ -326,15 +330,15 @@ fn draw_names(area: &Area<'_>, names: &[(usize, &Curve)]) -> Result<(), PlotErro
     for (k, (place, curve)) in names.iter().enumerate() {
         let colour = curve.colour_at(*place);
         let (x, y) = (
-            2 * MARGIN as i32 + KEY_LINE + k as i32 * NAME_WIDTH,
-            KEY as i32 / 2,
+            2 * MARGIN as i32 + LEGEND_LINE + k as i32 * NAME_WIDTH,
+            LEGEND as i32 / 2,
         );
-        let line = vec![(x - KEY_LINE, y), (x + KEY_LINE, y)];
+        let line = vec![(x - LEGEND_LINE, y), (x + LEGEND_LINE, y)];
         area.draw(&PathElement::new(line, colour.stroke_width(2)))?;
         if let Some(marker) = curve.marker {
             draw_marker(area, marker, (x, y), colour)?;
         }
-        let right_of_line = (x + KEY_LINE + 6, y);
+        let right_of_line = (x + LEGEND_LINE + 6, y);
         area.draw(&Text::new(curve.name.clone(), right_of_line, style.clone()))?;
     }
     Ok(())
@@ -378,7 +382,7 @@ mod tests {
     }
 
     #[test]
-    fn panels_share_a_key_that_names_each_curve_once() {
+    fn panels_share_a_legend_that_names_each_curve_once() {
         let curves = |names: &[&str]| Curves {
             x: Axis::logarithmic("error"),
             y: Axis::logarithmic("time, seconds"),

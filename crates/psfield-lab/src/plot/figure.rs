@@ -43,8 +43,7 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// Draws a figure of `width` x `height` pixels. The overlays that `draw` returns are drawn over
-    /// it.
+    /// Draws a figure of `width` x `height` pixels, then the overlays that `draw` returns over it.
     pub(super) fn draw(
         size: (u32, u32),
         draw: impl FnOnce(&Area<'_>) -> Result<Vec<Overlay>, PlotError>,
@@ -89,7 +88,7 @@ impl Figure {
         Ok(png)
     }
 
-    /// Returns the SVG as a `data:` address, for self-contained pages.
+    /// Returns the SVG as a `data:` URI, for self-contained pages.
     pub fn data_uri(&self) -> String {
         format!("data:image/svg+xml;base64,{}", BASE64_STANDARD.encode(&self.svg))
     }

@@ -1,11 +1,11 @@
-//! Counts in bins of equal width, and histograms that are compared.
+//! Histograms with bins of equal width, and figures that compare them.
 
 use plotters::chart::SeriesLabelPosition;
-use plotters::prelude::{AreaSeries, LineSeries, PathElement};
+use plotters::prelude::{AreaSeries, LineSeries, Rectangle};
 use plotters::style::Color;
 use serde::Serialize;
 
-use crate::plot::axes::{bounds, draw_key, even_chart};
+use crate::plot::axes::{bounds, draw_legend, even_chart};
 use crate::plot::colours::SERIES;
 use crate::plot::figure::{Figure, PlotError};
 
@@ -78,7 +78,7 @@ pub struct HistogramPanel<'a> {
 
 const PANEL: (u32, u32) = (560, 420);
 
-/// Draws panels, two in a row.
+/// Draws panels, two per row.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.
@@ -94,25 +94,26 @@ pub fn histograms(panels: &[HistogramPanel<'_>]) -> Result<Figure, PlotError> {
                 continue;
             };
             let (low, high) = first.range();
-            let axes = [(panel.quantity, low..high), ("objects per bin", 0.0..most * 1.08)];
+            // Room above the bars, so that a legend covers none.
+            let axes = [(panel.quantity, low..high), ("objects per bin", 0.0..most * 1.25)];
             let mut chart = even_chart(&area, axes)?;
             for (n, ((name, histogram), colour)) in panel.histograms.iter().zip(SERIES).enumerate() {
                 let steps = outline(histogram);
-                // The first histogram is filled and the others are lines, so that equal ones are
-                // all visible.
+                // The first histogram is filled and the others are lines, so that all of them are
+                // visible where they are equal.
                 if n == 0 {
                     chart.draw_series(AreaSeries::new(steps.clone(), 0.0, colour.mix(0.3)))?;
                 }
-                let width = if n == 0 { 1 } else { 2 };
+                let (width, half, part) = if n == 0 { (1, 6, 0.3) } else { (2, 1, 1.0) };
                 let line = chart.draw_series(LineSeries::new(steps, colour.stroke_width(width)))?;
                 if panel.histograms.len() > 1 {
                     line.label(*name).legend(move |(x, y)| {
-                        PathElement::new(vec![(x, y), (x + 22, y)], colour.stroke_width(3))
+                        Rectangle::new([(x, y - half), (x + 22, y + half)], colour.mix(part).filled())
                     });
                 }
             }
             if panel.histograms.len() > 1 {
-                draw_key(&mut chart, SeriesLabelPosition::UpperRight)?;
+                draw_legend(&mut chart, SeriesLabelPosition::UpperRight)?;
             }
         }
         Ok(Vec::new())

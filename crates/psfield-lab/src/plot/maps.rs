@@ -58,8 +58,8 @@ pub struct FieldMap<'a> {
     pub frame: FrameShape,
     /// Positions and values. A position without a value is grey.
     pub values: &'a [(Position, Option<f64>)],
-    /// Number of columns if the positions are a grid, ordered by y, then x. None: values are shown
-    /// as dots.
+    /// Number of columns if the positions form a regular grid over the field, ordered by y, then x.
+    /// None: values are shown as dots.
     pub grid_columns: Option<usize>,
     /// The colours.
     pub scale: Scale,
@@ -82,8 +82,10 @@ impl FieldMap<'_> {
             let (left, right) = root.split_horizontally(WIDTH - BAR_AREA);
             let left = under_title(&left, self.title)?;
             let (_, right) = right.split_vertically(title_room(self.title));
-            let axes = [("x (pixels)", -0.5..nx - 0.5), ("y (pixels)", -0.5..ny - 0.5)];
-            let mut chart = even_chart(&left, axes)?;
+            // Room for dots on the edges.
+            let room = if self.grid_columns.is_some() { 0.0 } else { 0.03 };
+            let range = |n: f64| -room * n - 0.5..(1.0 + room) * n - 0.5;
+            let mut chart = even_chart(&left, [("x (pixels)", range(nx)), ("y (pixels)", range(ny))])?;
             let mut overlays = Vec::new();
             if let Some(columns) = self.grid_columns.filter(|&c| c > 0) {
                 overlays.push(Overlay::over(chart.plotting_area(), self.cells(columns)));

@@ -1,8 +1,8 @@
-//! Figures. Each is drawn once, as SVG and as PNG.
+//! Figures. Each drawing gives an SVG and a PNG.
 //!
-//! All figures of psfield share the colours, axes and file formats of this module. Colours: Okabe
-//! and Ito (2008) for lines, viridis for values, blue-white-red (ColorBrewer's RdBu) for
-//! differences. The colours of each stay distinct for colour-blind readers and in grey.
+//! All figures of psfield share the colours, axes and file formats of this module. Lines have the
+//! colours of Okabe and Ito (2008), values those of viridis, and differences blue, white and red
+//! (ColorBrewer's RdBu). Colour-blind readers can tell them apart.
 
 mod axes;
 mod canvas;

@@ -1,4 +1,4 @@
-//! Images next to each other, each with a bar that explains its colours.
+//! Images next to each other, each with a bar that shows the values of its colours.
 
 use std::ops::Range;
 
@@ -15,8 +15,8 @@ use crate::plot::figure::{Area, Figure, PlotError};
 pub enum PictureAxes<'a> {
     /// Pixels of the image.
     Pixels,
-    /// Other units: the name with the unit, and the values at the outer edges of the first and the
-    /// last pixel, for x, then y.
+    /// Other units, for x, then y: the name with the unit, and the values at the outer edges of the
+    /// first and the last pixel.
     Of([(&'a str, Range<f64>); 2]),
 }
 
@@ -35,21 +35,22 @@ pub struct Picture<'a> {
     pub axes: PictureAxes<'a>,
 }
 
-/// Width of a single picture. An image of 1024 columns then has one PNG pixel per image pixel.
-const ALONE: u32 = 512;
-/// Width of each of several pictures.
-const BESIDE: u32 = 298;
-/// Width of the axes, margins and bar around a picture.
-const ABOUT: u32 = LABEL_ROOM_Y + 2 * MARGIN + BAR_AREA;
+/// Width of a single picture. The PNG has twice as many pixels along each axis, so that an image of
+/// 1024 columns has one PNG pixel per image pixel.
+const SINGLE_WIDTH: u32 = 512;
+/// Width of each picture if there are several.
+const PAIR_WIDTH: u32 = 298;
+/// Total width of the axes, margins and bar next to a picture.
+const SURROUNDINGS: u32 = LABEL_ROOM_Y + 2 * MARGIN + BAR_AREA;
 
-/// Draws pictures, two in a row. Row 0 is at the bottom, as in FITS viewers.
+/// Draws pictures, two per row. Row 0 of an image is at the bottom, as in FITS viewers.
 ///
 /// # Errors
 /// [`PlotError`] when the drawing fails.
 pub fn pictures(pictures: &[Picture<'_>]) -> Result<Figure, PlotError> {
     let across = pictures.len().clamp(1, 2);
     let down = pictures.len().div_ceil(across).max(1);
-    let plot = if pictures.len() > 1 { BESIDE } else { ALONE };
+    let plot = if across > 1 { PAIR_WIDTH } else { SINGLE_WIDTH };
     let aspect = pictures
         .iter()
         .map(|p| p.pixels.nrows() as f64 / p.pixels.ncols().max(1) as f64)
@@ -57,7 +58,7 @@ pub fn pictures(pictures: &[Picture<'_>]) -> Result<Figure, PlotError> {
         .min(2.0);
     let head = pictures.iter().map(|p| title_room(p.title)).max().unwrap_or(0);
     let height = head + (f64::from(plot) * aspect).round() as u32 + LABEL_ROOM_X + 2 * MARGIN;
-    let width = plot + ABOUT;
+    let width = plot + SURROUNDINGS;
     Figure::draw((across as u32 * width, down as u32 * height), |root| {
         let mut overlays = Vec::new();
         for (picture, area) in pictures.iter().zip(root.split_evenly((down, across))) {
@@ -124,7 +125,7 @@ mod tests {
             axes: PictureAxes::Of([("x, mm", 0.0..20.0), ("y, mm", 0.0..10.0)]),
         }])
         .unwrap();
-        // Half of the pixels of the PNG.
+        // Figures have half as many pixels along each axis as their PNG.
         assert!(figure.svg().contains("width=\"512\" height=\"256\""));
         for text in ["x, mm", "y, mm", "two rows", "of heading"] {
             assert!(figure.svg().contains(text), "{text}");

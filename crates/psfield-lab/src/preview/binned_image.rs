@@ -6,7 +6,7 @@ use psf_io::{ImageReader, IoError};
 /// Smallest number of rows read from a file at once.
 const BAND: usize = 64;
 
-/// An image of the means of square bins of pixels, which is limited in size.
+/// An image of limited size. Each of its pixels is the mean of a square bin of pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BinnedImage {
     pixels: Array2<f64>,
@@ -36,7 +36,7 @@ impl BinnedImage {
         squares.means()
     }
 
-    /// Bins an image in a file. It is read in bands, and may be larger than memory.
+    /// Bins an image in a file. The file is read in bands of rows, and may be larger than memory.
     ///
     /// # Errors
     /// The errors of the reader.

@@ -1,4 +1,4 @@
-//! The values at the ends of the scale, and the rules that choose them.
+//! Limits: the values that are shown darkest and brightest, and the rules that choose them.
 
 use std::fmt;
 use std::str::FromStr;
@@ -50,10 +50,10 @@ impl Limits {
     }
 }
 
-/// Number of figures of values shown to a reader.
+/// Number of significant digits of values in messages.
 pub(super) const FIGURES: usize = 6;
 
-/// `LO to HI`, with six figures.
+/// `LO to HI`, with six significant digits.
 impl fmt::Display for Limits {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [low, high] = [self.low, self.high].map(|limit| readable(limit, FIGURES));
@@ -175,29 +175,31 @@ fn percentile(sorted: &[f64], percent: f64) -> f64 {
 const SAMPLES: usize = 1000;
 /// The slope is divided by this contrast.
 const CONTRAST: f64 = 0.25;
-/// At least this fraction of the pixels, and this number, must follow the line.
-const KEPT_PART: f64 = 0.5;
-const KEPT_LEAST: usize = 5;
-/// Pixels farther from the line than this number of standard deviations are rejected, ...
+/// At least this fraction of the sampled pixels, and this number, must follow the line.
+const MIN_KEPT_PART: f64 = 0.5;
+const MIN_KEPT: usize = 5;
+/// Pixels farther from the line than this number of standard deviations are rejected.
 const REJECTION: f64 = 2.5;
-/// ... in this number of rounds, ...
+/// Largest number of times that the line is fitted and pixels are rejected.
 const ROUNDS: usize = 5;
-/// ... together with this fraction of all pixels around them.
+/// Width of the range of pixels that are rejected around a rejected pixel, as a fraction of the
+/// sampled pixels.
 const GROWTH: f64 = 0.01;
 
 /// Limits for finite values, at least one: IRAF's zscale in the form of astropy's `ZScaleInterval`
 /// with its defaults.
 ///
-/// A line is fitted to the sorted samples against their rank, and `slope` is that of the samples
-/// that follow it. The limits are `median - (centre - 1) slope / contrast` and `median + (n -
-/// centre) slope / contrast`, within the lowest and the highest sample.
+/// A line is fitted to the sorted samples as a function of their rank, without outliers. With its
+/// `slope` and the middle rank `centre`, the limits are `median - (centre - 1) slope / contrast`
+/// and `median + (n - centre) slope / contrast`. They stay within the lowest and the highest
+/// sample.
 fn zscale(values: &[f64]) -> (f64, f64) {
     let stride = (values.len() / SAMPLES).max(1);
     let mut samples: Vec<f64> = values.iter().copied().step_by(stride).take(SAMPLES).collect();
     samples.sort_by(f64::total_cmp);
     let n = samples.len();
     let (lowest, highest) = (samples[0], samples[n - 1]);
-    let least = KEPT_LEAST.max((n as f64 * KEPT_PART) as usize);
+    let least = MIN_KEPT.max((n as f64 * MIN_KEPT_PART) as usize);
     let Some(slope) = slope_of_most(&samples, least) else {
         return (lowest, highest);
     };
@@ -210,7 +212,8 @@ fn zscale(values: &[f64]) -> (f64, f64) {
     )
 }
 
-/// Returns the slope, unless fewer than `least` samples follow a line.
+/// Returns the slope of the line that most samples follow. None if fewer than `least` samples
+/// follow it.
 fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
     let n = samples.len();
     let growth = ((n as f64 * GROWTH) as usize).max(1);
@@ -221,7 +224,7 @@ fn slope_of_most(samples: &[f64], least: usize) -> Option<f64> {
         if kept >= kept_before || kept < least {
             break;
         }
-        // The least-squares line through the values that are not rejected, against their rank.
+        // The least-squares line through the values that are not rejected, as a function of rank.
         let ranked = samples.iter().enumerate().zip(&rejected);
         let counting: Vec<(f64, f64)> = ranked
             .filter(|&(_, &rejected)| !rejected)

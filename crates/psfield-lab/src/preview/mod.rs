@@ -1,11 +1,12 @@
-//! Pictures of images, as [`psfield preview`](crate) writes them: limits, brightness and colours.
+//! Pictures of images: limits, brightness and colours. The command `psfield preview` writes them.
 //!
 //! The steps are separate types, so that pictures that are compared can share them:
 //!
-//! 1. [`BinnedImage`]: reduces the image to a maximal size by means. Undefined pixels stay marked.
-//! 2. [`LimitRule`] gives [`Limits`]: the values at the dark and at the bright end of the scale.
+//! 1. [`BinnedImage`]: averages blocks of pixels to limit the image's size. Blocks without any
+//!    defined pixel stay undefined.
+//! 2. [`LimitRule`]: chooses the [`Limits`], the values that are shown darkest and brightest.
 //! 3. [`Stretch`] and [`Colormap`]: turn a value between the limits into a colour.
-//! 4. [`Picture`]: combines all of it, and gives the PNG.
+//! 4. [`Picture`]: combines these steps, and gives the PNG.
 //!
 //! The formulas are those of `astropy.visualization`. Arrays are `[y, x]`. Pictures have row 0 at
 //! the bottom, as in FITS viewers.
@@ -58,7 +59,7 @@ pub enum PreviewError {
         /// The upper percentile.
         high: f64,
     },
-    /// A text that is not two numbers.
+    /// A string that is not two numbers.
     #[error("two numbers LO,HI are needed, as in 0.5,99.5")]
     NotTwoNumbers,
     /// A name that is not known.
@@ -75,13 +76,13 @@ pub enum PreviewError {
         /// Pixels of the image.
         pixels: usize,
     },
-    /// An image of one value.
+    /// An image whose pixels are all equal.
     #[error("every pixel is {}, so there is no contrast to show: give limits around this value", readable(*value, FIGURES))]
     Constant {
         /// The value.
         value: f64,
     },
-    /// Limits that a rule finds equal although the image has contrast.
+    /// A rule that gives two equal limits for an image whose pixels differ.
     #[error(
         "{rule} puts both limits at {} while the pixels range from {} to {}, because most pixels have that value: give wider \
          percentiles, or limits",
@@ -90,7 +91,7 @@ pub enum PreviewError {
         readable(*highest, FIGURES)
     )]
     EqualLimits {
-        /// The rule, as in a sentence.
+        /// The rule, as the subject of a sentence.
         rule: String,
         /// Both limits.
         value: f64,

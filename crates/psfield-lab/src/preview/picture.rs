@@ -89,7 +89,7 @@ impl Picture {
     }
 }
 
-/// The brightness of a value between the limits, as in `astropy.visualization` with its parameters.
+/// The brightness of a value between the limits, as in `astropy.visualization` by default.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Stretch {
@@ -104,10 +104,10 @@ pub enum Stretch {
 }
 
 impl Stretch {
-    /// All of them.
+    /// All stretches.
     pub const ALL: [Self; 4] = [Self::Linear, Self::Sqrt, Self::Log, Self::Asinh];
 
-    /// Its name, from which it can be parsed.
+    /// Its name, which [`FromStr`] accepts.
     pub fn name(self) -> &'static str {
         match self {
             Self::Linear => "linear",
@@ -146,7 +146,7 @@ pub enum Colormap {
     Grey,
     /// Violet, green, yellow.
     Viridis,
-    /// Blue, grey, yellow: looks alike to most colour-blind and to other readers.
+    /// Blue, grey, yellow: looks almost the same to colour-blind and to other readers.
     Cividis,
     /// Black, red, pale yellow.
     Inferno,
@@ -157,7 +157,7 @@ pub enum Colormap {
 }
 
 impl Colormap {
-    /// All of them.
+    /// All colour maps.
     pub const ALL: [Self; 6] = [
         Self::Grey,
         Self::Viridis,
@@ -167,7 +167,7 @@ impl Colormap {
         Self::Plasma,
     ];
 
-    /// Its name, from which it can be parsed.
+    /// Its name, which [`FromStr`] accepts.
     pub fn name(self) -> &'static str {
         match self {
             Self::Grey => "grey",
@@ -303,9 +303,9 @@ mod tests {
         assert!("power".parse::<Stretch>().is_err());
     }
 
-    /// Colours closer than this distance in red, green and blue could be confused. Two greys that
-    /// differ by 28 % are as far apart.
-    const APART: f64 = 120.0;
+    /// Colours closer than this distance in red, green and blue could be confused. Two greys at
+    /// this distance differ by 27 % of the range from black to white.
+    const MIN_COLOUR_DISTANCE: f64 = 120.0;
 
     fn distance(a: [u8; 3], b: [u8; 3]) -> f64 {
         let squares = a
@@ -321,7 +321,7 @@ mod tests {
             let nearest = (0..=255)
                 .map(|level| distance(map.colour(f64::from(level) / 255.0), map.undefined_colour()))
                 .fold(f64::INFINITY, f64::min);
-            assert!(nearest > APART, "{map:?}: {nearest}");
+            assert!(nearest > MIN_COLOUR_DISTANCE, "{map:?}: {nearest}");
             assert_eq!(map.colour(f64::NAN), map.undefined_colour());
             assert_eq!(map.name().parse(), Ok(map));
         }

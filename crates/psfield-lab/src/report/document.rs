@@ -6,12 +6,12 @@ use serde::Serialize;
 
 use crate::plot::Figure;
 
-/// A report, from which a page is made.
+/// A report, from which an HTML page is made.
 #[derive(Debug, Clone)]
 pub struct Document {
     /// The heading.
     pub title: String,
-    /// The program that made it.
+    /// The program that made the report.
     pub software: Software,
     /// The inputs: name and value.
     pub inputs: Vec<(&'static str, String)>,
@@ -32,7 +32,7 @@ pub struct Section {
     pub figures: Vec<NamedFigure>,
 }
 
-/// A table of texts.
+/// A table of strings.
 #[derive(Debug, Clone, Default)]
 pub struct Table {
     /// The text above the table.
@@ -55,8 +55,8 @@ pub struct NamedFigure {
 }
 
 impl Document {
-    /// Returns a self-contained HTML page. It follows the light or dark setting of the reader's
-    /// system, and suits printing.
+    /// Returns a self-contained HTML page. It is light or dark, as the reader's system is set, and
+    /// can be printed.
     pub fn to_html(&self) -> String {
         let title = escaped(&self.title);
         let mut page = format!(
@@ -92,7 +92,7 @@ impl Document {
 }
 
 impl Section {
-    /// A section with a heading, a paragraph if one is given, and figures.
+    /// Makes a section with a heading, a paragraph if one is given, and figures.
     pub(super) fn new(title: &str, text: Option<String>, figures: Vec<NamedFigure>) -> Self {
         Self {
             title: title.to_owned(),
@@ -104,7 +104,7 @@ impl Section {
 }
 
 impl Table {
-    /// A table of these columns, without rows.
+    /// Makes a table with these columns and without rows.
     pub(super) fn new(caption: &str, columns: &[&str]) -> Self {
         Self {
             caption: caption.to_owned(),
@@ -114,8 +114,8 @@ impl Table {
     }
 }
 
-/// Formats a number of a table or a sentence: three decimals, or two figures and an exponent if it
-/// is small or large. None is a dash.
+/// Formats a number for a table or a sentence: with three decimals, or with two digits and an
+/// exponent if it is small or large. None becomes a dash.
 pub(crate) fn short(value: Option<f64>) -> String {
     match value {
         None => "-".to_owned(),
@@ -125,7 +125,7 @@ pub(crate) fn short(value: Option<f64>) -> String {
     }
 }
 
-/// Versions, machine and command.
+/// The program that made a report: its version, machine and command.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[non_exhaustive]
 pub struct Software {
@@ -135,12 +135,12 @@ pub struct Software {
     pub machine: String,
     /// Threads that shared the work.
     pub threads: usize,
-    /// The command that makes the report again.
+    /// The command that made the report.
     pub command: String,
 }
 
 impl Software {
-    /// This program on this machine.
+    /// Describes this program on this machine.
     pub fn of_command(command: String) -> Self {
         Self {
             psfield: env!("CARGO_PKG_VERSION"),

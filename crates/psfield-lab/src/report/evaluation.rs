@@ -1,4 +1,4 @@
-//! Errors of all objects together, and their targets.
+//! Errors of all objects together, and targets for them.
 
 use metrics::Summary;
 use ndarray::Array2;
@@ -20,12 +20,12 @@ pub struct Evaluation {
     pub fwhm_rows_px: [Histogram; 2],
     /// FWHM along columns in pixels: true, simulated.
     pub fwhm_columns_px: [Histogram; 2],
-    /// MAE over the mean.
+    /// Mean absolute error (MAE) divided by the mean of the window.
     pub mae_over_mean: Histogram,
     /// One row per object.
     #[serde(skip)]
     pub rows: Vec<ObjectRow>,
-    /// The field, if it is known.
+    /// The frame, if it is known.
     #[serde(skip)]
     pub frame: Option<FrameShape>,
     /// Number of columns if the objects form a grid.
@@ -36,7 +36,7 @@ pub struct Evaluation {
 const BINS: usize = 50;
 
 impl Evaluation {
-    /// Measures pairs of windows, simulated and true.
+    /// Measures pairs of windows, one simulated and one true window for each position.
     pub fn measure(
         positions: &[Position],
         simulated: &[Array2<f64>],
@@ -81,8 +81,7 @@ impl Evaluation {
 pub struct ErrorSummary {
     /// Number of objects.
     pub objects: usize,
-    /// Objects that could not be measured in both images. They count in none of the differences of
-    /// shape.
+    /// Objects that could not be measured in both images. The differences of shape leave them out.
     pub failed: usize,
     /// Differences of `e = sqrt(1 - b^2 / a^2)`.
     pub ellipticity: Option<Spread>,
@@ -92,18 +91,18 @@ pub struct ErrorSummary {
     pub e2: Option<Spread>,
     /// Differences of FWHM in pixels.
     pub fwhm_px: Option<Spread>,
-    /// Mean absolute error over the window's mean.
+    /// Mean absolute error divided by the mean of the window.
     pub mae_over_mean: Option<Spread>,
     /// Mean squared error, in squared units of the image.
     pub mse: Option<Spread>,
     /// Relative L2 error.
     pub relative_l2: Option<Spread>,
-    /// Largest error over the peak.
+    /// Largest absolute error divided by the peak of the true image.
     pub max_over_peak: Option<Spread>,
 }
 
 impl ErrorSummary {
-    /// Summarises some objects.
+    /// Summarises the errors of objects.
     pub fn of(rows: &[ObjectRow]) -> Self {
         let spread = |of: fn(&ObjectRow) -> Option<f64>| Spread::of(rows.iter().filter_map(of));
         Self {
@@ -124,7 +123,7 @@ impl ErrorSummary {
     }
 }
 
-/// The distribution of the absolute values of some differences.
+/// The distribution of absolute differences.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Spread {
@@ -151,7 +150,7 @@ impl Spread {
     }
 }
 
-/// A limit and the measured value.
+/// A target: a limit, and the measured value that should be below it.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Target {
@@ -166,12 +165,12 @@ pub struct Target {
     pub met: bool,
 }
 
-/// Limits of 90 % of the differences of ellipticity (in the paper 0.0901), of the largest of them,
-/// and of MAE over the mean.
+/// Targets: 90 % of the differences of ellipticity, the largest of these differences, and MAE
+/// divided by the mean of the window.
 const ELLIPTICITY_Q90: f64 = 1e-3;
 const ELLIPTICITY_LARGEST: f64 = 5e-3;
 const MAE_OVER_MEAN: f64 = 2e-4;
-/// The paper's value for the first.
+/// The difference of ellipticity that 90 % of the objects of the paper do not exceed.
 pub(super) const PAPER_ELLIPTICITY_Q90: f64 = 0.0901;
 
 impl Target {
@@ -187,7 +186,7 @@ impl Target {
         let mae = |of: fn(Spread) -> f64| summary.mae_over_mean.map(of);
         [
             (
-                "90 % of the differences of ellipticity",
+                "difference of ellipticity, 90th percentile",
                 ELLIPTICITY_Q90,
                 e(|s| s.q90),
             ),
@@ -197,12 +196,12 @@ impl Target {
                 e(|s| s.largest),
             ),
             (
-                "MAE / mean, mean over the objects",
+                "MAE / window mean, average over objects",
                 MAE_OVER_MEAN,
                 mae(|s| s.mean),
             ),
             (
-                "MAE / mean, largest of the objects",
+                "MAE / window mean, largest object",
                 MAE_OVER_MEAN,
                 mae(|s| s.largest),
             ),

@@ -1,21 +1,21 @@
-//! Errors of simulated objects against the truth: the figures and tables of the method's paper,
-//! remade.
+//! Compares simulated objects with the truth, and remakes the figures and tables of the method's
+//! paper.
 //!
 //! [`Reproduction`] measures psfield's own survey telescope, whose optics give the true PSF at any
-//! position. [`Validation`] compares a given model with given PSFs or with a frame with stars. Both
-//! give an [`Evaluation`] of objects, each measured twice in the same way, and a [`Document`]:
-//! sections, tables and figures, from which one self-contained HTML page is made.
+//! position. [`Validation`] compares a given model with given PSFs or with the stars of a frame.
+//! Both give an [`Evaluation`], for which each object is measured in the same way in its simulated
+//! and in its true image. Both also give a [`Document`] (sections, tables and figures), from which
+//! one self-contained HTML page is made.
 //!
 //! Measures of an object (an elliptical Gaussian without background, fitted to the same window of
 //! both images):
 //!
 //! | measure | definition |
 //! |---|---|
-//! | ellipticity | `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`, as the paper has it |
+//! | ellipticity | `e = sqrt(1 - b^2 / a^2)` of the axes `a >= b`, as in the paper |
 //! | `e1`, `e2` | distortion, `(a^2 - b^2) / (a^2 + b^2)` times `cos 2 phi`, `sin 2 phi` |
 //! | FWHM | `2 sqrt(2 ln 2)` times the geometric mean of the two sigmas, in pixels |
-//! | FWHM along rows, columns | the same of the Gaussian summed along the other axis: `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
-//! | FWHM along rows, columns | FWHM of the Gaussian summed along the other axis: `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
+//! | FWHM along rows, columns | along x and along y: FWHM of the Gaussian summed over the other axis, from `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
 
 mod document;
 mod evaluation;

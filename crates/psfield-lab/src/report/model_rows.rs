@@ -14,7 +14,7 @@ use crate::report::object_figures::error_table;
 use crate::report::scenes::Scenes;
 use crate::report::{ErrorSummary, ObjectRow};
 
-/// Errors of a model by the exact sum, without the engine.
+/// Errors of a model's PSFs, computed by the exact sum over its components, without the engine.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct ModelRow {
@@ -24,12 +24,13 @@ pub struct ModelRow {
     pub rank: usize,
     /// Largest truncation error over the samples, relative L2.
     pub truncation_error: f64,
-    /// Errors of its PSFs.
+    /// Errors of the model's PSFs.
     pub summary: ErrorSummary,
 }
 
 impl ModelRow {
-    /// Models of the telescope with half the samples along each axis, a quarter, and so on.
+    /// Makes models of the telescope with half the samples along each axis, a quarter, and so on,
+    /// and measures each.
     ///
     /// # Errors
     /// [`LabError`] of sampling, fit and model.
@@ -40,7 +41,7 @@ impl ModelRow {
     ) -> Result<Vec<Self>, LabError> {
         let mut rows = Vec::new();
         let mut across = most_across.div_ceil(2);
-        while across >= FEWEST_ACROSS {
+        while across >= MIN_SAMPLES_ACROSS {
             let samples = UniformSampling::new(across, across)?
                 .sample(telescope, &NoProgress)?
                 .samples;
@@ -103,25 +104,25 @@ fn errors(model: &PsfModel, scenes: &Scenes) -> Result<ErrorSummary, LabError> {
     Ok(ErrorSummary::of(&rows.collect::<Result<Vec<_>, LabError>>()?))
 }
 
-/// Smallest number of samples along each axis that is shown.
-const FEWEST_ACROSS: usize = 5;
-/// Smallest number of components that is shown.
+/// Models with fewer samples along each axis are not in the table.
+const MIN_SAMPLES_ACROSS: usize = 5;
+/// Models with fewer components are not in the table.
 const FEWEST_COMPONENTS: usize = 3;
 
-/// Errors of the model's PSFs, by the exact sum over its components, with one of the interpolators.
+/// Errors of a model's PSFs, computed by the exact sum over its components, for one interpolator.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct InterpolationRow {
     /// The interpolator.
     pub interpolation: Interpolation,
-    /// True if the images were made with this interpolator.
+    /// True if the images of the report were made with this interpolator.
     pub in_use: bool,
-    /// Errors of its PSFs.
+    /// Errors of the model's PSFs.
     pub summary: ErrorSummary,
 }
 
 impl InterpolationRow {
-    /// Measures the record's components and coefficients with another interpolator.
+    /// Measures the model of a record, with this interpolator instead of its own.
     ///
     /// # Errors
     /// The errors of the interpolator, of the model and of its field.

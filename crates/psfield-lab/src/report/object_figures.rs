@@ -1,4 +1,4 @@
-//! Figures of simulated and true objects.
+//! Figures and tables of the differences between simulated and true objects.
 
 use psf_types::{FrameShape, Position};
 
@@ -7,53 +7,30 @@ use super::{ErrorSummary, Evaluation, ObjectRow, Spread, Target};
 use crate::plot::{Axis, Curve, Curves, FieldMap, HistogramPanel, Mark, PlotError, Scale, histograms};
 use crate::report::document::short;
 
-/// Fraction of the values that the colours of a map distinguish. The others get the colour of the
-/// nearer end.
+/// Fraction of the values that lie in the range of a map's colours. The others get the colour of
+/// the nearer end.
 const SHOWN_PART: f64 = 0.99;
 
-/// Draws FWHM and differences of ellipticity as histograms.
-pub(super) fn shape_histograms(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
-    let [rows, columns] = [
-        ("FWHM along rows (pixels)", &of.fwhm_rows_px),
-        ("FWHM along columns (pixels)", &of.fwhm_columns_px),
-    ]
-    .map(|(quantity, [truth, simulated])| HistogramPanel {
-        quantity,
-        histograms: vec![("true", truth), ("simulated", simulated)],
-    });
-    Ok(vec![
-        NamedFigure {
-            name: "fwhm",
-            caption: format!(
-                "FWHM of {} objects along rows and along columns, true (filled) and simulated (line). The line follows the edge of the filled \
-                 area where both agree.",
-                of.summary.objects
-            ),
-            figure: histograms(&[rows, columns])?,
-        },
-        NamedFigure {
-            name: "ellipticity-differences",
-            caption: "Absolute differences of the ellipticity e = sqrt(1 - b^2/a^2), and MAE over the mean."
-                .to_owned(),
-            figure: histograms(&[
-                HistogramPanel {
-                    quantity: "|e simulated - e true|",
-                    histograms: vec![("objects", &of.ellipticity_differences)],
-                },
-                HistogramPanel {
-                    quantity: "MAE / mean",
-                    histograms: vec![("objects", &of.mae_over_mean)],
-                },
-            ])?,
-        },
-    ])
-}
-
-/// Draws cumulative distributions, one line for each kind of object.
-pub(super) fn distributions(
+/// Draws FWHM, ellipticity and MAE. Histograms show the first kind of object. Cumulative
+/// distributions have a line for each kind, and mark the 90th percentile of the first kind and of
+/// the paper. `image` names the image that is compared with the truth, `pixels` the unit of
+/// lengths.
+pub(super) fn shape_figures(
     kinds: &[(&str, &Evaluation)],
+    [image, pixels]: [&str; 2],
     paper_q90: Option<f64>,
 ) -> Result<Vec<NamedFigure>, PlotError> {
+    let (name, first) = kinds[0];
+    let quantities = ["x", "y"].map(|axis| format!("FWHM along {axis} ({pixels})"));
+    let fwhm = [&first.fwhm_rows_px, &first.fwhm_columns_px];
+    let fwhm_panels = [0, 1].map(|k| HistogramPanel {
+        quantity: &quantities[k],
+        histograms: vec![("true", &fwhm[k][0]), (image, &fwhm[k][1])],
+    });
+    let (e_difference, mae) = (
+        format!("|e {image} - e true|"),
+        "mean absolute error / mean of the window",
+    );
     let curves = |of: fn(&ObjectRow) -> Option<f64>| -> Vec<Curve> {
         kinds
             .iter()
@@ -64,11 +41,9 @@ pub(super) fn distributions(
     };
     let q90 = |of: fn(&ErrorSummary) -> Option<Spread>| -> Vec<Mark> {
         let mut marks = vec![Mark::Horizontal(0.9, "90 %".to_owned())];
-        if let Some((_, first)) = kinds.first()
-            && let Some(spread) = of(&first.summary)
-            && spread.q90 > 0.0
-        {
-            marks.push(Mark::Vertical(spread.q90, short(Some(spread.q90))));
+        if let Some(q90) = of(&first.summary).map(|s| s.q90).filter(|&q| q > 0.0) {
+            let text = format!("90 % of {name}: {}", short(Some(q90)));
+            marks.push(Mark::Vertical(q90, text));
         }
         marks
     };
@@ -85,27 +60,58 @@ pub(super) fn distributions(
         }
         .figure()
     };
+    let line = format!("The vertical line is the value that 90 % of the {name} do not exceed.");
+    let of_paper = paper_q90.map_or("", |_| " Another line marks this value in the paper.");
     Ok(vec![
         NamedFigure {
-            name: "ellipticity-distribution",
-            caption: "Cumulative distribution of the absolute differences of ellipticity. The lines mark 90 % of the objects of the first kind."
+            name: "fwhm",
+            caption: format!(
+                "FWHM of {} objects along x and along y: true (filled) and {image} (line). Where both agree, the line follows the edge of \
+                 the filled area.",
+                first.summary.objects
+            ),
+            figure: histograms(&fwhm_panels)?,
+        },
+        NamedFigure {
+            name: "ellipticity-differences",
+            caption: "Absolute differences of the ellipticity e = sqrt(1 - b^2/a^2), and the mean absolute error (MAE) divided by the mean \
+                      of the window."
                 .to_owned(),
+            figure: histograms(&[
+                HistogramPanel {
+                    quantity: &e_difference,
+                    histograms: vec![("objects", &first.ellipticity_differences)],
+                },
+                HistogramPanel {
+                    quantity: mae,
+                    histograms: vec![("objects", &first.mae_over_mean)],
+                },
+            ])?,
+        },
+        NamedFigure {
+            name: "ellipticity-distribution",
+            caption: format!(
+                "Cumulative distribution of the absolute differences of the ellipticity e = sqrt(1 - b^2/a^2). {line}{of_paper}"
+            ),
             figure: drawn(
-                "|e simulated - e true|",
+                &e_difference,
                 curves(ObjectRow::ellipticity_difference),
                 of_ellipticity,
             )?,
         },
         NamedFigure {
             name: "mae-distribution",
-            caption: "Cumulative distribution of the mean absolute error in the window of each object, divided by the mean of the window.".to_owned(),
-            figure: drawn("MAE / mean", curves(|r| r.mae_over_mean), q90(|s| s.mae_over_mean))?,
+            caption: format!(
+                "Cumulative distribution of the mean absolute error in the window of each object, divided by the mean of the window. {line}"
+            ),
+            figure: drawn(mae, curves(|r| r.mae_over_mean), q90(|s| s.mae_over_mean))?,
         },
     ])
 }
 
-/// Draws maps over the field: MSE, and the differences of e1 and e2 on one scale.
-pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
+/// Draws maps over the field: MSE, and the differences of e1 and e2 on one scale. `image` names the
+/// image that is compared with the truth.
+pub(super) fn maps(of: &Evaluation, image: &str) -> Result<Vec<NamedFigure>, PlotError> {
     let Some(frame) = of.frame.or_else(|| frame_about(&of.rows)) else {
         return Ok(Vec::new());
     };
@@ -125,7 +131,7 @@ pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
     let positive = || mse.iter().filter_map(|v| v.1).filter(|&v| v > 0.0);
     let low = quantile(positive(), 1.0 - SHOWN_PART).unwrap_or(0.1);
     let high = quantile(positive(), SHOWN_PART).unwrap_or(1.0).max(1.25 * low);
-    let map = |title, quantity, values: &[(Position, Option<f64>)], scale| {
+    let map = |title: &str, quantity: &str, values: &[(Position, Option<f64>)], scale| {
         FieldMap {
             title,
             quantity,
@@ -137,30 +143,30 @@ pub(super) fn maps(of: &Evaluation) -> Result<Vec<NamedFigure>, PlotError> {
         .figure()
     };
     let differences = Scale::Difference { most };
-    let saturated =
-        "The 1 % of the values of both maps outside the range of the bar have the colours of its ends";
+    let [e1_name, e2_name] = ["e1", "e2"].map(|e| format!("{e}: {image} - true"));
+    let ends = "The 1 % of the values of both maps that are outside the range of the bar have the colours of its ends.";
     Ok(vec![
         NamedFigure {
             name: "mse-map",
-            caption: "Mean squared error in the window of each object, over the field. The 1 % of the values below the range of the bar and the \
-                      1 % above it have the colours of its ends."
+            caption: "Mean squared error (MSE) in the window of each object, over the field. The 1 % of the values below the range of the \
+                      bar and the 1 % above it have the colours of its ends."
                 .to_owned(),
             figure: map(
                 "mean squared error",
-                "MSE (squared flux per pixel)",
+                "MSE ((flux per pixel)^2)",
                 &mse,
                 Scale::Logarithmic { low, high },
             )?,
         },
         NamedFigure {
             name: "e1-map",
-            caption: format!("Simulated minus true e1 (distortion), on the scale of e2. {saturated}."),
-            figure: map("difference of e1", "e1 difference", &e1, differences)?,
+            caption: format!("e1 (distortion), {image} minus true, on the colour scale of e2. {ends}"),
+            figure: map(&e1_name, &e1_name, &e1, differences)?,
         },
         NamedFigure {
             name: "e2-map",
-            caption: format!("Simulated minus true e2 (distortion), on the scale of e1. {saturated}."),
-            figure: map("difference of e2", "e2 difference", &e2, differences)?,
+            caption: format!("e2 (distortion), {image} minus true, on the colour scale of e1. {ends}"),
+            figure: map(&e2_name, &e2_name, &e2, differences)?,
         },
     ])
 }
@@ -179,7 +185,7 @@ const ERROR_COLUMNS: [&str; 10] = [
     "failed",
 ];
 
-/// The cells of a summary in a table.
+/// Formats a summary as cells of a table.
 fn error_cells(summary: &ErrorSummary) -> [String; 10] {
     let cell = |spread: Option<Spread>, of: fn(Spread) -> f64| short(spread.map(of));
     [
@@ -196,19 +202,21 @@ fn error_cells(summary: &ErrorSummary) -> [String; 10] {
     ]
 }
 
-/// Makes a table of errors: the caller's first columns and cells, then the cells of a summary.
+/// Makes a table of errors: the caller's first columns and cells, then the cells of a summary. Adds
+/// the meaning of the columns to the caption.
 pub(super) fn error_table<'a>(
     caption: &str,
     first: &[&str],
     rows: impl IntoIterator<Item = (Vec<String>, &'a ErrorSummary)>,
 ) -> Table {
     let columns: Vec<&str> = first.iter().copied().chain(ERROR_COLUMNS).collect();
+    let caption = format!("{caption} 90 %: the difference that 90 % of the objects do not exceed.");
     let rows = rows.into_iter();
     Table {
         rows: rows
             .map(|(first, summary)| first.into_iter().chain(error_cells(summary)).collect())
             .collect(),
-        ..Table::new(caption, &columns)
+        ..Table::new(&caption, &columns)
     }
 }
 
@@ -230,7 +238,7 @@ fn quantile(values: impl Iterator<Item = f64>, q: f64) -> Option<f64> {
     metrics::Summary::of(values).ok()?.quantile(q).ok()
 }
 
-/// A frame that holds all objects, if none is known.
+/// Returns a frame that holds all objects, for use where the frame is not known.
 fn frame_about(rows: &[ObjectRow]) -> Option<FrameShape> {
     let side = |of: fn(&ObjectRow) -> f64| {
         let largest = rows.iter().map(of).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! An object, simulated and true.
+//! The measurements of an object in its simulated and in its true image.
 
 use metrics::{Comparison, Covariance, FWHM_PER_SIGMA, GaussianFit, GaussianFitter, MetricsError};
 use ndarray::ArrayView2;
@@ -6,8 +6,8 @@ use psf_types::Position;
 use serde::Serialize;
 
 table_row! {
-    /// An object measured in the same way and in the same window of a simulated image and of the
-    /// true one. The field of a failed measurement is empty, and `note` says why.
+    /// An object, measured in the same way in the same window of its simulated and of its true
+    /// image. The field of a failed measurement is empty, and `note` gives the reason.
     #[derive(Debug, Clone, PartialEq, Default, Serialize)]
     #[non_exhaustive]
     #[allow(
@@ -39,7 +39,8 @@ table_row! {
 }
 
 impl ObjectRow {
-    /// Measures both images, windows `[y, x]` of equal shape around the object.
+    /// Measures the object at `at` in two images: windows `[y, x]` of equal shape around the
+    /// object.
     pub fn measure(at: Position, simulated: ArrayView2<'_, f64>, truth: ArrayView2<'_, f64>) -> Self {
         let mut notes = Vec::new();
         let mut fit = |image: ArrayView2<'_, f64>, which: &str| {

@@ -1,4 +1,4 @@
-//! Comparison of the method with patches of constant PSF.
+//! Compares the fast engine with patches of constant PSF.
 
 use conv_core::{ConvolutionMethod, Direct, PlanOptions};
 use metrics::Comparison;
@@ -67,12 +67,12 @@ pub struct GalaxyComparison {
     pub patch: usize,
     /// Relative L2 error of the patches against the direct sum.
     pub patch_relative_l2: f64,
-    /// Largest error of the patches over the peak.
+    /// Largest error of the patches, divided by the peak of the direct sum.
     pub patch_max_over_peak: f64,
     /// Relative L2 error of the fast engine, with transforms for all tiles, at its default
     /// tolerance.
     pub lowrank_relative_l2: f64,
-    /// Its largest error over the peak.
+    /// Largest error of the fast engine, divided by the peak of the direct sum.
     pub lowrank_max_over_peak: f64,
     /// The galaxy before the convolution.
     #[serde(skip)]
@@ -88,11 +88,12 @@ pub struct GalaxyComparison {
     pub exact: Array2<f64>,
 }
 
-/// Half-light radius over the side of the image.
+/// Half-light radius of the galaxy as a fraction of the image's side.
 const GALAXY_SIZE: f64 = 0.12;
 
 impl GalaxyComparison {
-    /// Convolves a galaxy that fills the frame in all three ways.
+    /// Convolves a galaxy that fills the frame by the fast engine, by patches and by the direct
+    /// sum.
     ///
     /// # Errors
     /// [`ErrorKind::Convolution`](psfield::ErrorKind::Convolution).

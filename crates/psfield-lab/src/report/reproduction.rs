@@ -1,4 +1,4 @@
-//! Measures the figures of the method's paper anew.
+//! Measures the results of the method's paper anew.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -18,7 +18,7 @@ use crate::report::{
     ErrorSummary, Evaluation, GalaxyComparison, InterpolationRow, ModelRow, PatchComparison, Target,
 };
 
-/// All results of the paper, measured on psfield's own survey telescope.
+/// All results of the method's paper, measured on psfield's own survey telescope.
 ///
 /// The optics ([`Telescope::survey_2m`]) are sampled on a regular grid, and a model is fitted with
 /// the default settings. Objects are drawn on the whole frame with transforms for all tiles: stars
@@ -43,19 +43,19 @@ pub struct Reproduction {
     pub frame: FrameShape,
     /// Columns and rows of a stamp.
     pub stamp: [usize; 2],
-    /// Uniform samples.
+    /// Number of uniform samples.
     pub samples: usize,
-    /// Objects of each kind.
+    /// Number of objects of each kind.
     pub objects: usize,
     /// The galaxies: half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
     pub galaxy: [f64; 4],
-    /// The tolerance of the figures, which is the default.
+    /// The tolerance of figures and targets: the default tolerance.
     pub tolerance: f64,
-    /// The basis.
+    /// Results of the decomposition of the samples.
     pub basis: BasisFigures,
     /// Number of samples of the non-uniform sampling that is shown.
     pub adaptive_samples: usize,
-    /// Its threshold (relative L2 of the interpolation).
+    /// Threshold of this sampling (relative L2 of the interpolation).
     pub adaptive_threshold: f64,
     /// The targets at the default tolerance.
     pub targets: Vec<Target>,
@@ -71,9 +71,9 @@ pub struct Reproduction {
     pub stars: Evaluation,
     /// Galaxies at the default tolerance.
     pub galaxies: Evaluation,
-    /// Table 1.
+    /// Table 1 of the paper: patches and psfield.
     pub table_1: PatchComparison,
-    /// A large galaxy, with the seams of patches.
+    /// A large galaxy, convolved by psfield and by patches, which leave seams.
     pub large_galaxy: GalaxyComparison,
     /// Total seconds.
     pub seconds: f64,
@@ -96,13 +96,13 @@ pub struct BasisFigures {
     /// Largest truncation error over the samples, relative L2.
     pub max_error: f64,
     /// Median leave-one-out error of the samples, relative L2. It is the error of interpolating
-    /// over twice the distance of the samples.
+    /// over twice the distance between samples.
     pub leave_one_out_median: Option<f64>,
     /// The interpolator.
     pub interpolation: Interpolation,
     /// All singular values.
     pub singular_values: Vec<f64>,
-    /// Their cumulative weights.
+    /// Cumulative weights of the singular values.
     pub cumulative_weights: Vec<f64>,
 }
 
@@ -138,7 +138,7 @@ const SAMPLES_PER_TERM: usize = 4;
 const PATCHES_ACROSS: usize = 8;
 
 impl Reproduction {
-    /// Measures everything.
+    /// Measures all results.
     ///
     /// # Errors
     /// [`LabError`] of any stage. [`LabError::ObjectsTooClose`] if a small frame has no room for
@@ -181,7 +181,7 @@ impl Reproduction {
             }
             progress.advance(1);
         }
-        let (stars, galaxies) = shown.expect("the default tolerance is among them");
+        let (stars, galaxies) = shown.expect("the tolerances include the default");
 
         let interpolations = [
             record.interpolation(),
@@ -245,14 +245,15 @@ impl Reproduction {
     }
 }
 
-/// Returns the polynomial that this number of samples determines well.
+/// Returns the polynomial of the highest degree that this number of samples determines well.
 fn polynomial_of(samples: usize) -> Interpolation {
     let determined = |degree: &usize| (degree + 1) * (degree + 2) / 2 * SAMPLES_PER_TERM <= samples;
     let degree = (1..=MAX_DEGREE).rev().find(determined).unwrap_or(0);
     Interpolation::Polynomial { degree }
 }
 
-/// The survey telescope with another size of the frame. Its field of view keeps all aberrations.
+/// Returns the survey telescope with a frame of this size. The optics vary over it as over the
+/// telescope's own frame.
 fn telescope_on(frame: Option<FrameShape>) -> Result<Telescope, LabError> {
     let telescope = Telescope::survey_2m();
     let Some(frame) = frame else { return Ok(telescope) };
@@ -274,8 +275,8 @@ fn adaptive_positions(source: &dyn PsfSource, threshold: f64) -> Result<Vec<Posi
 /// less data.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ReproductionOptions {
-    /// The frame, over which the optics vary in the same way at any size. None: the telescope's
-    /// own.
+    /// The frame. The optics vary over a frame of any size as over the telescope's own frame. None:
+    /// the telescope's own frame.
     pub frame: Option<FrameShape>,
     /// PSF samples along each axis.
     pub samples_across: usize,
@@ -291,8 +292,8 @@ pub struct ReproductionOptions {
     pub repeat: usize,
     /// Side of the image of the large galaxy, in pixels.
     pub galaxy_side: usize,
-    /// Interpolation error (relative L2) of the non-uniform sampling that is shown next to the
-    /// uniform one.
+    /// Threshold of the interpolation error (relative L2) for the non-uniform sampling that is
+    /// shown next to the uniform sampling.
     pub adaptive_threshold: f64,
     /// Seed for the light of Table 1 and for the pixels compared.
     pub seed: u64,

@@ -8,7 +8,7 @@ use crate::plot::{
 };
 use crate::report::document::{Document, NamedFigure, Section, Table, short};
 use crate::report::evaluation::PAPER_ELLIPTICITY_Q90;
-use crate::report::object_figures::{distributions, error_table, maps, shape_histograms, target_table};
+use crate::report::object_figures::{error_table, maps, shape_figures, target_table};
 use crate::report::{ModelRow, ObjectKind, Reproduction, Software};
 
 impl Reproduction {
@@ -18,15 +18,13 @@ impl Reproduction {
     /// [`PlotError`] when a figure cannot be drawn.
     pub fn document(&self, software: Software) -> Result<Document, PlotError> {
         let [radius, index, ratio, angle] = self.galaxy;
+        let tolerance = format!("{:e} (default)", self.tolerance);
         let inputs = vec![
             ("telescope", format!("{} (preset survey-2m)", self.telescope)),
             ("frame", format!("{} pixels", self.frame)),
             ("stamps", format!("{} x {} pixels", self.stamp[0], self.stamp[1])),
             ("PSF samples", format!("{}, on a regular grid", self.samples)),
-            (
-                "objects",
-                format!("{} stars and {} galaxies", self.objects, self.objects),
-            ),
+            ("objects", format!("{0} stars and {0} galaxies", self.objects)),
             (
                 "galaxies",
                 format!(
@@ -40,11 +38,8 @@ impl Reproduction {
                     self.basis.rank, self.basis.interpolation
                 ),
             ),
-            (
-                "tolerance of the figures",
-                format!("{:e} (default)", self.tolerance),
-            ),
-            ("seconds", format!("{:.0}", self.seconds)),
+            ("tolerance of figures and targets", tolerance),
+            ("run time (s)", format!("{:.0}", self.seconds)),
         ];
         Ok(Document {
             title: "psfield: a spatially varying PSF against the truth".to_owned(),
@@ -64,23 +59,23 @@ impl Reproduction {
 
     fn accuracy_section(&self) -> Section {
         let targets = target_table(
-            "Targets at the default tolerance. The paper reports 0.0901 for 90 % of its differences of ellipticity.",
+            "Targets at the default tolerance. In the paper, 90 % of the differences of ellipticity are below 0.0901.",
             &self.targets,
         );
         let tolerances = error_table(
-            "Absolute differences of objects drawn at several tolerances (transforms for all tiles) from the true images of the optics.",
+            "Stars and galaxies drawn at several tolerances (transforms for all tiles): absolute differences from their true images.",
             &["objects", "tolerance", "seconds per frame"],
             self.tolerances.iter().map(|row| {
                 let kind = match row.kind {
                     ObjectKind::Point => "stars",
                     ObjectKind::Extended => "galaxies",
                 };
-                let (tolerance, seconds) = (format!("{:e}", row.tolerance), format!("{:.1}", row.seconds));
+                let (tolerance, seconds) = (format!("{:e}", row.tolerance), short(Some(row.seconds)));
                 (vec![kind.to_owned(), tolerance, seconds], &row.summary)
             }),
         );
         let interpolations = error_table(
-            "Absolute differences of the model's PSFs by the exact sum, without the engine, with other interpolators of the same coefficients.",
+            "PSFs of the model without the engine, with several interpolators of its coefficients: absolute differences from the truth.",
             &["interpolation"],
             self.interpolations.iter().map(|row| {
                 let in_use = if row.in_use { " (in use)" } else { "" };
@@ -91,25 +86,26 @@ impl Reproduction {
         // A small number of samples cannot be reduced further.
         if !self.fewer_samples.is_empty() {
             tables.push(ModelRow::table(
-                "Models with fewer samples on regular grids, with default settings, by the exact sum.",
+                "Errors of models with fewer samples on regular grids, computed by the exact sum over the components.",
                 &self.fewer_samples,
             ));
         }
         tables.push(ModelRow::table(
-            "Models with fewer components, by the exact sum.",
+            "Errors of models with fewer components, computed by the exact sum over the components.",
             &self.fewer_components,
         ));
         Section {
             title: "Accuracy".to_owned(),
             paragraphs: vec![
                 "Each object is measured twice in the same window by a Gaussian fit: in the image made by the fast engine, and in the true \
-                 image, for which the optics are evaluated at the object's own position. The error has three parts: the samples and the \
-                 interpolation between them, the components left out (at most 1e-4, relative L2, at a sample), and the engine's tolerance."
+                 image, for which the optics are evaluated at the object's own position. The error has three parts. They come from the \
+                 interpolation between samples, from the components left out (at most 1e-4, relative L2, at a sample), and from the \
+                 engine's tolerance."
                     .to_owned(),
-                "If two neighbouring rows of the table of tolerances hardly differ, the engine is no longer the largest part. The table of \
+                "If the errors hardly change from one tolerance to the next, the engine's part is no longer the largest. The table of \
                  interpolators shows the error that remains without the engine. Bilinear and natural neighbour interpolation miss the \
                  curvature of the PSF between samples. Cubic interpolation follows it, and so does a polynomial over the whole field \
-                 (--interpolation polynomial=D) if the optics are as smooth as these."
+                 (interpolation polynomial=D) if the optics are as smooth as these."
                     .to_owned(),
             ],
             tables,
@@ -136,22 +132,22 @@ impl Reproduction {
                 .collect(),
         };
         let figure = Curves {
-            x: Axis::logarithmic("components"),
+            x: Axis::logarithmic("number of components"),
             y: Axis::linear("cumulative weight of the singular values"),
             curves: vec![Curve::new("cumulative weight", points)],
             marks,
         }
         .figure()?;
         let text = format!(
-            "{} components are kept. The others change no sample by more than {} (relative L2). Samples predicted from their neighbours, at \
-             twice the distance between samples, have a median error of {} (relative L2).",
+            "{} components are kept. Leaving out the others changes no sample by more than {} (relative L2). Leave-one-out error (each \
+             sample predicted from its neighbours): median {} (relative L2).",
             self.basis.rank,
             short(Some(self.basis.max_error)),
             short(self.basis.leave_one_out_median),
         );
         let figure = NamedFigure {
             name: "singular-values",
-            caption: "Cumulative weight of the singular values: the sum of the first k over the sum of all. The elbow is marked.".to_owned(),
+            caption: "Cumulative weight of the singular values: the sum of the first k divided by the sum of all. The elbow and the number of components kept are marked.".to_owned(),
             figure,
         };
         Ok(Section::new("Singular values", Some(text), vec![figure]))
@@ -181,11 +177,11 @@ impl Reproduction {
     }
 
     fn shape_section(&self) -> Result<Section, PlotError> {
-        let mut figures = shape_histograms(&self.stars)?;
-        figures.extend(distributions(
+        let figures = shape_figures(
             &[("stars", &self.stars), ("galaxies", &self.galaxies)],
+            ["simulated", "pixels"],
             Some(PAPER_ELLIPTICITY_Q90),
-        )?);
+        )?;
         let text = format!(
             "The histograms show the {} stars at the default tolerance.",
             self.objects
@@ -195,7 +191,8 @@ impl Reproduction {
 
     fn map_section(&self) -> Result<Section, PlotError> {
         let text = "Stars of unit flux at the default tolerance.".to_owned();
-        Ok(Section::new("Over the field", Some(text), maps(&self.stars)?))
+        let figures = maps(&self.stars, "simulated")?;
+        Ok(Section::new("Over the field", Some(text), figures))
     }
 
     fn galaxy_section(&self) -> Result<Section, PlotError> {
@@ -221,11 +218,11 @@ impl Reproduction {
         let (flux, percent) = ("flux per pixel", "% of the peak");
         let figure = pictures(&[
             panel("input galaxy", &galaxy.original, sky, flux),
-            panel("psfield, transforms", &galaxy.lowrank, sky, flux),
+            panel("image by psfield (lowrank)", &galaxy.lowrank, sky, flux),
             panel(patches.as_str(), &galaxy.patches, sky, flux),
             panel(patches_off.as_str(), &of_patches, same, percent),
             panel(
-                "psfield - exact (scale of the patches)",
+                "psfield - exact (colour scale of the patches)",
                 &of_lowrank,
                 same,
                 percent,
@@ -234,7 +231,7 @@ impl Reproduction {
         ])?;
         let text = format!(
             "A galaxy on {0} x {0} pixels, over which the PSF varies as over the whole field. The largest error against the direct sum in \
-             double precision is {1} of the peak for patches (relative L2 {2}) and {3} for psfield ({4}).",
+             double precision is {1} of the peak for patches (relative L2 {2}) and {3} of the peak for psfield (relative L2 {4}).",
             galaxy.side,
             short(Some(galaxy.patch_max_over_peak)),
             short(Some(galaxy.patch_relative_l2)),
@@ -244,7 +241,8 @@ impl Reproduction {
         let figure = NamedFigure {
             name: "galaxy",
             caption: "The galaxy before and after the convolution, and the differences from the direct sum. Patches leave seams where the PSF \
-                      changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen."
+                      changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen. The \
+                      0.2 % of the pixels outside the range of a bar have the colours of its ends."
                 .to_owned(),
             figure,
         };
@@ -253,8 +251,8 @@ impl Reproduction {
 
     fn table_1_section(&self) -> Section {
         let mut table = Table::new(
-            "Seconds are those of the fastest run. The ratio compares with one convolution with a single PSF in the same run. Errors are \
-             relative L2 differences from the direct sum in double precision at random pixels.",
+            "Seconds: time of the fastest run. Ratio: these seconds divided by the time of one convolution with a single PSF, measured in \
+             turn with the others. Error: relative L2 difference from the direct sum in double precision at random pixels.",
             &["image", "method", "setting", "seconds", "ratio", "error"],
         );
         for row in self.table_1.sizes.iter().flat_map(|outcome| &outcome.rows) {
@@ -271,7 +269,7 @@ impl Reproduction {
             title: "Table 1: patches and psfield".to_owned(),
             paragraphs: vec![
                 "Every pixel has light, and the PSF varies over each image as over the whole field. The method single uses one PSF for the \
-                 whole image, which is fastest and wrong. The method patch uses one PSF per patch. The method lowrank is psfield with \
+                 whole image, which is fastest but ignores the variation. The method patch uses one PSF per patch. The method lowrank is psfield with \
                  transforms for all tiles. The time of patches includes making their PSFs from the components. The time of psfield does \
                  not include its plan, which is made once for a model and a frame."
                     .to_owned(),

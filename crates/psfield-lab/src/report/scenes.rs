@@ -1,4 +1,4 @@
-//! Stars and galaxies over the frame, as the engine draws them and as they truly are.
+//! Stars and galaxies over the frame, and their true images.
 
 use std::time::Instant;
 
@@ -10,9 +10,9 @@ use rayon::prelude::*;
 use crate::LabError;
 use crate::report::{Evaluation, ObjectKind, ToleranceRow};
 
-/// Half-light radius in pixels, Sersic index, axis ratio, angle in degrees.
+/// Half-light radius in pixels, Sersic index, axis ratio, and angle in degrees of every galaxy.
 pub(super) const GALAXY: [f64; 4] = [3.0, 1.0, 0.7, 30.0];
-/// Pixels along each side of a galaxy's light. Truth and scene have the same light.
+/// Pixels along each side of the array that holds a galaxy. Truth and scene use this array.
 const GALAXY_SIDE: usize = 32;
 
 /// Objects and their true images.
@@ -106,8 +106,8 @@ impl Scenes {
     }
 }
 
-/// The light of a galaxy of unit flux on its pixels. Light outside is left out of both scene and
-/// truth.
+/// Returns a galaxy of unit flux on its array. Scene and truth both lack the light outside the
+/// array.
 fn galaxy_light() -> Result<Array2<f64>, LabError> {
     let [radius, index, axis_ratio, angle] = GALAXY;
     let profile = SersicProfile::new(radius, index, axis_ratio, angle)?;
@@ -122,8 +122,8 @@ fn galaxy_light() -> Result<Array2<f64>, LabError> {
     Ok(light / sum)
 }
 
-/// Pixels of a grid of `across` by `across` objects, ordered by y, then x, and at least `margin`
-/// pixels from the frame's edges.
+/// Returns the pixels of a grid of `across` by `across` objects, ordered by y, then x. They are at
+/// least `margin` pixels from the frame's edges.
 ///
 /// # Errors
 /// [`LabError::ObjectsTooClose`] if two of them would be closer than `least_apart` pixels along an
@@ -156,12 +156,13 @@ fn object_pixels(
         .collect())
 }
 
-/// Positions around an object at which the PSF is drawn, in halves of the galaxy's side. Between
-/// these nine positions the PSF is a polynomial of degree 2 in x and in y. Its error is far below
-/// the measured differences, because the nodes are some 10 pixels apart and samples some 100.
+/// Nodes: positions around a galaxy at which the optics draw the PSF, in halves of the galaxy's
+/// side. Between these nine positions the PSF is interpolated by a polynomial of degree 2 in x and
+/// in y. The error of this is far below the measured differences, because the nodes are much closer
+/// to each other than the samples.
 const NODES: [f64; 3] = [-1.0, 0.0, 1.0];
 
-/// The PSF at a position, scaled to unit flux, as drawn by its source.
+/// Returns the PSF that `source` draws at a position, scaled to unit flux.
 ///
 /// # Errors
 /// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling) if it cannot be drawn.
@@ -171,9 +172,9 @@ fn true_psf(source: &dyn PsfSource, at: Position) -> Result<Array2<f64>, LabErro
     Ok(stamp.into_values() / flux)
 }
 
-/// The image of `galaxy` `[y, x]`, whose pixel `n / 2` along each axis is at `(x, y)`. The window
-/// has the size and the centre of the PSF's stamps. Each pixel of the galaxy has the PSF of its own
-/// position.
+/// Returns the true image of `galaxy` `[y, x]`, whose pixel `n / 2` along each axis is at pixel
+/// `(x, y)` of the frame. Each pixel of the galaxy is convolved with the PSF of its own position.
+/// The image has the size and the centre of the PSF's stamps.
 ///
 /// # Errors
 /// [`ErrorKind::Sampling`](psfield::ErrorKind::Sampling).
@@ -229,7 +230,8 @@ fn lagrange(t: f64) -> [f64; 3] {
     [0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)]
 }
 
-/// The overlapping parts of a window and of a stamp of `n` pixels that is moved by `shift`.
+/// Returns the ranges of pixels, in a window of `n` pixels and in a stamp of `n` pixels, that
+/// overlap if the stamp is moved by `shift` pixels.
 fn overlap(shift: i64, n: usize) -> ((usize, usize), (usize, usize)) {
     let moved = shift.unsigned_abs().min(n as u64) as usize;
     if shift >= 0 {
@@ -239,7 +241,8 @@ fn overlap(shift: i64, n: usize) -> ((usize, usize), (usize, usize)) {
     }
 }
 
-/// Adds `light` at every pixel, with its own pixel `n / 2` along each axis on that pixel.
+/// Returns a frame with a copy of `light` at each of `pixels`. Pixel `n / 2` of `light` along each
+/// axis lies on that pixel.
 fn scattered(frame: FrameShape, pixels: &[(usize, usize)], light: ArrayView2<'_, f64>) -> Array2<f32> {
     let (rows, columns) = light.dim();
     let mut scene = Array2::zeros((frame.ny(), frame.nx()));

@@ -1,4 +1,4 @@
-//! Comparison of a given model with given PSFs, and its report.
+//! Compares a model with known PSFs or with the stars of a frame, and reports the errors.
 
 use conv_core::StampInterpolator;
 use ndarray::{Array2, s};
@@ -11,25 +11,25 @@ use serde::Serialize;
 use crate::LabError;
 use crate::plot::PlotError;
 use crate::report::document::{Document, Section};
-use crate::report::object_figures::{distributions, error_table, maps, shape_histograms, target_table};
+use crate::report::object_figures::{error_table, maps, shape_figures, target_table};
 use crate::report::{Evaluation, Software, Target};
 use crate::round_trip::{drawn, drawn_sources, measuring_window};
 
-/// The errors of a model against known PSFs.
+/// The errors of a model against known PSFs or against the stars of a frame.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Validation {
     /// The kind of truth.
     pub truth: ValidationTruth,
-    /// Pixels along each side of the window that is compared.
+    /// Columns and rows of the compared windows.
     pub window: [usize; 2],
-    /// Pixels of the window per pixel of the frame. Lengths are in pixels of the window.
+    /// Window pixels per frame pixel along each axis. Lengths are in window pixels.
     pub oversampling: f64,
     /// Components of the model, the mean not counted.
     pub rank: usize,
     /// The targets for PSFs without noise. Empty for a frame.
     pub targets: Vec<Target>,
-    /// The PSFs.
+    /// The errors of the PSFs or stars.
     pub objects: Evaluation,
 }
 
@@ -37,15 +37,16 @@ pub struct Validation {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum ValidationTruth {
-    /// PSFs.
+    /// Samples of known PSFs.
     Samples,
-    /// Stars of a frame, with its noise.
+    /// Stars of a frame that has noise.
     Frame,
 }
 
 impl Validation {
-    /// Compares the model's PSFs, by the exact sum over its components, with the samples at their
-    /// positions and on their pixels. Both are scaled to unit flux if the PSFs of the model are.
+    /// Compares the model's PSFs with samples, at the positions and on the pixels of the samples.
+    /// The model's PSFs are exact sums over its components. If they are scaled to unit flux, the
+    /// samples are, too.
     ///
     /// # Errors
     /// [`ErrorKind::Field`](psfield::ErrorKind::Field) for a sample outside the model's field or if
@@ -67,8 +68,8 @@ impl Validation {
                 } else {
                     StampInterpolator::new(psf.values(), model.grid()).resample((0.0, 0.0), grid)
                 };
-                // Both hold the same part of the light, even if one grid reaches further than the
-                // other.
+                // Model and truth hold the same part of the light, even if one grid reaches further
+                // than the other.
                 let flux = if unit { grid.flux_of_sum(stamp.sum()) } else { 1.0 };
                 Ok(stamp / flux)
             })
@@ -91,14 +92,15 @@ impl Validation {
         })
     }
 
-    /// Compares a frame minus its background with stars drawn by the model: all sources found, at
-    /// their measured positions and fluxes, without noise. The windows measured are those around
-    /// the stars that are good enough to be samples. The differences include the noise of the frame
-    /// and the errors of the measured positions.
+    /// Compares a frame minus its background with stars drawn by the model. The model draws all
+    /// sources found, at their measured positions and with their measured fluxes, without noise.
+    /// The measured windows lie around the stars that are good enough to be samples. The
+    /// differences include the noise of the frame and the errors of the measured positions.
     ///
     /// # Errors
     /// [`ErrorKind::Stars`](psfield::ErrorKind::Stars) if the frame has no such stars,
-    /// [`LabError::NothingMeasured`] if none can be measured in both, and the errors of drawing.
+    /// [`LabError::NothingMeasured`] if none of them can be measured in both images, and the errors
+    /// of drawing.
     pub fn of_frame(
         model: &PsfModel,
         frame: &Image<f64>,
@@ -156,34 +158,37 @@ impl Validation {
         mut inputs: Vec<(&'static str, String)>,
         software: Software,
     ) -> Result<Document, PlotError> {
-        let (name, text) = match self.truth {
+        let (name, [image, pixels], text) = match self.truth {
             ValidationTruth::Samples => (
                 "PSFs",
-                "Each PSF is measured twice in the same way, by a Gaussian fit: as given by the model at that position, and as given in the \
-                 truth. No image is simulated: the error of the engine is bounded by its tolerance.",
+                ["model", "stamp pixels"],
+                "Each PSF is measured twice in the same way, by a Gaussian fit: as the model gives it at that position, and as the truth \
+                 gives it. Both are scaled to unit flux if the PSFs of the model are. No image is simulated, so that the differences do \
+                 not include the error of the engine, which its tolerance limits.",
             ),
             ValidationTruth::Frame => (
                 "stars",
+                ["simulated", "pixels"],
                 "Each star is measured twice in the same window, by a Gaussian fit: in the frame minus its background, and as drawn by the \
                  model at the measured position with the measured flux, without noise. The differences include the noise of the frame.",
             ),
         };
         inputs.push(("objects", format!("{} {name}", self.objects.summary.objects)));
         let ([nx, ny], finer) = (self.window, self.oversampling);
-        let window = format!("{nx} x {ny} pixels, {finer} per pixel of the frame");
+        let window = format!("{nx} x {ny} {pixels}, {finer} per frame pixel along each axis");
         inputs.push(("window", window));
         inputs.push(("model", format!("{} components", self.rank)));
         let errors = error_table(
-            "Absolute differences between the model and the truth.",
+            &format!("Absolute differences between the model and the truth. Lengths are in {pixels}."),
             &["objects"],
             [(vec![name.to_owned()], &self.objects.summary)],
         );
         let mut tables = vec![errors];
         if !self.targets.is_empty() {
-            tables.push(target_table("Targets for PSFs without noise", &self.targets));
+            let caption = "psfield's targets for PSFs without noise";
+            tables.push(target_table(caption, &self.targets));
         }
-        let mut figures = shape_histograms(&self.objects)?;
-        figures.extend(distributions(&[(name, &self.objects)], None)?);
+        let figures = shape_figures(&[(name, &self.objects)], [image, pixels], None)?;
         Ok(Document {
             title: "psfield: a PSF model against the truth".to_owned(),
             software,
@@ -194,7 +199,7 @@ impl Validation {
                     ..Section::new("Accuracy", Some(text.to_owned()), Vec::new())
                 },
                 Section::new("FWHM, ellipticity, MAE", None, figures),
-                Section::new("Over the field", None, maps(&self.objects)?),
+                Section::new("Over the field", None, maps(&self.objects, image)?),
             ],
         })
     }

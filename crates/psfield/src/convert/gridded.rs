@@ -8,20 +8,20 @@ use super::samples::{SamplesAt, to_samples, with_centre_in_the_middle};
 use crate::{ErrorKind, Psf, PsfieldError};
 
 const FORMAT: &str = "a gridded library";
-/// The smallest number of nodes along each axis of a grid that is chosen here.
+/// The smallest number of nodes along each axis of a grid for which the caller gives no size.
 const NODES: usize = 11;
 
-/// PSFs on a regular grid, and the error of their bilinear interpolation against the PSF that they
-/// were made from.
+/// PSFs on a regular grid, and the error of their bilinear interpolation relative to the PSF from
+/// which they were made.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct GriddedConversion {
-    /// The PSFs, with a whole number of stamp pixels per frame pixel, centred in the middle, as
-    /// [`psf_io::write_gridded`] requires.
+    /// The PSFs. As [`psf_io::write_gridded`] requires, the oversampling is a whole number, and the
+    /// centre of the stamps is in their middle.
     pub samples: PsfSamples,
-    /// The largest relative L2 error, in the middle of a cell, of the bilinear interpolation by
-    /// readers of the file, against the source. None if the source is itself interpolated
-    /// bilinearly between these nodes.
+    /// The largest relative L2 error of the bilinear interpolation that readers of the file use. It
+    /// is measured in the middle of each cell, relative to the source. None if the source is itself
+    /// interpolated bilinearly between these nodes.
     pub max_error: Option<f64>,
     /// Notes on the conversion, in plain sentences.
     pub notes: Vec<String>,
@@ -30,10 +30,10 @@ pub struct GriddedConversion {
 /// Converts a PSF to PSFs on a regular grid of positions, as in libraries of ePSFs. photutils
 /// (`GriddedPSFModel`) and others interpolate bilinearly between the nodes.
 ///
-/// A PSF that is already interpolated between samples on such a grid (bilinearly or bicubically) is
-/// given at its samples. Any other PSF is evaluated on a grid: `at`, or a square grid of at least
-/// 11 x 11 nodes and at least as many as there are samples. A fractional oversampling is resampled
-/// to the next whole number.
+/// With [`SamplesAt::Own`], a PSF that is already interpolated between samples on such a grid
+/// (bilinearly or bicubically) keeps its samples. Any other PSF is then evaluated on a square grid,
+/// with at least 11 x 11 nodes and at least as many nodes as samples. A fractional oversampling is
+/// resampled to the next whole number.
 ///
 /// # Errors
 /// [`ErrorKind::Format`] for positions that form no grid or stamps centred between pixels, and the
@@ -45,7 +45,7 @@ pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, Psfiel
         SamplesAt::Own if !on_grid => {
             let n = (psf.positions().len() as f64).sqrt().ceil() as usize;
             let n = n.max(NODES);
-            notes.push(format!("evaluated on a grid of {n} x {n} positions"));
+            notes.push(format!("the PSF was evaluated on a grid of {n} x {n} positions"));
             SamplesAt::Grid { nx: n, ny: n }
         }
         other => other.clone(),
@@ -75,10 +75,10 @@ pub fn to_gridded(psf: &Psf, at: &SamplesAt) -> Result<GriddedConversion, Psfiel
     })
 }
 
-/// Returns whether the PSF is interpolated between samples on a grid. [`to_gridded`] then gives it
-/// at its own positions.
+/// Returns whether the PSF is interpolated between samples on a grid. If so, [`to_gridded`] keeps
+/// its positions.
 pub fn is_on_grid(psf: &Psf) -> bool {
-    psf.positions().len() >= 4 && is_of_grids(interpolation_of(psf))
+    psf.positions().len() >= 4 && needs_grid(interpolation_of(psf))
 }
 
 fn interpolation_of(psf: &Psf) -> Interpolation {
@@ -90,12 +90,12 @@ fn interpolation_of(psf: &Psf) -> Interpolation {
     coeff_field::resolve(choice, psf.positions())
 }
 
-fn is_of_grids(interpolation: Interpolation) -> bool {
+fn needs_grid(interpolation: Interpolation) -> bool {
     matches!(interpolation, Interpolation::Bilinear | Interpolation::Bicubic)
 }
 
 fn is_grid(samples: &PsfSamples) -> bool {
-    is_of_grids(coeff_field::resolve(Interpolation::Auto, samples.positions()))
+    needs_grid(coeff_field::resolve(Interpolation::Auto, samples.positions()))
 }
 
 /// The largest relative L2 error of stamps in the middle of the cells, at the source's own
@@ -159,12 +159,12 @@ fn resampled(samples: PsfSamples, notes: &mut Vec<String>) -> Result<PsfSamples,
         reach(grid.centre_x(), grid.nx()),
         reach(grid.centre_y(), grid.ny()),
     );
-    // A missing pixel response is not added. The writer refuses such stamps at any sampling.
+    // A missing pixel response is not added here: the writer refuses stamps without it.
     let target = StampGrid::new(2 * rx + 1, 2 * ry + 1)?
         .with_oversampling(whole)?
         .with_pixel_response_included(grid.pixel_response_included());
     notes.push(format!(
-        "stamps resampled from {:.6} to {whole} pixels per frame pixel: libraries hold whole numbers",
+        "stamps resampled from {:.6} to {whole} pixels per frame pixel, because libraries need whole numbers",
         grid.oversampling()
     ));
     by_spline(&resample_samples(&samples, target)?)
@@ -177,7 +177,7 @@ fn by_spline(samples: &PsfSamples) -> Result<PsfSamples, PsfieldError> {
     Ok(PsfSamples::new(stamps, positions, grid)?)
 }
 
-/// Returns whether the centre is the middle of the stamp, also if it lies between pixels.
+/// Returns whether the centre is the middle of the stamp. The middle may lie between pixels.
 fn is_centred(grid: StampGrid) -> bool {
     let middle = |n: usize| (n - 1) as f64 / 2.0;
     (grid.centre_x(), grid.centre_y()) == (middle(grid.nx()), middle(grid.ny()))
@@ -217,7 +217,7 @@ mod tests {
         let (ny, nx) = fine.samples.grid().dim();
         assert!(nx % 2 == 1 && fine.samples.grid().whole_centre() == Some((nx / 2, ny / 2)));
         assert!(fine.notes[0].contains("resampled"), "{:?}", fine.notes);
-        // Unit flux is kept: a well sampled PSF loses nothing.
+        // Resampling keeps the unit flux of a well sampled PSF.
         assert!(
             (fine.samples.flux(40) - 1.0).abs() < 1e-3,
             "{}",

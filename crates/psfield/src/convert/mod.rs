@@ -1,8 +1,8 @@
 //! Converts a PSF to another form: samples at other positions, a PSFEx model, a gridded library.
 //!
 //! If a form cannot hold a property of the PSF, the conversion fails
-//! ([`ErrorKind::Format`](crate::ErrorKind::Format)). If the PSFs are unchanged without that
-//! property, a note tells of it instead.
+//! ([`ErrorKind::Format`](crate::ErrorKind::Format)). If the PSFs do not change without this
+//! property, the conversion succeeds and a note reports the loss.
 
 mod gridded;
 mod psfex;

@@ -12,39 +12,40 @@ use super::samples::{SamplesAt, bounds, to_samples, with_centre_in_the_middle};
 use crate::{ErrorKind, EvaluateOptions, Psf, PsfieldError, evaluate, model_of};
 
 const FORMAT: &str = "a PSFEx file";
-/// The names of the coordinates.
+/// The names of the coordinates in the file.
 const X: &str = "X_IMAGE";
 const Y: &str = "Y_IMAGE";
-/// Singular values below this fraction of the largest count as 0: the samples do not determine a
-/// term.
+/// Singular values up to this fraction of the largest one count as 0. They mean that the samples do
+/// not determine a term.
 const DEGENERATE: f64 = 1e-10;
 
-/// A PSFEx model and its error against the PSFs that it was made from.
+/// A PSFEx model, and its error relative to the PSFs from which it was made.
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct PsfexConversion {
     /// The model, with values in single precision, as in a file.
     pub model: PsfexModel,
-    /// Number of samples, or of nodes of the source model, that it was fitted to.
+    /// Number of samples, or of nodes of the source model, to which the model was fitted.
     pub samples: usize,
-    /// The largest relative L2 error over those.
+    /// The largest relative L2 error over these samples or nodes.
     pub max_error: f64,
     /// Notes on properties that the file does not hold, in plain sentences.
     pub notes: Vec<String>,
 }
 
-/// Converts samples or a model to a PSFEx model: for each pixel of the stamps, a polynomial in x
-/// and y of a given total degree.
+/// Converts samples or a model to a PSFEx model. It has one polynomial in x and y, of a given total
+/// degree, for each pixel of the stamps.
 ///
 /// A model whose coefficients are polynomials of this degree or a lower one is converted exactly,
 /// before the scaling to unit flux that PSFEx's readers apply. If no degree is given, the model's
 /// own is used. Any other PSF is fitted at its own samples or nodes, by least squares. Stamps are
-/// padded with zeros to an odd size with the centre in the middle. There, PSFEx and GalSim agree on
-/// the centre.
+/// padded with zeros to an odd size with the centre in the middle. For such stamps, PSFEx and
+/// GalSim agree on the centre.
 ///
 /// # Errors
-/// [`ErrorKind::Setting`] when there is no degree, [`ErrorKind::Fit`] when the samples are too few
-/// for it, [`ErrorKind::Format`] for stamps without the pixel response or centred between pixels.
+/// [`ErrorKind::Setting`] when no degree is known, [`ErrorKind::Fit`] when the samples are too few
+/// for the degree, [`ErrorKind::Format`] for stamps without the pixel response or centred between
+/// pixels.
 pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, PsfieldError> {
     let own_degree = match psf.stored().map(PsfModelRecord::interpolation) {
         Some(Interpolation::Polynomial { degree }) => Some(degree),
@@ -52,13 +53,13 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
     };
     let degree = degree.or(own_degree).ok_or_else(|| {
         const NEEDED: &str =
-            "the source is not a polynomial, so that it has no degree to take over: choose a total degree in x and y, 0 to 10";
+            "the PSF is not a polynomial in x and y, so its degree is not known: choose a total degree, 0 to 10";
         PsfieldError::of_setting("degree", NEEDED)
     })?;
     if !psf.grid().pixel_response_included() {
         let message = format!(
-            "{FORMAT} cannot hold stamps without the pixel response, because stamps of PSFEx include it. If the \
-             stamps do hold it, declare so"
+            "{FORMAT} needs stamps that include the pixel response. If these stamps include it, state so. If not, \
+             evaluate the PSF on the native grid first"
         );
         return Err(PsfieldError::new(ErrorKind::Format, message).with_setting("pixel_response_included"));
     }
@@ -112,14 +113,14 @@ fn notes(psf: &Psf) -> Vec<String> {
     notes
 }
 
-/// The unscaled PSFs of a polynomial model at nodes over its own area. The nodes determine a
+/// Returns the unscaled PSFs of a polynomial model, at enough nodes over its area to determine a
 /// polynomial of this degree.
 fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSamples, PsfieldError> {
     let [x, y] = bounds(record.coefficients().positions().as_slice());
     let along = |name, (low, high): (f64, f64)| -> Result<_, PsfieldError> {
         let mut nodes = axis(name, (low, high))?.extrema(degree);
         if low < high && degree > 0 {
-            // Exactly, without rounding: the field may end there.
+            // Removes the rounding of the outermost nodes, because the field may end there.
             nodes[0] = low;
             nodes[degree] = high;
         }
@@ -140,7 +141,8 @@ fn polynomial_samples(record: &PsfModelRecord, degree: usize) -> Result<PsfSampl
     evaluate(&model_of(bare)?, positions?, EvaluateOptions::default())
 }
 
-/// A coordinate whose offset and scale map the samples to -1/2 to 1/2, as in PSFEx.
+/// Returns a coordinate whose offset and scale map the range of the samples to -1/2 ... 1/2, as in
+/// PSFEx.
 fn axis(name: &str, (low, high): (f64, f64)) -> Result<PsfexAxis, PsfieldError> {
     let scale = if low < high { high - low } else { 1.0 };
     Ok(PsfexAxis::new(name, f64::midpoint(low, high), scale)?)
@@ -164,8 +166,8 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     }
     let rows = samples.positions().as_slice().iter();
     let mut design = DMatrix::from_row_iterator(count, terms, rows.flat_map(|&p| polynomial.terms(p)));
-    // High powers of numbers below 1/2 are small. Columns of norm 1 separate terms that the samples
-    // do not determine from terms that are only small.
+    // High powers of coordinates below 1/2 are small. With columns scaled to norm 1, a small
+    // singular value means a term that the samples do not determine, not a small power.
     let norms: Vec<f64> = design.column_iter().map(|column| column.norm()).collect();
     if norms.contains(&0.0) {
         return Err(undetermined());
@@ -180,14 +182,14 @@ fn fitted(samples: &PsfSamples, degree: usize) -> Result<PsfexModel, PsfieldErro
     }
     let stamps = samples.stamps();
     let stamps = DMatrix::from_row_slice(count, ny * nx, stamps.as_slice().expect("samples are row-major"));
-    let solution = svd.solve(&stamps, 0.0).expect("both sides were computed");
+    let solution = svd.solve(&stamps, 0.0).expect("the SVD has both U and V");
     let planes = Array3::from_shape_fn((terms, ny, nx), |(term, y, x)| {
         f64::from((solution[(term, y * nx + x)] / norms[term]) as f32)
     });
     let sampling = 1.0 / samples.grid().oversampling();
     let model = PsfexModel::new(planes, sampling, Some(polynomial))?;
     let mut figures = PsfexFigures::default();
-    // The width only informs readers. A PSF without a peak has none.
+    // The FWHM is only information for the user. A PSF without a peak has none.
     let fit = GaussianFitter::elliptical().fit(model.planes().index_axis_move(Axis(0), 0));
     figures.fwhm_px = fit.ok().map(|fit| fit.fwhm_px() * sampling);
     (figures.loaded, figures.accepted) = (Some(count as i64), Some(count as i64));

@@ -1,4 +1,4 @@
-//! Converts a PSF to samples, and puts the centre of stamps in the middle.
+//! Converts a PSF to samples, and pads stamps so that their centre is in the middle.
 
 use ndarray::{Array3, s};
 use psf_types::{Normalisation, Position, PsfSamples, StampGrid};
@@ -12,8 +12,8 @@ pub enum SamplesAt {
     /// At its own samples, or at the nodes of its model.
     #[default]
     Own,
-    /// On a regular grid over the field if it is known, else over the area that the PSF's own
-    /// samples cover.
+    /// On a regular grid over the field. If the field is not known, over the area that the PSF's
+    /// own samples cover.
     Grid {
         /// Number of columns.
         nx: usize,
@@ -25,8 +25,8 @@ pub enum SamplesAt {
 }
 
 /// Converts samples or a model to samples at their own sampling. Samples at their own positions are
-/// returned unchanged, but for a scaling to unit flux if their options ask for it. Any other PSF is
-/// evaluated through the model.
+/// returned unchanged, except for a scaling to unit flux if their options ask for it. Any other PSF
+/// is evaluated through the model.
 ///
 /// # Errors
 /// [`ErrorKind::Format`] for a grid over a PSF that is known only at one position or along a line,
@@ -46,10 +46,10 @@ pub fn to_samples(psf: &Psf, at: &SamplesAt) -> Result<PsfSamples, PsfieldError>
     psf.evaluate(positions, EvaluateOptions::default())
 }
 
-/// A regular grid over the field or, if it is not known, over the samples. It runs from the centre
-/// of the first pixel to that of the last. x changes fastest.
+/// Returns a regular grid over the field, from the centre of the first pixel to the centre of the
+/// last. If the field is not known, the grid covers the area of the samples. x changes fastest.
 fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, PsfieldError> {
-    // Check before the positions themselves fill the memory.
+    // Check the size before the positions themselves fill the memory.
     check_stack(nx.saturating_mul(ny), psf.grid())?;
     let known = psf.positions();
     let [x, y] = match known.field() {
@@ -67,7 +67,7 @@ fn grid_positions(psf: &Psf, nx: usize, ny: usize) -> Result<Vec<Position>, Psfi
         .collect()
 }
 
-/// The smallest and the largest coordinate, of x and of y.
+/// Returns the smallest and the largest coordinate, for x and for y.
 pub(super) fn bounds(positions: &[Position]) -> [(f64, f64); 2] {
     [Position::x, Position::y].map(|of: fn(Position) -> f64| {
         positions
@@ -79,7 +79,8 @@ pub(super) fn bounds(positions: &[Position]) -> [(f64, f64); 2] {
     })
 }
 
-/// `count` numbers from `low` to `high`, both included. A single number is the middle.
+/// Returns `count` evenly spaced numbers from `low` to `high`, both included. A single number is
+/// the middle.
 fn evenly((low, high): (f64, f64), count: usize) -> Vec<f64> {
     match count {
         1 => vec![f64::midpoint(low, high)],
@@ -89,8 +90,8 @@ fn evenly((low, high): (f64, f64), count: usize) -> Vec<f64> {
     }
 }
 
-/// Puts stamps on a grid of odd size whose middle is the centre, padded with zeros. Both
-/// conventions about the centre (`n / 2`, `(n - 1) / 2`) then mean the same pixel.
+/// Pads stamps with zeros to an odd size, so that the centre is the middle pixel. The two
+/// conventions for the centre, `n / 2` and `(n - 1) / 2`, then mean the same pixel.
 ///
 /// # Errors
 /// [`ErrorKind::Format`] if the centre lies between pixels.
@@ -140,7 +141,7 @@ mod tests {
                 .unwrap()
                 .with_centre(f64::from(cx), f64::from(cy))
                 .unwrap();
-            let wide = with_centre_in_the_middle(samples(grid), "it").unwrap();
+            let wide = with_centre_in_the_middle(samples(grid), "a file").unwrap();
             let (ny, nx) = wide.grid().dim();
             assert!(nx % 2 == 1 && ny % 2 == 1);
             assert_eq!(wide.stamps()[[0, ny / 2, nx / 2]], f64::from(10 * cy + cx + 1));
@@ -148,12 +149,12 @@ mod tests {
             assert_eq!(wide.grid().whole_centre(), Some((nx / 2, ny / 2)));
         }
         let between = StampGrid::new(4, 4).unwrap().with_centre(1.5, 1.5).unwrap();
-        let error = with_centre_in_the_middle(samples(between), "it").unwrap_err();
+        let error = with_centre_in_the_middle(samples(between), "a file").unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Format);
         assert!(
             error
                 .to_string()
-                .starts_with("it cannot hold stamps whose centre")
+                .starts_with("a file cannot hold stamps whose centre")
         );
     }
 }

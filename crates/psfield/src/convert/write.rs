@@ -23,10 +23,10 @@ pub enum PsfFormat {
     Model,
     /// A PSFEx model.
     Psfex {
-        /// Total degree in x and y. None: that of the source.
+        /// Total degree in x and y. None: the degree of the PSF, if it is a polynomial model.
         degree: Option<usize>,
     },
-    /// A gridded library, as photutils reads it.
+    /// A gridded library, in the format that photutils reads.
     Gridded {
         /// The positions.
         at: SamplesAt,
@@ -37,14 +37,14 @@ pub enum PsfFormat {
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub struct Written {
-    /// Number of stamps, components or polynomial terms.
+    /// Number of stamps, components or polynomial terms in the file.
     pub planes: usize,
-    /// Their pixel grid.
+    /// The pixel grid of the stamps.
     pub grid: StampGrid,
-    /// The largest relative L2 error of the polynomial or the grid. None if nothing was fitted for
-    /// the file.
+    /// The largest relative L2 error of the file's polynomial or of the interpolation between its
+    /// grid positions. None if the file has no such error.
     pub max_error: Option<f64>,
-    /// Notes on properties that the file cannot hold, in plain sentences.
+    /// Notes on properties of the PSF that the file cannot hold, in plain sentences.
     pub notes: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! Opens GPUs. The plans of a process share them.
+//! Opens GPUs. All plans of a process share the open GPUs.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -13,7 +13,7 @@ struct OpenGpus {
     process: u32,
     /// The adapters, listed once.
     adapters: Option<Vec<Adapter>>,
-    /// The open GPUs, each with the name that was asked for.
+    /// The open GPUs, each with the name under which the caller asked for it.
     gpus: Vec<(Option<String>, GpuDevice)>,
 }
 
@@ -27,10 +27,10 @@ impl OpenGpus {
     }
 }
 
-/// No process has the number 0.
+/// No process has the number 0, so the first call starts a new list.
 static OPEN: Mutex<OpenGpus> = Mutex::new(OpenGpus::none(0));
 
-/// Locks the open GPUs. No work of rayon may be done while the lock is held.
+/// Locks the list of open GPUs. No rayon work may run while the lock is held.
 fn open_gpus() -> MutexGuard<'static, OpenGpus> {
     let mut open = OPEN.lock().unwrap_or_else(PoisonError::into_inner);
     let process = std::process::id();
@@ -41,18 +41,18 @@ fn open_gpus() -> MutexGuard<'static, OpenGpus> {
     open
 }
 
-/// Opens the GPU of a given name (a part of its name or its backend), or the preferred one, unless
-/// it is open. Returns its name, kind and backend.
+/// Opens the GPU that `adapter` names (by a part of the GPU's name, or by its backend), or else the
+/// preferred GPU. An open GPU is not opened again. Returns the GPU's name, kind and backend.
 ///
 /// # Errors
-/// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu) with the message of the GPU's driver, if there is no
-/// GPU or none of that name, and in a build without the feature `gpu`.
+/// [`ErrorKind::Gpu`](crate::ErrorKind::Gpu) if there is no such GPU, if its driver refuses, or in
+/// a build without the feature `gpu`.
 pub fn open_gpu(adapter: Option<&str>) -> Result<String, PsfieldError> {
     let gpu = opened(adapter).map_err(ConvError::Gpu)?;
     Ok(gpu.adapter().to_string())
 }
 
-/// Forgets the open GPUs. Call it after an error of one: the GPU may be lost.
+/// Forgets the open GPUs. Call this after an error of a GPU, because the GPU may be lost.
 pub fn forget_gpus() {
     *open_gpus() = OpenGpus::none(std::process::id());
 }
@@ -70,7 +70,7 @@ pub(super) fn place_on_gpu<T: ConvReal>(
     Ok((engine, placement))
 }
 
-/// Gives a plan to a GPU if it is predicted to be faster there.
+/// Gives a plan to a GPU if an execution is predicted to be faster there.
 pub(super) fn place_where_faster<T: ConvReal>(
     plan: Plan<T>,
     options: &SimulateOptions,
@@ -104,7 +104,8 @@ pub(super) fn place_where_faster<T: ConvReal>(
     }
 }
 
-/// The adapter that would be opened. The preferred one can be described without being opened.
+/// Returns the adapter to use. An adapter with a given name is opened. The preferred adapter is
+/// only listed.
 fn candidate(name: Option<&str>) -> Result<Adapter, GpuError> {
     if name.is_some() {
         return Ok(opened(name)?.adapter().clone());
@@ -118,7 +119,7 @@ fn candidate(name: Option<&str>) -> Result<Adapter, GpuError> {
 type HandedOver<T> = Result<(Engine<T>, String), (Box<Plan<T>>, GpuError)>;
 
 fn handed_over<T: ConvReal>(plan: Plan<T>, options: &SimulateOptions) -> HandedOver<T> {
-    // Check before a GPU is opened in vain.
+    // Refuse the precision before a GPU is opened.
     if size_of::<T>() != size_of::<f32>() {
         return Err((Box::new(plan), GpuError::Precision { precision: T::NAME }));
     }

@@ -1,4 +1,4 @@
-//! The device that executes a plan, the reason for it, and the time of an execution.
+//! The device that executes a plan, the reason for the choice, and the time of an execution.
 
 use conv_core::{ConvReal, Engine};
 use serde::Serialize;
@@ -14,8 +14,8 @@ pub enum Placement {
     Gpu {
         /// Its name, kind and backend.
         adapter: String,
-        /// Predicted seconds of an execution there and on the processor. None if the GPU was asked
-        /// for.
+        /// Predicted seconds of an execution, on the GPU and on the processor. None if the caller
+        /// asked for the GPU.
         predicted_seconds: Option<PredictedSeconds>,
     },
     /// On the processor.
@@ -41,7 +41,7 @@ pub struct PredictedSeconds {
 pub enum CpuReason {
     /// The caller asked for the processor.
     Asked,
-    /// The method has no plan that a GPU could execute.
+    /// The method makes no plan, and GPUs only execute plans.
     Method,
     /// The scene holds only stars, which are drawn on the processor.
     Stars,
@@ -50,19 +50,19 @@ pub enum CpuReason {
         /// The precision of the plan.
         precision: &'static str,
     },
-    /// The work takes less time than opening a GPU.
+    /// The work is predicted to take less time than opening a GPU.
     Small {
         /// Predicted seconds on the processor.
         cpu_seconds: f64,
     },
-    /// The machine has no adapter.
+    /// The machine has no GPU, and no adapter that simulates one.
     NoGpu,
-    /// The adapter runs shaders on the processor.
+    /// The adapter is software: it runs shaders on the processor.
     Software {
         /// Its name, kind and backend.
         adapter: String,
     },
-    /// The adapter cannot execute this plan.
+    /// The GPU cannot execute this plan.
     Unsuited {
         /// Its name, kind and backend.
         adapter: String,
@@ -84,7 +84,7 @@ pub enum CpuReason {
 }
 
 impl Placement {
-    /// Returns the placement on the processor, for a reason.
+    /// Returns the placement on the processor for the given reason.
     pub fn cpu(reason: CpuReason) -> Self {
         Self::Cpu { reason }
     }
@@ -133,7 +133,7 @@ impl std::fmt::Display for CpuReason {
             Self::Asked => write!(f, "as asked"),
             Self::Method => write!(f, "this method cannot run on a GPU"),
             Self::Stars => write!(f, "stars are drawn there"),
-            Self::Precision { precision } => write!(f, "GPUs compute in f32, this is in {precision}"),
+            Self::Precision { precision } => write!(f, "GPUs compute in f32, this plan is in {precision}"),
             Self::Small { cpu_seconds } => {
                 let cpu = seconds(*cpu_seconds);
                 write!(f, "predicted {cpu}, less than it takes to open a GPU")
@@ -154,23 +154,25 @@ impl std::fmt::Display for CpuReason {
     }
 }
 
-/// Formats predicted seconds. Predictions are good to tens of percents.
+/// Formats predicted seconds. Two digits are enough, because predictions have errors of some ten
+/// percent.
 fn seconds(seconds: f64) -> String {
     format!("{} s", readable(seconds, 2))
 }
 
 /// Times of the parts of an execution on a GPU, in seconds. The work of the host overlaps with the
-/// rest, so that the sum may be more than the total.
+/// other parts, so the sum of the parts may exceed the total.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct GpuSeconds {
-    /// Shaders. None if the adapter has no clock that can be read.
+    /// Time of the shaders. None if the adapter has no clock that can be read.
     pub kernels: Option<f64>,
-    /// Copies to the GPU and from it. None if the adapter has no clock that can be read.
+    /// Time of the copies to the GPU and from it. None if the adapter has no clock that can be
+    /// read.
     pub transfers: Option<f64>,
-    /// Work of the processor during the execution.
+    /// Time in which the processor worked during the execution.
     pub host: f64,
-    /// End to end: from the light in the host's memory to the image there.
+    /// Time from the light in the host's memory to the image in the host's memory.
     pub total: f64,
     /// Bytes copied to the GPU, and from it.
     pub bytes: [u64; 2],

@@ -13,14 +13,15 @@ use crate::{ErrorKind, FitOptions, PsfieldError, fit};
 /// Turns a PSFEx model into a basis and polynomial coefficient fields. The PSFs are the same to
 /// rounding, and nothing is fitted.
 ///
-/// The planes' polynomial of degree d is evaluated at (d+1) x (d+1) nodes, Chebyshev's extrema over
-/// `POLZERO +- POLSCAL / 2`, which determine it. The full basis of the nodes and an interpolating
-/// polynomial of degree d reproduce it. Outside the nodes the polynomial is continued
-/// ([`OutsidePolicy::Extend`]), as in PSFEx's own tools. PSFEx's planes need not have unit flux.
-/// The record says that every PSF is scaled to it ([`Normalisation::Unit`]).
+/// The model is evaluated at (d+1) x (d+1) nodes, where d is the degree of its polynomial. The
+/// nodes are Chebyshev's extrema over `POLZERO +- POLSCAL / 2`. All components of these PSFs and an
+/// interpolating polynomial of degree d reproduce the model. The polynomial also applies outside
+/// the nodes ([`OutsidePolicy::Extend`]), as in PSFEx's own tools. The PSFs of a PSFEx model need
+/// not have unit flux. The record therefore requests a scaling to unit flux
+/// ([`Normalisation::Unit`]).
 ///
 /// # Errors
-/// [`ErrorKind::Data`] when the PSF has no positive flux somewhere in the area it was fitted to.
+/// [`ErrorKind::Data`] when the PSF at a node does not have positive flux.
 pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldError> {
     let nodes = model.nodes()?;
     let mut stamps = Array3::zeros((nodes.len(), model.grid().ny(), model.grid().nx()));
@@ -47,9 +48,9 @@ pub fn record_of_psfex(model: &PsfexModel) -> Result<PsfModelRecord, PsfieldErro
     )?)
 }
 
-/// Turns a field-varying PSF of ScopeSim into a basis of its layers. Each node of the map gets the
-/// coefficients of its layer, so that no stamp is stored twice, however fine the map is. The PSF of
-/// the nearest node applies, scaled to unit flux as in ScopeSim.
+/// Turns a field-varying PSF of ScopeSim into a basis of its layers. Each node of the file's map
+/// has the coefficients of its layer, so that no stamp is stored twice, however fine the map is. At
+/// every position the PSF of the nearest node applies, scaled to unit flux as in ScopeSim.
 pub(super) fn record_of_scopesim(psf: &ScopesimPsf) -> Result<PsfModelRecord, PsfieldError> {
     let layers = full_basis(psf.layers().clone(), Interpolation::Nearest)?;
     let of_layers = layers.coefficients().values();
@@ -63,7 +64,7 @@ pub(super) fn record_of_scopesim(psf: &ScopesimPsf) -> Result<PsfModelRecord, Ps
     )?)
 }
 
-/// Fits all components of samples, without changing the samples.
+/// Fits a basis with all components to samples. The samples are not scaled.
 fn full_basis(samples: PsfSamples, interpolation: Interpolation) -> Result<PsfModelRecord, PsfieldError> {
     let options = FitOptions {
         rank: RankSelection::Full,
@@ -82,8 +83,8 @@ mod tests {
     use psf_io::{PsfexAxis, PsfexPolynomial};
     use psf_types::Position;
 
-    /// Rounding, relative to the peak. High powers amplify it at positions two scales away from the
-    /// nodes.
+    /// Rounding error, relative to the peak. High powers amplify it at positions two scales away
+    /// from the nodes.
     const ROUNDING: f64 = 1e-12;
 
     fn model(degree: usize, scale: f64) -> PsfexModel {
@@ -137,7 +138,7 @@ mod tests {
                 assert!(error <= ROUNDING, "degree {degree}: {error:e}");
             }
         }
-        // The comparison can fail: another polynomial is another model.
+        // Proves that the comparison can fail: another scale gives another model.
         let error = largest_error(
             &model(2, 1990.0),
             record_of_psfex(&model(2, 2000.0)).unwrap(),
@@ -158,11 +159,11 @@ mod tests {
     }
 
     #[test]
-    fn a_model_without_light_is_refused() {
+    fn a_model_of_negative_flux_is_refused() {
         let psfex = model(1, 2000.0);
-        let dark = psfex.planes().mapv(|v| -v);
-        let dark = PsfexModel::new(dark, 0.7, psfex.polynomial().cloned()).unwrap();
-        let error = record_of_psfex(&dark).unwrap_err();
+        let negative = psfex.planes().mapv(|v| -v);
+        let negative = PsfexModel::new(negative, 0.7, psfex.polynomial().cloned()).unwrap();
+        let error = record_of_psfex(&negative).unwrap_err();
         assert_eq!(error.kind(), ErrorKind::Data);
         assert!(error.to_string().contains("has flux -"), "{error}");
     }

@@ -14,14 +14,15 @@ use super::{Note, Origin, Psf, SourceFile};
 use crate::{ErrorKind, FitOptions, PsfieldError};
 
 /// Settings that a PSF file does not state, or leaves to the user. Each setting applies to some
-/// formats. Setting it for a file of another format is an error.
+/// formats. It is an error to give a setting for a file of another format.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct PsfFileOptions {
-    /// Chooses one of several models (PSFEx) or images (STPSF, STDPSF, a cube or a single stamp).
+    /// Chooses one of several models in a file (PSFEx), or one of several images (STPSF, STDPSF, a
+    /// cube or a single stamp).
     pub extension: Option<HduChoice>,
     /// Chooses one of several detectors (STDPSF).
     pub detector: Option<usize>,
-    /// The order of the planes, which assigns positions to them (STPSF).
+    /// The order of the planes, which determines the position of each plane (STPSF).
     pub plane_order: Option<PlaneOrder>,
     /// Chooses one of several wavelengths, in micrometres (ScopeSim).
     pub wavelength_um: Option<f64>,
@@ -35,13 +36,13 @@ pub struct PsfFileOptions {
     pub oversampling: Option<f64>,
     /// The centre of the stamps, a 0-based index that may be fractional (a cube or a single stamp).
     pub centre: Option<Position>,
-    /// States that the stamps include the pixel response, or that they do not. It overrides the
-    /// file.
+    /// States whether the stamps include the pixel response. This overrides the file.
     pub pixel_response_included: Option<bool>,
 }
 
 impl PsfFileOptions {
-    /// The first given field that does not apply to a format, and the formats to which it applies.
+    /// Returns the first given field that does not apply to a format, and the formats to which it
+    /// applies.
     pub(crate) fn unknown_to(&self, kind: FileKind) -> Option<(&'static str, &'static str)> {
         use FileKind::{Cube, Image, Psfex, Scopesim, Stdpsf, Stpsf};
         const SCOPESIM: &str = "field-varying PSFs of ScopeSim";
@@ -83,8 +84,7 @@ impl PsfFileOptions {
     }
 }
 
-/// The fit options that the user has chosen. For those that are None, the default of the file's
-/// format applies.
+/// The fit options that the user has chosen. None stands for the default of the file's format.
 ///
 /// ```
 /// use psfield::{FitChoices, FitOptions, psf_types::Normalisation};
@@ -96,20 +96,22 @@ impl PsfFileOptions {
 pub struct FitChoices {
     /// Number of components to keep.
     pub rank: Option<RankSelection>,
-    /// The choice to subtract a mean stamp first, or none.
+    /// The choice whether to subtract the mean stamp first.
     pub centring: Option<Centring>,
     /// The known noise in the samples' pixels.
     pub noise: Option<PixelNoise>,
     /// The interpolation of the coefficients over the field.
     pub interpolation: Option<Interpolation>,
-    /// The policy for positions outside the samples. Also applies to a model.
+    /// The policy for positions outside the area of the samples. This choice also applies to a
+    /// stored model.
     pub outside: Option<OutsidePolicy>,
-    /// The scaling of samples and PSFs: to unit flux, or none. Also applies to a model.
+    /// The scaling of samples and PSFs: to unit flux, or none. This choice also applies to a stored
+    /// model.
     pub normalisation: Option<Normalisation>,
 }
 
 impl FitChoices {
-    /// Returns the chosen options, and `defaults` for those that are not chosen.
+    /// Returns the chosen options, with the value of `defaults` for each option that is None.
     #[must_use]
     pub fn or(self, defaults: FitOptions) -> FitOptions {
         FitOptions {
@@ -127,7 +129,7 @@ impl FitChoices {
         self.first_of_fit().is_some()
     }
 
-    /// The first choice that applies only to a fit.
+    /// Returns the name of the first choice that applies only to a fit.
     fn first_of_fit(&self) -> Option<&'static str> {
         let given = [
             (self.rank.is_some(), "rank"),
@@ -141,7 +143,7 @@ impl FitChoices {
     }
 }
 
-/// Chooses all of the options.
+/// Chooses every option.
 impl From<FitOptions> for FitChoices {
     fn from(options: FitOptions) -> Self {
         Self {
@@ -166,7 +168,7 @@ impl Psf {
     }
 
     /// Reads a PSF file with settings that its format needs. The defaults of the format apply to
-    /// all that is not chosen.
+    /// every choice that is None.
     ///
     /// | file | scaling | settings that apply |
     /// |---|---|---|
@@ -178,7 +180,7 @@ impl Psf {
     /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
     /// | single stamp: one PSF everywhere | unit | `file.oversampling`, `file.centre`, `file.extension` |
     ///
-    /// `file.pixel_response_included` applies to all.
+    /// `file.pixel_response_included` applies to all formats.
     ///
     /// ```no_run
     /// use psfield::{FitChoices, Psf, PsfFileOptions};
@@ -192,9 +194,9 @@ impl Psf {
     /// ```
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a setting that does not apply to the format, or a choice for the
-    /// fit of a stored model, [`ErrorKind::Format`] for a setting that is missing, and
-    /// [`ErrorKind::Io`] when the file holds no PSF or is damaged.
+    /// [`ErrorKind::Setting`] for a setting that does not apply to the format, or for a choice that
+    /// only applies to a fit if the file holds a model, [`ErrorKind::Format`] for a setting that is
+    /// missing, and [`ErrorKind::Io`] when the file holds no PSF or is damaged.
     pub fn open_with(
         path: impl AsRef<Path>,
         file: &PsfFileOptions,
@@ -210,7 +212,7 @@ impl Psf {
             Origin::Record(record) => {
                 if let Some(setting) = choices.first_of_fit() {
                     let message = format!(
-                        "{}: this file holds {kind}, which is not fitted: leave the setting {setting} out, or give the \
+                        "{}: this file holds {kind}, which is not fitted: leave the setting {setting} out, or open the \
                          samples. Of the fit options, only outside and normalisation apply to a model",
                         path.display()
                     );
@@ -326,10 +328,11 @@ fn scopesim_options(path: &Path, file: &PsfFileOptions) -> Result<ScopesimOption
 
 /// Reads stamps without metadata.
 fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, Vec<Note>), PsfieldError> {
-    // The image may be a scene that was given by mistake. The user must state that it is a PSF.
+    // The image may be a scene that was given by mistake. With the oversampling, the user states
+    // that it is a PSF.
     let header = psf_io::read_stamp_header(path, file.extension.as_ref())?;
     if file.oversampling.is_none() && header.get("OVERSAMP").is_none() {
-        const PLAIN: &str = "without a table POSITIONS, as PSF samples have, and without the sampling of its stamps. To \
+        const PLAIN: &str = "which has neither a table POSITIONS (as PSF samples have) nor the keyword OVERSAMP. To \
                              read it as PSF stamps, give the oversampling: stamp pixels per frame pixel, 1 for the \
                              frame's own pixels";
         return Err(missing(path, kind, "oversampling", PLAIN));
@@ -361,12 +364,12 @@ fn plain(path: &Path, kind: FileKind, file: &PsfFileOptions) -> Result<(Origin, 
         notes.push(Note { text, setting });
     }
     if samples.len() == 1 {
-        notes.push(plain_note("one stamp, taken as the PSF of the whole field"));
+        notes.push(plain_note("one stamp: it is the PSF of the whole field"));
     }
     Ok((unfitted(samples), notes))
 }
 
-/// A note that no setting changes.
+/// Makes a note on a choice that no setting changes.
 fn plain_note(text: impl Into<String>) -> Note {
     let (text, setting) = (text.into(), None);
     Note { text, setting }
@@ -377,7 +380,7 @@ fn unfitted(samples: PsfSamples) -> Origin {
 }
 
 impl Origin {
-    /// Declares that the stamps hold the pixel response, or that they do not.
+    /// Sets whether the stamps include the pixel response.
     fn with_pixel_response_included(self, included: bool) -> Result<Self, PsfieldError> {
         Ok(match self {
             Self::Samples(samples, options) => {

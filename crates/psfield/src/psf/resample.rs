@@ -10,9 +10,10 @@ use super::{Origin, Psf, check_stack};
 use crate::{ErrorKind, PsfieldError};
 
 impl Psf {
-    /// Returns this PSF with stamps as images need them: at the frame's own pixels, centred on a
-    /// pixel, with the pixel response. The stamps are `size` pixels wide and high, centred at `size
-    /// / 2`, or as large as before if `size` is None. A PSF with such stamps is returned unchanged.
+    /// Returns this PSF with native stamps, which the convolution of images needs: at the frame's
+    /// own pixels, centred on a pixel, with the pixel response. The stamps are `size` pixels wide
+    /// and high, centred at `size / 2`. If `size` is None, they cover the area of the old stamps. A
+    /// PSF that already has such stamps is returned unchanged.
     ///
     /// # Errors
     /// [`ErrorKind::Setting`] for a model whose coefficient field the caller implements.
@@ -49,8 +50,8 @@ impl Psf {
             .with_interpolation(self.grid().interpolation()))
     }
 
-    /// Returns this PSF with the response of a frame pixel in its stamps, at their own sampling.
-    /// Stamps that already hold it are unchanged.
+    /// Returns this PSF with stamps that include the response of a frame pixel, at their own
+    /// sampling. Stamps that already include it are unchanged.
     ///
     /// # Errors
     /// The errors of [`native`](Self::native).
@@ -63,12 +64,13 @@ impl Psf {
     }
 
     /// Returns this PSF for scenes whose pixels are `finer` times smaller than the frame's. Its
-    /// stamps are at the scene's pixels, and `size` frame pixels wide and high if `size` is given.
+    /// stamps have the scene's pixels. If `size` is given, they are `size` frame pixels wide and
+    /// high.
     ///
     /// Frame pixel `i` has its centre at `finer i + (finer - 1) / 2` of the scene. The frame's
-    /// image is the convolution of the scene with these stamps, taken at every `finer`-th pixel
-    /// from `(finer - 1) / 2` (rounded down) on, times `finer^2`. It is sampled, not summed,
-    /// because the stamps hold the response of the frame's pixel.
+    /// image is made from the convolution of the scene with these stamps. It is every `finer`-th
+    /// pixel from `(finer - 1) / 2` (rounded down) on, times `finer^2`. The convolution is sampled,
+    /// not summed, because the stamps include the response of the frame's pixel.
     pub(crate) fn for_finer_scene(
         &self,
         finer: usize,
@@ -84,8 +86,7 @@ impl Psf {
         let target = target
             .with_pixel_response_included(true)
             .with_interpolation(own.interpolation());
-        // With an even number of scene pixels, the centre of the frame's pixel lies between two of
-        // them.
+        // If `finer` is even, the centre of a frame pixel lies between two scene pixels.
         let between = (s - 1.0) / 2.0 - ((finer - 1) / 2) as f64;
         let offset_of_field = if anchor == Anchor::Output {
             (s - 1.0) / 2.0 - between
@@ -103,11 +104,11 @@ impl Psf {
         })
     }
 
-    /// Returns the PSF with every stamp resampled.
+    /// Returns this PSF with every stamp resampled.
     ///
-    /// Resampling is linear in the stamps, and so is interpolation. A model of resampled stamps
-    /// therefore gives its own PSFs resampled, before the scaling to unit flux. The scaling is done
-    /// last, on the new stamps.
+    /// Resampling and interpolation are linear in the stamps. Therefore the PSFs of a model of
+    /// resampled stamps equal the resampled PSFs of the model, before the scaling to unit flux. The
+    /// scaling is done last, on the new stamps.
     fn resampled(&self, resampling: &Resampling) -> Result<Self, PsfieldError> {
         let target = resampling.target;
         match &self.0.origin {
@@ -150,11 +151,12 @@ impl Psf {
 struct Resampling {
     /// The pixels at which the PSF is sampled.
     sampled: StampGrid,
-    /// The pixel grid that the new stamps are declared to have.
+    /// The pixel grid that the new stamps state. For a finer scene, it counts scene pixels and has
+    /// its centre on a pixel.
     target: StampGrid,
     /// Number of the new frame's pixels along each side of a pixel of the old one.
     finer: usize,
-    /// The position of pixel 0 of the old frame in the new one.
+    /// The coordinate of pixel 0 of the old frame in the new frame.
     offset_of_field: f64,
 }
 
@@ -170,7 +172,7 @@ impl Resampling {
 
     fn stamp(&self, stamp: ArrayView2<'_, f64>, grid: StampGrid) -> Array2<f64> {
         let s = self.finer as f64;
-        // Converts to fractions of the flux per pixel of the new frame.
+        // Converts values per pixel of the old frame to values per pixel of the new frame.
         StampInterpolator::new(stamp, grid).resample((0.0, 0.0), self.sampled) / (s * s)
     }
 
@@ -191,7 +193,8 @@ impl Resampling {
     }
 }
 
-/// Converts positions to pixels of the scene. Every interpolator allows a change of scale.
+/// Converts positions to pixels of the scene. The result of every interpolator is independent of
+/// the scale of positions.
 fn finer_positions(
     positions: &SamplePositions,
     finer: usize,
@@ -243,8 +246,8 @@ mod tests {
         let inside: f64 = (&components.slice(s![0, .., ..]) * &corner).sum();
         assert!(inside.abs() < 1e-6);
         components.slice_mut(s![1, .., ..]).assign(&corner);
-        let places = (0..side * side).map(|j| Position::of_pixel(10 * (j % side), 10 * (j / side)));
-        let positions = SamplePositions::new(places.collect(), None).unwrap();
+        let nodes = (0..side * side).map(|j| Position::of_pixel(10 * (j % side), 10 * (j / side)));
+        let positions = SamplePositions::new(nodes.collect(), None).unwrap();
         let values = Array2::from_shape_fn((positions.len(), 2), |(j, k)| (0.3 * (j + 5 * k) as f64).sin());
         let mean = gauss(n, sigma, 0.0);
         let mean = &mean / mean.sum() * 16.0;
@@ -279,7 +282,7 @@ mod tests {
         let record = model(65, 3);
         for size in [None, Some(11)] {
             let native = Psf::from(record.clone()).native(size).unwrap();
-            let native = native.stored().expect("a model stays one");
+            let native = native.stored().expect("a resampled model is a model");
             // The corner lies outside 11 pixels.
             assert_eq!(native.basis().rank(), if size.is_some() { 1 } else { 2 });
             let (own, target) = (record.basis().grid(), native.basis().grid());
@@ -293,7 +296,7 @@ mod tests {
         }
     }
 
-    /// The stamps of all nodes would fill 32 GiB.
+    /// The stamps of all nodes together would fill 32 GiB.
     #[test]
     fn many_nodes_of_large_stamps_are_resampled_without_their_stamps() {
         let record = model(512, 128);

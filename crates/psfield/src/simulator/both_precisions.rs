@@ -1,4 +1,5 @@
-//! Compiles simulators of both precisions in this crate, as conv-core does with its engine.
+//! Compiles simulators of both precisions in this crate, as conv-core does for its engine. Other
+//! crates then need not compile them again.
 
 use std::hint::black_box;
 
@@ -6,7 +7,7 @@ use conv_core::ConvReal;
 
 use super::{Simulator, SimulatorBuilder};
 
-/// Uses every function that is marked `#[inline(never)]` for this reason.
+/// Uses every function that is marked `#[inline(never)]`, so that this crate compiles it.
 fn of<T: ConvReal>() {
     black_box(SimulatorBuilder::build_by::<T> as fn(_, _) -> _);
     black_box(Simulator::<T>::simulate_into as fn(_, _, _, _) -> _);

@@ -20,8 +20,7 @@ pub struct SimulatorBuilder {
 }
 
 impl Psf {
-    /// Returns a builder of simulators for scenes of `(ny, nx)` pixels, counted in the scenes' own
-    /// pixels.
+    /// Returns a builder of simulators for scenes of `shape` `(ny, nx)`, in the scenes' own pixels.
     pub fn simulator(&self, shape: (usize, usize)) -> SimulatorBuilder {
         SimulatorBuilder {
             psf: self.clone(),
@@ -31,7 +30,7 @@ impl Psf {
     }
 
     /// Returns a builder of simulators that convolve images by a method that the caller implements.
-    /// The method decides the anchoring. Stars are drawn one by one in f64.
+    /// The method also determines the anchor. Stars are drawn one by one in f64.
     pub fn simulator_by<T: ConvReal>(
         &self,
         method: Box<dyn ConvolutionMethod<T>>,
@@ -100,7 +99,8 @@ impl SimulatorBuilder {
         self
     }
 
-    /// Chooses the PSF that applies: that of the source or that of the output pixel.
+    /// Chooses the position at which the PSF is evaluated: that of the source, or that of the
+    /// output pixel.
     #[must_use]
     pub fn anchor(mut self, anchor: Anchor) -> Self {
         self.options.anchor = anchor;
@@ -166,7 +166,8 @@ impl SimulatorBuilder {
             return Err(PsfieldError::of_setting("device", ON_GPU));
         }
         if options.stamp_size == Some(0) {
-            FrameShape::new(0, 0)?;
+            const NO_STAMP: &str = "the stamp size must be at least 1 pixel";
+            return Err(PsfieldError::of_setting("stamp_size", NO_STAMP));
         }
         let frame = geometry.frame.shape();
         check_frame_on_field(frame, psf.positions().field())?;

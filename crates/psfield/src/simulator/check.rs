@@ -1,4 +1,4 @@
-//! Checks images against the direct sum, and warns of errors that the check cannot see.
+//! Checks images against the direct sum, and warns of errors that this check cannot detect.
 
 use std::fmt;
 
@@ -10,16 +10,19 @@ use super::stream::SceneRows;
 use super::{Simulator, has_extended_light};
 use crate::{PixelPicker, PsfieldError, Scene, SpotCheck};
 
-/// The direct sum keeps the scene of this many rows of the image in memory at once.
+/// The largest number of image rows whose light a streamed check keeps in memory at once.
 const BAND: usize = 512;
-/// Galaxies drawn on pixels coarser than a quarter of the frame's are blurred by percents, whatever
-/// their size.
+/// The number of scene pixels along each side of a frame pixel that galaxies need. On coarser
+/// pixels, galaxies of any size are blurred by some percent.
 const FINE_FOR_GALAXIES: usize = 4;
-/// Galaxies with a smaller half-light radius, in pixels of the scene, are blurred by its pixels.
+/// The smallest half-light radius that galaxies need, in pixels of the scene. Smaller galaxies are
+/// blurred by these pixels.
 const RESOLVED_PX: f64 = 2.0;
-/// Stamps with fewer pixels per frame pixel may be too coarse to be interpolated.
-const FINE_ENOUGH: f64 = 2.0;
-/// A star at most this far from the centre of a pixel counts as on it.
+/// The number of stamp pixels per frame pixel that stars between pixels need. The interpolation of
+/// coarser stamps may be wrong.
+const MIN_STAMP_OVERSAMPLING: f64 = 2.0;
+/// A star lies on the centre of a pixel if its distance from this centre is at most this, in
+/// pixels.
 const ON_PIXEL: f64 = 1e-9;
 
 impl<T: ConvReal> Simulator<T> {
@@ -42,9 +45,8 @@ impl<T: ConvReal> Simulator<T> {
         Ok(self.judged(check, has_extended_light(scene)))
     }
 
-    /// Compares pixels that were picked from the rows of a streamed image
-    /// ([`stream`](Self::stream)) with the direct sum. Reads the rows of the scene that it needs
-    /// once more.
+    /// Compares pixels that `picker` has chosen from the rows of a streamed image
+    /// ([`stream`](Self::stream)) with the direct sum. Reads the necessary rows of the scene again.
     ///
     /// # Errors
     /// The errors of the stream and of [`exact_at`](Self::exact_at).
@@ -84,7 +86,8 @@ impl<T: ConvReal> Simulator<T> {
         Ok(sums)
     }
 
-    /// Computes pixels that are sorted by rows. Holds only the rows in memory that they need.
+    /// Computes pixels of the image of a streamed scene. The pixels are sorted by rows. Only the
+    /// scene's rows that they need are in memory.
     fn exact_by_rows<R: RowStream<T, Error = PsfieldError>>(
         &self,
         scene: &Scene<'_, T>,
@@ -112,7 +115,8 @@ impl<T: ConvReal> Simulator<T> {
         Ok(sums)
     }
 
-    /// Sums over a part of the (padded) scene's light, which begins at the given column and row.
+    /// Returns the direct sums at pixels of the image. `light` is a part of the (padded) scene's
+    /// light, and the column and row at which it begins.
     fn extended_sums(
         &self,
         light: (ArrayView2<'_, T>, (usize, usize)),
@@ -163,10 +167,10 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Returns a warning if scenes of this kind need stamps that are interpolated between their own
-    /// pixels. `rows` is that of [`prepare`](Self::prepare).
+    /// pixels. `rows` has the meaning that it has for [`prepare`](Self::prepare).
     ///
     /// # Errors
-    /// [`ErrorKind::Data`](crate::ErrorKind::Data) for a stamp size of 0.
+    /// No error for a simulator that could be built, because the builder checks the stamp size.
     pub fn psf_warning(
         &self,
         scene: &Scene<'_, T>,
@@ -183,11 +187,11 @@ impl<T: ConvReal> Simulator<T> {
         let mut warnings = Vec::new();
         let off = |v: f64| (v - v.round()).abs() > ON_PIXEL;
         let between = |star: &PointSource| off(star.position().x()) || off(star.position().y());
-        if self.psf().grid().oversampling() < FINE_ENOUGH && scene.stars().iter().any(between) {
+        if self.psf().grid().oversampling() < MIN_STAMP_OVERSAMPLING && scene.stars().iter().any(between) {
             warnings.push(SimulationWarning::StarsBetweenPixels);
         }
         let s = self.geometry.oversample;
-        // A PSF of a single pixel blurs nothing a second time.
+        // A PSF of a single pixel adds no second blur.
         let is_pixel = self.psf().grid().pixel_count() == 1;
         let blurred = scene.galaxies().iter().filter(|galaxy| {
             s < FINE_FOR_GALAXIES || galaxy.profile().half_light_radius_px() * (s as f64) < RESOLVED_PX
@@ -200,14 +204,14 @@ impl<T: ConvReal> Simulator<T> {
     }
 }
 
-/// Warns of an error that no check of the simulation can see. Its text says how to avoid it, where
-/// that is possible.
+/// Warns of an error that the spot check cannot detect. If the error can be avoided, the text says
+/// how.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum SimulationWarning {
-    /// An image is convolved with stamps that were interpolated.
+    /// The image in the scene is convolved with interpolated stamps.
     InterpolatedStamps,
-    /// Stars are drawn between the pixels of stamps that are too coarse for it.
+    /// Stars lie between pixels, and the stamps are too coarse for an accurate interpolation.
     StarsBetweenPixels,
     /// Galaxies are blurred by the pixels on which they are drawn.
     BlurredGalaxies {
@@ -227,20 +231,21 @@ impl fmt::Display for SimulationWarning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::InterpolatedStamps => f.write_str(
-                "the PSF stamps are not sampled at the centres of the image's pixels, or lack the pixel response: they are \
-                 interpolated",
+                "the PSF stamps are not sampled at the centres of the image's pixels, or lack the pixel response: the stamps \
+                 are interpolated",
             ),
             Self::StarsBetweenPixels => f.write_str(
                 "stars lie between pixels, and the PSF stamps are not oversampled at least twice: the stamps are \
-                 interpolated, which is wrong by percents where the PSF is under-sampled. The spot check does not see \
-                 that",
+                 interpolated, which is wrong by some percent where the PSF is under-sampled. The spot check does not \
+                 detect this",
             ),
             Self::BlurredGalaxies { count } => write!(
                 f,
-                "{count} galaxies are blurred a second time by the scene pixels on which they are drawn (by 3 % of \
-                 their peak in the median, more where they are small). The spot check does not see that. Draw them on \
+                "{count} {} blurred a second time by the scene pixels on which they are drawn (the median \
+                 error is 3 % of a galaxy's peak, more for small ones). The spot check does not detect this. Draw them on \
                  finer pixels: at least {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per \
-                 half-light radius"
+                 half-light radius",
+                if *count == 1 { "galaxy is" } else { "galaxies are" }
             ),
         }
     }

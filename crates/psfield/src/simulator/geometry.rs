@@ -1,5 +1,5 @@
-//! The place of a scene on the frame: sizes, the frame in scene pixels and in frame pixels, and
-//! sampling of scene pixels at frame pixels.
+//! The geometry of scene and frame: their shapes, the conversion between scene pixels and frame
+//! pixels, and the sampling of fine images. A fine image has scene pixels.
 
 use conv_core::{ConvError, ConvReal};
 use ndarray::{Array2, ArrayView2, ArrayViewMut2, Ix2, SliceInfo, SliceInfoElem, s};
@@ -9,21 +9,23 @@ use psf_types::{
 
 use crate::{ErrorKind, PsfieldError, SimulateOptions};
 
-/// The place of scenes of one shape on the frame.
+/// The geometry of scenes of one shape, the frame and the computed region.
 ///
 /// With `s` pixels of the scene along each side of a frame pixel, frame pixel `i` has its centre at
-/// `s i + (s - 1) / 2` of the scene. The engine's stamps hold the response of the frame's pixel.
-/// For even `s` they also hold the shift of half a pixel. The frame's image is therefore every
-/// `s`-th pixel of the scene's, times `s^2`.
+/// `s i + (s - 1) / 2` of the scene. The engine's stamps include the response of the frame's pixel.
+/// For even `s`, they also include a shift of half a scene pixel. The frame's image is therefore
+/// every `s`-th pixel of the convolved scene, times `s^2`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Geometry {
     /// The scene, in its own pixels.
     pub(super) shape: FrameShape,
     /// Pixels of the scene along each side of a frame pixel.
     pub(super) oversample: usize,
-    /// The part of the scene that the image shows, in frame pixels counted from the scene's first.
+    /// The part of the scene that the image shows, in frame pixels counted from the scene's first
+    /// pixel.
     pub(super) frame: PixelRegion,
-    /// The part of the frame that is computed, in frame pixels counted from the frame's first.
+    /// The part of the frame that is computed, in frame pixels counted from the frame's first
+    /// pixel.
     pub(super) region: PixelRegion,
 }
 
@@ -70,13 +72,13 @@ impl Geometry {
         self.region == self.frame.shape().region()
     }
 
-    /// Columns and rows of the scene with `padding` dark pixels around it.
+    /// Columns and rows of the scene with `padding` pixels added on every side.
     pub(super) fn padded_shape(&self, padding: usize) -> Result<FrameShape, DataError> {
         let padded = |n: usize| n.saturating_add(padding.saturating_mul(2));
         FrameShape::new(padded(self.shape.nx()), padded(self.shape.ny()))
     }
 
-    /// The frame in pixels of the scene with `padding` dark pixels around it.
+    /// The frame, in pixels of the scene with `padding` pixels added on every side.
     pub(super) fn fine_frame(&self, padding: usize) -> Result<PixelRegion, DataError> {
         let fine = self.fine(self.frame)?;
         let p = padding as i64;
@@ -94,8 +96,8 @@ impl Geometry {
         ))
     }
 
-    /// The pixel of the region's fine image that shows a pixel of the region, counted from the
-    /// frame's first.
+    /// Returns the pixel of the frame's fine image from which a pixel of the region is sampled. The
+    /// pixel of the region counts from the region's first pixel, and the result from the frame's.
     pub(super) fn sampled_pixel(&self, (column, row): (usize, usize)) -> (usize, usize) {
         let (x0, y0) = (self.region.x0() as usize, self.region.y0() as usize);
         let of = |v: usize| self.oversample * v + self.offset();
@@ -107,25 +109,25 @@ impl Geometry {
         (self.oversample * self.oversample) as f64
     }
 
-    /// The first pixel, along either axis, of a fine image that shows a frame pixel.
+    /// The index, along either axis, of the first pixel of a fine image that is sampled.
     fn offset(&self) -> usize {
         (self.oversample - 1) / 2
     }
 
-    /// The pixels of a fine image that show those of the frame.
+    /// The pixels of a fine image that are sampled.
     fn samples(&self) -> SliceInfo<[SliceInfoElem; 2], Ix2, Ix2> {
         let (first, step) = (self.offset(), self.oversample);
         s![first..;step, first..;step]
     }
 
-    /// Adds the frame's image, sampled from an image at the scene's pixels, to `image`.
+    /// Samples a fine image at the frame's pixels, and adds the result to `image`.
     pub(super) fn add_sampled<T: ConvReal>(&self, fine: ArrayView2<'_, T>, mut image: ArrayViewMut2<'_, T>) {
         let area = T::nearest(self.pixel_area());
         image.zip_mut_with(&fine.slice(self.samples()), |pixel, &v| *pixel += v * area);
     }
 
-    /// Picks the rows of the frame's image out of rows of the fine image, the first of which has
-    /// the index `first`.
+    /// Samples the rows of the frame's image from some rows of the fine image. `first` is the index
+    /// of the first of these rows.
     pub(super) fn sampled_rows<T: ConvReal>(&self, rows: ArrayView2<'_, T>, first: usize) -> Array2<T> {
         let (s, offset) = (self.oversample, self.offset());
         if s == 1 {
@@ -139,8 +141,8 @@ impl Geometry {
         rows.slice(s![skip..;s, offset..;s]).mapv(|v| v * area)
     }
 
-    /// The transpose of sampling. Returns an image at the scene's pixels: the frame's values in the
-    /// pixels that show them, and 0 between.
+    /// The transpose of sampling. Returns a fine image with the frame's values at the sampled
+    /// pixels, and 0 elsewhere.
     pub(super) fn spread<T: ConvReal>(&self, image: &ImageView<'_, T>) -> Result<Image<T>, PsfieldError> {
         let (rows, columns) = image.pixels().dim();
         let area = T::nearest(self.pixel_area());
@@ -150,7 +152,7 @@ impl Geometry {
         Ok(Image::new(fine)?)
     }
 
-    /// Converts galaxies to pixels of the scene with `padding` dark pixels around it.
+    /// Converts galaxies to pixels of the scene with `padding` pixels added on every side.
     pub(super) fn fine_galaxies(
         &self,
         galaxies: &[SersicSource],

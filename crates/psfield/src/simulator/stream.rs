@@ -1,4 +1,4 @@
-//! Simulates scenes and images larger than memory, by bands of rows.
+//! Simulates scenes and images that are larger than the memory, in bands of rows.
 
 use std::ops::Range;
 
@@ -10,10 +10,10 @@ use super::Simulator;
 use crate::{PsfieldError, Scene};
 
 impl<T: ConvReal> Simulator<T> {
-    /// Makes the image of a scene that is read and written by rows. The stream reads rows of the
-    /// scene's image, in scene pixels, and writes rows of the frame or of the region. The stars and
-    /// galaxies are those of `scene`, whose own image is ignored. The pixels are the same bytes as
-    /// those of [`simulate`](Self::simulate).
+    /// Makes the image of a scene row by row. Reads the rows of the scene's image, in scene pixels,
+    /// from `rows`, and writes the rows of the frame or of the region to it. The stars and galaxies
+    /// are those of `scene`. An image in `scene` is ignored. The pixels equal those of
+    /// [`simulate`](Self::simulate) bit by bit.
     ///
     /// # Errors
     /// The errors of the stream and of [`simulate_into`](Self::simulate_into), and
@@ -35,8 +35,9 @@ impl<T: ConvReal> Simulator<T> {
     }
 }
 
-/// Adds galaxies to the rows of a scene's image that are read. Samples the rows of the fine image,
-/// adds stars, and writes them as rows of the frame.
+/// Passes rows between the caller's stream and the engine. Adds galaxies to the rows of the scene
+/// that the engine reads. Samples the rows of the fine image that the engine writes, adds stars,
+/// and writes the rows of the frame's image.
 pub(super) struct SceneRows<'a, T: ConvReal, R> {
     simulator: &'a Simulator<T>,
     inner: &'a mut R,
@@ -44,8 +45,9 @@ pub(super) struct SceneRows<'a, T: ConvReal, R> {
     galaxies: Vec<SersicSource>,
     padding: usize,
     progress: &'a dyn Progress,
-    /// Rows of the fine image that were taken so far, and rows of the image that were written.
+    /// Number of rows of the fine image that the engine has written.
     fine_rows: usize,
+    /// Number of rows of the frame's image that were passed on.
     image_rows: usize,
 }
 
@@ -82,7 +84,7 @@ where
             self.inner.read(rows.clone(), light.view_mut())?;
         } else {
             light.fill(T::zero());
-            // Rows of the image that are within the requested rows.
+            // The requested rows that lie in the scene's image, not in the padding.
             let (from, to) = (rows.start.max(p), rows.end.min(p + shape.ny()));
             if from < to {
                 let mut of_image = Array2::zeros((to - from, shape.nx()));
@@ -97,20 +99,20 @@ where
 
     fn write(&mut self, rows: ArrayView2<'_, T>) -> Result<(), R::Error> {
         let geometry = &self.simulator.geometry;
-        let mut shown = geometry.sampled_rows(rows, self.fine_rows);
+        let mut sampled = geometry.sampled_rows(rows, self.fine_rows);
         self.fine_rows += rows.nrows();
-        if shown.nrows() > 0 {
-            let shape = FrameShape::new(shown.ncols(), shown.nrows()).map_err(ConvError::Result)?;
+        if sampled.nrows() > 0 {
+            let shape = FrameShape::new(sampled.ncols(), sampled.nrows()).map_err(ConvError::Result)?;
             let (x0, y0) = (
                 geometry.region.x0(),
                 geometry.region.y0() + self.image_rows as i64,
             );
             let region = PixelRegion::new(x0, y0, shape);
             self.simulator
-                .draw_stars_into(self.stars, region, shown.view_mut(), self.progress)?;
-            self.image_rows += shown.nrows();
-            let shown = Image::new(shown).map_err(ConvError::Result)?;
-            self.inner.write(shown.pixels())?;
+                .draw_stars_into(self.stars, region, sampled.view_mut(), self.progress)?;
+            self.image_rows += sampled.nrows();
+            let sampled = Image::new(sampled).map_err(ConvError::Result)?;
+            self.inner.write(sampled.pixels())?;
         }
         Ok(())
     }

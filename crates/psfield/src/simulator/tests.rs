@@ -1,4 +1,4 @@
-//! The places of scenes on the frame, the errors for settings that do not fit, and the warnings.
+//! Tests the geometry of scenes and frames, the errors for unsuitable settings, and the warnings.
 
 use ndarray::{Array2, Array3, s};
 use psf_types::{Position, PsfSamples, SamplePositions, SersicProfile, SersicSource, StampGrid};
@@ -32,7 +32,7 @@ fn ramp(nx: usize, ny: usize) -> Array2<f64> {
     Array2::from_shape_fn((ny, nx), |(y, x)| (10 * y + x) as f64)
 }
 
-/// One stamp of 3 x 3 frame pixels for any field. Only its middle holds light.
+/// One stamp of 3 x 3 frame pixels for any field. Only its middle pixel is not 0.
 fn psf(oversampling: usize) -> Psf {
     let side = 3 * oversampling;
     let grid = StampGrid::new(side, side).and_then(|grid| grid.with_oversampling(oversampling as f64));
@@ -42,7 +42,7 @@ fn psf(oversampling: usize) -> Psf {
     PsfSamples::new(stamps, positions, grid.unwrap()).unwrap().into()
 }
 
-/// For scenes of `nx` columns and `ny` rows, in scene pixels.
+/// Builds a simulator for scenes of `nx` columns and `ny` rows, in scene pixels.
 fn built<T: ConvReal>(
     (nx, ny): (usize, usize),
     options: SimulateOptions,
@@ -80,13 +80,15 @@ fn everything_is_in_pixels_of_the_padded_scene() {
     let fine = geometry.fine_galaxies(&galaxies, padding).unwrap();
     assert_eq!(fine[0].position(), at(10.0, 13.0));
     assert_eq!(fine[0].profile().half_light_radius_px(), 6.0);
-    // Pixel (3, 1) of the frame, whose centre is pixel (10, 4) of its part of the scene.
+    // Pixel (3, 1) of the frame has its centre at pixel (10, 4) of the scene, counted from the
+    // frame's first pixel.
     assert_eq!(geometry.sampled_pixel((3, 1)), (10, 4));
     let image = simulator.simulate(&stars).unwrap();
     let mut expected = Array2::zeros((8, 10));
     expected[[1, 3]] = 7.0;
     assert!((&image.pixels() - &expected).iter().all(|d| d.abs() < 1e-12));
-    // A scene without galaxies needs no padding: stars outside the frame are drawn without it.
+    // A scene without galaxies needs no padding, because stars outside the frame are drawn without
+    // it.
     assert_eq!(simulator.padding(&stars), 0);
     assert_eq!(geometry.padded_shape(0).unwrap(), shape(60, 45));
 }
@@ -125,7 +127,7 @@ fn owned_and_borrowed_images_give_the_same_light() {
         let p = convolver.padding;
         assert_eq!(light.dim(), (ny + 2 * p, nx + 2 * p));
 
-        // The light that reaches a region is a part of the scene's.
+        // The light that reaches a region is a part of the scene's light.
         let planned = SimulateOptions {
             method: Method::Auto,
             region: Some(PixelRegion::new(7, 2, shape(5, 6))),
@@ -140,7 +142,7 @@ fn owned_and_borrowed_images_give_the_same_light() {
 
         // Subtract the image: the galaxies' light remains.
         light.slice_mut(s![p..p + ny, p..p + nx]).scaled_add(-1.0, &image);
-        // All their flux but that outside the padded scene.
+        // This is the flux of the galaxies inside the padded scene.
         let flux = light.sum();
         assert!(
             if galaxies.is_empty() {
@@ -150,7 +152,7 @@ fn owned_and_borrowed_images_give_the_same_light() {
             },
             "{flux}"
         );
-        // Without an image, the light is that of the galaxies.
+        // Without an image, the light is only that of the galaxies.
         let dark = Scene::dark().with_galaxies(&galaxies[..]);
         assert_eq!(has_extended_light(&dark), !galaxies.is_empty());
         if has_extended_light(&dark) {
@@ -196,7 +198,7 @@ fn what_does_not_fit_is_refused() {
         .unwrap_err();
     assert_eq!(of(&error), (ErrorKind::Data, Some("precision")));
     assert!(error.to_string().starts_with("a flux of 1e39 is"), "{error}");
-    // A padding beyond any memory is an error, not an overflow.
+    // A padding that no memory can hold is an error, not an overflow.
     assert!(matches!(
         double.geometry.padded_shape(usize::MAX),
         Err(DataError::FrameTooLarge { .. })
@@ -241,7 +243,7 @@ fn a_frame_must_lie_in_the_scene() {
 
 #[test]
 fn sizes_are_checked_before_memory_is_taken() {
-    // For frames of `nx` x `ny` pixels.
+    // Builds a simulator for frames of `nx` x `ny` pixels and checks a scene with one star.
     let with_a_star = |nx: usize, ny: usize, s: usize| {
         let simulator = built::<f32>((nx.saturating_mul(s), ny.saturating_mul(s)), finer(s))?;
         let scene = Scene::dark().with_stars(vec![star(1.0, 1.0, 1.0)]);
@@ -283,7 +285,7 @@ fn warnings_tell_of_stars_between_pixels_and_blurred_galaxies() {
         assert!(between(s, 7.25), "{s}");
     }
     // On pixels coarser than a quarter of the frame's, all galaxies are blurred. On finer pixels,
-    // only those that are smaller than two of them.
+    // only galaxies with a half-light radius below two scene pixels.
     for s in [1, 2, 3] {
         assert_eq!(warnings(1, s, 7.0, 30.0), [BlurredGalaxies { count: 1 }], "{s}");
     }
@@ -306,7 +308,7 @@ fn settings_that_a_method_or_a_model_cannot_follow_are_refused() {
     let refused = psf(1).simulator((10, 10)).options(on_gpu).build::<f32>();
     assert_eq!(refused.unwrap_err().setting(), Some("device"));
 
-    // A model that the caller implements has its stamps on one grid only.
+    // A model with the caller's own coefficient field cannot be resampled to another grid.
     let own = Psf::from(psf(1).model().unwrap().clone());
     let scene = Scene::new(Array2::from_elem((12, 12), 1.0)).unwrap();
     let image = own.simulator((12, 12)).build::<f64>().unwrap().simulate(&scene);

@@ -43,7 +43,7 @@ fn function_value(table: u32, function: u32, row: u32, column: u32) -> f32 {
     return real(place) + from_start * real(place + 1u);
 }
 
-// A value times the coefficient of a kernel at a pixel of its block.
+// Multiplies a value by the coefficient of a kernel at a pixel of the block.
 fn weighted(value: f32, table: u32, kernel: u32, row: u32, column: u32) -> f32 {
     let plain = tables[table + PLAIN];
     if (kernel < plain) {

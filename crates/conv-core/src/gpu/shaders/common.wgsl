@@ -1,46 +1,46 @@
-// Code that all shaders share. Values in double braces are replaced for the sizes of a plan.
+// Code that all shaders share. Names in double braces are replaced by numbers or code for the sizes
+// of a plan.
 
 // The columns of a plane, and half its rows: the upper half of the rows is the imaginary part of
 // the lower.
 const NX: u32 = {{NX}}u;
 const HALF: u32 = {{HALF}}u;
-// The positions, among the roots of unity for columns, of the factors before and after transforms
-// along y.
+// Where the factors before and after transforms along y begin in the roots of unity for columns.
 const TWIST: u32 = HALF;
 const UNTWIST: u32 = 2u * HALF;
 
-// A tile and the kernels that a batch applies to it. Places count values of their buffer.
+// A tile and the kernels that a batch applies to it. Places are indices of values in their buffers.
 struct Tile {
-    // First pixel of its light, and the light's size.
+    // The place of its light's first pixel, and the light's size.
     light: u32,
     width: u32,
     height: u32,
-    // The numbers of its first plane and of its kernels' first spectrum, and the number of kernels.
+    // The indices of its first plane and of its kernels' first spectrum, and the number of kernels.
     plane: u32,
     spectrum: u32,
     kernels: u32,
-    // Its coefficients, and its first pixel within the block that they belong to.
+    // The place of its coefficients' table, and its first pixel within the block of the table.
     table: u32,
     column: u32,
     row: u32,
-    // The result: first pixel within the panel, which may lie outside, size, and first pixel in the
-    // plane.
+    // The result: its first pixel within the panel (this may lie outside), its size, and its first
+    // pixel in the plane.
     out_column: i32,
     out_row: i32,
     out_width: u32,
     out_height: u32,
     skip_column: u32,
     skip_row: u32,
-    // The factor of the result.
+    // The factor by which the result is multiplied.
     back: f32,
 }
 
 struct Params {
-    // The first entry of the list that a dispatch processes.
+    // The index of the first tile, plane or draw that a dispatch processes.
     first: u32,
-    // 1: the light is a stamp and is read backwards.
+    // 1: stamps are read backwards. In weigh_rows, the light is then a stamp.
     flip: u32,
-    // 1: the light is multiplied by the kernels' coefficients.
+    // 1: weigh_rows multiplies the light, or draw_stamps the stamps, by the kernels' coefficients.
     weighted: u32,
     // Columns and rows of the panel, and of the stamps.
     panel_width: u32,

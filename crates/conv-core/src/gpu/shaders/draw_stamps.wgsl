@@ -1,19 +1,21 @@
 // Draws single pixels of the light of tiles, each as a combination of stamps. The coefficients are
-// those of the pixel, or those of the pixels that it reaches. Tiles of a dispatch do not overlap.
+// those of the lit pixel or, if `weighted` is 1, those of the pixels that its light reaches. Tiles
+// of a dispatch do not overlap.
 
 struct Draw {
-    // Its pixels, and the first of their values in `amounts`.
+    // The index of its first pixel, the number of its pixels, and the place of their first value in
+    // `amounts`.
     first_pixel: u32,
     pixels: u32,
     first_amount: u32,
     // The place of its first stamp, and the number of stamps.
     stamps: u32,
     kernels: u32,
-    // Its coefficients, and its first pixel within the block that they belong to.
+    // The place of its coefficients' table, and its first pixel within the block of the table.
     table: u32,
     column: u32,
     row: u32,
-    // The result: first pixel within the panel, which may lie outside, and size.
+    // The result: its first pixel within the panel (this may lie outside), and its size.
     out_column: i32,
     out_row: i32,
     out_width: u32,
@@ -29,8 +31,8 @@ struct Pixel {
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> draws: array<Draw>;
 @group(0) @binding(2) var<storage, read> pixels: array<Pixel>;
-// Light times coefficient, per pixel and kernel. Only the light, if coefficients belong to the
-// pixels that it reaches.
+// Light times coefficient, for each pixel and kernel. If `weighted` is 1, only the light of each
+// pixel.
 @group(0) @binding(3) var<storage, read> amounts: array<f32>;
 @group(0) @binding(4) var<storage, read> stamps: array<f32>;
 @group(0) @binding(5) var<storage, read> tables: array<u32>;

@@ -1,5 +1,5 @@
-// Transforms the planes of each tile after its first back along x, multiplies them by the kernels'
-// coefficients and adds them to the panel. Tiles do not overlap there.
+// Transforms all planes of each tile but the first back along x, multiplies them by the kernels'
+// coefficients and adds them to the panel. Tiles do not overlap in the panel.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;

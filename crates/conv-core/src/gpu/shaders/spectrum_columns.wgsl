@@ -1,4 +1,4 @@
-// Spectra of kernels: transforms planes along y that have been transformed along x.
+// Computes the spectra of kernels: transforms planes along y, after their transform along x.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;

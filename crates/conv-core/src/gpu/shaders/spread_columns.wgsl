@@ -1,6 +1,6 @@
-// Transforms a plane along y that has been transformed along x. Then, for each kernel, multiplies
-// it by the kernel's spectrum and transforms it back along y into one of the planes after the
-// first.
+// Transforms the first plane of each tile along y, after its transform along x. Then, for each
+// kernel, multiplies the result by the kernel's spectrum and transforms it back along y into the
+// kernel's plane. The kernels' planes follow the first plane.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;

@@ -1,6 +1,6 @@
-// Transforms planes along y that have been transformed along x, multiplies them by the kernels'
-// spectra and sums them over the kernels. Transforms the sum back along y into the tile's first
-// plane.
+// Transforms the planes of each tile along y, after their transform along x. Multiplies them by the
+// kernels' spectra, sums them over the kernels, and transforms the sum back along y into the tile's
+// first plane.
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;
@@ -24,7 +24,7 @@ fn sum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_
     {{SWAP}}
     {{BACK}}
     let into = tile.plane * HALF;
-    // The first plane has been read before it is overwritten: its values are part of the sum.
+    // Ends the reads of the first plane, which is part of the sum, before the plane is overwritten.
     storageBarrier();
     {{STORE}}
 }

@@ -1,9 +1,9 @@
-// Multiplies light by coefficients and transforms it along x. The result is one plane for each
-// kernel of each tile, [row of the lower half][x frequency].
+// Multiplies light by coefficients, if `weighted` is 1, and transforms it along x. The result is
+// one plane for each entry of `work`, [row of the lower half][x frequency].
 
 @group(0) @binding(0) var<uniform> params: Params;
 @group(0) @binding(1) var<storage, read> tiles: array<Tile>;
-// Tile and kernel of each plane.
+// The tile and the kernel of each plane.
 @group(0) @binding(2) var<storage, read> work: array<vec2u>;
 @group(0) @binding(3) var<storage, read> tables: array<u32>;
 @group(0) @binding(4) var<storage, read> light: array<f32>;

@@ -2,9 +2,10 @@
 
 use std::f64::consts::TAU;
 
-/// Two tiles of different sizes. The first has runs of coefficients and a kernel without any. The
-/// second has coefficients pixel by pixel, divided by the first. Their results do not overlap, and
-/// those of the first reach beyond the panel.
+/// Two tiles of different sizes. The first tile has runs of coefficients, and a kernel without
+/// coefficients. The second tile has coefficients pixel by pixel, and its first function divides
+/// the others. The results of the tiles do not overlap. The result of the first tile reaches beyond
+/// the panel.
 #[derive(Debug)]
 pub(super) struct Case {
     pub(super) nx: usize,
@@ -36,7 +37,7 @@ impl Case {
         let half = ny / 2;
         let kernels = if single { [1, 1] } else { KERNELS };
         let planes = (kernels[0] + kernels[1] + 2) as usize;
-        // One tile fills most of its plane, the other less than half the rows.
+        // One tile fills most of its plane, the other fills less than half the rows.
         let sizes = [(nx - 6, ny - 4), (nx / 2 + 1, half - 3)];
         let panel = (nx + 40, 2 * ny + 10);
         let mut tables = runs_table(sizes[0], &mut reals);
@@ -87,7 +88,7 @@ impl Case {
             spectra: reals((kernels[0] + kernels[1]) as usize * nx * ny),
             panel: reals(panel.0 * panel.1),
             draws: vec![draw(0), draw(1)],
-            // Some begin before the result, some overlap.
+            // Some stamps begin before the result, some overlap.
             pixels: vec![[-2, -3], [4, 3], [6, 5], [4, 3], [0, 2], [3, 9], [4, 1]],
             amounts: reals(7 * 3),
             tiles,
@@ -174,14 +175,14 @@ impl Case {
         turn(std::f64::consts::PI * row as f64 / self.ny as f64)
     }
 
-    /// The inverse of [`turned`](Self::turned), times the gain of both transforms back.
+    /// The inverse of [`turned`](Self::turned), divided by the gain of both transforms back.
     pub(super) fn turned_back(&self, row: usize) -> Complex {
         let [re, im] = self.turned(row);
         let gain = (self.nx * self.half()) as f64;
         [re / gain, -im / gain]
     }
 
-    /// Adds to a pixel of the panel, counted from a tile's result, if it lies within the panel.
+    /// Adds to the pixel (`x`, `y`) of the panel, if the pixel lies within the panel.
     pub(super) fn add(&self, panel: &mut [f64], (x, y): (i64, i64), value: f64) {
         let (columns, rows) = self.panel_size();
         if (0..columns as i64).contains(&x) && (0..rows as i64).contains(&y) {
@@ -194,7 +195,7 @@ pub(super) fn doubles(values: &[f32]) -> Vec<f64> {
     values.iter().map(|&v| f64::from(v)).collect()
 }
 
-/// Three runs per row, two functions, preceded by one kernel without a function.
+/// A table with three runs per row, two functions, and one kernel without a function before them.
 fn runs_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> Vec<f32>) -> Vec<u32> {
     let runs = 3 * rows;
     let header = [0, 2, 0, 1, columns, rows, 9, 9 + rows + 1, 9 + rows + 1 + runs];
@@ -205,7 +206,7 @@ fn runs_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> 
     words
 }
 
-/// Three functions at all pixels. The first is positive and divides the others.
+/// A table with three functions at all pixels. The first is positive and divides the others.
 fn dense_table((columns, rows): (usize, usize), reals: &mut impl FnMut(usize) -> Vec<f32>) -> Vec<u32> {
     let header = [1, 3, 1, 0, columns, rows, 9, 9, 9];
     let mut words: Vec<u32> = header.map(|v| v as u32).to_vec();

@@ -1,4 +1,4 @@
-//! Each shader against its twin.
+//! Comparison of each shader with its twin.
 
 mod case;
 mod twins;

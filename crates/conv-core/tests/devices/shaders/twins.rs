@@ -1,4 +1,4 @@
-//! The twin of each shader on the processor, in f64 and in the plainest form.
+//! The twin of each shader: a simple version in f64 that runs on the processor.
 
 use super::case::{Case, STAMP, back, doubles, forward, times};
 

@@ -13,8 +13,8 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::image_out::{cards, in_single_precision, write_cards, write_fits};
 use crate::fits::structure::{FitsStructure, PSF};
 
-/// The text between the letter of a coordinate and `_IMAGE`: the methods by which SExtractor
-/// measures a position.
+/// The part of a coordinate's name between its letter and `_IMAGE`. It names the method by which
+/// SExtractor measures the position.
 const POSITION_KINDS: [&str; 5] = ["", "WIN", "PSF", "PEAK", "MODEL"];
 
 /// Returns whether a file holds PSFEx models.
@@ -34,13 +34,14 @@ fn holds_psf(hdu: &Hdu) -> bool {
 
 /// Reads a PSFEx model in the [layout of PSFEx](super).
 ///
-/// `extension` chooses one of several models in the file, which holds one per image extension.
+/// A file holds one model per image extension. `extension` chooses one of several models.
 ///
 /// # Errors
 /// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for several models without a choice, or
 /// for a choice that is none of them, [`Header`](crate::IoErrorKind::Header) for an unsupported
 /// polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column of
-/// another format, [`Data`](crate::IoErrorKind::Data) for NaN, and the errors of any FITS file.
+/// another format, [`Data`](crate::IoErrorKind::Data) for NaN, and the
+/// [errors of any FITS file](crate#bad-files).
 pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Result<PsfexModel, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -70,7 +71,7 @@ pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Resu
     }))
 }
 
-const SAMPLING: &str = "the frame pixels that a pixel of the PSF spans, a number above 0";
+const SAMPLING: &str = "the size of a pixel of the PSF in frame pixels, a number above 0";
 const COUNT: &str = "a whole number";
 const LENGTH: &str = "the length of an axis of PSF_MASK, a whole number above 0";
 const TERMS: &str = "the number of terms of the polynomial, (d+1)(d+2)/2 for POLDEG1 = d";
@@ -93,14 +94,14 @@ fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Re
 /// The polynomial, or `None` for a constant PSF.
 fn polynomial(path: &Path, hdu: &Hdu) -> Result<Option<PsfexPolynomial>, IoError> {
     const AXES: &str = "0 (a constant PSF) or 2 (a PSF that depends on x and y)";
-    const GROUPS: &str = "1: polynomials of several groups of coordinates are not supported";
+    const GROUPS: &str = "1 (polynomials of several groups of coordinates are not supported)";
     const GROUP: &str = "1, the only group of coordinates";
     const DEGREE: &str = "the degree of the polynomial, 0 to 10";
     match hdu.required::<i64>("POLNAXIS", AXES)? {
         0 => return Ok(None),
         2 => {}
         more if more > 2 && hdu.header.get("POLNAME3").is_some() => {
-            const THIRD: &str = "absent: PSFs that depend on more than the position are not supported";
+            const THIRD: &str = "absent (PSFs that depend on more than the position are not supported)";
             return Err(hdu.keyword_error("POLNAME3", THIRD));
         }
         _ => return Err(hdu.keyword_error("POLNAXIS", AXES)),
@@ -123,19 +124,19 @@ fn polynomial(path: &Path, hdu: &Hdu) -> Result<Option<PsfexPolynomial>, IoError
         .map_err(invalid(path))
 }
 
-/// The cards of a coordinate: the keywords of name, offset and scale, the first letter of the name,
-/// and the text for an unsupported name.
+/// The cards of a coordinate: the keywords of its name, offset and scale, the first letter of its
+/// name, and a text about the supported names for errors.
 type AxisKeywords = ([&'static str; 3], char, &'static str);
 
 const X_KEYWORDS: AxisKeywords = (
     ["POLNAME1", "POLZERO1", "POLSCAL1"],
     'X',
-    "the column coordinate in pixels, X_IMAGE, XWIN_IMAGE or the like: PSFs that depend on anything else are not supported",
+    "the column coordinate in pixels, such as X_IMAGE or XWIN_IMAGE (PSFs that depend on anything else are not supported)",
 );
 const Y_KEYWORDS: AxisKeywords = (
     ["POLNAME2", "POLZERO2", "POLSCAL2"],
     'Y',
-    "the row coordinate in pixels, Y_IMAGE, YWIN_IMAGE or the like: PSFs that depend on anything else are not supported",
+    "the row coordinate in pixels, such as Y_IMAGE or YWIN_IMAGE (PSFs that depend on anything else are not supported)",
 );
 
 /// Reads a coordinate, which is 1-based in the file.
@@ -178,7 +179,7 @@ fn plane_shape(hdu: &Hdu, terms: usize) -> Result<((usize, usize, usize), usize)
     let count = nx
         .checked_mul(ny)
         .and_then(|pixels| pixels.checked_mul(terms))
-        .ok_or_else(|| hdu.keyword_error("PSFAXIS1", "smaller: the planes would be larger than any file"))?;
+        .ok_or_else(|| hdu.keyword_error("PSFAXIS1", "smaller (the planes would be larger than any file)"))?;
     Ok(((terms, ny, nx), count))
 }
 
@@ -190,11 +191,11 @@ fn check_dimensions(
 ) -> Result<(), IoError> {
     let number = table.column(COLUMN)?.number;
     let keyword = format!("TDIM{number}");
-    let told = hdu.header.get(&keyword).is_some();
+    let given = hdu.header.get(&keyword).is_some();
     let agrees = hdu
         .text(&keyword)
         .is_some_and(|text| folds_to(&text, &[nx, ny, terms]));
-    hdu.ensure(agrees || !told, &keyword, "must be (PSFAXIS1,PSFAXIS2,PSFAXIS3)")
+    hdu.ensure(agrees || !given, &keyword, "must be (PSFAXIS1,PSFAXIS2,PSFAXIS3)")
 }
 
 /// Returns whether `(a,b,...)` lists these lengths. Lengths of 1 at the end may be left out.
@@ -214,7 +215,7 @@ fn folds_to(text: &str, expected: &[usize]) -> bool {
 /// Writes a PSFEx model in the [layout of PSFEx](super), which SExtractor and GalSim
 /// (`galsim.des.DES_PSFEx`) read.
 ///
-/// Planes are stored in single precision, as in PSFEx. Planes that were read from such a file are
+/// Planes are stored in single precision, as in PSFEx. Planes that were read from a PSFEx file are
 /// written back bit by bit. `added` cards are written to the header of the table, before the cards
 /// of the layout. SExtractor reads a model without a polynomial (`POLNAXIS = 0`), but GalSim does
 /// not.

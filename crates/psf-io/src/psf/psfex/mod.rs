@@ -3,14 +3,14 @@
 //!
 //! # Layout
 //!
-//! The primary HDU is empty. A binary table follows, usually named `PSF_DATA`. It has one row for
-//! each image extension that PSFEx has modelled:
+//! The primary HDU is empty. A binary table follows for each image extension that PSFEx has
+//! modelled. Each table is usually named `PSF_DATA` and has one row:
 //!
 //! | in the table | meaning |
 //! |---|---|
 //! | column `PSF_MASK` | single-precision planes `[term, y, x]`, `TDIMn = (nx, ny, terms)` |
 //! | `POLNAXIS` | 2, or 0 for a constant PSF |
-//! | `POLNAME1`, `POLNAME2` | the coordinates: `X_IMAGE` and `Y_IMAGE`, or windowed ones (`XWIN_IMAGE` ...): 1-based pixels of the frame |
+//! | `POLNAME1`, `POLNAME2` | the coordinates in 1-based pixels of the frame: `X_IMAGE` and `Y_IMAGE`, or windowed ones (`XWIN_IMAGE` ...) |
 //! | `POLZEROi`, `POLSCALi` | their offset and scale |
 //! | `POLNGRP`, `POLGRPi`, `POLDEG1` | one group of both coordinates, of total degree `POLDEG1` |
 //! | `PSF_SAMP` | frame pixels per plane pixel: the stamps are oversampled `1 / PSF_SAMP` times |
@@ -215,8 +215,9 @@ impl PsfexModel {
     /// pixel) and the polynomial. Without a polynomial the PSF is constant.
     ///
     /// # Errors
-    /// [`DataError::EmptyStamp`], [`DataError::CountMismatch`] if the number of planes is not the
-    /// number of terms, [`DataError::NonFinite`] and [`DataError::Oversampling`].
+    /// [`DataError::EmptyStamp`] for planes without pixels, [`DataError::CountMismatch`] if the
+    /// number of planes is not the number of terms, [`DataError::NonFinite`] for a value that is
+    /// not finite, and [`DataError::Oversampling`] for a sampling out of range.
     pub fn new(
         planes: Array3<f64>,
         sampling: f64,
@@ -283,9 +284,9 @@ impl PsfexModel {
         self.polynomial.as_ref().map_or(0, PsfexPolynomial::degree)
     }
 
-    /// Positions at which the PSF determines the polynomial, x fastest: the
-    /// [`extrema`](PsfexAxis::extrema) of both coordinates, `(d+1)^2` for degree d. For a constant
-    /// PSF one arbitrary position.
+    /// Positions at which the values of the PSF determine the polynomial. They are all combinations
+    /// of the [`extrema`](PsfexAxis::extrema) of x and of y, `(d+1)^2` for degree d, with x
+    /// fastest. For a constant PSF it is one arbitrary position.
     ///
     /// # Errors
     /// [`DataError::NonFinitePosition`] if offset and scale are too large for a position.
