@@ -6,7 +6,7 @@ use psf_types::{FieldError, OutsidePolicy, Position, SampleCoefficients, SampleP
 use crate::geometry::{Point, Row, known, last_where, query};
 use crate::grid::{Axis, AxisWeights, NeighbouringLines, RegularGrid};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, WeightsResult,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
     add_weight, admit, in_runs, outcomes_of, prediction_error,
 };
 
@@ -47,7 +47,7 @@ use crate::interpolation::{
 pub struct Bilinear;
 
 impl FieldInterpolation for Bilinear {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         GridWeights::prepare(positions, AxisWeights::linear, outside)
     }
 
@@ -109,7 +109,7 @@ impl FieldInterpolation for Bilinear {
 pub struct Bicubic;
 
 impl FieldInterpolation for Bicubic {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         GridWeights::prepare(positions, AxisWeights::cubic, outside)
     }
 
@@ -131,7 +131,7 @@ struct GridWeights {
 }
 
 impl GridWeights {
-    fn prepare(positions: &SamplePositions, along: AlongAxis, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(positions: &SamplePositions, along: AlongAxis, outside: OutsidePolicy) -> Weights {
         let grid = RegularGrid::detect(positions)?;
         Ok(Box::new(Self {
             x: along(&grid.x),

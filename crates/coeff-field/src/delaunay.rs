@@ -8,8 +8,7 @@ use spade::{NaturalNeighbor, Point2, PositionInTriangulation, Triangulation};
 use crate::boundary::BoundaryPiece;
 use crate::geometry::{Point, Points, Row, cross, dot, known, last_where, length, query, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, WeightsResult, admit,
-    pixel_by_pixel,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights, admit, pixel_by_pixel,
 };
 use crate::mesh::{Mesh, Support, mesh_leave_one_out, mesh_weights, weights_at_hull};
 use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of};
@@ -65,7 +64,7 @@ const NEGATIVE: f64 = 1e-9;
 const POSITION_TOLERANCE: f64 = 1e-6;
 /// Additional tolerance relative to the largest distance of a neighbour, because its rounding
 /// affects every weight.
-const POSITION_TOLERANCE_OF_LARGEST: f64 = 1e-14;
+const ROUNDING_OF_LARGEST: f64 = 1e-14;
 
 /// Sibson's natural neighbours.
 ///
@@ -109,7 +108,7 @@ struct TriangulationWeights {
     natural: bool,
 }
 
-fn prepare(positions: &SamplePositions, outside: OutsidePolicy, natural: bool) -> WeightsResult {
+fn prepare(positions: &SamplePositions, outside: OutsidePolicy, natural: bool) -> Weights {
     let outside = known(outside)?;
     Ok(match Support::new(&Points::new(positions)?, outside) {
         Support::Line(line) => Box::new(line),
@@ -122,7 +121,7 @@ fn prepare(positions: &SamplePositions, outside: OutsidePolicy, natural: bool) -
 }
 
 impl FieldInterpolation for Delaunay {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         prepare(positions, outside, false)
     }
 
@@ -132,7 +131,7 @@ impl FieldInterpolation for Delaunay {
 }
 
 impl FieldInterpolation for NaturalNeighbour {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         prepare(positions, outside, true)
     }
 
@@ -266,8 +265,7 @@ impl<'a> Sibson<'a> {
             sum += share;
             weights.push((sample_of(&node), share));
         }
-        let met =
-            length(mean) <= POSITION_TOLERANCE * mean_distance + POSITION_TOLERANCE_OF_LARGEST * largest;
+        let met = length(mean) <= POSITION_TOLERANCE * mean_distance + ROUNDING_OF_LARGEST * largest;
         if !met || (sum - 1.0).abs() > NEGATIVE {
             return false;
         }

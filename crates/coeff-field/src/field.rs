@@ -14,9 +14,7 @@ use crate::bilinear::{Bicubic, Bilinear};
 use crate::delaunay::{Delaunay, NaturalNeighbour};
 use crate::error::CoeffFieldError;
 use crate::grid::RegularGrid;
-use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, WeightsResult,
-};
+use crate::interpolation::{FieldInterpolation, FieldWeights, OnRun, Outcomes, Visited, WeightList, Weights};
 use crate::neighbours::{InverseDistance, Nearest};
 use crate::polynomial::Polynomial;
 
@@ -91,7 +89,7 @@ pub fn interpolation(choice: Interpolation) -> Result<Box<dyn FieldInterpolation
 pub struct Auto;
 
 impl FieldInterpolation for Auto {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         interpolation(resolve(Interpolation::Auto, positions))?.prepare(positions, outside)
     }
 

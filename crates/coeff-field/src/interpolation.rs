@@ -187,7 +187,7 @@ pub trait FieldWeights: Debug + Send + Sync {
 }
 
 /// The result of [`FieldInterpolation::prepare`].
-pub(crate) type WeightsResult = Result<Box<dyn FieldWeights>, CoeffFieldError>;
+pub(crate) type Weights = Result<Box<dyn FieldWeights>, CoeffFieldError>;
 /// The result of [`FieldInterpolation::leave_one_out`].
 pub(crate) type Outcomes = Result<LeaveOneOut, CoeffFieldError>;
 /// The result of visiting pixels, which stops at the first one without a value.

@@ -11,7 +11,7 @@ use psf_types::{
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, HullPiece, Point, Points, Row, dot, last_where, sub};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, WeightsResult,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
     hull_leave_one_out, prediction_error, single,
 };
 
@@ -29,7 +29,7 @@ use crate::interpolation::{
 pub struct Nearest;
 
 impl FieldInterpolation for Nearest {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let points = Points::new(positions)?;
         Ok(Box::new(NearestWeights {
             tree: SearchTree::new(&points)?,
@@ -259,7 +259,7 @@ impl Default for InverseDistance {
 }
 
 impl FieldInterpolation for InverseDistance {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let points = Points::new(positions)?;
         Ok(Box::new(InverseDistanceWeights {
             method: *self,

@@ -8,7 +8,7 @@ use psf_types::{FieldError, Interpolation, OutsidePolicy, Position, SampleCoeffi
 use crate::error::CoeffFieldError;
 use crate::geometry::{Hull, HullPiece, Point, Points, Row, external, last_where, range};
 use crate::interpolation::{
-    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, WeightsResult,
+    FieldInterpolation, FieldWeights, OnRun, Outcomes, Unpredictable, Visited, WeightList, Weights,
     check_rows, hull_leave_one_out, in_runs, pixel_by_pixel,
 };
 
@@ -70,7 +70,7 @@ impl Polynomial {
 }
 
 impl FieldInterpolation for Polynomial {
-    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> WeightsResult {
+    fn prepare(&self, positions: &SamplePositions, outside: OutsidePolicy) -> Weights {
         let points = Points::new(positions)?;
         Ok(Box::new(PolynomialWeights {
             fit: Fit::new(*self, &points)?,

@@ -51,7 +51,7 @@ const HUBER: f64 = 3.0;
 const MISMATCH_SIGMA: f64 = 5.0;
 const MISMATCH_RATIO: f64 = 3.0;
 /// A star may move from the position of its Gaussian fit by at most this distance, in pixels.
-const MAX_SHIFT_PX: f64 = 0.5;
+const SHIFT: f64 = 0.5;
 
 impl Epsf {
     pub(crate) fn fit(
@@ -208,10 +208,8 @@ impl FieldPsf {
                 return f64::INFINITY;
             };
             star.flux += by[0];
-            star.x = (star.x + by[1].clamp(-LONGEST, LONGEST))
-                .clamp(start.0 - MAX_SHIFT_PX, start.0 + MAX_SHIFT_PX);
-            star.y = (star.y + by[2].clamp(-LONGEST, LONGEST))
-                .clamp(start.1 - MAX_SHIFT_PX, start.1 + MAX_SHIFT_PX);
+            star.x = (star.x + by[1].clamp(-LONGEST, LONGEST)).clamp(start.0 - SHIFT, start.0 + SHIFT);
+            star.y = (star.y + by[2].clamp(-LONGEST, LONGEST)).clamp(start.1 - SHIFT, start.1 + SHIFT);
             star.offset += by[3];
             if !(star.flux > 0.0 && star.flux.is_finite()) {
                 star.flux = flux;

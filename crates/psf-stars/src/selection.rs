@@ -245,12 +245,7 @@ const MOST_ROUNDS: usize = 20;
 /// chosen.
 pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     widths.truncate((widths.len() / 4).max(BRIGHT));
-    let company = |width: f64| {
-        widths
-            .iter()
-            .filter(|w| (*w / width).ln().abs() <= EQUAL_WIDTH)
-            .count()
-    };
+    let company = |width: f64| widths.iter().filter(|w| (*w / width).ln().abs() <= EQUAL).count();
     let centre = widths
         .iter()
         .copied()
@@ -258,7 +253,7 @@ pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
     let mut alike: Vec<f64> = widths
         .iter()
         .copied()
-        .filter(|w| (w / centre).ln().abs() <= EQUAL_WIDTH)
+        .filter(|w| (w / centre).ln().abs() <= EQUAL)
         .collect();
     Some(median(&mut alike))
 }
@@ -267,7 +262,7 @@ pub(crate) fn most_frequent_width(mut widths: Vec<f64>) -> Option<f64> {
 /// all if there are fewer.
 const BRIGHT: usize = 10;
 /// Widths count as equal within this distance in ln FWHM.
-const EQUAL_WIDTH: f64 = 0.1;
+const EQUAL: f64 = 0.1;
 
 /// The terms of a polynomial over the field, in coordinates that run from -1 to 1 over the frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

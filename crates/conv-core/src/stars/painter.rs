@@ -12,7 +12,7 @@ use crate::stamp_interpolator::{Kernel, StampInterpolator, grid_reaching};
 use crate::{ConvError, ConvReal};
 
 /// The number of sources that one task draws.
-const SOURCES_PER_TASK: usize = 32;
+const PER_TASK: usize = 32;
 /// The number of painted sources in memory at a time.
 const SOURCES_IN_MEMORY: usize = 1024;
 
@@ -141,12 +141,9 @@ impl<'a> StarPainter<'a> {
         let shape = region.shape();
         assert_eq!(image.dim(), (shape.ny(), shape.nx()), "the region's shape");
         let reaches = |source: &&PointSource| self.reaches(source) && self.lights(source, region);
-        let tasks = sources.len().div_ceil(SOURCES_PER_TASK);
+        let tasks = sources.len().div_ceil(PER_TASK);
         add_in_order(image, tasks, &Uncounted(progress), |task| {
-            let sources = sources[task * SOURCES_PER_TASK..]
-                .iter()
-                .take(SOURCES_PER_TASK)
-                .filter(reaches);
+            let sources = sources[task * PER_TASK..].iter().take(PER_TASK).filter(reaches);
             sources
                 .map(|source| {
                     let (lit, values) = self.paint(source)?;
