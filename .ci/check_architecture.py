@@ -16,7 +16,7 @@ def code_names(text: str) -> list[str]:
 
 
 def rows(heading: str) -> dict[str, set[str]]:
-    """What the first table after a heading says: the names in its first column, and what they use."""
+    """The first table after a heading: for each name in the first column, the names in the second."""
     section = PAGE[PAGE.index(heading) :]
     lines = section[section.index("\n|---") :].split("\n")[2:]
     table = lines[: next(i for i, line in enumerate(lines) if not line.startswith("|"))]

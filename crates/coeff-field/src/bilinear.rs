@@ -25,9 +25,9 @@ use crate::interpolation::{
 ///   still count as inside. A grid of a single row covers only positions on that row.
 ///
 /// # Leave-one-out
-/// Without one sample the grid is no longer regular. But the sample's row without the sample, and
-/// its column without the sample, are still lines of samples. Each line predicts the sample
-/// linearly from its two neighbours on that line. The prediction is the mean of the two. For a
+/// Without one sample the grid is no longer regular. But the other samples of this sample's row
+/// still form a line, and so do the other samples of its column. Each line predicts the sample
+/// linearly from the two neighbours on that line. The prediction is the mean of the two. For a
 /// sample on an edge of the grid, only the line along the edge is used. At a corner both lines
 /// extrapolate, and their mean counts as [`LeftOut::Extrapolated`](crate::LeftOut::Extrapolated).
 ///
@@ -89,7 +89,8 @@ impl FieldInterpolation for Bilinear {
 /// # Leave-one-out
 /// The row and the column of a sample predict it, with the rules of [`Bilinear`](crate::Bilinear)
 /// but with cubics. Without the sample, the cell around it is twice as wide. So both terms of the
-/// error above are overestimated, in the middle of evenly spaced lines by factors of 4 and 7.
+/// error above are overestimated. For evenly spaced lines and away from the edges, the factors are
+/// 4 and 7.
 ///
 /// ```
 /// use coeff_field::{Bicubic, InterpolatedField};
@@ -141,8 +142,8 @@ impl GridWeights {
         }))
     }
 
-    /// Returns the point at which to evaluate `p`, or `None` if the policy rejects it. The point is
-    /// `p` itself (extend) or the nearest point of the grid.
+    /// Returns the point at which the weights for `p` are computed, or `None` if the policy rejects
+    /// it. The point is `p` itself (extend) or the nearest point of the grid.
     fn admit(&self, p: Point) -> Option<Point> {
         if self.outside == OutsidePolicy::Extend {
             return Some(p);
@@ -169,8 +170,8 @@ impl FieldWeights for GridWeights {
 
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         let axes = [&self.x.knots, &self.y.knots];
-        // Near a line with scattered samples, the weights are those of the line itself, thus not
-        // bilinear.
+        // If samples scatter about their line, positions within the scatter have the weights of the
+        // line itself. There the weights are not bilinear.
         let is_exact = axes.iter().all(|axis| axis.scatter_is_harmless());
         is_exact.then(|| axes.map(|axis| axis.lines.clone()))
     }
@@ -211,8 +212,8 @@ impl FieldWeights for GridWeights {
 }
 
 /// Predicts each sample from the other samples of its row and from those of its column. The
-/// prediction is the mean of the two. If the sample lies between others in only one of the two,
-/// that one alone is used.
+/// prediction is the mean of the two. If the sample lies between other samples in only one of the
+/// two lines, only that line is used.
 fn grid_leave_one_out(samples: &SampleCoefficients, along: AlongAxis, outside: OutsidePolicy) -> Outcomes {
     let grid = RegularGrid::detect(samples.positions())?;
     let outside = known(outside)?;
@@ -254,8 +255,8 @@ struct LeftOutLine {
 }
 
 impl LeftOutLine {
-    /// Returns the prediction of each line of an axis from the others, or `None` if there are no
-    /// others.
+    /// For each line of an axis, returns the weights that predict it from the other lines, or
+    /// `None` if there are no others.
     fn each(axis: &Axis, along: AlongAxis, outside: OutsidePolicy) -> Vec<Option<Self>> {
         let without = |left_out: usize| {
             let mut others = axis.clone();

@@ -1,11 +1,11 @@
 //! The boundary of the triangulation: the positions beyond it, and the slivers along it.
 //!
 //! Samples along an edge of the field are rarely collinear to the last bit. A sample slightly
-//! inside the hull leaves a dent, which a sliver closes. The sliver's long side joins two distant
-//! samples, so the value at the hull would ignore the sample in between. Therefore slivers along
-//! the hull are peeled off, and the samples behind them join the boundary. Each side of the hull
-//! then has a chain of samples along it. The depth of a dent is at most [`MAX_DENT`] times its
-//! width.
+//! inside the hull leaves a dent, which a sliver (a long thin triangle) closes. The sliver's long
+//! side joins two distant samples, so the value at the hull would ignore the sample in between.
+//! Therefore slivers along the hull are peeled off, and the samples behind them join the boundary.
+//! Each side of the hull then has a chain of samples along it. The depth of a dent is at most
+//! [`MAX_DENT`] times its width.
 
 use std::num::NonZeroU32;
 
@@ -15,12 +15,12 @@ use spade::handles::{FixedDirectedEdgeHandle, FixedVertexHandle};
 use crate::geometry::{Point, Scale, along, dot, foot_on_segment, length, sub};
 use crate::triangles::{GradientStencil, Node, Triangles, gradient_stencil, point_of, sample_of};
 
-/// Largest depth of a dent that is peeled off, relative to the dent's width along the side.
+/// Largest depth of a dent whose sliver is peeled off, relative to the dent's width along the side.
 const MAX_DENT: f64 = 1e-3;
 /// Farther inside the hull than this multiple of a dent's depth, the dent does not affect natural
 /// neighbour weights.
 const CLEAR: f64 = 4.0;
-/// The slopes of a dent are below 1 in this number.
+/// The edges of a dent have slopes below `1 / SLOPE` relative to the side.
 const SLOPE: f64 = 10.0;
 
 /// The sides of the hull, counter-clockwise.
@@ -60,11 +60,12 @@ pub(crate) struct Link {
 pub(crate) struct Foot<'a> {
     /// The two samples of the chain around this point.
     pub(crate) links: [&'a Link; 2],
+    /// The point of the chain, as a fraction of the way from the first of these samples to the
+    /// second.
     pub(crate) s: f64,
-    /// The vector from the point of the chain, at the fraction `s` between the two samples, to the
-    /// point of the hull.
+    /// The vector from this point of the chain to the point of the hull nearest to the position.
     pub(crate) to_hull: Point,
-    /// The vector from the point of the hull to the position.
+    /// The vector from this point of the hull to the position.
     pub(crate) to_position: Point,
 }
 
@@ -100,7 +101,7 @@ impl Boundary {
         Self { sides }
     }
 
-    /// Computes the gradients along uneven sides, or along all sides.
+    /// Computes the gradients at the samples of uneven sides (sides with dents), or of all sides.
     pub(crate) fn prepare_gradients(&mut self, triangles: &Triangles, all: bool) {
         for side in self.sides.iter_mut().filter(|side| all || side.depth > 0.0) {
             for link in &mut side.chain {

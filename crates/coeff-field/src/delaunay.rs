@@ -29,8 +29,8 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 ///   its Delaunay neighbours, with weights that fall with distance. `g` interpolates these
 ///   gradients linearly along the hull. The result is continuous and reproduces linear fields. (If
 ///   the planes of the triangles along the hull were continued instead, the field would jump from
-///   one triangle to the next, and these triangles are often slivers.) If the samples lie on a line
-///   within about 0.001 of their extent, the slope across the line counts as 0.
+///   one triangle to the next, and these triangles are often long and thin.) If the samples lie on
+///   a line within about 0.001 of their extent, the slope across the line counts as 0.
 /// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
 ///   still count as inside.
 ///
@@ -353,8 +353,9 @@ impl<'a> MeshRow<'a> {
         }
     }
 
-    /// The end of the run in the triangle that contains a column. `None` if the weights in this
-    /// triangle are not barycentric or have too much rounding.
+    /// Writes the weights at both ends of the run in the triangle that contains a column, and
+    /// returns the run's end. Returns `None` if the weights in this triangle are not barycentric or
+    /// have too much rounding.
     fn in_triangle(&mut self, face: Face<'a>, column: usize) -> Option<usize> {
         let vertices = face.vertices();
         let corners = vertices.map(|v| point_of(v.data()));
@@ -403,8 +404,9 @@ impl<'a> MeshRow<'a> {
         }
     }
 
-    /// The end of the run outside the hull, where the nearest point of the hull determines the
-    /// weights.
+    /// Writes the weights at both ends of a run outside the hull, where the nearest point of the
+    /// hull determines the weights. Returns the run's end, or `None` if the pixel must be evaluated
+    /// by itself.
     fn beside_hull(&mut self, column: usize) -> Option<usize> {
         if self.outside != OutsidePolicy::Nearest {
             return None;

@@ -56,9 +56,9 @@ pub enum CoeffFieldError {
         columns: usize,
         /// Number of distinct y coordinates.
         rows: usize,
-        /// Column of the first cell without a sample.
+        /// Column of the first node without a sample.
         column: usize,
-        /// Row of the first cell without a sample.
+        /// Row of the first node without a sample.
         row: usize,
         /// The position where a sample was expected.
         position: Position,

@@ -23,7 +23,7 @@ use crate::polynomial::Polynomial;
 ///
 /// * Samples on a regular grid of at least 2 x 2: bicubic, or bilinear on exactly 2 x 2.
 /// * A single sample: nearest.
-/// * Otherwise: natural neighbour, which interpolates along the line of collinear samples.
+/// * Otherwise: natural neighbour. It interpolates collinear samples along their line.
 ///
 /// ```
 /// use coeff_field::resolve;

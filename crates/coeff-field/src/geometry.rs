@@ -20,7 +20,7 @@ const SMALLEST: f64 = 1e-40;
 /// the samples' extent (or to one pixel, if that is more). This distance is well above the rounding
 /// of coordinates, and a PSF does not change over it.
 const COVERED: f64 = 1e-9;
-/// The rounding of coordinates from a few operations, relative to the largest coordinate.
+/// The rounding error of coordinates after a few operations, relative to the largest coordinate.
 const ROUNDING: f64 = 4.0 * f64::EPSILON;
 /// Differences larger than this fraction of the samples' extent never count as rounding.
 const MAX_SCATTER_OF_EXTENT: f64 = 1e-7;
@@ -163,8 +163,8 @@ pub(crate) fn foot_on_segment(a: Point, b: Point, p: Point) -> f64 {
     (dot(sub(p, a), ab) / dot(ab, ab)).clamp(0.0, 1.0)
 }
 
-/// Rounding of coordinates below this fraction of the hull's width and height changes weights by no
-/// more than their own rounding.
+/// If the rounding of coordinates is below this fraction of the hull's width and height, it changes
+/// weights by no more than the rounding of the weights themselves.
 const PRECISE: f64 = 1e-13;
 
 /// The convex hull of the samples, for interpolators without a triangulation.
@@ -219,8 +219,8 @@ impl Hull {
         self.contains(p) || length(sub(self.nearest(p), p)) <= self.scale.covered
     }
 
-    /// Returns the point at which to evaluate `position` under the policy. Inside the hull it is
-    /// the position itself.
+    /// Returns the point at which the weights for `position` are computed under the policy. Inside
+    /// the hull it is the position itself.
     pub(crate) fn admit(&self, position: Position) -> Result<Point, FieldError> {
         let p = query(position)?;
         if self.outside == OutsidePolicy::Extend || self.contains(p) {
@@ -315,7 +315,7 @@ impl Row {
         Position::of_pixel(self.x + column as i64, self.y)
     }
 
-    /// Integer coordinates are always in range, so this needs no check.
+    /// The point of a column. Integer coordinates are always in range, so this needs no check.
     pub(crate) fn point(self, column: usize) -> Point {
         [self.x(column), self.y()]
     }

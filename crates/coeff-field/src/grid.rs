@@ -175,9 +175,9 @@ impl Axis {
         self.lines.partition_point(|&line| line <= v).clamp(1, last) - 1
     }
 
-    /// Returns a bound such that the fraction of [`Self::locate`] is linear over all integers from
-    /// `v`, itself an integer, to below the bound. If the bound is not above `v`, the range
-    /// contains only `v`. With `clamped`, coordinates are first clamped to the lines.
+    /// Returns the upper bound, excluded, of a range of integers that starts at the integer `v`.
+    /// Over this range the fraction of [`Self::locate`] is linear. If the bound is not above `v`,
+    /// the range contains only `v`. With `clamped`, coordinates are first clamped to the lines.
     pub(crate) fn linear_until(&self, v: f64, clamped: bool) -> f64 {
         let (last, low) = (self.lines.len() - 1, self.lines[0]);
         if last == 0 {
@@ -220,8 +220,8 @@ impl Axis {
         self.scatter <= NEGLIGIBLE_SCATTER * cells.fold(f64::INFINITY, f64::min)
     }
 
-    /// The coordinate at which to evaluate `v`: `v` itself under the policy extend, otherwise `v`
-    /// clamped to the range of the lines.
+    /// Returns the coordinate at which the weights for `v` are computed: `v` itself under the
+    /// policy extend, otherwise `v` clamped to the range of the lines.
     pub(crate) fn place(&self, v: f64, outside: OutsidePolicy) -> f64 {
         if outside == OutsidePolicy::Extend {
             v
@@ -236,7 +236,7 @@ impl Axis {
     }
 }
 
-/// The largest number of lines with a weight at a coordinate.
+/// The largest number of lines with a nonzero weight at a coordinate.
 const LINES: usize = 4;
 /// A cell is cut into this number of pieces. Between their ends, cubic weights are replaced by
 /// linear ones. The error of this is 1/25 of the error with one piece. The number is odd, so that a
@@ -297,8 +297,9 @@ impl AxisWeights {
         }
     }
 
-    /// Weights that are, at the knots, those of the cubic through the two lines on either side, or
-    /// through the four outermost lines in a cell at an edge.
+    /// Weights that equal, at the knots, the weights of a cubic interpolation. The cubic passes
+    /// through the two lines on either side of a cell, or, in a cell at an edge, through the four
+    /// outermost lines.
     pub(crate) fn cubic(lines: &Axis) -> Self {
         let cells = lines.lines.len() - 1;
         if cells == 0 {
@@ -359,7 +360,8 @@ fn points_between(lines: &Axis, cell: usize) -> Vec<f64> {
     if is_apart { points } else { Vec::new() }
 }
 
-/// Neighbouring lines, whose weights are those of the polynomial through their values.
+/// Neighbouring lines. Their weights evaluate the polynomial that passes through the values at
+/// these lines.
 #[derive(Debug, Clone, Copy)]
 struct Stencil {
     first: usize,
@@ -368,7 +370,8 @@ struct Stencil {
 
 impl Stencil {
     /// Returns a stencil of the highest degree, up to 3, whose weights stay within [`LARGEST_SUM`]
-    /// at these points of a cell. Of several, it is the one with the smallest weights.
+    /// at these points of a cell. Among stencils of that degree, it is the one with the smallest
+    /// weights.
     fn around(lines: &[f64], cell: usize, points: &[f64]) -> Self {
         (3..=LINES.min(lines.len()))
             .rev()

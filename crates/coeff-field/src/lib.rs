@@ -42,10 +42,11 @@
 //! # Rows of pixels
 //! [`FieldWeights::weights_along_row`] cuts a row into runs along which every weight is linear. The
 //! cost then grows with the number of cells, not of pixels. A run is one cell ([`Bilinear`]), a
-//! fifth of a cell ([`Bicubic`]), a triangle ([`Delaunay`]), a link between collinear samples, a
-//! Voronoi cell ([`Nearest`]), or the whole row (a [`Polynomial`] of degree 0 or 1). Other methods
-//! visit pixel by pixel. Positions with nonlinear weights are also visited pixel by pixel, such as
-//! those in slivers, or outside [`Delaunay`]'s samples under the policy extend.
+//! fifth of a cell ([`Bicubic`]), a triangle ([`Delaunay`]), the stretch between two neighbouring
+//! collinear samples, a Voronoi cell ([`Nearest`]), or the whole row (a [`Polynomial`] of degree 0
+//! or 1). Other methods visit pixel by pixel. Positions with nonlinear weights are also visited
+//! pixel by pixel, such as positions in very flat triangles, or outside [`Delaunay`]'s samples
+//! under the policy extend.
 //!
 //! # Measuring the error
 //! [`leave_one_out`] predicts every sample from all others.

@@ -16,8 +16,8 @@ const OFF_LINE: f64 = 1e-9;
 /// Weights of one sample, of two samples, or of any number of samples on one line.
 ///
 /// A position has the value at its foot on the line, interpolated linearly between the two samples
-/// around the foot. Beyond the ends, the value is that of the end sample (nearest), or continues
-/// the line of the last two samples (extend). A single sample's value applies everywhere.
+/// around the foot. Beyond the ends, the value is constant (nearest), or continues the straight
+/// line through the last two samples' values (extend). A single sample's value applies everywhere.
 #[derive(Debug)]
 pub(crate) struct LineWeights {
     points: Arc<Points>,
@@ -124,7 +124,8 @@ impl LineWeights {
         (off, along(p, -off, normal(self.direction))[self.axis])
     }
 
-    /// The rank of the second of the two samples around a foot, or of the two nearest to it.
+    /// The rank (index in `order`) of the second of the two samples around a foot. Beyond the ends,
+    /// these are the last two samples.
     fn link(&self, foot: f64) -> usize {
         self.order
             .partition_point(|&sample| self.points.points[sample][self.axis] <= foot)

@@ -130,17 +130,17 @@ const RADIUS_SQUARED: f64 = 2.0;
 
 /// Inverse distance weights (Shepard's method) of the samples around a position.
 ///
-/// `d_i` is the distance of sample `i`, and `d_(k)` that of the `k`-th nearest sample:
+/// `d_i` is the distance of sample `i`, and `d_(k)` the distance of the `k`-th nearest sample:
 ///
 /// ```text
 /// w_i = u_i / sum_j u_j,   u_i = [max(R - d_i, 0) / (R d_i)]^p,   R = sqrt(2) d_(k)
 /// ```
 ///
 /// These weights are by Franke and Little (R. Franke & G. Nielson 1980, Int. J. Numer. Meth. Eng.
-/// 15, 1691, and R. J. Renka 1988, ACM Trans. Math. Softw. 14, 139). They fall to 0 at the radius,
-/// so the field stays continuous as samples enter and leave. The radius grows with `d_(k)`, so at
-/// least `k` samples take part, and about `2 k` on an even sampling. If there are only `k` samples
-/// or fewer, `R` is infinite and `u_i = d_i^-p`.
+/// 15, 1691, and R. J. Renka 1988, ACM Trans. Math. Softw. 14, 139). They fall to 0 at the radius
+/// `R`, so the field stays continuous where samples enter or leave this radius. The radius grows
+/// with `d_(k)`, so at least `k` samples take part, and about `2 k` on an even sampling. If there
+/// are only `k` samples or fewer, `R` is infinite and `u_i = d_i^-p`.
 ///
 /// The result is exact at the samples, and no weight is negative. Linear fields are *not*
 /// reproduced: for `p > 1` the field is flat at every sample. The method suits rough or noisy
@@ -312,8 +312,8 @@ pub(crate) struct SearchTree {
 
 /// The tree may round its own distances differently. Searches are wider by this factor.
 const ROUNDING: f64 = 1.0 + 1e-12;
-/// Relative tolerance of a comparison of squared distances, well above their rounding and that of
-/// the coordinates.
+/// Relative tolerance of a comparison of squared distances, well above the rounding of the
+/// distances and of the coordinates.
 const DISTANCE_ROUNDING: f64 = 64.0 * f64::EPSILON;
 
 impl SearchTree {

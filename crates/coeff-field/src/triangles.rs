@@ -189,8 +189,8 @@ impl HintGenerator<f64> for GridHints {
 /// The direct neighbours suffice if the mean square of their offsets across their main direction is
 /// at least this fraction of the mean square along it.
 const SPREAD: f64 = 1e-2;
-/// Below this fraction, the offsets do not determine the slope across the main direction, which
-/// then counts as 0.
+/// Below this ratio of the two mean squares, the offsets do not determine the slope across the main
+/// direction, which then counts as 0.
 const LINE: f64 = 1e-6;
 
 /// The gradient at a vertex as weights of samples: for each sample, the weights for the x and the y
@@ -250,7 +250,8 @@ fn mean_square(offsets: &[Point]) -> f64 {
     offsets.iter().map(|&d| dot(d, d)).sum::<f64>() / offsets.len() as f64
 }
 
-/// Principal axis and eigenvalues (larger first) of `sum u d d^T` over the offsets.
+/// Principal axis and eigenvalues (larger first) of `sum u d d^T` over the offsets `d`, with the
+/// weights `u` of [`gradient_stencil`].
 fn axes(offsets: &[Point]) -> Option<(Point, [f64; 2])> {
     let reach = mean_square(offsets);
     let mut m = [0.0; 3];

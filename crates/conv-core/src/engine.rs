@@ -28,9 +28,10 @@ pub enum Operation {
 /// processor, with all threads of rayon's current pool.
 ///
 /// An execution does not change the engine, so several may run at the same time. Every device uses
-/// the plan's tiles and modes. A GPU computes in f32 and uses no direct sums, so its result differs
-/// only by rounding. The modes of a tile never depend on the light. Some steps depend on the light
-/// (skipping dark tiles, drawing single pixels), but they change only rounding.
+/// the plan's tiles and modes. A GPU computes in f32 and uses no direct sums. Its result differs
+/// from the processor's result only by rounding. The modes of a tile never depend on the light.
+/// Some steps depend on the light (skipping dark tiles, drawing single pixels), but they change
+/// only the rounding of the result.
 ///
 /// ```
 /// use std::sync::Arc;
@@ -129,7 +130,8 @@ impl<T: ConvReal> Engine<T> {
         self.gpu.as_ref().map(|gpu| &gpu.device)
     }
 
-    /// The durations of the parts of the last execution on the GPU, if the plan is on one.
+    /// The durations of the parts of the last execution. `None` if the plan is not on a GPU, or
+    /// before the first execution.
     #[cfg(feature = "gpu")]
     pub fn gpu_times(&self) -> Option<GpuTimes> {
         self.gpu.as_ref().and_then(GpuEngine::times)
@@ -143,13 +145,14 @@ impl<T: ConvReal> Engine<T> {
     /// - [`Operation::Adjoint`]: from an image to light, `<A f, g> = <f, A^T g>` for every light
     ///   `f` and image `g`.
     ///
-    /// The light is the plan's whole light, or its part that reaches the image
-    /// ([`Plan::light_region`]). If the pixels of a row of the result are not contiguous in memory,
-    /// the result is copied and written back.
+    /// The light array covers the plan's whole scene ([`Plan::scene_shape`]), or only the part of
+    /// it that reaches the image ([`Plan::light_region`]). If the pixels of a row of the result are
+    /// not contiguous in memory, the result is copied and written back.
     ///
     /// # Errors
-    /// [`ConvError`] if the light or the image has another shape, or if there is light where the
-    /// PSF has no value. After [`ConvError::Cancelled`] the result is incomplete.
+    /// [`ConvError`] if the light or the image has another shape than the plan expects, or if the
+    /// PSF has no value at a pixel where it is needed. After [`ConvError::Cancelled`] the result is
+    /// incomplete.
     pub fn execute(
         &self,
         operation: Operation,
@@ -181,7 +184,7 @@ impl<T: ConvReal> Engine<T> {
 
     /// Convolves light that is read in bands of rows and writes its image in bands of rows. So
     /// neither the light nor the image is ever in memory as a whole. The image is the same, bit by
-    /// bit, as when [`execute`](Self::execute) adds to zeros.
+    /// bit, as the image that [`execute`](Self::execute) adds to an array of zeros.
     ///
     /// A plan of a region reads only the rows that reach the region, and writes the region's rows.
     ///
@@ -231,8 +234,8 @@ impl<T: ConvReal> Engine<T> {
         Ok(counts)
     }
 
-    /// Applies the operator to some rows of blocks, on the engine's device. `light` and `output`
-    /// come with the index of their first row.
+    /// Executes some rows of the plan's blocks on the engine's device: applies the operation to
+    /// `light` and adds the result to `output`. Both come with the index of their first row.
     #[inline(never)]
     pub(crate) fn run(
         &self,
@@ -280,8 +283,9 @@ impl<T: ConvReal> Engine<T> {
         self.rows_of(band, self.gathers())
     }
 
-    /// The rows that a band of blocks covers on its own side (`own`) or reaches on the other side.
-    /// The sides are the light and the image. Blocks divide the side to which PSFs belong.
+    /// The rows that a band of blocks covers (`own` is true) or reaches (`own` is false). Blocks
+    /// cover the pixels to which PSFs belong: the light or the image. They reach rows of the other
+    /// of the two.
     fn rows_of(&self, band: Range<usize>, own: bool) -> Range<usize> {
         let (plan, last) = (self.plan(), band.end - 1);
         if own {

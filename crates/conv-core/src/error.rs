@@ -35,8 +35,7 @@ pub enum ConvError {
     /// The patch size is zero.
     #[error("the patch size must be at least 1 pixel")]
     PatchSize,
-    /// The shape of the image is not that of the frame, or of the region of the frame to be
-    /// computed.
+    /// The image differs in shape from the frame, or from the region of the frame to be computed.
     #[error("the image has {got} pixels, but the frame (or the region of it to be computed) has {expected}")]
     FrameShape {
         /// The shape of the frame or of the region.
@@ -99,8 +98,8 @@ pub enum ConvError {
     Result(#[source] DataError),
 }
 
-/// Errors of GPUs. A call that fails returns no image. If it adds light to an image of the caller,
-/// that image may already hold part of the light.
+/// Errors of GPUs. A call that fails returns no image. If the call adds light to an image of the
+/// caller, this image may already hold part of the light.
 #[cfg(feature = "gpu")]
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[non_exhaustive]
@@ -140,7 +139,7 @@ pub enum GpuError {
         /// The longest length that the adapter supports.
         most: usize,
     },
-    /// A piece of work that cannot be divided further does not fit.
+    /// A piece of work needs more memory than the adapter allows, and cannot be divided further.
     #[error("{adapter} can use only {limit} bytes at once, but {needed} are needed for {what}: use the CPU")]
     TooLarge {
         /// The adapter.

@@ -18,8 +18,8 @@ pub(crate) struct Reach {
 }
 
 impl Reach {
-    /// Returns the reach of stamps that can convolve an image: at the frame's scale, centred on a
-    /// pixel, with the pixel response included.
+    /// Returns the reach of the stamps on a grid. Fails unless they can convolve an image: they
+    /// must be at the frame's scale and centred on a pixel, and include the pixel response.
     pub(crate) fn of(grid: StampGrid) -> Result<Self, ConvError> {
         if grid.oversampling() != 1.0 {
             return Err(ConvError::StampScale {

@@ -21,8 +21,8 @@ const EXPONENTS_OF_F32: i32 = 80;
 const EXPONENTS_OF_F64: i32 = 900;
 
 impl<T: ConvReal> Rescaling<T> {
-    /// Returns `None` if light with this largest absolute value needs no scaling, and if the value
-    /// is zero or not finite.
+    /// Returns the factors for light with this largest absolute value. `None` if the light needs no
+    /// scaling, or if the value is zero or not finite.
     pub(crate) fn for_largest(largest: f64) -> Option<Self> {
         let (safe, most) = if size_of::<T>() == size_of::<f32>() {
             (EXPONENTS_OF_F32, 126)

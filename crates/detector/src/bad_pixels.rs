@@ -15,7 +15,7 @@ pub struct PixelFlags;
 impl PixelFlags {
     /// The pixel never holds charge.
     pub const DEAD: u8 = 1;
-    /// The pixel has its own dark current.
+    /// The pixel has a higher dark current than the others.
     pub const HOT: u8 = 2;
     /// The pixel's column holds no charge.
     pub const BAD_COLUMN: u8 = 4;

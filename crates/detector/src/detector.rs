@@ -86,7 +86,7 @@ pub struct DetectorParams {
     pub bits: Option<u32>,
     /// Seed of the sensor's properties: its response and its bad pixels.
     pub pattern_seed: u64,
-    /// Fractions of bad pixels.
+    /// Fractions of bad pixels, and the dark current of hot pixels.
     pub bad_pixels: BadPixelParams,
 }
 
@@ -101,17 +101,17 @@ pub struct SkyGradient {
     pub y: f64,
 }
 
-/// Fractions of bad pixels. `pattern_seed` and the shape of the frame determine which pixels are
-/// bad.
+/// Fractions of bad pixels, and the dark current of hot pixels. `pattern_seed` and the shape of the
+/// frame determine which pixels are bad.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BadPixelParams {
     /// Probability that a pixel never holds charge, 0 to 1.
     pub dead_fraction: f64,
-    /// Probability that a pixel has its own dark current, 0 to 1. The sum with `dead_fraction` is
-    /// at most 1.
+    /// Probability that a pixel is hot, 0 to 1: its dark current is higher by `hot_dark_e_per_s`.
+    /// The sum with `dead_fraction` is at most 1.
     pub hot_fraction: f64,
-    /// Dark current of hot pixels in electrons per second, in addition to that of all pixels. Needs
+    /// Dark current of a hot pixel in electrons per second, in addition to `dark_e_per_s`. Needs
     /// `exposure_s`.
     pub hot_dark_e_per_s: f64,
     /// Probability that a column holds no charge, 0 to 1.

@@ -100,7 +100,7 @@ pub enum DetectorError {
         /// Columns that were given.
         got: usize,
     },
-    /// A mask whose shape differs from that of the frame.
+    /// A mask that does not have the shape of the frame.
     #[error("the bad-pixel mask has {mask} pixels, the image {frame}: the shapes must be equal")]
     MaskShape {
         /// Shape of the mask.

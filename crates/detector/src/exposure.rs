@@ -20,7 +20,8 @@ impl Detector {
         Exposer::new(self, frame, seed)
     }
 
-    /// Exposes an image. A seed always gives the same counts, for any number of threads.
+    /// Applies all steps of the [chain](crate#the-chain) to an image. A seed always gives the same
+    /// counts, for any number of threads.
     ///
     /// # Errors
     /// [`DetectorError::NegativeSky`], [`DetectorError::NonFinite`] for charges beyond the range of
@@ -85,8 +86,8 @@ impl PhotonNoise {
     /// of the given rows is row `first_row` of the image.
     ///
     /// # Errors
-    /// [`DetectorError::NonFinite`] for NaN and infinities, [`DetectorError::Rows`], and the errors
-    /// of [`apply`](Self::apply).
+    /// [`DetectorError::NonFinite`] for NaN and infinities. [`DetectorError::Rows`] for rows that
+    /// are not in the image. Otherwise the errors of [`apply`](Self::apply).
     pub fn apply_to_rows<T: Real>(
         &self,
         rows_in_all: usize,

@@ -34,7 +34,7 @@ impl FrameSky {
         Ok(sky)
     }
 
-    /// Electrons in a pixel.
+    /// Electrons from the sky in pixel (`x`, `y`).
     pub(crate) fn at(&self, x: usize, y: usize) -> f64 {
         self.at_origin_e + self.gradient.x * x as f64 + self.gradient.y * y as f64
     }

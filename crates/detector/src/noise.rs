@@ -57,7 +57,7 @@ fn poisson(mean: f64, rng: &mut impl Rng) -> f64 {
     (mean + mean.sqrt() * normal).round()
 }
 
-/// Adds the amplifier's normal noise of `sigma_e` electrons, equal in all pixels.
+/// Adds Gaussian read noise with a standard deviation of `sigma_e` electrons to every pixel.
 pub(crate) fn add_read_noise(seed: u64, row: usize, sigma_e: f64, electrons: &mut [f64]) {
     let mut rng = noise_stream(seed, Step::ReadNoise, row);
     for value in electrons {

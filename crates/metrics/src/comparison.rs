@@ -21,8 +21,8 @@ use crate::MetricsError;
 ///
 /// Sums are taken in f64 with compensation, in row-major order, so they do not depend on the memory
 /// layout. Either array may be `f32` or `f64`. [`mae`](Self::mae), [`mse`](Self::mse) and
-/// [`max_abs`](Self::max_abs) are defined for every pair of arrays. Another measure returns an
-/// error with the reason if it is not defined.
+/// [`max_abs`](Self::max_abs) are defined for every pair of arrays. Each of the other measures
+/// returns an error with the reason if it is not defined.
 ///
 /// A serialised comparison holds all measures and the index of the largest error. A measure that is
 /// not defined is `null`.

@@ -112,7 +112,7 @@ impl Covariance {
     pub fn distortion(self) -> Distortion {
         let trace = self.xx + self.yy;
         Distortion::new((self.xx - self.yy) / trace, 2.0 * self.xy / trace)
-            .expect("the constructor checked that the length is below 1")
+            .expect("Covariance::new checked the axis ratio, so |e| < 1")
     }
 
     /// Converts the ellipse to reduced shear.

@@ -274,7 +274,7 @@ fn check_width(covariance: Covariance, cutout: &Cutout) -> Result<(), MetricsErr
     })
 }
 
-/// The offset and scale by which the values were normalised to order 1 about 0:
+/// The offset and the scale that normalise the values to the range from -1 to 1:
 /// `value = scaled * scale + offset`.
 #[derive(Debug, Clone, Copy)]
 struct Units {
@@ -283,8 +283,9 @@ struct Units {
 }
 
 impl Units {
-    /// Normalises the cutout's values in place and returns their units. If a background is fitted,
-    /// the median is subtracted first, so that a high sky does not reduce the precision.
+    /// Normalises the cutout's values in place and returns the offset and the scale. If a
+    /// background is fitted, the offset is the median, so that a high sky does not reduce the
+    /// precision. Otherwise it is 0.
     fn normalise(cutout: &mut Cutout, background: bool) -> Result<Self, MetricsError> {
         let largest = cutout.largest();
         let offset = if background {

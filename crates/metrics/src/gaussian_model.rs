@@ -174,8 +174,8 @@ pub(crate) fn coarse_search(cutout: &Cutout, background: bool) -> Option<Start> 
 }
 
 /// Fits the amplitude and the background of a round Gaussian with a given centre and sigma. Returns
-/// the Gaussian and the decrease of the sum of squares by it, or `None` if the amplitude is not
-/// positive.
+/// the amount by which the Gaussian decreases the sum of squares, and the Gaussian. Returns `None`
+/// if the amplitude is not positive.
 fn linear_fit(cutout: &Cutout, x: f64, y: f64, sigma: f64, background: bool) -> Option<(f64, Start)> {
     let (rows, columns) = cutout.values.dim();
     let profile = |n: usize, centre: f64| -> Vec<f64> {
@@ -228,7 +228,7 @@ fn brightest_box(values: &Array2<f64>, half: usize) -> (usize, usize) {
     best.1
 }
 
-/// Sums over `side` neighbours along the last axis.
+/// Sums of every `side` consecutive values along the last axis.
 fn running_sums(values: &Array2<f64>, side: usize) -> Array2<f64> {
     let (rows, columns) = values.dim();
     Array2::from_shape_fn((rows, columns + 1 - side), |(i, j)| {

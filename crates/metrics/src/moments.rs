@@ -118,6 +118,8 @@ impl AdaptiveMoments {
 /// flux = sum I      x0 = sum I x / flux      Q = sum I (x - x0)(x - x0)^T / flux
 /// ```
 ///
+/// The sums run over the pixels, with value `I` at position `x`.
+///
 /// All pixels have equal weight. A background, noise and distant diffraction wings contribute with
 /// the square of their distance, so the result depends on the window. [`AdaptiveMomentFinder`] does
 /// not have this weakness.
@@ -210,6 +212,8 @@ impl QuadrupoleMoments {
 /// M / 2 = sum w(x) I(x) (x - x0)(x - x0)^T / sum w(x) I(x)
 /// ```
 ///
+/// where the sums run over the pixels, with value `I(x)` at position `x`.
+///
 /// The definition follows Bernstein & Jarvis 2002, AJ 123, 583, and Hirata & Seljak 2003, MNRAS
 /// 343, 459. The step limits of the iteration follow Mandelbaum et al. 2005, MNRAS 361, 1287, whose
 /// code became GalSim's HSM module. For a Gaussian, `M` is its covariance.
@@ -221,9 +225,9 @@ impl QuadrupoleMoments {
 /// pixel. Measure such a PSF on an oversampled stamp.
 ///
 /// The iteration starts at the window's centre pixel (index `n / 2`) with a round weight of sigma 5
-/// pixels, or of a sixth of the window if that is less. [`with_start`](Self::with_start) sets
-/// another start. The iteration ends when a step changes `M` by less than 1e-11 of its smaller
-/// eigenvalue and the centroid by less than 1e-11 sigma.
+/// pixels, or of a sixth of the window's shorter side if that is less.
+/// [`with_start`](Self::with_start) sets another start. The iteration ends when a step changes `M`
+/// by less than 1e-11 of its smaller eigenvalue and the centroid by less than 1e-11 sigma.
 ///
 /// The stamp is `[y, x]`, `f32` or `f64`, in any units. It must not contain a background.
 ///
@@ -265,8 +269,8 @@ const START_SIGMA_PX: f64 = 5.0;
 const START_SIDES: f64 = 1.0 / 6.0;
 /// A narrower weight covers only one pixel.
 const SMALLEST_SIGMA_PX: f64 = 0.2;
-/// The largest final sigma divided by the window's shorter side. A flat stamp gives 0.357 of its
-/// side: a sigma near this value measures the window, not the source.
+/// The largest final sigma divided by the window's shorter side. A flat stamp gives a sigma of
+/// 0.357 of its side. A sigma near this value measures the window, not the source.
 const LARGEST_SIDES: f64 = 1.0 / 3.0;
 /// During the iteration, the weight may be this many times as wide as the start or the final limit,
 /// whichever is wider. A wider weight is an error.

@@ -8,9 +8,9 @@ use crate::MetricsError;
 
 /// The pixels of a stamp that a measurement uses: all of them, or a square about a pixel.
 ///
-/// A window of `size` pixels about index `c` begins at index `c - size / 2` (integer division), so
-/// that `c` is its centre by the rule for stamps. A window must lie entirely on the stamp. Pixels
-/// outside the window are ignored.
+/// A window of `size` pixels about index `c` begins at index `c - size / 2` (integer division).
+/// `c` is therefore index `size / 2` of the window, which is also the default centre of a stamp of
+/// that size. A window must lie entirely on the stamp. Pixels outside the window are ignored.
 ///
 /// ```
 /// use psf_metrics::Window;

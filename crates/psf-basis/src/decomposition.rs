@@ -39,7 +39,7 @@ pub enum BasisError {
         /// The given value.
         got: f64,
     },
-    /// Training stamps whose shape differs from that of the samples.
+    /// Training stamps whose shape differs from the shape of the samples.
     #[error("training stamps have the shape {got:?} [y, x], but the samples have {expected:?}")]
     TrainingShape {
         /// Shape of the samples' stamps.
@@ -69,15 +69,16 @@ const SPLIT: usize = 8;
 /// it saves. If other work occupies the threads, splitting costs many times more.
 const MIN_WORK_TO_SPLIT: usize = 1 << 22;
 
-/// Singular values below this many units of rounding of the samples' Frobenius norm count as zero.
+/// Singular values below this multiple of `f64::EPSILON` times the samples' Frobenius norm count as
+/// zero.
 pub(crate) const ROUNDING_UNITS: f64 = 16.0;
 
 /// Allowed relative difference between the sum of the squared singular values and the sum of the
 /// samples' squared pixels. Both are equal except for rounding.
 const SQUARES_AGREE: f64 = 1e-10;
 
-/// Returns the singular values in descending order, and the vectors `[pixel, k]` on the pixels'
-/// side, of samples `[sample, pixel]`.
+/// Computes the singular value decomposition of samples `[sample, pixel]`. Returns the singular
+/// values in descending order and the singular vectors `[pixel, k]`.
 ///
 /// For some matrices with repeated rows, faer loses singular values without an error. The sum of
 /// the squared singular values is then too small. In this case the decomposition is repeated after
@@ -142,8 +143,8 @@ fn decompose_by(rows: ArrayView2<'_, f64>, params: SvdParams) -> Option<(Vec<f64
     Some((values.column_vector().iter().copied().collect(), vectors))
 }
 
-/// Sorts the values in descending order. faer promises that order but breaks it if samples repeat:
-/// the second singular value may follow hundreds of zeros.
+/// Sorts the values in descending order, and the vectors with them. faer promises that order but
+/// breaks it if samples repeat: the second singular value may follow hundreds of zeros.
 fn descending(values: Vec<f64>, vectors: Mat<f64>) -> (Vec<f64>, Mat<f64>) {
     if values.is_sorted_by(|a, b| a >= b) {
         return (values, vectors);

@@ -151,7 +151,8 @@ impl GivenStamps {
     /// Stamps `[component, y, x]`, mutually orthogonal, of any norm except 0.
     ///
     /// # Errors
-    /// [`BasisError::ZeroStamp`]. [`fit`](BasisMethod::fit) checks that the stamps are orthogonal.
+    /// [`BasisError::ZeroStamp`] for a stamp that is zero everywhere. [`fit`](BasisMethod::fit)
+    /// checks that the stamps are orthogonal.
     pub fn new(mut stamps: Array3<f64>, mean: Option<Array2<f64>>) -> Result<Self, BasisError> {
         for (index, mut stamp) in stamps.axis_iter_mut(Axis(0)).enumerate() {
             let norm = stamp.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -341,8 +342,9 @@ fn max_errors_by_rank(
     for (j, (row, a)) in centred.outer_iter().zip(coefficients.outer_iter()).enumerate() {
         let stamp = samples.stamp(j);
         let norm2: f64 = stamp.iter().map(|v| v * v).sum();
-        // The part outside all components, by Pythagoras. The difference is accurate only to
-        // rounding of the whole. Samples in the decomposition have nothing outside.
+        // The squared norm of the part outside all components, by Pythagoras. The rounding of this
+        // difference is relative to `whole`. Samples that took part in the decomposition have no
+        // such part.
         let whole = row.dot(&row);
         let outside = whole - a.dot(&a);
         let mut rest = if outside > PYTHAGORAS_ROUNDING * whole {

@@ -10,7 +10,7 @@ use crate::decomposition::{BasisError, count_above, decompose, project};
 #[non_exhaustive]
 pub enum PixelNoise {
     /// Estimate white noise, with one level for all samples or one per sample (bright and faint
-    /// stars). There may be none.
+    /// stars). The estimate may find that there is no noise.
     #[default]
     Estimate,
     /// White noise of this standard deviation, in the units of the stamps. 0 means no noise.
@@ -54,7 +54,7 @@ const AGREEMENT: f64 = 1.25;
 const MIN_TAIL: usize = 12;
 
 /// The noise floor of a matrix of `rows x columns` with these singular values, where `columns` is
-/// the number of remaining degrees of freedom.
+/// the number of remaining degrees of freedom. `None` if there is no noise.
 ///
 /// [`PixelNoise::Estimate`] compares the lower half of the singular values with the quantiles of
 /// the Marchenko-Pastur law. This is the approach of Gavish and Donoho 2014, at several quantiles
@@ -174,8 +174,8 @@ const FINITE: f64 = 0.02;
 ///
 /// Samples divided by their noise have even noise, which is then tested by the Marchenko-Pastur
 /// law. The noise levels are estimated from the residuals of the divided samples after a few
-/// leading components. Division and estimate are repeated a few times, because each depends on the
-/// other. The smallest number of components that leaves only noise is used.
+/// leading components are subtracted. Division and estimate are repeated a few times, because each
+/// depends on the other. The smallest number of components that leaves only noise is used.
 ///
 /// Divided samples lie in the space spanned by the samples. All computations use coordinates in
 /// that space, at most as many as there are samples, instead of pixels.
@@ -198,12 +198,13 @@ pub(crate) fn uneven_floor(
         .map(|variances| floor_of(&variances, pixels))
 }
 
-/// Refines a floor that assumed even noise. Returns `even` if the samples' noise is indeed even,
-/// otherwise the floor of the samples' own levels.
+/// Refines a floor that assumed even noise. Returns the floor computed from the samples' own noise
+/// levels. Returns `even` if these levels are indeed even, or if too few components lie below the
+/// floor to estimate them.
 ///
-/// The noise levels follow from the residuals after the components above the floor, and the floor
-/// follows from the levels. Both are computed again until the number of components above the floor
-/// is stable.
+/// The noise levels follow from the residuals after the components above the floor are subtracted,
+/// and the floor follows from the levels. Both are computed again until the number of components
+/// above the floor is stable.
 pub(crate) fn by_sample(
     rows: ArrayView2<'_, f64>,
     vectors: &Mat<f64>,
@@ -237,7 +238,7 @@ pub(crate) fn by_sample(
     floor
 }
 
-/// The squared norm of the residual of a row after `signal` components.
+/// The squared norm of a row after its first `signal` components are subtracted.
 fn unexplained(row: ArrayView1<'_, f64>, vectors: &Mat<f64>, signal: usize) -> f64 {
     let explained: f64 = (0..signal)
         .map(|k| {

@@ -101,8 +101,8 @@ impl FromStr for RankSelection {
 
 through_text!(RankSelection);
 
-/// The singular values of the training matrix, in descending order, and the ranks and noise derived
-/// from them.
+/// The singular values of the matrix of all training stamps, in descending order, and the ranks and
+/// noise derived from them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Spectrum {
@@ -125,8 +125,8 @@ pub struct Spectrum {
 }
 
 impl Spectrum {
-    /// Derives the spectrum. Singular values below `rounding` are rounding errors of the
-    /// decomposition.
+    /// Derives the cumulative weights and the ranks from the singular values. Values below
+    /// `rounding` are rounding errors of the decomposition.
     pub(crate) fn new(singular_values: Vec<f64>, rounding: f64, noise: Option<NoiseFloor>) -> Self {
         let total: f64 = singular_values.iter().sum();
         let mut sum = 0.0;
@@ -172,8 +172,9 @@ impl Spectrum {
 /// A cliff is a drop to less than this fraction from one singular value to the next. The values
 /// after it are negligible.
 const CLIFF: f64 = 1e-3;
-/// Fraction of the largest singular value below which a cliff is only the end of a decay, where
-/// rounding begins. (Pixel values stored in single precision have rounding of 6e-8.)
+/// A cliff that begins below this fraction of the largest singular value does not count. It is only
+/// the end of a decay, where rounding begins. (Pixel values stored in single precision have
+/// rounding of 6e-8.)
 const FLOOR: f64 = 1e-8;
 
 /// The number of components at the elbow of the curve of cumulative weights

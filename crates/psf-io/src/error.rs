@@ -62,7 +62,8 @@ pub enum IoErrorKind {
     Table,
     /// A setting is missing, is not valid for this file, or has no effect on it.
     Setting,
-    /// A size or a value is beyond a limit of this library, of CFITSIO, or of the precision.
+    /// A size or a value is beyond a limit of this library or of CFITSIO, or a value is beyond the
+    /// range of single precision.
     Limit,
     /// The call does not suit the file: it asks for rows that the file does not have, or gives
     /// samples that the file cannot hold.
@@ -171,8 +172,8 @@ impl IoError {
 
     /// The name of the setting that solves the problem, as this library spells it: an argument such
     /// as `overwrite`, or a setter of an options type without its `with_`. `hdu` stands for the
-    /// choice of an image, `table` for the choice of a table, and `extension` for the choice of a
-    /// PSF.
+    /// choice of an image, `table` for the choice of a table, `extension` for the choice of a PSF,
+    /// and `plane_order` for the order of the planes of an STPSF library.
     pub fn setting(&self) -> Option<&'static str> {
         self.0.setting
     }

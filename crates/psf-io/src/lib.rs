@@ -38,8 +38,8 @@
 //! `GZIP_2`, `PLIO_1`, quantised floats) are read wherever uncompressed files are. They are
 //! recognised by their content. A gzip file is unpacked to a temporary file, which is removed when
 //! it is no longer needed. It may unpack to at most 1 GiB plus 100 times its own size. A tiled
-//! image may unpack to at most 16 MiB plus 4096 times the bytes of its tiles. A larger file is
-//! refused before it takes disk space or memory.
+//! image may unpack to at most 16 MiB plus 4096 times the bytes of its tiles. A file that would
+//! unpack to more is refused before it takes the disk space or the memory.
 //!
 //! # Outputs
 //! Every file appears complete or not at all, even after a full disk, a killed process or a loss of

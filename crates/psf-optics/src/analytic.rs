@@ -227,7 +227,8 @@ impl GaussianField {
         }
     }
 
-    /// Flux per square frame pixel at `r^2` (`r` in units of half the FWHM) for a FWHM in pixels.
+    /// The density (flux per square frame pixel) as a function of `r^2`, with `r` in units of half
+    /// the FWHM, and of the FWHM in pixels.
     fn density(_: &Self) -> impl Fn(f64, f64) -> f64 {
         |r2, fwhm| 4.0 * LN_2 / (PI * fwhm * fwhm) * (-LN_2 * r2).exp()
     }
@@ -289,7 +290,8 @@ impl MoffatField {
         }
     }
 
-    /// Flux per square frame pixel at `r^2` (`r` in units of half the FWHM) for a FWHM in pixels.
+    /// The density (flux per square frame pixel) as a function of `r^2`, with `r` in units of half
+    /// the FWHM, and of the FWHM in pixels.
     fn density(field: &Self) -> impl Fn(f64, f64) -> f64 {
         let beta = field.beta;
         let q = 2f64.powf(1.0 / beta) - 1.0;

@@ -81,8 +81,8 @@ impl FocalPlane {
         }
     }
 
-    /// Draws the stamp of a pupil phase. `gain` is the factor from a PSF of unit flux per period to
-    /// stamp values.
+    /// Draws the stamp of a pupil phase. The PSF is scaled to a mean of `gain` over the computed
+    /// focal plane.
     ///
     /// Returns the steepest phase gradient in radians per cell. If it exceeds pi, the stamp is not
     /// drawn.
@@ -136,7 +136,8 @@ impl FocalPlane {
     }
 
     /// Transforms each column along y, squares the amplitude to the intensity, and transforms the
-    /// intensity to lags. Two real columns share one complex transform.
+    /// intensity to the lags of the pupil's autocorrelation along y. Two real columns share one
+    /// complex transform.
     fn correlate_columns(&self, s: &mut FocalScratch) {
         let (n, side) = (self.length, self.pupil.side);
         for first in (0..n).step_by(BLOCK) {

@@ -12,8 +12,9 @@
 //!
 //! # The optical PSF
 //!
-//! The pupil transmission is `P` (0 or 1), `W(u; x)` the wavefront error at the field position `x`,
-//! and `f` the spatial frequency in cycles per radian. The optical transfer function is the
+//! At the position `u` in the pupil, `P` is the transmission (0 or 1) and `W(u; x)` the wavefront
+//! error for the field position `x`. `f` is the spatial frequency in cycles per radian, and
+//! `h(theta)` the stamp value at the angle `theta`. The optical transfer function is the
 //! autocorrelation of the complex pupil amplitude `A`, times the transfer functions of the seeing,
 //! the pixel and the detector's blur (Goodman, *Introduction to Fourier Optics*, ch. 6):
 //!
@@ -33,24 +34,26 @@
 //! # Sampling
 //!
 //! The pupil is cut into cells of `lambda / (M step)`, where `step` is the stamp's pixel size and
-//! `M` the width of the computed focal plane in stamp pixels. The lags of its discrete
-//! autocorrelation then are the frequencies of a transform of `M` points with exactly the stamp's
-//! step, for any ratio of pixel size to lambda / D. An undersampled stamp is correct too, because
-//! the frequencies of the OTF above its Nyquist limit are folded (aliased), not cut off.
+//! `M` the width of the computed focal plane in stamp pixels. In the autocorrelation of the pupil,
+//! a lag of `k` cells then is the spatial frequency `k / M` cycles per stamp pixel. A transform of
+//! `M` points gives values exactly at the stamp's pixels, for any ratio of pixel size to
+//! `lambda / D`. An undersampled stamp is correct too, because the frequencies of the OTF above the
+//! stamp's Nyquist limit are folded (aliased), not cut off.
 //!
 //! A shift multiplies the OTF by a phase, so shifts and oversampling need no interpolation. Every
-//! `s`-th pixel of a stamp oversampled `s` times equals the native stamp to rounding, if both use
-//! an equal period in frame pixels. A cell that an edge of the aperture crosses is partly lit. Each
-//! cell holds the *mean* of the amplitude over its area (with a phase linear within the cell). This
-//! averaging multiplies the focal plane by `sinc^2`, which is divided out.
+//! `s`-th pixel of a stamp oversampled `s` times equals the native stamp to rounding, if the
+//! computed focal planes of both are equally wide in frame pixels. A cell that an edge of the
+//! aperture crosses is partly lit. Each cell holds the *mean* of the amplitude over its area (with
+//! a phase linear within the cell). This averaging multiplies the focal plane by `sinc^2`, which is
+//! divided out.
 //!
 //! # Normalisation and accuracy
 //!
 //! A stamp value is the fraction of the source's light that falls in a frame pixel centred there,
 //! also when the stamp is oversampled. With `detector.pixel_integration = false` it is the density
-//! at the centre times the area of a pixel. The flux over the infinite plane is 1, so **the flux of
-//! a stamp is the fraction that falls on it and is below 1**. For a perfect aperture, the fraction
-//! `2 / (pi^2 r)` of the light falls outside the radius `r lambda / D`.
+//! at the centre times the area of a frame pixel. The flux over the infinite plane is 1, so **the
+//! flux of a stamp is the fraction that falls on it and is below 1**. For a perfect aperture, the
+//! fraction `2 / (pi^2 r)` of the light falls outside the radius `r lambda / D`.
 //!
 //! Approximation: the focal plane is computed on a period of `padding` times the stamp's larger
 //! side and at least 64 lambda / D. Light beyond the period reappears on the opposite side. At the

@@ -126,8 +126,8 @@ pub(crate) struct GreyCell {
     pub(crate) column: usize,
     /// The lit fraction of its area.
     pub(crate) coverage: f64,
-    /// Vector from the cell's centre to the centroid of the lit part, in units of the aperture's
-    /// radius.
+    /// `(dx, dy)` is the vector from the cell's centre to the centroid of the lit part, in units of
+    /// the aperture's radius.
     pub(crate) dx: f64,
     pub(crate) dy: f64,
 }
@@ -264,7 +264,7 @@ mod tests {
         assert!(aperture.is_near_edge(0.0, -0.52, 0.03) && !aperture.is_near_edge(0.0, -0.75, 0.03));
     }
 
-    /// The error of the area sums over about a thousand grey cells, each measured to a few 1e-3.
+    /// The area's error comes from about a thousand grey cells, each measured to a few 1e-3.
     const AREA: f64 = 2e-5;
 
     #[test]

@@ -11,7 +11,8 @@ const GAMMA_5_6: f64 = 1.128_787_029_908_125_7;
 const GAMMA_11_6: f64 = 0.940_655_858_256_771_4;
 const GAMMA_1_6: f64 = 5.566_316_001_780_236;
 
-/// `exp(-D(b) / 2)` for a baseline `b` in metres, where `D` is the phase structure function:
+/// The transfer function `exp(-D(b) / 2)` of the seeing at a baseline `b` in metres. `D` is the
+/// phase structure function, `r0` Fried's parameter and `L0` the outer scale:
 ///
 /// * Kolmogorov: `D = 6.8839 (b / r0)^(5/3)`.
 /// * von Karman: `D = C (L0 / r0)^(5/3) [Gamma(5/6) / 2^(1/6) - z^(5/6) K_{5/6}(z)]`, `z = 2 pi b /

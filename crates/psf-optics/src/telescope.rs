@@ -165,7 +165,7 @@ impl Telescope {
     }
 
     /// A 2 m off-axis survey telescope in space, without obscuration, at 0.074 arcsec per pixel on
-    /// 9232 x 9216 pixels. Frame size and pixel scale are those of the CSST survey camera. The
+    /// 9232 x 9216 pixels. The CSST survey camera has this frame size and pixel scale. The
     /// aberrations are invented.
     ///
     /// [`SURVEY_2M_TOML`] is its description.

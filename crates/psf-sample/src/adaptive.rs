@@ -25,7 +25,7 @@ use crate::sampling::{CapReached, SampleError, Sampling, SamplingMethod, Samplin
 /// use psf_sample::{AdaptiveSampling, SamplingMethod};
 /// use psf_types::{FrameShape, NoProgress, Position, PsfSource, SourceError, StampGrid};
 ///
-/// /// A PSF whose flux moves from one pixel to the next towards the upper right corner.
+/// /// A PSF whose flux partly moves to the next stamp pixel near the field's upper right corner.
 /// struct Corner;
 /// impl PsfSource for Corner {
 ///     fn grid(&self) -> StampGrid { StampGrid::new(3, 1).unwrap() }
@@ -190,7 +190,7 @@ struct AdaptiveRun<'a> {
 }
 
 impl AdaptiveRun<'_> {
-    /// Column and row, each from 0 to 2, of the points of a cell that the criterion needs.
+    /// The points of a cell that the criterion needs, as `(column, row)`, each from 0 to 2.
     fn probes(&self) -> impl Iterator<Item = (usize, usize)> + Clone + use<> {
         let all = self.criterion.probes() == CellProbes::CornersAndMidpoints;
         (0..9)
@@ -237,7 +237,7 @@ impl AdaptiveRun<'_> {
     }
 
     /// The cells that fail the criterion and can still be halved, each with the axes to halve and
-    /// with its larger variation.
+    /// the larger of its two variations.
     fn failing(&self) -> Vec<(Cell, Halving, f64)> {
         let threshold = self.criterion.threshold();
         let halving = |cell, v: CellVariation| {
@@ -262,7 +262,8 @@ impl AdaptiveRun<'_> {
             mesh.halve(failing[..count].iter().map(|&(cell, halving, _)| (cell, halving)));
             mesh
         };
-        // Halving more cells never gives fewer samples, so bisection finds the number.
+        // Halving more cells never gives fewer samples, so bisection finds the largest number of
+        // cells that the cap allows.
         let (mut possible, mut too_many) = (0, failing.len());
         while too_many - possible > 1 {
             let middle = possible.midpoint(too_many);

@@ -11,7 +11,7 @@ use crate::sampling::SampleError;
 /// A cell is a rectangle whose four corners are samples. It is halved along each axis along which
 /// the measured variation exceeds the threshold.
 pub trait RefinementCriterion: std::fmt::Debug + Send + Sync {
-    /// The largest value at which a cell is fine enough, finite and above 0.
+    /// The largest variation at which a cell is fine enough. It must be finite and above 0.
     fn threshold(&self) -> f64;
 
     /// Returns the points of a cell whose PSFs the criterion needs.

@@ -66,7 +66,7 @@ impl DrawnStamps {
         self.stamps.len()
     }
 
-    /// Draws the `nodes` of a mesh that are not drawn yet.
+    /// Draws the PSFs at those `nodes` of a mesh where none has been drawn yet.
     pub(crate) fn add(
         &mut self,
         source: &dyn PsfSource,
@@ -154,13 +154,13 @@ impl UniformSampling {
         })
     }
 
-    /// Sets the measure of the report's largest difference of neighbours.
+    /// Sets the measure in which the report states the largest difference of neighbours.
     #[must_use]
     pub fn with_measure(self, measure: DifferenceMeasure) -> Self {
         Self { measure, ..self }
     }
 
-    /// The positions on a field, ordered by y, then x.
+    /// The positions of the samples on a field, ordered by y, then x.
     ///
     /// # Errors
     /// [`SampleError::Setting`] when an axis of several pixels has only one sample, or when an axis
@@ -237,12 +237,12 @@ pub struct ShiftedStamps {
 }
 
 impl ShiftAugmentation {
-    /// Draws `copies_per_sample` stamps of each sample, shifted by at most `max_shift_px` frame
-    /// pixels along each axis.
+    /// An augmentation with `copies_per_sample` stamps of each sample, shifted by at most
+    /// `max_shift_px` frame pixels along each axis.
     ///
     /// # Errors
-    /// [`SampleError::Setting`] when there are no copies or the shift is not above 0 and at most
-    /// 0.5.
+    /// [`SampleError::Setting`] when `copies_per_sample` is 0, or when `max_shift_px` is not above
+    /// 0 and at most 0.5.
     pub fn new(copies_per_sample: usize, max_shift_px: f64, seed: u64) -> Result<Self, SampleError> {
         let copies = copies_per_sample;
         SampleError::check(copies > 0, "copies per sample", "at least 1", copies)?;

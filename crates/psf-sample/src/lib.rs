@@ -5,7 +5,8 @@
 //!
 //! * [`UniformSampling`]: a regular grid from corner to corner.
 //! * [`AdaptiveSampling`]: a coarse grid, refined until a [`RefinementCriterion`] holds. The
-//!   criterion is [`NeighbourDifference`] (the default, 1 %) or [`InterpolationError`]. Both use a
+//!   criterion is [`NeighbourDifference`] (the default of [`AdaptiveSampling`], 1 %) or
+//!   [`InterpolationError`] (the default of [`SamplingOptions`], 1 %). Both use a
 //!   [`DifferenceMeasure`].
 //!
 //! [`ShiftAugmentation`] draws the samples again at sub-pixel shifts, to train a basis.
@@ -17,10 +18,11 @@
 //! is halved along each axis on which it fails.
 //!
 //! Interpolation uses a triangulation of the samples, usually Delaunay's, and not the cells. Two
-//! rules keep the triangles similar to the cells. First, the sides of a cell differ by at most a
-//! factor ([`AdaptiveSampling::with_max_aspect`], 2 by default). Second, no edge has more than one
-//! sample between its ends. Neighbouring cells therefore differ by at most one halving along their
-//! common edge.
+//! rules keep the triangles similar to the cells. First, a cell is also halved along its longer
+//! side if the sides of its halves would otherwise differ by more than a factor
+//! ([`AdaptiveSampling::with_max_aspect`], 2 by default). Second, no edge has more than one sample
+//! between its ends. Neighbouring cells therefore differ by at most one halving along their common
+//! edge.
 //!
 //! The sampling ends in one of three ways, and reports which one occurred:
 //!

@@ -23,7 +23,7 @@ pub(crate) struct Cell {
 struct Axis {
     /// Pixel coordinate of the last lattice point. The first is at 0.
     last_px: f64,
-    /// Cells of the starting grid.
+    /// Number of cells of the starting grid along this axis.
     cells: u64,
     /// Lattice steps in a cell of the starting grid.
     steps: u64,

@@ -13,8 +13,8 @@ pub enum Criterion {
     /// The error of interpolation between the samples ([`InterpolationError`]).
     #[default]
     Interpolation,
-    /// The difference of neighbouring samples, as in the method's paper
-    /// ([`NeighbourDifference`]).
+    /// The difference of neighbouring samples ([`NeighbourDifference`]), as in the paper that
+    /// describes psfield's method (Bai, Jia et al. 2025).
     Neighbours,
 }
 

@@ -34,10 +34,10 @@ pub struct SamplingReport {
     pub cells: usize,
     /// Number of cells in which the criterion does not hold.
     pub unmet_cells: usize,
-    /// The largest value of the criterion over the cells. For a uniform grid, the largest
-    /// difference of neighbours.
+    /// The largest variation that the criterion measured in any cell. For a uniform grid, the
+    /// largest difference of neighbours. 0 if the PSF between the samples was not checked.
     pub worst: f64,
-    /// The largest value at which the criterion holds, if there is a criterion.
+    /// The largest variation at which the criterion holds. `None` if there is no criterion.
     pub threshold: Option<f64>,
 }
 
@@ -100,7 +100,7 @@ pub enum SampleError {
         #[source]
         source: DataError,
     },
-    /// The source drew a PSF without light.
+    /// The source drew a PSF whose flux is not positive.
     #[error("the PSF drawn at {position} has flux {flux}: a PSF must have positive flux")]
     NoLight {
         /// The field position.
@@ -115,7 +115,7 @@ pub enum SampleError {
     Criterion {
         /// Centre of the cell.
         position: Position,
-        /// The value that it returned.
+        /// The value that the criterion returned.
         value: f64,
     },
     /// The criterion does not hold with the largest number of samples allowed. The error contains

@@ -292,9 +292,9 @@ mod tests {
         })
     }
 
-    /// The mode of a cell of 4096 values has an error of at most 2.5 sigma / 64, and a 3-sigma clip
-    /// reduces sigma by 1.4 %.
+    /// The mode of a cell of 4096 values has an error of at most 2.5 sigma / 64.
     const LEVEL: f64 = 0.1;
+    /// A 3-sigma clip reduces sigma by 1.4 %.
     const RMS: f64 = 0.03;
 
     #[test]

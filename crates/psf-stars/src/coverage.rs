@@ -37,8 +37,8 @@ pub struct CoverageReport {
     pub largest_gap_px: f64,
     /// The centre (x, y) of the cell with this largest distance.
     pub largest_gap_at: (f64, f64),
-    /// Distance from each corner to the nearest sample, in pixels: (0, 0), (nx - 1, 0), (0, ny -
-    /// 1), (nx - 1, ny - 1).
+    /// Distance from each corner to the nearest sample, in pixels. The corners are
+    /// (0, 0), (nx - 1, 0), (0, ny - 1), (nx - 1, ny - 1).
     pub corner_distances_px: [f64; 4],
 }
 

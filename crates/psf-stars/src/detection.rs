@@ -10,9 +10,9 @@ use crate::{Background, StarError};
 /// Finds sources as separate peaks of the matched-filtered significance.
 ///
 /// The significance of a point source at a pixel is `S = sum k d / (sigma sqrt(sum k^2))`. Here `d`
-/// is the frame above its background of noise `sigma`, and `k` a Gaussian. This is the likelihood
-/// ratio test for a source of that shape (Stetson 1987, PASP 99, 191), without the subtraction of a
-/// local mean. The background mesh replaces this subtraction.
+/// is the frame minus its background, `sigma` the noise of the background, and `k` a Gaussian
+/// kernel. This is the likelihood ratio test for a source of that shape (Stetson 1987, PASP 99,
+/// 191), without the subtraction of a local mean. The background mesh replaces this subtraction.
 ///
 /// Pixels with `S >= threshold` are joined to their eight neighbours from the brightest down. Where
 /// two peaks meet at a saddle, the lower one is a separate source if it rises above the saddle by
@@ -51,7 +51,7 @@ impl Detection {
     }
 
     checked_setters! {
-        /// Sets the kernel to the given FWHM of stars.
+        /// Sets the FWHM of the kernel, which should be the FWHM of the stars.
         ///
         /// # Errors
         /// [`StarError::Setting`] unless it is between 0.5 and 50 pixels.
@@ -189,7 +189,7 @@ fn root(hills: &mut [Hill], mut hill: usize) -> usize {
     hill
 }
 
-/// Floods the map from its highest pixel down.
+/// Finds the separate peaks of the map, by flooding it from its highest pixel down.
 fn separate_peaks(map: &Array2<f64>, threshold: f64, prominence: f64) -> Vec<Peak> {
     let (ny, nx) = map.dim();
     let values = map.as_slice().expect("row-major");

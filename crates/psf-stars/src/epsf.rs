@@ -46,9 +46,10 @@ const FOLDS: usize = 5;
 const GAIN: f64 = 0.002;
 /// Residuals beyond this number of sigma get a lower weight (Huber 1964).
 const HUBER: f64 = 3.0;
-/// A star is mismatched if its chi exceeds the median by this number of sigma of the scatter, and
-/// exceeds three times the median.
+/// A star is mismatched if its chi (root of the reduced chi squared) is above two limits. The first
+/// limit is the median chi of the stars plus this number of sigma of their scatter.
 const MISMATCH_SIGMA: f64 = 5.0;
+/// The second limit is this multiple of the median chi.
 const MISMATCH_RATIO: f64 = 3.0;
 /// A star may move from the position of its Gaussian fit by at most this distance, in pixels.
 const SHIFT: f64 = 0.5;

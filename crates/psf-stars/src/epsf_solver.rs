@@ -10,9 +10,10 @@ use crate::frame::Star;
 use crate::registration::FineGrid;
 use crate::selection::FieldTerms;
 
-/// Rows and columns of B-spline coefficients beyond the grid: one before and two after. The second
-/// one after the grid always has weight 0.
+/// Number of rows and columns of B-spline coefficients before the grid.
 const TAPS_BEFORE: usize = 1;
+/// Number of rows and columns of B-spline coefficients after the grid. The second one always has
+/// weight 0.
 const TAPS_AFTER: usize = 2;
 
 /// Weights of the coefficients before, at and after a node for the value of a cubic B-spline there.
@@ -24,8 +25,8 @@ pub(crate) struct SurfaceGrid {
     pub(crate) grid: FineGrid,
 }
 
-/// The coefficients needed at a place: the first of 4 x 4 coefficients, their weights along x and
-/// y, and the weights of the derivative.
+/// The coefficients that determine the PSF at one point: the first of 4 x 4 coefficients, their
+/// weights along x and y, and their weights in the derivatives.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Place {
     first: usize,
@@ -46,8 +47,8 @@ impl SurfaceGrid {
         self.side() * self.side()
     }
 
-    /// The place at the offset `(dx, dy)` from the star in pixels of the frame, if it is on the
-    /// grid.
+    /// Returns the coefficients and weights for the point at the offset `(dx, dy)` from the star in
+    /// pixels of the frame, if it is on the grid.
     pub(crate) fn place(self, dx: f64, dy: f64) -> Option<Place> {
         let (scale, middle) = (self.grid.scale as f64, self.grid.middle() as f64);
         let (tx, ty) = (middle + scale * dx, middle + scale * dy);
@@ -94,8 +95,8 @@ impl SurfaceGrid {
         wy.iter().enumerate().map(|(j, w)| w * line(j)).sum()
     }
 
-    /// The transpose of [`value`](Self::value): adds `amount` to the coefficients of a place,
-    /// multiplied by their weights.
+    /// The transpose of [`value`](Self::value): adds `amount`, multiplied by the weights of
+    /// `place`, to the coefficients.
     pub(crate) fn spread(self, coefficients: &mut [f64], place: &Place, amount: f64) {
         let side = self.side();
         for (j, wy) in place.weights[1].iter().enumerate() {
@@ -126,8 +127,8 @@ impl SurfaceGrid {
     }
 }
 
-/// The accuracy of the PSF model as a fraction of a pixel's light. It limits the weight of bright
-/// stars (PSFEx's PSF_ACCURACY).
+/// The accuracy of the PSF model, as a fraction of the star's flux in a pixel. It limits the weight
+/// of bright stars (PSFEx's PSF_ACCURACY).
 pub(crate) const ACCURACY: f64 = 0.02;
 
 /// The weight of a pixel for values relative to the star's flux: `F^2 / variance`.
@@ -208,12 +209,13 @@ impl Prior {
 /// The iteration ends when the residual falls to this fraction of the first one.
 const CONVERGED: f64 = 1e-6;
 const MOST_ITERATIONS: usize = 300;
-/// Stars whose sum one task computes. These partial sums are added in a fixed order, so that the
-/// result does not depend on the number of threads.
+/// Number of stars over which one task sums. These partial sums are added in a fixed order, so that
+/// the result does not depend on the number of threads.
 const PIECE: usize = 32;
 
-/// Fits the planes `E_j` to the stars' current parameters. Minimises
-/// `sum w (d / F - E)^2 + |(E - prior) / spread|^2` by conjugate gradients.
+/// Fits the planes `E_j` to the stars' pixels, with the stars' positions and fluxes fixed.
+/// Minimises `sum w (d / F - E)^2 + |(E - prior) / spread|^2` by conjugate gradients. Here `d` are
+/// the values of the pixels and `F` is the flux of their star.
 pub(crate) fn solve(
     stars: &[Star],
     prior: &Prior,
@@ -338,7 +340,8 @@ impl StarRows {
         }
     }
 
-    /// Returns `A^T W A` applied to coefficients.
+    /// Returns `A^T W A` applied to coefficients. `A` evaluates the PSF at the star's pixels, and
+    /// `W` contains their weights.
     fn normal(&self, coefficients: &[f64], surface: SurfaceGrid) -> Vec<f64> {
         let mut back = vec![0.0; coefficients.len()];
         for (place, w, _) in &self.pixels {
@@ -347,7 +350,7 @@ impl StarRows {
         back
     }
 
-    /// Returns `A^T W d`.
+    /// Returns `A^T W d`, where `d` are the residuals of the pixels from the prior.
     fn back(&self, surface: SurfaceGrid) -> Vec<f64> {
         let mut back = vec![0.0; surface.len()];
         for (place, w, left) in &self.pixels {

@@ -8,8 +8,9 @@ use crate::registration::FineGrid;
 use crate::source::Gaussian;
 use crate::{Background, Camera, Detection, Peak, Rejection, Rejections, Saturation, Source, StarError};
 
-/// The radius of the aperture in FWHM, and its minimum in pixels.
+/// The radius of the aperture in FWHM.
 const APERTURE_FWHM: f64 = 1.25;
+/// The smallest radius of the aperture in pixels.
 const APERTURE_PX: f64 = 2.0;
 /// The radius of the pixels used by a Gaussian fit, in FWHM.
 const FIT_FWHM: f64 = 1.5;
@@ -241,8 +242,8 @@ impl Ownership {
         }
     }
 
-    /// Returns whether a pixel is free of the light of sources other than `source`, which has the
-    /// given flux.
+    /// Returns whether the pixel at (`x`, `y`) is free of the light of sources other than `source`.
+    /// `flux` is the flux of `source`. Much fainter neighbours are ignored.
     pub(crate) fn allows(&self, source: usize, flux: f64, x: f64, y: f64) -> bool {
         !self
             .neighbours

@@ -10,8 +10,8 @@ use crate::error::check;
 
 /// The method that makes stamps with a common centre and grid from stars.
 ///
-/// If stars are well sampled, a star's own pixels determine its PSF between them. If stars are
-/// undersampled (FWHM below 2 pixels), the pixels of a single star do not contain this information,
+/// If stars are well sampled, the pixels of a single star determine its PSF between the pixels. If
+/// stars are undersampled (FWHM below 2 pixels), a single star does not contain this information,
 /// and interpolation blurs the PSF. Many stars at different pixel phases together do contain it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -223,15 +223,16 @@ pub struct RegistrationReport {
     pub median_chi: Option<f64>,
 }
 
-/// Pixels beyond the stamp that enter the spline, so that its boundary has no effect on the stamp.
+/// Pixels beyond the stamp that enter the spline, so that the spline's boundary hardly affects the
+/// stamp.
 const MARGIN: usize = 3;
 
-/// Returns the star's pixels at the nodes of the grid, with unit flux, and its flux. Returns `None`
-/// for a star without light.
+/// Returns the star's stamp, interpolated at the nodes of the grid and scaled to unit flux, and the
+/// star's flux. Returns `None` if the flux is not positive.
 ///
-/// Pixels that belong to a neighbour are replaced by those opposite the star. The median along the
-/// stamp's edge estimates the error of the background map and is subtracted. The spline
-/// interpolates the pixels exactly, so an oversampled stamp contains them unchanged.
+/// Pixels that belong to a neighbour are replaced by the pixels on the opposite side of the star.
+/// The median along the stamp's edge estimates the error of the background map and is subtracted.
+/// The spline passes exactly through the pixels' values.
 pub(crate) fn own_stamp(
     excess: ArrayView2<'_, f64>,
     (star_x, star_y): (f64, f64),

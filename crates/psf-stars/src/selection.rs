@@ -72,7 +72,7 @@ impl Selection {
         /// # Errors
         /// [`StarError::Setting`] unless it is at least 1.
         with_shape_sigma(shape_sigma) => shape_sigma, if at_least(1.0, shape_sigma),
-            else "the clipping of shapes", "a number of sigma, at least 1";
+            else "the limit for shapes", "a number of sigma, at least 1";
     }
 
     /// The signal-to-noise ratio that a star must exceed.
@@ -90,7 +90,8 @@ impl Selection {
         }
     }
 
-    /// Flags sources by their own values and their neighbours, and then those whose shapes deviate.
+    /// Adds the reasons for rejection: first by each source's own values and neighbours, then for
+    /// shapes that deviate from the trend.
     pub(crate) fn apply(&self, sources: &mut [Source], frame: FrameShape, half_stamp: usize, fwhm_px: f64) {
         let reach = half_stamp as f64;
         let edge = self.edge_px.unwrap_or(reach);
@@ -236,8 +237,8 @@ const MOST_SCATTER: f64 = 0.08;
 const ISOLATION_FWHM: f64 = 2.5;
 const MOST_ROUNDS: usize = 20;
 
-/// Returns the most frequent width, if there is any. `widths` are those of the sources, the
-/// brightest first.
+/// Returns the most frequent width, if there is any. `widths` lists the sources' widths, the
+/// brightest source first.
 ///
 /// The search is among the brightest quarter of the sources. It finds the width with the most other
 /// widths within 10 %, and returns the median of these widths. Bright stars share one width,

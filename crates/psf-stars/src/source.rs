@@ -130,12 +130,14 @@ pub const SOURCE_COLUMNS: [&str; 15] = [
 #[non_exhaustive]
 pub struct Source {
     /// Column coordinate of the centre, 0-based pixels of the frame. It comes from the fit of the
-    /// PSF if there is one, else from the Gaussian fit.
+    /// PSF if there is one, else from the Gaussian fit, else from the centre of the brightness
+    /// around the peak.
     pub x: f64,
     /// Row coordinate of the centre.
     pub y: f64,
-    /// Flux in units of the frame, from a fit of the nearest sample's PSF, which has unit flux over
-    /// its stamp. Saturated pixels are ignored.
+    /// Flux in units of the frame. For a sample, it results from the registration. For other
+    /// sources, it results from a fit of the nearest sample's PSF, which has unit flux over its
+    /// stamp. This fit ignores saturated pixels.
     pub flux: f64,
     /// Signal-to-noise ratio in an aperture of radius 1.25 FWHM ([`Camera`](crate::Camera)).
     pub snr: f64,

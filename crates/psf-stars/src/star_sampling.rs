@@ -1,4 +1,4 @@
-//! The complete way from a frame to PSF samples.
+//! All steps from a frame to PSF samples.
 
 use ndarray::{Array2, Array3, Axis};
 use psf_types::{Image, Position, PsfSamples, Real, SamplePositions, StampGrid};

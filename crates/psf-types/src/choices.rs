@@ -122,7 +122,8 @@ pub enum Normalisation {
     Keep,
 }
 
-/// The position at which the PSF is evaluated: that of the source, or that of the output pixel.
+/// The position at which the PSF is evaluated: the source's own position, or the position of the
+/// output pixel.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
@@ -130,7 +131,8 @@ pub enum Anchor {
     /// Each source spreads with the PSF of its own position ("scattering"), as light does.
     #[default]
     Source,
-    /// Each output pixel gathers with the PSF of its own position, as in the paper of the method.
+    /// Each output pixel gathers light with the PSF of its own position, as in the paper of the
+    /// method (Bai, Jia et al.).
     Output,
 }
 

@@ -179,7 +179,7 @@ impl std::fmt::Display for FrameShape {
 
 /// A rectangle of pixels: columns `x0 .. x0 + nx` and rows `y0 .. y0 + ny`, never empty.
 ///
-/// The origin may be negative, because a scene may extend beyond the frame.
+/// `x0` and `y0` may be negative, because a scene may extend beyond the frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PixelRegion {
     x0: i64,
@@ -227,7 +227,8 @@ impl PixelRegion {
             && within(other.y0, other.shape.ny, self.y0, self.shape.ny)
     }
 
-    /// The position of the pixel (`column`, `row`), counted from the region's first pixel.
+    /// The position of a pixel of the region. `column` and `row` count from the region's first
+    /// pixel, the position from the same pixel as `x0` and `y0`.
     pub fn position(self, column: usize, row: usize) -> Position {
         Position::of_pixel(self.x0 + column as i64, self.y0 + row as i64)
     }
@@ -265,7 +266,7 @@ impl std::fmt::Display for Quantity {
 }
 
 impl DataError {
-    /// [`DataError::Setting`] for a given value that is not allowed.
+    /// Makes a [`DataError::Setting`] for a value that is not allowed.
     pub fn setting(name: &'static str, allowed: &'static str, got: impl std::fmt::Display) -> Self {
         let got = got.to_string();
         Self::Setting { name, allowed, got }

@@ -5,8 +5,8 @@ use ndarray::{Array2, ArrayView2, Axis};
 /// The full width at half maximum of a Gaussian, in units of its sigma: `2 sqrt(2 ln 2)`.
 pub const FWHM_PER_SIGMA: f64 = 2.354_820_045_030_949_3;
 
-/// The index in a line of `length` values that equals `index` when the line is mirrored about its
-/// outermost values: `... 2 1 | 0 1 2 ... n-1 | n-2 n-3 ...`.
+/// Maps any index to the range 0 to `length - 1`, for a line of `length` values that is mirrored
+/// about its outermost values: `... 2 1 | 0 1 2 ... n-1 | n-2 n-3 ...`.
 #[inline]
 pub fn mirrored_index(index: i64, length: usize) -> usize {
     if length == 1 {
@@ -162,7 +162,7 @@ impl ConvexHull {
     }
 
     /// The corners, counter-clockwise from the leftmost one. A hull of points on a line has two
-    /// corners, and that of a single point has one. No three corners lie on a line.
+    /// corners, and a hull of a single point has one. No three corners lie on a line.
     pub fn corners(&self) -> &[[f64; 2]] {
         &self.corners
     }

@@ -69,13 +69,14 @@ pub trait CoefficientField: std::fmt::Debug + Send + Sync {
         Cow::Owned(Array2::eye(self.component_count()))
     }
 
-    /// The x and y coordinates of the lines between which every weight is bilinear (or constant),
-    /// both ascending, or `None` for a field without such cells.
+    /// The x and y coordinates of the grid lines, both ascending, or `None` for a field without a
+    /// grid. In each cell between the lines, every weight must be bilinear or constant.
     ///
-    /// A pixel on a line belongs to the cell above the line. Convolution evaluates the weights of
-    /// the first and the last pixel row between two lines. If both rows have runs of equal lengths,
-    /// it interpolates the weights of the rows between them, so all these rows must have such runs.
-    /// It also cuts its tiles at the lines.
+    /// A pixel on a line belongs to the cell with the larger coordinates. Convolution cuts its
+    /// tiles at the lines. Between two lines in y, it evaluates the weights along the first and the
+    /// last pixel row. If both rows have runs ([`RowRun`]) of equal lengths, it interpolates the
+    /// weights of the rows between them. All these rows must therefore have runs of the same
+    /// lengths.
     fn grid_lines(&self) -> Option<[Vec<f64>; 2]> {
         None
     }
@@ -166,7 +167,7 @@ pub enum FieldError {
 /// A PSF at every position: `h(u; x) = [B_0(u) + sum_k a_k(x) B_k(u)] / s(x)`.
 ///
 /// One array stores the stamps `B_0` (if the basis is mean-centred) and `B_1 ... B_K`, the mean
-/// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the bracket for
+/// first. The coefficient of the mean is 1 everywhere. `s(x)` is the flux of the sum in brackets for
 /// [`Normalisation::Unit`], and 1 for [`Normalisation::Keep`].
 #[derive(Debug, Clone)]
 pub struct PsfModel {
@@ -186,8 +187,8 @@ pub struct PsfModel {
 const UNIT_FLUX_TOLERANCE: f64 = 1e-14;
 
 impl PsfModel {
-    /// A model from a basis and its coefficient field. `field_shape` is the shape of the field over
-    /// which the PSF is known, if it is given.
+    /// A model from a basis and its coefficient field. `field_shape` is the shape of the frame over
+    /// which the PSF is known, or `None` if this shape is not known.
     ///
     /// # Errors
     /// [`DataError::CountMismatch`] when the field does not return one coefficient per component.
@@ -292,8 +293,8 @@ impl PsfModel {
         self.stamps.index_axis(ndarray::Axis(0), index)
     }
 
-    /// Returns whether `s(x)` may differ from 1. If so, callers must divide by the `s(x)` that
-    /// [`flux_region_into`](Self::flux_region_into) writes.
+    /// Returns whether `s(x)` may differ from 1. If so, callers must divide the coefficients by the
+    /// `s(x)` that [`flux_region_into`](Self::flux_region_into) writes.
     pub fn needs_flux_scaling(&self) -> bool {
         self.needs_scaling
     }

@@ -22,7 +22,7 @@ pub trait PsfSource: Sync {
     /// The field (frame) over which the PSF is defined.
     fn field(&self) -> FrameShape;
 
-    /// Draws the PSF of a source at `position`, centred on the grid's centre, into `stamp`
+    /// Draws the PSF of a star at `position`, centred on the grid's centre, into `stamp`
     /// `[y, x]`. `stamp` has the grid's shape, and its content is overwritten.
     ///
     /// # Errors

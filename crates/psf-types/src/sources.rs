@@ -4,8 +4,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::frame::{DataError, Position, read_through_new};
 
-/// A star: a position in pixels of the scene and a finite flux. The position may lie between pixels
-/// and outside the scene.
+/// A star: a position in pixels, counted from the scene's first pixel, and a finite flux. The
+/// position may lie between pixels and outside the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "RawPointSource")]
 pub struct PointSource {
@@ -28,7 +28,7 @@ impl PointSource {
         }
     }
 
-    /// Its position, in pixels of the scene.
+    /// Its position, in pixels counted from the scene's first pixel.
     pub fn position(self) -> Position {
         self.position
     }
@@ -43,9 +43,9 @@ impl PointSource {
 const SMALLEST_INDEX: f64 = 0.3;
 /// The largest Sersic index. Fits of real galaxies with a larger index are not meaningful.
 const LARGEST_INDEX: f64 = 8.0;
-/// The smallest axis ratio, a hundred times below that of edge-on discs. The time to integrate a
-/// profile over pixels grows as the inverse of the ratio. At this ratio, it is a large part of a
-/// second per galaxy.
+/// The smallest axis ratio. Edge-on discs have a ratio a hundred times larger. The time to
+/// integrate a profile over pixels grows as the inverse of the ratio. At this ratio, it is a large
+/// part of a second per galaxy.
 const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 
 /// A Sersic profile with elliptical isophotes: the distribution of a galaxy's light.
@@ -145,8 +145,8 @@ impl SersicProfile {
     }
 }
 
-/// A galaxy: a position in pixels of the scene, a finite total flux (to infinite radius) and a
-/// light profile. The position may lie between pixels and outside the scene.
+/// A galaxy: a position in pixels, counted from the scene's first pixel, a finite total flux (to
+/// infinite radius) and a light profile. The position may lie between pixels and outside the scene.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct SersicSource {
     light: PointSource,
@@ -165,7 +165,7 @@ impl SersicSource {
         })
     }
 
-    /// The position of its centre, in pixels of the scene.
+    /// The position of its centre, in pixels counted from the scene's first pixel.
     pub fn position(self) -> Position {
         self.light.position()
     }

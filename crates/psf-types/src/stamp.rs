@@ -70,8 +70,8 @@ impl StampGrid {
         })
     }
 
-    /// Returns this grid with the PSF's reference point at the 0-based stamp index (`x`, `y`),
-    /// which may be fractional.
+    /// Returns this grid with its centre at the 0-based stamp index (`x`, `y`), which may be
+    /// fractional. The centre is the point of the stamp that lies at the source's position.
     ///
     /// # Errors
     /// [`DataError::StampCentre`] when the point does not lie on a pixel of the stamp.
@@ -134,12 +134,12 @@ impl StampGrid {
         self.ny
     }
 
-    /// Column index of the PSF's reference point.
+    /// Column index of the centre.
     pub fn centre_x(self) -> f64 {
         self.centre_x
     }
 
-    /// Row index of the PSF's reference point.
+    /// Row index of the centre.
     pub fn centre_y(self) -> f64 {
         self.centre_y
     }

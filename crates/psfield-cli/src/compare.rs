@@ -116,8 +116,8 @@ impl Measures {
         Self(MEASURES.map(|(.., of)| of(comparison)))
     }
 
-    /// Applies `of_errors` to each error over the planes, and `of_snr` to the signal-to-noise
-    /// ratio. A measure that a plane lacks is None.
+    /// Reduces the values of each measure in the planes to one value: by `of_snr` for the
+    /// signal-to-noise ratio, by `of_errors` for the others. A measure that a plane lacks is None.
     fn over(
         planes: &[Comparison],
         of_errors: fn(&Summary) -> f64,

@@ -41,7 +41,7 @@ pub(crate) fn message_of(error: &anyhow::Error) -> String {
     with_option(psfield::error_text(error.as_ref()), setting)
 }
 
-/// A message of the library, with the option for the setting that the message is about.
+/// Appends to a message of the library the command-line option for `setting`, if there is one.
 pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -> String {
     match setting.and_then(option_of) {
         Some(option) => format!("{text} (option {option})"),
@@ -52,7 +52,8 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
 /// The option for a setting of the library.
 fn option_of(setting: &str) -> Option<String> {
     Some(match setting {
-        // World coordinates come from a scene or from a file. No option gives a region.
+        // No option has these values: world coordinates come from a header, and a region is never
+        // given by the user.
         "sky" | "region" => return None,
         "hdu" | "table" => "--extension".to_owned(),
         "plane_order" => "--psf-order".to_owned(),
@@ -66,7 +67,7 @@ fn option_of(setting: &str) -> Option<String> {
     })
 }
 
-/// Adds the option that helps to an error of measuring stars.
+/// Appends `--window` to the error that no star could be measured.
 pub(crate) fn with_window_hint(error: LabError) -> anyhow::Error {
     match error {
         LabError::NothingMeasured { .. } => anyhow::anyhow!("{error} (--window)"),
@@ -79,7 +80,7 @@ pub(crate) fn with_window_hint(error: LabError) -> anyhow::Error {
 pub(crate) struct Context {
     pub(crate) json: bool,
     pub(crate) quiet: bool,
-    /// The part of the work that messages refer to. Empty for the whole command.
+    /// The prefix of messages, with the name of a part of the work. Empty for the whole command.
     pub(crate) part: String,
 }
 
@@ -171,7 +172,7 @@ pub(crate) fn command_text() -> String {
 }
 
 fn given_arguments() -> Vec<String> {
-    // Not `args`, which panics on a name that is not UTF-8.
+    // `std::env::args` would panic on an argument that is not UTF-8.
     std::env::args_os()
         .skip(1)
         .map(|arg| arg.to_string_lossy().into_owned())

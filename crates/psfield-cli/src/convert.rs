@@ -200,7 +200,7 @@ impl ConvertArgs {
         Err(UsageError(what.to_owned()))
     }
 
-    /// Refuses fit options if nothing is fitted.
+    /// Refuses fit options that this conversion does not use.
     fn check_fit_options(&self, target: Target, at: &SamplesAt, psf: &Psf) -> Result<(), UsageError> {
         let choices = self.fit.fit.choices();
         let given = choices.needs_fit() || choices.outside.is_some();
@@ -208,7 +208,7 @@ impl ConvertArgs {
         let what = match target {
             Target::Gridded if given && *at == SamplesAt::Own && !is_model && is_on_grid(psf) => {
                 "samples on a grid at their own positions are not fitted: of the fit options only --normalise applies (with --grid or \
-                 --at all of them apply)"
+                 --at, all of them apply)"
             }
             Target::PsfSamples if given && *at == SamplesAt::Own && !is_model => {
                 "samples at their own positions are not fitted: of the fit options only --normalise applies"

@@ -30,7 +30,7 @@ struct Report {
 
 /// An adapter and its limits.
 #[derive(Debug, Serialize)]
-#[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "there are none without"))]
+#[cfg_attr(not(feature = "gpu"), allow(dead_code, reason = "unused without gpu"))]
 struct AdapterRow {
     name: String,
     kind: String,
@@ -43,7 +43,7 @@ struct AdapterRow {
     workgroup_memory_bytes: u32,
     workgroup_threads: u32,
     timestamps: bool,
-    /// True if `--device gpu` takes it by default.
+    /// True if `--device gpu` takes this adapter by default.
     preferred: bool,
 }
 

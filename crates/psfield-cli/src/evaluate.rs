@@ -30,7 +30,7 @@ pub(crate) struct EvaluateArgs {
     /// Cut or pad to N x N pixels around the centre [default: the stamp's own size]
     #[arg(long, value_name = "N", value_parser = stamp_size)]
     size: Option<usize>,
-    /// Shift each PSF by the fraction of a pixel of its position (needs --grid native)
+    /// Shift each PSF by the fractional part of its position (needs --grid native)
     #[arg(long)]
     sub_pixel: bool,
     /// Precision of the stamps

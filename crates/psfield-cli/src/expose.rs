@@ -45,16 +45,16 @@ pub(crate) struct ExposeArgs {
     /// Detector file (TOML)
     ///
     /// The options below name its keys in square brackets. More keys: response_rms (relative),
-    /// sky_gradient_e_per_px = { x, y } (electrons per pixel, for each pixel), pattern_seed, and
-    /// the table bad_pixels with dead_fraction, hot_fraction, hot_dark_e_per_s,
-    /// bad_column_fraction.
+    /// sky_gradient_e_per_px = { x, y } (change of the sky from one pixel to the next, in electrons
+    /// per pixel), pattern_seed, and the table bad_pixels with dead_fraction, hot_fraction,
+    /// hot_dark_e_per_s, bad_column_fraction.
     ///
     /// An example, one key per line in the file: photon_noise = true, exposure_s = 100.0, sky_e =
     /// 200.0, dark_e_per_s = 0.02, read_noise_e = 5.0, gain_e_per_adu = 1.5, bias_adu = 300.0, bits
     /// = 16.
     #[arg(long, value_name = "DETECTOR.toml")]
     detector: Option<PathBuf>,
-    /// Image of bad pixels, in addition to those of the detector file
+    /// Image of bad pixels, in addition to the bad pixels of the detector file
     ///
     /// Each pixel is 0 (good) or a sum of 1 dead, 2 hot, 4 bad column.
     #[arg(long, value_name = "MASK.fits", hide_short_help = true)]
@@ -242,7 +242,7 @@ impl ExposeArgs {
             *key = option.or(*key);
         }
         params.bits = set.bits.or(params.bits);
-        // The file is valid by itself, so that the error comes from the options.
+        // The file was checked when it was read, so an error here comes from the options.
         Detector::new(params).map_err(|error| {
             let option = |key| {
                 OPTIONS

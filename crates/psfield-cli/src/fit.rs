@@ -30,8 +30,8 @@ pub(crate) struct FitCommandArgs {
     fit: PsfArgs,
 }
 
-/// Shows in the short help the options that this command needs most, and hides those that it does
-/// not use.
+/// Shows in the short help the options that this command needs most, and hides the options that it
+/// does not use.
 fn for_fit(arg: clap::Arg) -> clap::Arg {
     match arg.get_id().as_str() {
         // These apply only to files that need no fit.

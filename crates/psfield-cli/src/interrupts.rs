@@ -18,8 +18,8 @@ const SIGNALLED: i32 = 128;
 /// send two at once. Signals that the parent process has set to be ignored (`nohup`, background
 /// jobs of a script) stay ignored.
 ///
-/// A limit on the size of files (`ulimit -f`) becomes an error like that of a full disk, so that
-/// temporary files are removed then too.
+/// A file that exceeds the size limit (`ulimit -f`) gives an error, as a full disk does. Temporary
+/// files are then removed, too.
 ///
 /// # Errors
 /// The error of the system, if it refuses the handlers.

@@ -149,7 +149,7 @@ fn main() -> ExitCode {
             .error(clap::error::ErrorKind::ArgumentConflict, usage)
             .exit();
     }
-    // A reader that closes the output early (`| head`) has all that it wants.
+    // It is no failure if the reader of the output closes it early (`| head`).
     if error
         .downcast_ref::<std::io::Error>()
         .is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)

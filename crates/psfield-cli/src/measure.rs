@@ -29,7 +29,8 @@ pub(crate) struct MeasureArgs {
     /// Positions in an image: CSV or FITS table with columns x, y (0-based pixels)
     #[arg(long, value_name = "POSITIONS.csv")]
     at: Option<PathBuf>,
-    /// Fit the Gaussian to the N x N pixels around the centre [default: whole stamp, with --at 15]
+    /// Fit the Gaussian to the N x N pixels around the centre [default: the whole stamp; with --at:
+    /// 15]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     window: Option<u16>,
     /// Fit a constant background too

@@ -143,7 +143,7 @@ impl PreviewArgs {
     }
 }
 
-/// Adds the options that help to an error of the black and white levels.
+/// Appends to an error of the black and white levels the options that avoid it.
 fn with_option(error: PreviewError) -> anyhow::Error {
     match error {
         PreviewError::Constant { .. } => anyhow::anyhow!("{error} (--range)"),

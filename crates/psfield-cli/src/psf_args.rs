@@ -25,7 +25,7 @@ pub(crate) struct FitArgs {
     /// sample is at most 1e-4.
     /// elbow: up to the elbow. auto and elbow never keep components below the noise.
     /// full: all.
-    /// energy=F: enough for the fraction F of the squared singular values (energy=0.999).
+    /// energy=F: enough for the fraction F of the sum of squared singular values (energy=0.999).
     /// error=E: enough for a fit error (relative L2) of at most E for every sample (error=1e-3).
     /// Default for STPSF and STDPSF: full.
     #[arg(long, value_name = "RANK", hide_short_help = true, verbatim_doc_comment)]
@@ -35,8 +35,8 @@ pub(crate) struct FitArgs {
     centring: Option<Centring>,
     /// Noise per pixel of the samples (standard deviation) [default: estimated]
     ///
-    /// Give it for samples scaled by --normalise. --rank auto and elbow drop components below this
-    /// noise. 0: no noise.
+    /// SIGMA has the unit of the samples after --normalise has scaled them. --rank auto and elbow
+    /// drop components below this noise. 0: no noise.
     #[arg(long, value_name = "SIGMA", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     noise: Option<f64>,
     /// Interpolation of the coefficients over the field [default: auto]

@@ -1,4 +1,4 @@
-//! `psfield sample`: of a telescope, or of the stars of a frame.
+//! `psfield sample`: samples the PSF of a telescope, or of the stars of a frame.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -77,8 +77,8 @@ impl SampleArgs {
     }
 }
 
-/// Returns whether a file holds an image rather than text. If an HDU was `chosen`, the other HDUs
-/// are ignored.
+/// Returns whether a file is a frame with stars rather than a telescope file. Without a `chosen`
+/// HDU, other kinds of FITS files are an error. With it, every FITS file counts as a frame.
 fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     match psf_io::detect(path) {
         Ok(FileKind::Image) => Ok(true),
@@ -94,7 +94,7 @@ fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
     }
 }
 
-/// Refuses an option of the other kind of input.
+/// Refuses a given option that applies only to inputs of another kind (`kind`).
 fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError> {
     match given {
         None => Ok(()),
@@ -104,7 +104,7 @@ fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError
     }
 }
 
-/// The defaults that the helps state.
+/// The defaults that the help texts state.
 fn defaults() -> SamplingOptions {
     SamplingOptions::default()
 }
@@ -114,7 +114,7 @@ fn start() -> String {
     format!("Coarse grid from which refinement starts [default: {nx},{ny}]")
 }
 
-/// Reads a criterion.
+/// The parser of `--criterion`.
 fn criterion() -> impl TypedValueParser<Value = Criterion> {
     let values = [
         PossibleValue::new("interpolation").help("Error of interpolating between samples"),
@@ -124,7 +124,7 @@ fn criterion() -> impl TypedValueParser<Value = Criterion> {
     PossibleValuesParser::new(values).try_map(|text| text.parse::<Criterion>())
 }
 
-/// Reads a norm.
+/// The parser of `--measure`.
 fn measure() -> impl TypedValueParser<Value = DifferenceMeasure> {
     PossibleValuesParser::new(["l1", "l2"]).try_map(|text| text.parse::<DifferenceMeasure>())
 }

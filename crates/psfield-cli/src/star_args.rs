@@ -30,7 +30,7 @@ pub(crate) struct StarArgs {
     saturation: Option<f64>,
     /// Gain (electrons per unit of the frame)
     ///
-    /// With it, the photon noise of the star counts in the signal-to-noise ratio.
+    /// With it, the signal-to-noise ratio includes the photon noise of the star.
     #[arg(long, value_name = "E/ADU", value_parser = above_zero, allow_negative_numbers = true)]
     pub(crate) gain: Option<f64>,
     /// Read noise (electrons), needs --gain

@@ -19,8 +19,9 @@ use crate::psf_args::{PsfArgs, notes_of};
 /// Measures FWHM, ellipticity, mean absolute error (MAE) and mean squared error (MSE) at the
 /// positions of the true PSFs, and draws the same figures as psfield reproduce.
 ///
-/// For a frame, psfield selects stars as psfield sample does by default. It draws each of them with
-/// the model at its measured position and flux, and compares the two.
+/// For a frame, psfield selects stars as psfield sample does by default. With the model, it draws
+/// each star at the measured position and with the measured flux. It compares the drawn star with
+/// the star in the frame.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ValidateArgs {
     /// PSF: a model, samples (which are fitted), or any PSF file that convert reads

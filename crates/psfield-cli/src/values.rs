@@ -8,7 +8,8 @@ use psf_types::{FrameShape, PixelRegion};
 /// memory than there is.
 const MAX_STAMP: usize = 8192;
 
-/// The precision of written values, and of the computation in commands that offer a choice.
+/// Single or double precision. The help of each option says what it applies to: the written values,
+/// the computation, or both.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
 pub(crate) enum Precision {
     #[default]
@@ -56,7 +57,7 @@ impl FromStr for Frame {
     }
 }
 
-/// Numbers with commas between them.
+/// Parses numbers with commas between them. `None` if one of them cannot be parsed.
 pub(crate) fn numbers<T: FromStr>(text: &str) -> Option<Vec<T>> {
     text.split(',').map(|n| n.trim().parse().ok()).collect()
 }

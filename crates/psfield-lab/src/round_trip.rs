@@ -243,7 +243,7 @@ pub struct Agreement {
     pub frame: Distribution,
     /// In all simulated frames together.
     pub simulated: Distribution,
-    /// Median of the simulated stars over the median of the stars in the frame.
+    /// Median of the simulated stars divided by the median of the stars in the frame.
     pub median_ratio: f64,
     /// Mean absolute difference between a star in the first simulated frame and the star in the
     /// frame. It includes the noise of both.

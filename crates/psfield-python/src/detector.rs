@@ -20,7 +20,7 @@ type Exposed<'py> = (Bound<'py, PyAny>, Bound<'py, PyArray2<u8>>, String);
 
 #[pymethods]
 impl Detector {
-    /// A detector from its parameters as JSON. The keys are those of the TOML file.
+    /// A detector from its parameters as JSON. The keys are the same as in the TOML file.
     #[new]
     fn new(params: &str) -> PyResult<Self> {
         let params: DetectorParams =
@@ -40,7 +40,7 @@ impl Detector {
         serde_json::to_string(self.0.params()).expect("parameters are plain numbers")
     }
 
-    /// `electron` or `adu`.
+    /// The unit of the counts: `electron` or `adu`.
     fn unit(&self) -> String {
         self.0.unit().to_string()
     }

@@ -69,7 +69,8 @@ impl From<Failure> for PyErr {
     }
 }
 
-/// Appends to a message of the library the Python argument for the setting that the error names.
+/// Appends the name of a Python argument to a message of the library. `setting` is the library's
+/// name for this argument.
 pub(crate) fn with_argument(text: String, setting: Option<&str>) -> String {
     let argument = match setting {
         None => return text,

@@ -89,7 +89,7 @@ impl PlanSettings {
     }
 }
 
-/// The image, or `None` if it was written to an array of the caller. Then warnings, in sentences.
+/// The image, or `None` if it was written to an array of the caller, and warnings in sentences.
 type Simulated<'py> = (Option<Bound<'py, PyAny>>, Vec<String>);
 
 #[pymethods]

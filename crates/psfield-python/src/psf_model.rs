@@ -145,7 +145,7 @@ impl PsfModel {
         Ok(("from_basis", state.into_pyobject(py)?.into_any()))
     }
 
-    /// Returns whether the model was fitted to samples.
+    /// Returns whether the model was made from samples.
     fn has_samples(&self) -> bool {
         self.0.samples().is_some()
     }
@@ -298,7 +298,7 @@ struct WriteSettings {
     degree: Option<usize>,
     /// (ny, nx) of a grid of positions.
     at: Option<(usize, usize)>,
-    /// Write samples in double precision.
+    /// If true, samples are written in double precision.
     double: bool,
     overwrite: bool,
 }

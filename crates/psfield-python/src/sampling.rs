@@ -22,7 +22,7 @@ pub(crate) struct SamplingSettings {
     criterion: String,
     measure: String,
     threshold: f64,
-    /// (ny, nx).
+    /// (ny, nx) of the starting grid.
     start: (usize, usize),
     max_samples: usize,
     /// (ny, nx) of a regular grid that replaces refinement.

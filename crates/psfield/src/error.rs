@@ -6,13 +6,13 @@ use std::fmt;
 use conv_core::ConvError;
 use psf_types::{Cancelled, DataError};
 
-/// The error of a simulation, or of a step on the way to it. It has a kind, and a message that says
-/// what was expected, what was found and what to do.
+/// An error of a simulation, or of a step before it, such as the fit of the PSF. It has a kind, and
+/// a message that says what was expected, what was found and what to do.
 ///
 /// The error of the stage that failed is the [`source`](Error::source). Use [`cause`](Self::cause)
 /// to match on it. If another value of a setting can avoid the problem, [`setting`](Self::setting)
-/// names this setting. A program that offers the setting to its users can add a hint in its own
-/// terms.
+/// names this setting. A program that offers the setting under another name can add this name to
+/// the message.
 ///
 /// ```
 /// use psfield::psf_io::{IoError, IoErrorKind};

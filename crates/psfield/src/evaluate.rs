@@ -11,7 +11,7 @@ use crate::{ErrorKind, Psf, PsfieldError, check_stack};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum OutputGrid {
-    /// The model's own sampling. The stamps hold the pixel response if the model's do
+    /// The model's own sampling. The stamps include the pixel response if the model's stamps do
     /// ([`StampGrid::pixel_response_included`]).
     #[default]
     Model,

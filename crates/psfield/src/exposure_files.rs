@@ -121,7 +121,7 @@ pub fn read_bad_pixel_mask(path: impl AsRef<Path>) -> Result<BadPixelMask, Psfie
 /// | keyword | value |
 /// |---|---|
 /// | `BUNIT` | `electron` or `adu` |
-/// | `EXPTIME` | s, if known |
+/// | `EXPTIME` | exposure time in s, if known |
 /// | `GAIN`, `RDNOISE` | electrons per unit of the counts; read noise in electrons |
 /// | `SATURATE` | count at which pixels saturate ([`Detector::saturation`]), if there is one |
 /// | `DETSEED`, `DETPSEED` | seeds of the noise and of the sensor's pattern, as strings, because they may exceed signed 64-bit integers |

@@ -14,8 +14,8 @@ use serde::Serialize;
 
 use crate::PsfieldError;
 
-/// Options of the fit of a model to samples. The defaults are those of the command line: rank
-/// `auto`, mean-centred, interpolation `auto`, nearest outside, unit flux.
+/// Options for fitting a model to samples. The command line has the same defaults: rank `auto`,
+/// mean-centred, interpolation `auto`, nearest outside, unit flux.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FitOptions {
     /// Number of components to keep.
@@ -136,7 +136,7 @@ pub fn fit(samples: PsfSamples, options: &FitOptions) -> Result<Fit, PsfieldErro
 
 /// Fits a model to samples. The basis is computed from the samples and from the stamps in
 /// `training`, `[stamp, y, x]`. These may be the samples' PSFs at sub-pixel shifts
-/// ([`psf_sample::ShiftAugmentation`]). The coefficients and errors are those of the samples only.
+/// ([`psf_sample::ShiftAugmentation`]). Coefficients and errors are computed only for the samples.
 ///
 /// With [`Normalisation::Unit`], the training stamps are scaled to unit flux, like the samples.
 ///
@@ -306,6 +306,8 @@ impl Fit {
 }
 
 impl LeaveOneOutReport {
+    /// Computes the relative error of every predicted sample, and summarises these errors.
+    ///
     /// The part of a sample that the basis leaves out is orthogonal to the basis. The relative
     /// truncation error and the error of the predicted coefficients therefore add in quadrature.
     fn new(outcomes: &[LeftOut], norms: &[f64], truncation: &[f64]) -> Self {

@@ -12,7 +12,7 @@
 //! | type | meaning |
 //! |---|---|
 //! | [`Psf`] | a PSF over a field, from samples, a model or a file. Samples are fitted on demand |
-//! | [`Scene`] | the light before the PSF: an image at its own sampling, stars, galaxies |
+//! | [`Scene`] | the light before the PSF: an image (also finer than the frame), stars, galaxies |
 //! | [`SimulateOptions`] | every setting, with its default |
 //! | [`Simulator`] | makes images of scenes of one shape, with one PSF and one choice of settings |
 //!

@@ -73,7 +73,8 @@ impl std::fmt::Display for Note {
 struct SourceFile {
     kind: Option<FileKind>,
     notes: Vec<Note>,
-    /// The model of a PSFEx file. A conversion to PSFEx of equal degree writes it unchanged.
+    /// The model of a PSFEx file. A conversion to PSFEx with the same degree writes this model
+    /// unchanged.
     psfex: Option<PsfexModel>,
 }
 

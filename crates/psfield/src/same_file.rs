@@ -9,8 +9,8 @@ use crate::{ErrorKind, PsfieldError};
 ///
 /// # Errors
 /// [`ErrorKind::Setting`] if two outputs are the same file, or if an output is among `inputs`.
-/// Inputs are never replaced, even if `overwrite` is true. Also the errors of
-/// [`check_output`](psf_io::check_output).
+/// Inputs are never replaced, even if `overwrite` is true. The errors of
+/// [`check_output`](psf_io::check_output) for each output.
 pub fn check_outputs(inputs: &[&Path], outputs: &[&Path], overwrite: bool) -> Result<(), PsfieldError> {
     let mut taken: Vec<PathBuf> = inputs.iter().map(|path| resolved(path)).collect();
     for path in outputs {

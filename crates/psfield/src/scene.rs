@@ -5,8 +5,8 @@ use std::borrow::Cow;
 use ndarray::Array2;
 use psf_types::{DataError, Image, ImageView, PointSource, Real, SersicSource};
 
-/// The light before the PSF: an image `[y, x]` in flux per pixel at its own sampling, stars,
-/// galaxies, or any of them together.
+/// The light before the PSF: an image `[y, x]` in flux per pixel, stars, galaxies, or any
+/// combination of these.
 ///
 /// Positions and sizes of stars and galaxies are in pixels of the frame, even if the image is finer
 /// than the frame ([`oversample`](crate::SimulateOptions::oversample)). Positions count from the

@@ -23,17 +23,18 @@ pub struct SimulateOptions {
     /// The convolution method.
     pub method: Method,
     /// The largest relative L2 error that the engine may add to the PSF of any single pixel or
-    /// star, from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan.
+    /// star, from 0 to below 1 ([`PlanOptions::new`]). Applies to the methods with a plan
+    /// ([`Method::has_plan`]).
     pub tolerance: f64,
-    /// Chooses the position at which the PSF is evaluated: that of each source, or that of each
-    /// pixel of the image.
+    /// Chooses whether the PSF is evaluated at the position of each source or of each pixel of the
+    /// image.
     pub anchor: Anchor,
     /// The largest number of bytes that a plan keeps in memory ([`PlanOptions::with_memory`]).
     /// Applies to the methods with a plan.
     pub memory: usize,
     /// Pixels of the scene's image along each side of a pixel of the frame, 1 to
     /// [`MAX_OVERSAMPLE`](Self::MAX_OVERSAMPLE). Pixel `i` of the frame has its centre at
-    /// `oversample i + (oversample - 1) / 2` of the scene.
+    /// the coordinate `oversample i + (oversample - 1) / 2` of the scene.
     pub oversample: usize,
     /// Size of the stamps in pixels of the frame along each side, centred at `stamp_size / 2`.
     /// Stamps that convolve images are cut or padded to this size. Stamps that draw stars are only
@@ -49,7 +50,7 @@ pub struct SimulateOptions {
     pub region: Option<PixelRegion>,
     /// The device that convolves images. Stars are drawn on the processor.
     pub device: Device,
-    /// A part of the name of the GPU to use, or its backend. No other GPU is used. None: the
+    /// The GPU to use: a part of its name, or its backend. No other GPU is used. None: the
     /// preferred GPU.
     pub gpu_adapter: Option<String>,
     /// The largest number of bytes that a plan keeps on a GPU. None:
@@ -115,11 +116,11 @@ named!(Device, "device", "auto, cpu or gpu", "auto" => Auto, "cpu" => Cpu, "gpu"
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub enum Method {
-    /// The fast engine. Each tile is computed in the cheapest way: by transforms, by the direct
-    /// sum, by single stamps, or skipped if it has no light.
+    /// The fast engine ([`conv_core::Engine`]). Each tile of the image is computed in the cheapest
+    /// way: by transforms, by the direct sum, or by single stamps. A tile without light is skipped.
     #[default]
     Auto,
-    /// The fast engine, by transforms only.
+    /// The fast engine, with transforms for all tiles.
     LowRank,
     /// One whole-image convolution per component ([`BasisConvolution`]).
     Basis,

@@ -31,7 +31,8 @@ use geometry::Geometry;
 pub use builder::{OwnMethodBuilder, SimulatorBuilder};
 pub use check::SimulationWarning;
 
-/// The operation that a region of the frame needs, in the words of an error message.
+/// The start of the error message for a region with a method that makes no plan
+/// ([`PsfieldError::needs_plan`]).
 const REGION: &str = "a region of the frame can be computed";
 
 /// Makes images of scenes of one shape through a PSF. Models and plans are made when the first
@@ -86,7 +87,7 @@ pub struct Simulator<T: ConvReal> {
 #[derive(Debug)]
 struct Shared<T: ConvReal> {
     psf: Psf,
-    /// None for the fast engine.
+    /// The method that convolves images. None if the engine does it.
     method: Option<Box<dyn ConvolutionMethod<T>>>,
     /// The model on the scene's pixels, and the seconds that its fit took.
     image_model: OnceLock<(PsfModel, f64)>,
@@ -105,7 +106,8 @@ struct Convolver<T: ConvReal> {
 }
 
 impl<T: ConvReal> Convolver<T> {
-    /// Returns the engine that an operation needs. `what` names the operation for the error.
+    /// Returns the engine. For a method without a plan, returns an error whose message begins with
+    /// `what`.
     fn engine_for(&self, what: &str) -> Result<&Engine<T>, PsfieldError> {
         self.engine.as_ref().ok_or_else(|| PsfieldError::needs_plan(what))
     }
@@ -140,8 +142,8 @@ pub struct Preparation<'a> {
     pub plan_seconds: f64,
 }
 
-/// Extended light for a convolver, and the column and the row of the scene at which it begins. They
-/// count pixels of the padded scene if there are galaxies.
+/// Extended light for a convolver, and the column and the row of the scene at which it begins. For
+/// a scene with galaxies, both count from the first pixel of the padded scene.
 type Light<'a, T> = (ImageView<'a, T>, (usize, usize));
 
 impl<T: ConvReal> Simulator<T> {
@@ -194,8 +196,9 @@ impl<T: ConvReal> Simulator<T> {
         conv_core::zeros((shape.ny(), shape.nx()))
     }
 
-    /// Adds the image of a scene to `image`, `[y, x]` of the frame or of the region. Returns the
-    /// number of tiles of extended light that were computed in each way.
+    /// Adds the image of a scene to `image`. `image` is `[y, x]` of the frame or, if the simulator
+    /// has a region, of this region. Returns counts of the tiles of extended light, one for each
+    /// way to convolve a tile.
     ///
     /// The scene's image has the shape of the simulator's scenes. If the simulator has a region, it
     /// may also be only the part of the scene whose light reaches the region
@@ -229,12 +232,13 @@ impl<T: ConvReal> Simulator<T> {
 
     /// Computes `A^T g` for an image `g`, where `A` is [`simulate`](Self::simulate) for scenes
     /// without stars and galaxies. For every such scene `f`, `<A f, g> = <f, A^T g>`. Each pixel of
-    /// the result is thus the derivative of `<A f, g>` with respect to this pixel of `f`. `image`
-    /// (`g`) is `[y, x]` of the frame or of the region. For a scene finer than the frame, `A`
-    /// convolves, samples at the centres of the frame's pixels, and multiplies by their area in
-    /// pixels of the scene. The result is `[y, x]` of the scene. If the simulator has a region, it
-    /// is only the part of the scene whose light reaches the region
-    /// ([`light_region`](Self::light_region)).
+    /// the result is thus the derivative of `<A f, g>` with respect to this pixel of `f`. For a
+    /// scene finer than the frame, `A` convolves, samples at the centres of the frame's pixels, and
+    /// multiplies by their area in pixels of the scene.
+    ///
+    /// `image` (`g`) is `[y, x]` of the frame, and the result is `[y, x]` of the scene. If the
+    /// simulator has a region, `image` is `[y, x]` of this region, and the result is only the part
+    /// of the scene whose light reaches the region ([`light_region`](Self::light_region)).
     ///
     /// # Errors
     /// [`ErrorKind::Convolution`] for an image of another shape, [`ErrorKind::Setting`] for a
@@ -314,9 +318,9 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Makes the models and the plans that scenes of this kind need, unless they exist. If `rows`
-    /// is true, the image of the scene will be read row by row ([`stream`](Self::stream)), and
-    /// `scene` does not hold it.
+    /// Makes the models and the plans that scenes like `scene` need (with or without an image,
+    /// stars and galaxies), unless they exist. If `rows` is true, the image of the scene will be
+    /// read row by row ([`stream`](Self::stream)), and `scene` does not hold it.
     ///
     /// # Errors
     /// [`PsfieldError`] if a fit or a plan fails, or if [`Device::Gpu`] was chosen and no GPU can
@@ -362,7 +366,7 @@ impl<T: ConvReal> Simulator<T> {
         })
     }
 
-    /// Returns whether [`prepare`](Self::prepare) has nothing left to make for scenes of this kind.
+    /// Returns whether [`prepare`](Self::prepare) has nothing left to make for scenes like `scene`.
     pub fn is_prepared(&self, scene: &Scene<'_, T>, rows: bool) -> bool {
         let extended = rows || has_extended_light(scene);
         (!extended || self.kept(scene).get().is_some())
@@ -420,7 +424,7 @@ impl<T: ConvReal> Simulator<T> {
         }
     }
 
-    /// The model on the scene's pixels, and the seconds that it took.
+    /// The model on the scene's pixels, and the seconds that its fit took.
     fn image_model(&self) -> Result<(&PsfModel, f64), PsfieldError> {
         let (psf, options) = (self.psf(), &self.options);
         let (model, seconds) = get_or_make(&self.shared.image_model, || {
@@ -605,7 +609,7 @@ fn has_extended_light<T: ConvReal>(scene: &Scene<'_, T>) -> bool {
 /// Copies the pixels of an image to a plane where both overlap. The image's first pixel lies at
 /// column and row `first` of the plane.
 fn assign_overlap<T: ConvReal>(mut plane: ArrayViewMut2<'_, T>, image: ArrayView2<'_, T>, first: (i64, i64)) {
-    // Returns the overlapping range of the plane, and that of the image.
+    // Returns the range of the overlap along one axis, in the plane and in the image.
     let along = |first: i64, plane: usize, image: usize| {
         let (of_plane, of_image) = (first.clamp(0, plane as i64), (-first).clamp(0, image as i64));
         let length = (plane as i64 - of_plane).min(image as i64 - of_image).max(0);

@@ -19,10 +19,10 @@ const TILES_AT_ONCE: usize = 64;
 /// For the accuracy, see the [crate's page](crate).
 ///
 /// An image drawn in parts, each with its own first pixel, equals the image drawn at once. The
-/// number of threads does not change the result. The additional memory is that of 64 tiles of 128 x
-/// 128 pixels. The time grows with the number of galaxies times the number of tiles that their
-/// light reaches. A galaxy with a half-light radius of 3 pixels takes about 1 ms on one core. Most
-/// of this time is spent on the pixels within about 50 pixels of its centre.
+/// number of threads does not change the result. The additional memory holds 64 tiles of 128 x 128
+/// pixels. The time grows with the number of galaxies times the number of tiles that their light
+/// reaches. A galaxy with a half-light radius of 3 pixels takes about 1 ms on one core. Most of
+/// this time is spent on the pixels within about 50 pixels of its centre.
 pub fn add_galaxies<T: Real>(
     image: ArrayViewMut2<'_, T>,
     first_pixel: (i64, i64),
@@ -116,9 +116,10 @@ const ABSOLUTE_ERROR: f64 = 1e-10;
 /// Largest relative size for which the estimates below hold.
 const LARGEST_SIZE: f64 = 3.5;
 
-/// Estimate of the relative error of a block's polynomial of relative size `t` (see [`Nearness`]),
-/// for both axes together. The m-th derivative, times the size to the power m, is taken as `t^m`.
-/// The next three functions are estimates for the Gauss-Legendre rules.
+/// Estimates the relative error of the polynomial on a block of relative size `t` (see
+/// [`Nearness`]), for both axes together. The estimate assumes that the m-th derivative times the
+/// m-th power of the size is `t^m` times the brightness. The next three functions are such
+/// estimates for the Gauss-Legendre rules.
 fn error_of_polynomial(t: f64) -> f64 {
     4.0 * (0.25 * t).powi(6) / 720.0
 }
@@ -300,7 +301,8 @@ fn rule_for(galaxy: &Profile, nearness: &Nearness, size: f64) -> Option<&'static
     }
 }
 
-/// The integral by a rule over a square whose centre is at (`dx`, `dy`) from the galaxy's centre.
+/// Integrates the brightness by a rule over a square whose centre is at (`dx`, `dy`) from the
+/// galaxy's centre.
 fn product(rule: &[(f64, f64)], galaxy: &Profile, dx: f64, dy: f64, size: f64) -> f64 {
     let mut sum = 0.0;
     for &(y, weight_y) in rule {

@@ -23,8 +23,8 @@
 //! fraction [`FLUX_LEFT_OUT`] of the total flux lies.
 //!
 //! # Method
-//! A square of the image is treated as one if it is small compared with the length over which the
-//! profile changes there. Otherwise it is divided into four squares. For a pixel or a part of a
+//! A square of the image is treated as a whole if it is small compared with the length over which
+//! the profile changes there. Otherwise it is divided into four squares. For a pixel or a part of a
 //! pixel, a Gauss-Legendre product rule integrates the profile. For a block of pixels far from the
 //! centre, a polynomial interpolates the flux per pixel, which is computed at 6 x 6 points. The
 //! polynomials of all galaxies are added before they are evaluated, so that far wings cost very

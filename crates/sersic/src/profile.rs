@@ -11,9 +11,10 @@ pub const FLUX_LEFT_OUT: f64 = 1e-9;
 /// A smaller half-light radius is replaced by this one. Even for `n = 8`, almost all light then
 /// falls in one pixel.
 const SMALLEST_RADIUS_PX: f64 = 1e-9;
-/// The m-th derivative along a line is at most about `I ((k + DERIVATIVE_OFFSET) / r)^m` for the
-/// orders used here (up to 8), with `k = -d ln I / d ln r`. The reason is that the derivatives of a
-/// power `r^-k` have the factors `k, k + 1 ... k + 7`.
+/// The m-th derivative along a line of the brightness `I` is at most about
+/// `I ((k + DERIVATIVE_OFFSET) / r)^m` for the orders used here (up to 8), with
+/// `k = -d ln I / d ln r`. The reason is that the derivatives of a power `r^-k` have the factors
+/// `k, k + 1 ... k + 7`.
 const DERIVATIVE_OFFSET: f64 = 3.0;
 
 /// Smallest and largest radius in the table of brightness, in units of the longest pixel step. At
@@ -53,8 +54,8 @@ pub(crate) struct Profile {
 
 /// The size of a square compared with the profile around it.
 pub(crate) struct Nearness {
-    /// The square's size divided by the length over which the profile changes at the point of the
-    /// square that is nearest to the galaxy's centre.
+    /// The square's size divided by the length over which the profile changes. This length is
+    /// taken at the square's nearest point to the galaxy's centre.
     pub(crate) relative_size: f64,
     /// Radius in (u, v) of this nearest point.
     pub(crate) radius: f64,
@@ -277,8 +278,8 @@ impl RadialTable {
         ])
     }
 
-    /// Returns the number and the coefficients of a squared radius's piece, and the position within
-    /// the piece.
+    /// Returns the piece that contains a squared radius: its number, its coefficients, and the
+    /// position within it. Returns `None` outside the table.
     #[inline]
     fn piece(&self, squared: f64) -> Option<(u64, [f64; 4], f64)> {
         const WITHIN: u64 = (1 << BITS_WITHIN) - 1;

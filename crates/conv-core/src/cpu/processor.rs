@@ -54,16 +54,18 @@ impl<T: ConvReal> Processor<T> {
     }
 }
 
-/// One execution of some rows of a plan's blocks: the light of one side, and the rows of the other
-/// side from `first_output` on.
+/// One execution of some rows of a plan's blocks. It takes light from one side (the light or, in
+/// the adjoint, the image) and adds to rows of the other side.
 #[derive(Clone)]
 pub(crate) struct LightPass<'a, T: ConvReal> {
     pub(crate) processor: &'a Processor<T>,
     /// Rows of blocks.
     pub(crate) rows: Range<usize>,
-    /// Whole rows of the side that the light comes from. `first_light` is the index of the first.
+    /// Whole rows of the side that the light comes from.
     pub(crate) light: ArrayView2<'a, T>,
+    /// The index of the first of these rows.
     pub(crate) first_light: usize,
+    /// The index of the first row of the output.
     pub(crate) first_output: usize,
     /// True if stamps are turned by 180 degrees.
     pub(crate) flip: bool,

@@ -41,8 +41,8 @@ impl<T: ConvReal> WithIsa<T> for Scatter<'_, '_, T> {
         let plan = &self.pass.processor.plan;
         let extents = (plan.extents(0), plan.extents(1));
         let columns = &extents.0;
-        // The colours are counted over all rows of blocks, so that a band is computed like the
-        // whole frame.
+        // The colours are counted over all rows of blocks, so that a band has the same colours if
+        // it is executed alone.
         let (column_colours, row_colours) = (colours(columns), colours(&extents.1));
         let bands: Vec<usize> = self.pass.rows.clone().step_by(plan.tiling.band()).collect();
         let mut counts = TileCounts::default();

@@ -60,7 +60,8 @@ impl<T: ConvReal> TileEngine<'_, T> {
         }
     }
 
-    /// Adds the contributions of single pixels of the light around a tile to the tile.
+    /// Draws single pixels of the light around a tile: adds to `output`, which has the tile's size,
+    /// the light that falls on the tile.
     #[inline(always)]
     pub(crate) fn draw_gathered<S: Lanes<T>>(
         &self,

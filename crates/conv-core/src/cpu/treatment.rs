@@ -180,8 +180,8 @@ fn rescale<T: ConvReal>(light: &mut Light, plane: &mut [T]) -> Option<T> {
 }
 
 /// Returns the method for the light in `workspace.light` as a whole, and the pixels to be drawn
-/// stamp by stamp. If there are both, removes these pixels from the light. The light has `size`
-/// columns and rows. Drawing one pixel costs `draw` seconds.
+/// stamp by stamp. If there are both, removes these pixels from the light. `(columns, rows)` is the
+/// size of the light and `tile` the size of the tile. Drawing one pixel costs `draw` seconds.
 fn choose<T: ConvReal>(
     pass: &LightPass<'_, T>,
     light: Light,
@@ -286,7 +286,7 @@ pub struct TileCounts {
     /// All pixels drawn stamp by stamp. This includes very bright pixels of transformed tiles,
     /// whose rounding noise would have exceeded the faint light.
     pub drawn_pixels: usize,
-    /// The sum of the numbers of modes of all transformed tiles, the reference included.
+    /// The modes of all transformed tiles, added up. The reference counts as a mode.
     pub modes: usize,
 }
 

@@ -20,7 +20,7 @@ pub struct Adapter {
     /// The most bytes of a buffer that a shader can access at once. Work is divided into pieces of
     /// at most this size.
     pub largest_binding: u64,
-    /// Bytes that the threads of a workgroup share. They limit the size of transforms.
+    /// Bytes of memory that the threads of a workgroup share. This limits the size of transforms.
     pub workgroup_memory: u32,
     /// The most threads of a workgroup.
     pub workgroup_threads: u32,

@@ -1,4 +1,4 @@
-//! The calls of shaders for a batch, in order.
+//! The shader calls for a batch, in order.
 
 use std::ops::Range;
 

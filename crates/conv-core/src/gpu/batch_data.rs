@@ -66,8 +66,8 @@ pub(super) struct BatchData {
 }
 
 impl BatchData {
-    /// Computes the data. With `marks`, measures the work as a part of an execution. With `flip`,
-    /// stamps are turned by 180 degrees.
+    /// Computes the data. With `marks`, the stopwatch measures this work as a part of an execution.
+    /// With `flip`, stamps are turned by 180 degrees.
     pub(super) fn new<T: ConvReal>(
         device: &Attempt,
         pipelines: &Pipelines,
@@ -139,7 +139,7 @@ impl BatchData {
         batch: &Batch,
     ) -> Calls<'a> {
         let stamp = params.stamp;
-        // Each tile has one kernel here.
+        // Each stamp is transformed like the light of a tile with one kernel.
         let place = Place {
             kernels: 1,
             ..Place::default()
@@ -182,7 +182,7 @@ impl BatchData {
     }
 }
 
-/// A part's coefficients and stamps as words.
+/// A part's coefficients and stamps as 32-bit words.
 fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
     let kernels = BlockKernels::new(plan, part.block);
     let (table, stamps) = (kernels.table(), kernels.stamps());
@@ -195,11 +195,17 @@ fn words_of<T: ConvReal>(plan: &Plan<T>, part: &Part) -> (Vec<u32>, Vec<u32>) {
 const HEADER: usize = 9;
 
 impl<T: ConvReal> CoefficientTable<T> {
-    /// Packs the coefficients of some kernels in f32 for `coefficients.wgsl`. The header holds:
-    /// whether values are given pixel by pixel, the number of functions, whether functions are
-    /// divided by the first, the number of kernels without a function, columns, rows, and the first
-    /// words of the row starts, the runs' first columns and the values. These three arrays follow.
-    /// Words count from the table's first word.
+    /// Packs the coefficients of some kernels in f32 for `coefficients.wgsl`. The words of the
+    /// header are, in order:
+    ///
+    /// - whether values are given pixel by pixel,
+    /// - the number of functions,
+    /// - whether functions are divided by the first function,
+    /// - the number of kernels without a function,
+    /// - the numbers of columns and of rows,
+    /// - the first words of three arrays: row starts, first columns of the runs, values.
+    ///
+    /// The three arrays follow the header. Their first words count from the table's first word.
     pub(crate) fn packed(&self, kernels: Range<usize>) -> Vec<u32> {
         let functions = self.functions_of(kernels.clone());
         let plain = kernels

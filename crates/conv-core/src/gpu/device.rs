@@ -40,8 +40,9 @@ struct Trouble {
     lost: Option<String>,
     /// The number of times that the GPU's memory was full.
     out_of_memory: u64,
-    /// The number of other errors, and the text of the last.
+    /// The number of other errors.
     complaints: u64,
+    /// The message of the last other error.
     last: String,
 }
 
@@ -51,14 +52,15 @@ struct Trouble {
 #[derive(Debug)]
 pub(super) struct Attempt {
     device: GpuDevice,
-    /// Errors before the work began: the number of times that memory was full, and of other errors.
+    /// Errors before the work began: the number of times that memory was full, and the number of
+    /// other errors.
     before: (u64, u64),
 }
 
 impl GpuDevice {
     /// Opens the preferred adapter, or the first that matches a name. A name matches if it is a
-    /// part of the adapter's name or its backend. Upper and lower case are equal. Discrete GPUs are
-    /// preferred to integrated ones, and software is last.
+    /// part of the adapter's name, or is the adapter's backend. Upper and lower case are equal.
+    /// Discrete GPUs are preferred to integrated ones, and software is last.
     ///
     /// # Errors
     /// [`GpuError`] if there is no GPU, if none matches the name, or if the driver cannot open the
@@ -236,7 +238,7 @@ impl Trouble {
     }
 }
 
-/// Ignores poisoning: a panic of another thread does not make the data invalid.
+/// Locks a mutex. Ignores poisoning: a panic of another thread does not make the data invalid.
 pub(super) fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

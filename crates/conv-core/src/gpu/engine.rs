@@ -23,7 +23,7 @@ pub(crate) struct GpuEngine {
     pub(crate) device: GpuDevice,
     plan: GpuPlan,
     forward: Layout,
-    /// Layout of the transpose, made when it is first needed.
+    /// The layout of the adjoint, made when it is first needed.
     adjoint: OnceLock<Layout>,
     /// Sets of buffers that no execution uses at present. Each execution takes one set and puts it
     /// back.

@@ -29,7 +29,7 @@ pub(super) struct FftSource {
     padded: bool,
 }
 
-/// A register: its number, and the line and the index along the line of its value.
+/// A register, and the place of its value: the line, and the index along this line.
 pub(super) struct Register<'a> {
     pub(super) number: usize,
     pub(super) line: &'a str,
@@ -116,8 +116,8 @@ impl FftSource {
         self.radices.iter().map(of_stage).max().unwrap_or(0)
     }
 
-    /// A transform in registers `v`. `load` returns the expression of an input value at a line and
-    /// an index.
+    /// The code of a transform in registers `v`. `load` returns the expression of an input value at
+    /// a line and an index.
     pub(super) fn forward(&self, load: impl Fn(&str, &str) -> String) -> String {
         let input = self.at_each(self.radices[0], |register| {
             format!("v{} = {};", register.number, load(register.line, register.index))
@@ -125,9 +125,9 @@ impl FftSource {
         input + &self.stages(self.radices.iter().copied())
     }
 
-    /// The transform back of the values that [`each_result`](Self::each_result) left in the
-    /// registers `v`. Real and imaginary parts are swapped before and after it. Its results are
-    /// where [`each_result_back`](Self::each_result_back) finds them.
+    /// The code of the transform back, which begins with the values in the registers `v` where
+    /// [`each_result`](Self::each_result) left them. The shader swaps real and imaginary parts
+    /// before and after it. [`each_result_back`](Self::each_result_back) finds the results.
     pub(super) fn back_of_swapped(&self) -> String {
         self.stages(self.radices.iter().rev().copied())
     }
@@ -238,8 +238,8 @@ impl FftSource {
     }
 }
 
-/// Leaves one place in nine empty, so that neighbouring threads access different banks for any
-/// radix.
+/// Returns the number of places for some values if one place in nine is left empty. Neighbouring
+/// threads then access different banks of the memory for any radix.
 fn padded(values: usize) -> usize {
     values + values / 8
 }
@@ -270,7 +270,7 @@ fn radices(n: usize) -> Option<Vec<usize>> {
     Some(even)
 }
 
-/// A transform of a few values in place: `exp(-2 pi i j k / n)`.
+/// The code of a transform of a few values in place, `sum_j v_j exp(-2 pi i j k / n)`.
 fn butterfly(v: &[String]) -> String {
     match v {
         [a, b, c] => format!(

@@ -1,4 +1,4 @@
-//! The work of a plan in one direction, divided for a GPU.
+//! The work of a plan in one direction (forward or adjoint), divided for a GPU.
 
 use std::sync::Arc;
 
@@ -23,9 +23,9 @@ impl GpuOptions {
     /// The default size of pieces of work: 64 MiB.
     pub const DEFAULT_PIECE_BYTES: u64 = 64 << 20;
 
-    /// Limits the GPU memory that the plan keeps for spectra and coefficients. Each execution
-    /// computes again the spectra and coefficients that do not fit. The limit does not include the
-    /// working memory, which is a few pieces of [`with_pieces`](Self::with_pieces).
+    /// Limits the GPU memory that the plan keeps for spectra, stamps and coefficients. Each
+    /// execution computes again the data that do not fit. The limit does not include the working
+    /// memory, which has the size of a few pieces of work ([`with_pieces`](Self::with_pieces)).
     #[must_use]
     pub fn with_memory(self, bytes: u64) -> Self {
         Self {
@@ -34,8 +34,8 @@ impl GpuOptions {
         }
     }
 
-    /// Sets the size of pieces of work: the most bytes of a buffer of a piece. The adapter's own
-    /// limit also applies.
+    /// Sets the size of pieces of work: the most bytes of each buffer that a piece uses. A piece
+    /// that cannot be that small may exceed this limit, but not the adapter's own limit.
     #[must_use]
     pub fn with_pieces(self, bytes: u64) -> Self {
         Self {
@@ -49,7 +49,7 @@ impl GpuOptions {
         self.memory_bytes
     }
 
-    /// The most bytes of a buffer of a piece of work.
+    /// The most bytes of each buffer that a piece of work uses.
     pub fn piece_bytes(&self) -> u64 {
         self.piece_bytes
     }
@@ -64,7 +64,7 @@ impl Default for GpuOptions {
     }
 }
 
-/// The work in one direction, and the data kept for it.
+/// The work of a plan in one direction (forward or adjoint), and the data kept for it.
 #[derive(Debug)]
 pub(super) struct Layout {
     pub(super) direction: Direction,
@@ -86,8 +86,9 @@ pub(super) struct GpuPlan {
 }
 
 impl GpuPlan {
-    /// Divides the work in one direction. Computes the data of batches that do not depend on the
-    /// light, as far as they fit into the memory of the options less the bytes already `taken`.
+    /// Divides the work of the convolution, or of its adjoint if `flip` is true. Computes the data
+    /// of batches that do not depend on the light, as far as they fit into the memory limit of the
+    /// options. `taken` bytes of this memory are already in use.
     pub(super) fn layout<T: ConvReal>(
         &self,
         plan: &Plan<T>,

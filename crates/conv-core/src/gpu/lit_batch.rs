@@ -15,8 +15,8 @@ use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
 /// Lit tiles with their colours, and the single pixels to be drawn. Before
-/// [`find_tables`](Self::find_tables), `place.table` of a tile holds the index of its part, not the
-/// place of a table.
+/// [`find_tables`](Self::find_tables), `place.table` of a tile holds the index of the tile's part,
+/// not the first word of a table.
 #[derive(Debug, Default)]
 pub(super) struct LitBatch {
     pub(super) tiles: Vec<(usize, Tile)>,
@@ -31,7 +31,8 @@ impl LitBatch {
         self.tiles.is_empty() && self.drawn.is_empty()
     }
 
-    /// Replaces the indices of parts by the places of their tables.
+    /// Replaces the part index in each tile's `place.table` by the first word of the part's table.
+    /// `starts` are the first words, by part.
     pub(super) fn find_tables(&mut self, starts: &[u32]) {
         let tables = self.tiles.iter_mut().map(|(_, tile)| &mut tile.place.table);
         let of_drawn = self.drawn.iter_mut().map(|(_, tile)| &mut tile.draw.place.table);
@@ -44,7 +45,7 @@ impl LitBatch {
 /// Single pixels of a tile, and the data needed to draw them.
 #[derive(Debug)]
 pub(super) struct DrawnTile {
-    /// The places of its pixels and amounts are not set yet.
+    /// `first_pixel` and `first_amount` are not set yet.
     pub(super) draw: Draw,
     /// Row and column of each stamp's first pixel within the result.
     pub(super) pixels: Vec<[i32; 2]>,

@@ -1,11 +1,10 @@
 //! Division of a plan's work into pieces that a GPU can access at once.
 //!
 //! A *panel* is a rectangle of tiles whose result fits into one buffer. It lies within one band of
-//! the plan's blocks. Its tiles are processed in *batches*, whose planes, spectra, light and
-//! coefficients fit into one buffer each. A *part* is the share of a block in a batch: some of its
-//! tiles and some of its kernels, in most cases all of both. A tile's result is the sum over all
-//! parts that hold the tile. So a tile whose planes do not fit at once is processed in several
-//! batches.
+//! the plan's blocks. Its tiles are processed in *batches*, whose planes, spectra, light and stamps
+//! fit into one buffer each. A *part* is the share of a block in a batch: some of its tiles and
+//! some of its kernels, in most cases all of both. A tile's result is the sum over all parts that
+//! hold the tile. So a tile whose planes do not fit at once is processed in several batches.
 
 use std::ops::Range;
 
@@ -30,7 +29,8 @@ pub(crate) struct TileGrid {
     blocks_across: usize,
     /// The number of rows of blocks processed together.
     band: usize,
-    /// The number of colours along both axes, for tiles whose light spreads.
+    /// The number of colours along both axes, for tiles whose light spreads. Tiles of one colour
+    /// write to different pixels.
     colours: [usize; 2],
 }
 
@@ -40,7 +40,7 @@ pub(crate) struct AxisTile {
     start: usize,
     length: usize,
     block: usize,
-    /// Counted from the block's first pixel.
+    /// The tile's first pixel, counted from the block's first pixel.
     corner: usize,
 }
 
@@ -83,7 +83,7 @@ impl TileGrid {
         }
     }
 
-    /// The rows of tiles in each band of rows of blocks processed together.
+    /// For each band (some rows of blocks that are processed together), the rows of its tiles.
     pub(crate) fn bands(&self) -> Vec<Range<usize>> {
         let rows = &self.tiles[1];
         let mut bands: Vec<Range<usize>> = Vec::new();
@@ -126,7 +126,7 @@ impl TileGrid {
         }
     }
 
-    /// The colour of a tile. Tiles of one colour do not overlap.
+    /// The colour of a tile. The results of tiles of one colour do not overlap.
     pub(crate) fn colour(&self, direction: Direction, column: usize, row: usize) -> usize {
         match direction {
             Direction::Scatter => column % self.colours[0] + self.colours[0] * (row % self.colours[1]),
@@ -158,9 +158,9 @@ impl Rectangle {
 /// Tiles whose results share a buffer.
 #[derive(Debug)]
 pub(super) struct Panel {
-    /// Rows of blocks that it has tiles of.
+    /// The rows of blocks to which its tiles belong.
     pub(super) block_rows: Range<usize>,
-    /// The pixels that its tiles reach.
+    /// The pixels to which its tiles write.
     pub(super) output: Rectangle,
     pub(super) batches: Vec<Batch>,
 }
@@ -169,11 +169,13 @@ pub(super) struct Panel {
 #[derive(Debug, Default)]
 pub(super) struct Batch {
     pub(super) parts: Vec<Part>,
-    /// The number of values of light, of planes, of spectra, and of values of stamps, in this
-    /// order.
+    /// The number of values of light.
     pub(super) light: usize,
+    /// The number of planes.
     pub(super) planes: usize,
+    /// The number of spectra.
     pub(super) spectra: usize,
+    /// The number of values of all stamps.
     pub(super) stamps: usize,
 }
 
@@ -186,8 +188,9 @@ pub(super) struct Part {
     pub(super) number: u32,
     pub(super) kernels: Range<usize>,
     pub(super) tiles: Vec<TileSlot>,
-    /// The indices of its first spectrum and of the first value of its stamps in the batch.
+    /// The index of its first spectrum in the batch.
     pub(super) spectrum: usize,
+    /// The index of the first value of its stamps in the batch.
     pub(super) stamp: usize,
 }
 
@@ -195,10 +198,11 @@ pub(super) struct Part {
 #[derive(Debug, Clone, Copy)]
 pub(super) struct TileSlot {
     pub(super) tile: PlacedTile,
-    /// Tiles of one colour do not overlap.
+    /// The results of tiles of one colour do not overlap.
     pub(super) colour: usize,
-    /// The indices of the first value of its light and of its first plane in the batch.
+    /// The index of the first value of its light in the batch.
     pub(super) light: usize,
+    /// The index of its first plane in the batch.
     pub(super) plane: usize,
 }
 
@@ -211,11 +215,12 @@ pub(super) struct Limits<'a> {
     pub(super) piece: u64,
 }
 
-/// The most planes of a batch: the limit of the workgroups of a dispatch along an axis.
+/// The most planes of a batch. A dispatch allows at most this many workgroups along an axis.
 const MOST_PLANES: usize = 65_535;
 const F32: u64 = 4;
 
-/// Divides the work in one direction into panels, from the first row of blocks to the last.
+/// Divides a plan's work into panels, from the first row of blocks to the last. Tiles scatter or
+/// gather light, as `direction` says.
 pub(super) fn panels(
     plan: &TileGrid,
     source: &PlaneSource,
@@ -252,8 +257,9 @@ struct Packing<'a> {
 }
 
 impl Packing<'_> {
-    /// Groups neighbouring tiles along an axis so that their results, `across` pixels wide, fit
-    /// into a piece. Along x, a piece must also hold the tallest tile.
+    /// Groups neighbouring tiles along an axis so that the results of each group fit into a piece.
+    /// Along y (axis 1), results are `across` pixels wide. Along x (axis 0), `across` is not used:
+    /// results are as high as the result of the tallest tile.
     fn groups(
         &self,
         axis: usize,

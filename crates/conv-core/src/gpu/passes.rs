@@ -17,9 +17,10 @@ pub(super) struct Calls<'a> {
     device: &'a GpuDevice,
     pipelines: &'a Pipelines,
     params: wgpu::Buffer,
-    /// The bytes of all parameters. The parameters of each call begin at an offset that the adapter
-    /// allows.
+    /// The bytes of all parameters.
     bytes: Vec<u8>,
+    /// The number of bytes from the parameters of one call to the next. The adapter requires that
+    /// they begin at multiples of a given number.
     step: usize,
     list: Vec<Call>,
 }

@@ -11,10 +11,11 @@ use super::device::GpuDevice;
 pub struct GpuTimes {
     /// The whole execution, from light in the host's memory to the image in the host's memory.
     pub total: Duration,
-    /// Shaders, by the GPU's own clock. `None` if it has no readable clock.
+    /// Shaders, by the GPU's own clock. `None` if the GPU has no readable clock, or if there were
+    /// more steps than psfield can time.
     pub kernels: Option<Duration>,
     /// Copies of the light to the GPU's memory and of the image from it, by the GPU's own clock.
-    /// `None` if it has no readable clock.
+    /// `None` as for `kernels`.
     pub transfers: Option<Duration>,
     /// Work of the host: inspecting and copying the light, and adding the result to the image.
     pub host: Duration,

@@ -22,8 +22,9 @@ pub struct GpuWork {
 const F32: u64 = 4;
 
 impl GpuWork {
-    /// Adds a tile with some kernels. The pairs are numbers of values: of a plane and of the part
-    /// of it that the tile's light fills, of the tile's light and of its result.
+    /// Adds the bytes of a tile with some kernels. The two pairs are numbers of values: `plane` in
+    /// a plane, `filled` in the part of a plane that the light fills, `light` in the tile's light,
+    /// and `result` in the tile's result.
     pub(crate) fn add_tile(
         &mut self,
         kernels: u64,
@@ -44,12 +45,12 @@ impl GpuWork {
         self.bus_bytes += F32 * light;
     }
 
-    /// Adds the spectra of a block's kernels.
+    /// Adds the bytes of the spectra of a block's kernels.
     pub(crate) fn add_block(&mut self, kernels: u64, plane: u64) {
         self.memory_bytes += F32 * kernels * plane;
     }
 
-    /// Adds the image.
+    /// Adds the bytes of the image that is copied to the host.
     pub(crate) fn add_image(
         &mut self,
         weighted: (usize, usize),
@@ -66,8 +67,8 @@ impl GpuWork {
     /// Predicted seconds on a kind of adapter. The constants are rounded guesses for such hardware,
     /// not measurements. They are only good enough to choose a device.
     pub(crate) fn seconds(&self, kind: AdapterKind) -> f64 {
-        // Three constants: bytes per second over the bus, including the work of the host; bytes per
-        // second of the GPU's memory; seconds to start.
+        // Bytes per second over the bus (including the work of the host), bytes per second of the
+        // GPU's memory, and seconds to start.
         let (bus, memory, start) = match kind {
             AdapterKind::Discrete | AdapterKind::Virtual => (8e9, 2e11, 1e-3),
             AdapterKind::Integrated | AdapterKind::Other => (8e9, 3e10, 1e-3),

@@ -75,7 +75,8 @@ impl<T: ConvReal> Block<T> {
         })
     }
 
-    /// The kernels as vectors `[kernel, direction]`.
+    /// The kernels as vectors `[kernel, direction]`: the reference, if there is one, then the
+    /// modes.
     fn directions(&self) -> Array2<f64> {
         let modes = self.modes.modes.view();
         match self.modes.reference() {

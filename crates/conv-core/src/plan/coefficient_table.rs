@@ -36,18 +36,20 @@ pub struct CoefficientTable<T> {
 
 #[derive(Debug)]
 pub(crate) enum Values<T> {
-    /// Runs along which every function is linear: `(start, slope)` per run and function.
+    /// Runs along which every function is linear.
     Linear {
+        /// The index of each row's first run, then the number of all runs.
         row_starts: Vec<u32>,
         /// First column and length of each run.
         runs: Vec<(u32, u32)>,
+        /// `[start, slope]` per run and function.
         ramps: Vec<[T; 2]>,
     },
     /// Values `[function, y, x]`.
     Dense(Vec<T>),
 }
 
-/// Fluxes are equal if they differ by less than this fraction.
+/// Fluxes count as equal if they differ by less than this fraction.
 const SAME_FLUX: f64 = 4e-16;
 
 impl FluxRole {
@@ -83,7 +85,8 @@ impl FluxRole {
         !matches!(self, Self::Constant | Self::NoReference { scaled: false })
     }
 
-    /// The index of the function that a kernel's light is multiplied by, if any.
+    /// The index of the function that multiplies a kernel's light. `None` if the light is left
+    /// unchanged.
     pub(crate) fn function_of(self, kernel: usize) -> Option<usize> {
         match self {
             Self::Constant => kernel.checked_sub(1),

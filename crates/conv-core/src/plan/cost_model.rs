@@ -15,19 +15,21 @@ pub(crate) struct CostModel {
 /// Seconds of a transform of `n` values, divided by `n log2 n`, if a plane and its spectra stay in
 /// the L2 cache.
 const TRANSFORM: f64 = 17e-12;
-/// Like [`TRANSFORM`], for larger planes, which do not stay in the L2 cache.
+/// Like [`TRANSFORM`], for planes of up to 300 000 values, which do not stay in the L2 cache.
 const TRANSFORM_LARGE: f64 = 21e-12;
+/// Like [`TRANSFORM`], for still larger planes.
 const TRANSFORM_HUGE: f64 = 24e-12;
 /// A complex multiply-add, per value of the plane.
 const MULTIPLY: f64 = 0.09e-9;
 /// Multiplication of a pixel's light by the coefficient of one mode.
 const MULTIPLY_LIGHT: f64 = 0.10e-9;
-/// Reading a pixel's light, and adding a pixel to the image.
+/// Reading a pixel's light, or adding a pixel to the image, per pixel of the tile.
 const READ_OR_ADD_PIXEL: f64 = 0.15e-9;
+/// Adding a tile's plane to the image, per value of the plane.
 const ADD: f64 = 0.20e-9;
 /// Drawing a stamp and adding it to the image, per stamp pixel and mode.
 const DRAW: f64 = 0.05e-9;
-/// Factor for drawing where coefficients change from pixel to pixel.
+/// Factor on [`DRAW`] if every pixel that receives light has its own coefficients.
 const DRAW_GATHERED: f64 = 6.0;
 /// Computing a local stamp, per stamp pixel and per stamp of the model.
 const MAKE_STAMP: f64 = 0.1e-9;
@@ -70,7 +72,7 @@ impl CostModel {
         self.width * MULTIPLY * (nx * ny) as f64
     }
 
-    /// A tile of `(nx, ny)` pixels by transforms of `size`, with local kernels already computed.
+    /// Convolving a tile by transforms of `size`. The cost of the kernels' spectra is separate.
     pub(crate) fn tile(self, tile: (usize, usize), size: (usize, usize), kernels: f64) -> f64 {
         let pixels = (tile.0 * tile.1) as f64;
         let plane = (size.0 * size.1) as f64;
@@ -117,7 +119,8 @@ fn fast(at_least: usize, step: usize) -> usize {
     n
 }
 
-/// Allows at most two factors of 3 or 5, because each costs more than a factor of 2.
+/// Returns whether a size is a power of 2 times at most two factors of 3 or 5. More of these
+/// factors are not allowed, because each costs more than a factor of 2.
 fn is_fast(n: usize) -> bool {
     let mut odd = n >> n.trailing_zeros();
     let mut factors = 0;

@@ -8,14 +8,15 @@ use super::region_cells::{CORNERS, RegionCells};
 
 /// Coordinates in which the norm of a vector is the L2 norm of its PSF.
 ///
-/// The components of a basis are already orthonormal. The mean stamp gets a direction of its own
-/// for the part that the components do not span. A PSF of the model is `mean + sum_n w_n node_n`,
-/// with the weights of the coefficient field.
+/// The components of a basis are already orthonormal. One more direction holds the part of the mean
+/// stamp that the components do not span. A PSF of the model is `mean + sum_n w_n node_n`, where
+/// `w_n` is the weight of node `n` of the coefficient field.
 #[derive(Debug)]
 pub struct PsfSpace {
     /// Orthonormal stamps, `[direction, stamp pixel]`.
     pub(crate) stamps: Array2<f64>,
-    /// The field's nodes, `[node, direction]`.
+    /// For each node of the coefficient field, the PSF minus the mean in these coordinates,
+    /// `[node, direction]`.
     nodes: Array2<f64>,
     pub(crate) mean: Array1<f64>,
     /// The flux of each orthonormal stamp.
@@ -91,13 +92,13 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
 /// leaving out modes keeps the flux.
 ///
 /// The modes are orthonormal, and ordered by their mean squared coefficient, the largest first. If
-/// there is no reference, the first mode is the only one that holds flux. The fewest modes are kept
-/// for which the error of every PSF of the region, relative to its own norm, is within the
-/// tolerance.
+/// there is no reference, the first mode is the only one that holds flux. As few modes are kept as
+/// represent every PSF of the region within the tolerance. The error of a PSF is relative to the
+/// PSF's own norm.
 ///
 /// It is enough to test the corners of each cell. PSFs are bilinear in a cell, so along any row or
-/// column of the cell the norm of the error is convex. It is compared with the PSF's projection on
-/// the region's mean. This projection is linear there, and at most the PSF's norm.
+/// column of the cell the norm of the error is convex. This norm is compared with the PSF's
+/// projection on the region's mean. The projection is linear there, and at most the PSF's norm.
 #[derive(Debug)]
 pub struct LocalModes {
     /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little
@@ -119,8 +120,8 @@ const SUPPORT_CELLS: usize = 16;
 /// The region's mean is the reference if it holds at least this fraction of the largest flux that a
 /// vector of its norm can hold.
 const MIN_REFERENCE_FLUX: f64 = 1e-3;
-/// A part along the flux direction counts as rounding if it is at most this fraction of the largest
-/// norm.
+/// The part of a node along the flux direction counts as rounding if it is at most this fraction of
+/// the largest norm of the nodes.
 const NO_FLUX: f64 = 1e-12;
 /// A direction counts as rounding if no node's part along it exceeds this fraction of the largest
 /// norm of the nodes.
@@ -365,7 +366,8 @@ fn principal_axes(covariance: &Array2<f64>) -> Array2<f64> {
     Array2::from_shape_fn((n, n), |(i, j)| eigen.eigenvectors[(i, order[j])])
 }
 
-/// Returns the smallest number of leading coordinates that leaves every PSF within its limit.
+/// Returns the smallest number of leading coordinates to keep, so that for every PSF the norm of
+/// the other coordinates is within the PSF's limit.
 fn needed(
     cells: &RegionCells,
     nodes: ArrayView2<'_, f64>,

@@ -3,9 +3,9 @@
 //!
 //! PSFs belong to the pixels of one side: the light (source-anchored) or the image
 //! (output-anchored). A plan divides this side into blocks ([`tiling`]). For each block it finds
-//! the few modes that represent every PSF within the tolerance ([`local_modes`]), from the weights
-//! of the coefficient field's nodes along rows ([`region_cells`]). It keeps the stamps and
-//! coefficients of these modes ([`coefficient_table`]).
+//! the few modes that represent every PSF within the tolerance ([`local_modes`]). It computes them
+//! from the weights with which the coefficient field combines its nodes in the block
+//! ([`region_cells`]). It keeps the stamps and coefficients of these modes ([`coefficient_table`]).
 
 pub(crate) mod axis_cuts;
 pub(crate) mod block;
@@ -50,9 +50,9 @@ const BLOCKS_PER_PRODUCT: usize = 32;
 /// the light.
 ///
 /// In a tile the PSFs are `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The reference is a PSF
-/// of unit flux. There are only as many modes as represent each PSF within the tolerance. The modes
-/// hold no flux, so flux is kept at any tolerance. If the PSFs of a tile hold too little flux for a
-/// reference, a single mode carries all flux and is always kept.
+/// of unit flux. A tile has as few modes as can represent each of its PSFs within the tolerance.
+/// The modes hold no flux, so flux is kept at any tolerance. If the PSFs of a tile hold too little
+/// flux for a reference, a single mode carries all flux and is always kept.
 #[derive(Debug)]
 pub struct Plan<T: ConvReal> {
     pub(crate) model: PsfModel,
@@ -91,8 +91,8 @@ impl<T: ConvReal> Plan<T> {
     /// rounding, at any tolerance. So the edges of regions are not visible.
     ///
     /// Executions accept the whole light or only its part in [`light_region`](Self::light_region).
-    /// Their image is that of the region. `progress` is polled and may cancel the planning. It
-    /// receives no steps.
+    /// Their image covers only the region. `progress` is polled and may cancel the planning. No
+    /// steps are reported to it.
     ///
     /// This function chooses the tiles again, as for the whole frame.
     /// [`for_other_region`](Self::for_other_region) reuses them.
@@ -194,8 +194,8 @@ impl<T: ConvReal> Plan<T> {
         Ok(plan)
     }
 
-    /// Plans the blocks at some columns and rows of the whole frame's blocks, row by row. Keeps
-    /// their coefficients as long as memory is left. Returns the bytes of memory that remain.
+    /// Plans some of the whole frame's blocks, row by row. `columns` and `rows` count blocks. Keeps
+    /// the blocks' coefficients as long as memory is left. Returns the bytes of memory that remain.
     fn add_blocks(
         &mut self,
         [columns, rows]: &[Range<usize>; 2],
@@ -279,8 +279,8 @@ impl<T: ConvReal> Plan<T> {
         self.region
     }
 
-    /// The part of the light that reaches the frame, or the plan's region of it, in pixels of the
-    /// light.
+    /// The part of the light that reaches the frame (or only the plan's region, if it has one), in
+    /// pixels of the light.
     pub fn light_region(&self) -> PixelRegion {
         let [columns, rows] = &self.light;
         let shape = FrameShape::new(columns.len(), rows.len()).expect("the part contains the region");
@@ -309,7 +309,8 @@ impl<T: ConvReal> Plan<T> {
         }
     }
 
-    /// The direction in which light passes, reversed if `transposed` is true.
+    /// The direction in which light passes in a convolution, or in the adjoint if `transposed` is
+    /// true.
     pub(crate) fn direction(&self, transposed: bool) -> Direction {
         match (self.options.anchor(), transposed) {
             (Anchor::Output, false) | (Anchor::Source, true) => Direction::Gather,
@@ -317,7 +318,7 @@ impl<T: ConvReal> Plan<T> {
         }
     }
 
-    /// Predicted seconds for a fully lit tile, and whether it is convolved without transforms.
+    /// Predicted seconds for a fully lit tile, and whether the tile is convolved by the direct sum.
     pub(crate) fn whole_tile(&self, tile: (usize, usize), kernels: usize) -> (f64, bool) {
         let transforms = self.cost.tile(tile, self.tiling.size, kernels as f64);
         let direct = self.cost.direct(tile, self.geometry.stamp, kernels);
@@ -332,8 +333,8 @@ impl<T: ConvReal> Plan<T> {
         &self.blocks[row * self.tiling.columns.len() + column]
     }
 
-    /// The columns (axis 0) or rows (axis 1) of the other side that each column or row of blocks
-    /// reaches.
+    /// For each column (axis 0) or row (axis 1) of blocks, the first pixel and the end of the range
+    /// that it reaches on the other side. The blocks divide one side, the light or the image.
     pub(crate) fn extents(&self, axis: usize) -> Vec<(usize, usize)> {
         let stretches = [&self.tiling.columns, &self.tiling.rows][axis].iter();
         let reached = stretches.map(|s| self.geometry.reached(axis, s.start()..s.end()));

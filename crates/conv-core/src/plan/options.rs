@@ -57,7 +57,7 @@ impl PlanOptions {
         }
     }
 
-    /// Sets the anchoring.
+    /// Sets the position at which the PSF is evaluated: source or output pixel.
     #[must_use]
     pub fn with_anchor(self, anchor: Anchor) -> Self {
         Self { anchor, ..self }
@@ -70,10 +70,10 @@ impl PlanOptions {
     }
 
     /// Limits the memory for the coefficients and stamps that the plan keeps. Each execution
-    /// computes again the coefficients and stamps that do not fit, which takes time. So another
-    /// limit may lead to other tiles. The result then differs within the tolerance. The limit does
-    /// not include the model, the modes (a few kB per block) and the working memory of threads (a
-    /// few MB each, with a spectrum for each mode of a tile).
+    /// computes again the coefficients and stamps that do not fit, which takes time. The choice of
+    /// tiles considers this time, so another limit may lead to other tiles. The result then differs
+    /// within the tolerance. The limit does not include the model, the modes (a few kB per block)
+    /// or the working memory of threads (a few MB each, with a spectrum for each mode of a tile).
     #[must_use]
     pub fn with_memory(self, bytes: usize) -> Self {
         Self {
@@ -95,7 +95,7 @@ impl PlanOptions {
         self.tolerance.max((T::epsilon().as_f64() / 16.0).max(1e-15))
     }
 
-    /// The anchoring.
+    /// The position at which the PSF is evaluated: source or output pixel.
     pub fn anchor(&self) -> Anchor {
         self.anchor
     }

@@ -1,4 +1,7 @@
 //! The weights of a coefficient field's nodes over a region.
+//!
+//! At each pixel, a field's coefficients are `sum_n w_n v_n`. Node `n` has the values `v_n`
+//! ([`CoefficientField::node_values`]) and, at this pixel, the weight `w_n`.
 
 use std::ops::Range;
 
@@ -30,8 +33,8 @@ pub(crate) struct Cell {
     /// First column, counted from the region's first column.
     pub(crate) column: usize,
     pub(crate) length: usize,
-    /// The places of the weights at the first and the last pixel of the first row, then of the last
-    /// row. `None` if the field has no value there.
+    /// The ranges of the weights at the corners, in the order of [`Corners`]. `None` if the field
+    /// has no value there.
     corners: Option<[Range<usize>; CORNERS]>,
 }
 
@@ -74,8 +77,8 @@ impl RegionCells {
         all
     }
 
-    /// The cells of a few rows of a region, which include the first and the last row. Each is a
-    /// band of its own. The other rows have no cells.
+    /// The cells of a few rows of a region, which include the first and the last row. Each of these
+    /// rows is a band of its own. The other rows have no cells.
     pub(crate) fn sampled(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let ny = region.shape().ny();
         let count = SAMPLED_ROWS.min(ny);
@@ -88,8 +91,8 @@ impl RegionCells {
         all
     }
 
-    /// Adds the rows between two neighbouring grid lines of the field. The first and the last row
-    /// are enough if they are divided at the same columns. Otherwise rows are added one by one.
+    /// Adds the rows between two neighbouring grid lines of the field. They become one band if the
+    /// first and the last row are divided at the same columns. Otherwise each row becomes a band.
     fn add_band(&mut self, field: &dyn CoefficientField, region: PixelRegion, rows: Range<usize>) {
         let nx = region.shape().nx();
         let runs_of =

@@ -18,7 +18,7 @@ pub struct PlanSummary {
     pub precision: &'static str,
     /// The tolerance.
     pub tolerance: f64,
-    /// The anchoring.
+    /// The position at which the PSF is evaluated: source or output pixel.
     pub anchor: Anchor,
     /// The allowed methods for tiles.
     pub paths: Paths,
@@ -28,7 +28,7 @@ pub struct PlanSummary {
     pub transform: (usize, usize),
     /// The number of tiles.
     pub tiles: usize,
-    /// The number of local bases. Tiles of a block share one.
+    /// The number of blocks. The tiles of a block share one set of modes.
     pub blocks: usize,
     /// The number of blocks that have 0, 1, 2 ... modes, the reference included.
     pub blocks_by_modes: Vec<usize>,

@@ -26,8 +26,8 @@ pub(crate) struct Tiling {
 
 /// The number of blocks whose modes are counted to predict the cost of a tiling.
 const SAMPLES: usize = 5;
-/// The largest size of transforms, in stamps. Larger transforms gain nothing, because padding is
-/// already small and tiles need more modes.
+/// The largest size of transforms, as a multiple of the stamp's size. Larger transforms gain
+/// nothing, because padding is already small and tiles need more modes.
 const LARGEST_IN_STAMPS: usize = 10;
 /// [`LARGEST_IN_STAMPS`] never limits transforms to less than this size.
 const LARGEST_AT_LEAST: usize = 640;
@@ -122,9 +122,9 @@ fn cuts(model: &PsfModel, geometry: &Geometry) -> Option<[Vec<usize>; 2]> {
 }
 
 impl Tiling {
-    /// Returns the tiling truncated to some columns and rows, and counted from the first of them.
-    /// Also returns the columns and rows of the blocks that it includes. Transforms keep their
-    /// size.
+    /// Returns the tiling truncated to some columns and rows of pixels, which are then counted from
+    /// the first of them. Also returns the columns and rows of blocks that remain. Transforms keep
+    /// their size.
     pub(crate) fn within(&self, columns: &Range<usize>, rows: &Range<usize>) -> (Self, [Range<usize>; 2]) {
         let (columns, across) = within(&self.columns, columns);
         let (rows, up) = within(&self.rows, rows);
@@ -253,7 +253,7 @@ impl WholeFrame {
         })
     }
 
-    /// Returns the part for a region of the frame.
+    /// Returns the data for a plan of a region of the frame.
     pub(crate) fn part(&self, region: PixelRegion) -> Result<Part, ConvError> {
         let frame = self.view.frame.shape();
         if !frame.region().contains(region) {
@@ -282,7 +282,7 @@ impl WholeFrame {
         self.tiling.region(&self.geometry, column, row)
     }
 
-    /// The length of the longest row of a block.
+    /// The number of pixels in the longest row of any block.
     pub(crate) fn longest_row(&self) -> usize {
         let lengths = self.tiling.columns.iter().map(Stretch::length);
         lengths.max().unwrap_or(1)

@@ -22,10 +22,10 @@ use crate::{ConvError, ConvReal};
 /// - [`Anchor::Output`]: `F = sum_k a_k (f * B_k)`. The spectrum of the scene is computed once.
 ///
 /// This is the method of Bai, Jia et al. ("An Ultra-Fast Image Simulation Technique with Spatially
-/// Variable PSFs"), for both anchorings. It does not store their coefficient cube, because it
-/// evaluates coefficients tile by tile, for a few stamps at a time. Planes are padded by the
-/// stamp's reach, so nothing wraps around. Memory holds the scene, two or three spectra and a group
-/// of coefficient planes (at least 4, at most 16, about 512 MiB).
+/// Variable PSFs"), for both anchorings. Unlike the paper, it does not store a cube of
+/// coefficients: it evaluates coefficients tile by tile, for a few stamps at a time. Planes are
+/// padded by the stamp's reach, so nothing wraps around. Memory holds the scene, two or three
+/// spectra and a group of coefficient planes (at least 4, at most 16, about 512 MiB).
 ///
 /// ```
 /// use std::sync::Arc;
@@ -61,10 +61,11 @@ pub struct BasisConvolution {
     anchor: Anchor,
 }
 
-/// The approximate memory of the coefficient planes that are held at the same time. The number of
-/// these planes is also limited by the constants below.
+/// The approximate memory of the coefficient planes that are held at the same time.
 const PLANE_BYTES: usize = 512 << 20;
+/// The least number of coefficient planes held at the same time, even if they need more memory.
 const FEWEST_PLANES: usize = 4;
+/// The most coefficient planes held at the same time.
 const MOST_PLANES: usize = 16;
 
 impl BasisConvolution {
@@ -137,7 +138,7 @@ struct Plane<'a, T: ConvReal> {
     fft: RealFft2<T>,
     /// Offset from pixels of the light to field positions.
     to_field: (i64, i64),
-    /// True for correlation instead of convolution.
+    /// True for correlation with the stamps instead of convolution (in the adjoint).
     correlate: bool,
     /// Counts one step per stamp.
     progress: &'a dyn Progress,

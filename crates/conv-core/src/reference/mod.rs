@@ -18,7 +18,7 @@ use crate::{ConvError, ConvReal};
 /// The trait is object-safe. Results of an implementation are the same, bit by bit, for any number
 /// of threads.
 pub trait ConvolutionMethod<T: ConvReal>: std::fmt::Debug + Send + Sync {
-    /// The anchoring.
+    /// The position at which the PSF is evaluated: source or output pixel.
     fn anchor(&self) -> Anchor;
 
     /// Convolves `light` with the PSFs of `model`. Returns the image in `frame`, which is a region
@@ -30,7 +30,7 @@ pub trait ConvolutionMethod<T: ConvReal>: std::fmt::Debug + Send + Sync {
     ///
     /// # Errors
     /// [`ConvError`] if the frame reaches beyond the light, the model's stamps do not suit an
-    /// image, or the PSF has no value somewhere in the light, and [`ConvError::Cancelled`].
+    /// image, or the PSF has no value where it is needed, and [`ConvError::Cancelled`].
     fn convolve(
         &self,
         model: &PsfModel,

@@ -10,8 +10,10 @@ use crate::view::{Reach, View};
 use crate::working_range::{Rescaling, take_back};
 use crate::{ConvError, ConvReal};
 
-/// Divides the frame into square patches and convolves each with the PSF of its centre. Patches are
-/// padded and overlap-added ([`Anchor::Source`]) or overlap-saved ([`Anchor::Output`]).
+/// Divides the frame into square patches and convolves each with the PSF of its centre. With
+/// [`Anchor::Source`], the light of each patch spreads beyond the patch, and all results are added
+/// (overlap-add). With [`Anchor::Output`], each patch of the image is computed from the light in
+/// the patch and in a margin around it (overlap-save).
 ///
 /// The method is not exact: the PSF jumps at every patch border. It serves for comparison. Patches
 /// without light cost nothing.

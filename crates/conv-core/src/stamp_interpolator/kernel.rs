@@ -14,7 +14,7 @@ pub(crate) enum Kernel {
     Lanczos3,
 }
 
-/// The most coefficients that contribute to a value.
+/// The most coefficients that contribute to an interpolated value along one axis.
 pub(crate) const MOST_TAPS: usize = 6;
 
 /// A coordinate at most this far beyond the outermost pixel counts as on that pixel: the difference
@@ -51,8 +51,8 @@ impl Kernel {
         1 - self.tap_count() as i64 / 2
     }
 
-    /// The weights of the contributing coefficients, in ascending order, for a coordinate that lies
-    /// a fraction `u` (0 to 1) of a pixel above a pixel.
+    /// The weights of the contributing coefficients, from the first coefficient to the last, for a
+    /// coordinate that lies a fraction `u` (0 to 1) of a pixel above a pixel.
     pub(crate) fn weights(self, u: f64) -> [f64; MOST_TAPS] {
         match self {
             Self::CubicSpline => {
@@ -180,7 +180,8 @@ impl Taps {
         }
     }
 
-    /// Integrates piece by piece between the stamp's pixels, where the kernels are smooth.
+    /// Adds the taps of the average over `width` pixels around `t`. Integrates piece by piece
+    /// between the stamp's pixels, where the kernels are smooth.
     fn push_average(&mut self, kernel: Kernel, length: usize, t: f64, width: f64) {
         let domain = kernel.domain(length);
         let from = (t - width / 2.0).max(*domain.start());

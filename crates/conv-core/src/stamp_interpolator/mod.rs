@@ -32,8 +32,8 @@ pub(crate) use kernel::{Kernel, MOST_TAPS, Taps};
 /// ```
 #[derive(Debug, Clone)]
 pub struct StampInterpolator {
-    /// The coefficients that the kernel's weights multiply: the stamp's values, or those of its
-    /// spline.
+    /// The coefficients that the kernel's weights multiply: the stamp's values (Lanczos-3) or the
+    /// coefficients of its spline.
     coefficients: Array2<f64>,
     grid: StampGrid,
     kernel: Kernel,
@@ -111,7 +111,7 @@ pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSa
 /// already has these properties is returned unchanged.
 ///
 /// # Errors
-/// None for a valid grid. The error type is that of the new grid's constructor.
+/// None for a valid grid. The error type comes from the constructor of the new grid.
 pub fn native_grid(grid: StampGrid) -> Result<StampGrid, DataError> {
     let s = grid.oversampling();
     let native = grid_reaching(grid, |room, _| (room / s).floor() as usize)?;
@@ -141,7 +141,7 @@ pub(crate) fn grid_reaching(
 /// unchanged.
 ///
 /// # Errors
-/// None for a valid grid. The error type is that of the new grid's constructor.
+/// None for a valid grid. The error type comes from the constructor of the new grid.
 pub fn grid_with_pixel_response(grid: StampGrid) -> Result<StampGrid, DataError> {
     if grid.pixel_response_included() {
         return Ok(grid);

@@ -27,7 +27,7 @@ pub(super) struct StarKey {
     /// The index of the star's part of the catalogue. Parts limit the number of stars prepared at a
     /// time.
     pub(super) part: usize,
-    /// Stars of the same phases use the same coefficients.
+    /// The star's phase numbers. Stars with equal numbers use the same interpolation coefficients.
     pub(super) phases: (i64, i64),
     pub(super) index: usize,
 }
@@ -180,10 +180,11 @@ impl<T: ConvReal> BlockDraw<'_, T> {
     }
 }
 
-/// One row of one star: the sum over rows of a block's kernels.
+/// One row of one star. It is a sum over the taps: rows of coefficients of a block's kernels.
 #[derive(Clone, Copy)]
 struct StarRow<'a, T, const TAPS: usize> {
-    /// `[row, kernel, chunk, residue, pixel]`, from the row of the first tap on.
+    /// The block's coefficients `[row, kernel, chunk, residue, pixel]`, from the row of the first
+    /// tap on.
     values: &'a [T],
     /// `[row, kernel]`.
     weights: &'a [T],
@@ -218,7 +219,7 @@ impl<T: ConvReal, const TAPS: usize> StarRow<'_, T, TAPS> {
         }
     }
 
-    /// Computes `N` vectors of the row, from a pixel on.
+    /// Computes `N` vectors of the star's row, from a pixel on.
     #[inline(always)]
     fn sums<S: Lanes<T>, const N: usize>(self, simd: S, pixel: usize) -> [S::V; N] {
         let zero = simd.splat(T::zero());

@@ -46,9 +46,9 @@ impl StampSplines {
 }
 
 impl<'a> StarPainter<'a> {
-    /// Draws on a frame, a region of the scene. Sources are given in pixels of the scene. If `size`
-    /// is given, each star is truncated to `size` columns and rows. The pixel that the star lies on
-    /// has index `size / 2` in both.
+    /// A painter for a frame, which is a region of the scene. Sources are given in pixels of the
+    /// scene. If `size` is given, each star is truncated to `size` columns and rows. The pixel that
+    /// the star lies on has index `size / 2` in both.
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
@@ -86,7 +86,7 @@ impl<'a> StarPainter<'a> {
         }
     }
 
-    /// The sources' light in single pixels `(column, row)` of the frame.
+    /// Computes the sources' light in single pixels `(column, row)` of the frame.
     ///
     /// # Errors
     /// [`ConvError`] if the PSF has no value at a source that reaches one of the pixels.
@@ -122,7 +122,8 @@ impl<'a> StarPainter<'a> {
     }
 
     /// Adds sources to a part of the image. `image` holds the pixels `[y, x]` of `region`, which is
-    /// in pixels of the frame. `progress` is polled and may cancel the work. It receives no steps.
+    /// in pixels of the frame. `progress` is polled and may cancel the work. No steps are reported
+    /// to it.
     ///
     /// # Errors
     /// [`ConvError`] if the PSF has no value at a source that reaches the region, and

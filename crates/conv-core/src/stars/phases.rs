@@ -11,10 +11,10 @@ use crate::stamp_interpolator::{Kernel, MOST_TAPS};
 /// is rounding.
 const ON_PIXEL: f64 = 1e-9;
 
-/// One axis of a stamp `s` times finer than the frame. Its coefficients, with the ones that the
-/// kernel needs beyond the ends of the axis, are stored by residue modulo `s`: coefficient
-/// `p = s q + r` at `[r][q]`. A star uses the same residues in every pixel of the frame, and
-/// neighbouring pixels use neighbouring `q`.
+/// One axis of a stamp `s` times finer than the frame. Its coefficients are stored by residue
+/// modulo `s`: coefficient `p = s q + r` at `[r][q]`. They include the coefficients that the
+/// interpolation kernel needs beyond the ends of the axis. A star uses the same residues in every
+/// pixel of the frame, and neighbouring pixels use neighbouring `q`.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct PhasedAxis {
     kernel: Kernel,
@@ -23,10 +23,10 @@ pub(super) struct PhasedAxis {
     pub(super) oversampling: usize,
     /// The pixels that a star may light, relative to its own pixel.
     window: (i64, i64),
-    /// The position in the stamp of the first coefficient kept, and the number of coefficients
-    /// kept. Only coefficients that stars may use are kept, so that vectors of the first residues
-    /// start at cache lines.
+    /// The position in the stamp of the first coefficient kept. Only coefficients that stars may
+    /// use are kept, so that vectors of the first residues start at cache lines.
     first: i64,
+    /// The number of coefficients kept.
     pub(super) kept: usize,
 }
 
@@ -118,7 +118,8 @@ impl PhasedAxis {
 }
 
 impl Phase {
-    /// The first coefficient of a pixel.
+    /// The first coefficient that a pixel uses, counted from the first one kept. `pixel` is
+    /// relative to the pixel that the star lies on.
     pub(super) fn first_of(&self, pixel: i64, oversampling: usize) -> usize {
         (self.first + pixel * oversampling as i64) as usize
     }
@@ -151,8 +152,9 @@ pub(super) struct PhasedStar<T> {
     /// The pixels that it lights.
     pub(super) columns: Range<i64>,
     pub(super) rows: Range<i64>,
-    /// The first coefficients that its first pixel uses: the row, and the residue of the column.
+    /// The first row of coefficients that its first pixel uses.
     pub(super) first_row: usize,
+    /// The residue of the first column of coefficients that its first pixel uses.
     pub(super) first_residue: usize,
     /// The range of its weights, `[row, kernel]`: the weight of each tap of the rows times the
     /// coefficient of each kernel times the star's flux.
@@ -189,7 +191,7 @@ impl Star {
             && on(row, window.rows, region.y0(), shape.ny())
     }
 
-    /// The numbers of its phases.
+    /// The star's [phase numbers](PhasedAxis::phase_number) along rows and along columns.
     pub(super) fn phase_numbers(&self, [columns, rows]: &[PhasedAxis; 2]) -> (i64, i64) {
         (
             rows.phase_number(self.shift.1),

@@ -19,9 +19,9 @@ use crate::{ConvError, ConvReal};
 /// in the working precision from local bases. Each block of the field has a local basis: the few
 /// PSFs that the tolerance requires. The relative L2 error of a star's PSF, at the stamps' own
 /// sampling, is at most the tolerance. Every star is tested. A star that would exceed the tolerance
-/// is drawn from all components in f64. All stars of other plans are drawn in this way too. The
-/// choice depends only on the star's position, so the image is linear in the fluxes. The image is
-/// the same, bit by bit, for any number of threads.
+/// is drawn from all components in f64. This choice depends only on the star's position, so the
+/// image is linear in the fluxes. Other plans draw all stars from all components in f64. The image
+/// is the same, bit by bit, for any number of threads.
 ///
 /// Blocks of the field are prepared when the first star falls on them. They are kept for the next
 /// catalogue, as far as the memory limit in the options allows.
@@ -91,8 +91,8 @@ struct Catalogue<'a> {
     progress: &'a dyn Progress,
 }
 
-/// Columns and rows of a block of the field. Smaller blocks need fewer kernels. But a catalogue
-/// reads the values of all blocks once, and smaller blocks have more values in total.
+/// Columns and rows of a block of the field. A smaller block needs fewer kernels. But a catalogue
+/// reads the kernels of all blocks once, and smaller blocks have more kernels in total.
 const BLOCK: i64 = 256;
 /// The approximate number of stars prepared at a time.
 const MOST_AT_ONCE: usize = 1 << 15;
@@ -153,7 +153,7 @@ impl<T: ConvReal> StarPlan<T> {
     /// depend on the region. If the pixels of a row are not contiguous in memory, the image is
     /// copied and written back.
     ///
-    /// `progress` is polled and may cancel the work. It receives no steps.
+    /// `progress` is polled and may cancel the work. No steps are reported to it.
     ///
     /// # Errors
     /// [`ConvError`] if the PSF has no value at a star that reaches the region, and

@@ -94,8 +94,8 @@ macro_rules! cut {
     };
 }
 
-/// The two directions of a stage of one radix. The loops name each leg, because closures may not be
-/// inlined, and calls would be slow here.
+/// The forward and the inverse transform of a stage with one radix. The loops name each leg,
+/// because closures may not be inlined, and calls would be slow here.
 macro_rules! radix {
     ($forward:ident, $inverse:ident, $radix:literal, $first:ident, $($leg:ident = $s:literal),+) => {
         #[inline(always)]

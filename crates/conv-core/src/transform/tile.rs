@@ -6,7 +6,8 @@ use crate::ConvReal;
 use crate::simd::{Lanes, Pair};
 use pulp::bytemuck::{cast_slice, cast_slice_mut};
 
-/// Transforms of planes of `nx x ny` real values: cyclic in x, negacyclic in y.
+/// Transforms of planes of `nx x ny` real values. Convolutions by these transforms are cyclic in x
+/// and negacyclic in y: values that wrap around in y change their sign.
 ///
 /// The upper half of the rows becomes the imaginary part of the lower half: real polynomials modulo
 /// `z^ny + 1` are complex ones modulo `z^(ny/2) - i`. So a real transform is a complex one of half
@@ -54,8 +55,8 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// The number of values from one row of a plane to the next. It is not a power of two, because
-    /// then the rows would share few sets of the cache.
+    /// The number of values from one row of a plane to the next. It is larger than `nx`: if `nx` is
+    /// a power of two, the rows would otherwise share few sets of the cache.
     pub(crate) fn pitch(&self) -> usize {
         self.nx + X_STEP
     }
@@ -82,9 +83,10 @@ impl<T: ConvReal> TileTransform<T> {
         self.ny * X_STEP
     }
 
-    /// Computes the spectrum of a plane `[y, x]`. Its rows begin every [`pitch`](Self::pitch)
-    /// values, and only the first `rows x columns` values are used. The values of these rows from
-    /// `columns` up to the next multiple of [`X_STEP`] must be zero. The rest is not read.
+    /// Computes the spectrum of a plane `[y, x]`. The plane's rows begin every
+    /// [`pitch`](Self::pitch) values, and only the first `rows x columns` values are used. The
+    /// values of these rows from `columns` up to the next multiple of [`X_STEP`] must be zero. The
+    /// rest is not read.
     #[inline(always)]
     pub fn forward<S: Lanes<T>>(
         &self,
@@ -101,10 +103,10 @@ impl<T: ConvReal> TileTransform<T> {
         }
     }
 
-    /// Multiplies the spectrum of a plane, as from [`forward`](Self::forward), by another spectrum
-    /// and swaps real and imaginary parts. The product is added to `sum` if `add` is true,
-    /// otherwise it replaces `sum`. Each group stays in the first-level cache from its transform to
-    /// the sum. `spectrum` is overwritten.
+    /// Computes the spectrum of a plane like [`forward`](Self::forward), multiplies it by another
+    /// spectrum, and swaps real and imaginary parts of the product. The product is added to `sum`
+    /// if `add` is true, otherwise it replaces `sum`. Each group stays in the first-level cache
+    /// from its transform to the sum. `spectrum` is overwritten.
     #[inline(always)]
     #[allow(clippy::too_many_arguments, reason = "two inputs, a sum and two buffers")]
     pub(crate) fn forward_multiply_swapped<S: Lanes<T>>(

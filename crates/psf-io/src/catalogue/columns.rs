@@ -22,11 +22,12 @@ use crate::fits::hdu::HduChoice;
 /// | `q` | `q` | galaxies: minor over major axis, 0.001 to 1; 1 without such a column |
 /// | `angle` | `angle` | galaxies: degrees of the major axis from +x towards +y; 0 without such a column |
 ///
-/// A role may be given a column. Any other role uses its default column, if it exists. If the
-/// default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y` are used. Likewise, `flux` is
-/// used rather than `mag`. A zero point together with fluxes is an error. So if a table has both
-/// default columns and a zero point is set, the role `mag` must be given its column. A catalogue
-/// with a column for `re` has galaxies and needs a column for `n`. Case is ignored in names.
+/// The caller may choose the column of a role. Any other role uses its default column, if it
+/// exists. If the default columns of `x`, `y`, `ra` and `dec` all exist, `x` and `y` are used.
+/// Likewise, `flux` is used rather than `mag`. A zero point together with fluxes is an error. So if
+/// a table has the columns `flux` and `mag` and a zero point is set, choose the column of the role
+/// `mag`. A catalogue with a column for `re` has galaxies and needs a column for `n`. Case is
+/// ignored in names.
 ///
 /// Text form: `role=COLUMN`, separated by commas.
 ///
@@ -224,7 +225,7 @@ pub struct CatalogOptions {
 
 impl CatalogOptions {
     /// The default options: the default columns, 0-based pixels, no zero point, no world
-    /// coordinates, no invalid rows, and the only table with the needed columns.
+    /// coordinates, an error for an invalid row, and the only table with the needed columns.
     pub fn new() -> Self {
         Self::default()
     }

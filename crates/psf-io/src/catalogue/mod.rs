@@ -169,7 +169,8 @@ pub fn read_catalog_with(path: impl AsRef<Path>, options: &CatalogOptions) -> Re
 /// Reads the positions of a catalogue, one per row.
 ///
 /// # Errors
-/// - the errors of [`read_catalog_with`], also for an invalid row that the options allow to skip
+/// - the errors of [`read_catalog_with`], even for an invalid row that `options` would skip in a
+///   catalogue
 /// - [`IoErrorKind::Data`] for a position that the projection of the frame does not reach
 pub fn read_positions_with(
     path: impl AsRef<Path>,
@@ -195,8 +196,8 @@ struct Rows<'a> {
 }
 
 impl<'a> Rows<'a> {
-    /// Reads the columns that `pick` chooses from a table. `needed` names them for the error of a
-    /// file without tables.
+    /// Reads the columns that `pick` chooses from a table. If the file has no tables, the error
+    /// lists the columns in `needed`.
     fn read(
         path: &'a Path,
         options: &'a CatalogOptions,

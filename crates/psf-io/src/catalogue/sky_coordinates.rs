@@ -46,7 +46,7 @@ const MAX_PROJECTED: f64 = 1e150;
 /// let sky = SkyCoordinates::from_header(&header)?;
 /// let centre = sky.pixel(150.0, 2.0).expect("on the projection"); // 0-based
 /// assert!((centre.x() - 49.5).abs() < 1e-9 && (centre.y() - 39.5).abs() < 1e-9);
-/// assert!(sky.pixel(330.0, -2.0).is_none()); // behind it
+/// assert!(sky.pixel(330.0, -2.0).is_none()); // on the far side of the sky
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
 #[derive(Clone)]
@@ -161,8 +161,8 @@ impl SkyCoordinates {
         })
     }
 
-    /// The pixel position (0-based) of a position on the sky in degrees, or `None` if the
-    /// projection does not reach it.
+    /// The pixel position (0-based) of a position on the sky in degrees. Returns `None` if the
+    /// projection does not reach the position, or if the coordinates are not valid.
     pub fn pixel(&self, longitude_deg: f64, latitude_deg: f64) -> Option<Position> {
         if !longitude_deg.is_finite() || !(-90.0..=90.0).contains(&latitude_deg) {
             return None;

@@ -34,8 +34,9 @@ impl TableFile {
         })
     }
 
-    /// The chosen table, or else the only one whose column names `take` accepts, with the result of
-    /// `take`. `needed` names the columns for the error of a file without tables.
+    /// Returns a table, and the result of `take` for its column names. It is the chosen table, or
+    /// without a choice the only table whose names `take` accepts. If the file has no tables, the
+    /// error lists the columns in `needed`.
     pub(crate) fn pick<R>(
         &self,
         choice: Option<&HduChoice>,
@@ -81,7 +82,7 @@ impl TableFile {
 }
 
 impl AnyTable<'_> {
-    /// Reads columns by name, in upper or lower case.
+    /// Reads the columns with these names. Case is ignored.
     pub(crate) fn read(&self, names: &[&str], nans: Nans) -> Result<NumberColumns, IoError> {
         match self {
             Self::Text(table) => table.read(names, nans),

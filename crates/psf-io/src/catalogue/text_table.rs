@@ -75,7 +75,7 @@ impl TextTable {
         })
     }
 
-    /// Reads columns by name, in upper or lower case.
+    /// Reads the columns with these names. Case is ignored.
     pub(crate) fn read(&self, names: &[&str], nans: Nans) -> Result<NumberColumns, IoError> {
         let places = names.iter().map(|name| find(&self.path, self.names.iter(), name));
         let places: Vec<usize> = places.collect::<Result<_, _>>()?;
@@ -149,8 +149,8 @@ fn number(field: &[u8], nans: Nans) -> Option<f64> {
     number.filter(|number| nans == Nans::Kept || number.is_finite())
 }
 
-/// The line of a record. The parser's position is before any comments and empty lines that precede
-/// the record.
+/// The line number of a record, counted from 1. The parser's position is before any comments and
+/// empty lines that precede the record, so these lines are added.
 fn line_of(text: &[u8], position: Option<&Position>) -> u64 {
     let (start, line) = position.map_or((0, 1), |position| (position.byte(), position.line()));
     let rest = usize::try_from(start)

@@ -10,12 +10,12 @@ use crate::fits::header_cards::HeaderCards;
 const LARGEST_SIP_ORDER: usize = 9;
 /// Number of terms of TPV: orders 0 to 7, where each odd order has a further term in the radius.
 const TPV_TERMS: usize = 40;
-/// The search for an inverse ends when a step is smaller than this fraction of the offset (plus
-/// 1e-6), or after [`INVERSE_STEPS`].
+/// The search for the inverse of a distortion ends when a step is smaller than this fraction of the
+/// offset (plus 1e-6), or after [`INVERSE_STEPS`] steps.
 const INVERSE_ACCURACY: f64 = 1e-13;
 const INVERSE_STEPS: usize = 50;
-/// An inverse whose image deviates by more than this fraction is rejected, because the distortion
-/// folds the plane there.
+/// A found point is rejected if the distortion maps it to a point that differs from the wanted one
+/// by more than this fraction of the offset. The distortion then folds the plane there.
 const INVERSE_TOLERANCE: f64 = 1e-9;
 
 /// The reason why a header does not give world coordinates.
@@ -77,7 +77,8 @@ pub(crate) struct World<'a> {
 }
 
 impl World<'_> {
-    /// The number of a keyword, if the keyword exists.
+    /// The value of a keyword, or `None` if the header lacks the keyword. A value that is not a
+    /// number is an error.
     pub(crate) fn number(&self, keyword: &str) -> Result<Option<f64>, WorldCoordinatesError> {
         let Some(card) = self.header.get(keyword) else {
             return Ok(None);
@@ -139,8 +140,8 @@ pub(crate) enum Distortion {
     /// Adds `A(u, v)` and `B(u, v)` to offsets `(u, v)` in pixels (Shupe et al. 2005). Each term is
     /// a coefficient, a power of u and a power of v.
     Sip([Vec<(f64, i32, i32)>; 2]),
-    /// Replaces coordinates on the projection, in degrees, by polynomials of them: `PV1_m` and
-    /// `PV2_m`.
+    /// Replaces the coordinates on the projection, in degrees, by polynomials of both coordinates.
+    /// `PV1_m` and `PV2_m` are the coefficients.
     Tpv(Box<[[f64; TPV_TERMS]; 2]>),
 }
 
@@ -163,7 +164,7 @@ impl Distortion {
             ));
         }
         // Headers processed by several programs may hold SIP although CTYPEi does not end in -SIP.
-        // astropy then applies SIP and ignores the terms of SCAMP, and so does this code.
+        // astropy then applies SIP and ignores the `PVi_m` of SCAMP, and so does this code.
         let order = ["A_ORDER", "B_ORDER"]
             .into_iter()
             .find(|keyword| header.get(keyword).is_some());
@@ -323,8 +324,8 @@ fn tpv(terms: &[f64; TPV_TERMS], x: f64, y: f64) -> f64 {
     sum
 }
 
-/// The point that a mapping close to the identity maps to `to`. It is found by Newton's method with
-/// finite differences as derivatives.
+/// The point that a mapping close to the identity maps to `to`, or `None` if no such point is
+/// found. The search is Newton's method with finite differences as derivatives.
 fn inverse(mapping: impl Fn([f64; 2]) -> [f64; 2], to: [f64; 2]) -> Option<[f64; 2]> {
     let mut at = to;
     let size = 1e-6 + to[0].abs().max(to[1].abs());

@@ -219,7 +219,7 @@ impl Fits {
         })
     }
 
-    /// Removes the last records of the header.
+    /// Removes the last `count` records of the header.
     pub(crate) fn remove_records(&mut self, count: usize) -> Result<(), IoError> {
         const DOING: &str = "removing a header card";
         let mut last = 0;

@@ -119,7 +119,8 @@ pub(crate) fn columns(hdu: &Hdu, row_bytes: usize) -> Result<Vec<Column>, IoErro
 }
 
 impl Column {
-    /// Returns `None` if `form` is not a format of binary tables.
+    /// Makes a column with the TFORM `form`. Returns `None` if `form` is not a format of binary
+    /// tables.
     fn new(number: usize, name: String, form: String) -> Option<Self> {
         let text = form.trim();
         let digits = text.bytes().take_while(u8::is_ascii_digit).count();
@@ -227,7 +228,7 @@ pub(crate) fn shown(field: &[u8]) -> String {
     String::from_utf8_lossy(field).chars().take(QUOTED).collect()
 }
 
-/// Whether values that are missing or not finite are errors.
+/// States if missing or non-finite values are errors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Nans {
     /// Such values are errors.

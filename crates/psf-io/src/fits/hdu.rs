@@ -34,7 +34,8 @@ pub(crate) struct Hdu {
     pub(crate) kind: HduKind,
     pub(crate) header: HeaderCards,
     pub(crate) bitpix: i64,
-    /// `NAXIS1` first. For a compressed image the axes of the image, not those of its table.
+    /// The lengths of the axes, `NAXIS1` first. For a compressed image these are the axes of the
+    /// image, and not of the table that holds its tiles.
     pub(crate) axes: Vec<usize>,
     /// The position of the first byte of the data in the file.
     pub(crate) data_start: u64,
@@ -186,7 +187,8 @@ impl Hdu {
         }
     }
 
-    /// A whole number that the structure of the file depends on.
+    /// The value of a keyword that the structure of the file depends on: a whole number. For a
+    /// missing keyword it is `default`. If `default` is `None`, a missing keyword is an error.
     pub(crate) fn structural(&self, keyword: &str, default: Option<i64>) -> Result<i64, IoError> {
         match (self.header.get(keyword).map(Card::value), default) {
             (Some(Some(CardValue::Integer(value))), _) => Ok(value),
@@ -267,7 +269,7 @@ impl Hdu {
         self.optional(keyword, "T or F")
     }
 
-    /// A whole number above 0. A missing keyword is an error.
+    /// The value of a keyword, a whole number above 0. A missing keyword is an error.
     pub(crate) fn required_length(
         &self,
         keyword: &'static str,
@@ -279,7 +281,7 @@ impl Hdu {
             .ok_or_else(|| self.keyword_error(keyword, expected))
     }
 
-    /// The choice that a string keyword names, if the keyword exists.
+    /// The value of a string keyword, parsed as one of the choices of `T`, if the keyword exists.
     pub(crate) fn optional_choice<T: std::str::FromStr<Err = DataError>>(
         &self,
         keyword: &'static str,

@@ -24,8 +24,9 @@ const NUMBERED_TABLE: &[&str] = &[
 pub(crate) const TILED_NAME: &str = "COMPRESSED_IMAGE";
 /// Keywords that name or number one HDU and have no meaning for another.
 const OWN: &[&str] = &["EXTNAME", "EXTVER", "EXTLEVEL", "HDUNAME", "HDUVER", "INHERIT"];
-/// Keywords of world coordinates.
+/// Keywords of world coordinates, without the letter of an alternate system.
 const WORLD: &[&str] = &["WCSAXES", "WCSNAME", "LONPOLE", "LATPOLE"];
+/// The first characters of further keywords of world coordinates. A digit follows.
 const NUMBERED_WORLD: &[&str] = &[
     "CTYPE", "CRVAL", "CRPIX", "CDELT", "CUNIT", "CROTA", "CD", "PC", "PV", "PS", "LTV", "LTM", "A_", "B_",
     "AP_", "BP_",

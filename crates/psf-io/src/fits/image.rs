@@ -7,7 +7,7 @@
 //! | HDU | the primary if it has pixels, else the only image extension, or the one chosen ([`HduChoice`]) | the primary |
 //! | axes | `NAXIS = 2`, or more if the further axes have length 1 | `NAXIS = 2` |
 //! | pixels | any `BITPIX`; `BSCALE` and `BZERO` are applied; NaN, infinities and `BLANK` pixels are refused | `BITPIX` -32 (f32) or -64 (f64) |
-//! | header | all cards except those about the structure of the file; an extension inherits the cards of an empty primary HDU, unless `INHERIT = F` | the cards of the input, then those of the caller |
+//! | header | all cards except those about the structure of the file; an extension inherits the cards of an empty primary HDU, unless `INHERIT = F` | the cards of the input, then the cards that the caller adds |
 //!
 //! `NAXIS1` is x. The pixel at array index `[y, x]`, 0-based, is FITS pixel `(x + 1, y + 1)`. World
 //! coordinates, which count in FITS pixels, are copied without a change. Files compressed by gzip
@@ -159,8 +159,8 @@ pub fn read_header_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Re
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Setting`] if several images have pixels and none is chosen, or if the choice is
-/// not an image, and the [errors of any FITS file](crate#bad-files).
+/// [`IoErrorKind::Setting`] if a choice is needed, or if the chosen HDU is not an image, and the
+/// [errors of any FITS file](crate#bad-files).
 pub fn read_cards(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<HeaderCards, IoError> {
     let structure = FitsStructure::scan(path.as_ref())?;
     Ok(structure.cards(structure.header_of_frame(choice)?))
@@ -184,7 +184,7 @@ pub(crate) fn stack_shape(hdu: &Hdu, expected: &'static str) -> Result<(usize, u
     }
 }
 
-/// The error for a band of rows whose width differs from that of the image.
+/// The error for a band of rows that is not as wide as the image.
 pub(crate) fn band_width(path: &Path, expected: usize, got: usize) -> IoError {
     let problem = format!("a band of rows must have the {expected} columns of the image, got {got}");
     IoError::new(path, IoErrorKind::Request, problem)
@@ -207,9 +207,9 @@ pub(crate) fn beyond_single(path: &Path) -> IoError {
 /// An open image that is read one band of rows at a time, so that it may be larger than memory.
 ///
 /// A reader accepts the files that [`read_image`](crate::read_image) accepts. The bands together
-/// equal the image of [`read_image`](crate::read_image) bit by bit. Rows may be read in any order
-/// and any number of times. Only the band takes memory. A reader cannot be sent to
-/// another thread, but several readers may be open on one file.
+/// equal the image that [`read_image`](crate::read_image) returns, bit by bit. Rows may be read in
+/// any order and any number of times. Only the current band takes memory. A reader cannot be sent
+/// to another thread, but several readers may be open on one file.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -426,7 +426,7 @@ impl Pixels {
     }
 
     /// Reads pixels from index `first` (0-based, row by row) on, with BSCALE and BZERO applied.
-    /// Returns false if one of them is not finite. [`defect`](Self::defect) then makes the error.
+    /// Returns whether all of them are finite. If not, [`defect`](Self::defect) makes the error.
     fn load<T: Real>(&mut self, first: usize, pixels: &mut [T]) -> Result<bool, IoError> {
         self.fits.read_pixels(first, pixels, self.blank)?;
         let clean = |chunk: &[T]| chunk.iter().fold(true, |clean, value| clean & value.is_finite());

@@ -15,10 +15,10 @@ use crate::output::PendingFile;
 
 /// Writes an image: `BITPIX` -32 for f32, -64 for f64.
 ///
-/// `header` holds cards copied from an input. For a cut frame see [`HeaderCards::shifted_origin`].
-/// Each card of `added` replaces the cards with its keyword, or is appended if there are none. Text
-/// cards (HISTORY, COMMENT) are always appended. The file appears complete or not at all
-/// ([`write_atomically`](crate::write_atomically)).
+/// `header` holds cards copied from an input. If the image is cut out of this input, call
+/// [`HeaderCards::shifted_origin`] first. Each card of `added` replaces the cards with its keyword,
+/// or is appended if there are none. Text cards (HISTORY, COMMENT) are always appended. The file
+/// appears complete or not at all ([`write_atomically`](crate::write_atomically)).
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -203,9 +203,9 @@ impl<T: Real> ImageWriter<T> {
     /// Completes the file and gives it its final name.
     ///
     /// # Errors
-    /// [`IoErrorKind::Request`] unless all rows were written, [`IoErrorKind::Exists`] if a file that
-    /// may not be replaced has appeared at the path, or an error of the file system or of CFITSIO.
-    /// After an error the unfinished file is removed.
+    /// [`IoErrorKind::Request`] unless all rows were written, [`IoErrorKind::Exists`] if a file
+    /// that may not be replaced has appeared at the path, or an error of the file system or of
+    /// CFITSIO. After an error the unfinished file is removed.
     pub fn finish(self) -> Result<(), IoError> {
         self.finish_with(&[])
     }
@@ -214,8 +214,8 @@ impl<T: Real> ImageWriter<T> {
     /// card replaces the cards with its keyword, as in [`create`](Self::create).
     ///
     /// If the header has no room left for these cards, CFITSIO moves all pixels by a block of 2880
-    /// bytes, once for every 36 records. Each move is a pass over the file, in little memory.
-    /// [`create_reserving`](Self::create_reserving) avoids this.
+    /// bytes, once for every 36 records. Each move reads and writes the whole file, but needs
+    /// little memory. [`create_reserving`](Self::create_reserving) avoids this.
     ///
     /// # Errors
     /// The errors of [`finish`](Self::finish).
@@ -376,8 +376,8 @@ impl IntegerKind {
     }
 }
 
-/// Writes an image `[y, x]` of whole numbers. In memory they may have any number type that converts
-/// to f64.
+/// Writes an image `[y, x]` of whole numbers. The elements of `pixels` may have any number type
+/// that converts to f64.
 ///
 /// `header`, `added` and `overwrite` have the same meaning as in
 /// [`write_image`](crate::write_image).
@@ -394,8 +394,8 @@ impl IntegerKind {
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Request`] for the first value that is not a whole number in the range of `kind`,
-/// else the errors of [`write_image`](crate::write_image).
+/// [`IoErrorKind::Request`] with the first value that is not a whole number in the range of `kind`,
+/// and the errors of [`write_image`](crate::write_image).
 pub fn write_integers<V: Copy + Into<f64>>(
     path: impl AsRef<Path>,
     pixels: ArrayView2<'_, V>,

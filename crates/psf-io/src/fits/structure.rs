@@ -10,9 +10,11 @@ use crate::fits::hdu::{FitsSource, Hdu, HduChoice, HduKind};
 use crate::fits::header_cards::HeaderCards;
 use crate::fits::scan::{self, GZIP, Scanner};
 
-/// The names of the settings that choose an image, a table or a PSF, for errors.
+/// The name of the setting that chooses an image, for errors.
 const IMAGE: &str = "hdu";
+/// The name of the setting that chooses a table.
 pub(crate) const TABLE: &str = "table";
+/// The name of the setting that chooses a PSF.
 pub(crate) const PSF: &str = "extension";
 pub(crate) const NOT_A_FILE: &str = "this is not a regular file";
 const MAGIC: &[u8] = b"SIMPLE  =";
@@ -220,8 +222,8 @@ fn list<'a>(hdus: impl Iterator<Item = &'a Hdu>) -> String {
     hdus.map(Hdu::described).collect::<Vec<_>>().join(", ")
 }
 
-/// Returns whether the first bytes are those of a FITS file, which may be compressed by gzip. A
-/// file with another compression is an error.
+/// Returns whether a file starts like a FITS file, which may be compressed by gzip. A file with
+/// another compression is an error.
 pub(crate) fn is_fits(path: &Path) -> Result<bool, IoError> {
     let start = start_of(path)?;
     let format = |problem| Err(IoError::new(path, IoErrorKind::Format, problem));

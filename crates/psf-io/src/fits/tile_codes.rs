@@ -18,8 +18,7 @@
 use crate::error::IoError;
 use crate::fits::hdu::Hdu;
 
-/// The parameters of an algorithm are searched in the keywords `ZNAME1` up to `ZNAME` with this
-/// number.
+/// The keywords `ZNAMEi` name the parameters of an algorithm. They are read up to this `i`.
 const MOST_PARAMETERS: usize = 9;
 
 /// The parameters of the `RICE_1` code of an image.
@@ -36,8 +35,9 @@ pub(crate) struct Rice {
 }
 
 impl Rice {
-    /// Checks the block size and the bytes per pixel that CFITSIO will use. CFITSIO identifies
-    /// these parameters mostly by the number of `ZVALi`, and almost never by the name in `ZNAMEi`.
+    /// Reads the parameters from the header of a table. Checks the block size and the bytes per
+    /// pixel that CFITSIO will use. CFITSIO identifies these two mostly by the number of `ZVALi`,
+    /// and almost never by the name in `ZNAMEi`.
     pub(crate) fn of(table: &Hdu) -> Result<Self, IoError> {
         let name = |number: usize| table.text(&format!("ZNAME{number}"));
         // An old convention, in which pixels have 4 bytes.
@@ -79,8 +79,8 @@ impl Rice {
         Ok(Self::new(block as u64, width))
     }
 
-    /// The sizes of the codes are those of `ricecomp.c` in CFITSIO, which treats pixels of 8 bytes
-    /// like pixels of 4 bytes.
+    /// The parameters for blocks of `block` pixels. The sizes of the codes are taken from
+    /// `ricecomp.c` in CFITSIO, which treats pixels of 8 bytes like pixels of 4 bytes.
     fn new(block: u64, pixel_bytes: i64) -> Self {
         let (pixel_bits, head_bits, plain) = match pixel_bytes {
             1 => (8, 3, 7),
@@ -190,8 +190,8 @@ impl Bits<'_> {
     }
 }
 
-/// The number of codes that almost every word holds. A loop of this fixed length is easy for the
-/// processor to predict.
+/// The number of codes with `low` further bits that almost every word of [`Bits::ahead`] holds. A
+/// loop of this fixed length is easy for the processor to predict.
 fn codes_per_word(low: u32) -> u64 {
     u64::from((56 / (low + 3)).max(1))
 }

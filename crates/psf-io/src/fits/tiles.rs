@@ -121,14 +121,15 @@ struct Descriptors {
 
 struct Tiles<'a> {
     hdu: &'a Hdu,
-    /// The file is open twice, for the rows and for the tiles, so that each reader keeps its
-    /// position.
+    /// Reads the rows of the table.
     table: Places,
+    /// Reads the tiles in the heap. It opens the file a second time, so that each of the two
+    /// readers keeps its position.
     packed: Places,
     algorithm: Algorithm,
     /// True if the pixels are floats that are stored without quantisation.
     unquantised: bool,
-    /// `ZTILE1` first.
+    /// The lengths of a tile along the axes, `ZTILE1` first.
     tile: Vec<usize>,
     row_bytes: usize,
     rows: usize,
@@ -257,8 +258,8 @@ impl<'a> Tiles<'a> {
         Ok(bytes)
     }
 
-    /// Returns whether a gzip stream holds exactly `expected` bytes. It unpacks hardly more than
-    /// `expected` bytes.
+    /// Returns whether a gzip stream unpacks to exactly `expected` bytes. If the stream is longer,
+    /// the rest is not unpacked.
     fn unpacks_to(&mut self, start: u64, count: u64, expected: u64) -> Result<bool, IoError> {
         if !self.holds(start, count, 1) {
             return Ok(false);
@@ -310,9 +311,9 @@ impl Places {
     }
 }
 
-/// The column with this name, if there is one. Two such columns are an error. If `element` is
-/// given, the column must hold unscaled elements of this type. CFITSIO would convert any others,
-/// and so use values that have not been checked.
+/// The descriptors in the column with this name, if there is one. Two such columns are an error. If
+/// `element` is given, the tiles must hold unscaled elements of this type. CFITSIO would convert
+/// other elements, and would so use values that have not been checked.
 fn descriptors(
     hdu: &Hdu,
     columns: &[Column],

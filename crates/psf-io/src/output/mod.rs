@@ -17,9 +17,9 @@ use crate::fits::structure::NOT_A_FILE;
 /// truncate or remove. The name ends like `path`, so that libraries which look at the extension
 /// choose the right format. When `write` fails, the temporary file is removed and an old file at
 /// `path` stays untouched. The content is flushed to the disk (fsync) before the renaming. So a
-/// loss of power leaves either the old file or the new one. Temporary files that a killed process
-/// has left for this output are removed, unless the file system does not support locks. A program
-/// that handles signals calls [`remove_unfinished`](crate::remove_unfinished). The new file has the
+/// loss of power leaves either the old file or the new one. On Unix, temporary files that a killed
+/// process has left for this output are removed, if the file system supports locks. A program that
+/// handles signals calls [`remove_unfinished`](crate::remove_unfinished). The new file has the
 /// permissions of any new file (umask). A symbolic link is followed: the file it points to is
 /// replaced.
 ///

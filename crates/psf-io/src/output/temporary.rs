@@ -21,8 +21,8 @@ type Entries = Vec<(PathBuf, Option<PathBuf>)>;
 
 static ENTRIES: Mutex<Entries> = Mutex::new(Vec::new());
 
-/// Locks the list. [`remove_unfinished`] needs this lock too, so it waits while a caller holds the
-/// guard.
+/// Locks the list of temporary files. [`remove_unfinished`] needs this lock too, so it waits while
+/// a caller holds the guard.
 pub(crate) fn entries() -> MutexGuard<'static, Entries> {
     // Each change of the list is a single step, so a panic elsewhere cannot leave it half done.
     ENTRIES.lock().unwrap_or_else(PoisonError::into_inner)
@@ -76,11 +76,11 @@ impl Drop for Temporary {
     }
 }
 
-/// Removes the temporary files of all outputs that this process has not finished, and calls `then`
-/// with the names of the outputs.
+/// Removes the temporary files of this process: outputs that are not finished, and unpacked copies
+/// of gzip files. Calls `then` with the names of these outputs.
 ///
 /// This crate installs no signal handlers. A program that is about to end, for example because of
-/// Ctrl-C, calls this function from any thread, also while other threads write. While `then` runs,
+/// Ctrl-C, calls this function from any thread, even while other threads write. While `then` runs,
 /// no output is started and none gets its final name. So a program that ends inside `then` leaves
 /// each output either as it was or complete. A writer that goes on afterwards fails when it
 /// finishes.
@@ -151,8 +151,9 @@ fn suffix(target: &Path) -> OsString {
     suffix
 }
 
-/// Locks a new temporary file for as long as the handle is open. A file system without locks
-/// returns `None`, and the temporary file of a killed process then stays.
+/// Locks a new temporary file for as long as the returned handle is open. Returns `None` if the
+/// system or the file system has no suitable locks. The temporary file of a killed process then
+/// stays.
 pub(crate) fn claim(temporary: &Path) -> Option<File> {
     // On systems other than Unix a lock would keep CFITSIO, which opens the file a second time,
     // from writing.

@@ -81,12 +81,14 @@ pub fn detect(path: impl AsRef<Path>) -> Result<FileKind, IoError> {
     detect_hdu(path, None)
 }
 
-/// Finds the kind of a file, as [`detect`] does. If the file only holds images, the kind is that of
-/// the chosen image: an image or a cube.
+/// Finds the kind of a file, as [`detect`] does. If [`detect`] would return an image or a cube, the
+/// axes of the chosen image decide: two for an image, three for a cube, or else
+/// [`FileKind::OtherFits`].
 ///
 /// # Errors
-/// The errors of [`detect`], and [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) if the file
-/// only holds images and the choice is none of them.
+/// The errors of [`detect`]. If [`detect`] would return an image or a cube, also
+/// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for a choice that is not an image with
+/// pixels.
 pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<FileKind, IoError> {
     let path = path.as_ref();
     if !is_fits(path)? {
@@ -105,7 +107,8 @@ pub fn detect_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<
     })
 }
 
-/// Number of axes of the first image, without axes of length 1 beyond two.
+/// Number of axes of the first image. If there are more than two axes, leading axes of length 1 are
+/// not counted.
 fn image_axes(structure: &FitsStructure) -> Option<usize> {
     structure.first_image().ok().map(|hdu| squeezed(hdu).len())
 }

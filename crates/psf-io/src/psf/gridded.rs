@@ -111,7 +111,7 @@ pub(crate) fn check_flux(
     Ok(())
 }
 
-/// The header of an HDU, for keywords that the code builds, such as numbered ones.
+/// The header of an HDU. Its keywords may be built at run time, such as numbered ones.
 ///
 /// Case is ignored in keywords, because real STDPSF files have `NXPSFs`.
 #[derive(Debug)]
@@ -148,19 +148,19 @@ impl<'a> LibraryCards<'a> {
         }
     }
 
-    /// A finite number, if the keyword exists.
+    /// The finite number in a card, if the keyword exists.
     pub(crate) fn number(&self, keyword: &str, expected: &str) -> Result<Option<f64>, IoError> {
         self.optional(keyword, expected, Some::<f64>)
     }
 
-    /// A finite number, which must exist.
+    /// The finite number in a card. A missing keyword is an error.
     pub(crate) fn required_number(&self, keyword: &str, expected: &str) -> Result<f64, IoError> {
         self.number(keyword, expected)?
             .ok_or_else(|| self.missing(keyword, expected))
     }
 
-    /// A whole number of at least `least`, if the keyword exists. It may be written with a decimal
-    /// point.
+    /// The whole number in a card, at least `least`, if the keyword exists. It may be written with
+    /// a decimal point.
     pub(crate) fn count(
         &self,
         keyword: &str,
@@ -185,7 +185,7 @@ impl<'a> LibraryCards<'a> {
             .ok_or_else(|| self.missing(keyword, expected))
     }
 
-    /// A string, if the keyword exists.
+    /// The string in a card, if the keyword exists.
     pub(crate) fn text(&self, keyword: &str, expected: &str) -> Result<Option<String>, IoError> {
         self.optional(keyword, expected, |text: String| Some(text.trim().to_owned()))
     }

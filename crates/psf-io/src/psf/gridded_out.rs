@@ -30,8 +30,9 @@ const MIN_SIZE: usize = 4;
 /// fastest. The library is written in this way.
 ///
 /// If the coordinates in x and in y differ, more planes are written: one at every crossing of all
-/// these coordinates. Such a plane is interpolated bilinearly between the samples, and constant
-/// outside them. Readers interpolate in the same way, so the PSF is unchanged everywhere.
+/// these coordinates. A plane between samples is interpolated bilinearly. A plane outside the
+/// samples is the PSF at the nearest point of their grid. Readers interpolate in the same way, so
+/// the PSF is unchanged everywhere.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -51,11 +52,12 @@ const MIN_SIZE: usize = 4;
 ///
 /// # Errors
 /// [`IoErrorKind::Request`] for samples that the layout or its readers cannot hold: they are not on
-/// a grid, or the oversampling is not a whole number. It is also returned for stamps that are not
-/// centred in their middle, lack the pixel response, are not interpolated by the cubic spline, or
-/// are smaller than 4 x 4. Other errors are [`IoErrorKind::Exists`] if the file exists and
-/// `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not exist, or an error of
-/// the file system or of CFITSIO.
+/// a grid, their oversampling is not a whole number, or coordinates that differ in x and in y would
+/// need more than 10 000 planes. It is also returned for stamps that are not centred in their
+/// middle, lack the pixel response, are not interpolated by the cubic spline, or are smaller than
+/// 4 x 4. Other errors are [`IoErrorKind::Exists`] if the file exists and `overwrite` is false,
+/// [`IoErrorKind::NotFound`] if the directory does not exist, or an error of the file system or of
+/// CFITSIO.
 pub fn write_gridded(
     path: impl AsRef<Path>,
     samples: &PsfSamples,
@@ -171,15 +173,17 @@ fn position_card(plane: usize, x: f64, y: f64) -> Card {
     Card::from_record(padded(format!("HIERARCH {keyword} = '{text}'").as_bytes()))
 }
 
-/// The largest number of planes that is written. Readers process a card for each plane.
+/// The largest number of planes if some of them must be interpolated. Readers process a card for
+/// each plane.
 const MAX_PLANES: usize = 10_000;
 
 /// A grid whose lines have the same coordinates in x and in y, and the samples from which the stamp
 /// at each crossing is interpolated.
 #[derive(Debug)]
 struct SquareGrid {
-    /// The x and y coordinates of the samples, ascending.
+    /// The x coordinates of the samples, ascending.
     xs: Vec<f64>,
+    /// The y coordinates of the samples, ascending.
     ys: Vec<f64>,
     /// The sample at each crossing of `ys` and `xs`, with x fastest.
     sample_at: Vec<usize>,

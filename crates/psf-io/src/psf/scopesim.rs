@@ -65,7 +65,7 @@ impl ScopesimPsf {
         &self.nodes
     }
 
-    /// The index in [`layers`](Self::layers) of the layer of each node.
+    /// For each node, the index of its layer in [`layers`](Self::layers).
     pub fn layer_of_node(&self) -> &[usize] {
         &self.layer_of_node
     }
@@ -116,8 +116,8 @@ fn near_whole(ratio: f64) -> f64 {
 /// - [`IoErrorKind::Setting`] for several wavelengths without a choice
 /// - [`IoErrorKind::Data`] for a layer number in the map that does not exist, or a layer without
 ///   flux
-/// - [`IoErrorKind::Format`] or [`IoErrorKind::Axes`] if the map or the PSFs are missing or have the
-///   wrong axes
+/// - [`IoErrorKind::Format`] or [`IoErrorKind::Axes`] if the map or the PSFs are missing or have
+///   the wrong axes
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Result<ScopesimPsf, IoError> {
     const MAP: &str = "the number of the HDU with the map of layers, counted from 0";
@@ -251,7 +251,7 @@ fn positive(name: &'static str, value: f64) -> Result<f64, DataError> {
 /// single precision.
 const SQUARE: f64 = 1e-6;
 
-/// A cube of which only the header has been read.
+/// The PSFs of one wavelength: a cube of which only the header has been read.
 #[derive(Debug)]
 struct Kernels<'a> {
     hdu: &'a Hdu,
@@ -406,7 +406,7 @@ impl LayerMap {
     }
 }
 
-/// Linear coordinates along an axis.
+/// Linear coordinates along an axis of the map.
 struct MapAxis {
     reference_pixel: f64,
     reference_arcsec: f64,

@@ -70,12 +70,12 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 /// ```
 ///
 /// # Errors
-/// - [`IoErrorKind::Setting`] if several images have pixels, or if one of several detectors must be
-///   chosen
+/// - [`IoErrorKind::Setting`] if several images have pixels, or if `detector` is needed or does not
+///   exist
 /// - [`IoErrorKind::Header`] with the keyword that is missing or malformed, or if two columns or
 ///   two rows of the grid have the same position
-/// - [`IoErrorKind::Data`] if the number of planes differs from that of the grid, or a plane has no
-///   flux
+/// - [`IoErrorKind::Data`] if the number of planes is not the number of PSFs in the grid, or a
+///   plane has no flux
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stdpsf(path: impl AsRef<Path>, detector: Option<usize>) -> Result<GriddedPsf, IoError> {
     read_stdpsf_hdu(path, None, detector)
@@ -164,8 +164,9 @@ struct Layout {
 struct Block {
     columns: Range<usize>,
     rows: Range<usize>,
-    /// The offset of the detector in the pixel coordinates of the file.
+    /// The x of the detector's first column, in the pixel coordinates of the file (0-based).
     x0: f64,
+    /// The y of the detector's first row.
     y0: f64,
 }
 
@@ -328,13 +329,14 @@ const NEGATIVE: f64 = 0.01;
 const JUMP: f64 = 10.0;
 /// A border pixel fainter than this, relative to the peak, is not tested for a jump.
 const FAINT: f64 = 0.01;
-/// A row is bad if more than this fraction of its pixels are bad. The bad rows of an
-/// adjacent side cross this row too, but in fewer pixels.
+/// A row is bad if more than this fraction of its pixels are bad. Bad pixels at the two adjacent
+/// sides also lie in this row, but they are a smaller fraction of it.
 const PART: f64 = 0.25;
 /// The number of rows divided by this gives how many of the outermost rows are tested.
 const DEPTH: usize = 10;
 
-/// Returns a note for each side of the stamps with bad rows. `numbers` are the planes of the file.
+/// Returns a note for each side on which some stamps have bad rows. `numbers` are the numbers of
+/// the stamps' planes in the file.
 fn defects(stamps: &Array3<f64>, numbers: &[usize]) -> Vec<String> {
     // Name of the side, axis that leads inwards, and whether the side is at the end of this axis.
     [
@@ -378,7 +380,7 @@ fn side_defect(stamps: ArrayView3<'_, f64>, numbers: &[usize], name: &str) -> Op
     })
 }
 
-/// The number of bad rows, counted from the border to the innermost bad row.
+/// The number of rows from the border to the innermost bad row, or 0 if no row is bad.
 fn bad_rows(stamp: ArrayView2<'_, f64>) -> usize {
     let peak = stamp.iter().copied().fold(0.0, f64::max);
     let is_bad = |&row: &usize| {

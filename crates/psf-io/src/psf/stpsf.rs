@@ -76,8 +76,8 @@ pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
 /// - [`IoErrorKind::Setting`] if several images have pixels, or if [`PlaneOrder::Auto`] cannot find
 ///   the order
 /// - [`IoErrorKind::Header`] with the keyword that is missing, malformed or repeated
-/// - [`IoErrorKind::Data`] if the number of planes differs from that in the cards, a plane has no
-///   flux, or two planes are at one position
+/// - [`IoErrorKind::Data`] if the number of planes differs from the number in the cards, a plane
+///   has no flux, or two planes are at one position
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_stpsf(path: impl AsRef<Path>, order: PlaneOrder) -> Result<GriddedPsf, IoError> {
     read_stpsf_hdu(path, None, order)

@@ -31,7 +31,7 @@ pub(super) struct Job {
     pub(super) output: PathBuf,
     /// All files that the job writes.
     pub(super) files: Vec<PathBuf>,
-    /// The digest of the options on which its results depend.
+    /// The digest of the options on which the results of the job depend.
     pub(super) digest: String,
     inputs: Vec<PathBuf>,
     args: SimulateArgs,
@@ -133,7 +133,8 @@ impl Job {
     }
 }
 
-/// The files that the jobs so far read and write, and the job of each file.
+/// The files that the jobs so far read and write. For messages, a text with each file says what
+/// uses it.
 #[derive(Default)]
 struct Places {
     reads: HashMap<PathBuf, String>,
@@ -254,7 +255,7 @@ pub(super) enum JobState {
     /// Some of the files exist, and this job made them.
     Partial,
     Done,
-    /// A file is bad, or was not made by this job: the reason.
+    /// A file failed its spot check, or was not made by this job. Holds the message.
     Refused(String),
 }
 

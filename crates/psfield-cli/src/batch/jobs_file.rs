@@ -72,7 +72,7 @@ impl JobsFile {
                 }
                 ("defaults" | "job", _) => {
                     return Err(format!(
-                        "{key}: tables are needed, [defaults] once and [[job]] for each job"
+                        "{key}: write one table [defaults] and a table [[job]] for each job"
                     ));
                 }
                 _ => {
@@ -216,7 +216,7 @@ impl Settings {
         }
     }
 
-    /// Returns these options, and those of `weaker` that are not set here.
+    /// Returns these options, completed by the options of `weaker` that are not set here.
     pub(super) fn or(mut self, weaker: &Self) -> Self {
         for (name, setting) in &weaker.0 {
             self.0.entry(name.clone()).or_insert_with(|| setting.clone());

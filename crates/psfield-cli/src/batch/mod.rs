@@ -25,7 +25,7 @@ use crate::simulate::{Report, Simulators};
 /// then 1.
 ///
 /// For each job, one line of JSON is printed on standard output. With --quiet, only the lines of
-/// failed jobs are printed, and with --quiet --json all of them.
+/// failed jobs are printed. With --quiet --json, the lines of all jobs are printed.
 ///
 /// A batch that is run again continues where it was interrupted: a job whose files exist is
 /// skipped. Images carry a digest of the options of their job (PSFJOB). A job whose options have
@@ -190,7 +190,7 @@ enum Status {
     Failed,
 }
 
-/// The line of JSON of a job.
+/// The line of JSON that is printed for a job.
 #[derive(Debug, Serialize)]
 struct JobReport<'a> {
     job: usize,
@@ -353,8 +353,8 @@ mod tests {
         );
     }
 
-    /// Jobs files with random errors are parsed or refused, by the checks of the options too, and
-    /// never cause a panic.
+    /// Jobs files with random errors are accepted or refused, and never cause a panic. The parser
+    /// of the file and the checks of the options are both tested.
     #[test]
     fn spoilt_jobs_are_understood_or_refused_by_name() {
         const CASES: u64 = 4000;

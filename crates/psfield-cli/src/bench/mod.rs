@@ -65,7 +65,7 @@ pub(crate) struct BenchArgs {
         hide_short_help = true
     )]
     preset: Preset,
-    /// Components of the model, at most those of the samples [default: 100]
+    /// Components of the model (fewer if the samples have fewer) [default: 100]
     ///
     /// Default for --psf with a model: all its components.
     #[arg(long, value_name = "K", help_heading = CASES, hide_short_help = true)]
@@ -93,7 +93,7 @@ pub(crate) struct BenchArgs {
         hide_short_help = true
     )]
     patches: Option<Vec<NonZeroUsize>>,
-    /// Numbers of components that basis keeps, at most those of the model [default: 10,30,100]
+    /// Numbers of components that basis keeps (fewer if the model has fewer) [default: 10,30,100]
     #[arg(long, value_name = "K,...", value_delimiter = ',', help_heading = METHODS, hide_short_help = true)]
     ranks: Option<Vec<NonZeroUsize>>,
     /// Position at which the PSF is evaluated: source or output
@@ -126,7 +126,7 @@ pub(crate) struct BenchArgs {
         hide_short_help = true
     )]
     pixels: Option<u32>,
-    /// Seed for the scene and for these pixels
+    /// Seed for the scene and for the random pixels
     #[arg(
         long,
         value_name = "N",
@@ -136,7 +136,7 @@ pub(crate) struct BenchArgs {
     )]
     seed: u64,
     /// Use smaller defaults: frame 256 x 256, 5 x 5 samples, patch 64, rank 10, tolerances 1e-2 and
-    /// 1e-4, one run, 100 pixels
+    /// 1e-4, 1 timed turn, 100 pixels
     #[arg(long, help_heading = MEASUREMENT)]
     quick: bool,
     /// Write all numbers as JSON to FILE. Without FILE: print them instead of the table

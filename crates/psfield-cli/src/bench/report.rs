@@ -99,7 +99,8 @@ fn least_bytes(row: &BenchRow) -> String {
     )
 }
 
-/// The names of the columns. The last four are the parts of the time of the fastest run on a GPU.
+/// The names of the columns. The last four are for the fastest run on a GPU: the seconds of three
+/// parts that may overlap, and the seconds of the whole run.
 const COLUMNS: [&str; 14] = [
     "method", "setting", "plan s", "min s", "median s", "ratio", "rel. L2", "modes", "tile", "memory",
     "kernel s", "copy s", "host s", "total s",
@@ -140,7 +141,7 @@ fn line(cells: &[impl AsRef<str>]) -> String {
     padded.collect::<Vec<_>>().join(" ")
 }
 
-/// Errors below this value, and errors of 0, are drawn here.
+/// Smaller errors, including 0, are drawn at this value.
 const LEAST_ERROR: f64 = 1e-17;
 
 /// The methods in the order of the legend, each with its marker and the index of its colour.

@@ -85,7 +85,7 @@ impl Settings {
                     .iter()
                     .map(|&size| Contender::Patch { size })
                     .collect(),
-                // A rank is at most that of the model.
+                // The rank of a truncated model is at most the rank of the model.
                 MethodName::Basis => self
                     .ranks
                     .iter()
@@ -129,12 +129,12 @@ impl BenchDeviceArgs {
 
 /// The destination of a command's JSON, if any.
 ///
-/// `--json` of `bench` may take a file, but that of other commands takes no value. The parser needs
-/// one type for both.
+/// In `bench`, `--json` may take a file. In other commands, `--json` takes no value. The parser
+/// needs one type for both.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum JsonTo {
     Nowhere,
-    /// Instead of text on standard output.
+    /// Standard output. The JSON replaces the text there.
     Output,
     File(PathBuf),
 }

@@ -92,18 +92,19 @@ impl DemoArgs {
             psfs_drawn,
             rank: fit_report.rank,
             elbow: fit_report.elbow,
-            truncation_max_relative_l2: fit_report.max_error,
+            fit_max_error: fit_report.max_error,
             // Errors of the model's PSFs against the telescope's own, at random positions.
-            model_median_relative_l2: model_errors.median(),
-            model_max_relative_l2: model_errors.max(),
+            model_error_median: model_errors.median(),
+            model_error_max: model_errors.max(),
             galaxies: GALAXIES + 1,
             stars: STARS,
             fwhm_px_min: fwhm.min(),
             fwhm_px_max: fwhm.max(),
             ellipticity_max: ellipticity.max(),
             spot_check,
+            // Pixels along each side of a patch.
+            patch: PATCH,
             // Relative L2 difference of the image made by patches from the default image.
-            patch_px: PATCH,
             patch_relative_l2: patch_error,
             seconds: object! {
                 sample: sample_seconds,
@@ -130,10 +131,10 @@ impl DemoArgs {
                 s.sample,
                 report.rank,
                 report.elbow.map_or_else(|| "-".to_owned(), |e| e.to_string()),
-                report.truncation_max_relative_l2,
+                report.fit_max_error,
                 s.fit,
-                report.model_median_relative_l2,
-                report.model_max_relative_l2,
+                report.model_error_median,
+                report.model_error_max,
                 report.fwhm_px_min,
                 report.fwhm_px_max,
                 report.ellipticity_max,
@@ -145,7 +146,7 @@ impl DemoArgs {
                 check
                     .max_over_peak
                     .map_or_else(String::new, |m| format!(" ({m:.1e} of the peak)")),
-                report.patch_px,
+                report.patch,
                 report.patch_relative_l2,
                 report.files.len(),
                 report.folder.display(),

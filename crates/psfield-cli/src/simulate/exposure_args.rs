@@ -52,7 +52,7 @@ pub(super) struct Exposing {
 }
 
 impl ExposureArgs {
-    /// The file of the noise-free image, if one is written next to `output`.
+    /// The file of the noise-free image, if one is written. By default it is next to `output`.
     pub(crate) fn truth(&self, output: &Path) -> Option<PathBuf> {
         if self.detector.is_none() || self.no_truth {
             return None;

@@ -29,8 +29,8 @@ pub(crate) use crate::simulate::report::Report;
 
 /// Convolve a scene with a PSF that varies over the field
 ///
-/// The scene is an image (flux in each pixel), a catalogue of stars and galaxies, or both. Field
-/// positions of the PSF count from the first pixel of the image that is written.
+/// The scene is an image (flux in each pixel), a catalogue of stars and galaxies, or both.
+/// Positions in the PSF file count from the first pixel of the image that is written.
 ///
 /// An example with the catalogue of a source extractor:
 ///
@@ -66,8 +66,9 @@ pub(crate) struct SimulateArgs {
     /// Check N random pixels against the direct sum in double precision
     ///
     /// Half of them are bright pixels. If the relative r.m.s. difference is above 3 x --tolerance
-    /// plus rounding, the image is still written and the command fails. For basis and direct the
-    /// limit is rounding. patch=N has no limit for light in images and galaxies.
+    /// plus rounding, the image is still written, but the command fails. For basis and direct, the
+    /// limit allows only rounding. For patch=N, there is no limit if the scene has an image or
+    /// galaxies.
     #[arg(
         long,
         value_name = "N",
@@ -155,7 +156,7 @@ pub(crate) struct SimulateArgs {
     device: DeviceArgs,
     #[command(flatten)]
     fit: PsfArgs,
-    /// The mark of the batch job that this run is.
+    /// The mark of the batch job, if this run is a job of a batch.
     #[arg(skip)]
     job: Option<JobMark>,
 }
@@ -180,7 +181,7 @@ fn memory_help() -> String {
 /// The largest number of pixels of a spot check. A larger number is a typing error.
 const MAX_SPOT_CHECK: i64 = 10_000_000;
 
-/// Larger scenes and images than this fraction of the free memory are streamed.
+/// If scene and image together need more than this fraction of the free memory, they are streamed.
 const IN_MEMORY: f64 = 0.7;
 
 impl SimulateArgs {
@@ -221,7 +222,7 @@ impl SimulateArgs {
         }
     }
 
-    /// The noise-free image that is written next to the output, if one is.
+    /// The file of the noise-free image, if one is written.
     pub(crate) fn truth_beside(&self) -> Option<PathBuf> {
         self.exposure.truth(&self.output)
     }
@@ -319,7 +320,8 @@ impl SimulateArgs {
         })
     }
 
-    /// Turns an error about an option into a usage error, and names the file in other errors.
+    /// Turns an error about `--frame` into a usage error. Adds the name of the catalogue or of the
+    /// PSF file to errors about these files.
     fn explained(&self, error: PsfieldError) -> anyhow::Error {
         match (error.kind(), error.setting(), &self.scene.catalog) {
             (ErrorKind::Setting, Some("frame"), _) => UsageError(with_option(&error, error.setting())).into(),
@@ -356,7 +358,7 @@ impl SimulateArgs {
     }
 }
 
-/// The mark of a batch job in its files.
+/// The mark that a batch job leaves in the headers of its files.
 #[derive(Debug, Clone)]
 pub(crate) struct JobMark {
     /// The equivalent command line.

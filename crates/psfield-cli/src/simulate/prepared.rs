@@ -33,14 +33,14 @@ impl Simulators {
         }
     }
 
-    /// Forgets all simulators after an error of a GPU, because the GPU may be lost, with their
-    /// plans.
+    /// Forgets all simulators after an error of a GPU, because the GPU may be lost, and the plans
+    /// on it, too.
     pub(super) fn forget_gpus(&mut self) {
         self.kept.clear();
         psfield::forget_gpus();
     }
 
-    /// Returns the PSF that `key` describes. It is the last PSF or read anew.
+    /// Returns the PSF that `key` describes. Reads it, unless it is the last PSF that was read.
     fn psf(&mut self, key: &str, read: impl FnOnce() -> anyhow::Result<Psf>) -> anyhow::Result<Psf> {
         match &self.psf {
             Some((kept, psf)) if kept == key => Ok(psf.clone()),
@@ -52,7 +52,8 @@ impl Simulators {
         }
     }
 
-    /// Returns the simulator that `key` describes completely. It is a kept simulator or built anew.
+    /// Returns the simulator that `key` describes completely. Builds it, unless it is kept from an
+    /// earlier scene.
     fn get<T: ConvReal>(
         &mut self,
         key: &str,

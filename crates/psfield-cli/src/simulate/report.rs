@@ -17,7 +17,7 @@ pub(crate) struct Report {
     pub(super) method: String,
     pub(super) anchor: Anchor,
     pub(super) precision: &'static str,
-    /// For methods that have a tolerance.
+    /// The tolerance, for methods that have one.
     pub(super) tolerance: Option<f64>,
     /// Components of the model, the mean not counted.
     pub(super) rank: usize,

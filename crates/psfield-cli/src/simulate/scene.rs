@@ -82,7 +82,7 @@ const SCENE: &str = "Scene";
 
 /// A scene that has been read.
 pub(super) struct ReadScene<T: ConvReal> {
-    /// Without its image, if that is read by rows.
+    /// The scene. If its image is read by rows, the image is not part of it.
     pub(super) scene: Scene<'static, T>,
     /// The shape of the scene, in its own pixels.
     pub(super) shape: FrameShape,
@@ -117,13 +117,13 @@ impl SceneArgs {
         }
     }
 
-    /// Pixels of the scene along each side of a pixel of the image.
+    /// Scene pixels per image pixel along each axis.
     pub(super) fn finer(&self) -> usize {
         let default = SimulateOptions::default().oversample;
         self.oversample.map_or(default, usize::from)
     }
 
-    /// Reads the scene. If its image is read by rows, it is only opened here.
+    /// Reads the scene. If `by_rows`, opens the scene's image, but does not read its pixels.
     pub(super) fn read<T: ConvReal>(
         &self,
         by_rows: bool,

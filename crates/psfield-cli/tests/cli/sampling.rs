@@ -151,7 +151,7 @@ fn demo_writes_all_that_it_lists_and_protects_it() {
     // The numbers are plausible.
     // Images and stars are within the default tolerance.
     assert!(report["spot_check"]["relative_rms"].as_f64().unwrap() < 1e-4);
-    assert!(report["model_max_relative_l2"].as_f64().unwrap() < 0.02);
+    assert!(report["model_error_max"].as_f64().unwrap() < 0.02);
     assert_eq!(
         desk.samples("demo/samples.fits").len() as u64,
         report["samples"].as_u64().unwrap()

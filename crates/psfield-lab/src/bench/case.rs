@@ -35,7 +35,7 @@ impl<T> BenchCase<T> {
 /// give equal scenes.
 ///
 /// # Errors
-/// [`DataError`] of the constructor of [`Image`], never for a valid shape.
+/// [`DataError`] of [`Image::new`]. It does not occur for a valid shape.
 pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, DataError> {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let wave = |i: usize, n: usize| (WAVE * i as f64 / n as f64).sin();
@@ -79,7 +79,7 @@ pub fn stretched(record: &PsfModelRecord, frame: FrameShape) -> Result<PsfModelR
     )
 }
 
-/// Maps the extent of the samples along an axis to that of the frame.
+/// Maps the extent of the samples along an axis to the extent of the frame.
 struct Stretch {
     low: f64,
     extent: f64,

@@ -21,7 +21,7 @@ pub struct BenchOptions {
     pub repeat: usize,
     /// Random pixels at which images are compared with the direct sum. 0 counts as 1.
     pub pixels: usize,
-    /// Seed for these pixels.
+    /// Seed that chooses the compared pixels.
     pub seed: u64,
     /// The direct sum takes part only if its number of products (lit pixels x stamp pixels x stamps
     /// of the model) is at most this number.
@@ -108,7 +108,7 @@ pub struct BenchRow {
     pub peak_memory_bytes: Option<u64>,
     /// The GPU on which the contender ran: name, kind and backend. None for the processor.
     pub gpu: Option<String>,
-    /// The parts of the time of the fastest run on the GPU.
+    /// Seconds of the parts of the fastest run. None if it ran on the processor.
     pub gpu_seconds: Option<GpuSeconds>,
 }
 

@@ -17,8 +17,11 @@ use crate::plot::figure::{Area, PlotError};
 pub(super) const TITLE: i32 = 17;
 pub(super) const TEXT: i32 = 15;
 pub(super) const SMALL: i32 = 12;
+/// Height of the numbers and the name below a plot.
 pub(super) const LABEL_ROOM_X: u32 = 50;
+/// Width of the numbers and the name to the left of a plot.
 pub(super) const LABEL_ROOM_Y: u32 = 84;
+/// Margin around a plot with its numbers and names.
 pub(super) const MARGIN: u32 = 14;
 
 /// An axis of plotters: its range and its numbers.
@@ -141,13 +144,13 @@ pub(super) fn decades(values: impl Iterator<Item = f64>) -> Range<f64> {
     10f64.powf(low)..10f64.powf(high.max(low + 1.0))
 }
 
-/// The largest number of decades of which each has a number at the axis.
+/// An axis with up to this number of powers of ten has a tick at each of them.
 const DECADES: i32 = 7;
 /// Approximate number of steps of an even axis.
 const STEPS: f64 = 5.0;
 /// Smallest distance between the numbers of a stretched bar, as a fraction of its length.
 const SPACING: f64 = 0.09;
-/// Largest number of decades of a stretched bar that are considered.
+/// Largest number of decades below the upper end of a stretched bar in which ticks are sought.
 const MOST_DECADES: i32 = 40;
 
 /// Ticks at multiples of 1, 2 or 5 times a power of ten.
@@ -193,8 +196,8 @@ pub(super) fn logarithmic_ticks(low: f64, high: f64) -> Vec<f64> {
 }
 
 /// Ticks of a bar from 0 to `high` that is linear up to `soft` and logarithmic above (`asinh(v /
-/// soft)`). They are 0, and 1, 2 and 5 times powers of ten, without those that are too close to
-/// others.
+/// soft)`). They are 0, and 1, 2 and 5 times powers of ten. Ticks that would be too close to others
+/// are left out.
 pub(super) fn asinh_ticks(soft: f64, high: f64) -> Vec<f64> {
     let along = |v: f64| (v / soft).asinh() / (high / soft).asinh();
     let last = high.log10().floor() as i32;

@@ -167,7 +167,8 @@ impl DrawingBackend for Canvas<'_> {
         self.svg.fill_polygon(points, style)
     }
 
-    /// Draws text into both, with the size and the offsets of plotters' SVG backend.
+    /// Draws text into the SVG and into the pixels. In the pixels it has the size and the offsets
+    /// of plotters' SVG backend.
     fn draw_text<S: BackendTextStyle>(&mut self, text: &str, style: &S, at: BackendCoord) -> Drawn {
         let em = style.size() as f32 / 1.24;
         let unit = em / f32::from(FONT.units_per_em());

@@ -72,7 +72,9 @@ fn between(stops: &[[u8; 3]], value: f64) -> [u8; 3] {
 
 /// Width of the area of a colour bar, including its numbers and its name.
 pub(super) const BAR_AREA: u32 = 150;
+/// Width of the bar itself.
 const BAR: u32 = 18;
+/// Width of the numbers and the name of the bar.
 const NUMBERS: u32 = 78;
 
 /// The colours of values. Pictures and maps that are compared should have equal scales.

@@ -75,7 +75,7 @@ impl Curve {
         Self::new(name, points)
     }
 
-    /// Its colour if it has the index `place` in its plot.
+    /// The colour of this curve. `place` is the index of the curve in its plot.
     fn colour_at(&self, place: usize) -> RGBColor {
         SERIES[self.colour.unwrap_or(place) % SERIES.len()]
     }
@@ -314,7 +314,7 @@ pub fn curve_panels(panels: &[(String, Curves)]) -> Result<Figure, PlotError> {
     })
 }
 
-/// Returns the first curve of each name, with its place in its panel.
+/// Returns the first curve of each name, with the index of the curve in its panel.
 fn names(panels: &[(String, Curves)]) -> Vec<(usize, &Curve)> {
     let mut found: Vec<(usize, &Curve)> = Vec::new();
     for (place, curve) in panels.iter().flat_map(|(_, c)| c.curves.iter().enumerate()) {

@@ -43,7 +43,8 @@ pub struct Figure {
 }
 
 impl Figure {
-    /// Draws a figure of `width` x `height` pixels, then the overlays that `draw` returns over it.
+    /// Draws a figure of this `size` (width, height) in pixels. `draw` returns overlays, which are
+    /// drawn last, over the rest of the figure.
     pub(super) fn draw(
         size: (u32, u32),
         draw: impl FnOnce(&Area<'_>) -> Result<Vec<Overlay>, PlotError>,

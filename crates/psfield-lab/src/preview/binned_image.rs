@@ -3,7 +3,7 @@
 use ndarray::{Array2, ArrayView2};
 use psf_io::{ImageReader, IoError};
 
-/// Smallest number of rows read from a file at once.
+/// Number of rows read from a file at once.
 const BAND: usize = 64;
 
 /// An image of limited size. Each of its pixels is the mean of a square bin of pixels.

@@ -115,8 +115,9 @@ pub enum LimitRule {
     Percentile(Percentiles),
     /// The given limits.
     Range(Limits),
-    /// The median and a range about it from the slope of the sorted values, without outliers:
-    /// astropy's `ZScaleInterval`, as in IRAF and ds9, with 1000 pixels and a contrast of 0.25.
+    /// A range around the median. Its width follows from the slope of the sorted values without
+    /// outliers: astropy's `ZScaleInterval`, as in IRAF and ds9, with 1000 pixels and a contrast of
+    /// 0.25.
     ZScale,
 }
 
@@ -124,7 +125,7 @@ impl LimitRule {
     /// Returns the limits for an image `[y, x]`.
     ///
     /// # Errors
-    /// [`PreviewError::NoFinitePixel`]. [`PreviewError::Constant`] and
+    /// [`PreviewError::NoFinitePixel`] if no pixel is finite. [`PreviewError::Constant`] or
     /// [`PreviewError::EqualLimits`] if the rule gives no range.
     pub fn limits(self, image: ArrayView2<'_, f64>) -> Result<Limits, PreviewError> {
         if let Self::Range(limits) = self {
@@ -162,7 +163,7 @@ impl LimitRule {
     }
 }
 
-/// Linear between the sorted values, as in `numpy.percentile`.
+/// Returns a percentile of sorted values, linear between neighbours, as in `numpy.percentile`.
 fn percentile(sorted: &[f64], percent: f64) -> f64 {
     let last = sorted.len() - 1;
     let place = percent / 100.0 * last as f64;
@@ -171,12 +172,13 @@ fn percentile(sorted: &[f64], percent: f64) -> f64 {
     low + (high - low) * (place - below as f64)
 }
 
-/// Number of pixels sampled.
+/// Number of pixels that zscale samples.
 const SAMPLES: usize = 1000;
-/// The slope is divided by this contrast.
+/// The slope of the line that is fitted to the sorted samples is divided by this contrast.
 const CONTRAST: f64 = 0.25;
-/// At least this fraction of the sampled pixels, and this number, must follow the line.
+/// At least this fraction of the sampled pixels must follow the line.
 const MIN_KEPT_PART: f64 = 0.5;
+/// At least this number of sampled pixels must follow the line.
 const MIN_KEPT: usize = 5;
 /// Pixels farther from the line than this number of standard deviations are rejected.
 const REJECTION: f64 = 2.5;

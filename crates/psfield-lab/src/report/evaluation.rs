@@ -1,4 +1,4 @@
-//! Errors of all objects together, and targets for them.
+//! Summarises the errors of all objects, and compares them with targets.
 
 use metrics::Summary;
 use ndarray::Array2;
@@ -81,7 +81,8 @@ impl Evaluation {
 pub struct ErrorSummary {
     /// Number of objects.
     pub objects: usize,
-    /// Objects that could not be measured in both images. The differences of shape leave them out.
+    /// Objects whose measurement failed in at least one of the two images. The differences of shape
+    /// leave these objects out.
     pub failed: usize,
     /// Differences of `e = sqrt(1 - b^2 / a^2)`.
     pub ellipticity: Option<Spread>,
@@ -165,10 +166,11 @@ pub struct Target {
     pub met: bool,
 }
 
-/// Targets: 90 % of the differences of ellipticity, the largest of these differences, and MAE
-/// divided by the mean of the window.
+/// Target for 90 % of the differences of ellipticity.
 const ELLIPTICITY_Q90: f64 = 1e-3;
+/// Target for the largest difference of ellipticity.
 const ELLIPTICITY_LARGEST: f64 = 5e-3;
+/// Target for MAE divided by the mean of the window.
 const MAE_OVER_MEAN: f64 = 2e-4;
 /// The difference of ellipticity that 90 % of the objects of the paper do not exceed.
 pub(super) const PAPER_ELLIPTICITY_Q90: f64 = 0.0901;

@@ -52,7 +52,7 @@ impl ModelRow {
         Ok(rows)
     }
 
-    /// Truncates a model to half of its components, a quarter, and so on, and measures each.
+    /// Measures a model with all its components, with half of them, with a quarter, and so on.
     ///
     /// # Errors
     /// [`LabError`] of the model.

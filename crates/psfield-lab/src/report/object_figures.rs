@@ -144,12 +144,12 @@ pub(super) fn maps(of: &Evaluation, image: &str) -> Result<Vec<NamedFigure>, Plo
     };
     let differences = Scale::Difference { most };
     let [e1_name, e2_name] = ["e1", "e2"].map(|e| format!("{e}: {image} - true"));
-    let ends = "The 1 % of the values of both maps that are outside the range of the bar have the colours of its ends.";
+    let ends = "Values outside the bar's range (1 % of both maps together) have the colours of its ends.";
     Ok(vec![
         NamedFigure {
             name: "mse-map",
-            caption: "Mean squared error (MSE) in the window of each object, over the field. The 1 % of the values below the range of the \
-                      bar and the 1 % above it have the colours of its ends."
+            caption: "Mean squared error (MSE) in the window of each object, over the field. Values outside the range of the bar \
+                      (1 % below it, 1 % above it) have the colours of its ends."
                 .to_owned(),
             figure: map(
                 "mean squared error",

@@ -92,8 +92,8 @@ pub struct GalaxyComparison {
 const GALAXY_SIZE: f64 = 0.12;
 
 impl GalaxyComparison {
-    /// Convolves a galaxy that fills the frame by the fast engine, by patches and by the direct
-    /// sum.
+    /// Convolves a galaxy that fills the frame with three methods: the fast engine, patches and the
+    /// direct sum.
     ///
     /// # Errors
     /// [`ErrorKind::Convolution`](psfield::ErrorKind::Convolution).

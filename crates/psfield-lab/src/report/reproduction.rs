@@ -65,7 +65,7 @@ pub struct Reproduction {
     pub interpolations: Vec<InterpolationRow>,
     /// Errors of models with fewer samples.
     pub fewer_samples: Vec<ModelRow>,
-    /// Errors of models with all samples and fewer components.
+    /// Errors of models with all samples: with all components, then with fewer and fewer.
     pub fewer_components: Vec<ModelRow>,
     /// Stars at the default tolerance.
     pub stars: Evaluation,
@@ -132,7 +132,7 @@ pub struct ToleranceRow {
 
 /// The highest degree of the polynomial that is compared with the default interpolation.
 const MAX_DEGREE: usize = 16;
-/// Samples per term of the polynomial, so that they determine it well.
+/// Smallest number of samples per term that determines a polynomial well.
 const SAMPLES_PER_TERM: usize = 4;
 /// Number of patches along each side of the large galaxy.
 const PATCHES_ACROSS: usize = 8;
@@ -295,7 +295,7 @@ pub struct ReproductionOptions {
     /// Threshold of the interpolation error (relative L2) for the non-uniform sampling that is
     /// shown next to the uniform sampling.
     pub adaptive_threshold: f64,
-    /// Seed for the light of Table 1 and for the pixels compared.
+    /// Seed for the light of Table 1 and for the compared pixels.
     pub seed: u64,
 }
 

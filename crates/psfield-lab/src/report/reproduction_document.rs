@@ -91,7 +91,7 @@ impl Reproduction {
             ));
         }
         tables.push(ModelRow::table(
-            "Errors of models with fewer components, computed by the exact sum over the components.",
+            "Errors of the model with all components and with fewer, computed by the exact sum over the components.",
             &self.fewer_components,
         ));
         Section {
@@ -241,8 +241,8 @@ impl Reproduction {
         let figure = NamedFigure {
             name: "galaxy",
             caption: "The galaxy before and after the convolution, and the differences from the direct sum. Patches leave seams where the PSF \
-                      changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen. The \
-                      0.2 % of the pixels outside the range of a bar have the colours of its ends."
+                      changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen. \
+                      Pixels outside the range of a bar (0.2 %) have the colours of its ends."
                 .to_owned(),
             figure,
         };

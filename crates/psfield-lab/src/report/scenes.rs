@@ -156,10 +156,10 @@ fn object_pixels(
         .collect())
 }
 
-/// Nodes: positions around a galaxy at which the optics draw the PSF, in halves of the galaxy's
-/// side. Between these nine positions the PSF is interpolated by a polynomial of degree 2 in x and
-/// in y. The error of this is far below the measured differences, because the nodes are much closer
-/// to each other than the samples.
+/// Nodes: positions around a galaxy at which the optics draw the PSF, along each axis and in units
+/// of half the side of the galaxy's array. Between the nine nodes, the PSF is interpolated by a
+/// polynomial of degree 2 in x and in y. The error of this interpolation is far below the measured
+/// differences, because the nodes are much closer to each other than the samples.
 const NODES: [f64; 3] = [-1.0, 0.0, 1.0];
 
 /// Returns the PSF that `source` draws at a position, scaled to unit flux.
@@ -225,7 +225,8 @@ fn true_galaxy(
     Ok(window)
 }
 
-/// The three polynomials of degree 2 that are 1 at one of the nodes and 0 at the others.
+/// The values at `t` of the three polynomials of degree 2 that are 1 at one of the [`NODES`] and 0
+/// at the others.
 fn lagrange(t: f64) -> [f64; 3] {
     [0.5 * t * (t - 1.0), (1.0 - t) * (1.0 + t), 0.5 * t * (t + 1.0)]
 }

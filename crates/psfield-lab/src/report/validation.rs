@@ -23,7 +23,7 @@ pub struct Validation {
     pub truth: ValidationTruth,
     /// Columns and rows of the compared windows.
     pub window: [usize; 2],
-    /// Window pixels per frame pixel along each axis. Lengths are in window pixels.
+    /// Window pixels per frame pixel along each axis. Each FWHM in `objects` is in window pixels.
     pub oversampling: f64,
     /// Components of the model, the mean not counted.
     pub rank: usize,
@@ -68,8 +68,8 @@ impl Validation {
                 } else {
                     StampInterpolator::new(psf.values(), model.grid()).resample((0.0, 0.0), grid)
                 };
-                // Model and truth hold the same part of the light, even if one grid reaches further
-                // than the other.
+                // The grid of the model may reach further than the grid of the truth. Both PSFs
+                // therefore get unit flux on the grid of the truth.
                 let flux = if unit { grid.flux_of_sum(stamp.sum()) } else { 1.0 };
                 Ok(stamp / flux)
             })
@@ -162,9 +162,9 @@ impl Validation {
             ValidationTruth::Samples => (
                 "PSFs",
                 ["model", "stamp pixels"],
-                "Each PSF is measured twice in the same way, by a Gaussian fit: as the model gives it at that position, and as the truth \
-                 gives it. Both are scaled to unit flux if the PSFs of the model are. No image is simulated, so that the differences do \
-                 not include the error of the engine, which its tolerance limits.",
+                "Each PSF of the truth is compared with the PSF of the model at its position. The same Gaussian fit measures both. If \
+                 the PSFs of the model have unit flux, both PSFs are scaled to unit flux. No image is simulated, so the \
+                 differences do not include the error of the engine, which its tolerance limits.",
             ),
             ValidationTruth::Frame => (
                 "stars",

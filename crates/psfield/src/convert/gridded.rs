@@ -31,9 +31,9 @@ pub struct GriddedConversion {
 /// (`GriddedPSFModel`) and others interpolate bilinearly between the nodes.
 ///
 /// With [`SamplesAt::Own`], a PSF that is already interpolated between samples on such a grid
-/// (bilinearly or bicubically) keeps its samples. Any other PSF is then evaluated on a square grid,
-/// with at least 11 x 11 nodes and at least as many nodes as samples. A fractional oversampling is
-/// resampled to the next whole number.
+/// (bilinearly or bicubically) keeps its samples, and any other PSF is evaluated on a square grid.
+/// This grid has at least 11 x 11 nodes, and at least as many nodes as the PSF has samples. Stamps
+/// with a fractional oversampling are resampled to the next whole number.
 ///
 /// # Errors
 /// [`ErrorKind::Format`] for positions that form no grid or stamps centred between pixels, and the

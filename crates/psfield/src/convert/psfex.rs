@@ -219,11 +219,11 @@ mod tests {
     use crate::{FitOptions, record_of_psfex};
     use psf_types::{FrameShape, SamplePositions, StampGrid};
 
-    /// Rounding to single precision of values that are added up, relative to the peak.
+    /// Error of a sum of values that were rounded to single precision, relative to the peak.
     const SINGLE: f64 = 1e-6;
 
-    /// A Gaussian whose width and position change over the field in such a way that no pixel's
-    /// value is a polynomial of degree 2.
+    /// A Gaussian whose width changes over the field in such a way that no pixel's value is a
+    /// polynomial of degree 2.
     fn samples(across: usize, size: usize) -> PsfSamples {
         let positions: Vec<Position> = (0..across * across)
             .map(|i| Position::of_pixel(100 * (i % across) as i64, 80 * (i / across) as i64 + 3))

@@ -30,7 +30,7 @@ pub enum Placement {
 pub struct PredictedSeconds {
     /// On the GPU.
     pub gpu: f64,
-    /// On the processor, with the given number of threads.
+    /// On the processor, with all threads of the current pool.
     pub cpu: f64,
 }
 

@@ -175,10 +175,10 @@ impl Psf {
     /// | [PSF samples](psf_io::samples) | unit | all of `choices` |
     /// | [PSF model](psf_io::model) | as stored | `outside` and `normalisation` of `choices` |
     /// | [PSFEx model](psf_io::psfex) | unit | `outside` and `normalisation` of `choices`; `file.extension` |
-    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | unchanged | all of `choices` (every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
-    /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
+    /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | unchanged | all of `choices` (by default every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
+    /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
     /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
-    /// | single stamp: one PSF everywhere | unit | `file.oversampling`, `file.centre`, `file.extension` |
+    /// | single stamp: one PSF everywhere | unit | all of `choices` (by default nearest); `file.oversampling`, `file.centre`, `file.extension` |
     ///
     /// `file.pixel_response_included` applies to all formats.
     ///
@@ -194,9 +194,10 @@ impl Psf {
     /// ```
     ///
     /// # Errors
-    /// [`ErrorKind::Setting`] for a setting that does not apply to the format, or for a choice that
-    /// only applies to a fit if the file holds a model, [`ErrorKind::Format`] for a setting that is
-    /// missing, and [`ErrorKind::Io`] when the file holds no PSF or is damaged.
+    /// - [`ErrorKind::Setting`] for a setting that does not apply to the format. If the file holds
+    ///   a model, also for a choice that applies only to a fit.
+    /// - [`ErrorKind::Format`] for a setting that is missing.
+    /// - [`ErrorKind::Io`] when the file holds no PSF or is damaged.
     pub fn open_with(
         path: impl AsRef<Path>,
         file: &PsfFileOptions,

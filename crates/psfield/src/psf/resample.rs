@@ -106,9 +106,9 @@ impl Psf {
 
     /// Returns this PSF with every stamp resampled.
     ///
-    /// Resampling and interpolation are linear in the stamps. Therefore the PSFs of a model of
-    /// resampled stamps equal the resampled PSFs of the model, before the scaling to unit flux. The
-    /// scaling is done last, on the new stamps.
+    /// Only the stamps of a model are resampled, because resampling and interpolation are linear in
+    /// the stamps. Each PSF of the new model therefore equals the resampled PSF of the old model,
+    /// before the scaling to unit flux. The scaling is done last, on the new stamps.
     fn resampled(&self, resampling: &Resampling) -> Result<Self, PsfieldError> {
         let target = resampling.target;
         match &self.0.origin {
@@ -149,14 +149,14 @@ impl Psf {
 
 /// Resamples stamps to other pixels, and moves positions to another frame.
 struct Resampling {
-    /// The pixels at which the PSF is sampled.
+    /// The grid at whose pixels the PSF is sampled, in units of old frame pixels.
     sampled: StampGrid,
-    /// The pixel grid that the new stamps state. For a finer scene, it counts scene pixels and has
-    /// its centre on a pixel.
+    /// The pixel grid of the new stamps, in units of new frame pixels. For a finer scene, these are
+    /// the scene's pixels, and the grid has its centre on a pixel.
     target: StampGrid,
     /// Number of the new frame's pixels along each side of a pixel of the old one.
     finer: usize,
-    /// The coordinate of pixel 0 of the old frame in the new frame.
+    /// The coordinate in the new frame at which the PSF of pixel 0 of the old frame applies.
     offset_of_field: f64,
 }
 
@@ -220,7 +220,7 @@ mod tests {
 
     use super::*;
 
-    /// Rounding of sums of three stamps of order 1e-2, computed in two ways.
+    /// Rounding error of sums of three stamps with values of order 1e-2, computed in two ways.
     const ROUNDING: f64 = 1e-12;
 
     fn gauss(n: usize, sigma: f64, shift: f64) -> Array2<f64> {

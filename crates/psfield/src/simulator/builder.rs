@@ -76,7 +76,8 @@ impl<T: ConvReal> OwnMethodBuilder<T> {
         self
     }
 
-    /// Checks the settings.
+    /// Checks the settings and returns the simulator. Plans are made when the first scene needs
+    /// them.
     ///
     /// # Errors
     /// The errors of [`SimulatorBuilder::build`].
@@ -99,8 +100,7 @@ impl SimulatorBuilder {
         self
     }
 
-    /// Chooses the position at which the PSF is evaluated: that of the source, or that of the
-    /// output pixel.
+    /// Chooses whether the PSF is evaluated at the position of the source or of the output pixel.
     #[must_use]
     pub fn anchor(mut self, anchor: Anchor) -> Self {
         self.options.anchor = anchor;
@@ -135,7 +135,8 @@ impl SimulatorBuilder {
         self
     }
 
-    /// Checks the settings. Plans are made when the first scene needs them.
+    /// Checks the settings and returns the simulator. Plans are made when the first scene needs
+    /// them.
     ///
     /// # Errors
     /// [`PsfieldError`] for settings that cannot be used: a tolerance, an oversampling or a stamp

@@ -13,7 +13,7 @@ use crate::{PixelPicker, PsfieldError, Scene, SpotCheck};
 /// The largest number of image rows whose light a streamed check keeps in memory at once.
 const BAND: usize = 512;
 /// The number of scene pixels along each side of a frame pixel that galaxies need. On coarser
-/// pixels, galaxies of any size are blurred by some percent.
+/// pixels, galaxies of any size are blurred by a few percent.
 const FINE_FOR_GALAXIES: usize = 4;
 /// The smallest half-light radius that galaxies need, in pixels of the scene. Smaller galaxies are
 /// blurred by these pixels.
@@ -166,8 +166,8 @@ impl<T: ConvReal> Simulator<T> {
         }
     }
 
-    /// Returns a warning if scenes of this kind need stamps that are interpolated between their own
-    /// pixels. `rows` has the meaning that it has for [`prepare`](Self::prepare).
+    /// Returns a warning if scenes like `scene` need stamps that are interpolated between their own
+    /// pixels. `rows` has the same meaning as in [`prepare`](Self::prepare).
     ///
     /// # Errors
     /// No error for a simulator that could be built, because the builder checks the stamp size.
@@ -235,8 +235,8 @@ impl fmt::Display for SimulationWarning {
                  are interpolated",
             ),
             Self::StarsBetweenPixels => f.write_str(
-                "stars lie between pixels, and the PSF stamps are not oversampled at least twice: the stamps are \
-                 interpolated, which is wrong by some percent where the PSF is under-sampled. The spot check does not \
+                "stars lie between pixels, and the PSF stamps are oversampled by a factor below 2: the stamps are \
+                 interpolated, with errors of a few percent where the PSF is under-sampled. The spot check does not \
                  detect this",
             ),
             Self::BlurredGalaxies { count } => write!(

@@ -152,7 +152,7 @@ fn owned_and_borrowed_images_give_the_same_light() {
             },
             "{flux}"
         );
-        // Without an image, the light is only that of the galaxies.
+        // Without an image, the light is only the galaxies' light.
         let dark = Scene::dark().with_galaxies(&galaxies[..]);
         assert_eq!(has_extended_light(&dark), !galaxies.is_empty());
         if has_extended_light(&dark) {

@@ -1,6 +1,6 @@
 // Coefficients of a block's kernels as functions along its rows.
 
-// Offsets of the words in a table's header.
+// Offsets of the words in a table's header, which `CoefficientTable::packed` explains.
 const DENSE: u32 = 0u;
 const FUNCTIONS: u32 = 1u;
 const DIVIDES: u32 = 2u;

@@ -11,24 +11,28 @@ const UNTWIST: u32 = 2u * HALF;
 
 // A tile and the kernels that a batch applies to it. Places are indices of values in their buffers.
 struct Tile {
-    // The place of its light's first pixel, and the light's size.
+    // The place of its light's first pixel.
     light: u32,
+    // The size of its light.
     width: u32,
     height: u32,
-    // The indices of its first plane and of its kernels' first spectrum, and the number of kernels.
+    // The index of its first plane.
     plane: u32,
+    // The index of its kernels' first spectrum.
     spectrum: u32,
+    // The number of its kernels.
     kernels: u32,
-    // The place of its coefficients' table, and its first pixel within the block of the table.
+    // The place of its coefficients' table.
     table: u32,
+    // Its first pixel within the block of the table.
     column: u32,
     row: u32,
-    // The result: its first pixel within the panel (this may lie outside), its size, and its first
-    // pixel in the plane.
+    // The first pixel of the result within the panel (this may lie outside), and the result's size.
     out_column: i32,
     out_row: i32,
     out_width: u32,
     out_height: u32,
+    // The first pixel of the result in the plane.
     skip_column: u32,
     skip_row: u32,
     // The factor by which the result is multiplied.

@@ -1,18 +1,21 @@
-// Draws single pixels of the light of tiles, each as a combination of stamps. The coefficients are
-// those of the lit pixel or, if `weighted` is 1, those of the pixels that its light reaches. Tiles
-// of a dispatch do not overlap.
+// Draws single pixels of the light of tiles, each as a combination of stamps. The coefficients
+// belong to the lit pixel or, if `weighted` is 1, to the pixels that its light reaches. Tiles of a
+// dispatch do not overlap.
 
 struct Draw {
-    // The index of its first pixel, the number of its pixels, and the place of their first value in
-    // `amounts`.
+    // The index of its first pixel.
     first_pixel: u32,
+    // The number of its pixels.
     pixels: u32,
+    // The place of its first value in `amounts`.
     first_amount: u32,
-    // The place of its first stamp, and the number of stamps.
+    // The place of its first stamp.
     stamps: u32,
+    // The number of its stamps.
     kernels: u32,
-    // The place of its coefficients' table, and its first pixel within the block of the table.
+    // The place of its coefficients' table.
     table: u32,
+    // Its first pixel within the block of the table.
     column: u32,
     row: u32,
     // The result: its first pixel within the panel (this may lie outside), and its size.

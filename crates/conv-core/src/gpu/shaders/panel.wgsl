@@ -1,5 +1,5 @@
 
-// Adds to a pixel of a tile's result if it lies within the panel.
+// Adds a value to a pixel of a tile's result if the pixel lies within the panel.
 fn add_to_panel(out_row: i32, out_column: i32, row: u32, column: u32, value: f32) {
     let y = out_row + i32(row);
     let x = out_column + i32(column);

@@ -76,7 +76,7 @@ const COUNT: &str = "a whole number";
 const LENGTH: &str = "the length of an axis of PSF_MASK, a whole number above 0";
 const TERMS: &str = "the number of terms of the polynomial, (d+1)(d+2)/2 for POLDEG1 = d";
 
-/// The chosen table.
+/// The table of the chosen PSFEx model. Without a choice, the file must hold one model.
 fn chosen<'a>(structure: &'a FitsStructure, extension: Option<&HduChoice>) -> Result<&'a Hdu, IoError> {
     const WHAT: &str = "PSFEx models";
     if !is_psfex(structure) {

@@ -17,9 +17,10 @@
 //! | `PSFNAXIS`, `PSFAXIS1`, `PSFAXIS2`, `PSFAXIS3` | 3 axes: columns, rows, terms; for one term 2 axes are enough |
 //! | `PSF_FWHM`, `LOADED`, `ACCEPTED`, `CHI2` | statistics of PSFEx, optional |
 //!
-//! `h(u; x, y) = sum_t t(x, y) plane_t(u)` with `t = X^i Y^j`, `X = (x - POLZERO1) / POLSCAL1` and
-//! `Y` likewise. The order of the terms is `for j in 0..=d, for i in 0..=d - j`, so 1, X, X^2, Y,
-//! XY, Y^2 for degree 2.
+//! The PSF at the position (x, y) is `h(u; x, y) = sum_t t(x, y) plane_t(u)`, where `u` is a pixel
+//! of the planes. A term is `t = X^i Y^j` with `X = (x - POLZERO1) / POLSCAL1`, and `Y` likewise.
+//! The order of the terms is `for j in 0..=d, for i in 0..=d - j`, so 1, X, X^2, Y, XY, Y^2 for
+//! degree 2.
 //!
 //! # Conventions
 //! The reference point of the PSF is the plane pixel `n / 2` (integer division), as in PSFEx.
@@ -93,8 +94,8 @@ impl PsfexAxis {
     }
 
     /// The extrema of the Chebyshev polynomial of this degree over `zero +- scale / 2`, including
-    /// the ends. These nodes determine any polynomial of the degree. For degree 0 the only node is
-    /// `zero`.
+    /// the ends. The values at these points determine any polynomial of this degree. For degree 0
+    /// the only point is `zero`.
     pub fn extrema(&self, degree: usize) -> Vec<f64> {
         if degree == 0 {
             return vec![self.zero];
