@@ -268,7 +268,7 @@ fn sky_coordinates_go_through_the_frames_world_coordinates() {
     assert_eq!(result.as_ref().unwrap_err().setting(), Some("sky"));
     assert_setting(
         result,
-        "\"ra\" and \"dec\" are sky coordinates, and no world coordinates",
+        "\"ra\" and \"dec\" are sky coordinates, but the world coordinates",
     );
     let options = CatalogOptions::new().with_sky(sky());
     let catalog = read(text, &options).unwrap();
