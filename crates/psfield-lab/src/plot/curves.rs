@@ -248,7 +248,7 @@ impl Curves {
                 Mark::Point(px, py, text) => {
                     let p = (self.x.part(*px, x), self.y.part(*py, y));
                     let near = |(u, v): (f64, f64)| (p.0 - u).abs() < NEAR.0 && (p.1 - v).abs() < NEAR.1;
-                    lower = i32::from(last_point.is_some_and(near)) * 2 * (TEXT + 5);
+                    lower = i32::from(last_point.is_some_and(near)) * (TEXT + 5);
                     last_point = Some(p);
                     let at = (*px, *py);
                     chart.draw_series([Circle::new(at, 5, BLACK.filled())])?;
