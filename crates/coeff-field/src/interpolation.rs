@@ -445,8 +445,8 @@ pub(crate) fn prediction_error(
     difference.dot(&difference).sqrt()
 }
 
-/// Turns the prediction of each sample (whether the others cover it, and the error) into its
-/// outcome.
+/// Calls `predict` for each sample, and turns the results into outcomes. `predict` returns whether
+/// the other samples cover this sample's position, and the error of the prediction.
 pub(crate) fn outcomes_of(
     samples: &SampleCoefficients,
     outside: OutsidePolicy,

@@ -89,16 +89,18 @@ pub(crate) fn norm(v: ArrayView1<'_, f64>) -> f64 {
 }
 
 /// A local basis: `h(x) = flux(x) reference + sum_j c_j(x) mode_j`. The modes hold no flux, so
-/// leaving out modes keeps the flux.
+/// leaving out modes keeps the flux. The exception is a region without a reference: its first mode
+/// holds all the flux, if there is any, and is then always kept.
 ///
-/// The modes are orthonormal, and ordered by their mean squared coefficient, the largest first. If
-/// there is no reference, the first mode is the only one that holds flux. As few modes are kept as
-/// represent every PSF of the region within the tolerance. The error of a PSF is relative to the
-/// PSF's own norm.
+/// The modes are orthonormal. Apart from a first mode that holds the flux, they are ordered by
+/// their mean squared coefficient, the largest first. As few modes are kept as represent every PSF
+/// of the region within the tolerance. The error of a PSF is relative to the PSF's own norm.
 ///
 /// It is enough to test the corners of each cell. PSFs are bilinear in a cell, so along any row or
-/// column of the cell the norm of the error is convex. This norm is compared with the PSF's
-/// projection on the region's mean. The projection is linear there, and at most the PSF's norm.
+/// column of the cell the norm of the error is convex. Its limit is the tolerance times the PSF's
+/// projection on the region's mean, which is linear there. If the norm is within the limit at both
+/// ends, it is therefore within it in between. The projection is at most the PSF's norm, so the
+/// relative error is within the tolerance.
 #[derive(Debug)]
 pub struct LocalModes {
     /// The region's mean PSF, scaled to unit flux, `[direction]`. `None` if it holds too little

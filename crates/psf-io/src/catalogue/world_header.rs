@@ -263,8 +263,8 @@ fn refuse_tables(header: &HeaderCards) -> Result<(), WorldCoordinatesError> {
 /// (Calabretta and Greisen 2002, section 2.5).
 fn refuse_moved_reference(world: &World<'_>, axis: &str) -> Result<(), WorldCoordinatesError> {
     let pole = world.number("LONPOLE")?;
-    // The reference point of a zenithal projection is its pole, at latitude 90. There `PVi_4`, the
-    // latitude of the celestial pole, has no effect.
+    // The reference point of a zenithal projection is its native pole, at native latitude 90. There
+    // `PVi_4` (LATPOLE, the native latitude of the celestial pole) has no effect.
     for (m, usual) in [(0, 0.0), (1, 0.0), (2, 90.0), (3, pole.unwrap_or(0.0))] {
         let keyword = format!("PV{axis}_{m}");
         if let Some(value) = world

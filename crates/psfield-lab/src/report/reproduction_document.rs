@@ -242,7 +242,7 @@ impl Reproduction {
             name: "galaxy",
             caption: "The galaxy before and after the convolution, and the differences from the direct sum. Patches leave seams where the PSF \
                       changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen. \
-                      Pixels outside the range of a bar (0.2 %) have the colours of its ends."
+                      The 0.2 % of pixels outside the range of a colour bar have the colours of its ends."
                 .to_owned(),
             figure,
         };

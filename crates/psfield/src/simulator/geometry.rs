@@ -9,7 +9,7 @@ use psf_types::{
 
 use crate::{ErrorKind, PsfieldError, SimulateOptions};
 
-/// The geometry of scenes of one shape, the frame and the computed region.
+/// The geometry of scenes of one shape, of the frame and of the computed region.
 ///
 /// With `s` pixels of the scene along each side of a frame pixel, frame pixel `i` has its centre at
 /// `s i + (s - 1) / 2` of the scene. The engine's stamps include the response of the frame's pixel.
