@@ -267,10 +267,10 @@ fn of_writer(version: Option<&str>, date: Option<&str>) -> Option<(PlaneOrder, S
     let number = version.and_then(release);
     if let (Some(text), Some((number, development))) = (version, number) {
         if number >= SORTED_SINCE_VERSION {
-            return Some((PlaneOrder::Sorted, format!("written by version {text}")));
+            return Some((PlaneOrder::Sorted, format!("the card VERSION is {text}")));
         }
         if !development {
-            return Some((PlaneOrder::Cards, format!("written by version {text}")));
+            return Some((PlaneOrder::Cards, format!("the card VERSION is {text}")));
         }
     }
     let day = date
