@@ -27,12 +27,11 @@ def rows(heading: str) -> dict[str, set[str]]:
 def crates() -> dict[str, set[str]]:
     """The crates of the workspace that each manifest names."""
     manifests = [tomllib.loads(path.read_text()) for path in CRATES.glob("*/Cargo.toml")]
-    names = {"metrics": "psf-metrics", "detector": "psf-detector"}
     own = {manifest["package"]["name"] for manifest in manifests}
+    dependencies = tomllib.loads(Path("Cargo.toml").read_text())["workspace"]["dependencies"]
+    packages = {key: spec.get("package", key) for key, spec in dependencies.items() if isinstance(spec, dict)}
     return {
-        manifest["package"]["name"]: {
-            names.get(name, name) for name in manifest.get("dependencies", {}) if names.get(name, name) in own
-        }
+        manifest["package"]["name"]: {packages.get(key) for key in manifest.get("dependencies", {})} & own
         for manifest in manifests
     }
 

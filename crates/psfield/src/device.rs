@@ -50,7 +50,7 @@ pub fn open_gpu(_adapter: Option<&str>) -> Result<String, PsfieldError> {
 
 #[cfg(not(feature = "gpu"))]
 fn no_gpu_support() -> PsfieldError {
-    const NO_SUPPORT: &str = "this psfield was built without GPU support: build it with its feature gpu (cargo build --features gpu)";
+    const NO_SUPPORT: &str = "this psfield was built without GPU support: build it with its feature gpu (--features gpu, docs/gpu.md shows how)";
     PsfieldError::new(crate::ErrorKind::Gpu, NO_SUPPORT)
 }
 
