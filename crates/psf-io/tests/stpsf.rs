@@ -80,9 +80,9 @@ fn the_writer_or_the_caller_decides_the_order_of_the_planes() {
     let new = with_value(&old, "VERSION", "'2.0.0'").bytes;
     let marked = stpsf(&["PLANEORD= 'sorted'"]);
     let (found, note) = order(&old, PlaneOrder::Auto);
-    assert!(found == AS_CARDS && note.contains("version 1.2.1"), "{note}");
+    assert!(found == AS_CARDS && note.contains("VERSION is 1.2.1"), "{note}");
     let (found, note) = order(&new, PlaneOrder::Auto);
-    assert!(found == SORTED && note.contains("version 2.0.0"), "{note}");
+    assert!(found == SORTED && note.contains("VERSION is 2.0.0"), "{note}");
     let (found, note) = order(&marked, PlaneOrder::Auto);
     assert!(found == SORTED && note.contains("PLANEORD"), "{note}");
     let (found, note) = order(&new, PlaneOrder::Cards);
