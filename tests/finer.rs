@@ -252,7 +252,7 @@ fn frames_of_finer_scenes() {
     let refused = odd(finer(s, Anchor::Source)).unwrap_err();
     assert_eq!(refused.setting(), Some("frame"));
     assert!(
-        refused.to_string().contains("not a multiple of 2 pixels"),
+        refused.to_string().contains("must be multiples of 2"),
         "{refused}"
     );
 }

@@ -109,6 +109,8 @@ INTERRUPTED = """
     import numpy as np
     from conftest import gaussian_stamp, widening_model
     import psfield
+    # A parent that ignores Ctrl-C, such as a shell's background job, passes this on.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     scene = np.ones((4000, 4000))
     plan = widening_model((4000, 4000), size=41).plan(scene.shape, 0.0, "f64", method="lowrank")
     began = time.monotonic()

@@ -13,16 +13,17 @@ use crate::interpolation::{
 /// Bilinear interpolation inside the cells of a [`RegularGrid`](crate::RegularGrid).
 ///
 /// In a cell with corners `(x_0, y_0)` and `(x_1, y_1)`, with `t = (x - x_0) / (x_1 - x_0)` and `s`
-/// likewise in y, `v = (1-s)(1-t) v_00 + (1-s) t v_10 + s (1-t) v_01 + s t v_11`. It is continuous
-/// and reproduces `1, x, y, xy`. The error is at most `(h_x^2 |v_xx| + h_y^2 |v_yy|) / 8` for cells
-/// of `h_x` by `h_y`.
+/// likewise in y, `v = (1-s)(1-t) v_00 + (1-s) t v_10 + s (1-t) v_01 + s t v_11`. The field is
+/// continuous and reproduces `1, x, y, xy`. For cells of `h_x` by `h_y` the error is at most
+/// `(h_x^2 |v_xx| + h_y^2 |v_yy|) / 8`.
 ///
 /// # Outside the grid
 /// * Nearest: coordinates are clamped to the grid.
 /// * Extend: the formula of the nearest cell continues, linear in each coordinate. Across a single
 ///   row or column the slope is unknown, and the values are constant.
-/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
-///   still count as inside. A grid of a single row covers only positions on that row.
+/// * Error: returns an error. Positions outside the grid still count as inside up to a distance of
+///   1e-9 times the samples' extent (or of 1e-9 pixels, if that is more). A grid of a single row
+///   covers only positions on that row.
 ///
 /// # Leave-one-out
 /// Without one sample the grid is no longer regular. But the other samples of this sample's row
@@ -184,8 +185,8 @@ impl FieldWeights for GridWeights {
         Ok(())
     }
 
-    /// Visits one run for each piece of a cell that the row crosses, and one run outside the grid
-    /// on either side.
+    /// Visits one run for each piece of a cell that the row crosses. Under the policy nearest there
+    /// is also one run outside the grid on either side.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         let is_clamped = self.outside != OutsidePolicy::Extend;

@@ -17,8 +17,8 @@ use crate::triangles::{GradientStencil, Node, Triangles, gradient_stencil, point
 
 /// Largest depth of a dent whose sliver is peeled off, relative to the dent's width along the side.
 const MAX_DENT: f64 = 1e-3;
-/// Farther inside the hull than this multiple of a dent's depth, the dent does not affect natural
-/// neighbour weights.
+/// Farther inside the hull than this multiple of the depth of a side's dents, natural neighbour
+/// weights are used without a share of linear weights.
 const CLEAR: f64 = 4.0;
 /// The edges of a dent have slopes below `1 / SLOPE` relative to the side.
 const SLOPE: f64 = 10.0;
@@ -55,17 +55,18 @@ pub(crate) struct Link {
     pub(crate) gradient: GradientStencil,
 }
 
-/// The point of the boundary that is nearest to a position.
+/// The point of the hull that is nearest to a position, and the point of the chain next to it, at
+/// the same distance along the side.
 #[derive(Debug)]
 pub(crate) struct Foot<'a> {
-    /// The two samples of the chain around this point.
+    /// The two samples of the chain around the point of the chain.
     pub(crate) links: [&'a Link; 2],
     /// The point of the chain, as a fraction of the way from the first of these samples to the
     /// second.
     pub(crate) s: f64,
-    /// The vector from this point of the chain to the point of the hull nearest to the position.
+    /// The vector from the point of the chain to the point of the hull.
     pub(crate) to_hull: Point,
-    /// The vector from this point of the hull to the position.
+    /// The vector from the point of the hull to the position.
     pub(crate) to_position: Point,
 }
 
@@ -74,7 +75,8 @@ pub(crate) struct Foot<'a> {
 pub(crate) enum BoundaryPiece {
     /// The start of this side.
     Corner(usize),
-    /// This side, between the sample of its chain with this index and the sample before it.
+    /// The part of a side (first index) between a sample of its chain (second index) and the sample
+    /// before it.
     Link(usize, usize),
 }
 

@@ -29,14 +29,16 @@ use crate::triangles::{Node, Peeled, Triangles, area_shares, point_of, sample_of
 ///   its Delaunay neighbours, with weights that fall with distance. `g` interpolates these
 ///   gradients linearly along the hull. The result is continuous and reproduces linear fields. (If
 ///   the planes of the triangles along the hull were continued instead, the field would jump from
-///   one triangle to the next, and these triangles are often long and thin.) If the samples lie on
-///   a line within about 0.001 of their extent, the slope across the line counts as 0.
-/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
-///   still count as inside.
+///   one triangle to the next, and these triangles are often long and thin.) If a hull sample, its
+///   neighbours and their neighbours lie on a line within about 0.001 of their extent, the slope
+///   across the line counts as 0.
+/// * Error: returns an error. Positions outside the hull still count as inside up to a distance of
+///   1e-9 times the samples' extent (or of 1e-9 pixels, if that is more).
 ///
 /// Samples that dent the hull by less than 0.001 of their spacing count as lying on it. Inside such
-/// a dent the formula of the policy extend applies. So the boundary follows the samples and not the
-/// long thin triangles between them.
+/// a dent the formula of extend applies under every policy. There `c` is not on the hull, but on
+/// the straight line between the two boundary samples on either side of the position. So the
+/// boundary follows the samples and not the long thin triangles between them.
 ///
 /// # One, two, or collinear samples
 /// Linear interpolation along the line: a position has the value at its foot on the line. Positions
@@ -68,9 +70,10 @@ const ROUNDING_OF_LARGEST: f64 = 1e-14;
 
 /// Sibson's natural neighbours.
 ///
-/// The weight of a sample is the share of its Voronoi cell in the cell that a sample at the
-/// position would have (R. Sibson 1981, "A brief description of natural neighbour interpolation",
-/// in *Interpreting Multivariate Data*, 21): `w_i = area(cell(x) and cell_i) / area(cell(x))`. No
+/// A new sample at the position `x` would have a Voronoi cell, cut out of the cells of its
+/// neighbours. The weight of a neighbour is the fraction of the new cell that comes from the
+/// neighbour's cell: `w_i = area(cell(x) and cell_i) / area(cell(x))` (R. Sibson 1981, "A brief
+/// description of natural neighbour interpolation", in *Interpreting Multivariate Data*, 21). No
 /// weight is negative, and linear fields are reproduced. The field is smooth except at the samples,
 /// where it is continuous. It has no kinks along triangles and does not depend on the choice of a
 /// triangulation.
@@ -182,8 +185,8 @@ impl FieldWeights for TriangulationWeights {
     }
 
     /// Visits linear weights in runs: one for each triangle that the row crosses, except slivers.
-    /// Under [`OutsidePolicy::Nearest`] there is also a run for each part of the hull that the row
-    /// passes outside. All other positions are visited pixel by pixel.
+    /// Under [`OutsidePolicy::Nearest`], the pixels outside the hull also form runs, one for each
+    /// nearest [`BoundaryPiece`]. All other positions are visited pixel by pixel.
     fn weights_along_row(&self, start: (i64, i64), length: usize, visit: OnRun<'_>) -> Visited {
         let row = Row::new(start, length);
         if self.natural {
@@ -279,7 +282,7 @@ impl<'a> Sibson<'a> {
 type Face<'a> = FaceHandle<'a, InnerTag, Node, (), (), Peeled>;
 
 /// A triangle is a sliver if its height is below this fraction of its longest side. Its barycentric
-/// coordinates then have rounding errors above 1e-12, and are not linear to the last digits.
+/// coordinates may then have rounding errors above 1e-12, and are not linear to the last digits.
 const SLIVER: f64 = 1e-3;
 
 /// Finds runs of linear weights along a row, from one triangle to the next.
@@ -293,7 +296,7 @@ struct MeshRow<'a> {
     mesh: &'a Mesh,
     row: Row,
     outside: OutsidePolicy,
-    /// The last triangle of the walk.
+    /// The triangle in which the last walk ended.
     at: Option<Face<'a>>,
     first: WeightList,
     last: WeightList,
@@ -381,7 +384,7 @@ impl<'a> MeshRow<'a> {
     /// The last column in a triangle that contains `column`.
     fn last_inside(&self, face: Face<'a>, corners: [Point; 3], column: usize) -> usize {
         let p = self.row.point(column);
-        // The row leaves through an edge that goes up, with the triangle on its left.
+        // The edges run counter-clockwise, so the row leaves through an edge along which y rises.
         let leave = [0, 1, 2]
             .into_iter()
             .filter_map(|i| {

@@ -66,7 +66,7 @@ pub enum CoeffFieldError {
     /// Two samples at one node of a regular grid, within the tolerance of the grid's coordinates.
     #[error(
         "samples {first} and {second} (0-based) share column {column}, row {row} of the regular grid: they are too close \
-         to each other at {position}"
+         to each other at {position}. Remove one of them"
     )]
     SharedNode {
         /// The earlier of the two.
@@ -82,7 +82,7 @@ pub enum CoeffFieldError {
     },
     /// Fewer samples than the polynomial has terms.
     #[error(
-        "a polynomial of degree {degree} has {terms} terms and needs as many samples, got {samples}: lower the degree"
+        "a polynomial of degree {degree} needs at least {terms} samples, one per term, got {samples}: lower the degree"
     )]
     TooFewSamples {
         /// Total degree.
@@ -123,7 +123,7 @@ pub enum CoeffFieldError {
     /// An outside policy that this version does not know.
     #[error("outside policy {0} is not provided by this version")]
     UnknownOutsidePolicy(OutsidePolicy),
-    /// Sample values whose number does not match the interpolator.
+    /// A number of values, nodes or components that does not match the interpolator or the samples.
     #[error("{what}: expected {expected}, got {got}")]
     CountMismatch {
         /// The things that were counted, in words.

@@ -180,9 +180,9 @@ pub(crate) struct Hull {
     pub(crate) outside: OutsidePolicy,
 }
 
-/// A part of the plane: the hull itself, or the positions outside whose nearest point lies on one
-/// edge or corner of the hull. Each part is convex, and in it the nearest point of the hull is
-/// linear in the position.
+/// A part of the plane: the hull itself, or a region outside the hull. For all positions in such a
+/// region, the nearest points of the hull lie on the same edge, or are the same corner. Each part is
+/// convex, and in it the nearest point of the hull is linear in the position.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum HullPiece {
     /// The hull itself.

@@ -69,7 +69,9 @@ pub trait FieldInterpolation: Debug + Send + Sync {
     /// Predicts every sample from all others. See [`LeaveOneOut`].
     ///
     /// The provided method prepares the interpolator again for each sample left out, which is slow
-    /// for thousands of samples. The interpolators of this crate have shortcuts with equal results.
+    /// for thousands of samples. The interpolators of this crate have shortcuts with equal results,
+    /// except [`Bilinear`](crate::Bilinear) and [`Bicubic`](crate::Bicubic). Without one sample
+    /// there is no regular grid, so these two predict along the sample's row and column.
     ///
     /// # Errors
     /// [`CoeffFieldError`] when the method does not work for these samples at all. A single sample
@@ -168,7 +170,7 @@ pub trait FieldWeights: Debug + Send + Sync {
     /// let weights = Bilinear.prepare(&positions, OutsidePolicy::Nearest)?;
     /// let mut runs = Vec::new();
     /// weights.weights_along_row((-2, 0), 10, &mut |run| runs.push((run.length, run.last.to_vec())))?;
-    /// // Left of the cell, inside the cell (including both its lines), and right of the cell.
+    /// // Left of the cell, inside the cell (with its left and right edges), and right of the cell.
     /// assert_eq!(runs, [(2, vec![(0, 1.0)]), (5, vec![(1, 1.0)]), (3, vec![(1, 1.0)])]);
     /// # Ok::<(), Box<dyn std::error::Error>>(())
     /// ```
@@ -284,10 +286,11 @@ pub(crate) fn pair(weights: &mut WeightList, first: usize, second: usize, s: f64
 
 /// The error of predicting each sample by an interpolator prepared without it.
 ///
-/// The error is `||a_predicted - a||_2` over the components. With an orthonormal basis that is the
-/// L2 norm of the difference of the two stamps, in the units of the stamps. On an even sampling, it
-/// overestimates the error between samples. Without the sample the local spacing is twice as wide,
-/// so a linear method has about four times the error.
+/// The error is `||a_predicted - a||_2` over the components. With an orthonormal basis, this is the
+/// L2 norm of the difference between the stamps with the coefficients `a_predicted` and `a`, in the
+/// units of the stamps. On an even sampling, this error is larger than the error between samples.
+/// Without the sample the local spacing is twice as wide, so a linear method has about four times
+/// the error.
 ///
 /// ```
 /// use coeff_field::{LeftOut, NaturalNeighbour, leave_one_out};

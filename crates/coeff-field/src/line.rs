@@ -18,6 +18,7 @@ const OFF_LINE: f64 = 1e-9;
 /// A position has the value at its foot on the line, interpolated linearly between the two samples
 /// around the foot. Beyond the ends, the value is constant (nearest), or continues the straight
 /// line through the last two samples' values (extend). A single sample's value applies everywhere.
+/// Under the policy error, only positions on the line and between its ends are covered.
 #[derive(Debug)]
 pub(crate) struct LineWeights {
     points: Arc<Points>,

@@ -135,9 +135,10 @@ pub(crate) type InsideWeights<'a> =
 ///
 /// Inside, the weights are those of the method, or linear ones. Outside, and in the slivers peeled
 /// off the hull, the value is `f(c) + g(c) (x - c)`. Here `c` is the foot on the chain of boundary
-/// samples, and the values `f` and gradients `g` of the samples are linear along the chain. `x` is
-/// the position itself in a sliver, and outside under [`OutsidePolicy::Extend`]. Otherwise `x` is
-/// the nearest point of the hull. The result is continuous across the chain and the hull.
+/// samples. `f` and `g` are the values and gradients of the samples, interpolated linearly along
+/// the chain. In a sliver, and outside under [`OutsidePolicy::Extend`], `x` is the position itself.
+/// Otherwise `x` is the nearest point of the hull. The result is continuous across the chain and
+/// the hull.
 ///
 /// Close to a side with dents, the method's weights blend into the linear ones. The Voronoi cell of
 /// a position in a dent reaches farther out than the cells of the samples around it. There it

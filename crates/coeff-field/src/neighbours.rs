@@ -23,8 +23,8 @@ use crate::interpolation::{
 /// * Nearest: moves the position to the nearest point of the convex hull, and returns the value of
 ///   the sample nearest to that point.
 /// * Extend: the value of the sample nearest to the position itself.
-/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
-///   still count as inside.
+/// * Error: returns an error. Positions outside the hull still count as inside up to a distance of
+///   1e-9 times the samples' extent (or of 1e-9 pixels, if that is more).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Nearest;
 
@@ -147,12 +147,12 @@ const RADIUS_SQUARED: f64 = 2.0;
 /// samples. For smooth samples the other methods are better.
 ///
 /// # Outside the samples
-/// The formula needs no hull. Far away it tends to a mean of the nearest samples.
+/// The formula needs no hull. Far away its value tends to the mean of all samples.
 ///
 /// * Nearest: the value at the nearest point of the convex hull.
 /// * Extend: the formula itself, which is not a linear continuation.
-/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
-///   still count as inside.
+/// * Error: returns an error. Positions outside the hull still count as inside up to a distance of
+///   1e-9 times the samples' extent (or of 1e-9 pixels, if that is more).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InverseDistance {
     power: f64,
@@ -206,7 +206,7 @@ impl InverseDistance {
         let k = self.neighbours;
         let others = tree.points.len() - usize::from(skip.is_some());
         weights.clear();
-        // Few samples have no cut-off radius.
+        // If there are only k samples or fewer, the radius is infinite.
         let radius = if others <= k.get() {
             weights.extend(
                 (0..tree.points.len())

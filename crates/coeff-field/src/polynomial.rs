@@ -15,8 +15,8 @@ use crate::interpolation::{
 /// Singular values below this fraction of the largest count as 0. The samples then do not determine
 /// all terms.
 const DEGENERATE: f64 = 1e-10;
-/// If the other samples contribute less than this fraction to the fitted value at a sample, they do
-/// not determine the polynomial without it.
+/// If the other samples contribute less than this fraction to the fitted value at a sample, they
+/// alone do not determine the polynomial.
 const MIN_SHARED_PART: f64 = 1e-10;
 
 /// A polynomial in x and y up to a total degree `d`, fitted to all samples by least squares, as in
@@ -35,8 +35,8 @@ const MIN_SHARED_PART: f64 = 1e-10;
 /// # Outside the samples
 /// * Nearest: the value at the nearest point of the convex hull.
 /// * Extend: the polynomial itself, which grows as the distance to the power of the degree.
-/// * Error: returns an error. Positions within 1e-9 of the samples' extent (at least 1e-9 pixels)
-///   still count as inside.
+/// * Error: returns an error. Positions outside the hull still count as inside up to a distance of
+///   1e-9 times the samples' extent (or of 1e-9 pixels, if that is more).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Polynomial {
     degree: usize,
@@ -341,7 +341,7 @@ mod tests {
             })
         ));
         let rows = (0..20).map(|i| Position::of_pixel(i / 2, i % 2)).collect();
-        // Two rows: y^2 and y^3 are linear combinations of 1 and y. Likewise x y^2.
+        // Two rows: y^2 and y^3 are linear combinations of 1 and y, and x y^2 is one of x and x y.
         assert!(matches!(
             prepare(rows),
             Err(CoeffFieldError::Undetermined {

@@ -98,8 +98,8 @@ impl<T: ConvReal> Engine<T> {
     /// A plan on a GPU.
     ///
     /// # Errors
-    /// [`GpuError`] if the plan is in f64, or if the GPU's limits are too low for the plan. The
-    /// plan is returned with the error, for use on another device.
+    /// [`GpuError`] if the plan is in f64, if the GPU's limits are too low for the plan, or if the
+    /// GPU or its driver fails. The plan is returned with the error, for use on another device.
     #[cfg(feature = "gpu")]
     #[allow(
         clippy::result_large_err,
@@ -150,9 +150,9 @@ impl<T: ConvReal> Engine<T> {
     /// not contiguous in memory, the result is copied and written back.
     ///
     /// # Errors
-    /// [`ConvError`] if the light or the image has another shape than the plan expects, or if the
-    /// PSF has no value at a pixel where it is needed. After [`ConvError::Cancelled`] the result is
-    /// incomplete.
+    /// [`ConvError`] if the light or the image has another shape than the plan expects, if the PSF
+    /// has no value at a pixel where it is needed, if the GPU fails, or if the progress object
+    /// cancels the work. After an error the result is incomplete.
     pub fn execute(
         &self,
         operation: Operation,
@@ -189,7 +189,8 @@ impl<T: ConvReal> Engine<T> {
     /// A plan of a region reads only the rows that reach the region, and writes the region's rows.
     ///
     /// # Errors
-    /// The errors of the stream, and [`ConvError`] as for [`execute`](Self::execute).
+    /// The errors of the stream, and [`ConvError`] as for [`execute`](Self::execute), or if the
+    /// image has values that are not finite.
     pub fn stream<R: RowStream<T>>(
         &self,
         stream: &mut R,
@@ -234,8 +235,9 @@ impl<T: ConvReal> Engine<T> {
         Ok(counts)
     }
 
-    /// Executes some rows of the plan's blocks on the engine's device: applies the operation to
-    /// `light` and adds the result to `output`. Both come with the index of their first row.
+    /// Executes the plan for some rows of blocks on the engine's device: applies the operation to
+    /// `light` and adds the result to `output`. Both arrays hold whole rows of pixels, and come
+    /// with the index of their first row.
     #[inline(never)]
     pub(crate) fn run(
         &self,

@@ -124,7 +124,7 @@ pub enum GpuError {
         reason: String,
     },
     /// GPUs compute only in f32.
-    #[error("GPUs compute in f32, but this plan is in {precision}")]
+    #[error("GPUs compute in f32, but this plan is in {precision}: choose f32, or use the CPU")]
     Precision {
         /// The plan's precision.
         precision: &'static str,

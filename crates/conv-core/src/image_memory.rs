@@ -33,7 +33,8 @@ pub(crate) fn with_rows_in_memory<T: ConvReal, R>(
 /// The assumed size of a memory page in bytes. It must not be larger than the system's pages.
 const PAGE: usize = 4096;
 
-/// Returns an image of zeros. Many threads have already written to each of its memory pages.
+/// Returns an image of zeros. Its memory pages are already allocated, because threads have written
+/// to each page.
 ///
 /// The operating system allocates a page when it is first used. An addition reads a page before it
 /// writes. The system then allocates twice: the read gets the common page of zeros, and the write

@@ -32,7 +32,8 @@
 //! The image holds the light's flux times the flux of the PSFs. The model decides the flux of the
 //! PSFs ([`psf_types::Normalisation`]), and nothing else is scaled. Extended light needs stamps at
 //! the frame's own scale, centred on a pixel and with the pixel response included ([`native_grid`],
-//! [`resample_samples`]). Point sources accept stamps of any scale and centre.
+//! [`resample_samples`]). Point sources accept stamps of any scale and centre, but these stamps
+//! must include the pixel response, too ([`grid_with_pixel_response`]).
 //!
 //! # Stopping
 //! The progress object of a long call is polled every few milliseconds and may cancel the call

@@ -98,8 +98,8 @@ pub(crate) fn bad_columns(params: &DetectorParams, nx: usize) -> Vec<u8> {
     (0..nx).map(|_| flag()).collect()
 }
 
-/// Draws the single dead and hot pixels of a row and adds their flags. These pixels also belong to
-/// the sensor.
+/// Draws the single dead and hot pixels of a row and adds their flags. Like the bad columns, they
+/// belong to the sensor and do not change between exposures.
 pub(crate) fn mark_bad_pixels(params: &DetectorParams, row: usize, flags: &mut [u8]) {
     let dead = params.bad_pixels.dead_fraction;
     let dead_or_hot = dead + params.bad_pixels.hot_fraction;

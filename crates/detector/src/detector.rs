@@ -101,8 +101,8 @@ pub struct SkyGradient {
     pub y: f64,
 }
 
-/// Fractions of bad pixels, and the dark current of hot pixels. `pattern_seed` and the shape of the
-/// frame determine which pixels are bad.
+/// Fractions of bad pixels, and the dark current of hot pixels. `pattern_seed` and the fractions
+/// determine which pixels are bad.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BadPixelParams {

@@ -30,8 +30,9 @@ impl Detector {
         self.exposer(light.shape(), seed)?.expose(light)
     }
 
-    /// The noise-free image in the unit of the counts. It contains light, sky and dark charge, but
-    /// leaves out noise, limits, bad pixels and the differences of the pixels' response.
+    /// The noise-free image in the unit of the counts. It contains light, sky, dark charge and
+    /// bias. It leaves out noise, full well, digitisation, bad pixels and the differences of the
+    /// pixels' response.
     ///
     /// `(c F + sky + D t) / g + b` with the letters of the [crate's page](crate#the-chain).
     /// Negative pixels stay negative.
@@ -49,10 +50,10 @@ impl Detector {
 /// The mean `S` is the image's flux, in photons or electrons in the exposure. Below a mean of 12
 /// the method is Knuth's product of uniform numbers. From 12 to 1.8e19 it is the rejection method
 /// PD of Ahrens and Dieter (1982, ACM Trans. Math. Softw. 8, 163). Both methods are exact. Above
-/// 1.8e19 it is a rounded normal deviate of variance `S`: there the spacing of doubles exceeds one
-/// count, and the skewness is below 3e-10.
+/// 1.8e19 it is a rounded normal deviate of mean and variance `S`: there the spacing of doubles
+/// exceeds one count, and the skewness is below 3e-10.
 ///
-/// A [`Detector`] whose only setting is `photon_noise` draws equal counts from an equal seed. A
+/// For the same seed, a [`Detector`] with no setting but `photon_noise` gives the same counts. A
 /// mean below 0 gives 0. The report counts such pixels.
 ///
 /// ```
@@ -170,7 +171,8 @@ impl<'a> Exposer<'a> {
         })
     }
 
-    /// Adds the bad pixels of a mask to the bad pixels that the detector draws at random.
+    /// Adds the bad pixels of a mask to the bad pixels that the detector draws at random. A second
+    /// mask replaces the first.
     ///
     /// # Errors
     /// [`DetectorError::MaskShape`], and [`DetectorError::Needs`] for hot pixels without

@@ -32,9 +32,10 @@
 //! # Random numbers
 //! The generator is ChaCha8, keyed by the seed (`seed_from_u64`). Each row of the image has its own
 //! stream in each step, numbered `step * 2^56 + row`. The steps are photons 1, read noise 2,
-//! response 3, bad pixels 4, bad columns 5. Numbers are drawn for the pixels of a row one after the
-//! other. The result therefore depends only on the image and the seeds, not on threads or bands of
-//! rows. Switching the read noise on does not change the photon noise.
+//! response 3, bad pixels 4, bad columns 5. The bad columns of all rows come from the stream of row
+//! 0. Numbers are drawn for the pixels of a row one after the other. The result therefore depends
+//! only on the image, the parameters and the seeds, not on threads or bands of rows. Switching the
+//! read noise on does not change the photon noise.
 //!
 //! The properties of the sensor (response and bad pixels) have their own seed, `pattern_seed`, so
 //! exposures with different seeds share one sensor. The last bit of `exp` or `ln` may differ

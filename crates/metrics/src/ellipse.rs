@@ -41,8 +41,8 @@ impl Covariance {
     /// A covariance from its elements in square pixels.
     ///
     /// # Errors
-    /// [`MetricsError::DegenerateCovariance`] when the matrix is not finite and positive definite
-    /// with an axis ratio above 1e-7.
+    /// [`MetricsError::DegenerateCovariance`] unless the matrix is finite and positive definite,
+    /// its axis ratio is above 1e-7, and its determinant is in the range of double precision.
     pub fn new(xx: f64, xy: f64, yy: f64) -> Result<Self, MetricsError> {
         let c = Self { xx, xy, yy };
         let (det, largest) = (c.determinant(), c.largest_eigenvalue());

@@ -164,7 +164,7 @@ pub enum MetricsError {
     /// Values so large that a result, or the sum of their squares, exceeds double precision.
     #[error("the values reach {largest}: results computed from them exceed the range of double precision")]
     Overflow {
-        /// Largest absolute value.
+        /// Largest value of the window. For a comparison: largest absolute value or error.
         largest: f64,
     },
     /// A quantile that is not between 0 and 1.

@@ -14,7 +14,7 @@ pub(crate) enum Profile {
     Elliptical,
 }
 
-/// A Gaussian at pixel centres. Its parameters need no bounds:
+/// A Gaussian, evaluated at pixel centres:
 ///
 /// ```text
 /// m(x, y) = A exp(-(u^2 + v^2) / 2) + B
@@ -23,7 +23,8 @@ pub(crate) enum Profile {
 ///
 /// Round: `A, x0, y0, s` with `u = e^s dx`, `v = e^s dy`. Elliptical: `A, x0, y0, a, b, c` with
 /// `u = e^a dx + b dy`, `v = e^c dy`. The background `B`, if fitted, is the last parameter. Any
-/// values give a positive definite covariance, and a round ellipse is not a special case.
+/// values give a positive definite covariance, so the parameters need no bounds. A round ellipse is
+/// not a special case.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct GaussianModel {
     profile: Profile,

@@ -32,7 +32,8 @@ const MAX_ITERATIONS: usize = 300;
 /// A full Gauss-Newton step that changes the model by less than this fraction of the data's norm
 /// ends the iteration.
 const CONVERGED: f64 = 1e-11;
-/// The corresponding limit if rounding errors of the cost prevent a further decrease.
+/// The corresponding limit if the cost decreases no further because of its rounding errors, and
+/// after [`MAX_ITERATIONS`].
 const STALLED: f64 = 1e-7;
 const FIRST_DAMPING: f64 = 1e-3;
 const MAX_DAMPING: f64 = 1e14;
@@ -87,7 +88,8 @@ impl<const N: usize> Linearised<N> {
 /// Marquardt's scaling.
 ///
 /// The iteration has converged when an undamped step would change the model by less than 1e-11 of
-/// `data_norm`. This change, `|P_J r|`, is the part of the residuals in the model's tangent space.
+/// `data_norm`. This change is `|P_J r|`, the length of the projection of the residuals onto the
+/// model's tangent space.
 pub(crate) fn minimise<const N: usize>(
     start: SVector<f64, N>,
     data_norm: f64,

@@ -121,8 +121,8 @@ impl AdaptiveMoments {
 /// The sums run over the pixels, with value `I` at position `x`.
 ///
 /// All pixels have equal weight. A background, noise and distant diffraction wings contribute with
-/// the square of their distance, so the result depends on the window. [`AdaptiveMomentFinder`] does
-/// not have this weakness.
+/// the square of their distance, so the result depends on the window. [`AdaptiveMomentFinder`]
+/// gives distant pixels almost no weight.
 ///
 /// ```
 /// use psf_metrics::{QuadrupoleMoments, Window};
@@ -363,8 +363,9 @@ impl AdaptiveMomentFinder {
                     covariance: m,
                 });
             }
-            // Under a weight of its own shape, a Gaussian has half its true offset and half its
-            // true covariance. The factors 2 and 4 correct for this to first order.
+            // For a Gaussian near `M`, to first order: the weighted offset is half of the true
+            // offset (factor 2). The weighted covariance differs from `M / 2` by a quarter of the
+            // true covariance's difference from `M` (factor 4).
             let sigma = m.sigma_minor_px();
             let variance = sigma * sigma;
             let limited = |step: f64| step.clamp(-LARGEST_STEP, LARGEST_STEP);

@@ -27,11 +27,11 @@ pub enum BasisError {
     RankTooHigh {
         /// The requested rank.
         asked: usize,
-        /// The number of components with non-zero singular values.
+        /// The number of components above rounding.
         available: usize,
     },
     /// Without a mean stamp at least one component is needed.
-    #[error("rank 0 needs mean centring: without a mean stamp at least one component is needed")]
+    #[error("the rank is 0, but there is no mean stamp: use mean centring or at least one component")]
     RankZero,
     /// A noise level that is not a finite number of at least 0.
     #[error("the pixel noise must be finite and at least 0, got {got}")]
@@ -65,8 +65,8 @@ pub enum BasisError {
 /// on the number of threads.
 const SPLIT: usize = 8;
 
-/// Work (the product of both dimensions and the smaller one) below which splitting costs more than
-/// it saves. If other work occupies the threads, splitting costs many times more.
+/// Below this work (samples x pixels x the smaller of the two), splitting costs more than it saves.
+/// If other work occupies the threads, splitting costs many times more.
 const MIN_WORK_TO_SPLIT: usize = 1 << 22;
 
 /// Singular values below this multiple of `f64::EPSILON` times the samples' Frobenius norm count as
@@ -199,8 +199,8 @@ pub(crate) fn fix_signs(components: &mut Array2<f64>, coefficients: &mut Array2<
 }
 
 /// Converts the PSFs `mean + sum_k a_jk C_k` of any stamps `C` `[stamp, y, x]`, with coefficients
-/// `a` `[node, stamp]`, to an orthonormal basis. Returns the basis and the coefficients
-/// `[node, component]` in it.
+/// `a` `[node, stamp]`, to an orthonormal basis. There is one PSF for each node, such as a sample.
+/// Returns the basis and the coefficients `[node, component]` in it.
 ///
 /// The components are the singular vectors of the sums at the nodes, in descending order of their
 /// singular values. They are found without forming the sums. Components at the rounding level of

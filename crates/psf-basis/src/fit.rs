@@ -185,15 +185,15 @@ pub enum Centring {
     /// zero flux, so that every truncation preserves the flux.
     #[default]
     Mean,
-    /// No mean stamp, as in the paper of the method.
+    /// No mean stamp, as in Bai, Jia et al. 2025, the paper that describes psfield's method.
     None,
 }
 
 named!(Centring, "centring", "mean or none", "mean" => Mean, "none" => None);
 
 /// The leading left singular vectors of the matrix whose columns are the samples,
-/// `X - mean = U S V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest
-/// total squared truncation error (Eckart and Young 1936).
+/// `X - mean = U S V^T`, `B_k = U_k`. Of all bases of `K` components this one has the smallest sum
+/// of squared residuals over all samples (Eckart and Young 1936).
 ///
 /// A thin SVD in f64. The value of largest magnitude in each component is positive, which fixes the
 /// signs. The result does not depend on the number of threads.
@@ -242,8 +242,8 @@ impl Svd {
     }
 
     /// Fits a basis to the samples and to more training stamps `[stamp, y, x]`, such as the
-    /// samples' PSFs at sub-pixel shifts. The mean and the components are from all stamps, the
-    /// coefficients and errors from the samples only.
+    /// samples' PSFs at sub-pixel shifts. The mean and the components are computed from all stamps,
+    /// the coefficients and errors from the samples only.
     ///
     /// # Errors
     /// [`BasisError`] when shapes differ, the rank is not available or the decomposition fails.

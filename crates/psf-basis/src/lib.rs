@@ -17,7 +17,8 @@
 //!   values up to `sigma (sqrt L + sqrt P)`, the noise edge. The noise is given or estimated
 //!   ([`PixelNoise`]). Noise alone stays below a threshold near the edge in 99 % of cases. Neither
 //!   the elbow nor `auto` keeps modes below the threshold. If the noise level differs from sample
-//!   to sample, as between bright and faint stars, the edge is computed for this uneven noise.
+//!   to sample, as between bright and faint stars, the edge is computed for this uneven noise. The
+//!   threshold is then 2 % above the edge.
 //!
 //! # Normalisation
 //! Stamps are used as they are. If the samples have unit flux and are mean-centred, every component

@@ -17,16 +17,18 @@ pub enum PixelNoise {
     Known(f64),
 }
 
-/// The floor that white noise of standard deviation `sigma` causes in the singular values of an
-/// `L x P` matrix.
+/// The floor that white noise causes in the singular values of an `L x P` matrix: `P` samples of
+/// `L` pixels.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct NoiseFloor {
+    /// Standard deviation of the noise, or its root mean square over samples with uneven noise.
     pub(crate) sigma: f64,
-    /// `sigma (sqrt L + sqrt P)`: the largest singular value of pure noise, in the limit of large
-    /// matrices (Marchenko and Pastur 1967).
+    /// The largest singular value of pure noise, in the limit of large matrices. For even noise it
+    /// is `sigma (sqrt L + sqrt P)` (Marchenko and Pastur 1967), for uneven noise see [`floor_of`].
     pub(crate) edge: f64,
-    /// In 99 % of cases the largest singular value of pure noise is below this value (Johnstone
-    /// 2001, theorem 1.1, with the 0.99 quantile of the Tracy-Widom law of order 1).
+    /// In 99 % of cases the largest singular value of pure even noise is below this value
+    /// (Johnstone 2001, theorem 1.1, with the 0.99 quantile of the Tracy-Widom law of order 1). For
+    /// uneven noise, it is the edge increased by [`FINITE`].
     pub(crate) threshold: f64,
 }
 
@@ -53,8 +55,9 @@ const AGREEMENT: f64 = 1.25;
 /// Shortest tail in which noise can be told from decay.
 const MIN_TAIL: usize = 12;
 
-/// The noise floor of a matrix of `rows x columns` with these singular values, where `columns` is
-/// the number of remaining degrees of freedom. `None` if there is no noise.
+/// The noise floor of a matrix of `rows x columns` with these singular values. `rows` is the number
+/// of pixels. `columns` is the number of samples, less one if the mean was subtracted. Returns
+/// `None` if there is no noise.
 ///
 /// [`PixelNoise::Estimate`] compares the lower half of the singular values with the quantiles of
 /// the Marchenko-Pastur law. This is the approach of Gavish and Donoho 2014, at several quantiles
@@ -109,8 +112,8 @@ pub(crate) fn estimate(singular_values: &[f64], rows: usize, columns: usize) -> 
     floor
 }
 
-/// The distribution of the eigenvalues of white noise, `s^2 / (n sigma^2)`, with `beta` = smaller
-/// dimension / larger dimension.
+/// The distribution of the eigenvalues of white noise, `s^2 / (n sigma^2)`, with `n` = larger
+/// dimension and `beta` = smaller dimension / larger dimension.
 struct MarchenkoPastur {
     /// Eigenvalues at the midpoints of the integration steps, and the probability below each.
     table: Vec<(f64, f64)>,
@@ -154,16 +157,16 @@ impl MarchenkoPastur {
 /// Numbers of leading components that are tried as the signal.
 const SIGNALS: [usize; 6] = [1, 2, 4, 8, 16, 32];
 /// For each of these numbers, the samples are scaled to equal noise and decomposed again this many
-/// times.
+/// times. [`by_sample`] repeats its estimate at most this many times.
 const ROUNDS: usize = 4;
 /// Allowed noise level of samples scaled by their own noise. It should be 1.
 const SCALED: std::ops::Range<f64> = 0.75..1.33;
-/// Largest ratio of noise levels among samples. It exceeds the ratio of stellar fluxes.
+/// Largest ratio of noise levels among samples. The fluxes of PSF stars usually differ less.
 const MAX_NOISE_RATIO: f64 = 1e3;
 /// The samples' variances count as uneven if they scatter by more than this multiple of the scatter
 /// expected for even noise.
 const EVEN: f64 = 3.0;
-/// Largest work (the product of both dimensions and the smaller one) spent on the search for noise.
+/// Largest work (samples x pixels x the smaller of the two) for which uneven noise is searched.
 const MAX_WORK: f64 = 1e9;
 /// Relative scatter of the largest singular value of finite matrices about its limit.
 const FINITE: f64 = 0.02;
@@ -291,8 +294,8 @@ fn levels(rows: ArrayView2<'_, f64>, pixels: usize, signal: usize, freedom: usiz
 
 /// The noise floor for noise of these variances, one for each row of `pixels` values.
 ///
-/// In the limit of large matrices the largest singular value is `sqrt(P min z)`,
-/// `z(u) = 1/u + (1/P) sum_j v_j / (1 - v_j u)` over `0 < u < 1 / max v` (Silverstein and Choi
+/// In the limit of large matrices the largest singular value is `sqrt(L min z)`, for `L` pixels and
+/// `z(u) = 1/u + (1/L) sum_j v_j / (1 - v_j u)` over `0 < u < 1 / max v` (Silverstein and Choi
 /// 1995, J. Multivariate Anal. 54, 295). For equal variances it is `sigma (sqrt L + sqrt P)`.
 fn floor_of(variances: &[f64], pixels: usize) -> NoiseFloor {
     let largest = variances.iter().copied().fold(0.0, f64::max);
@@ -381,7 +384,7 @@ mod tests {
 
     #[test]
     fn one_noisy_sample_stands_out_alone() {
-        // A single row of much larger variance. Its own norm is sigma sqrt(P), and the others widen
+        // A single row of much larger variance. Its own norm is sigma sqrt(L), and the others widen
         // it a little.
         let mut variances = vec![1.0; 100];
         variances[7] = 1e4;

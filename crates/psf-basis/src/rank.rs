@@ -27,7 +27,8 @@ pub enum RankSelection {
     Fixed(usize),
     /// The smallest number that contains this fraction of the sum of the squared singular values.
     Energy(f64),
-    /// The smallest number for which every sample's relative L2 truncation error is at most this.
+    /// The smallest number for which every sample's relative L2 truncation error is at most this
+    /// value.
     Error(f64),
 }
 
@@ -108,7 +109,7 @@ through_text!(RankSelection);
 pub struct Spectrum {
     /// All singular values.
     pub singular_values: Vec<f64>,
-    /// `c_k = sum_{i<=k} s_i / sum_i s_i` for k = 1 ... (all 1 when every singular value is 0).
+    /// `c_k = sum_{i<=k} s_i / sum_i s_i`, from `c_1` on. All are 1 if every singular value is 0.
     pub cumulative_weights: Vec<f64>,
     /// The number of components at the elbow of the cumulative weights, without noise modes. The
     /// crate's page defines the elbow.
@@ -117,10 +118,12 @@ pub struct Spectrum {
     pub significant: usize,
     /// The number of components above rounding, which is the rank that `full` selects.
     pub numerical_rank: usize,
-    /// The standard deviation of the white noise in the pixels, if it was found or given.
+    /// The standard deviation of the white noise in the pixels, if it was found or given. If it
+    /// differs from sample to sample, the root mean square over the samples.
     pub noise_sigma: Option<f64>,
-    /// The largest singular value of this noise, in the limit of large matrices. It is
-    /// `sigma (sqrt L + sqrt P)` if the noise has one level in all samples.
+    /// The largest singular value of this noise, in the limit of large matrices. If the noise has
+    /// one level in all samples, it is `sigma (sqrt L + sqrt P)` for `P` samples of `L` pixels.
+    /// (`P` is one less if the mean is subtracted.)
     pub noise_edge: Option<f64>,
 }
 

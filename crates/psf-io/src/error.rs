@@ -52,7 +52,7 @@ pub enum IoErrorKind {
     Damaged,
     /// A keyword is missing, or its value is not valid or not supported.
     Header,
-    /// An image has the wrong number of axes.
+    /// An image has the wrong number of axes, or an axis of the wrong length.
     Axes,
     /// A value breaks a rule, or several values together do. Examples are NaN, a PSF without flux,
     /// and a galaxy whose parameters are out of range.
@@ -65,8 +65,8 @@ pub enum IoErrorKind {
     /// A size or a value is beyond a limit of this library or of CFITSIO, or a value is beyond the
     /// range of single precision.
     Limit,
-    /// The call does not suit the file: it asks for rows that the file does not have, or gives
-    /// samples that the file cannot hold.
+    /// The call does not suit the file. For example, it asks for rows that the file does not have,
+    /// or gives pixels or samples that the file cannot hold.
     Request,
 }
 

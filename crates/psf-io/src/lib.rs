@@ -26,7 +26,8 @@
 //! A reader checks every header of a file and all data that it returns. If anything is wrong, it
 //! returns an [`IoError`] that names the file, the place in it, and what to do. Headers are checked
 //! against the length of the file before memory is allocated for the data. No content of a file
-//! makes this crate panic. Nothing is repaired silently: for example, a NaN pixel is an error.
+//! makes this crate panic. Nothing is repaired silently: for example, a NaN pixel is an error,
+//! unless the caller asks for it ([`ImageReader::read_rows_with_undefined`]).
 //!
 //! The errors of any FITS file are [`IoErrorKind::NotFound`], [`IoErrorKind::Read`],
 //! [`IoErrorKind::Format`], [`IoErrorKind::Damaged`], [`IoErrorKind::Header`] and
@@ -38,8 +39,8 @@
 //! `GZIP_2`, `PLIO_1`, quantised floats) are read wherever uncompressed files are. They are
 //! recognised by their content. A gzip file is unpacked to a temporary file, which is removed when
 //! it is no longer needed. It may unpack to at most 1 GiB plus 100 times its own size. A tiled
-//! image may unpack to at most 16 MiB plus 4096 times the bytes of its tiles. A file that would
-//! unpack to more is refused before it takes the disk space or the memory.
+//! image may unpack to at most 16 MiB plus 8192 times the bytes of the table that holds its tiles.
+//! A file that would unpack to more is refused before it takes the disk space or the memory.
 //!
 //! # Outputs
 //! Every file appears complete or not at all, even after a full disk, a killed process or a loss of

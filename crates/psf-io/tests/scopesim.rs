@@ -170,7 +170,7 @@ fn errors_name_what_is_wrong() {
         (with_value(&good, "ETYPE", "'TRACE'").bytes, "ETYPE"),
         (with_value(&good, "ECAT", "9").bytes, "ECAT"),
         (with_value(&good, "ECAT", "-1").bytes, "ECAT"),
-        (with_value(&good, "ECAT", "0").bytes, "HDU 0 (ECAT)"),
+        (with_value(&good, "ECAT", "0").bytes, "HDU 0, to which"),
         (with_value(&good, "EDATA", "7").bytes, "HDU 7 (EDATA)"),
         (with_value(&good, "WAVEUNIT", "'nm'").bytes, "WAVEUNIT"),
         (with_value(&good, "WAVE0", "0.0").bytes, "WAVE0"),

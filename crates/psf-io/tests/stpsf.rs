@@ -199,7 +199,7 @@ fn planes_without_flux_are_named() {
         value[0] ^= 0x80;
     }
     let error = chain(&read(&file, PlaneOrder::Auto).unwrap_err());
-    assert!(error.contains("plane 4 has flux -"), "{error}");
+    assert!(error.contains("plane 4 (0-based) has flux -"), "{error}");
 }
 
 #[test]

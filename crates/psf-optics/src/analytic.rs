@@ -189,8 +189,9 @@ macro_rules! profile_source {
 ///
 /// The density is `4 ln 2 / (pi F^2) 2^(-r^2)` with `F` the geometric-mean FWHM and `r` the
 /// elliptical radius in units of half the FWHM. By default, a stamp value is the density at the
-/// pixel's centre times the area of a frame pixel. The given grid then declares whether the profile
-/// includes the pixel response. To integrate over pixels, see
+/// pixel's centre times the area of a frame pixel. In this case, the grid states whether the
+/// profile itself already includes the pixel response
+/// ([`StampGrid::with_pixel_response_included`]). To integrate over pixels, see
 /// [`with_pixel_integration`](Self::with_pixel_integration).
 ///
 /// ```
@@ -219,7 +220,8 @@ impl GaussianField {
     }
 
     /// Integrates the profile over each frame pixel by an 8 x 8 Gauss-Legendre rule, which takes
-    /// 64 times as long. The error is below 1e-8 of the peak for a FWHM of at least 1 pixel.
+    /// 64 times as long. The error is below 1e-8 of the peak for a FWHM of at least 1 pixel along
+    /// both axes of the ellipse.
     #[must_use]
     pub fn with_pixel_integration(self) -> Self {
         Self {

@@ -10,10 +10,11 @@ use rustfft::{Fft, FftPlanner};
 use crate::pupil::PupilCells;
 use crate::wavefront::{PupilPolynomial, PupilRowPolynomial, PupilRowValues};
 
-/// Number of columns that are transformed together: 16 complex numbers are four cache lines.
+/// Number of columns that are copied out of the rows together: 16 complex numbers are four cache
+/// lines.
 const BLOCK: usize = 16;
 
-/// The data for the transforms of one telescope that do not depend on the field position.
+/// The data for the transforms of one telescope. They do not depend on the field position.
 ///
 /// A pupil cell is `lambda / (M step)` wide. Here `step` is the stamp's pixel size and `M` the
 /// period of the computed focal plane in stamp pixels. Lag `k` of the pupil's autocorrelation then
@@ -30,8 +31,8 @@ pub(crate) struct FocalPlane {
     pub(crate) period: usize,
     forward: Arc<dyn Fft<f64>>,
     inverse: Arc<dyn Fft<f64>>,
-    /// `1 / sinc^2(m / length)` along an axis, which corrects for the averaging of the amplitude
-    /// over a pupil cell.
+    /// `1 / sinc^2(m / length)` along an axis of the focal plane, for the index `m` counted from
+    /// the centre. It corrects for the averaging of the amplitude over a pupil cell.
     cell_correction: Vec<f64>,
     /// Transfer function of the seeing at the lags `[ky][kx]`, each from 0 to `lags`.
     seeing: Option<Vec<f64>>,
@@ -176,8 +177,8 @@ impl FocalPlane {
             let row = &mut s.lags[ky * n..(ky + 1) * n];
             self.forward.process_with_scratch(row, &mut s.fft);
             let target = &mut s.folded[ky % m * m..(ky % m + 1) * m];
-            // Row -ky would add the conjugate. Doubling row ky instead gives an equal real part of
-            // the stamp, and only the real part is used.
+            // Row -ky is not computed: its part of the stamp is the complex conjugate of row ky's.
+            // Row ky counts twice instead, because only the real part of the stamp is used.
             let weight = y.0[ky] * if ky == 0 { 1.0 } else { 2.0 };
             let reach = ((top * top - ky * ky) as f64).sqrt() as usize;
             let seeing = |kx: usize| self.seeing.as_ref().map_or(1.0, |t| t[ky * (top + 1) + kx]);
@@ -208,7 +209,8 @@ impl FocalPlane {
     }
 }
 
-/// Buffers that every call of `draw` overwrites entirely, so that old content does not matter.
+/// Buffers. Every call of `draw` overwrites them before it reads them, so old content does not
+/// matter.
 #[derive(Debug)]
 struct FocalScratch {
     /// Pupil rows `[row][length]`, then their transforms.
@@ -273,7 +275,7 @@ fn mean_over_cell(g: f64) -> f64 {
     1.0 - z2 / 6.0 * (1.0 - z2 / 20.0 * (1.0 - z2 / 42.0 * (1.0 - z2 / 72.0)))
 }
 
-/// The smallest even length of at least `n` whose prime factors are 2, 3, 5 and 7.
+/// The smallest even length of at least `n` that has no prime factors but 2, 3, 5 and 7.
 pub(crate) fn even_smooth_at_least(n: usize) -> usize {
     let smooth = |mut n: usize| {
         for p in [2, 3, 5, 7] {

@@ -26,10 +26,10 @@
 //! ```
 //!
 //! Here `D` is the diameter of the aperture, `area` the lit area of the pupil, `p` the pixel scale
-//! and `sigma` the detector's Gaussian blur. `Z_j` are Noll's polynomials ([`Zernike`]), `c_j(x)`
-//! are polynomials of the field position, and `shift` is the sub-pixel position of the source. A
-//! positive tilt `c_2` moves the PSF to +x, `c_3` to +y, because pupil, image and field share their
-//! axes.
+//! and `sigma` the detector's Gaussian blur, both in radians. `sinc(x)` is `sin(pi x) / (pi x)`.
+//! `Z_j` are Noll's polynomials ([`Zernike`]), `c_j(x)` are polynomials of the field position, and
+//! `shift` is the sub-pixel position of the source. A positive tilt `c_2` moves the PSF to +x,
+//! `c_3` to +y, because pupil, image and field share their axes.
 //!
 //! # Sampling
 //!
@@ -52,8 +52,9 @@
 //! A stamp value is the fraction of the source's light that falls in a frame pixel centred there,
 //! also when the stamp is oversampled. With `detector.pixel_integration = false` it is the density
 //! at the centre times the area of a frame pixel. The flux over the infinite plane is 1, so **the
-//! flux of a stamp is the fraction that falls on it and is below 1**. For a perfect aperture, the
-//! fraction `2 / (pi^2 r)` of the light falls outside the radius `r lambda / D`.
+//! flux of a stamp is the fraction that falls on it and is below 1**. For an aperture without
+//! obscuration, spider and aberrations, about the fraction `2 / (pi^2 r)` of the light falls
+//! outside the radius `r lambda / D` (for `r` well above 1).
 //!
 //! Approximation: the focal plane is computed on a period of `padding` times the stamp's larger
 //! side and at least 64 lambda / D. Light beyond the period reappears on the opposite side. At the

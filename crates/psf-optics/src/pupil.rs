@@ -35,7 +35,7 @@ impl Aperture {
             if !(1..=64).contains(&s.vanes) {
                 return Err(OpticsError::setting(
                     "aperture.spider.vanes",
-                    "from 1 to 64",
+                    "a whole number from 1 to 64",
                     s.vanes,
                 ));
             }
@@ -97,7 +97,8 @@ impl Aperture {
     }
 }
 
-/// The aperture cut into cells, row by row: fully lit cells, and "grey" cells that are partly lit.
+/// The aperture cut into cells, row by row. The cells that are not fully lit are "grey"
+/// ([`GreyCell`]).
 #[derive(Debug)]
 pub(crate) struct PupilCells {
     /// Cells per axis of the grid.

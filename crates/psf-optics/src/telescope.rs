@@ -57,8 +57,8 @@ pub struct Telescope {
 }
 
 impl Telescope {
-    /// The smallest width of the computed focal plane in units of lambda / D, so that the pupil is
-    /// well resolved.
+    /// The smallest width of the computed focal plane in units of lambda / D. This width is also
+    /// the number of pupil cells across the aperture, so the pupil is well resolved.
     const MIN_PUPIL_CELLS: f64 = 64.0;
     /// The longest transform. It needs about 1.2 GB of work arrays per thread.
     const MAX_TRANSFORM: usize = 6144;

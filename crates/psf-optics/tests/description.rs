@@ -113,7 +113,7 @@ fn values_out_of_range_name_their_key() {
         (
             "vanes = 4",
             "vanes = 0",
-            "aperture.spider.vanes must be from 1 to 64, got 0",
+            "aperture.spider.vanes must be a whole number from 1 to 64, got 0",
         ),
         (
             "width_m = 0.02",

@@ -17,8 +17,8 @@ use crate::sampling::{CapReached, SampleError, Sampling, SamplingMethod, Samplin
 ///
 /// A coarse grid over the whole field, corners and edges included, is refined cell by cell until a
 /// [`RefinementCriterion`] holds in every cell. The default is a [`NeighbourDifference`] of 1 %
-/// (relative L2). The [crate's page](crate) describes the mesh. Every PSF is drawn once: when a
-/// cell is split, the PSFs that the criterion used there become samples without being drawn again.
+/// (relative L2). The [crate's page](crate) describes the mesh. Every PSF is drawn once: a PSF that
+/// the criterion used is not drawn again when its position becomes a sample.
 ///
 /// ```
 /// use ndarray::ArrayViewMut2;
@@ -114,10 +114,10 @@ impl AdaptiveSampling {
         })
     }
 
-    /// Lets the sides of a cell differ by up to this factor where the PSF varies more along one
-    /// axis than along the other. A larger ratio saves samples. However, a triangulation of long
-    /// cells of different sizes may join samples that are far apart. Its interpolation error may
-    /// then exceed the criterion's threshold.
+    /// Sets the largest ratio of a cell's sides that a halving may cause. Cells become long where
+    /// the PSF varies more along one axis than along the other. A larger ratio saves samples.
+    /// However, a triangulation of long cells of different sizes may join samples that are far
+    /// apart. Its interpolation error may then exceed the criterion's threshold.
     ///
     /// # Errors
     /// [`SampleError::Setting`] unless `ratio` is from 1 to 1e6.

@@ -26,8 +26,8 @@ pub trait RefinementCriterion: std::fmt::Debug + Send + Sync {
 pub enum CellProbes {
     /// The four corners, which are samples anyway.
     Corners,
-    /// The corners, the middles of the four edges and the cell's centre. Where the cell is split,
-    /// these points become samples.
+    /// The corners, the middles of the four edges and the cell's centre. When the cell is halved,
+    /// each of these points that is a corner of a half becomes a sample.
     CornersAndMidpoints,
 }
 
@@ -191,10 +191,10 @@ impl RefinementCriterion for NeighbourDifference {
 ///   The larger error of **both** diagonals counts, because a Delaunay triangulation may contain
 ///   either. Bilinear interpolation is the mean over both diagonals, so its error is not larger.
 ///
-/// For a PSF that varies quadratically within a cell, the error in a right-angled triangle is
-/// largest at the middle of its longest side. The points above therefore bound the error in the
-/// cell. Where cells of different size meet, a triangulation may join other samples. Its error
-/// there is of similar size, but not strictly bounded.
+/// For a PSF that varies quadratically within a cell, the errors at these points bound the error
+/// everywhere in the cell, whichever diagonal the triangulation contains. Where cells of different
+/// size meet, a triangulation may join other samples. Its error there is of similar size, but not
+/// strictly bounded.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InterpolationError {
     threshold: f64,

@@ -121,8 +121,8 @@ fn into_samples(
     Ok(PsfSamples::new(stack, positions, source.grid())?)
 }
 
-/// Samples on a regular grid whose outermost positions are the pixel centres of the field's
-/// corners, 0 and `n - 1`.
+/// Samples on a regular grid. Its corners are the centres of the field's corner pixels: along an
+/// axis of `n` pixels, the positions extend from 0 to `n - 1`.
 ///
 /// ```
 /// use psf_sample::UniformSampling;

@@ -4,7 +4,8 @@ use std::collections::{BTreeSet, HashSet};
 
 use psf_types::{FrameShape, Position};
 
-/// A point of the mesh in steps of the finest lattice. Nodes are ordered by y, then x.
+/// A point of the lattice: a regular grid of points, fine enough for all samples that the mesh may
+/// ever have. Nodes are ordered by y, then x.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct Node {
     pub(crate) y: u64,
@@ -75,8 +76,8 @@ impl Axis {
         while last_px / (cells << (levels + 1)) as f64 >= min_cell_px {
             levels += 1;
         }
-        // Two finer levels of the lattice hold the midpoints of the smallest cells, and the
-        // quarter points that the balancing checks.
+        // The smallest cells are four steps wide. The lattice thus has the midpoints of their
+        // edges, and the quarter points that the balancing checks.
         Self {
             last_px,
             cells,
@@ -180,8 +181,8 @@ impl Mesh {
         nodes.iter().map(|&node| self.position(node)).collect()
     }
 
-    /// The axes of `wanted` along which the cell can be halved. Adds the other axis if halving only
-    /// one of them would make the halves too long.
+    /// The axes of `wanted` along which the cell can be halved. If `wanted` has one axis, and its
+    /// halves would be too long, adds the other axis if the cell can be halved along it.
     pub(crate) fn allowed(&self, cell: Cell, wanted: Halving) -> Halving {
         let size =
             |i: usize, ends: (u64, u64)| self.axes[i].coordinate(ends.1) - self.axes[i].coordinate(ends.0);

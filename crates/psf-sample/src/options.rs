@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::criteria::{DifferenceMeasure, InterpolationError, NeighbourDifference, RefinementCriterion};
 use crate::{AdaptiveSampling, SampleError, SamplingMethod, UniformSampling};
 
-/// The quantity that must stay below the threshold in every cell. Written as `interpolation` or
+/// The quantity that must not exceed the threshold in any cell. Written as `interpolation` or
 /// `neighbours`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]

@@ -35,14 +35,14 @@ pub struct SamplingReport {
     /// Number of cells in which the criterion does not hold.
     pub unmet_cells: usize,
     /// The largest variation that the criterion measured in any cell. For a uniform grid, the
-    /// largest difference of neighbours. 0 if the PSF between the samples was not checked.
+    /// largest difference of neighbours. 0 for a method that measures no variation.
     pub worst: f64,
     /// The largest variation at which the criterion holds. `None` if there is no criterion.
     pub threshold: Option<f64>,
 }
 
 impl SamplingReport {
-    /// The report of a method that uses fixed positions and does not check the PSF between them.
+    /// The report of a method that uses fixed positions and measures no variation of the PSF.
     pub fn of_fixed_positions(draws: usize) -> Self {
         Self {
             outcome: SamplingOutcome::Met,
@@ -61,10 +61,11 @@ impl SamplingReport {
 pub enum SamplingOutcome {
     /// The criterion holds in every cell, or there was no criterion.
     Met,
-    /// Some cells are as small as allowed, and the criterion still does not hold there: the PSF
-    /// jumps.
+    /// Some cells are as small as allowed, and the criterion still does not hold there. Usually
+    /// the PSF jumps there.
     CellSizeReached,
-    /// The number of samples reached its cap before the criterion held.
+    /// The criterion does not hold in every cell, and a further refinement would exceed the cap on
+    /// the number of samples.
     CapReached,
 }
 
@@ -155,8 +156,8 @@ impl SampleError {
 /// criterion does not hold everywhere.
 #[derive(Debug, Error)]
 #[error(
-    "the criterion does not hold with the {cap} samples allowed: the next refinement needs {wanted}. {unmet} of {cells} cells \
-     exceed the threshold {threshold}, the worst has {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
+    "the criterion does not hold with the {cap} samples allowed: the next refinement would have {wanted} samples. {unmet} of {cells} cells \
+     exceed the threshold {threshold}, the largest variation is {worst:.3e}. Raise the cap or the threshold, or use the {count} samples as they are",
     unmet = sampling.report.unmet_cells,
     cells = sampling.report.cells,
     threshold = sampling.report.threshold.unwrap_or(f64::NAN),
@@ -180,7 +181,8 @@ impl CapReached {
         self.wanted
     }
 
-    /// The samples drawn, refined where the criterion was worst, and their report.
+    /// The samples drawn, and their report. The last refinement halved the cells with the largest
+    /// variation, as many as the cap allows.
     pub fn sampling(&self) -> &Sampling {
         &self.sampling
     }

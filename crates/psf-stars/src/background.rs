@@ -13,9 +13,9 @@ use crate::error::check;
 /// In each cell of the mesh, values are clipped at 3 sigma about their median until nothing
 /// changes. The background is the mode, `2.5 median - 1.5 mean`. In crowded cells, where mean and
 /// median differ by more than 0.3 sigma, the background is the median. The noise is the standard
-/// deviation of the remaining values. A median filter over the mesh then removes cells that a
-/// bright object fills. Bicubic splines interpolate both maps between the centres of the cells, and
-/// beyond the outermost centres they are constant.
+/// deviation of the remaining values. A median filter over the mesh then replaces the values of
+/// cells that a bright object fills. Bicubic splines interpolate both maps between the centres of
+/// the cells, and beyond the outermost centres they are constant.
 ///
 /// ```
 /// use ndarray::Array2;
@@ -37,8 +37,9 @@ impl BackgroundMesh {
     const SMALLEST_CELL: usize = 8;
 
     /// A mesh of `cell` x `cell` pixels per cell with a median filter over 3 x 3 cells. Cells are
-    /// slightly larger if the frame's size is not a multiple of `cell`. Cells should be several
-    /// times wider than the stars, and narrower than the changes of the sky.
+    /// larger if the frame's size is not a multiple of `cell`. A frame smaller than `cell` has one
+    /// cell. Cells should be several times wider than the stars, and narrower than the changes of
+    /// the sky.
     ///
     /// # Errors
     /// [`StarError::Setting`] for cells below 8 pixels.

@@ -141,7 +141,7 @@ pub enum SaturationOrigin {
 }
 
 impl std::fmt::Display for Saturation {
-    /// Writes the level and its origin.
+    /// Writes the level and its origin, or `not known` if there is no level.
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Some(level) = self.level else {
             return f.write_str("not known");

@@ -15,10 +15,10 @@ use crate::{Background, StarError};
 /// 191), without the subtraction of a local mean. The background mesh replaces this subtraction.
 ///
 /// Pixels with `S >= threshold` are joined to their eight neighbours from the brightest down. Where
-/// two peaks meet at a saddle, the lower one is a separate source if it rises above the saddle by
-/// [`with_prominence`](Self::with_prominence) and by a fraction of the higher peak. Otherwise it
-/// belongs to the higher one. Crowded stars are thus separated, and noise on the flanks of a bright
-/// object is not detected as stars.
+/// two peaks meet at a saddle, the lower one is a separate source if it rises far enough above the
+/// saddle: by [`with_prominence`](Self::with_prominence) (default 3 sigma) and by 0.5 % of the
+/// higher peak. Otherwise it belongs to the higher one. Crowded stars are thus separated, and noise
+/// on the flanks of a bright object is not detected as stars.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Detection {
     threshold: f64,

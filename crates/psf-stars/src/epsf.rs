@@ -104,8 +104,9 @@ impl Epsf {
         }
     }
 
-    /// Returns the PSF at a star, of unit flux, and the star's flux. Returns `None` if a flux is
-    /// not positive. With `own_shape` the PSF of the field is adapted to the star's own pixels.
+    /// Returns the PSF at a star, scaled to unit flux, and the flux of the star. Returns `None` if
+    /// the flux of the unscaled PSF or of the star is not positive. With `own_shape`, the PSF of
+    /// the field is first adapted to the pixels of this star.
     pub(crate) fn sample(&self, star: &Star, own_shape: bool) -> Option<(Array2<f64>, f64)> {
         let (psf, surface) = (&self.psf, self.psf.surface);
         let mut coefficients = psf.at(star);
@@ -150,7 +151,7 @@ impl FieldPsf {
     }
 
     /// Fits flux, position and background of every star under the current PSF. Returns the root of
-    /// each star's reduced chi squared.
+    /// each star's reduced chi squared, or infinity for a star that cannot be fitted.
     ///
     /// A shift of the PSF is equivalent to an opposite shift of all stars, so the mean shift of the
     /// stars is removed.

@@ -149,29 +149,32 @@ pub(crate) fn combined(planes: &[Vec<f64>], terms: &[f64]) -> Vec<f64> {
     sum
 }
 
-/// The prior of the PSF: a round Gaussian of the stars' FWHM, and the expected errors of its
-/// coefficients.
+/// The PSF that is expected before the fit: its coefficients, and by how much the true coefficients
+/// may differ from them. For the PSF of the field, the expected PSF is a round Gaussian of the
+/// stars' FWHM. For a star's own PSF, it is the PSF of the field at the star.
 ///
-/// The fit is the most probable PSF under Gaussian noise and independent Gaussian errors of these
-/// sizes. Coefficients that no pixel of any star determines keep their prior values.
+/// The fit is the most probable PSF if the noise of the pixels and the differences from the
+/// expected coefficients are Gaussian and independent. Coefficients that no pixel of any star
+/// determines keep their expected values.
 #[derive(Debug)]
 pub(crate) struct Prior {
+    /// The expected coefficients of the constant term. For the other terms they are 0.
     pub(crate) mean: Vec<f64>,
-    /// Expected errors (standard deviations) of the coefficients of the constant term.
+    /// Standard deviations of the true coefficients of the constant term about `mean`.
     spread: Vec<f64>,
 }
 
-/// The expected error of a coefficient is the sum of two parts. The first is this fraction of the
-/// coefficient.
+/// The standard deviation of a coefficient is the sum of two parts. The first is this fraction of
+/// the coefficient.
 const OWN_PART: f64 = 0.5;
-/// The second part of the expected error is this fraction of the peak, which allows for wings.
+/// The second part of the standard deviation is this fraction of the peak, which allows for wings.
 const PEAK_PART: f64 = 0.004;
 /// The expected variation of the PSF over the field, relative to the PSF's expected difference from
 /// a Gaussian.
 const FIELD_PART: f64 = 0.5;
 
-/// A star's own PSF may differ from the PSF of the field by this fraction (colour, local
-/// distortion).
+/// For a star's own PSF, this fraction replaces [`OWN_PART`]. It allows for the star's colour and
+/// for local distortion.
 const LOCAL_PART: f64 = 0.25;
 
 impl Prior {
@@ -215,7 +218,7 @@ const PIECE: usize = 32;
 
 /// Fits the planes `E_j` to the stars' pixels, with the stars' positions and fluxes fixed.
 /// Minimises `sum w (d / F - E)^2 + |(E - prior) / spread|^2` by conjugate gradients. Here `d` are
-/// the values of the pixels and `F` is the flux of their star.
+/// the values of the pixels above the background, and `F` is the flux of their star.
 pub(crate) fn solve(
     stars: &[Star],
     prior: &Prior,
@@ -231,7 +234,7 @@ pub(crate) fn solve(
         .collect();
     let spread = |j: usize, k: usize| prior.spread[k] * if j == 0 { 1.0 } else { FIELD_PART };
 
-    // In units of the expected errors, the matrix of the prior is the unit matrix.
+    // In units of the prior's standard deviations, the matrix of the prior is the unit matrix.
     let transposed = |of: &(dyn Fn(&StarRows) -> Vec<f64> + Sync)| -> Vec<Vec<f64>> {
         let pieces: Vec<Vec<Vec<f64>>> = rows
             .par_chunks(PIECE)

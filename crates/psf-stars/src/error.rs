@@ -17,9 +17,9 @@ pub enum StarError {
         /// The value that was given.
         got: f64,
     },
-    /// The background has no noise, so that a threshold in sigma has no meaning.
+    /// Most of the background has no noise, so that a threshold in sigma has no meaning.
     #[error(
-        "the background has no noise (r.m.s. 0): sources are found by their excess over the noise, so add noise to a noise-free image"
+        "most of the background has no noise (r.m.s. 0): sources are found by their excess over the noise, so add noise to a noise-free image, or cut off blank areas"
     )]
     NoNoise,
     /// A frame that gives no samples with these settings. The frame may be too small, no source may

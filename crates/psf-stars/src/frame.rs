@@ -220,7 +220,7 @@ pub(crate) struct Star {
     pub(crate) pixels: Vec<StarPixel>,
 }
 
-/// Pixels within this distance from a source, in FWHM, belong to it and not to its neighbours.
+/// Pixels within this distance of a source, in FWHM, are not used for its neighbours.
 const OWN_FWHM: f64 = 1.5;
 /// Neighbours with less than this fraction of a star's flux do not mask its pixels.
 const NEGLIGIBLE_NEIGHBOUR: f64 = 0.01;

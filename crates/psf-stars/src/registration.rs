@@ -28,7 +28,7 @@ pub enum RegistrationMethod {
     ///
     /// Samples are nearly free of noise. They have at most as many independent shapes as the
     /// polynomial has terms. With [`Registration::with_own_shapes`] each sample is adapted to its
-    /// star's own pixels and their noise.
+    /// star's own pixels, and contains some of their noise.
     Epsf,
     /// Each star's own pixels, shifted to the common centre by cubic spline. Samples keep the
     /// star's noise. With one stamp pixel per pixel of the frame the noise stays nearly white, so
@@ -57,7 +57,8 @@ pub struct Registration {
 }
 
 impl Registration {
-    /// The smallest number of stars for an oversampled PSF, for any oversampling.
+    /// The smallest number of stars for an oversampled PSF. An oversampling of `s` needs at least
+    /// `3 s^2` stars, if that is more.
     pub const LEAST_FOR_EPSF: usize = 12;
     const LARGEST_STAMP: usize = 512;
     const LARGEST_OVERSAMPLING: usize = 8;
@@ -101,7 +102,7 @@ impl Registration {
 
     /// Sets the number of stamp pixels per pixel of the frame. The default is 1 for
     /// [`Stamps`](RegistrationMethod::Stamps) of at least 64 stars with a FWHM of at least 2
-    /// pixels. Otherwise it is the number that gives 3 stamp pixels per FWHM.
+    /// pixels. Otherwise it is the smallest number that gives 3 stamp pixels per FWHM, at most 8.
     ///
     /// # Errors
     /// [`StarError::Setting`] unless it is from 1 to 8.
@@ -169,7 +170,7 @@ impl Registration {
         let need = Self::needed_for_epsf(scale);
         match self.method {
             RegistrationMethod::Epsf if stars < need => Err(StarError::NoSamples(format!(
-                "an oversampled PSF (epsf) at {scale} x needs at least {need} stars, but only {stars} were accepted: use the stars' own stamps, or relax the cuts"
+                "an oversampled PSF (method epsf) with an oversampling of {scale} needs at least {need} stars, but only {stars} were accepted: use the method stamps, reduce the oversampling, or relax the cuts"
             ))),
             RegistrationMethod::Auto if fwhm_px < Self::UNDERSAMPLED_PX && stars >= need => {
                 Ok(RegistrationMethod::Epsf)
@@ -230,9 +231,10 @@ const MARGIN: usize = 3;
 /// Returns the star's stamp, interpolated at the nodes of the grid and scaled to unit flux, and the
 /// star's flux. Returns `None` if the flux is not positive.
 ///
-/// Pixels that belong to a neighbour are replaced by the pixels on the opposite side of the star.
-/// The median along the stamp's edge estimates the error of the background map and is subtracted.
-/// The spline passes exactly through the pixels' values.
+/// Pixels that belong to a neighbour or lie off the frame are replaced by the pixels on the
+/// opposite side of the star, or by 0 if these cannot be used either. The median along the stamp's
+/// edge estimates the error of the background map and is subtracted. The spline passes exactly
+/// through the pixels' values.
 pub(crate) fn own_stamp(
     excess: ArrayView2<'_, f64>,
     (star_x, star_y): (f64, f64),

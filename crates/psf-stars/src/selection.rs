@@ -12,10 +12,10 @@ use crate::{Rejection, Source, StarError};
 
 /// Selects the sources that serve as PSF samples by cuts. Each cut has its reason ([`Rejection`]).
 ///
-/// * Signal-to-noise ratio above a limit, by default 10 as in the paper of the method (its eq. 6).
+/// * Signal-to-noise ratio above a limit, by default 10 (Bai, Jia et al. 2025, AJ, eq. 6).
 /// * Room for the stamp: the centre is at least [`with_edge_px`](Self::with_edge_px) from the
 ///   frame's edge.
-/// * Isolation: no other source within a radius has more than a fraction of its flux.
+/// * Isolation: no other source within a radius has more than a fraction of the star's flux.
 /// * Shape: FWHM and distortion agree with those of the neighbouring stars.
 ///
 /// The reference for shapes is a polynomial over the field, of degree 0 to 2 depending on the
@@ -48,10 +48,11 @@ impl Selection {
         with_snr(snr) => snr, if at_least(0.0, snr),
             else "the signal-to-noise limit", "a number, 0 or above";
         /// Sets the smallest distance of a star from the frame's edge in pixels. The default is
-        /// half a stamp. It may not be smaller, because a stamp must fit.
+        /// half a stamp.
         ///
         /// # Errors
-        /// [`StarError::Setting`] unless it is 0 or above.
+        /// [`StarError::Setting`] unless it is 0 or above. A distance below half a stamp is an
+        /// error of [`StarSampling::run`](crate::StarSampling::run), because stamps must fit.
         with_edge_px(edge_px) => edge_px: Some, if at_least(0.0, edge_px),
             else "the distance from the edge", "a number of pixels, 0 or above";
         /// Sets the radius in pixels in which there may be no bright neighbour. The default is 2.5
@@ -228,8 +229,8 @@ impl Shape {
 /// The clipping starts with sources within this distance of the most frequent ln FWHM. This keeps
 /// stars of a PSF that varies over the field, and excludes galaxies.
 const FIRST_GUESS: f64 = 0.25;
-/// The smallest assumed scatter of stars in ln FWHM and in distortion, apart from noise (pixel
-/// phase, colour).
+/// The smallest assumed scatter of stars in ln FWHM and in distortion that does not come from noise
+/// (but from pixel phase or colour).
 const SCATTER: f64 = 0.05;
 /// The largest assumed scatter of stars. A larger one means that galaxies are among them.
 const MOST_SCATTER: f64 = 0.08;

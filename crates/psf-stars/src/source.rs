@@ -12,9 +12,11 @@ use serde::{Serialize, Serializer};
 pub enum Rejection {
     /// A pixel of its core is at the saturation level.
     Saturated,
-    /// Its stamp would extend beyond the frame.
+    /// Its centre is too close to the frame's edge. By default, its stamp would extend beyond the
+    /// frame.
     Edge,
-    /// Its signal-to-noise ratio is below the limit.
+    /// Its signal-to-noise ratio does not exceed the limit, or its flux from the registration is
+    /// not positive.
     LowSnr,
     /// Another source is too close and too bright.
     Neighbour,
@@ -139,7 +141,8 @@ pub struct Source {
     /// sources, it results from a fit of the nearest sample's PSF, which has unit flux over its
     /// stamp. This fit ignores saturated pixels.
     pub flux: f64,
-    /// Signal-to-noise ratio in an aperture of radius 1.25 FWHM ([`Camera`](crate::Camera)).
+    /// Signal-to-noise ratio in an aperture of radius 1.25 FWHM, at least 2 pixels
+    /// ([`Camera`](crate::Camera)).
     pub snr: f64,
     /// Height of the matched-filtered peak in sigma of the background noise.
     pub significance: f64,

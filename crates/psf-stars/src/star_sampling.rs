@@ -97,8 +97,8 @@ impl StarSampling {
     ///
     /// # Errors
     /// [`StarError`] when the frame is too small or without noise, when no source is found or
-    /// suitable, or when there are too few stars for an oversampled PSF that was requested
-    /// explicitly.
+    /// suitable, when the requested distance from the edge is less than half a stamp, or when there
+    /// are too few stars for an oversampled PSF that was requested explicitly.
     pub fn run<T: Real>(&self, frame: &Image<T>) -> Result<StarSamples, StarError> {
         let shape = frame.shape();
         if shape.nx().min(shape.ny()) < LEAST_PIXELS {

@@ -14,7 +14,8 @@ use crate::frame::DataError;
 #[serde(try_from = "String", into = "String")]
 #[non_exhaustive]
 pub enum Interpolation {
-    /// Bicubic where the samples form a regular grid, else natural neighbour.
+    /// Bicubic for samples on a regular grid (bilinear on a grid of 2 x 2), nearest for a single
+    /// sample, else natural neighbour.
     #[default]
     Auto,
     /// Linear inside the triangles of the Delaunay triangulation.
@@ -131,8 +132,8 @@ pub enum Anchor {
     /// Each source spreads with the PSF of its own position ("scattering"), as light does.
     #[default]
     Source,
-    /// Each output pixel gathers light with the PSF of its own position, as in the paper of the
-    /// method (Bai, Jia et al.).
+    /// Each output pixel gathers light with the PSF of its own position, as in the paper from which
+    /// psfield's method comes (Bai, Jia et al.).
     Output,
 }
 

@@ -228,7 +228,7 @@ impl PixelRegion {
     }
 
     /// The position of a pixel of the region. `column` and `row` count from the region's first
-    /// pixel, the position from the same pixel as `x0` and `y0`.
+    /// pixel. The position has the same origin as `x0` and `y0`.
     pub fn position(self, column: usize, row: usize) -> Position {
         Position::of_pixel(self.x0 + column as i64, self.y0 + row as i64)
     }
@@ -364,7 +364,7 @@ pub enum DataError {
         /// NaN or an infinity.
         value: f64,
     },
-    /// Two arrays that should have equal numbers of rows or planes.
+    /// A number of rows, planes or coefficients that differs from the number needed.
     #[error("{what}: expected {expected}, got {got}")]
     CountMismatch {
         /// A description of the counted things.
@@ -414,7 +414,7 @@ pub enum DataError {
     EmptyBasis,
     /// Basis stamps that are not orthonormal.
     #[error(
-        "basis stamps {first} and {second} have the inner product {product}, expected {expected} within {tolerance:e}"
+        "basis components {first} and {second} (0-based) have the inner product {product}, but orthonormal components have {expected} within {tolerance:e}"
     )]
     NotOrthonormal {
         /// First component.

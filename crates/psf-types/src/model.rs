@@ -153,8 +153,8 @@ pub enum FieldError {
         /// The PSF's flux there.
         flux: f64,
     },
-    /// An error of a field that another crate implements.
-    #[error("the coefficient field failed at {position}")]
+    /// Any other error of a coefficient field, or a PSF with values that are not finite.
+    #[error("the PSF at {position} cannot be computed")]
     External {
         /// The requested position.
         position: Position,

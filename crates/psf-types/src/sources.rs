@@ -44,8 +44,8 @@ const SMALLEST_INDEX: f64 = 0.3;
 /// The largest Sersic index. Fits of real galaxies with a larger index are not meaningful.
 const LARGEST_INDEX: f64 = 8.0;
 /// The smallest axis ratio. Edge-on discs have a ratio a hundred times larger. The time to
-/// integrate a profile over pixels grows as the inverse of the ratio. At this ratio, it is a large
-/// part of a second per galaxy.
+/// integrate a profile over pixels grows as the inverse of the ratio. A galaxy with the smallest
+/// ratio takes a large part of a second.
 const SMALLEST_AXIS_RATIO: f64 = 1e-3;
 
 /// A Sersic profile with elliptical isophotes: the distribution of a galaxy's light.

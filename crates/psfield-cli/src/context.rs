@@ -52,8 +52,8 @@ pub(crate) fn with_option(text: impl std::fmt::Display, setting: Option<&str>) -
 /// The option for a setting of the library.
 fn option_of(setting: &str) -> Option<String> {
     Some(match setting {
-        // No option has these values: world coordinates come from a header, and a region is never
-        // given by the user.
+        // No option has these values: world coordinates come from a header, and the command line
+        // has no regions.
         "sky" | "region" => return None,
         "hdu" | "table" => "--extension".to_owned(),
         "plane_order" => "--psf-order".to_owned(),
@@ -80,12 +80,12 @@ pub(crate) fn with_window_hint(error: LabError) -> anyhow::Error {
 pub(crate) struct Context {
     pub(crate) json: bool,
     pub(crate) quiet: bool,
-    /// The prefix of messages, with the name of a part of the work. Empty for the whole command.
+    /// The start of warnings and notes: the name of a batch job and a colon. Empty outside a batch.
     pub(crate) part: String,
 }
 
 impl Context {
-    /// Returns the context of a part of the work. Messages start with the name of this part, and
+    /// Returns the context of a batch job. Warnings and notes start with the name of the job, and
     /// progress bars are not shown.
     pub(crate) fn for_part(&self, name: &str) -> Self {
         Self {
@@ -154,8 +154,8 @@ impl Context {
     }
 }
 
-/// Header cards with the program's version and the command line. Options that do not change the
-/// result are left out ([`matters`]), so that equal input, options and seeds give equal bytes.
+/// Header cards with the program's version and the command line. Some options that do not change
+/// the result are left out ([`matters`]): runs that differ only in them write equal bytes.
 pub(crate) fn signature() -> Vec<Card> {
     signature_of(&given_arguments())
 }

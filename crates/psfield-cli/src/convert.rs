@@ -45,8 +45,8 @@ pub(crate) struct ConvertArgs {
     /// For psf-samples and gridded: evaluate on NX x NY positions over the field [default: the
     /// PSF's own positions]
     ///
-    /// Default for gridded, if the own positions form no regular grid: a square grid of at least
-    /// 11 x 11.
+    /// Default for gridded, unless the PSF is interpolated (bilinear or bicubic) between positions
+    /// on a regular grid: a square grid of at least 11 x 11.
     #[arg(long, value_name = "NX,NY", conflicts_with = "at")]
     grid: Option<Pair>,
     /// For psf-samples and gridded: evaluate at the positions of this table
@@ -66,7 +66,7 @@ pub(crate) struct ConvertArgs {
 enum Target {
     PsfSamples,
     PsfModel,
-    /// A polynomial of this total degree.
+    /// A polynomial of this total degree. `None`: the degree of the PSF.
     Psfex(Option<usize>),
     Gridded,
 }
@@ -207,14 +207,14 @@ impl ConvertArgs {
         let is_model = psf.samples().is_none();
         let what = match target {
             Target::Gridded if given && *at == SamplesAt::Own && !is_model && is_on_grid(psf) => {
-                "samples on a grid at their own positions are not fitted: of the fit options only --normalise applies (with --grid or \
-                 --at, all of them apply)"
+                "without --grid or --at, samples on a regular grid are copied and not fitted: of the fit options only \
+                 --normalise applies"
             }
             Target::PsfSamples if given && *at == SamplesAt::Own && !is_model => {
-                "samples at their own positions are not fitted: of the fit options only --normalise applies"
+                "without --grid or --at, the samples are copied and not fitted: of the fit options only --normalise applies"
             }
             Target::Psfex(_) if is_model && (given || choices.normalisation.is_some()) => {
-                "a PSFEx file cannot store --normalise or --outside: its polynomial extends outside the samples, and its readers scale to unit flux"
+                "a PSFEx file cannot store --outside or --normalise: its polynomial extends outside the samples, and its readers scale the PSF to unit flux"
             }
             Target::Psfex(_) if given => {
                 "the polynomial is fitted to the samples directly: of the fit options only --normalise applies"

@@ -19,8 +19,9 @@ use super::values::{Precision, above_zero, at_least_zero};
 /// asks for it.
 ///
 /// The flux of the image times electrons_per_flux (default 1) is the number of electrons in the
-/// exposure. Counts are in ADU if gain, bias or bits are given, else in electrons. Pixels below 0
-/// count as 0. The image itself is never changed.
+/// exposure. Counts are in ADU if gain, bias or bits are given, else in electrons. A pixel gets no
+/// charge if the charge expected from light, sky and dark current is negative. The image itself is
+/// never changed.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ExposeArgs {
     /// Noise-free image
@@ -128,7 +129,7 @@ pub(crate) fn check_detector(detector: &Detector, alone: bool, context: &Context
         .into());
     }
     if !detector.params().photon_noise {
-        context.warn("the exposure has no photon noise: set photon_noise = true in the detector file (or give expose --photon-noise)");
+        context.warn("the exposure has no photon noise: set photon_noise = true in the detector file (or use the option --photon-noise of psfield expose)");
     }
     Ok(())
 }

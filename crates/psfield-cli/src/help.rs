@@ -9,7 +9,7 @@ const GROUPS: [(&str, &[&str]); 2] = [
 ];
 const LAST_GROUP: &str = "Look and check";
 
-/// Builds the command line with its helps.
+/// Builds the command line with its help texts.
 pub(crate) fn command<C: CommandFactory>() -> Command {
     let command = C::command();
     let template = format!(

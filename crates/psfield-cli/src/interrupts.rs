@@ -56,7 +56,7 @@ fn tell(signal: i32, outputs: &[PathBuf]) {
     let name = signal_name(signal).unwrap_or("a signal");
     let _ = write!(line, "interrupted ({name}), ");
     if outputs.is_empty() {
-        line.push_str("no output written");
+        line.push_str("no output was being written");
     }
     for (n, output) in outputs.iter().enumerate() {
         let state = if output.exists() {
@@ -72,8 +72,8 @@ fn tell(signal: i32, outputs: &[PathBuf]) {
     let _ = std::io::stderr().write_all(line.as_bytes());
 }
 
-/// The signals that the process ignores since its start, as a bit mask (lowest bit: signal 1). 0 if
-/// the system does not report them.
+/// The signals that the process has ignored since its start, as a bit mask (lowest bit: signal 1).
+/// 0 if the system does not report them.
 fn ignored_signals() -> u64 {
     std::fs::read_to_string("/proc/self/status")
         .ok()

@@ -31,6 +31,8 @@ pub(crate) struct MeasureArgs {
     at: Option<PathBuf>,
     /// Fit the Gaussian to the N x N pixels around the centre [default: the whole stamp; with --at:
     /// 15]
+    ///
+    /// With --at, the adaptive moments use these pixels, too. Otherwise they use the whole stamp.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     window: Option<u16>,
     /// Fit a constant background too

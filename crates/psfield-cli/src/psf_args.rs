@@ -12,7 +12,7 @@ use crate::UsageError;
 use crate::context::{Context, with_option};
 use crate::values::{above_zero, at_least_zero, number, numbers};
 
-/// The heading of the fit options in helps.
+/// The heading of the fit options in help texts.
 pub(crate) const FIT_HEADING: &str = "Fit options (a model accepts only --outside and --normalise)";
 
 /// The settings of a fit. The short help hides them, except in `psfield fit`.
@@ -45,7 +45,8 @@ pub(crate) struct FitArgs {
     /// bilinear, bicubic, polynomial=D or nearest.
     /// auto: bicubic on a regular grid, else natural-neighbour. idw means idw=2.
     /// bilinear and bicubic need samples on a regular grid. D: degree, at most 20.
-    /// Default for STPSF and STDPSF: bilinear.
+    /// Default for STPSF and STDPSF: bilinear on a regular grid, else natural-neighbour.
+    /// Default for a single stamp: nearest.
     #[arg(long, value_name = "METHOD", hide_short_help = true, verbatim_doc_comment)]
     interpolation: Option<Interpolation>,
     /// PSF outside the samples: nearest, extend or error [default: nearest]
@@ -155,7 +156,7 @@ pub(crate) struct PsfFileArgs {
     /// ScopeSim: size of a frame pixel (arcsec, required)
     #[arg(long, value_name = "ARCSEC", value_parser = above_zero, allow_negative_numbers = true, hide_short_help = true)]
     pixel_scale: Option<f64>,
-    /// ScopeSim: position on the frame of the centre of the PSF's field (0-based pixels, required)
+    /// ScopeSim: where the centre of the PSF's field lies on the frame (0-based pixels, required)
     #[arg(long, value_name = "X,Y", allow_hyphen_values = true, hide_short_help = true)]
     field_centre: Option<Point>,
     /// Cube without positions: table of the positions of its planes (required for several planes)

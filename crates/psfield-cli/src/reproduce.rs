@@ -14,8 +14,8 @@ use super::values::Pair;
 ///
 /// Uses the built-in survey telescope and no data. Shows singular values, sampling, FWHM and
 /// ellipticity of simulated and true objects, errors over the field and at several tolerances, an
-/// extended galaxy compared with patches of constant PSF, and Table 1. Takes some 10 minutes on two
-/// cores, with --quick less than 3.
+/// extended galaxy convolved by psfield and by patches of constant PSF, and Table 1. Takes some 10
+/// minutes on two cores, with --quick less than 3.
 #[derive(Debug, clap::Args)]
 pub(crate) struct ReproduceArgs {
     #[command(flatten)]
@@ -38,8 +38,8 @@ pub(crate) struct ReproduceArgs {
     /// Side of the image of the large galaxy (pixels) [default: 512, with --quick 256]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(32..=2048), hide_short_help = true)]
     galaxy_side: Option<u16>,
-    /// Threshold of the non-uniform sampling in the figure (relative L2) [default: 1e-3, with
-    /// --quick 4e-3]
+    /// Threshold of the non-uniform sampling, which is shown next to the uniform sampling (relative
+    /// L2) [default: 1e-3, with --quick 4e-3]
     #[arg(long, value_name = "X", value_parser = super::values::above_zero, allow_negative_numbers = true, hide_short_help = true)]
     adaptive_threshold: Option<f64>,
 }

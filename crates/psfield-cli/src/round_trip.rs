@@ -107,7 +107,7 @@ impl RoundTripArgs {
             let figures = report.figures;
             let line = |name: &str, agreement: &psfield_lab::Agreement| {
                 format!(
-                    "{name}  median {:.3} in the frame, {:.3} simulated (ratio {:.3}), mean absolute difference per star {:.3}, KS distance {:.3}",
+                    "{name}  median {:.3} in the frame, {:.3} simulated (simulated / frame {:.3}), mean absolute difference per star {:.3}, KS distance {:.3}",
                     agreement.frame.median,
                     agreement.simulated.median,
                     agreement.median_ratio,
@@ -123,7 +123,7 @@ impl RoundTripArgs {
                 figures.measured,
                 figures.drawn,
                 figures.realisations,
-                line("FWHM:       ", &figures.fwhm_px),
+                line("FWHM (px):  ", &figures.fwhm_px),
                 line("ellipticity:", &figures.ellipticity),
             )
         })
@@ -157,7 +157,8 @@ impl RoundTripArgs {
     }
 }
 
-/// Draws cumulative distributions of the stars of the frame and of the simulated stars.
+/// Draws the cumulative distributions of FWHM and ellipticity, for the stars of the frame and for
+/// the simulated stars.
 fn distributions(trip: &RoundTrip) -> Result<Figure, PlotError> {
     let both =
         |row: &&psfield_lab::RoundTripRow| row.fwhm_frame_px.is_some() && row.fwhm_simulated_px.is_some();

@@ -22,10 +22,13 @@ use crate::values::{Pair, above_zero};
 /// A telescope file (TOML) is sampled non-uniformly by default: the grid is refined where the PSF
 /// varies, until the criterion holds everywhere. Corners and edges are always covered.
 ///
-/// A frame (FITS) is sampled at its own stars: background, detection, selection, and registration
-/// to sub-pixel precision. The content of the file decides which of the two it is.
+/// A frame (FITS) is sampled at its own stars: psfield subtracts the background, detects and
+/// selects stars, and registers them to sub-pixel precision. The content of the file decides
+/// whether it is a telescope file or a frame.
 ///
-/// psfield demo writes an example of a telescope file, telescope.toml. More examples:
+/// psfield demo writes an example of a telescope file (telescope.toml).
+///
+/// Examples:
 ///
 /// psfield sample --preset survey-2m -o samples.fits
 ///
@@ -87,7 +90,7 @@ fn is_frame(path: &Path, chosen: bool) -> anyhow::Result<bool> {
         Err(error) if matches!(error.kind(), IoErrorKind::NotFound | IoErrorKind::Read) => Ok(false),
         Ok(_) if chosen => Ok(true),
         Ok(kind) => anyhow::bail!(
-            "{} is {kind}: a frame is a single image [y, x] with stars",
+            "{} is {kind}: give a telescope file (TOML) or a frame with stars (a single image [y, x])",
             path.display()
         ),
         Err(error) => Err(error.into()),
@@ -99,7 +102,7 @@ fn refuse(given: Option<&str>, input: &str, kind: &str) -> Result<(), UsageError
     match given {
         None => Ok(()),
         Some(option) => Err(UsageError(format!(
-            "{option} applies only to {kind}, but the input is {input}: leave it out"
+            "{option} applies only to {kind}, but the input is {input}: leave this option out"
         ))),
     }
 }
@@ -119,7 +122,7 @@ fn criterion() -> impl TypedValueParser<Value = Criterion> {
     let values = [
         PossibleValue::new("interpolation").help("Error of interpolating between samples"),
         PossibleValue::new("neighbours")
-            .help("Difference of neighbouring samples, as in the method's paper (needs many more samples)"),
+            .help("Difference of neighbouring samples, as in Bai, Jia et al. (needs many more samples)"),
     ];
     PossibleValuesParser::new(values).try_map(|text| text.parse::<Criterion>())
 }
@@ -228,10 +231,10 @@ impl TelescopeArgs {
         if report.unmet_cells > 0 {
             let why = match report.outcome {
                 "cap-reached" => format!(
-                    ": the limit of {} samples was reached (--max-samples)",
+                    ": the next refinement needs more samples than --max-samples allows ({} samples are written)",
                     report.samples
                 ),
-                _ => String::new(),
+                _ => ": these cells cannot be halved again: the PSF is probably discontinuous".to_owned(),
             };
             context.warn(&format!(
                 "the criterion does not hold in {} of {} cells (worst {:.2e}){why}",
@@ -299,7 +302,7 @@ struct FrameArgs {
     /// Also write a coverage map of the field
     ///
     /// Three planes over the cells of the map: number of samples, distance to the nearest sample
-    /// (pixels), and 1 inside the convex hull of the samples.
+    /// (pixels), and 1 inside the convex hull of the samples or 0 outside.
     #[arg(long, value_name = "COVERAGE.fits", hide_short_help = true)]
     coverage: Option<PathBuf>,
 }
@@ -363,8 +366,8 @@ impl FrameArgs {
                  FWHM:         {:.2} pixels\n\
                  background:   {:.2}, r.m.s. {:.2}\n\
                  saturation:   {saturation}\n\
-                 registration: {}, {} x {} stamps at {} x{degree}\n\
-                 outside hull: {:.0} % of the field, at most {:.0} pixels to the nearest sample",
+                 registration: {}, stamps of {} x {} pixels, {} per frame pixel{degree}\n\
+                 coverage:     {:.0} % of the field is outside the outermost samples, largest distance to a sample {:.0} pixels",
                 report.output.display(),
                 report.samples,
                 report.sources,

@@ -24,8 +24,8 @@ pub(crate) struct StarArgs {
     snr: Option<f64>,
     /// Value at and above which pixels are saturated [default: the SATURATE card]
     ///
-    /// Without the card: the largest value of the frame, if at least two pixels have it. Otherwise
-    /// no pixel counts as saturated.
+    /// A card that is not above the background is ignored. Without a level, the largest value of
+    /// the frame counts as saturated if at least two pixels have it.
     #[arg(long, value_name = "LEVEL", allow_negative_numbers = true)]
     saturation: Option<f64>,
     /// Gain (electrons per unit of the frame)
@@ -35,7 +35,7 @@ pub(crate) struct StarArgs {
     pub(crate) gain: Option<f64>,
     /// Read noise (electrons), needs --gain
     ///
-    /// The noise per pixel is never taken below this value.
+    /// If the background noise measured in the frame is lower, the read noise replaces it.
     #[arg(long, value_name = "E", requires = "gain", value_parser = at_least_zero, allow_negative_numbers = true, hide_short_help = true)]
     read_noise: Option<f64>,
     /// Smallest distance to other sources (pixels) [default: 2.5 FWHM]
@@ -50,6 +50,8 @@ pub(crate) struct StarArgs {
     edge: Option<f64>,
     /// Side of a sample's stamp (frame pixels) [default: 3 FWHM to each side of the star, at least
     /// 11 in total]
+    ///
+    /// From 5 to 512. An even number is raised to the next odd number.
     #[arg(long, value_name = "N")]
     stamp_size: Option<usize>,
     /// Stamp pixels per frame pixel
@@ -102,7 +104,7 @@ impl StarArgs {
         let (frame, header) = read
             .map_err(|error| match error.place() {
                 Some(Place::Pixel { .. }) => anyhow::Error::new(error).context(
-                    "give bad pixels a value at or above the saturation level (SATURATE, --saturation): stars with such a pixel are then left out",
+                    "this frame has bad pixels: set them to a value at or above the saturation level (card SATURATE, or --saturation of sample and roundtrip), so that psfield leaves out the stars there",
                 ),
                 _ => error.into(),
             })?

@@ -88,12 +88,12 @@ impl ValidateArgs {
                     })
                 };
                 format!(
-                    "{} objects compared, {} failed\n{}{}{}{}{folder}: open report.html first",
+                    "{} objects compared, {} could not be measured\n{}{}{}{}{folder}: open report.html first",
                     summary.objects,
                     summary.failed,
                     line("difference of ellipticity", summary.ellipticity),
                     line(&fwhm, summary.fwhm_px),
-                    line("MAE / window mean", summary.mae_over_mean),
+                    line("MAE / mean of the window", summary.mae_over_mean),
                     targets_text(&measured.targets),
                 )
             })

@@ -27,10 +27,10 @@ pub enum LabError {
         /// Pixels along each side of the window.
         window: usize,
     },
-    /// Objects that would overlap.
+    /// Objects that would overlap, or would lie too near to the frame's edges.
     #[error(
-        "{across} x {across} objects do not fit into a frame of {frame} pixels, because neighbours must be at least {least_apart} pixels apart: ask \
-         for fewer objects or a larger frame"
+        "{across} x {across} objects do not fit into a frame of {frame} pixels, because neighbours must be at least {least_apart} pixels apart \
+         and must keep away from the edges: ask for fewer objects or a larger frame"
     )]
     ObjectsTooClose {
         /// The frame.
@@ -43,7 +43,7 @@ pub enum LabError {
     /// A model that includes the pixel response, and true PSFs that lack it.
     #[error(
         "the true PSFs lack the pixel response, but the PSFs of the model include it, so they cannot be compared: give true PSFs with the \
-         pixel response, or a model of PSFs without it (PIXCONV)"
+         pixel response, or a model of PSFs without it (FITS keyword PIXCONV)"
     )]
     TruthWithoutPixels,
 }

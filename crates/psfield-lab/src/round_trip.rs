@@ -67,7 +67,8 @@ pub struct RoundTripOptions {
     pub window: Option<usize>,
     /// True if the simulated frames get noise.
     pub noise: bool,
-    /// Electrons per unit of the frame, for the photon noise of the stars. None: no photon noise.
+    /// Electrons per unit of the frame's pixel values, for the photon noise of the stars. None: no
+    /// photon noise.
     pub gain: Option<f64>,
     /// Number of simulated frames that are measured, at least 1. Without noise it is always 1.
     pub realisations: u32,
@@ -128,7 +129,7 @@ impl RoundTrip {
         for realisation in 0..count {
             let simulated = simulated_frame(&light, &stars, options, realisation);
             let measured = measuring.image(simulated.view(), &positions);
-            // A star counts in both distributions or in neither.
+            // A simulated star counts only if the star can also be measured in the frame.
             for (a, b) in in_frame.iter().zip(&measured) {
                 if let (Some(_), Some((fwhm, ellipticity))) = (shape(a), shape(b)) {
                     simulated_fwhm_px.push(fwhm);

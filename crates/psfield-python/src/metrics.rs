@@ -14,7 +14,7 @@ use crate::threads;
 type Measured<'py> = PyResult<Bound<'py, PyDict>>;
 
 /// Returns a window of `size` x `size` pixels about the middle of the stamp, or about the pixel
-/// (column, row).
+/// (column, row). Without a size, returns the whole stamp.
 fn window(size: Option<usize>, about: Option<(usize, usize)>) -> Window {
     match (size, about) {
         (None, _) => Window::whole(),
@@ -68,7 +68,7 @@ pub(crate) fn fit_gaussian<'py>(
     Ok(found)
 }
 
-/// Measures HSM's adaptive moments of a stamp.
+/// Measures the adaptive moments of a stamp, as HSM does in GalSim.
 #[pyfunction]
 pub(crate) fn adaptive_moments<'py>(
     py: Python<'py>,

@@ -23,8 +23,9 @@ use crate::threads::{self, Watch, pool};
 #[pyclass(frozen, module = "psfield._native")]
 pub(crate) struct Plan {
     simulator: AnySimulator,
-    /// Locked while a thread outside the pool prepares the simulator for a new kind of scene. Plans
-    /// for other regions use the same lock, because they share the plan for stars.
+    /// Locked while a thread outside the pool prepares the simulator for a new kind of scene (with
+    /// or without stars or galaxies). Plans for other regions use the same lock, because they share
+    /// the plan for stars.
     making: Arc<Mutex<()>>,
     /// The process that made this plan.
     process: u32,
@@ -130,7 +131,8 @@ impl Plan {
         })
     }
 
-    /// (x0, y0, nx, ny) of the part of the scene whose light reaches the image.
+    /// (x0, y0, nx, ny) of the part of the scene whose light reaches the image, in pixels of the
+    /// scene.
     fn light_region(&self) -> PyResult<(i64, i64, usize, usize)> {
         let light =
             in_precision!(self, simulator => simulator.light_region(&NoProgress)).map_err(Failure::from)?;

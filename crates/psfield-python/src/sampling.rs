@@ -78,7 +78,7 @@ pub(crate) fn sample_function(
         Ok(sampling) => sampling,
         Err(SampleError::CapReached(cap)) => {
             return Err(invalid(format!(
-                "threshold={} is not met with max_samples={}: the next refinement needs {} samples. \
+                "threshold={} is not met with max_samples={}: the next refinement needs {} samples in all. \
                  Raise max_samples or threshold",
                 sampling.threshold,
                 cap.cap(),
@@ -142,7 +142,7 @@ impl PsfSource for FunctionSource<'_> {
             if values.dim() != stamp.dim() {
                 let (got, expected) = (values.dim(), stamp.dim());
                 return Err(failed(
-                    format!("its stamp has the shape {got:?}, but others have {expected:?}").into(),
+                    format!("the function returned a stamp of shape {got:?} here, but {expected:?} in the middle of the field").into(),
                 ));
             }
             stamp.assign(&values);

@@ -59,8 +59,9 @@ pub fn check_frame_on_field(frame: FrameShape, field: Option<FrameShape>) -> Res
     match field {
         Some(field) if frame.nx() > field.nx() || frame.ny() > field.ny() => {
             let message = format!(
-                "the frame is {frame} pixels, but the PSF is known over a field of {field} pixels: cut the scene to the \
-                 field with a frame. Light of the scene outside the frame still contributes"
+                "the frame is {frame} pixels, but the PSF is known only over a field of {field} pixels: choose a frame that \
+                 is no larger than the field. In a simulation, the frame may be a part of the scene, and light outside \
+                 the frame still contributes"
             );
             Err(PsfieldError::new(ErrorKind::Field, message).with_setting("frame"))
         }

@@ -8,8 +8,8 @@ use psf_types::{Image, Real};
 
 use crate::{ErrorKind, PsfieldError, check_outputs};
 
-/// Keywords that [`exposure_cards`] writes. An exposure does not copy these cards from its input
-/// image.
+/// Keywords that describe an exposure. [`ExposureFiles::write`] does not copy their cards from the
+/// header of the exposed image.
 const KEYWORDS: [&str; 24] = [
     "DETNAME", "DETSEED", "DETPSEED", "DETTRUTH", "DETEPF", "DETPHOT", "DETSKY", "DETSKYX", "DETSKYY",
     "DETDARK", "DETRESP", "DETDEAD", "DETHOT", "DETHOTD", "DETBCOL", "DETFULL", "DETBIAS", "DETBITS",
@@ -149,7 +149,7 @@ pub fn exposure_cards(detector: &Detector, report: &ExposureReport) -> Result<Ve
     }
     let bad = params.bad_pixels;
     let pattern = [
-        ("DETRESP", params.response_rms, "r.m.s. of the pixels' response"),
+        ("DETRESP", params.response_rms, "r.m.s. scatter of pixel response"),
         ("DETDEAD", bad.dead_fraction, "probability of a dead pixel"),
         ("DETHOT", bad.hot_fraction, "probability of a hot pixel"),
         (

@@ -22,7 +22,8 @@ pub struct FitOptions {
     pub rank: RankSelection,
     /// The choice whether to subtract the mean stamp first.
     pub centring: Centring,
-    /// The known noise in the samples' pixels, in units of the samples after normalisation.
+    /// The noise in the samples' pixels: estimated, or known, in units of the samples after
+    /// normalisation.
     pub noise: PixelNoise,
     /// The interpolation of the coefficients over the field.
     pub interpolation: Interpolation,
@@ -35,8 +36,8 @@ pub struct FitOptions {
 impl FitOptions {
     /// Options for a library of PSFs on a grid of positions (STPSF, STDPSF, photutils'
     /// `GriddedPSFModel`). Every component is kept. PSFs keep the flux that they have in the
-    /// library. They are interpolated bilinearly between the positions of the library, as in other
-    /// software.
+    /// library. If the positions form a regular grid, PSFs are interpolated bilinearly between
+    /// them, as in other software.
     pub fn of_gridded_library(positions: &SamplePositions) -> Self {
         Self {
             // The fit must reproduce the few planes of the library.
@@ -78,9 +79,10 @@ pub struct FitReport {
     pub samples: usize,
     /// Number of components kept, without the mean.
     pub rank: usize,
-    /// Number of components at the elbow of the cumulative weights.
+    /// Number of components at the elbow of the cumulative weights ([`psf_basis`] defines it).
     pub elbow: Option<usize>,
-    /// Standard deviation of the white noise found in the samples, if any.
+    /// Standard deviation of the white noise in the samples' pixels, estimated or known
+    /// ([`FitOptions::noise`]). None if there is no noise.
     pub noise_sigma: Option<f64>,
     /// The interpolation that the model uses.
     pub interpolation: Interpolation,
@@ -88,7 +90,8 @@ pub struct FitReport {
     pub outside: OutsidePolicy,
     /// The scaling of PSFs: to unit flux, or none.
     pub normalise: Normalisation,
-    /// The largest truncation error over the samples.
+    /// The largest truncation error over the samples. The truncation error of a sample is the part
+    /// of it that the basis cannot represent.
     pub max_error: f64,
     /// The root mean square of the truncation errors.
     pub rms_error: f64,

@@ -30,7 +30,7 @@ impl<T: ConvReal> Simulator<T> {
     /// and the cards of its [`SpotCheck`], if there is one.
     ///
     /// # Errors
-    /// [`CardError`] if the name of the GPU has characters that a header cannot hold.
+    /// [`CardError`] for a tolerance that is not finite, which no simulator has.
     pub fn cards(&self, made: &Preparation<'_>) -> Result<Vec<Card>, CardError> {
         let options = self.options();
         let mut cards = vec![

@@ -27,7 +27,7 @@ pub const MEASUREMENT_COLUMNS: [&str; 16] = [
 ];
 
 /// The measurements of one PSF. A field is None if its measurement failed. In this case, `note`
-/// says why.
+/// says why. `x` and `y` are the given position, None if there is none.
 ///
 /// Lengths are in pixels of the array. The fields from `flux` to `ellipticity` are from the fit of
 /// an elliptical Gaussian (`fwhm_px` is the geometric mean, `ellipticity = sqrt(1 - b^2 / a^2)`).
@@ -58,8 +58,9 @@ pub struct Measurement {
 /// Options for the measurement of PSFs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct MeasureOptions {
-    /// The size of the central window, in pixels along each axis, to which the Gaussian is fitted.
-    /// None: the whole stamp or, on an image, [`MeasureOptions::IMAGE_WINDOW`] pixels.
+    /// The size, in pixels along each axis, of the window to which the Gaussian is fitted. On a
+    /// stamp, the window is central. On an image, it lies about the position. None: the whole stamp
+    /// or, on an image, [`MeasureOptions::IMAGE_WINDOW`] pixels.
     pub window: Option<usize>,
     /// If true, a constant background is fitted too.
     pub background: bool,

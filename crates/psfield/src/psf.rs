@@ -133,7 +133,7 @@ impl Psf {
         Ok(PsfSamples::new(stamps, positions, StampGrid::new(nx, ny)?)?.into())
     }
 
-    /// Samples a source, which can draw the PSF at any position, over the field.
+    /// Samples the PSF of a source over the field. A source can draw the PSF at any position.
     ///
     /// # Errors
     /// [`ErrorKind::Sampling`].
@@ -247,7 +247,7 @@ impl Psf {
 
     /// An upper bound, in frame pixels, on the distance over which the PSF spreads light: the
     /// longer side of a stamp plus one. If stamps are cut or padded to
-    /// [`stamp_size`](crate::SimulateOptions::stamp_size), it is `stamp_size` plus one.
+    /// [`stamp_size`](crate::SimulateOptions::stamp_size), the bound is `stamp_size` plus one.
     pub fn reach(&self, stamp_size: Option<usize>) -> usize {
         let grid = self.grid();
         let own = grid.nx().max(grid.ny()) as f64 / grid.oversampling();

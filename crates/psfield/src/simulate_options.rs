@@ -10,8 +10,9 @@ use psf_types::{Anchor, PixelRegion, named};
 use crate::PsfieldError;
 
 /// Every setting of a simulation. The options of the command line and the keywords of the Python
-/// package have these names and these defaults. The working precision is the type parameter of
-/// [`Simulator`](crate::Simulator): `f32` or `f64`.
+/// package have these names and these defaults, with two exceptions: the command line has no option
+/// for `region`, and `psfield.dask.simulate` of Python uses the CPU by default. The working
+/// precision is the type parameter of [`Simulator`](crate::Simulator): `f32` or `f64`.
 ///
 /// ```
 /// use psfield::{Method, SimulateOptions};

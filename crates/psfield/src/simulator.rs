@@ -405,7 +405,7 @@ impl<T: ConvReal> Simulator<T> {
     }
 
     /// Number of pixels to add around a scene on every side. They hold the light of galaxies beyond
-    /// its edges.
+    /// the scene's edges. It is 0 for a scene without galaxies.
     fn padding(&self, scene: &Scene<'_, T>) -> usize {
         if scene.galaxies().is_empty() {
             0
@@ -415,7 +415,8 @@ impl<T: ConvReal> Simulator<T> {
         }
     }
 
-    /// The cell that keeps the convolver for this scene and others of its kind.
+    /// The cell that keeps the convolver for all scenes with galaxies or, if `scene` has none, for
+    /// all scenes without galaxies.
     fn kept(&self, scene: &Scene<'_, T>) -> &OnceLock<Convolver<T>> {
         if scene.galaxies().is_empty() {
             &self.images

@@ -39,7 +39,8 @@ pub struct SpotCheck {
     pub relative_rms: Option<f64>,
     /// The largest `relative_rms` that the method promises. None if it promises nothing.
     pub limit: Option<f64>,
-    /// True if `relative_rms` is within the limit. None without a limit.
+    /// True if `relative_rms` is within the limit or, if it is None, all differences are 0. None
+    /// without a limit.
     pub passed: Option<bool>,
 }
 

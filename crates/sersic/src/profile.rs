@@ -17,8 +17,9 @@ const SMALLEST_RADIUS_PX: f64 = 1e-9;
 /// `k, k + 1 ... k + 7`.
 const DERIVATIVE_OFFSET: f64 = 3.0;
 
-/// Smallest and largest radius in the table of brightness, in units of the longest pixel step. At
-/// other radii the brightness is computed from the formula.
+/// Smallest and largest radius in the table of brightness, in units of [`Profile::longest_step`].
+/// The table ends at [`Profile::last_radius`] if that is smaller. At other radii the brightness is
+/// computed from the formula.
 const TABLE_RADII: [f64; 2] = [0.1, 2000.0];
 
 /// `I(r) = central * exp(-b (r / re)^(1/n))` with `r = |(u, v)|`. Here `u` is the pixel offset

@@ -52,7 +52,7 @@ fn refusal(choice: Interpolation, of: &Positions) -> Option<&'static str> {
         Interpolation::Polynomial { degree } => {
             let terms = (degree + 1) * (degree + 2) / 2;
             if (of.at)().len() < terms {
-                Some("needs as many samples")
+                Some("one per term")
             } else {
                 let undetermined = of.undetermined_from.is_some_and(|from| degree >= from);
                 undetermined.then_some("determine only")

@@ -13,7 +13,8 @@ use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
 /// Gathers light of the other side: `output(p) += c(p) sum_q light(q) k(p - q)`, or `k(q - p)` if
-/// stamps are turned. Every block writes to its own pixels.
+/// stamps are turned, for each kernel `k` of the block at `p` and its coefficients `c`. Every block
+/// writes to its own pixels.
 pub(crate) struct Gather<'j, 'o, T: ConvReal> {
     pub(crate) pass: LightPass<'j, T>,
     pub(crate) output: ArrayViewMut2<'o, T>,

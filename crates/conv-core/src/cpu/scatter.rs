@@ -12,7 +12,7 @@ use crate::simd::{Lanes, WithIsa};
 use crate::{ConvError, ConvReal};
 
 /// Spreads light of the weighted side: `output(q) += sum_p c(p) light(p) k(q - p)`, or `k(p - q)`
-/// if stamps are turned.
+/// if stamps are turned, for each kernel `k` of a block and its coefficients `c`.
 ///
 /// Blocks whose outputs overlap never run at the same time. In each band of rows of blocks, the
 /// blocks at every n-th row and every n-th column have one colour and run together. The colours run

@@ -121,7 +121,7 @@ fn add_combination<T: ConvReal, S: Lanes<T>>(
     let length = target.len();
     let vectors = length / S::LANES;
     let mut done = 0;
-    // Four sums stay in registers while all stamps are read.
+    // Four vectors of sums stay in registers while all stamps are read.
     while done + 4 <= vectors {
         let at = done * S::LANES;
         let sums: &mut [S::V] = cast_slice_mut(&mut target[at..at + 4 * S::LANES]);

@@ -22,8 +22,9 @@ struct Light {
     total: f64,
 }
 
-/// The factor by which a pixel may exceed the mean of a tile: a transform spreads rounding noise of
-/// a pixel's light over the whole tile.
+/// A pixel that exceeds the mean of the tile's other light by more than this factor is taken out of
+/// the transform. The transform would spread the rounding noise of the pixel over the whole tile,
+/// and this noise would hide faint light.
 fn brightest_allowed<T: ConvReal>() -> f64 {
     // About 250 in f32 and 1e11 in f64. The noise stays below a few 1e-6 of the faint light in f32,
     // and below 1e-5 in f64.
@@ -77,8 +78,8 @@ fn lit_pixels<T: ConvReal>(plane: &[T], pitch: usize, (rows, columns): (usize, u
     pixels
 }
 
-/// Removes very bright pixels from a tile, because the rounding noise of their transform would
-/// exceed the faint light. Removes at most `most` pixels, the brightest first.
+/// Removes very bright pixels from a tile, because the rounding noise of their transform would hide
+/// faint light. Removes at most `most` pixels, the brightest first.
 ///
 /// Each pixel is compared with the mean of the tile without its `most` brightest pixels. So a
 /// bright galaxy of a few hundred pixels does not raise this mean.
@@ -191,7 +192,7 @@ fn choose<T: ConvReal>(
     workspace: &mut Workspace<T>,
 ) -> (Option<TileMethod>, Vec<LitPixel<T>>) {
     let (plan, pitch) = (&pass.processor.plan, pass.processor.fft.pitch());
-    // No modes: the PSFs of the tile are zero.
+    // Without any kernel (modes or reference), the PSFs of the tile are zero.
     if kernels == 0 {
         return (None, Vec::new());
     }
@@ -279,12 +280,12 @@ pub struct TileCounts {
     pub dark: usize,
     /// Tiles whose few lit pixels were drawn stamp by stamp.
     pub drawn: usize,
-    /// Tiles convolved without transforms.
+    /// Tiles convolved by the direct sum.
     pub direct: usize,
     /// Tiles convolved by transforms.
     pub transformed: usize,
     /// All pixels drawn stamp by stamp. This includes very bright pixels of transformed tiles,
-    /// whose rounding noise would have exceeded the faint light.
+    /// whose rounding noise would have hidden faint light.
     pub drawn_pixels: usize,
     /// The modes of all transformed tiles, added up. The reference counts as a mode.
     pub modes: usize,

@@ -144,8 +144,8 @@ pub fn adapters() -> Vec<Adapter> {
 /// Adapters with their handles, the preferred one first.
 fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
     let mut adapters = adapters_of(wgpu::Backends::PRIMARY);
-    // OpenGL reaches the same GPUs as the other interfaces, but with lower limits. Its libraries
-    // print warnings on machines without a screen.
+    // OpenGL is used only if no other interface reaches a GPU. Its limits are lower, and its
+    // libraries print warnings on machines without a screen.
     if adapters.is_empty() {
         adapters = adapters_of(wgpu::Backends::GL);
     }
@@ -154,7 +154,7 @@ fn open_adapters() -> Vec<(wgpu::Adapter, Adapter)> {
     adapters
 }
 
-/// The most buffers that a shader uses.
+/// The most storage buffers that a shader uses.
 const BUFFERS: u32 = 6;
 
 fn adapters_of(backends: wgpu::Backends) -> Vec<(wgpu::Adapter, Adapter)> {

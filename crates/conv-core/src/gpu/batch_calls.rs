@@ -14,7 +14,7 @@ use super::shader::{Draw, Params, STRIP, Shader, Tile};
 use crate::error::GpuError;
 use crate::plan::geometry::Direction;
 
-/// The data that the shaders of a batch share.
+/// Makes the calls of the shaders of a batch, from the data that these calls share.
 pub(super) struct BatchCalls<'a> {
     pub(super) device: &'a GpuDevice,
     pub(super) pipelines: &'a Pipelines,
@@ -111,7 +111,7 @@ impl<'a> BatchCalls<'a> {
             amounts.extend(tile.amounts.iter().map(|v| v.to_bits()));
         }
         device.adapter().fits(
-            "single pixels of a piece",
+            "the single pixels of one piece of work",
             4 * pixels.len().max(amounts.len()) as u64,
         )?;
         let draws = handed_over(device, &mut working.draws, &draws);
@@ -166,7 +166,7 @@ fn handed_over(device: &GpuDevice, buffer: &mut Growing, words: &[u32]) -> wgpu:
     buffer
 }
 
-/// The ranges of neighbours with equal colours.
+/// The index ranges of neighbours with equal colours.
 fn colours<V>(of_all: &[(usize, V)]) -> Vec<Range<usize>> {
     let mut end = 0;
     let runs = of_all.chunk_by(|a, b| a.0 == b.0).map(|run| {

@@ -67,7 +67,7 @@ pub(super) struct BatchData {
 
 impl BatchData {
     /// Computes the data. With `marks`, the stopwatch measures this work as a part of an execution.
-    /// With `flip`, stamps are turned by 180 degrees.
+    /// With `flip`, the spectra are computed from stamps turned by 180 degrees.
     pub(super) fn new<T: ConvReal>(
         device: &Attempt,
         pipelines: &Pipelines,
@@ -86,10 +86,10 @@ impl BatchData {
         }
         device
             .adapter()
-            .fits("the coefficients of a piece", 4 * tables.len() as u64)?;
+            .fits("the coefficients of one piece of work", 4 * tables.len() as u64)?;
         device
             .adapter()
-            .fits("the stamps of a piece", 4 * stamps.len() as u64)?;
+            .fits("the stamps of one piece of work", 4 * stamps.len() as u64)?;
         let tables = device.filled("coefficients", &tables);
         let stamps = device.filled("stamps", &stamps);
         let bytes = pipelines.source.bytes() * batch.spectra as u64;

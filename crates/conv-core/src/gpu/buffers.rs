@@ -99,7 +99,7 @@ impl Staging {
         if let Some((place, _)) = fitting.min_by_key(|(_, buffer)| buffer.size()) {
             return self.free.swap_remove(place);
         }
-        // All free buffers are too small. If there are many, drops one.
+        // All free buffers are too small.
         if self.free.len() > KEPT {
             self.free.swap_remove(0);
         }
@@ -124,7 +124,7 @@ impl Staging {
     }
 }
 
-/// The most buffers kept for later use.
+/// If more free buffers than this are all too small, one of them is dropped.
 const KEPT: usize = 16;
 /// Sizes are multiples of this, so that buffers can be used again.
 const ROUNDING: u64 = 1 << 16;

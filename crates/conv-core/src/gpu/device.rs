@@ -256,8 +256,8 @@ pub(super) struct Pipelines {
 
 impl Pipelines {
     pub(super) fn new(device: &Attempt, source: PlaneSource) -> Result<Arc<Self>, GpuError> {
-        // Uses separate threads. A thread of a pool could begin other work while the caller holds a
-        // lock.
+        // Uses threads of its own. A thread of rayon's pool could begin other work meanwhile, and
+        // wait for the lock of the pipelines, which the caller holds.
         let of_shaders = std::thread::scope(|scope| {
             let made = Shader::ALL.map(|shader| {
                 let source = &source;

@@ -70,7 +70,8 @@ impl GpuEngine {
         output: ArrayViewMut2<'_, T>,
     ) -> Result<TileCounts, ConvError> {
         let mut attempt = self.device.attempt()?;
-        // No lock is held while threads work, because they may begin another execution here.
+        // Holds no lock while rayon's threads work, because one of them may begin another execution
+        // of this engine.
         let taken = locked(&self.working).pop();
         let mut working = taken.unwrap_or_else(|| WorkBuffers::new(&self.device));
         let layout = match self.adjoint.get() {

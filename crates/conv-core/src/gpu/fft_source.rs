@@ -36,14 +36,14 @@ pub(super) struct Register<'a> {
     pub(super) index: &'a str,
 }
 
-/// The number of values per workgroup: enough to hide memory latency, few enough for several
-/// workgroups to share a processor.
+/// The most values per workgroup, unless a single transform is longer. They are enough to hide
+/// memory latency, and few enough for several workgroups to share one core of the GPU.
 const VALUES: usize = 2048;
 /// The number of values per thread.
 const VALUES_PER_THREAD: usize = 8;
 /// The most lines: neighbouring columns that are read together, 128 bytes.
 const MOST_LINES: usize = 16;
-/// The most threads: every adapter supports this number, by the standard.
+/// The most threads. The WebGPU standard requires that adapters support this number.
 const MOST_THREADS: usize = 256;
 /// Bytes of a complex value.
 const BYTES: usize = 8;
@@ -82,7 +82,7 @@ impl FftSource {
         if self.padded { padded(values) } else { values }
     }
 
-    /// Declares the registers and the functions that the stages need.
+    /// Declares the constants, the shared memory and the functions that the stages need.
     pub(super) fn declarations(&self) -> String {
         let threads = self.threads;
         let shared = self.shared();

@@ -14,9 +14,9 @@ use crate::plan::geometry::{Direction, Geometry};
 use crate::simd::Lanes;
 use crate::{ConvError, ConvReal};
 
-/// Lit tiles with their colours, and the single pixels to be drawn. Before
-/// [`find_tables`](Self::find_tables), `place.table` of a tile holds the index of the tile's part,
-/// not the first word of a table.
+/// The lit tiles, and the single pixels to be drawn, each with the colour of its tile. The results
+/// of tiles of one colour do not overlap. `place.table` of a tile is the index of the tile's part
+/// until [`find_tables`](Self::find_tables) replaces it by the first word of a table.
 #[derive(Debug, Default)]
 pub(super) struct LitBatch {
     pub(super) tiles: Vec<(usize, Tile)>,
@@ -45,7 +45,7 @@ impl LitBatch {
 /// Single pixels of a tile, and the data needed to draw them.
 #[derive(Debug)]
 pub(super) struct DrawnTile {
-    /// `first_pixel` and `first_amount` are not set yet.
+    /// `first_pixel` and `first_amount` are 0. `BatchCalls` sets them later.
     pub(super) draw: Draw,
     /// Row and column of each stamp's first pixel within the result.
     pub(super) pixels: Vec<[i32; 2]>,

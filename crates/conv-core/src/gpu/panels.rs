@@ -29,8 +29,8 @@ pub(crate) struct TileGrid {
     blocks_across: usize,
     /// The number of rows of blocks processed together.
     band: usize,
-    /// The number of colours along both axes, for tiles whose light spreads. Tiles of one colour
-    /// write to different pixels.
+    /// The number of colours along each axis, for tiles that scatter their light. Tiles of one
+    /// colour write to different pixels.
     colours: [usize; 2],
 }
 
@@ -139,7 +139,7 @@ impl TileGrid {
     }
 }
 
-/// A rectangle of the side that receives the light.
+/// A rectangle of the output: of the image or, in the adjoint, of the light array.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Rectangle {
     pub(super) column: usize,
@@ -344,7 +344,8 @@ impl Packing<'_> {
             return Ok(());
         }
         if kernels == 0 {
-            // There are no kernels, but an execution must still find light without a PSF.
+            // There are no kernels. An execution must nevertheless inspect the light, because lit
+            // pixels without a PSF are errors.
             for tile in tiles {
                 let mut batch = Batch::default();
                 self.force(&mut batch, block, std::slice::from_ref(tile), 0..0);

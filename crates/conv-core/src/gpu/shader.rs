@@ -65,7 +65,7 @@ impl Shader {
 
 /// The number of threads of a workgroup that draws stamps.
 pub(super) const DRAWING_THREADS: usize = 64;
-/// The number of rows of a result to which such a workgroup draws.
+/// Each workgroup that draws stamps adds them to this number of rows of a result.
 pub(super) const STRIP: usize = 8;
 
 /// The kernels that a batch applies to a tile, and the place of the result. These are the common

@@ -7,15 +7,15 @@ use crate::plan::Plan;
 use crate::plan::geometry::Direction;
 
 /// The bytes that an execution on a GPU moves if every pixel is lit. Divided by the hardware's
-/// bandwidths, they give a lower bound of the engine's time. Caches that hold whole planes may make
-/// the engine faster than that.
+/// bandwidths, they give the shortest time of an execution, unless caches hold whole planes. With
+/// such caches, an execution may be faster.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 #[non_exhaustive]
 pub struct GpuWork {
     /// Between the host's memory and the GPU's: light to the GPU, the image from it.
     pub bus_bytes: u64,
-    /// To and from the GPU's own memory: each value of a plane, of the light and of the image once
-    /// per pass, and each spectrum once.
+    /// To and from the GPU's own memory. In each pass, a value of a plane, of the light or of the
+    /// image counts once if it is read, and once if it is written. A spectrum counts once in all.
     pub memory_bytes: u64,
 }
 
@@ -33,11 +33,11 @@ impl GpuWork {
         direction: Direction,
     ) {
         let planes = match direction {
-            // Along x: writes a plane per kernel. Along y: reads these planes and writes one plane.
-            // Back along x: reads that plane.
+            // The transforms along x write the filled part of a plane per kernel. The transforms
+            // along y read these planes and write one plane. The transforms back along x read it.
             Direction::Scatter => 2 * kernels * filled + 2 * plane,
-            // Along x: writes one plane. Along y: reads it and writes a plane per kernel. Back
-            // along x: reads these planes.
+            // The transforms along x write the filled part of one plane. The transforms along y
+            // read it and write a plane per kernel. The transforms back along x read these planes.
             Direction::Gather => 2 * filled + 2 * kernels * plane,
         };
         // Reads the light, reads and writes the image.

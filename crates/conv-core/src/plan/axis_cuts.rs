@@ -53,8 +53,8 @@ impl Stretch {
     }
 }
 
-/// Divides an axis into tiles of nearly equal length, at most `tile` pixels, with `together` tiles
-/// per stretch.
+/// Divides an axis into tiles of nearly equal length, at most `tile` pixels. Each stretch has
+/// `together` tiles, the last stretch perhaps fewer.
 pub(crate) fn even(length: usize, tile: usize, together: usize) -> Vec<Stretch> {
     let tiles = parts(0, length, tile);
     tiles

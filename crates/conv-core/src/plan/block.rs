@@ -16,6 +16,7 @@ pub(crate) struct Block<T> {
     region: PixelRegion,
     modes: LocalModes,
     role: FluxRole,
+    /// The flux of the reference, from [`FluxRole::of`].
     flux: f64,
     /// The coefficients, if the plan has memory for them. Otherwise each execution computes them.
     pub(crate) table: Option<Arc<CoefficientTable<T>>>,

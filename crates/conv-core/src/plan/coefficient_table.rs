@@ -314,8 +314,8 @@ struct Builder<'a> {
 
 impl Builder<'_> {
     /// Calls `visit` for each cell of each row, with row, first column, length, the functions'
-    /// values at the first column and their slopes. If functions are divided by the flux, a cell is
-    /// visited pixel by pixel where its flux is not positive.
+    /// values at the first column and their slopes. If functions are divided by the flux, and the
+    /// flux is not positive at an end of a cell's row, `visit` gets each pixel of this row alone.
     fn each_piece(
         &mut self,
         cells: &RegionCells,

@@ -5,7 +5,7 @@ use crate::transform::{X_STEP, Y_STEP};
 
 /// Predicted seconds of one thread. The constants are in the source code, so that plans are the
 /// same on every machine. They were measured in f32 on one core of an AVX-512 machine
-/// (`cargo bench -p conv-core`). Only ratios matter for choices.
+/// (`cargo bench -p conv-core`). Only ratios matter for the choice of tiles.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CostModel {
     /// Factor for f64, which moves twice the bytes through half the lanes.
@@ -106,7 +106,7 @@ pub(crate) fn transform_size(at_least: (usize, usize)) -> (usize, usize) {
     (fast(at_least.0, X_STEP), fast(at_least.1, Y_STEP))
 }
 
-/// Candidate sizes, ascending: products of 2, 3 and 5 that suit both axes.
+/// Candidate sizes, ascending: the fast sizes ([`is_fast`]) that suit both axes.
 pub(crate) fn sizes() -> impl Iterator<Item = usize> {
     (1..=512).map(|i| i * Y_STEP).filter(|&n| is_fast(n))
 }

@@ -117,13 +117,14 @@ pub struct LocalModes {
 /// The number of bands of a region whose PSFs determine the directions of the modes. All bands
 /// determine how many modes are kept.
 const SUPPORT_BANDS: usize = 5;
-/// The number of cells used from each of those bands.
+/// The largest number of cells used from each of these bands. The last cell of the band is used in
+/// addition.
 const SUPPORT_CELLS: usize = 16;
 /// The region's mean is the reference if it holds at least this fraction of the largest flux that a
 /// vector of its norm can hold.
 const MIN_REFERENCE_FLUX: f64 = 1e-3;
 /// The part of a node along the flux direction counts as rounding if it is at most this fraction of
-/// the largest norm of the nodes.
+/// the largest norm of the nodes. The flux of a span is compared in the same way ([`flux_axis`]).
 const NO_FLUX: f64 = 1e-12;
 /// A direction counts as rounding if no node's part along it exceeds this fraction of the largest
 /// norm of the nodes.
@@ -186,8 +187,8 @@ impl LocalModes {
                     1,
                 )
             }
-            // With a reference, no node has a part along the flux direction, and no mode may have
-            // one.
+            // With a reference, the nodes have no part along the flux direction, except for
+            // rounding. If this rounding is small, no mode has such a part either.
             Some(axis) => {
                 let along = nodes
                     .dot(&axis)

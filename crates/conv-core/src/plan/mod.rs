@@ -2,10 +2,11 @@
 //! executes it.
 //!
 //! PSFs belong to the pixels of one side: the light (source-anchored) or the image
-//! (output-anchored). A plan divides this side into blocks ([`tiling`]). For each block it finds
-//! the few modes that represent every PSF within the tolerance ([`local_modes`]). It computes them
-//! from the weights with which the coefficient field combines its nodes in the block
-//! ([`region_cells`]). It keeps the stamps and coefficients of these modes ([`coefficient_table`]).
+//! (output-anchored). A plan divides this side into tiles and groups neighbouring tiles into blocks
+//! ([`tiling`]). For each block it finds the few modes that represent every PSF within the
+//! tolerance ([`local_modes`]). It computes them from the weights with which the coefficient field
+//! combines its nodes in the block ([`region_cells`]). It keeps the stamps and coefficients of
+//! these modes ([`coefficient_table`]).
 
 pub(crate) mod axis_cuts;
 pub(crate) mod block;

@@ -52,7 +52,7 @@ struct Run {
 }
 
 impl RegionCells {
-    /// The cells of a field in a region, from all its rows.
+    /// The cells of a field in a region. Together they cover all rows of the region.
     pub fn new(field: &dyn CoefficientField, region: PixelRegion) -> Self {
         let ny = region.shape().ny();
         let mut starts = vec![0];
@@ -247,10 +247,10 @@ impl RegionCells {
     }
 }
 
-/// The list of nodes may hold repetitions up to this length. This limits the memory of the list,
-/// not the number of nodes.
+/// The list of nodes may hold repetitions up to this length, or up to twice the number of nodes if
+/// that is more. This limits the memory of the list, not the number of nodes.
 const ROOM_FOR_NODES: usize = 1 << 12;
-/// The number of rows that represent a region.
+/// The number of rows in [`RegionCells::sampled`].
 const SAMPLED_ROWS: usize = 5;
 /// If runs are shorter than this on average, coefficients are stored pixel by pixel.
 const SHORT_RUN: usize = 4;

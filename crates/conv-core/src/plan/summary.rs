@@ -35,7 +35,8 @@ pub struct PlanSummary {
     /// Tiles with at most this many lit pixels are drawn stamp by stamp. The number is for a block
     /// with the mean number of modes.
     pub drawn_up_to: usize,
-    /// True if fully lit tiles are convolved by the direct sum, without transforms.
+    /// True if the processor convolves fully lit tiles by the direct sum. A GPU always uses
+    /// transforms for them.
     pub direct: bool,
     /// Predicted seconds of one execution on one thread if every pixel is lit.
     pub predicted_seconds: f64,

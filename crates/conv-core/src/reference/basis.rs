@@ -24,8 +24,8 @@ use crate::{ConvError, ConvReal};
 /// This is the method of Bai, Jia et al. ("An Ultra-Fast Image Simulation Technique with Spatially
 /// Variable PSFs"), for both anchorings. Unlike the paper, it does not store a cube of
 /// coefficients: it evaluates coefficients tile by tile, for a few stamps at a time. Planes are
-/// padded by the stamp's reach, so nothing wraps around. Memory holds the scene, two or three
-/// spectra and a group of coefficient planes (at least 4, at most 16, about 512 MiB).
+/// padded by the stamp's reach, so no light wraps around into the image. Memory holds the scene,
+/// two or three spectra and a group of coefficient planes (at least 4, at most 16, about 512 MiB).
 ///
 /// ```
 /// use std::sync::Arc;
@@ -358,7 +358,7 @@ pub(crate) fn coefficient_planes<T: ConvReal>(
     })
 }
 
-/// The flux of the unscaled PSF over a region, or `None` if it is 1 everywhere.
+/// The flux of the unscaled PSF over a region. `None` if the model needs no division by it.
 ///
 /// If `light` is given, dark tiles are left at 1, and only lit pixels need a flux.
 pub(crate) fn flux_plane<T: ConvReal>(

@@ -257,8 +257,8 @@ fn fast_size(n: usize) -> usize {
 }
 
 /// The row transforms of a stamp laid out for circular convolution: its central pixel is at index
-/// (0, 0), and pixels to the left or below are wrapped around. The columns are transformed when
-/// they are needed, because only the stamp's own rows are not zero.
+/// (0, 0), and pixels to the left or below are wrapped around. Only the stamp's own rows are
+/// stored, because all other rows are zero. The columns are transformed when they are needed.
 pub(crate) struct KernelRows<T> {
     /// `[spectral column, stamp row]`.
     transformed: Array2<Complex<T>>,

@@ -24,8 +24,8 @@ pub struct PatchConvolution {
 }
 
 impl PatchConvolution {
-    /// Patches of `size x size` pixels, counted from the frame's first pixel. The patches continue
-    /// into the light around the frame.
+    /// Patches of `size x size` pixels, counted from the frame's first pixel. With
+    /// [`Anchor::Source`], the patches continue into the light around the frame.
     ///
     /// # Errors
     /// [`ConvError::PatchSize`] if the size is 0.
@@ -38,8 +38,8 @@ impl PatchConvolution {
     }
 
     /// Divides `length` pixels of an axis at the frame's first pixel, `origin`, and at every
-    /// multiple of `size` pixels from there, in both directions. Returns `(first, pixels)` of each
-    /// piece.
+    /// multiple of `size` pixels from there, in both directions. Returns the first pixel and the
+    /// number of pixels of each part.
     fn cut(self, origin: usize, length: usize) -> Vec<(usize, usize)> {
         let first_cut = origin % self.size;
         let cuts = (first_cut..length).step_by(self.size);

@@ -1,9 +1,9 @@
 //! Vectors of the widest instruction set that the machine has, chosen at run time.
 //!
 //! [`Isa`] is an instruction set, [`Lanes<T>`] its vectors of `T`. Code that is generic over both
-//! is compiled once for each instruction set. [`dispatch`] chooses one at run time. Hot loops run
-//! inside [`Isa::vectorized`], where the compiler may use the wide instructions. All functions
-//! called there must be inlined.
+//! is compiled once for each instruction set. [`SimdReal::dispatch`] chooses one at run time. Hot
+//! loops run inside [`Isa::vectorized`], where the compiler may use the wide instructions. All
+//! functions called there must be inlined.
 
 mod transpose;
 
@@ -211,7 +211,7 @@ impl<T: ConvReal> Aligned<T> {
     /// Returns `length` zeros.
     pub fn zeros(length: usize) -> Self {
         let values = vec![T::zero(); length + CACHE_LINE / size_of::<T>()];
-        // A `Vec` is aligned at least to the size of its values.
+        // A `Vec` is aligned at least to the size of its values, so `past` is a multiple of it.
         let past = values.as_ptr() as usize % CACHE_LINE;
         Self {
             start: (CACHE_LINE - past) % CACHE_LINE / size_of::<T>(),

@@ -37,8 +37,8 @@ mod x86 {
                 for i in 1..16 {
                     r[i] = cast!(from[i][part]);
                 }
-                // In each quarter of 128 bits, squares of 4 x 4 are transposed: in its quarter `q`,
-                // `t[4 g + c]` holds column `4 q + c` of rows `4 g` to `4 g + 3`.
+                // Transposes squares of 4 x 4 within quarters of 128 bits. Quarter `q` of
+                // `t[4 g + c]` then holds column `4 q + c` of rows `4 g` to `4 g + 3`.
                 let mut t = r;
                 for g in 0..4 {
                     let (a, b, c, d) = (r[4 * g], r[4 * g + 1], r[4 * g + 2], r[4 * g + 3]);
@@ -49,7 +49,7 @@ mod x86 {
                     t[4 * g + 2] = s._mm512_shuffle_ps::<0x44>(ab1, cd1);
                     t[4 * g + 3] = s._mm512_shuffle_ps::<0xee>(ab1, cd1);
                 }
-                // Then the 4 x 4 quarters.
+                // Row `4 q + c` of the result collects the quarters `q` of all `t[4 g + c]`.
                 for c in 0..4 {
                     let (t0, t1, t2, t3) = (t[c], t[4 + c], t[8 + c], t[12 + c]);
                     let low = s._mm512_shuffle_f32x4::<0x88>(t0, t1);
@@ -74,7 +74,7 @@ mod x86 {
                 for i in 1..8 {
                     r[i] = cast!(from[i][part]);
                 }
-                // In its quarter `q`, `t[2 g + c]` holds column `2 q + c` of rows `2 g` and
+                // Quarter `q` of `t[2 g + c]` then holds column `2 q + c` of rows `2 g` and
                 // `2 g + 1`.
                 let mut t = r;
                 for g in 0..4 {

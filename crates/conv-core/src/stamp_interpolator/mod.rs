@@ -107,8 +107,9 @@ pub fn resample_samples(samples: &PsfSamples, target: StampGrid) -> Result<PsfSa
     PsfSamples::new(stamps, samples.positions().clone(), target)
 }
 
-/// The grid at the frame's own pixel scale that covers a stamp, centred on a pixel. A grid that
-/// already has these properties is returned unchanged.
+/// The largest grid at the frame's own pixel scale, centred on a pixel, whose pixel centres do not
+/// lie beyond the centres of the stamp's outermost pixels. A grid that already has the frame's
+/// scale and is centred on a pixel is returned unchanged.
 ///
 /// # Errors
 /// None for a valid grid. The error type comes from the constructor of the new grid.

@@ -25,7 +25,7 @@ pub struct StarPainter<'a> {
     /// The interpolators of all stamps, for output-anchored painters.
     pub(crate) splines: Option<StampSplines>,
     /// A grid at the frame's scale that holds the stamp for any position of the source in its
-    /// pixel.
+    /// pixel, truncated to the painter's `size` if there is one.
     target: StampGrid,
 }
 
@@ -48,7 +48,7 @@ impl StampSplines {
 impl<'a> StarPainter<'a> {
     /// A painter for a frame, which is a region of the scene. Sources are given in pixels of the
     /// scene. If `size` is given, each star is truncated to `size` columns and rows. The pixel that
-    /// the star lies on has index `size / 2` in both.
+    /// the star lies on has index `size / 2` in both. `size` must be at least 1.
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
@@ -89,7 +89,8 @@ impl<'a> StarPainter<'a> {
     /// Computes the sources' light in single pixels `(column, row)` of the frame.
     ///
     /// # Errors
-    /// [`ConvError`] if the PSF has no value at a source that reaches one of the pixels.
+    /// [`ConvError`] if the PSF has no value at a source that reaches one of the pixels. An
+    /// output-anchored painter needs the PSF at every frame pixel that such a source may light.
     pub fn at_pixels(
         &self,
         sources: &[PointSource],
@@ -127,7 +128,8 @@ impl<'a> StarPainter<'a> {
     ///
     /// # Errors
     /// [`ConvError`] if the PSF has no value at a source that reaches the region, and
-    /// [`ConvError::Cancelled`].
+    /// [`ConvError::Cancelled`]. An output-anchored painter needs the PSF at every frame pixel that
+    /// such a source may light.
     ///
     /// # Panics
     /// If `image` does not have the region's shape.

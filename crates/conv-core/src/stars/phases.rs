@@ -42,8 +42,8 @@ pub(super) struct Phase {
 }
 
 impl PhasedAxis {
-    /// The columns and the rows of a grid, for stars that light a window. `None` if the
-    /// oversampling is not a whole number.
+    /// The columns and the rows of a grid, for stars that light only the pixels of a window. `None`
+    /// if the oversampling is not a whole number of at most 65535.
     pub(super) fn both(grid: StampGrid, window: Window) -> Option<[Self; 2]> {
         let s = grid.oversampling();
         if s.fract() != 0.0 || s > f64::from(u16::MAX) {
@@ -75,7 +75,8 @@ impl PhasedAxis {
         self.kernel.tap_count()
     }
 
-    /// The index in the stamp of the coefficient at position `kept`. `None` if there is none.
+    /// The index in the stamp of coefficient `kept`, counted from the first one kept. `None` if
+    /// this coefficient is zero.
     pub(super) fn index(&self, kept: usize) -> Option<usize> {
         self.kernel.index(kept as i64 + self.first, self.length)
     }
@@ -156,8 +157,8 @@ pub(super) struct PhasedStar<T> {
     pub(super) first_row: usize,
     /// The residue of the first column of coefficients that its first pixel uses.
     pub(super) first_residue: usize,
-    /// The range of its weights, `[row, kernel]`: the weight of each tap of the rows times the
-    /// coefficient of each kernel times the star's flux.
+    /// The range of its weights in the list of its group, `[row, kernel]`: the weight of each tap
+    /// of the rows times the coefficient of each kernel times the star's flux.
     pub(super) weights: Range<usize>,
     /// The columns' weights.
     pub(super) taps: [T; MOST_TAPS],

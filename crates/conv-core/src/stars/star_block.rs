@@ -17,7 +17,9 @@ use crate::stamp_interpolator::Kernel;
 #[derive(Debug)]
 pub(super) struct StarBlock<T> {
     pub(super) modes: LocalModes,
-    /// `[row, kernel, chunk, residue, pixel]`, rows in the order of the coefficients kept.
+    /// `[row, kernel, chunk, residue, pixel]`. A row is a row of coefficients of the oversampled
+    /// stamp. The rows are in the order of the stamp, and rows that no star can use are left out
+    /// ([`PhasedAxis`]). [`RowLayout`] explains the last three indices.
     values: Aligned<T>,
 }
 

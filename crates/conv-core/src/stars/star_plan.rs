@@ -104,7 +104,7 @@ const MIN_STARS_PER_TASK: usize = 1 << 10;
 impl<T: ConvReal> StarPlan<T> {
     /// Plans stars through a model. If `size` is given, a star is drawn on `size` columns and rows.
     /// The pixel that the star lies on has index `size / 2` in both. Otherwise the star is drawn as
-    /// far as its stamp reaches. Light beyond these pixels is lost.
+    /// far as its stamp reaches. Light beyond these pixels is lost. `size` must be at least 1.
     ///
     /// # Errors
     /// [`ConvError::PixelResponse`] if the stamps do not include the pixel response.
@@ -157,8 +157,9 @@ impl<T: ConvReal> StarPlan<T> {
     ///
     /// # Errors
     /// [`ConvError`] if the PSF has no value at a star that reaches the region, and
-    /// [`ConvError::FrameShape`] for an image of another shape than the region. After
-    /// [`ConvError::Cancelled`] the image may hold some of the stars.
+    /// [`ConvError::FrameShape`] for an image of another shape than the region. An output-anchored
+    /// plan needs the PSF at every frame pixel that such a star may light. After an error the image
+    /// may hold some of the stars.
     #[inline(never)]
     pub fn draw_into(
         &self,
@@ -333,7 +334,8 @@ fn region_of((row, column): BlockKey) -> PixelRegion {
     PixelRegion::new(column * BLOCK, row * BLOCK, shape)
 }
 
-/// Computes the vectors of stars' PSFs, one star at a time, in memory that is used again.
+/// Computes the vectors of stars' PSFs in [`PsfSpace`], one star at a time. All stars use the same
+/// memory.
 #[derive(Debug)]
 pub(super) struct StarVectors<'a> {
     model: &'a PsfModel,

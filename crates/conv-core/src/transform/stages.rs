@@ -18,7 +18,7 @@ pub(crate) struct Stages<T> {
 #[derive(Debug)]
 struct Stage<T> {
     radix: usize,
-    /// The number of values that a transform of this stage takes: `radix` times the number of the
+    /// The number of values that a transform of this stage takes: `radix` times the block of the
     /// next stage.
     block: usize,
     /// `exp(-2 pi i j s / block)` for `j < block / radix`, `0 < s < radix`.
@@ -186,9 +186,10 @@ fn radices(len: usize) -> Vec<usize> {
             rest /= odd;
         }
     }
-    assert!(rest.is_power_of_two(), "lengths are products of 2, 3 and 5");
-    // Uses few stages, because each passes over all values. The stage for the rest (2 or 4) comes
-    // before the stages of 8, because the first stage can skip zeros.
+    assert!(rest.is_power_of_two(), "a length has a prime factor above 5");
+    // Uses few stages, because each passes over all values. Most are of radix 8. If the powers of 2
+    // also need a stage of 2 or 4, it comes before the stages of 8: the first stage can skip zeros,
+    // and with a smaller radix it can do so more often.
     match rest.trailing_zeros() % 3 {
         1 if rest > 8 => radices.extend([4, 4]),
         1 => radices.push(2),

@@ -15,9 +15,9 @@ use pulp::bytemuck::{cast_slice, cast_slice_mut};
 /// convolution whose result fits into the plane never wraps, so the sign of wrapped values does not
 /// matter.
 ///
-/// A spectrum has a special order. It consists of groups of scrambled y frequencies, as many per
-/// group as a vector has lanes. Each group holds the scrambled x frequencies. Vectors of real parts
-/// alternate with vectors of imaginary parts.
+/// A spectrum consists of groups. The lanes of a group's vectors belong to different y frequencies.
+/// For each x frequency, a group holds a vector of real parts and a vector of imaginary parts. The
+/// frequencies of both axes are in scrambled order (`Stages`).
 #[derive(Debug)]
 pub struct TileTransform<T> {
     pub(crate) nx: usize,
@@ -83,10 +83,10 @@ impl<T: ConvReal> TileTransform<T> {
         self.ny * X_STEP
     }
 
-    /// Computes the spectrum of a plane `[y, x]`. The plane's rows begin every
-    /// [`pitch`](Self::pitch) values, and only the first `rows x columns` values are used. The
-    /// values of these rows from `columns` up to the next multiple of [`X_STEP`] must be zero. The
-    /// rest is not read.
+    /// Computes the spectrum of a plane `[y, x]`. From one row to the next there are
+    /// [`pitch`](Self::pitch) values. Only the first `rows x columns` values are used. The values
+    /// of these rows from `columns` up to the next multiple of [`X_STEP`] must be zero. The rest is
+    /// not read.
     #[inline(always)]
     pub fn forward<S: Lanes<T>>(
         &self,

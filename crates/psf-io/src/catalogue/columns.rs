@@ -252,14 +252,15 @@ impl CatalogOptions {
     }
 
     /// Sets whether invalid rows are skipped and counted (`true`) or are errors. A row is invalid
-    /// if its position or flux is missing or not finite, or if the parameters of its galaxy are out
-    /// of range.
+    /// if its position or brightness is missing or not finite, or if its declination or the
+    /// parameters of its galaxy are out of range. A text that is not a number is always an error.
     #[must_use]
     pub fn with_invalid_skipped(self, skip_invalid: bool) -> Self {
         Self { skip_invalid, ..self }
     }
 
-    /// Chooses a table of a FITS file.
+    /// Chooses a table of a FITS file. For a text file, which holds one table, the choice is
+    /// ignored.
     #[must_use]
     pub fn with_table(self, table: HduChoice) -> Self {
         Self {

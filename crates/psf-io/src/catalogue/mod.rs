@@ -146,7 +146,8 @@ impl Catalog {
 /// # Errors
 /// - [`IoErrorKind::Table`] for a required column that does not exist
 /// - [`IoErrorKind::Data`] with the row and column of a position or brightness that is missing or
-///   not finite, and with the row of a galaxy whose parameters are out of range
+///   not finite, or of a text that is not a number, and with the row of a source whose declination
+///   or galaxy parameters are out of range
 /// - [`IoErrorKind::Setting`] for magnitudes without a zero point, a zero point without magnitudes,
 ///   sky coordinates with [`with_one_based`](CatalogOptions::with_one_based), sky coordinates
 ///   without [`with_sky`](CatalogOptions::with_sky), and several tables of a FITS file that have
@@ -334,15 +335,15 @@ fn check_options(path: &Path, options: &CatalogOptions, columns: &Picked) -> Res
     };
     if options.one_based {
         let problem = format!(
-            "the columns {ra:?} and {dec:?} are sky coordinates, which are not counted from 1: leave this setting out, or name \
-             columns of pixels (x and y)"
+            "the columns {ra:?} and {dec:?} are sky coordinates, which are not counted from 1: leave out the setting for 1-based pixels, or \
+             name columns of pixels (x and y)"
         );
         return refused("one_based", problem);
     }
     if options.sky.is_none() {
         let problem = format!(
-            "the columns {ra:?} and {dec:?} are sky coordinates, but the world coordinates of the frame are missing: give a \
-             scene whose header has them, or positions in pixels"
+            "the columns {ra:?} and {dec:?} are sky coordinates, but the world coordinates of the frame are missing: give \
+             positions in pixels, or (for the sources of a simulation) an image whose header has world coordinates"
         );
         return refused("sky", problem);
     }

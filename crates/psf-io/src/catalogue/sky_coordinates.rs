@@ -21,9 +21,9 @@ const MAX_PROJECTED: f64 = 1e150;
 
 /// The world coordinates of a frame, which convert positions on the sky to pixels and back.
 ///
-/// The projections `TAN`, `SIN`, `ZEA`, `ARC` and `STG` are supported, with `CDi_j`, with `PCi_j`
-/// and `CDELTi`, or with `CDELTi` and `CROTA2` (Calabretta and Greisen 2002, A&A 395, 1077).
-/// Supported distortions are:
+/// The projections `TAN`, `SIN`, `ZEA`, `ARC` and `STG` of right ascension and declination are
+/// supported, with `CDi_j`, with `PCi_j` and `CDELTi`, or with `CDELTi` and `CROTA2` (Calabretta
+/// and Greisen 2002, A&A 395, 1077). Supported distortions are:
 ///
 /// - `SIP` (`A_p_q` and `B_p_q`), also if `CTYPEi` does not end in `-SIP`, as in astropy. The
 ///   inverse is solved numerically, without `AP_p_q` and `BP_p_q`.
@@ -55,7 +55,7 @@ pub struct SkyCoordinates {
     projection: Arc<dyn Projection + Send + Sync>,
     /// Rotates the reference point to (1, 0, 0).
     rotation: [[f64; 3]; 3],
-    /// The name of the projection, for messages.
+    /// The name of the projection, for the `Debug` output.
     name: String,
     /// The reference pixel, 0-based.
     reference: [f64; 2],
@@ -80,8 +80,8 @@ impl SkyCoordinates {
             _ => {
                 return Err(unsupported(
                     "CTYPE1",
-                    "RA--- or DEC-- with a projection, and CTYPE2 the other of the two",
-                    &types[0],
+                    "RA--- or DEC-- with a projection, and CTYPE2 the other one of these two",
+                    &types.join(" and "),
                 ));
             }
         };

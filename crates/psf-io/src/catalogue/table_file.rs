@@ -11,7 +11,7 @@ use crate::fits::hdu::HduChoice;
 use crate::fits::structure::{self, FitsStructure, is_fits};
 use crate::output::write_atomically;
 
-/// A file of one or more tables.
+/// A text table, or a FITS file with any number of tables.
 #[derive(Debug)]
 pub(crate) enum TableFile {
     Text(TextTable),
@@ -35,8 +35,9 @@ impl TableFile {
     }
 
     /// Returns a table, and the result of `take` for its column names. It is the chosen table, or
-    /// without a choice the only table whose names `take` accepts. If the file has no tables, the
-    /// error lists the columns in `needed`.
+    /// without a choice the only table whose names `take` accepts. A text file holds one table, so
+    /// the choice is ignored. If a FITS file has no tables, the error lists the columns in
+    /// `needed`.
     pub(crate) fn pick<R>(
         &self,
         choice: Option<&HduChoice>,

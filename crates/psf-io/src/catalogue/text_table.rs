@@ -139,7 +139,8 @@ impl TextTable {
     }
 }
 
-/// The number in a field, or `None` if it is not a number or not allowed.
+/// The number in a field, NaN if the field is empty. Returns `None` if the field is not a number,
+/// or if `nans` does not allow the number.
 fn number(field: &[u8], nans: Nans) -> Option<f64> {
     let number = match std::str::from_utf8(field) {
         Ok("") => Some(f64::NAN),
@@ -164,13 +165,13 @@ fn line_of(text: &[u8], position: Option<&Position>) -> u64 {
     line + skipped as u64
 }
 
-/// The highest column number allowed if there is no row to compare with.
+/// The highest column number that SExtractor's comments may give if the table has no rows.
 const MOST_WITHOUT_ROWS: usize = 10_000;
 
 /// The separator between the fields of a text table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Separator {
-    /// One such character. Fields may be quoted.
+    /// A comma or a tab. Fields may be quoted.
     Byte(u8),
     /// One or more blanks.
     Blanks,

@@ -10,12 +10,12 @@ use crate::fits::header_cards::HeaderCards;
 const LARGEST_SIP_ORDER: usize = 9;
 /// Number of terms of TPV: orders 0 to 7, where each odd order has a further term in the radius.
 const TPV_TERMS: usize = 40;
-/// The search for the inverse of a distortion ends when a step is smaller than this fraction of the
-/// offset (plus 1e-6), or after [`INVERSE_STEPS`] steps.
+/// The search for the inverse of a distortion ends when a step is at most this fraction of the
+/// coordinates' size, to which 1e-6 is added. It also ends after [`INVERSE_STEPS`] steps.
 const INVERSE_ACCURACY: f64 = 1e-13;
 const INVERSE_STEPS: usize = 50;
 /// A found point is rejected if the distortion maps it to a point that differs from the wanted one
-/// by more than this fraction of the offset. The distortion then folds the plane there.
+/// by more than this fraction of that size. The distortion then folds the plane there.
 const INVERSE_TOLERANCE: f64 = 1e-9;
 
 /// The reason why a header does not give world coordinates.
@@ -40,7 +40,7 @@ pub enum WorldCoordinatesError {
         /// The value in the header.
         got: String,
     },
-    /// The matrix maps the frame to a line.
+    /// The matrix maps the frame to a line or a point.
     #[error("the matrix of CDi_j, or of PCi_j and CDELTi, has no inverse")]
     Singular,
 }

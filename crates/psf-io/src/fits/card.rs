@@ -12,7 +12,8 @@ const COMMENTARY_TEXT: usize = 72;
 /// The index of the first byte of the value in a record.
 const VALUE: usize = 10;
 
-/// A card of a FITS header: one record of 80 characters, or several for a long string.
+/// A card of a FITS header: one record of 80 characters, or several for a long string or a long
+/// text of HISTORY or COMMENT.
 ///
 /// A card read from a file keeps its records byte by byte.
 ///
@@ -137,7 +138,8 @@ impl Card {
             .flatten()
     }
 
-    /// Returns whether the card is text without a value: COMMENT, HISTORY, or no `=` in column 9.
+    /// Returns whether the card is text without a value: COMMENT, HISTORY, a blank keyword, or a
+    /// card without `= ` after its keyword.
     pub fn is_commentary(&self) -> bool {
         self.value_start().is_none()
     }
@@ -177,7 +179,8 @@ impl Card {
         Some(CardValue::Text(text))
     }
 
-    /// The comment after the value of a single record, or the text of a commentary card.
+    /// The comment after the value, or the text of a commentary card. In a string of several
+    /// records, only a comment in the first record is found.
     pub fn comment_text(&self) -> String {
         let record = &self.records[0];
         let Some(start) = self.value_start() else {

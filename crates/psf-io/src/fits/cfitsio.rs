@@ -370,7 +370,7 @@ fn datatype<T: 'static>() -> c_int {
 fn c_name(at: &Path, path: &Path) -> Result<CString, IoError> {
     let refused = || {
         let problem = format!(
-            "CFITSIO accepts file names of at most {NAME_LIMIT} bytes, including directories and without NUL: use a shorter name"
+            "CFITSIO accepts file names of at most {NAME_LIMIT} bytes (with the directories) without a NUL character: use another name"
         );
         IoError::new(path, IoErrorKind::Limit, problem)
     };

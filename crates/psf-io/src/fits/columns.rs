@@ -26,8 +26,8 @@ pub(crate) struct Column {
     pub(crate) code: u8,
 }
 
-/// A binary table. Its columns fill each row exactly, so the length of the file limits the number
-/// of rows.
+/// A binary table. The widths of its columns add up to the length of a row, so the length of the
+/// file bounds the memory for their values.
 #[derive(Debug)]
 pub(crate) struct Table<'a> {
     hdu: &'a Hdu,
@@ -210,8 +210,8 @@ pub(crate) fn bad_value(path: &Path, row: Row, column: &str, got: &str) -> IoErr
     .at(Place::Value { row, column })
 }
 
-/// The names for an error message. Empty names are left out, and so are names after the first
-/// [`LISTED`].
+/// The names for an error message, without empty ones. At most [`LISTED`] names are given, and the
+/// number of the others: "and 3 more".
 fn listed<'a>(names: impl IntoIterator<Item = &'a String>) -> Vec<String> {
     let mut named = names.into_iter().filter(|name| !name.is_empty());
     let quoted = |name: &String| format!("{:?}", shown(name.as_bytes()));

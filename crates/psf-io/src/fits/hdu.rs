@@ -89,8 +89,8 @@ impl Hdu {
         &self.source.path
     }
 
-    /// Returns whether a binary table holds the tiles of a compressed image. Such a table counts as
-    /// the image.
+    /// Returns whether this HDU is a binary table that holds the tiles of a compressed image. Such
+    /// a table counts as the image.
     pub(crate) fn is_tiled(&self) -> bool {
         self.index > 0
             && self.value("ZIMAGE") == Some(true)

@@ -63,7 +63,8 @@ impl HeaderCards {
     }
 
     /// Makes a list from the records of a header without its END. A CONTINUE record is added to the
-    /// card before it.
+    /// card before it, if the string of this card ends in `&`. Blank records at the end are
+    /// dropped.
     pub(crate) fn from_records(records: impl IntoIterator<Item = Record>) -> Self {
         let mut cards: Vec<Card> = Vec::new();
         for record in records {
@@ -278,8 +279,8 @@ impl HeaderCards {
     /// reference pixels. Steps in the world (`CDELTi`, `CDi_j`) are multiplied by `factor`. SIP
     /// distortions (`A_p_q`, `B_p_q`, `AP_p_q`, `BP_p_q`), which are polynomials in pixels, are
     /// multiplied by `factor^(p+q-1)`. Alternate systems change in the same way. If a world
-    /// coordinate has no step, the default 1 of FITS is multiplied and added as a card. IRAF's
-    /// `LTVi` and `LTMi_i` change accordingly.
+    /// coordinate has no step or no reference pixel, the default of FITS (1 or 0) is converted and
+    /// added as a card. IRAF's `LTVi` and `LTMi_i` change accordingly.
     ///
     /// ```
     /// use psf_io::{Card, HeaderCards};

@@ -109,7 +109,8 @@ pub fn read_cube<T: Real>(path: impl AsRef<Path>) -> Result<Array3<T>, IoError> 
 /// Reads the chosen image as a stack `[plane, y, x]`.
 ///
 /// # Errors
-/// The errors of [`read_image_hdu`], and [`IoErrorKind::Axes`] for more than three axes.
+/// The errors of [`read_image_hdu`], except that a cube is accepted: [`IoErrorKind::Axes`] unless
+/// there are two or three axes.
 pub fn read_cube_hdu<T: Real>(
     path: impl AsRef<Path>,
     choice: Option<&HduChoice>,
@@ -200,7 +201,7 @@ pub(crate) fn bad_rows(path: &Path, rows: &Range<usize>, ny: usize) -> IoError {
 
 /// The error for a value that single precision cannot hold.
 pub(crate) fn beyond_single(path: &Path) -> IoError {
-    const BEYOND: &str = "a value is beyond the range of single precision: use double precision";
+    const BEYOND: &str = "a value is beyond single precision: use double precision, or smaller values";
     IoError::new(path, IoErrorKind::Limit, BEYOND)
 }
 
@@ -255,15 +256,16 @@ impl ImageReader {
     pub fn open_hdu(path: impl AsRef<Path>, choice: Option<&HduChoice>) -> Result<Self, IoError> {
         Self::open_part(path.as_ref(), choice, |hdu| match squeezed(hdu)[..] {
             [ny, nx] => Ok((0, ny, nx)),
-            _ => Err(hdu.axes_error("a single image [y, x] (a cube of PSF stamps is not a scene)")),
+            _ => Err(hdu.axes_error("a single image with the axes [y, x]")),
         })
     }
 
     /// Opens one plane, counted from 0, of a cube `[plane, y, x]`. An image is a cube of one plane.
     ///
     /// # Errors
-    /// The errors of [`open_hdu`](Self::open_hdu), [`IoErrorKind::Axes`] for more than three axes,
-    /// and [`IoErrorKind::Request`] for a plane that the cube does not have.
+    /// The errors of [`open_hdu`](Self::open_hdu), except that a cube is accepted:
+    /// [`IoErrorKind::Axes`] unless there are two or three axes. [`IoErrorKind::Request`] for a
+    /// plane that the cube does not have.
     pub fn open_plane(
         path: impl AsRef<Path>,
         choice: Option<&HduChoice>,

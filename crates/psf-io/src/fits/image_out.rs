@@ -152,7 +152,7 @@ impl<T: Real> ImageWriter<T> {
     /// [`IoErrorKind::Request`] for more rows than the image has or a band of another width,
     /// [`IoErrorKind::Data`] for a pixel that is NaN or infinite, or an error of the file system or
     /// of CFITSIO. The source of the [`IoErrorKind::Data`] error is [`DataError::NonFinite`] with
-    /// the index `[y, x]` of the first such pixel in the whole image.
+    /// the index `[y, x]` of the first such pixel, counted from row 0 of the whole image.
     pub fn write_rows(&mut self, rows: ArrayView2<'_, T>) -> Result<(), IoError> {
         let clean = |row: ArrayView1<'_, T>| row.fold(true, |clean, value| clean & value.is_finite());
         self.check_shape(rows)?;
@@ -246,7 +246,8 @@ fn records(cards: &HeaderCards) -> Vec<&Record> {
 /// name. A file that is dropped before that is removed.
 #[derive(Debug)]
 pub(crate) struct NewFits {
-    // The file is closed before it is removed: fields are dropped in this order.
+    // Rust drops fields in the order of their declaration, so the file is closed before it is
+    // removed.
     fits: Fits,
     file: PendingFile,
 }
@@ -312,7 +313,7 @@ pub(crate) fn write_image_hdu<T: Real>(
     fits.write_pixels(0, pixels)
 }
 
-/// Converts values to single precision. Returns an error if one of them is too large.
+/// Converts values to single precision. Returns an error if one of them is too large or NaN.
 pub(crate) fn in_single_precision<'a>(
     path: &Path,
     values: impl IntoIterator<Item = &'a f64>,
@@ -445,9 +446,9 @@ pub fn write_integers<V: Copy + Into<f64>>(
 /// ```
 ///
 /// # Errors
-/// [`IoErrorKind::Limit`] for a value beyond single precision, [`IoErrorKind::Exists`] if the file
-/// exists and `overwrite` is false, [`IoErrorKind::NotFound`] if the directory does not exist, or
-/// an error of the file system or of CFITSIO.
+/// [`IoErrorKind::Limit`] for a value that is not finite in single precision,
+/// [`IoErrorKind::Exists`] if the file exists and `overwrite` is false, [`IoErrorKind::NotFound`]
+/// if the directory does not exist, or an error of the file system or of CFITSIO.
 pub fn write_cube(
     path: impl AsRef<Path>,
     cube: ArrayView3<'_, f64>,

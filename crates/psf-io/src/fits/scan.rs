@@ -13,7 +13,7 @@ use crate::fits::header_cards::HeaderCards;
 use crate::fits::tiles;
 use crate::output::temporary::{Temporary, entries};
 
-/// A header of this many blocks (20 MB) is an error, because its END must be missing.
+/// If a header has no END in this many blocks (20 MB), the END counts as missing.
 const HEADER_BLOCK_LIMIT: usize = 7000;
 
 /// The records of a header, collected block by block.
@@ -166,7 +166,7 @@ pub(crate) fn unpack(path: &Path) -> Result<Temporary, IoError> {
     let source = FitsSource::new(path, None);
     let failed = |source| {
         const UNPACKING: &str =
-            "cannot unpack to the folder for temporary files: set TMPDIR to a folder with more space";
+            "cannot unpack to the temporary folder: set TMPDIR to a writable folder with enough space";
         IoError::new(path, IoErrorKind::Write, UNPACKING).because(source)
     };
     let mut unpacker = Unpacker::open(path)?;
@@ -253,7 +253,7 @@ impl<'a> Unpacker<'a> {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(source) => {
                     let message = format!(
-                        "the gzip data are damaged or cut short after {} bytes of the FITS file: fetch or write it again",
+                        "the gzip data are damaged or cut short after {} unpacked bytes: fetch or write the file again",
                         self.done + filled as u64
                     );
                     return Err(IoError::new(self.path, IoErrorKind::Damaged, message).because(source));
@@ -279,7 +279,7 @@ impl<'a> Unpacker<'a> {
             return Ok(());
         }
         let message = format!(
-            "{} bytes of gzip data would unpack to more than {allowed} bytes: if this is right, run gunzip first",
+            "{} bytes of gzip data would unpack to more than {allowed} bytes: if the file is really so large, run gunzip first",
             self.length
         );
         Err(IoError::new(self.path, IoErrorKind::Limit, message))

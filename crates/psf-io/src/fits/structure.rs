@@ -38,8 +38,8 @@ pub(crate) struct FitsStructure {
 
 impl FitsStructure {
     /// Reads every header and checks that the file is long enough for every HDU. A gzip file is
-    /// unpacked to a temporary file, which exists as long as the structure and everything that is
-    /// opened through the structure.
+    /// unpacked to a temporary file. This file is removed when the structure and all readers that
+    /// were opened through it are dropped.
     pub(crate) fn scan(path: &Path) -> Result<Self, IoError> {
         if !is_fits(path)? {
             const NOT_FITS: &str = "this is not a FITS file (a FITS file starts with \"SIMPLE  =\")";
@@ -223,7 +223,7 @@ fn list<'a>(hdus: impl Iterator<Item = &'a Hdu>) -> String {
 }
 
 /// Returns whether a file starts like a FITS file, which may be compressed by gzip. A file with
-/// another compression is an error.
+/// another compression is an error, and so is a gzip file that holds no FITS file.
 pub(crate) fn is_fits(path: &Path) -> Result<bool, IoError> {
     let start = start_of(path)?;
     let format = |problem| Err(IoError::new(path, IoErrorKind::Format, problem));
@@ -236,7 +236,7 @@ pub(crate) fn is_fits(path: &Path) -> Result<bool, IoError> {
     if scan::first_bytes(path, MAGIC.len())? == MAGIC {
         return Ok(true);
     }
-    format("the gzip file does not hold a FITS file: run gunzip first")
+    format("this gzip file holds no FITS file, and other files must not be compressed: run gunzip first")
 }
 
 /// The first bytes of a file, as many as [`MAGIC`] has.

@@ -73,7 +73,7 @@ impl Rice {
             table.ensure(
                 table.structural(&value, None)? == taken,
                 &value,
-                "BLOCKSIZE must be the first parameter and BYTEPIX the second: run funpack first",
+                "BLOCKSIZE must be the first parameter and BYTEPIX the second: compress the original image again with fpack",
             )?;
         }
         Ok(Self::new(block as u64, width))
@@ -190,8 +190,9 @@ impl Bits<'_> {
     }
 }
 
-/// The number of codes with `low` further bits that almost every word of [`Bits::ahead`] holds. A
-/// loop of this fixed length is easy for the processor to predict.
+/// The number of codes that fit into almost every word of [`Bits::ahead`], if `low` bits follow the
+/// bit 1 of each code. Allows for two zeros per code on average. A loop of this fixed length is
+/// easy for the processor to predict.
 fn codes_per_word(low: u32) -> u64 {
     u64::from((56 / (low + 3)).max(1))
 }

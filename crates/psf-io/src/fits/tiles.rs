@@ -13,14 +13,16 @@ use crate::fits::hdu::{Hdu, HduKind};
 use crate::fits::tile_codes::{Rice, is_sound_plio};
 
 const BUFFER: usize = 1 << 13;
-/// Number of bytes read ahead of the tiles, most of which lie one after the other.
+/// Size of the buffer for reading tiles, in bytes. Most tiles lie one after the other, so one read
+/// of the file serves several tiles.
 const HEAP_BUFFER: usize = 1 << 16;
 
 /// An image may always take this many bytes (16 MiB), even if its tiles are small.
 const ALWAYS_ALLOWED: u64 = 16 << 20;
-/// In addition, an image may take this many bytes for each byte of its table. This is the
-/// best compression that PLIO reaches, for a mask of one value.
-const ALLOWED_PER_BYTE: u64 = 4096;
+/// In addition, an image may take this many bytes for each byte of its table. Pixels of 32 bits
+/// stay below this ratio in PLIO, because a word (2 bytes) stores a run of at most 4095 pixels. The
+/// other algorithms compress less.
+const ALLOWED_PER_BYTE: u64 = 8192;
 /// The supported algorithms. CFITSIO also knows `HCOMPRESS_1`, but it writes beyond its memory when
 /// such data are damaged.
 const ALGORITHMS: &[&str] = &["RICE_1", "RICE_ONE", "GZIP_1", "GZIP_2", PLIO];
@@ -42,7 +44,7 @@ pub(crate) fn count_as_image(hdu: &mut Hdu) -> Result<(), IoError> {
     let table = &*hdu;
     let algorithm = table.text("ZCMPTYPE").unwrap_or_default();
     table.ensure(ALGORITHMS.contains(&algorithm.trim()), "ZCMPTYPE", ALGORITHM)?;
-    // CFITSIO does not check these values before it uses them as an index or a divisor.
+    // CFITSIO uses ZDITHER0 and the parameters of RICE_1 as indices or divisors without a check.
     let dither = table.structural("ZDITHER0", Some(1))?;
     table.ensure((1..=10_000).contains(&dither), "ZDITHER0", "must be 1 to 10000")?;
     if algorithm.trim().starts_with("RICE") {
@@ -278,7 +280,7 @@ impl<'a> Tiles<'a> {
     }
 
     fn broken(&self, tile: usize) -> IoError {
-        const DAMAGED: &str = "the tile of the compressed image is damaged: fetch or write it again";
+        const DAMAGED: &str = "the tile of the compressed image is damaged: fetch or write the file again";
         let hdu = self.hdu.index;
         self.hdu
             .error(IoErrorKind::Damaged, DAMAGED)
@@ -313,7 +315,7 @@ impl Places {
 
 /// The descriptors in the column with this name, if there is one. Two such columns are an error. If
 /// `element` is given, the tiles must hold unscaled elements of this type. CFITSIO would convert
-/// other elements, and would so use values that have not been checked.
+/// other elements before it unpacks them, and nothing would check the converted values.
 fn descriptors(
     hdu: &Hdu,
     columns: &[Column],

@@ -11,7 +11,8 @@ use temporary::{Temporary, directory_of, entries};
 use crate::error::{IoError, IoErrorKind, unwritable};
 use crate::fits::structure::NOT_A_FILE;
 
-/// Writes a file under a temporary name in its own directory and renames it when it is complete.
+/// Writes a file under a temporary name in the directory of the final file, and renames it when it
+/// is complete.
 ///
 /// `write` gets the temporary name. An empty file has been created there, which `write` may open,
 /// truncate or remove. The name ends like `path`, so that libraries which look at the extension
@@ -20,8 +21,8 @@ use crate::fits::structure::NOT_A_FILE;
 /// loss of power leaves either the old file or the new one. On Unix, temporary files that a killed
 /// process has left for this output are removed, if the file system supports locks. A program that
 /// handles signals calls [`remove_unfinished`](crate::remove_unfinished). The new file has the
-/// permissions of any new file (umask). A symbolic link is followed: the file it points to is
-/// replaced.
+/// permissions of any new file (umask). A symbolic link to a file is followed: this file is
+/// replaced, and the link stays.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -111,8 +112,8 @@ fn exists(path: &Path) -> IoError {
     IoError::new(path, IoErrorKind::Exists, EXISTS).with_setting("overwrite")
 }
 
-/// An output file that still has a temporary name, in its own directory. [`commit`](Self::commit)
-/// gives it the final name. A pending file that is dropped is removed.
+/// An output file that still has a temporary name, in the directory of its final name.
+/// [`commit`](Self::commit) gives it the final name. A pending file that is dropped is removed.
 #[derive(Debug)]
 pub(crate) struct PendingFile {
     temporary: Temporary,

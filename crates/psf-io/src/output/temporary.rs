@@ -6,6 +6,9 @@
 //! process that writes it holds an advisory lock on it. The system releases the lock when the
 //! process ends for any reason, even if it ran on another machine that shares the folder. So an
 //! unlocked temporary file belongs to no running process.
+//!
+//! Unpacked copies of gzip files are temporary files too. They lie in the system's folder for
+//! temporary files and have no lock, so the copy of a killed process stays there.
 
 use std::collections::HashMap;
 use std::ffi::{OsStr, OsString};
@@ -152,11 +155,11 @@ fn suffix(target: &Path) -> OsString {
 }
 
 /// Locks a new temporary file for as long as the returned handle is open. Returns `None` if the
-/// system or the file system has no suitable locks. The temporary file of a killed process then
-/// stays.
+/// system or the file system has no suitable locks. Without a lock, the temporary file of a killed
+/// process is never removed.
 pub(crate) fn claim(temporary: &Path) -> Option<File> {
-    // On systems other than Unix a lock would keep CFITSIO, which opens the file a second time,
-    // from writing.
+    // CFITSIO opens the file a second time. On systems other than Unix, the lock would keep it from
+    // writing.
     if cfg!(unix) {
         let file = File::open(temporary).ok()?;
         file.try_lock_shared().ok()?;

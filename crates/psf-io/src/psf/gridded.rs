@@ -18,8 +18,8 @@ use crate::fits::image::stack_shape;
 ///   of the stamps is their middle, index `(n - 1) / 2`. The stamps include the pixel response.
 ///   Between their pixels the interpolating cubic spline applies. The values are the values in the
 ///   file, not scaled to unit flux.
-/// - photutils' `GriddedPSFModel` interpolates bilinearly between the positions and uses the
-///   nearest point of the grid outside. In psfield these are
+/// - photutils' `GriddedPSFModel` interpolates bilinearly between the positions. Outside their grid
+///   it uses the PSF at the nearest point of the grid. In psfield these are
 ///   [`Interpolation::Bilinear`](psf_types::Interpolation::Bilinear) and
 ///   [`OutsidePolicy::Nearest`](psf_types::OutsidePolicy::Nearest).
 #[derive(Debug, Clone, PartialEq)]
@@ -104,14 +104,14 @@ pub(crate) fn check_flux(
         let flux = grid.flux_of_sum(stamp.sum());
         if !(flux > 0.0 && flux.is_finite()) {
             let plane = plane(sample);
-            let problem = format!("plane {plane} has flux {flux}: a PSF must have positive flux");
+            let problem = format!("plane {plane} (0-based) has flux {flux}: a PSF must have positive flux");
             return Err(IoError::new(path, IoErrorKind::Data, problem));
         }
     }
     Ok(())
 }
 
-/// The header of an HDU. Its keywords may be built at run time, such as numbered ones.
+/// The header of an HDU, for keywords that are built at run time, such as numbered ones.
 ///
 /// Case is ignored in keywords, because real STDPSF files have `NXPSFs`.
 #[derive(Debug)]

@@ -20,7 +20,7 @@ const MIN_SIZE: usize = 4;
 /// planes written.
 ///
 /// Values are written unchanged, in double precision. `cards` are added to the header, before the
-/// cards of the layout.
+/// cards of the layout. Cards `DET_YX...` among them are left out.
 ///
 /// # Planes
 /// Releases of photutils disagree on which card holds the position of plane `i`. Up to 3.0 it is
@@ -29,10 +29,10 @@ const MIN_SIZE: usize = 4;
 /// the same coordinates in x and in y, and if the planes have x fastest while the cards have y
 /// fastest. The library is written in this way.
 ///
-/// If the coordinates in x and in y differ, more planes are written: one at every crossing of all
-/// these coordinates. A plane between samples is interpolated bilinearly. A plane outside the
-/// samples is the PSF at the nearest point of their grid. Readers interpolate in the same way, so
-/// the PSF is unchanged everywhere.
+/// If several samples have different coordinates in x and in y, more planes are written: one at
+/// every crossing of all these coordinates. A plane between samples is interpolated bilinearly. A
+/// plane outside the samples is the PSF at the nearest point of their grid. Readers interpolate in
+/// the same way, so the PSF is unchanged everywhere.
 ///
 /// ```
 /// # let directory = tempfile::tempdir()?;
@@ -160,8 +160,8 @@ fn own_cards(
     Ok(own)
 }
 
-/// Makes `DET_YXn = '(y, x)'`. A number of three digits is too long for a plain keyword, so it
-/// becomes one of ESO's HIERARCH cards, as in astropy.
+/// Makes `DET_YXn = '(y, x)'`. With three digits or more, the keyword is too long for a plain card.
+/// The card is then one of ESO's HIERARCH cards, as in astropy.
 fn position_card(plane: usize, x: f64, y: f64) -> Card {
     let keyword = format!("{POSITION}{plane}");
     // The format `:?` writes a decimal point in every number, as Python does.
@@ -293,8 +293,8 @@ fn ascending(values: impl Iterator<Item = f64>) -> Vec<f64> {
     values
 }
 
-/// The lines below and above a value, and the weight of the line above. Outside, the nearest line
-/// has all the weight.
+/// The indices of the lines below and above a value, and the weight of the line above. Beyond the
+/// outermost lines, the nearest line has all the weight.
 fn between(lines: &[f64], value: f64) -> (usize, usize, f64) {
     let above = lines.partition_point(|&line| line < value).min(lines.len() - 1);
     let below = above.saturating_sub(1);

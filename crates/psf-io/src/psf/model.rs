@@ -12,14 +12,15 @@
 //! |---|---|
 //! | `PSFMODEL` | version of the layout, 1 |
 //! | `NCOMP` | number of components `K` |
-//! | `CENTRED` | `T` if plane 0 is the mean stamp |
+//! | `CENTRED` | `T` if plane 0 is the mean stamp, `F` (default) if there is none |
 //! | `INTERPOL` | `auto`, `delaunay`, `natural-neighbour`, `idw`, `idw=POWER`, `bilinear`, `bicubic`, `polynomial=DEGREE` or `nearest` |
 //! | `OUTSIDE` | policy outside the samples: `nearest`, `extend` or `error` |
 //! | `NORMALIS` | `unit` (every PSF is scaled to unit flux) or `keep` |
 //! | `OVERSAMP`, `CENX`, `CENY`, `PIXCONV`, `STAMPINT`, `FIELDNX`, `FIELDNY` | as in [`psf-samples`](crate::samples) |
 //!
-//! The PSF at a sample is `mean + sum_k A[k] * plane[k]`. Every number is read back bit by bit,
-//! because doubles in the header are written with as many digits as needed.
+//! The PSF at a sample is `mean + sum_k A[k] * basis[k]`, scaled to unit flux if `NORMALIS` is
+//! `unit`. Without a mean stamp, `mean` is 0. Every number is read back bit by bit, because doubles
+//! in the header are written with as many digits as needed.
 //!
 //! A model made in Python:
 //!
@@ -100,10 +101,12 @@ pub fn read_model(path: impl AsRef<Path>) -> Result<PsfModelRecord, IoError> {
 /// Reads a PSF model with its singular values and header.
 ///
 /// # Errors
-/// [`IoErrorKind::Format`] for a newer version of the layout or a missing table,
-/// [`IoErrorKind::Header`] for a keyword that is missing or not valid, [`IoErrorKind::Axes`] if
-/// `NCOMP` and `CENTRED` do not match the cube, [`IoErrorKind::Data`] for a basis that is not
-/// orthonormal or for counts that disagree, and the [errors of any FITS file](crate#bad-files).
+/// [`IoErrorKind::Format`] for an unknown version of the layout or a missing table,
+/// [`IoErrorKind::Header`] for a keyword that is missing or has a value of another type,
+/// [`IoErrorKind::Axes`] if `NCOMP` and `CENTRED` do not match the cube, [`IoErrorKind::Table`] for
+/// a column that is missing or has another format, [`IoErrorKind::Data`] for a value that is not
+/// allowed, such as an unknown interpolation or a basis that is not orthonormal, and the
+/// [errors of any FITS file](crate#bad-files).
 pub fn read_model_file(path: impl AsRef<Path>) -> Result<ModelFile, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;

@@ -19,7 +19,9 @@
 //! *frame* pixel centred there. A stamp with `OVERSAMP = s` holds unit flux if its sum is `s^2`.
 //! Every value is finite, every stamp has positive flux, and no two positions are equal. If the
 //! size of the frame is given, all positions are on the frame. Single-precision and integer columns
-//! are read too. Other columns, HDUs and keywords are ignored.
+//! are read too. The cube and its keywords may also be in an extension, such as that of a
+//! compressed image: the first image with pixels is read. Other columns, HDUs and keywords are
+//! ignored.
 //!
 //! Such a file is written by six lines of astropy:
 //!
@@ -74,8 +76,10 @@ pub(crate) fn is_samples(structure: &FitsStructure) -> bool {
 /// Reads PSF samples in the [`psf-samples` layout](self).
 ///
 /// # Errors
-/// [`IoErrorKind::Data`](crate::IoErrorKind::Data) for samples that break a rule of the layout, and
-/// the [errors of any FITS file](crate#bad-files).
+/// [`IoErrorKind::Data`](crate::IoErrorKind::Data) for samples that break a rule of the layout,
+/// [`Axes`](crate::IoErrorKind::Axes) for an image with more than three axes,
+/// [`Table`](crate::IoErrorKind::Table) for a column that is missing or has another format, and the
+/// [errors of any FITS file](crate#bad-files).
 pub fn read_samples(path: impl AsRef<Path>) -> Result<PsfSamples, IoError> {
     let path = path.as_ref();
     let structure = FitsStructure::scan(path)?;
@@ -183,7 +187,7 @@ pub(crate) fn field(hdu: &Hdu) -> Result<Option<FrameShape>, IoError> {
         .map_err(invalid(hdu.path()))
 }
 
-/// The cards of a grid and of the size of the frame, which [`stamp_grid`] and [`field`] can read.
+/// The cards of a grid and of the size of the frame, for [`stamp_grid`] and [`field`] to read.
 pub(crate) fn grid_cards(grid: StampGrid, field: Option<FrameShape>) -> Vec<Card> {
     const CENTRE: &str = "stamp index of the PSF reference point, 0-based";
     let card = |keyword, value: CardValue, comment| {

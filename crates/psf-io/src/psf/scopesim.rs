@@ -5,7 +5,7 @@
 //! | HDU | content |
 //! |---|---|
 //! | 0, primary | `ETYPE` = `FVPSF`, `ECAT` = number of the map's HDU, `EDATA` = number of the first HDU with PSFs (both counted from 0, the primary) |
-//! | the map, an image | `[y, x]`: the number of the layer that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn` from the centre of the field, in `CUNITn` (degrees by default) |
+//! | the map, an image | `[y, x]`: the number of the layer that applies in each pixel; linear world coordinates `CRPIXn`, `CDELTn`, `CRVALn`, measured from the centre of the field in `CUNITn` (degrees by default) |
 //! | the map, a binary table | columns `x`, `y` (arcseconds from the centre of the field) and `layer` |
 //! | PSFs, one HDU per wavelength | cube `[layer, y, x]`; `WAVE0` = wavelength in micrometres, `CDELT1` = size of a PSF pixel in `CUNIT1` (degrees by default) |
 //!
@@ -118,6 +118,7 @@ fn near_whole(ratio: f64) -> f64 {
 ///   flux
 /// - [`IoErrorKind::Format`] or [`IoErrorKind::Axes`] if the map or the PSFs are missing or have
 ///   the wrong axes
+/// - [`IoErrorKind::Table`] for a column of the map that is missing or has another format
 /// - the [errors of any FITS file](crate#bad-files)
 pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Result<ScopesimPsf, IoError> {
     const MAP: &str = "the number of the HDU with the map of layers, counted from 0";
@@ -126,7 +127,7 @@ pub fn read_scopesim(path: impl AsRef<Path>, options: &ScopesimOptions) -> Resul
     let structure = FitsStructure::scan(path)?;
     if !is_scopesim(&structure) {
         return Err(structure
-            .missing("card ETYPE = 'FVPSF' in its primary header, as a field-varying PSF of ScopeSim has"));
+            .missing("card ETYPE = 'FVPSF' in its primary header: it is no field-varying PSF of ScopeSim"));
     }
     let primary = &LibraryCards::new(&structure.hdus[0]);
     let map_index = primary.required_count("ECAT", 0, MAP)?;
@@ -372,7 +373,7 @@ impl LayerMap {
                 })
             }
             _ => Err(structure.missing(&format!(
-                "map of layers: HDU {} (ECAT) is neither an image with pixels nor a binary table",
+                "map of layers: HDU {}, to which the keyword ECAT points, is neither an image with pixels nor a binary table",
                 hdu.index
             ))),
         }
@@ -392,7 +393,7 @@ impl LayerMap {
                 return Ok(value as usize);
             }
             let problem = format!(
-                "the map has layer {value} at {:?} (0-based, x last), but only the layers 0 to {} exist",
+                "the map has layer {value} at {:?} (0-based: the row of a table, or [y, x] of an image), but only the layers 0 to {} exist",
                 place(i),
                 layer_count.saturating_sub(1)
             );
@@ -418,6 +419,7 @@ impl MapAxis {
         const ROTATED: &str = "0 (rotated maps are not supported)";
         const PIXEL: &str = "the reference pixel of the map, a number";
         const STEP: &str = "the size of a pixel of the map, a number other than 0";
+        const FACTOR: &str = "the factor of this size, a number other than 0";
         const VALUE: &str = "the coordinate of the reference pixel, a number";
         let other = 3 - axis;
         let rotations = [
@@ -437,7 +439,7 @@ impl MapAxis {
         let (keyword, factor) = if cards.has(&matrix) {
             (matrix, 1.0)
         } else {
-            let scale = cards.number(&format!("PC{axis}_{axis}"), STEP)?;
+            let scale = cards.number(&format!("PC{axis}_{axis}"), FACTOR)?;
             (format!("CDELT{axis}"), scale.unwrap_or(1.0))
         };
         let step_arcsec = cards.required_number(&keyword, STEP)? * factor * unit;

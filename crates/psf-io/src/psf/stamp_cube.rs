@@ -94,8 +94,8 @@ impl StampCubeOptions {
 /// ```
 ///
 /// # Errors
-/// - [`IoErrorKind::Setting`] if several images have pixels and none is chosen, or for several
-///   planes without positions
+/// - [`IoErrorKind::Setting`] if several images have pixels and none is chosen, for a choice that
+///   is not an image with pixels, or for several planes without positions
 /// - [`IoErrorKind::Data`] if there is not one position per plane, two positions are equal, a stamp
 ///   has no flux, or oversampling or centre are out of range
 /// - [`IoErrorKind::Axes`] unless the image has two or three axes
@@ -137,7 +137,7 @@ pub fn read_stamp_cube(path: impl AsRef<Path>, options: &StampCubeOptions) -> Re
 /// Reads the header cards of the image that [`read_stamp_cube`] reads.
 ///
 /// # Errors
-/// [`IoErrorKind::Setting`] for a choice that is needed or wrong, and the
+/// [`IoErrorKind::Setting`] if a choice is needed or wrong, and the
 /// [errors of any FITS file](crate#bad-files). The pixels are not read.
 pub fn read_stamp_header(
     path: impl AsRef<Path>,

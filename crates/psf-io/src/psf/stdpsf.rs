@@ -10,7 +10,7 @@
 //! | `NXPSFS`, `NYPSFS` | columns and rows of the grid of PSFs |
 //! | `IPSFX01`, `IPSFX02` ... | x of each column in detector pixels, counted from 1 |
 //! | `JPSFY01`, `JPSFY02` ... | y of each row in detector pixels, counted from 1 |
-//! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the positions as strings of several numbers (WFPC2, all of NIRCam's short-wave detectors) |
+//! | `IPSFXA5`, `IPSFXB5` ... and `JPSFYA5` ... | the positions as strings of several numbers (in files of WFPC2, and of all short-wave detectors of NIRCam together) |
 //!
 //! Keywords may be in lower case, as some are in real files. Only the first `NXPSFS` and `NYPSFS`
 //! positions are read. Unused positions hold 9999. If one of the positions that are read holds
@@ -20,8 +20,8 @@
 //!
 //! # Detectors
 //!
-//! Some files hold several detectors side by side, which the reader recognises by the shape of the
-//! grid. Positions are converted to pixels of the chosen detector:
+//! Some files hold several detectors side by side. The reader recognises these files by the shape
+//! of the grid, and converts positions to pixels of the chosen detector:
 //!
 //! | PSFs | instrument | detectors | offset |
 //! |---|---|---|---|
@@ -74,6 +74,7 @@ pub(crate) fn is_stdpsf(structure: &FitsStructure) -> bool {
 ///   exist
 /// - [`IoErrorKind::Header`] with the keyword that is missing or malformed, or if two columns or
 ///   two rows of the grid have the same position
+/// - [`IoErrorKind::Axes`] unless the image has two or three axes
 /// - [`IoErrorKind::Data`] if the number of planes is not the number of PSFs in the grid, or a
 ///   plane has no flux
 /// - the [errors of any FITS file](crate#bad-files)
@@ -164,9 +165,9 @@ struct Layout {
 struct Block {
     columns: Range<usize>,
     rows: Range<usize>,
-    /// The x of the detector's first column, in the pixel coordinates of the file (0-based).
+    /// The x of the detector's first pixel, in the pixel coordinates of the file (0-based).
     x0: f64,
-    /// The y of the detector's first row.
+    /// The y of the detector's first pixel.
     y0: f64,
 }
 
@@ -321,16 +322,16 @@ fn list_keyword(stem: &str, list: u8) -> String {
     format!("{stem}{}5", char::from(b'A'.saturating_add(list)))
 }
 
-/// A value this far below zero, relative to the peak, is not the wing of a PSF. The negative values
-/// of real libraries are a thousand times smaller.
+/// A value this far below zero, relative to the peak, is not the wing of a PSF. Negative values in
+/// the good rows of real libraries are a thousand times smaller.
 const NEGATIVE: f64 = 0.01;
 /// A border pixel this many times brighter than its inner neighbour is not in the wing of a PSF,
 /// because wings become fainter outwards.
 const JUMP: f64 = 10.0;
 /// A border pixel fainter than this, relative to the peak, is not tested for a jump.
 const FAINT: f64 = 0.01;
-/// A row is bad if more than this fraction of its pixels are bad. Bad pixels at the two adjacent
-/// sides also lie in this row, but they are a smaller fraction of it.
+/// A row is bad if more than this fraction of its pixels are bad. Bad rows along the two adjacent
+/// sides cross this row, but cover a smaller fraction of it.
 const PART: f64 = 0.25;
 /// The number of rows divided by this gives how many of the outermost rows are tested.
 const DEPTH: usize = 10;
@@ -372,7 +373,7 @@ fn side_defect(stamps: ArrayView3<'_, f64>, numbers: &[usize], name: &str) -> Op
     }
     (!planes.is_empty()).then(|| {
         format!(
-            "border: the {depth} outermost row(s) on the {name} side of {} plane(s) (first: {}) hold values that cannot belong to a PSF, such as \
+            "border: the {depth} outermost row(s) on the {name} side of {} plane(s) (first: {}, counted from 0) hold values that cannot belong to a PSF, such as \
              {worst} (they are used unchanged)",
             planes.len(),
             planes[0]

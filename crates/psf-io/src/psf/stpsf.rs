@@ -18,8 +18,8 @@
 //!
 //! Stamps are centred at index `(n - 1) / 2`, include the response of a pixel and sum to about
 //! `OVERSAMP^2`. Positions need not form a grid. If a PSF was made for an even number of detector
-//! pixels, its centre is on the corner of a pixel. The writer has already added the half pixel to
-//! its position.
+//! pixels, its centre is on the corner of a pixel. STPSF has already added this half pixel to the
+//! position in the card.
 //!
 //! A writer may use one sampling for its transforms and another for the stamps, and writes both
 //! (`OVERSAMP`, `DET_SAMP`). The reader uses the sampling that gives the width of the stamps when
@@ -51,8 +51,8 @@ const POSITION_EXPECTED: &str =
     "a string \"(y, x)\" with the detector position of a plane in pixels, such as '(0.0, 682.0)'";
 const OVERSAMPLING_EXPECTED: &str = "stamp pixels per detector pixel, a whole number above 0";
 
-/// Returns whether a file is an STPSF library, that is, whether its cube has positions. The reader
-/// checks everything else.
+/// Returns whether a file is an STPSF library, that is, whether the header of its first image has a
+/// position card. The reader checks everything else.
 pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
     structure
         .first_image()
@@ -76,6 +76,7 @@ pub(crate) fn is_stpsf(structure: &FitsStructure) -> bool {
 /// - [`IoErrorKind::Setting`] if several images have pixels, or if [`PlaneOrder::Auto`] cannot find
 ///   the order
 /// - [`IoErrorKind::Header`] with the keyword that is missing, malformed or repeated
+/// - [`IoErrorKind::Axes`] unless the image has two or three axes
 /// - [`IoErrorKind::Data`] if the number of planes differs from the number in the cards, a plane
 ///   has no flux, or two planes are at one position
 /// - the [errors of any FITS file](crate#bad-files)

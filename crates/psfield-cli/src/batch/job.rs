@@ -44,9 +44,9 @@ impl Job {
     /// `stronger` override the defaults of the file.
     ///
     /// # Errors
-    /// [`UsageError`] that names the job and the option: for options that `simulate` does not have,
-    /// for files that two jobs write, and for outputs that would replace an input of this job or of
-    /// an earlier one, the jobs file or the log.
+    /// [`UsageError`] that names the job and the option: for options and values that `simulate`
+    /// does not accept, for files that two jobs write, and for outputs that would replace the jobs
+    /// file, the log, or an input of this job or of an earlier one.
     pub(super) fn all(
         file: JobsFile,
         stronger: &Settings,

@@ -26,7 +26,7 @@ impl JobsFile {
             Some("toml") => true,
             Some("csv") => false,
             _ => {
-                let what = format!("{}: a jobs file ends in .toml or .csv", path.display());
+                let what = format!("{}: a jobs file must end in .toml or .csv", path.display());
                 return Err(UsageError(what).into());
             }
         };
@@ -206,7 +206,8 @@ impl Settings {
             .map_err(|what| UsageError(format!("--set: {what}")))
     }
 
-    /// Sets an option that is not set yet. `stamp_size` means `stamp-size`.
+    /// Sets an option. Returns an error if it is set already. Underscores in the name count as
+    /// hyphens: `stamp_size` is `stamp-size`.
     pub(super) fn set(&mut self, option: &str, value: String, folder: &Path) -> Result<(), String> {
         let name = option.trim().replace('_', "-");
         let folder = folder.to_owned();

@@ -132,7 +132,7 @@ impl BatchArgs {
     }
 }
 
-/// The number of failed jobs that are named at the end.
+/// The largest number of failed jobs that are named at the end.
 const MOST_NAMED: usize = 10;
 
 /// Runs a job unless its files exist, and returns its report.

@@ -36,8 +36,8 @@ pub(crate) use crate::bench::settings::JsonTo;
 /// by the same amount over a frame of any size. In the scene every pixel has light.
 ///
 /// All run times are also given as ratios to `single`, which always runs. `single` convolves the
-/// frame with one PSF: the PSF of its middle. It is the fastest convolution with one PSF in
-/// psfield.
+/// frame with one PSF: the PSF at the middle of the frame. It is the fastest convolution with one
+/// PSF in psfield.
 #[derive(Debug, clap::Args)]
 pub(crate) struct BenchArgs {
     /// Sides of the frames (pixels) [default: 512,1024,2048]
@@ -114,7 +114,7 @@ pub(crate) struct BenchArgs {
     precision: Precision,
     /// Number of timed turns of each method [default: 3]
     ///
-    /// A run that takes less than 20 ms is repeated within a turn.
+    /// A run that takes less than 20 ms is repeated within a turn, at most 20 times in all.
     #[arg(long, value_name = "N", help_heading = MEASUREMENT, hide_short_help = true)]
     repeat: Option<NonZeroU16>,
     /// Number of random pixels at which errors are measured [default: 400]

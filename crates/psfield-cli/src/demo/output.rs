@@ -14,7 +14,7 @@ use super::PATCH;
 use super::sky::Sky;
 use crate::context::signature;
 
-/// Flux per pixel above which pictures of the scene are logarithmic.
+/// Flux per pixel above which the pictures of scene and image are logarithmic.
 const SOFT: f64 = 30.0;
 /// Number of PSFs that are shown along each side of the field.
 const ACROSS: usize = 9;
@@ -54,7 +54,7 @@ impl Output {
         })
     }
 
-    /// Returns the path of a file, which counts as written from here on.
+    /// Returns the path of a file that is about to be written, and adds the file to the list.
     pub(super) fn path(&mut self, name: &str) -> PathBuf {
         self.files.push(name.to_owned());
         self.folder.join(name)
@@ -140,7 +140,7 @@ impl Output {
             most: most.max(f64::MIN_POSITIVE),
         };
         let title = format!(
-            "one PSF per {PATCH}-pixel patch minus psfield\n(galaxies only; 0.5 % of the pixels exceed the bar)"
+            "image by {PATCH}-pixel patches minus image by psfield\n(only galaxies differ; 0.5 % of the pixels are beyond the colour scale)"
         );
         self.figure(
             "patch_error.png",

@@ -85,7 +85,7 @@ impl SimulateArgs {
         let header = simulator.carried_header(&read.header, true);
         let cards = self.cards(simulator, made)?;
         // Cards of a later check need room in the header. Without a check no room is reserved, so
-        // that the header equals the header of an image from memory.
+        // that the header equals the header of an image that was made in memory.
         let late = if self.spot_check > 0 {
             SpotCheck::KEYWORDS.len()
         } else {

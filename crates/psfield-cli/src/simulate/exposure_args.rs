@@ -23,7 +23,7 @@ pub(super) struct ExposureArgs {
     pub(super) detector: Option<PathBuf>,
     /// Noise-free image to write with --detector [default: IMAGE_truth.fits next to the image]
     ///
-    /// This image has the unit of the detector's counts, and includes the sky.
+    /// This image has the unit of the detector's counts. It includes sky, dark charge and bias.
     #[arg(
         long,
         value_name = "TRUTH.fits",

@@ -120,9 +120,9 @@ pub(crate) struct SimulateArgs {
     precision: Precision,
     /// Cut or pad the PSF stamps to N x N pixels of the image [default: the stamp's own size]
     ///
-    /// The PSF is centred at pixel N / 2. For light in an image, stamps are cut or padded, then
-    /// scaled to unit flux. For stars, stamps are cut around the star's pixel and not scaled again,
-    /// so that light outside is lost.
+    /// The PSF is centred at pixel N / 2. For images and galaxies, stamps are cut or padded, then
+    /// scaled to unit flux (not with --normalise keep). For stars, stamps are cut around the star's
+    /// pixel and not scaled again, so that light outside is lost.
     #[arg(
         long,
         value_name = "N",
@@ -147,7 +147,8 @@ pub(crate) struct SimulateArgs {
     /// Read the scene and write the image in bands of rows
     ///
     /// psfield then never holds the whole scene or image in memory. The result does not change.
-    /// psfield streams by itself if scene and image would fill more than 70 % of the free memory.
+    /// Applies only to the methods auto and lowrank, without --detector. In these cases psfield
+    /// streams by itself if scene and image would fill more than 70 % of the free memory.
     #[arg(long, help_heading = MEMORY, hide_short_help = true)]
     stream: bool,
     #[command(flatten)]
@@ -191,7 +192,7 @@ impl SimulateArgs {
         report.verdict()
     }
 
-    /// Runs the simulation, with the simulator of an earlier run if that suits this run.
+    /// Runs the simulation. Uses a kept simulator of an earlier run if one suits this run.
     ///
     /// The image is written even if its spot check fails. [`Report::verdict`] returns this failure.
     pub(crate) fn simulate(&self, simulators: &mut Simulators, context: &Context) -> anyhow::Result<Report> {
@@ -320,8 +321,8 @@ impl SimulateArgs {
         })
     }
 
-    /// Turns an error about `--frame` into a usage error. Adds the name of the catalogue or of the
-    /// PSF file to errors about these files.
+    /// Turns an error about the value of `--frame` into a usage error. Adds the name of the
+    /// catalogue or of the PSF file to errors about these files.
     fn explained(&self, error: PsfieldError) -> anyhow::Error {
         match (error.kind(), error.setting(), &self.scene.catalog) {
             (ErrorKind::Setting, Some("frame"), _) => UsageError(with_option(&error, error.setting())).into(),

@@ -1,4 +1,4 @@
-//! Simulators for scenes of one kind: built, prepared, and kept for the next scene.
+//! Simulators: built, prepared, and kept for later scenes with equal settings.
 
 use std::any::Any;
 use std::rc::Rc;
@@ -12,7 +12,7 @@ use crate::context::Context;
 use crate::simulate::SimulateArgs;
 use crate::simulate::report::Seconds;
 
-/// Simulators kept for the next scene of their kind, the latest first.
+/// Simulators kept for later scenes with equal settings. The last one used is the first.
 #[derive(Default)]
 pub(crate) struct Simulators {
     kept: Vec<(String, Rc<dyn Any>)>,
@@ -86,7 +86,8 @@ pub(super) fn timed<R>(work: impl FnOnce() -> anyhow::Result<R>) -> anyhow::Resu
 impl SimulateArgs {
     /// Opens the requested GPU first, because without it the rest of the work is useless.
     pub(super) fn open_gpu(&self, context: &Context) -> Result<(), PsfieldError> {
-        // A scene with only stars needs no GPU.
+        // Without an image the scene may hold only stars, which need no GPU. A build without GPU
+        // support reports the missing support at once.
         let needed = self.scene.scene.is_some() || !cfg!(feature = "gpu");
         let options = self.options();
         if options.device == Device::Gpu && needed {

@@ -30,7 +30,8 @@ pub(crate) struct Report {
     pub(super) galaxies: usize,
     /// Invalid rows of the catalogue, which were skipped.
     pub(super) invalid_rows: usize,
-    /// Rows of the catalogue at positions on the sky that the projection does not reach.
+    /// Rows of the catalogue at positions on the sky that the projection does not reach. They were
+    /// skipped.
     pub(super) rows_off_projection: usize,
     /// True if the scene was read and the image written in bands of rows.
     pub(super) streamed: bool,
@@ -145,8 +146,8 @@ impl Report {
             (self.invalid_rows, "invalid row skipped", "invalid rows skipped"),
             (
                 self.rows_off_projection,
-                "row outside the projection",
-                "rows outside the projection",
+                "row outside the sky projection skipped",
+                "rows outside the sky projection skipped",
             ),
         ]
         .into_iter()

@@ -18,8 +18,8 @@ pub(super) struct SceneArgs {
     pub(super) scene: Option<PathBuf>,
     /// Stars and galaxies: CSV, text or FITS table with columns x, y (0-based pixels) and flux
     ///
-    /// x and y count from the first pixel of the scene, in pixels of the image, and may lie outside
-    /// it. --columns gives other names of columns.
+    /// x and y are in pixels of the image and count from the first pixel of the scene. Sources may
+    /// lie outside the scene. If the columns have other names, give these with --columns.
     ///
     /// Rows with re and n are galaxies with Sersic profiles. re: half-light radius along the major
     /// axis (pixels of the image). n: Sersic index, 0.3 to 8. q: axis ratio [default: 1]. angle:
@@ -90,7 +90,8 @@ pub(super) struct ReadScene<T: ConvReal> {
     pub(super) header: HeaderCards,
     /// Invalid rows of the catalogue, which were skipped.
     pub(super) invalid_rows: usize,
-    /// Rows of the catalogue at positions on the sky that the projection does not reach.
+    /// Rows of the catalogue at positions on the sky that the projection does not reach. They were
+    /// skipped.
     pub(super) rows_off_projection: usize,
 }
 
@@ -178,7 +179,7 @@ impl SceneArgs {
         let s = self.finer();
         let pixels = nx.checked_mul(ny).and_then(|n| n.checked_mul(s * s));
         if pixels.is_none_or(|pixels| pixels > Simulator::<T>::MAX_PIXELS) {
-            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many")).into());
+            return Err(UsageError(format!("--shape: {nx} x {ny} pixels are too many: a scene without an image may have at most 2^30 pixels (--oversample multiplies both sides)")).into());
         }
         Ok(FrameShape::new(nx * s, ny * s)?)
     }

@@ -246,7 +246,7 @@ fn finer_scenes() {
     desk.refused(
         "simulate scene.fits --oversample 2 --psf fine.fits -o x.fits",
         1,
-        &["61 x 51", "not a multiple of 2 pixels", "--frame"],
+        &["61 x 51", "must be multiples of 2", "--frame"],
     );
     desk.refused(
         "simulate scene.fits --oversample 99 --psf fine.fits -o x.fits",
@@ -441,7 +441,7 @@ fn small_galaxies_need_finer_pixels() {
         format!("simulate --psf fine.fits {SHAPE} --precision f64 {options} -o {out}")
     };
     desk.done(&run("--catalog star.csv", "star.fits"));
-    let blurred = "1 galaxy is blurred a second time";
+    let blurred = "1 galaxy is blurred twice";
     desk.warned(&run("--catalog small.csv", "coarse.fits"), blurred);
     desk.warned(&run("--catalog small.csv --oversample 15", "finer.fits"), blurred);
     let star = desk.image("star.fits");

@@ -166,13 +166,14 @@ fn scenes_and_frames_that_do_not_fit_are_refused() {
         (
             "--catalog bright.csv --shape 100000,90000",
             2,
-            "error: --shape: 100000 x 90000 pixels are too many\n",
+            "error: --shape: 100000 x 90000 pixels are too many: a scene without an image may have at most 2^30 pixels \
+             (--oversample multiplies both sides)\n",
         ),
         (
             "scene.fits --oversample 7",
             1,
-            "psfield: error: the scene is 61 x 51 pixels, which is not a multiple of 7 pixels along each side of a frame pixel: \
-             cut the scene, or choose a part of it with a frame (option --frame)\n",
+            "psfield: error: the scene is 61 x 51 pixels, but both numbers must be multiples of 7, because 7 scene pixels lie \
+             along each side of a frame pixel: cut the scene, or choose a part of it with a frame (option --frame)\n",
         ),
         (
             "--catalog bright.csv --shape 61,51",

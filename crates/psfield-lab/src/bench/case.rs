@@ -22,7 +22,7 @@ pub struct BenchCase<T> {
 }
 
 impl<T> BenchCase<T> {
-    /// Combines a scene and a model, whose stamps are on the frame's pixels.
+    /// Combines a scene and a model. The model's stamps must be on the frame's pixels.
     pub fn new(record: PsfModelRecord, scene: Image<T>) -> Self {
         Self { record, scene }
     }
@@ -55,8 +55,8 @@ pub fn lit_scene<T: Real>(shape: FrameShape, seed: u64) -> Result<Image<T>, Data
 const WAVE: f64 = 7.0;
 
 /// Stretches the positions of a model's samples to a frame. Along each axis, the outermost
-/// positions become pixel 0 and the last pixel. The PSF then varies over a frame of any size as
-/// over the whole field.
+/// positions become pixel 0 and the last pixel. Samples that all have one coordinate move to the
+/// middle. The PSF then varies over a frame of any size as over the whole field.
 ///
 /// # Errors
 /// [`DataError`] if different positions become equal.

@@ -37,7 +37,7 @@ pub struct BenchOptions {
 }
 
 impl BenchOptions {
-    /// Number of products that takes the direct sum a few seconds.
+    /// Default limit on the products. The direct sum takes a few seconds for this number.
     pub const DEFAULT_DIRECT_PRODUCTS: f64 = 2e9;
     /// Default number of timed turns of each contender.
     pub const DEFAULT_REPEAT: usize = 3;

@@ -215,7 +215,7 @@ pub(super) fn asinh_ticks(soft: f64, high: f64) -> Vec<f64> {
     ticks
 }
 
-/// Fraction of a step by which a tick may miss the end of its axis.
+/// A tick may lie beyond the end of its axis by this fraction of a step or of the value at the end.
 const ROUNDING: f64 = 1e-9;
 
 fn one_two_five(first: i32, last: i32, low: f64, high: f64) -> Vec<f64> {

@@ -24,8 +24,8 @@ pub(super) const PNG_SCALE: f32 = 2.0;
 static FONT: LazyLock<Face<'static>> =
     LazyLock::new(|| Face::parse(dejavu::sans::regular(), 0).expect("DejaVu Sans is a TrueType font"));
 
-/// Draws each shape twice: into an SVG, and into an image that has [`PNG_SCALE`] times its pixels
-/// along each axis.
+/// Draws each shape twice: into an SVG, and into an image that has [`PNG_SCALE`] times as many
+/// pixels along each axis as the SVG.
 pub(super) struct Canvas<'a> {
     svg: SVGBackend<'a>,
     pixels: &'a mut Pixmap,

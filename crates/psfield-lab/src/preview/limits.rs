@@ -191,10 +191,10 @@ const GROWTH: f64 = 0.01;
 /// Limits for finite values, at least one: IRAF's zscale in the form of astropy's `ZScaleInterval`
 /// with its defaults.
 ///
-/// A line is fitted to the sorted samples as a function of their rank, without outliers. With its
-/// `slope` and the middle rank `centre`, the limits are `median - (centre - 1) slope / contrast`
-/// and `median + (n - centre) slope / contrast`. They stay within the lowest and the highest
-/// sample.
+/// A line is fitted to the `n` sorted samples as a function of their rank, without outliers. With
+/// the `slope` of the line and the middle rank `centre`, the limits are
+/// `median - (centre - 1) slope / contrast` and `median + (n - centre) slope / contrast`. They stay
+/// within the lowest and the highest sample.
 fn zscale(values: &[f64]) -> (f64, f64) {
     let stride = (values.len() / SAMPLES).max(1);
     let mut samples: Vec<f64> = values.iter().copied().step_by(stride).take(SAMPLES).collect();

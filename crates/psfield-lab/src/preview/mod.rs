@@ -2,8 +2,8 @@
 //!
 //! The steps are separate types, so that pictures that are compared can share them:
 //!
-//! 1. [`BinnedImage`]: averages blocks of pixels to limit the image's size. Blocks without any
-//!    defined pixel stay undefined.
+//! 1. [`BinnedImage`]: averages square bins of pixels to limit the image's size. A bin without
+//!    finite pixels becomes NaN.
 //! 2. [`LimitRule`]: chooses the [`Limits`], the values that are shown darkest and brightest.
 //! 3. [`Stretch`] and [`Colormap`]: turn a value between the limits into a colour.
 //! 4. [`Picture`]: combines these steps, and gives the PNG.
@@ -84,8 +84,8 @@ pub enum PreviewError {
     },
     /// A rule that gives two equal limits for an image whose pixels differ.
     #[error(
-        "{rule} puts both limits at {} while the pixels range from {} to {}, because most pixels have that value: give wider \
-         percentiles, or limits",
+        "{rule} puts both limits at {}, because so many pixels have this value, while the pixels range from {} to {}: give wider \
+         percentiles, or give the two limits yourself",
         readable(*value, FIGURES),
         readable(*lowest, FIGURES),
         readable(*highest, FIGURES)

@@ -194,8 +194,8 @@ impl Colormap {
         gradient.eval_continuous(brightness.clamp(0.0, 1.0)).into_array()
     }
 
-    /// The colour of pixels without a value, which does not occur in the map: magenta if the map
-    /// has no pink, else cyan.
+    /// The colour of pixels without a value. It does not occur in the map: magenta if the map has
+    /// no similar colour, else cyan.
     pub fn undefined_colour(self) -> [u8; 3] {
         match self {
             Self::Grey | Self::Viridis | Self::Cividis => [255, 0, 255],

@@ -1,4 +1,4 @@
-//! Summarises the errors of all objects, and compares them with targets.
+//! Summarises the differences between simulated and true objects, and compares them with targets.
 
 use metrics::Summary;
 use ndarray::Array2;
@@ -12,7 +12,7 @@ use crate::report::{Histogram, ObjectRow};
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Evaluation {
-    /// The errors of all objects.
+    /// The differences between simulated and true objects.
     pub summary: ErrorSummary,
     /// Absolute differences of ellipticity.
     pub ellipticity_differences: Histogram,
@@ -103,7 +103,7 @@ pub struct ErrorSummary {
 }
 
 impl ErrorSummary {
-    /// Summarises the errors of objects.
+    /// Summarises the differences of objects.
     pub fn of(rows: &[ObjectRow]) -> Self {
         let spread = |of: fn(&ObjectRow) -> Option<f64>| Spread::of(rows.iter().filter_map(of));
         Self {
@@ -203,7 +203,7 @@ impl Target {
                 mae(|s| s.mean),
             ),
             (
-                "MAE / window mean, largest object",
+                "MAE / window mean, largest over objects",
                 MAE_OVER_MEAN,
                 mae(|s| s.largest),
             ),

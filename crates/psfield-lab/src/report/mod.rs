@@ -7,8 +7,8 @@
 //! and in its true image. Both also give a [`Document`] (sections, tables and figures), from which
 //! one self-contained HTML page is made.
 //!
-//! Measures of an object (an elliptical Gaussian without background, fitted to the same window of
-//! both images):
+//! Measures of an object. The first four are from an elliptical Gaussian without background, which
+//! is fitted to the same window of both images:
 //!
 //! | measure | definition |
 //! |---|---|
@@ -16,6 +16,7 @@
 //! | `e1`, `e2` | distortion, `(a^2 - b^2) / (a^2 + b^2)` times `cos 2 phi`, `sin 2 phi` |
 //! | FWHM | `2 sqrt(2 ln 2)` times the geometric mean of the two sigmas, in pixels |
 //! | FWHM along rows, columns | along x and along y: FWHM of the Gaussian summed over the other axis, from `sqrt(C_xx)`, `sqrt(C_yy)` of its covariance |
+//! | MAE, MSE, `relative_l2`, `max_over_peak`, `mae_over_mean` | differences of the two windows, as in [`Comparison`](metrics::Comparison) |
 
 mod document;
 mod evaluation;

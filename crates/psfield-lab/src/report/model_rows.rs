@@ -122,7 +122,7 @@ pub struct InterpolationRow {
 }
 
 impl InterpolationRow {
-    /// Measures the model of a record, with this interpolator instead of its own.
+    /// Measures the model of a record, with `interpolation` instead of the record's interpolator.
     ///
     /// # Errors
     /// The errors of the interpolator, of the model and of its field.

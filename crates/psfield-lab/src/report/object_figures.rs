@@ -7,14 +7,14 @@ use super::{ErrorSummary, Evaluation, ObjectRow, Spread, Target};
 use crate::plot::{Axis, Curve, Curves, FieldMap, HistogramPanel, Mark, PlotError, Scale, histograms};
 use crate::report::document::short;
 
-/// Fraction of the values that lie in the range of a map's colours. The others get the colour of
-/// the nearer end.
+/// The colours of a map end at this quantile of the values. The MSE map also begins at 1 minus this
+/// quantile. Values outside get the colour of the nearer end.
 const SHOWN_PART: f64 = 0.99;
 
 /// Draws FWHM, ellipticity and MAE. Histograms show the first kind of object. Cumulative
-/// distributions have a line for each kind, and mark the 90th percentile of the first kind and of
-/// the paper. `image` names the image that is compared with the truth, `pixels` the unit of
-/// lengths.
+/// distributions have a line for each kind, and mark the 90th percentile of the first kind. For
+/// ellipticity, `paper_q90` marks the percentile of the paper too. `image` names the image that is
+/// compared with the truth, `pixels` the unit of lengths.
 pub(super) fn shape_figures(
     kinds: &[(&str, &Evaluation)],
     [image, pixels]: [&str; 2],
@@ -203,7 +203,7 @@ fn error_cells(summary: &ErrorSummary) -> [String; 10] {
 }
 
 /// Makes a table of errors: the caller's first columns and cells, then the cells of a summary. Adds
-/// the meaning of the columns to the caption.
+/// the meaning of "90 %" to the caption.
 pub(super) fn error_table<'a>(
     caption: &str,
     first: &[&str],

@@ -7,7 +7,8 @@ use serde::Serialize;
 
 table_row! {
     /// An object, measured in the same way in the same window of its simulated and of its true
-    /// image. The field of a failed measurement is empty, and `note` gives the reason.
+    /// image. The field of a failed measurement is empty. `note` gives the reason if a Gaussian fit
+    /// or the whole comparison failed.
     #[derive(Debug, Clone, PartialEq, Default, Serialize)]
     #[non_exhaustive]
     #[allow(

@@ -286,7 +286,8 @@ pub struct ReproductionOptions {
     pub tolerances: Vec<f64>,
     /// Sides of the images of Table 1, in pixels.
     pub image_sides: Vec<usize>,
-    /// Sides of the patches, in pixels.
+    /// Sides of the square patches of Table 1, in pixels. Each side is a separate run, in which
+    /// every patch has one PSF.
     pub patches: Vec<usize>,
     /// Number of timed runs in Table 1.
     pub repeat: usize,
@@ -317,8 +318,8 @@ impl ReproductionOptions {
         }
     }
 
-    /// Smaller sizes: a frame with a quarter of the side, a quarter of the samples and a ninth of
-    /// the objects.
+    /// Smaller sizes: a frame with a quarter of the side, a quarter of the samples, a ninth of the
+    /// objects, a smaller large galaxy, fewer timed runs, and a larger `adaptive_threshold`.
     pub fn quick() -> Self {
         Self {
             frame: FrameShape::new(2308, 2304).ok(),

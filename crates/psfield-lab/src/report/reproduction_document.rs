@@ -63,7 +63,7 @@ impl Reproduction {
             &self.targets,
         );
         let tolerances = error_table(
-            "Stars and galaxies drawn at several tolerances (transforms for all tiles): absolute differences from their true images.",
+            "Stars and galaxies simulated at several tolerances (method lowrank): absolute differences from their true images.",
             &["objects", "tolerance", "seconds per frame"],
             self.tolerances.iter().map(|row| {
                 let kind = match row.kind {
@@ -75,7 +75,7 @@ impl Reproduction {
             }),
         );
         let interpolations = error_table(
-            "PSFs of the model without the engine, with several interpolators of its coefficients: absolute differences from the truth.",
+            "PSFs evaluated directly from the model (not drawn by the engine), with several interpolators of the coefficients: absolute differences from the truth.",
             &["interpolation"],
             self.interpolations.iter().map(|row| {
                 let in_use = if row.in_use { " (in use)" } else { "" };
@@ -168,7 +168,7 @@ impl Reproduction {
             name: "sampling",
             caption: format!(
                 "Positions at which the PSF is sampled: the regular grid of this report, and psfield's non-uniform sampling, which is refined \
-                 until the error of interpolation between samples is below {} (relative L2).",
+                 until the error of interpolation between samples is below {} (relative L2) or the number of samples reaches its limit.",
                 short(Some(self.adaptive_threshold))
             ),
             figure: positions_figure(&panels, self.frame)?,
@@ -240,9 +240,9 @@ impl Reproduction {
         );
         let figure = NamedFigure {
             name: "galaxy",
-            caption: "The galaxy before and after the convolution, and the differences from the direct sum. Patches leave seams where the PSF \
+            caption: "The galaxy before and after the convolution, and the differences from the direct sum (exact). Patches leave seams where the PSF \
                       changes from one patch to the next. On the same colour scale the differences of psfield are too small to be seen. \
-                      The 0.2 % of pixels outside the range of a colour bar have the colours of its ends."
+                      At most 0.2 % of the pixels of a difference lie outside the range of its colour bar, and have the colours of its ends."
                 .to_owned(),
             figure,
         };

@@ -127,7 +127,7 @@ fn galaxy_light() -> Result<Array2<f64>, LabError> {
 ///
 /// # Errors
 /// [`LabError::ObjectsTooClose`] if two of them would be closer than `least_apart` pixels along an
-/// axis.
+/// axis, or if the margins leave no room.
 fn object_pixels(
     frame: FrameShape,
     across: usize,

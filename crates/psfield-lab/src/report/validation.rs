@@ -94,11 +94,13 @@ impl Validation {
 
     /// Compares a frame minus its background with stars drawn by the model. The model draws all
     /// sources found, at their measured positions and with their measured fluxes, without noise.
-    /// The measured windows lie around the stars that are good enough to be samples. The
-    /// differences include the noise of the frame and the errors of the measured positions.
+    /// The measured windows lie around the stars that are good enough to be samples. `window` is
+    /// their side in pixels (None: four FWHM, at least 7). The differences include the noise of the
+    /// frame and the errors of the measured positions.
     ///
     /// # Errors
-    /// [`ErrorKind::Stars`](psfield::ErrorKind::Stars) if the frame has no such stars,
+    /// [`ErrorKind::Field`](psfield::ErrorKind::Field) if the frame is larger than the model's
+    /// field, [`ErrorKind::Stars`](psfield::ErrorKind::Stars) if the frame has no such stars,
     /// [`LabError::NothingMeasured`] if none of them can be measured in both images, and the errors
     /// of drawing.
     pub fn of_frame(

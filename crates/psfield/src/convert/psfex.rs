@@ -40,7 +40,8 @@ pub struct PsfexConversion {
 /// before the scaling to unit flux that PSFEx's readers apply. If no degree is given, the model's
 /// own is used. Any other PSF is fitted at its own samples or nodes, by least squares. Stamps are
 /// padded with zeros to an odd size with the centre in the middle. For such stamps, PSFEx and
-/// GalSim agree on the centre.
+/// GalSim agree on the centre. A PSFEx model that was read from a file is returned unchanged if it
+/// has this degree.
 ///
 /// # Errors
 /// [`ErrorKind::Setting`] when no degree is known, [`ErrorKind::Fit`] when the samples are too few
@@ -53,7 +54,7 @@ pub fn to_psfex(psf: &Psf, degree: Option<usize>) -> Result<PsfexConversion, Psf
     };
     let degree = degree.or(own_degree).ok_or_else(|| {
         const NEEDED: &str =
-            "the PSF is not a polynomial in x and y, so its degree is not known: choose a total degree, 0 to 10";
+            "the PSF is not a polynomial in x and y, so the degree must be given: choose a total degree, 0 to 10";
         PsfieldError::of_setting("degree", NEEDED)
     })?;
     if !psf.grid().pixel_response_included() {
@@ -106,7 +107,7 @@ fn notes(psf: &Psf) -> Vec<String> {
     }
     if normalisation == Normalisation::Keep {
         notes.push(
-            "readers of PSFEx models scale PSFs to unit flux, and so does psfield unless the normalisation is keep"
+            "readers of PSFEx models scale PSFs to unit flux: only psfield keeps their flux, if the normalisation is keep"
                 .to_owned(),
         );
     }

@@ -24,9 +24,9 @@ pub enum SamplesAt {
     Positions(Vec<Position>),
 }
 
-/// Converts a PSF to samples whose stamps have the PSF's own sampling. Samples at their own
-/// positions are returned unchanged, except for a scaling to unit flux if their options ask for it.
-/// Any other PSF is evaluated through the model.
+/// Converts a PSF to samples whose stamps have the PSF's own sampling. With [`SamplesAt::Own`],
+/// samples are returned unchanged, except for a scaling to unit flux if their options ask for it.
+/// In all other cases the model is evaluated.
 ///
 /// # Errors
 /// [`ErrorKind::Format`] for a grid over a PSF that is known only at one position or along a line,

@@ -1,4 +1,4 @@
-//! Writes PSF files of every supported format.
+//! Writes PSF files in the formats of [`PsfFormat`].
 
 use std::path::Path;
 

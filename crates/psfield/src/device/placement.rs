@@ -97,7 +97,8 @@ impl Placement {
         }
     }
 
-    /// Returns whether a GPU was chosen and failed.
+    /// Returns whether the plan is on the processor because a GPU could not be used
+    /// ([`CpuReason::Failed`]).
     pub fn is_failure(&self) -> bool {
         matches!(
             self,

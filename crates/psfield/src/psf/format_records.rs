@@ -1,4 +1,4 @@
-//! Turns PSFEx models and field-varying PSFs of ScopeSim into models without a new fit.
+//! Turns PSFEx models and field-varying PSFs of ScopeSim into models that equal them to rounding.
 
 use ndarray::{Array3, Axis};
 use psf_basis::{PixelNoise, RankSelection};
@@ -10,14 +10,14 @@ use psf_types::{
 
 use crate::{ErrorKind, FitOptions, PsfieldError, fit};
 
-/// Turns a PSFEx model into a basis and polynomial coefficient fields. The PSFs are the same to
-/// rounding, and nothing is fitted.
+/// Turns a PSFEx model into a basis and polynomial coefficient fields. They reproduce the PSFs of
+/// the model to rounding, before the scaling to unit flux.
 ///
-/// The model is evaluated at (d+1) x (d+1) nodes, where d is the degree of its polynomial. The
-/// nodes are Chebyshev's extrema over `POLZERO +- POLSCAL / 2`. All components of these PSFs and an
-/// interpolating polynomial of degree d reproduce the model. The polynomial also applies outside
-/// the nodes ([`OutsidePolicy::Extend`]), as in PSFEx's own tools. The PSFs of a PSFEx model need
-/// not have unit flux. The record therefore requests a scaling to unit flux
+/// The model is evaluated at (d+1) x (d+1) nodes, where d is the total degree of its polynomial.
+/// The nodes are Chebyshev's extrema over `POLZERO +- POLSCAL / 2`. All components of these PSFs
+/// are kept, and their coefficients are polynomials of total degree d in x and y. The polynomials
+/// also apply outside the nodes ([`OutsidePolicy::Extend`]), as in PSFEx's own tools. The PSFs of a
+/// PSFEx model need not have unit flux. The record therefore requests a scaling to unit flux
 /// ([`Normalisation::Unit`]).
 ///
 /// # Errors

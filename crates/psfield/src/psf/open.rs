@@ -98,7 +98,7 @@ pub struct FitChoices {
     pub rank: Option<RankSelection>,
     /// The choice whether to subtract the mean stamp first.
     pub centring: Option<Centring>,
-    /// The known noise in the samples' pixels.
+    /// The noise in the samples' pixels: estimated, or known.
     pub noise: Option<PixelNoise>,
     /// The interpolation of the coefficients over the field.
     pub interpolation: Option<Interpolation>,
@@ -170,15 +170,15 @@ impl Psf {
     /// Reads a PSF file with settings that its format needs. The defaults of the format apply to
     /// every choice that is None.
     ///
-    /// | file | scaling | settings that apply |
+    /// | file | default scaling | settings that apply |
     /// |---|---|---|
-    /// | [PSF samples](psf_io::samples) | unit | all of `choices` |
+    /// | [PSF samples](psf_io::samples) | unit flux | all of `choices` |
     /// | [PSF model](psf_io::model) | as stored | `outside` and `normalisation` of `choices` |
-    /// | [PSFEx model](psf_io::psfex) | unit | `outside` and `normalisation` of `choices`; `file.extension` |
+    /// | [PSFEx model](psf_io::psfex) | unit flux | `outside` and `normalisation` of `choices`; `file.extension` |
     /// | [STPSF](psf_io::stpsf), [STDPSF](psf_io::stdpsf) library | unchanged | all of `choices` (by default every component is kept, bilinear); `file.plane_order`, `file.detector`, `file.extension` |
-    /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
-    /// | cube without positions | unit | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
-    /// | single stamp: one PSF everywhere | unit | all of `choices` (by default nearest); `file.oversampling`, `file.centre`, `file.extension` |
+    /// | [ScopeSim's field-varying PSF](psf_io::scopesim) | unit flux | `outside` and `normalisation` of `choices`; `file.pixel_scale_arcsec`, `file.field_centre`, `file.wavelength_um` |
+    /// | cube without positions | unit flux | all of `choices`; `file.positions`, `file.oversampling`, `file.centre`, `file.extension` |
+    /// | single stamp: one PSF everywhere | unit flux | all of `choices` (by default nearest); `file.oversampling`, `file.centre`, `file.extension` |
     ///
     /// `file.pixel_response_included` applies to all formats.
     ///
@@ -213,8 +213,8 @@ impl Psf {
             Origin::Record(record) => {
                 if let Some(setting) = choices.first_of_fit() {
                     let message = format!(
-                        "{}: this file holds {kind}, which is not fitted: leave the setting {setting} out, or open the \
-                         samples. Of the fit options, only outside and normalisation apply to a model",
+                        "{}: this file holds {kind}, which is not fitted: leave the setting {setting} out, or open the PSF \
+                         samples instead. For a model, only the policy outside and the scaling to unit flux can be chosen",
                         path.display()
                     );
                     return Err(PsfieldError::of_setting(setting, message));
@@ -259,7 +259,7 @@ fn read(path: &Path, file: &PsfFileOptions) -> Result<(Origin, FileKind, SourceF
     let kind = psf_io::detect_hdu(path, choice)?;
     if let Some((setting, formats)) = file.unknown_to(kind) {
         let message = format!(
-            "{}: the setting {setting} applies to {formats}, but this file holds {kind}: leave it out",
+            "{}: the setting {setting} applies to {formats}, not to this file ({kind}): leave it out",
             path.display()
         );
         return Err(PsfieldError::of_setting(setting, message));

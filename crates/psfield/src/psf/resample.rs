@@ -106,9 +106,9 @@ impl Psf {
 
     /// Returns this PSF with every stamp resampled.
     ///
-    /// Only the stamps of a model are resampled, because resampling and interpolation are linear in
-    /// the stamps. Each PSF of the new model therefore equals the resampled PSF of the old model,
-    /// before the scaling to unit flux. The scaling is done last, on the new stamps.
+    /// For a model, only the mean and the components are resampled. Resampling and interpolation
+    /// are linear, so each PSF of the new model equals the resampled PSF of the old model, before
+    /// the scaling to unit flux. The scaling is done last, on the new stamps.
     fn resampled(&self, resampling: &Resampling) -> Result<Self, PsfieldError> {
         let target = resampling.target;
         match &self.0.origin {

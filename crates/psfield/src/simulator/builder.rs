@@ -140,8 +140,9 @@ impl SimulatorBuilder {
     ///
     /// # Errors
     /// [`PsfieldError`] for settings that cannot be used: a tolerance, an oversampling or a stamp
-    /// size out of range, a frame that reaches beyond the scene or the field of the PSF, or a
-    /// region that reaches beyond the frame.
+    /// size out of range, a frame that reaches beyond the scene or is larger than the field of the
+    /// PSF, a region that reaches beyond the frame, or a region or a GPU for a method without a
+    /// plan.
     pub fn build<T: ConvReal>(self) -> Result<Simulator<T>, PsfieldError> {
         if self.options.method == Method::Own {
             return Err(Method::refused(Method::Own));

@@ -241,9 +241,9 @@ impl fmt::Display for SimulationWarning {
             ),
             Self::BlurredGalaxies { count } => write!(
                 f,
-                "{count} {} blurred a second time by the scene pixels on which they are drawn (the median \
-                 error is 3 % of a galaxy's peak, more for small ones). The spot check does not detect this. Draw them on \
-                 finer pixels: at least {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per \
+                "{count} {} blurred twice: by the pixel response in the PSF, and by the scene pixels used for drawing. \
+                 The median error is 3 % of a galaxy's peak, and more for small galaxies. The spot check does not detect this. Use \
+                 finer scene pixels: at least {FINE_FOR_GALAXIES} along each side of a frame pixel, and {RESOLVED_PX} per \
                  half-light radius",
                 if *count == 1 { "galaxy is" } else { "galaxies are" }
             ),

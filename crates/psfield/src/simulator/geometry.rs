@@ -48,8 +48,8 @@ impl Geometry {
             None if nx.is_multiple_of(s) && ny.is_multiple_of(s) => FrameShape::new(nx / s, ny / s)?.region(),
             None => {
                 let message = format!(
-                    "the scene is {shape} pixels, which is not a multiple of {s} pixels along each side of a frame pixel: \
-                     cut the scene, or choose a part of it with a frame"
+                    "the scene is {shape} pixels, but both numbers must be multiples of {s}, because {s} scene pixels lie \
+                     along each side of a frame pixel: cut the scene, or choose a part of it with a frame"
                 );
                 return Err(PsfieldError::new(ErrorKind::Data, message).with_setting("frame"));
             }

@@ -11,9 +11,9 @@ use crate::{PsfieldError, Scene};
 
 impl<T: ConvReal> Simulator<T> {
     /// Makes the image of a scene row by row. Reads the rows of the scene's image, in scene pixels,
-    /// from `rows`, and writes the rows of the frame or of the region to it. Takes only the stars
-    /// and galaxies from `scene`, and ignores its image. The pixels are equal, bit by bit, to the
-    /// pixels of the image that [`simulate`](Self::simulate) returns.
+    /// from `rows`, and writes the rows of the frame or of the region to `rows`. Takes only the
+    /// stars and galaxies from `scene`, and ignores the image in `scene`. The pixels are equal, bit
+    /// by bit, to the pixels of the image that [`simulate`](Self::simulate) returns.
     ///
     /// # Errors
     /// The errors of the stream and of [`simulate_into`](Self::simulate_into), and

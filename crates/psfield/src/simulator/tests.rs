@@ -175,10 +175,7 @@ fn what_does_not_fit_is_refused() {
     let refused = |options| built::<f32>((20, 15), options).unwrap_err();
     let error = refused(finer(2));
     assert_eq!(of(&error), (ErrorKind::Data, Some("frame")));
-    assert!(
-        error.to_string().contains("not a multiple of 2 pixels"),
-        "{error}"
-    );
+    assert!(error.to_string().contains("must be multiples of 2"), "{error}");
     assert!(built::<f32>((20, 15), frame(0, 0, 10, 7)).is_ok());
     for options in [frame(0, 0, 10, 8), frame(-1, 0, 2, 2)] {
         let error = refused(options);
@@ -284,7 +281,7 @@ fn warnings_tell_of_stars_between_pixels_and_blurred_galaxies() {
         assert!(!between(s, 7.0), "{s}");
         assert!(between(s, 7.25), "{s}");
     }
-    // On pixels coarser than a quarter of the frame's, all galaxies are blurred. On finer pixels,
+    // With fewer than 4 scene pixels along a frame pixel, all galaxies are blurred. With 4 or more,
     // only galaxies with a half-light radius below two scene pixels.
     for s in [1, 2, 3] {
         assert_eq!(warnings(1, s, 7.0, 30.0), [BlurredGalaxies { count: 1 }], "{s}");

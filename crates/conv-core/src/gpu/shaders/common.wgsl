@@ -44,7 +44,7 @@ struct Params {
     first: u32,
     // 1: stamps are read backwards. In weigh_rows, the light is then a stamp.
     flip: u32,
-    // 1: weigh_rows multiplies the light, or draw_stamps the stamps, by the kernels' coefficients.
+    // 1: the kernels' coefficients multiply the light (in weigh_rows) or stamps (in draw_stamps).
     weighted: u32,
     // Columns and rows of the panel, and of the stamps.
     panel_width: u32,

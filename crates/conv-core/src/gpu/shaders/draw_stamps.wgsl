@@ -1,6 +1,6 @@
 // Draws single pixels of the light of tiles, each as a combination of stamps. The coefficients
-// belong to the lit pixel or, if `weighted` is 1, to the pixels that its light reaches. Tiles of a
-// dispatch do not overlap.
+// belong to the lit pixel or, if `weighted` is 1, to the pixels that its light reaches. The results
+// of the tiles of one dispatch do not overlap.
 
 struct Draw {
     // The index of its first pixel.

@@ -24,7 +24,8 @@ fn sum_columns(@builtin(local_invocation_index) thread: u32, @builtin(workgroup_
     {{SWAP}}
     {{BACK}}
     let into = tile.plane * HALF;
-    // Ends the reads of the first plane, which is part of the sum, before the plane is overwritten.
+    // All threads must have read the first plane, which is part of the sum, before it is
+    // overwritten.
     storageBarrier();
     {{STORE}}
 }

@@ -39,8 +39,8 @@ fn holds_psf(hdu: &Hdu) -> bool {
 /// # Errors
 /// [`IoErrorKind::Setting`](crate::IoErrorKind::Setting) for several models without a choice, or
 /// for a choice that is none of them, [`Header`](crate::IoErrorKind::Header) for an unsupported
-/// polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column of
-/// another format, [`Data`](crate::IoErrorKind::Data) for NaN, and the
+/// polynomial (see the [layout](super)), [`Table`](crate::IoErrorKind::Table) for a column that is
+/// missing or has another format, [`Data`](crate::IoErrorKind::Data) for NaN, and the
 /// [errors of any FITS file](crate#bad-files).
 pub fn read_psfex(path: impl AsRef<Path>, extension: Option<&HduChoice>) -> Result<PsfexModel, IoError> {
     let path = path.as_ref();
